@@ -1,0 +1,1 @@
+"""Command robot arms in MuJoCo from Python."""

@@ -1,0 +1,178 @@
+"""Arm: n joints in series and one tip, inside a MuJoCo model whose arm actuators are torque motors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.arrays import Array, matrix, vector
+from armctl.errors import ModelError
+from armctl.pose import Pose
+from armctl.rigid_body import RigidBody
+from armctl.trajectory import Limits
+
+PARITY_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """A serial arm. Made by `armctl.load`; frozen, as are its arrays.
+
+    Attributes:
+        name: What it was loaded as.
+        model: The compiled MuJoCo model; treat it as read-only: simulations copy it.
+        joint_names: The n joints, from the base to the tip.
+        tip: The name of the site, body or geom at the end.
+        home: (n,) rad, the rest position.
+        limits: What the joints can do.
+        rigid_body: Its Pinocchio model.
+        qpos_adr: (n,) where the joints are in `MjData.qpos`.
+        dof_adr: (n,) where they are in `MjData.qvel`.
+        ctrl_adr: (n,) where their motors are in `MjData.ctrl`.
+        gear: (n,) joint torque a motor makes for each unit of its control.
+        home_qpos: (nq,) the whole model at home; joints outside the chain are held there.
+        home_ctrl: (nctrl,) the controls of the whole model at home; the arm's own are zero.
+        tip_body: The body that carries the tip.
+        T_body_tip: The tip in that body.
+        notes: What had to be assumed when it was loaded, one sentence each.
+        sources: Where each kind of limit comes from, such as `{"tau_max": "forcerange"}`.
+    """
+
+    name: str
+    model: mujoco.MjModel
+    joint_names: tuple[str, ...]
+    tip: str
+    home: Array
+    limits: Limits
+    rigid_body: RigidBody
+    qpos_adr: Array
+    dof_adr: Array
+    ctrl_adr: Array
+    gear: Array
+    home_qpos: Array
+    home_ctrl: Array
+    tip_body: int
+    T_body_tip: Pose
+    notes: tuple[str, ...]
+    sources: dict[str, str]
+
+    @property
+    def n(self) -> int:
+        """How many joints it has."""
+        return len(self.joint_names)
+
+    @property
+    def dt(self) -> float:
+        """The model's time step, s."""
+        return float(self.model.opt.timestep)
+
+    def fk(self, q: ArrayLike) -> Pose:
+        """Forward kinematics.
+
+        Args:
+            q: (n,) rad.
+
+        Returns:
+            T_world_tip.
+
+        Raises:
+            InputError: A wrong length or a number that is not finite.
+        """
+        return Pose.from_rotation(*self.rigid_body.tip(vector("q", q, self.n)))
+
+    def fk_many(self, q: ArrayLike) -> tuple[Array, Array]:
+        """Forward kinematics of many positions at once.
+
+        Args:
+            q: (T, n) rad.
+
+        Returns:
+            Tip positions (T, 3) m and rotation matrices (T, 3, 3), in the world.
+
+        Raises:
+            InputError: A wrong shape or a number that is not finite.
+        """
+        return self.rigid_body.tips(matrix("q", q, self.n))
+
+    def jacobian(self, q: ArrayLike) -> Array:
+        """The Jacobian of the tip: its twist is J(q) v.
+
+        Args:
+            q: (n,) rad.
+
+        Returns:
+            (6, n), linear first, world axes, at the tip.
+
+        Raises:
+            InputError: A wrong length or a number that is not finite.
+        """
+        return self.rigid_body.jacobian(vector("q", q, self.n))
+
+    def qpos(self, q: Array) -> Array:
+        """The whole model's positions with the arm at q and all else at home.
+
+        Args:
+            q: (n,) rad.
+
+        Returns:
+            (nq,) for `MjData.qpos`.
+        """
+        qpos = self.home_qpos.copy()
+        qpos[self.qpos_adr] = q
+        return qpos
+
+    def __repr__(self) -> str:
+        return f"Arm({self.name!r}, {self.n} joints, tip {self.tip!r})"
+
+
+def check_parity(arm: Arm, samples: int = 3, seed: int = 0) -> float:
+    """Holds an arm's Pinocchio model to MuJoCo: tip pose, mass matrix and bias at home and at random states.
+
+    Args:
+        arm: The arm.
+        samples: How many random states.
+        seed: Of their random generator.
+
+    Returns:
+        The largest difference, relative to the size of what is compared (at least 1).
+
+    Raises:
+        ModelError: The difference is above 1e-9.
+    """
+    import pinocchio as pin
+
+    rng = np.random.default_rng(seed)
+    low, high = np.maximum(arm.limits.q_min, -np.pi), np.minimum(arm.limits.q_max, np.pi)
+    body, data, full = arm.rigid_body, mujoco.MjData(arm.model), np.zeros((arm.model.nv, arm.model.nv))
+    worst = 0.0
+    for k in range(samples + 1):
+        q = rng.uniform(low, high) if k else arm.home
+        v = rng.uniform(-1, 1, arm.n)
+        data.qpos[:], data.qvel[:] = arm.qpos(q), 0.0
+        data.qvel[arm.dof_adr] = v
+        mujoco.mj_fwdPosition(arm.model, data)
+        mujoco.mj_fwdVelocity(arm.model, data)
+        mujoco.mj_fullM(arm.model, data, full)
+        T = _mujoco_tip(arm, data)
+        M = pin.crba(body.pin_model, body.data, q)
+        pairs = {
+            "tip pose": (np.column_stack(body.tip(q)), np.column_stack([T.position, T.rotation])),
+            "mass matrix": (np.triu(M), np.triu(full[np.ix_(arm.dof_adr, arm.dof_adr)])),
+            "bias": (pin.nonLinearEffects(body.pin_model, body.data, q, v), data.qfrc_bias[arm.dof_adr]),
+        }
+        for what, (ours, theirs) in pairs.items():
+            error = float(np.abs(ours - theirs).max() / max(1.0, np.abs(theirs).max()))
+            if not error <= PARITY_TOLERANCE:
+                raise ModelError(
+                    f"{arm.name}: the {what} of the Pinocchio model is {error:.2g} off MuJoCo's (at most {PARITY_TOLERANCE:g})"
+                )
+            worst = max(worst, error)
+    return worst
+
+
+def _mujoco_tip(arm: Arm, data: mujoco.MjData) -> Pose:
+    T_world_body = Pose.from_rotation(data.xpos[arm.tip_body], data.xmat[arm.tip_body].reshape(3, 3))
+    return T_world_body @ arm.T_body_tip

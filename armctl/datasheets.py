@@ -1,0 +1,116 @@
+"""What models leave out: rows of data for robots by their Menagerie name, each with its source.
+
+Only what is particular to one robot stands here. A robot without a row works too: see `robots.py` for the defaults.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import radians
+
+_DEG = radians(1.0)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One robot.
+
+    Attributes:
+        source: Where the numbers are published.
+        v_max: rad/s, one for each joint; None where the source gives none.
+        a_max: rad/s^2, likewise.
+        j_max: rad/s^3, likewise.
+        tau_max: N m, likewise.
+        tip: The site or body that carries the tip; None for the one that armctl finds.
+        tip_offset: (3,) m, the tip in that site's or body's frame.
+    """
+
+    source: str
+    v_max: tuple[float, ...] | None = None
+    a_max: tuple[float, ...] | None = None
+    j_max: tuple[float, ...] | None = None
+    tau_max: tuple[float, ...] | None = None
+    tip: str | None = None
+    tip_offset: tuple[float, float, float] | None = None
+
+
+def _deg(*values: float) -> tuple[float, ...]:
+    return tuple(value * _DEG for value in values)
+
+
+_FCI = "Franka Control Interface documentation, robot and interface specifications"
+
+ROWS: dict[str, Row] = {
+    "franka_emika_panda": Row(
+        source=_FCI,
+        v_max=(2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61),
+        a_max=(15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),
+        j_max=(7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0),
+        tau_max=(87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0),
+        tip="hand",
+        tip_offset=(0.0, 0.0, 0.1034),
+    ),
+    "franka_fr3": Row(
+        source=_FCI,
+        v_max=(2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26),
+        a_max=(10.0,) * 7,
+        j_max=(5000.0,) * 7,
+        tau_max=(87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0),
+    ),
+    "universal_robots_ur5e": Row(
+        source="Universal Robots UR5e data sheet",
+        v_max=_deg(180, 180, 180, 180, 180, 180),
+        tau_max=(150.0, 150.0, 150.0, 28.0, 28.0, 28.0),
+    ),
+    "universal_robots_ur10e": Row(
+        source="Universal Robots UR10e data sheet",
+        v_max=_deg(120, 120, 180, 180, 180, 180),
+        tau_max=(330.0, 330.0, 150.0, 56.0, 56.0, 56.0),
+    ),
+    "kuka_iiwa_14": Row(
+        source="KUKA LBR iiwa 14 R820 data sheet",
+        v_max=_deg(85, 85, 100, 75, 130, 135, 135),
+        tau_max=(320.0, 320.0, 176.0, 176.0, 110.0, 40.0, 40.0),
+    ),
+    "ufactory_xarm7": Row(source="UFACTORY xArm 7 user manual", v_max=_deg(180, 180, 180, 180, 180, 180, 180)),
+    "ufactory_lite6": Row(source="UFACTORY Lite 6 user manual", v_max=_deg(180, 180, 180, 180, 180, 180)),
+    "kinova_gen3": Row(
+        source="Kinova Gen3 user guide, actuator specifications",
+        v_max=(1.39, 1.39, 1.39, 1.39, 1.22, 1.22, 1.22),
+        tau_max=(105.0, 105.0, 105.0, 105.0, 52.0, 52.0, 52.0),
+    ),
+    "rethink_robotics_sawyer": Row(
+        source="Rethink Robotics Intera SDK, robot description",
+        v_max=(1.74, 1.328, 1.957, 1.957, 3.485, 3.485, 4.545),
+        tau_max=(80.0, 80.0, 40.0, 40.0, 9.0, 9.0, 9.0),
+    ),
+    "flexiv_rizon4": Row(
+        source="Flexiv Rizon 4 data sheet",
+        v_max=_deg(120, 120, 140, 140, 280, 280, 280),
+        tau_max=(123.0, 123.0, 64.0, 64.0, 39.0, 39.0, 39.0),
+    ),
+}
+
+ALIASES: dict[str, str] = {
+    "panda": "franka_emika_panda",
+    "fr3": "franka_fr3",
+    "ur5e": "universal_robots_ur5e",
+    "ur10e": "universal_robots_ur10e",
+    "iiwa": "kuka_iiwa_14",
+    "iiwa14": "kuka_iiwa_14",
+    "xarm7": "ufactory_xarm7",
+    "lite6": "ufactory_lite6",
+    "gen3": "kinova_gen3",
+    "sawyer": "rethink_robotics_sawyer",
+    "rizon4": "flexiv_rizon4",
+    "so_arm100": "trs_so_arm100",
+    "so101": "robotstudio_so101",
+    "piper": "agilex_piper",
+    "l5": "arx_l5",
+    "yam": "i2rt_yam",
+    "z1": "unitree_z1",
+    "vx300s": "trossen_vx300s",
+    "wx250s": "trossen_wx250s",
+    "wxai": "trossen_wxai",
+    "omy": "robotis_omy_3m",
+}

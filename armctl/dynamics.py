@@ -1,0 +1,147 @@
+"""Dynamics of an arm: mass matrix, bias, and the torque that a motion takes, all of what MuJoCo simulates included.
+
+    tau = M(q) a + bias(q, v) + passive(q, v, a) + friction(v, a)
+
+M and bias are Pinocchio's; armature is in M. Passive forces are joint damping and springs and gravity compensation.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+
+from armctl.arm import Arm
+from armctl.arrays import Array
+
+
+class Dynamics:
+    """The equations of motion of an arm, with everything outside its chain held still.
+
+    Attributes:
+        arm: The arm.
+        damping: (n,) N m s/rad, viscous damping of the joints.
+        friction_loss: (n,) N m, dry friction of the joints.
+    """
+
+    def __init__(self, arm: Arm):
+        """The dynamics of an arm.
+
+        Args:
+            arm: The arm.
+        """
+        model, dofs = arm.model, arm.dof_adr
+        joints = model.dof_jntid[dofs]
+        self.arm = arm
+        self.damping = model.dof_damping[dofs].copy()
+        self.friction_loss = model.dof_frictionloss[dofs].copy()
+        self._model, self._data = arm.rigid_body.pin_model, arm.rigid_body.pin_model.createData()
+        self._support = arm.rigid_body.gravity_support
+        self._support_data = self._support.createData() if self._support is not None else None
+        self._damping_poly = model.dof_dampingpoly[dofs].copy()
+        self._stiffness = np.column_stack([model.jnt_stiffness[joints], model.jnt_stiffnesspoly[joints]])
+        self._rest = model.qpos_spring[arm.qpos_adr].copy()
+        self._is_damped = bool(self.damping.any() or self._damping_poly.any())
+        self._has_poly_damping = bool(self._damping_poly.any())
+        self._has_springs = bool(self._stiffness.any())
+        self._has_friction = bool(self.friction_loss.any())
+        self._friction_gain, self._friction_rate = _friction_constants(model, dofs)
+
+    def mass_matrix(self, q: Array) -> Array:
+        """M(q), armature included.
+
+        Args:
+            q: (n,) rad.
+
+        Returns:
+            (n, n) kg m^2, symmetric.
+        """
+        M = pin.crba(self._model, self._data, q)  # promises the upper triangle only
+        return np.triu(M) + np.triu(M, 1).T
+
+    def bias(self, q: Array, v: Array) -> Array:
+        """Coriolis, centrifugal and gravity torques, as MuJoCo's `qfrc_bias`.
+
+        Args:
+            q: (n,) rad.
+            v: (n,) rad/s.
+
+        Returns:
+            (n,) N m.
+        """
+        return pin.nonLinearEffects(self._model, self._data, q, v).copy()
+
+    def gravity(self, q: Array) -> Array:
+        """The torque that holds the arm still at q: gravity less gravity compensation, and springs.
+
+        Args:
+            q: (n,) rad.
+
+        Returns:
+            (n,) N m.
+        """
+        tau = pin.computeGeneralizedGravity(self._model, self._data, q).copy()
+        return self._with_static(tau, q)
+
+    def inverse(self, q: Array, v: Array, a: Array, dt: float = 0.0) -> Array:
+        """Inverse dynamics without dry friction: the torque that makes the arm accelerate.
+
+        With a time step it is the inverse of MuJoCo's discrete step, which takes damping at the end of the step (integrators
+        Euler, implicitfast): the a that is asked for is then exactly (v_next - v) / dt. This is what `mj_inverse` computes
+        with `mjENBL_INVDISCRETE`.
+
+        Args:
+            q: (n,) rad.
+            v: (n,) rad/s.
+            a: (n,) rad/s^2.
+            dt: The step, s; 0 for continuous time.
+
+        Returns:
+            (n,) N m.
+        """
+        tau = pin.rnea(self._model, self._data, q, v, a)
+        if self._is_damped:
+            tau = tau + (self._damping_force(v, a, dt) if self._has_poly_damping else self.damping * (v + dt * a))
+        return self._with_static(tau, q)
+
+    def friction(self, v: Array, a: Array) -> Array:
+        """The torque that overcomes dry friction, by MuJoCo's own law: a stiff damper that yields at the friction loss.
+
+        From MuJoCo's documentation, Computation, "Constraint model": the friction force of a joint is
+        -clip((a + b v) / R, +-friction_loss), where b and R come from the joint's `solreffriction` and `solimpfriction`.
+
+        Args:
+            v: (n,) rad/s.
+            a: (n,) rad/s^2.
+
+        Returns:
+            (n,) N m.
+        """
+        if not self._has_friction:
+            return np.zeros_like(self.friction_loss)
+        force = self._friction_gain * (a + self._friction_rate * v)
+        return np.clip(force, -self.friction_loss, self.friction_loss)
+
+    def _with_static(self, tau: Array, q: Array) -> Array:
+        if self._has_springs:
+            x = q - self._rest
+            k = self._stiffness
+            tau = tau + x * (k[:, 0] + np.abs(x) * k[:, 1] + x * x * k[:, 2])
+        if self._support is not None:
+            tau = tau - pin.computeGeneralizedGravity(self._support, self._support_data, q)
+        return tau
+
+    def _damping_force(self, v: Array, a: Array, dt: float) -> Array:
+        linear, (quadratic, cubic), speed = self.damping, self._damping_poly.T, np.abs(v)
+        slope = linear + 2 * quadratic * speed + 3 * cubic * v * v
+        return v * (linear + quadratic * speed + cubic * v * v) + dt * slope * a
+
+
+def _friction_constants(model: mujoco.MjModel, dofs: Array) -> tuple[Array, Array]:
+    """1/R and b of each joint's friction constraint, after MuJoCo's `solref` and `solimp` rules at zero violation."""
+    solref, solimp = model.dof_solref[dofs], np.clip(model.dof_solimp[dofs], 1e-4, 0.9999)
+    impedance, impedance_max = solimp[:, 0], solimp[:, 1]
+    time_constant = np.maximum(solref[:, 0], 2 * model.opt.timestep)
+    rate = np.where(solref[:, 0] > 0, 2 / (impedance_max * time_constant), -solref[:, 1] / impedance_max)
+    regularisation = (1 - impedance) / impedance * np.maximum(model.dof_invweight0[dofs], 1e-15)
+    return 1 / regularisation, rate

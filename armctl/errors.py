@@ -1,0 +1,76 @@
+"""Every deliberate error of armctl, under one base.
+
+A wrong call raises one of these, with one sentence: what, which, value with unit, bound, what to do next.
+What the world refuses (out of reach, not settled) is never an exception but a result with `ok=False` and a reason.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from armctl.log import Log
+
+
+class ArmctlError(Exception):
+    """The base of every error that armctl raises on purpose."""
+
+
+class InputError(ArmctlError, ValueError):
+    """An argument of the wrong shape, kind or value."""
+
+
+class LimitError(InputError):
+    """A value outside the arm's limits."""
+
+
+class UnknownNameError(ArmctlError, LookupError):
+    """A name that stands for nothing here; the message suggests a near one."""
+
+    @classmethod
+    def of(cls, kind: str, name: str, known: Iterable[str]) -> UnknownNameError:
+        """The error for `name`, which is no `kind` among `known`.
+
+        Args:
+            kind: What the name should stand for, such as "robot".
+            name: The name that was given.
+            known: The names that would have been right.
+
+        Returns:
+            The error, to be raised by the caller.
+        """
+        known = list(known)
+        near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.5)
+        if near:
+            hint = f"did you mean {near[0]!r}?"
+        elif len(known) <= 12:
+            hint = f"known: {', '.join(known)}"
+        else:
+            hint = f"there are {len(known)} known names"
+        return cls(f"unknown {kind} {name!r}; {hint}")
+
+
+class ModelError(ArmctlError):
+    """A model that cannot be read, or that is no arm."""
+
+
+class PlanError(ArmctlError):
+    """A motion that cannot be planned."""
+
+
+class SimulationError(ArmctlError):
+    """A simulation that cannot go on.
+
+    Attributes:
+        log: What was recorded before it, or None.
+    """
+
+    def __init__(self, message: str, log: Log | None = None):
+        super().__init__(message)
+        self.log = log
+
+
+class ArmctlWarning(UserWarning):
+    """Something armctl had to assume, such as a limit that a model does not give."""

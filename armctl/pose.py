@@ -1,0 +1,260 @@
+"""Pose: where a frame is and how it is turned."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.arrays import Array, array, frozen, vector
+from armctl.errors import InputError
+
+
+class Pose:
+    """A rigid transform T_a_b: the position and orientation of frame b in frame a.
+
+    Frozen. Poses multiply with `@`, names cancel: `T_world_tip = T_world_base @ T_base_tip`.
+
+    Attributes:
+        position: (3,) m.
+        quat: (4,) unit quaternion, wxyz, with w >= 0.
+        rotation: (3, 3) rotation matrix.
+    """
+
+    __slots__ = ("position", "quat", "rotation")
+
+    position: Array
+    quat: Array
+    rotation: Array
+
+    def __init__(self, position: ArrayLike, quat: ArrayLike | None = None, *, rpy: ArrayLike | None = None):
+        """A pose from a position and, if given, one orientation.
+
+        Args:
+            position: (3,) m.
+            quat: (4,) wxyz; it is normalised. Left out, the orientation is the identity.
+            rpy: (3,) rad, fixed-axis roll, pitch, yaw: R = Rz(yaw) Ry(pitch) Rx(roll).
+
+        Raises:
+            InputError: A wrong length, a number that is not finite, a zero quaternion, or both quat and rpy.
+        """
+        if quat is not None and rpy is not None:
+            raise InputError("Pose: both quat and rpy given; give one")
+        if rpy is not None:
+            wxyz = _quat_from_rpy(vector("rpy", rpy, 3))
+        else:
+            wxyz = vector("quat", (1.0, 0.0, 0.0, 0.0) if quat is None else quat, 4)
+        norm = float(np.linalg.norm(wxyz))
+        if norm < 1e-9:
+            raise InputError("quat: its norm is zero, so it is no orientation; [1, 0, 0, 0] is the identity")
+        wxyz = _canonical(wxyz / norm)
+        self._fill(vector("position", position, 3), wxyz, _matrix_from_quat(wxyz))
+
+    def _fill(self, position: Array, quat: Array, rotation: Array) -> None:
+        object.__setattr__(self, "position", frozen(position))
+        object.__setattr__(self, "quat", frozen(quat))
+        object.__setattr__(self, "rotation", frozen(rotation))
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"a Pose is frozen; make a new one instead of setting {name!r}")
+
+    __delattr__ = __setattr__  # type: ignore[assignment]
+
+    def __reduce__(self):
+        return _rebuilt, (np.array(self.position), np.array(self.rotation))
+
+    @classmethod
+    def from_matrix(cls, matrix: ArrayLike) -> Pose:
+        """A pose from a homogeneous transform.
+
+        Args:
+            matrix: (4, 4), its rotation orthonormal within 1e-6.
+
+        Returns:
+            The pose.
+
+        Raises:
+            InputError: Another shape, or no rigid transform.
+        """
+        T = array("matrix", matrix, 2)
+        if T.shape != (4, 4):
+            raise InputError(f"matrix: shape {T.shape} given, (4, 4) wanted")
+        R = T[:3, :3]
+        error = float(np.abs(R @ R.T - np.eye(3)).max())
+        if error > 1e-6 or np.linalg.det(R) < 0 or not np.allclose(T[3], (0, 0, 0, 1), atol=1e-9):
+            raise InputError(f"matrix: no rigid transform (its rotation is {error:.2g} from orthonormal, right-handed)")
+        if error > 1e-12:
+            U, _, Vt = np.linalg.svd(R)
+            R = U @ Vt
+        return cls.from_rotation(T[:3, 3], R)
+
+    @classmethod
+    def from_rotation(cls, position: ArrayLike, rotation: ArrayLike) -> Pose:
+        """A pose from parts that are known to be right; for computed values, without checks.
+
+        Args:
+            position: (3,) m.
+            rotation: (3, 3), orthonormal.
+
+        Returns:
+            The pose.
+        """
+        R = np.array(rotation, dtype=np.float64)
+        pose = cls.__new__(cls)
+        pose._fill(np.array(position, dtype=np.float64), _quat_from_matrix(R), R)
+        return pose
+
+    @property
+    def matrix(self) -> Array:
+        """(4, 4) homogeneous transform."""
+        T = np.eye(4)
+        T[:3, :3] = self.rotation
+        T[:3, 3] = self.position
+        return frozen(T)
+
+    @property
+    def rpy(self) -> Array:
+        """(3,) rad, fixed-axis roll, pitch, yaw; at pitch = +-pi/2 the roll is zero."""
+        R = self.rotation
+        pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
+        if abs(R[2, 0]) > 1 - 1e-12:
+            return frozen(np.array([0.0, pitch, math.atan2(-R[0, 1], R[1, 1])]))
+        return frozen(np.array([math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])]))
+
+    def __matmul__(self, other: Pose) -> Pose:
+        if not isinstance(other, Pose):
+            return NotImplemented
+        return Pose.from_rotation(self.rotation @ other.position + self.position, self.rotation @ other.rotation)
+
+    def inverse(self) -> Pose:
+        """T_b_a of this T_a_b."""
+        return Pose.from_rotation(-self.rotation.T @ self.position, self.rotation.T)
+
+    def transform(self, point: ArrayLike) -> Array:
+        """A point given in b, in a.
+
+        Args:
+            point: (3,) m, in b.
+
+        Returns:
+            (3,) m, in a.
+        """
+        return self.rotation @ vector("point", point, 3) + self.position
+
+    def distance(self, other: Pose) -> tuple[float, float]:
+        """How far another pose is.
+
+        Args:
+            other: The other pose, in the same frame.
+
+        Returns:
+            The distance in m and the angle in rad, 0 to pi.
+        """
+        return (
+            float(np.linalg.norm(other.position - self.position)),
+            rotation_angle(self.rotation.T @ other.rotation),
+        )
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Pose):
+            return NotImplemented
+        return bool(np.array_equal(self.position, other.position) and np.array_equal(self.rotation, other.rotation))
+
+    def __hash__(self) -> int:
+        return hash((self.position.tobytes(), self.rotation.tobytes()))
+
+    def __repr__(self) -> str:
+        p, q = ([round(float(x), 6) + 0.0 for x in a] for a in (self.position, self.quat))
+        return f"Pose({p}, quat={q})"
+
+
+def rotation_vector(R: Array) -> Array:
+    """The rotation vector (axis times angle) of a rotation matrix, accurate at 0 and at pi.
+
+    Args:
+        R: (3, 3) rotation matrix.
+
+    Returns:
+        (3,) rad, its norm in [0, pi].
+    """
+    w, *xyz = _quat_from_matrix(R)
+    s = math.sqrt(xyz[0] ** 2 + xyz[1] ** 2 + xyz[2] ** 2)
+    scale = 2.0 if s < 1e-300 else 2.0 * math.atan2(s, w) / s
+    return np.array(xyz) * scale
+
+
+def rotation_angle(R: Array) -> float:
+    """The angle of a rotation matrix.
+
+    Args:
+        R: (3, 3) rotation matrix.
+
+    Returns:
+        rad, in [0, pi].
+    """
+    return float(np.linalg.norm(rotation_vector(R)))
+
+
+def rotation_from_vector(w: Array) -> Array:
+    """The rotation matrix of a rotation vector.
+
+    Args:
+        w: (3,) rad, axis times angle.
+
+    Returns:
+        (3, 3) rotation matrix.
+    """
+    angle = float(np.linalg.norm(w))
+    half = 0.5 * angle
+    s = 0.5 if angle < 1e-12 else math.sin(half) / angle
+    return _matrix_from_quat(np.array([math.cos(half), *(s * w)]))
+
+
+def _rebuilt(position: Array, rotation: Array) -> Pose:
+    return Pose.from_rotation(position, rotation)
+
+
+def _canonical(wxyz: Array) -> Array:
+    """Of q and -q, the same rotation, the one with w >= 0."""
+    return -wxyz if wxyz[0] < 0 else wxyz
+
+
+def _quat_from_rpy(rpy: Array) -> Array:
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy / 2), np.sin(rpy / 2)
+    return np.array(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ]
+    )
+
+
+def _matrix_from_quat(wxyz: Array) -> Array:
+    w, x, y, z = wxyz
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _quat_from_matrix(R: Array) -> Array:
+    """Shepperd's method (J. Guidance and Control 1(3), 1978): divide by the largest of four candidates."""
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = R.ravel().tolist()
+    squares = (1 + r00 + r11 + r22, 1 + r00 - r11 - r22, 1 - r00 + r11 - r22, 1 - r00 - r11 + r22)
+    k = squares.index(max(squares))
+    if k == 0:
+        q = (squares[0], r21 - r12, r02 - r20, r10 - r01)
+    elif k == 1:
+        q = (r21 - r12, squares[1], r10 + r01, r02 + r20)
+    elif k == 2:
+        q = (r02 - r20, r10 + r01, squares[2], r21 + r12)
+    else:
+        q = (r10 - r01, r02 + r20, r21 + r12, squares[3])
+    wxyz = np.array(q)
+    return _canonical(wxyz / math.sqrt(float(wxyz @ wxyz)))

@@ -1,0 +1,197 @@
+"""The Pinocchio model of one serial chain, built from the compiled MuJoCo model, body by body.
+
+Every joint frame is laid so that its joint turns about, or slides along, its own z axis. Joints outside the chain are held
+where they are, so whatever hangs on them is one rigid body with the link it hangs on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+
+from armctl.arrays import Array, frozen
+from armctl.pose import Pose
+
+WORLD_AXES_AT_TIP = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+
+
+@dataclass(frozen=True, eq=False)
+class RigidBody:
+    """Kinematics and inertia of n joints in series, and the tip behind the last of them.
+
+    Attributes:
+        pin_model: The Pinocchio model; its frame `tip_frame` is the tip.
+        data: Scratch memory of `pin_model`: one thread at a time.
+        tip_frame: Index of the tip's frame.
+        placements: (n, 4, 4), each joint's frame at zero in the frame of the joint before it (the first one's in the world).
+        is_slide: (n,) bool, True where the joint slides along its z axis instead of turning about it.
+        T_last_tip: (4, 4), the tip in the last joint's frame.
+        gravity_support: A second Pinocchio model that carries only what gravity compensation in the MuJoCo model lifts
+            (`gravcomp`), or None where nothing is lifted.
+    """
+
+    pin_model: pin.Model
+    data: pin.Data
+    tip_frame: int
+    placements: Array
+    is_slide: Array
+    T_last_tip: Array
+    gravity_support: pin.Model | None
+
+    def tip(self, q: Array) -> tuple[Array, Array]:
+        """Where the tip is: (3,) m and (3, 3), in the world; valid until the next call.
+
+        Args:
+            q: (n,) rad.
+
+        Returns:
+            Position and rotation matrix.
+        """
+        pin.forwardKinematics(self.pin_model, self.data, q)
+        T = pin.updateFramePlacement(self.pin_model, self.data, self.tip_frame)
+        return T.translation, T.rotation
+
+    def jacobian(self, q: Array) -> Array:
+        """The tip's Jacobian, linear first, world axes.
+
+        Args:
+            q: (n,) rad.
+
+        Returns:
+            (6, n), m/rad and rad/rad.
+        """
+        return pin.computeFrameJacobian(self.pin_model, self.data, q, self.tip_frame, WORLD_AXES_AT_TIP)
+
+    def tips(self, q: Array) -> tuple[Array, Array]:
+        """Where the tip is at many positions at once, by matrix products over the chain.
+
+        Args:
+            q: (T, n) rad.
+
+        Returns:
+            Positions (T, 3) m and rotation matrices (T, 3, 3), in the world.
+        """
+        R = np.broadcast_to(np.eye(3), (len(q), 3, 3))
+        p = np.zeros((len(q), 3))
+        for i, X in enumerate(self.placements):
+            p = p + R @ X[:3, 3]
+            R = R @ X[:3, :3]
+            if self.is_slide[i]:
+                p = p + R[:, :, 2] * q[:, i, None]
+            else:
+                c, s = np.cos(q[:, i])[:, None], np.sin(q[:, i])[:, None]
+                x, y = R[:, :, 0], R[:, :, 1]
+                R = np.stack([c * x + s * y, c * y - s * x, R[:, :, 2]], axis=-1)
+        return p + R @ self.T_last_tip[:3, 3], R @ self.T_last_tip[:3, :3]
+
+    def __reduce__(self):
+        fields = (self.pin_model, self.tip_frame, self.placements, self.is_slide, self.T_last_tip, self.gravity_support)
+        return _unpickled, fields
+
+
+def _unpickled(pin_model: pin.Model, *rest) -> RigidBody:
+    return RigidBody(pin_model, pin_model.createData(), *rest)
+
+
+def build(model: mujoco.MjModel, joints: tuple[int, ...], qpos: Array, tip_body: int, T_body_tip: Pose) -> RigidBody:
+    """The rigid-body model of a chain.
+
+    Args:
+        model: The compiled model.
+        joints: The chain's hinge and slide joints, from the base to the tip.
+        qpos: (nq,) where the joints outside the chain are held.
+        tip_body: The body that carries the tip.
+        T_body_tip: The tip in that body.
+
+    Returns:
+        The model, its joints in the order given.
+    """
+    data = mujoco.MjData(model)
+    zero = model.qpos0[model.jnt_qposadr[list(joints)]]
+    data.qpos[:] = qpos
+    data.qpos[model.jnt_qposadr[list(joints)]] = zero
+    mujoco.mj_kinematics(model, data)
+
+    frames = [_joint_frame(data.xanchor[j], data.xaxis[j]) for j in joints]
+    is_slide = np.array([model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE for j in joints])
+    pin_model = pin.Model()
+    pin_model.gravity.linear = model.opt.gravity
+    previous, placements = pin.SE3.Identity(), []
+    for i, joint in enumerate(joints):
+        back_to_zero = _along_z(-zero[i]) if is_slide[i] else _about_z(-zero[i])
+        placement = previous.actInv(frames[i]) * back_to_zero
+        kind = pin.JointModelPZ() if is_slide[i] else pin.JointModelRZ()
+        pin_model.addJoint(i, kind, placement, mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or f"joint{joint}")
+        placements.append(placement.homogeneous)
+        previous = frames[i]
+    support = pin_model.copy() if _is_lifted(model) else None
+    pin_model.armature = model.dof_armature[model.jnt_dofadr[list(joints)]].copy()
+
+    for body, owner in enumerate(joint_above(model, joints)):
+        if owner < 0 or model.body_mass[body] == 0:
+            continue
+        T_joint_inertia = frames[owner].actInv(_se3(data.xipos[body], data.ximat[body]))
+        mass, moments = model.body_mass[body], model.body_inertia[body]
+        pin_model.appendBodyToJoint(owner + 1, pin.Inertia(mass, np.zeros(3), np.diag(moments)), T_joint_inertia)
+        if support is not None:
+            lifted = pin.Inertia(mass * model.body_gravcomp[body], np.zeros(3), np.zeros((3, 3)))
+            support.appendBodyToJoint(owner + 1, lifted, T_joint_inertia)
+
+    T_world_tip = _se3(data.xpos[tip_body], data.xmat[tip_body]) * pin.SE3(T_body_tip.rotation, T_body_tip.position)
+    T_last_tip = frames[-1].actInv(T_world_tip)
+    tip_frame = pin_model.addFrame(pin.Frame("tip", len(joints), 0, T_last_tip, pin.FrameType.OP_FRAME))
+    return RigidBody(
+        pin_model,
+        pin_model.createData(),
+        tip_frame,
+        frozen(np.array(placements)),
+        frozen(is_slide),
+        frozen(T_last_tip.homogeneous),
+        support,
+    )
+
+
+def joint_above(model: mujoco.MjModel, joints: tuple[int, ...]) -> list[int]:
+    """For every body, which joint of the chain moves it.
+
+    Args:
+        model: The compiled model.
+        joints: The chain's joints, from the base to the tip.
+
+    Returns:
+        (nbody,) positions in `joints` of the last joint above each body, -1 where none is.
+    """
+    last_on_body = {int(model.jnt_bodyid[j]): i for i, j in enumerate(joints)}
+    owner = [-1] * model.nbody
+    for body in range(1, model.nbody):
+        owner[body] = last_on_body.get(body, owner[model.body_parentid[body]])
+    return owner
+
+
+def _is_lifted(model: mujoco.MjModel) -> bool:
+    return bool(np.any(model.body_gravcomp))
+
+
+def _joint_frame(anchor: Array, axis: Array) -> pin.SE3:
+    """A frame at the anchor whose z axis is the joint's axis."""
+    z = axis / np.linalg.norm(axis)
+    x = np.eye(3)[np.abs(z).argmin()]
+    x = x - z * (x @ z)
+    x /= np.linalg.norm(x)
+    return pin.SE3(np.column_stack([x, np.cross(z, x), z]), anchor.copy())
+
+
+def _about_z(angle: float) -> pin.SE3:
+    c, s = np.cos(angle), np.sin(angle)
+    return pin.SE3(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3))
+
+
+def _along_z(distance: float) -> pin.SE3:
+    return pin.SE3(np.eye(3), np.array([0.0, 0.0, distance]))
+
+
+def _se3(position: Array, rotation: Array) -> pin.SE3:
+    return pin.SE3(rotation.reshape(3, 3).copy(), position.copy())

@@ -1,0 +1,141 @@
+"""What a motion is to everyone else: limits, setpoints, and the Trajectory protocol. Always in joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.arrays import Array, vector
+from armctl.errors import InputError, LimitError
+
+
+class Setpoint(NamedTuple):
+    """Where the joints should be: one instant (n,), or many at once (T, n).
+
+    Attributes:
+        q: Position, rad (m for a slide joint).
+        v: Velocity, rad/s.
+        a: Acceleration, rad/s^2.
+    """
+
+    q: Array
+    v: Array
+    a: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """What the joints can do. Each (n,), read-only; `inf` where a joint is not limited.
+
+    Attributes:
+        q_min: Least position, rad (m for a slide joint).
+        q_max: Greatest position, rad.
+        v_max: Greatest speed, rad/s.
+        a_max: Greatest acceleration, rad/s^2.
+        j_max: Greatest jerk, rad/s^3.
+        tau_max: Greatest torque, N m (N for a slide joint).
+    """
+
+    q_min: Array
+    q_max: Array
+    v_max: Array
+    a_max: Array
+    j_max: Array
+    tau_max: Array
+
+    def __post_init__(self) -> None:
+        n = np.size(self.q_min)
+        for field in fields(self):
+            value = vector(field.name, getattr(self, field.name), n, finite=False)
+            if np.isnan(value).any():
+                raise InputError(f"{field.name}: joint {int(np.isnan(value).argmax())} is NaN, a number wanted")
+            if not field.name.startswith("q_") and not (value > 0).all():
+                raise InputError(f"{field.name}: {value.min():g} given, every value must be greater than 0")
+            object.__setattr__(self, field.name, value)
+        if not (self.q_min <= self.q_max).all():
+            worst = int((self.q_min - self.q_max).argmax())
+            raise InputError(f"q_min: {self.q_min[worst]:g} is above q_max, {self.q_max[worst]:g} (joint {worst})")
+
+    def contains(self, q: ArrayLike, tolerance: float = 0.0) -> bool:
+        """Whether positions are inside [q_min, q_max].
+
+        Args:
+            q: (n,) or (T, n) rad.
+            tolerance: rad by which they may be outside.
+
+        Returns:
+            True if all are.
+        """
+        q = np.asarray(q)
+        return bool(((q >= self.q_min - tolerance) & (q <= self.q_max + tolerance)).all())
+
+    def clamp(self, q: ArrayLike) -> Array:
+        """The nearest positions inside [q_min, q_max].
+
+        Args:
+            q: (n,) or (T, n) rad.
+
+        Returns:
+            The same shape, rad.
+        """
+        return np.clip(np.asarray(q, dtype=np.float64), self.q_min, self.q_max)
+
+    def check(self, what: str, q: ArrayLike, joint_names: tuple[str, ...], tolerance: float = 1e-9) -> Array:
+        """Joint positions from a caller, checked.
+
+        Args:
+            what: The name of the argument, for the error.
+            q: (n,) rad.
+            joint_names: The n joints, for the error.
+            tolerance: rad by which they may be outside; such positions are clamped.
+
+        Returns:
+            (n,) rad, inside the limits.
+
+        Raises:
+            InputError: A wrong length or a number that is not finite.
+            LimitError: A position outside its limits.
+        """
+        checked = vector(what, q, len(joint_names))
+        outside = (checked < self.q_min - tolerance) | (checked > self.q_max + tolerance)
+        if outside.any():
+            i = int(outside.argmax())
+            raise LimitError(
+                f"{what}: {joint_names[i]}: {checked[i]:g} rad is outside [{self.q_min[i]:.3f}, {self.q_max[i]:.3f}] rad"
+            )
+        return self.clamp(checked)
+
+
+@runtime_checkable
+class Trajectory(Protocol):
+    """A motion of n joints over [0, duration]. Outside that time it stands still at its ends."""
+
+    @property
+    def duration(self) -> float:
+        """How long it takes, s."""
+        ...
+
+    def __call__(self, t: float) -> Setpoint:
+        """The setpoint at a time.
+
+        Args:
+            t: s, clamped to [0, duration].
+
+        Returns:
+            q, v, a, each (n,).
+        """
+        ...
+
+    def sample(self, times: ArrayLike) -> Setpoint:
+        """The setpoints at many times at once.
+
+        Args:
+            times: (T,) s, each clamped to [0, duration].
+
+        Returns:
+            q, v, a, each (T, n).
+        """
+        ...
