@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arrays import Array, matrix, vector
+from armctl.arrays import Array, IntArray, matrix, vector
 from armctl.errors import ModelError
 from armctl.pose import Pose
 from armctl.rigid_body import RigidBody
@@ -48,9 +48,9 @@ class Arm:
     home: Array
     limits: Limits
     rigid_body: RigidBody
-    qpos_adr: Array
-    dof_adr: Array
-    ctrl_adr: Array
+    qpos_adr: IntArray
+    dof_adr: IntArray
+    ctrl_adr: IntArray
     gear: Array
     home_qpos: Array
     home_ctrl: Array

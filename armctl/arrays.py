@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armctl.errors import InputError
 
 Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+_Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
 def vector(what: str, value: ArrayLike, length: int | None = None, *, finite: bool = True) -> Array:
@@ -106,7 +111,7 @@ def number(what: str, value: float, low: float = -np.inf, high: float = np.inf) 
     return out
 
 
-def frozen(value: Array) -> Array:
+def frozen(value: NDArray[_Scalar]) -> NDArray[_Scalar]:
     """The same array, made read-only.
 
     Args:

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from armctl.arm import Arm
-from armctl.arrays import Array
+from armctl.arrays import Array, IntArray
 
 
 class Dynamics:
@@ -137,7 +137,7 @@ class Dynamics:
         return v * (linear + quadratic * speed + cubic * v * v) + dt * slope * a
 
 
-def _friction_constants(model: mujoco.MjModel, dofs: Array) -> tuple[Array, Array]:
+def _friction_constants(model: mujoco.MjModel, dofs: IntArray) -> tuple[Array, Array]:
     """1/R and b of each joint's friction constraint, after MuJoCo's `solref` and `solimp` rules at zero violation."""
     solref, solimp = model.dof_solref[dofs], np.clip(model.dof_solimp[dofs], 1e-4, 0.9999)
     impedance, impedance_max = solimp[:, 0], solimp[:, 1]

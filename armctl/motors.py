@@ -54,9 +54,7 @@ def from_row(row: Row | None, joints: Chain) -> JointData | None:
     return JointData(row.source, **given)
 
 
-def torque_limits(
-    model: mujoco.MjModel, joints: Chain, sheet: JointData | None
-) -> tuple[Array, dict[str, str], list[str]]:
+def torque_limits(model: mujoco.MjModel, joints: Chain, sheet: JointData | None) -> tuple[Array, dict[str, str], list[str]]:
     """What torque each joint of a chain can be given.
 
     The least of what the model says, by the actuator's forcerange x gear, the joint's actfrcrange and, for an actuator that was
@@ -116,18 +114,19 @@ def joint_limits(
     """
     index = list(joints)
     limited = model.jnt_limited[index].astype(bool)
-    speed = np.array([DEFAULT_SPEED[mujoco.mjtJoint(int(model.jnt_type[j]))] for j in joints])
-    given = {k: getattr(sheet, k) for k in ("v_max", "a_max", "j_max")} if sheet is not None else {}
-    sources = {k: sheet.source if sheet is not None and given.get(k) is not None else "default" for k in ("v_max", "a_max", "j_max")}
-    v_max = given.get("v_max") if given.get("v_max") is not None else speed
-    a_max = given.get("a_max")
+    q_min = np.where(limited, model.jnt_range[index, 0], -np.inf)
+    q_max = np.where(limited, model.jnt_range[index, 1], np.inf)
+    given = JointData("default") if sheet is None else sheet
+    v_max, a_max, j_max = given.v_max, given.a_max, given.j_max
+    if v_max is None:
+        v_max = np.array([DEFAULT_SPEED[mujoco.mjtJoint(int(model.jnt_type[j]))] for j in joints])
     if a_max is None:
         M, gravity = _inertia_and_gravity(model, joints, home_qpos)
         headroom = np.maximum(tau_max - np.abs(gravity), 0.1 * tau_max)
         a_max = np.minimum(0.5 * headroom / np.abs(M).sum(axis=1), 10.0 * v_max)
-    j_max = given.get("j_max") if given.get("j_max") is not None else a_max / DEFAULT_RISE_TIME
-    q_min = np.where(limited, model.jnt_range[index, 0], -np.inf)
-    q_max = np.where(limited, model.jnt_range[index, 1], np.inf)
+    if j_max is None:
+        j_max = a_max / DEFAULT_RISE_TIME
+    sources = {k: "default" if getattr(given, k) is None else given.source for k in ("v_max", "a_max", "j_max")}
     return Limits(q_min, q_max, v_max, a_max, j_max, tau_max), {"q_min": "model", "q_max": "model", **sources}
 
 

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from armctl.arrays import Array, frozen
+from armctl.arrays import Array, BoolArray, frozen
 from armctl.pose import Pose
 
 WORLD_AXES_AT_TIP = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
@@ -37,7 +37,7 @@ class RigidBody:
     data: pin.Data
     tip_frame: int
     placements: Array
-    is_slide: Array
+    is_slide: BoolArray
     T_last_tip: Array
     gravity_support: pin.Model | None
 

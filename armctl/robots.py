@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from armctl.arm import Arm, check_parity
-from armctl.arrays import Array, frozen
+from armctl.arrays import Array, IntArray, frozen
 from armctl.chain import Chain, chain_to, find_chain, find_tip, joint_actuators, joint_name, named_tip
 from armctl.datasheets import ALIASES, ROWS, Row
 from armctl.errors import ArmctlWarning, InputError, ModelError, UnknownNameError
@@ -223,14 +223,14 @@ def _home(model: mujoco.MjModel, joints: Chain) -> Array:
     return frozen(qpos)
 
 
-def _home_ctrl(model: mujoco.MjModel, ctrl_adr: Array) -> Array:
+def _home_ctrl(model: mujoco.MjModel, ctrl_adr: IntArray) -> Array:
     key = max(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home"), 0)
     ctrl = model.key_ctrl[key].copy() if model.nkey else np.zeros(len(mujoco.MjData(model).ctrl))
     ctrl[ctrl_adr] = 0.0
     return frozen(ctrl)
 
 
-def _rest_keyframes(model: mujoco.MjModel, ctrl_adr: Array) -> None:
+def _rest_keyframes(model: mujoco.MjModel, ctrl_adr: IntArray) -> None:
     """Keyframes hold joint angles where the motors now take torques: put zero there."""
     if model.nkey:
         model.key_ctrl[:, ctrl_adr] = 0.0
