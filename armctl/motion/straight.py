@@ -1,0 +1,67 @@
+"""move_j: joint to joint, exactly straight in joint space and time-optimal along the line."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.arm import Arm
+from armctl.arrays import Array
+from armctl.errors import InputError
+from armctl.motion.checks import require_bounds, start_velocity
+from armctl.motion.joint_trajectory import JointTrajectory
+from armctl.motion.profiles import Moving, Pieces, Profiles, at_rest
+
+_PARALLEL = 1e-6
+
+
+def move_j(
+    arm: Arm, q_start: ArrayLike, q_goal: ArrayLike, *, v_start: ArrayLike | None = None, straight: bool = True
+) -> JointTrajectory:
+    """The fastest jerk-limited motion from one joint position to another.
+
+    Straight: one path parameter carries all joints, its limits the tightest of theirs along the direction; ruckig
+    (Berscheid and Kroeger, "Jerk-limited Real-time Trajectory Generation with Arbitrary Target States", RSS 2021) times it.
+
+    Args:
+        arm: The arm.
+        q_start: (n,) rad, inside the limits.
+        q_goal: (n,) rad, inside the limits.
+        v_start: (n,) rad/s, the velocity it starts with, along the line if the move is straight; left out, it starts at rest.
+        straight: Whether the path is a straight line in joint space. Otherwise each joint goes its own fastest way in the time
+            that the slowest needs.
+
+    Returns:
+        The motion; it ends at rest.
+
+    Raises:
+        InputError: A wrong length, a number that is not finite, or a start velocity that leads off the line.
+        LimitError: A position or velocity outside the limits.
+    """
+    require_bounds(arm)
+    start = arm.limits.check("q_start", q_start, arm.joint_names)
+    goal = arm.limits.check("q_goal", q_goal, arm.joint_names)
+    v = start_velocity(arm, v_start)
+    if straight:
+        pieces = _line(arm, start, goal, v)
+    else:
+        pieces = Profiles.of(arm.limits).solve(Moving(start, v, np.zeros(arm.n)), at_rest(goal))
+    return JointTrajectory(*pieces, arm.joint_names, arm.limits)
+
+
+def _line(arm: Arm, start: Array, goal: Array, v: Array) -> Pieces:
+    """The pieces of q(t) = start + s(t) (goal - start), s from 0 to 1."""
+    way = goal - start
+    length = float(np.abs(way).max())
+    if length == 0.0 and not v.any():
+        return Pieces(np.zeros(2), np.concatenate([start[None, None], np.zeros((1, 5, arm.n))], axis=1))
+    speed = float(v @ way) / float(way @ way) if length else 0.0
+    if np.abs(v - speed * way).max() > _PARALLEL * arm.limits.v_max.min():
+        raise InputError("v_start: it leads off the straight line from q_start to q_goal; plan with straight=False")
+    with np.errstate(divide="ignore"):
+        bounds = [np.array([(bound / np.abs(way)).min()]) for bound in (arm.limits.v_max, arm.limits.a_max, arm.limits.j_max)]
+    one = np.ones(1)
+    knots, s = Profiles(*bounds).solve(Moving(0 * one, speed * one, 0 * one), at_rest(one))
+    coefficients = s * way
+    coefficients[:, 0] += start
+    return Pieces(knots, coefficients)
