@@ -1,1 +1,65 @@
-"""Command robot arms in MuJoCo from Python."""
+"""Command robot arms in MuJoCo from Python.
+
+A public name is one line in each of the two lists below: where it is, for Python, which imports it when it is first used, and
+the same for type checkers.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+__version__ = "0.1.0"
+
+_MODULES = {
+    "Arm": "armctl.arm",
+    "ArmctlError": "armctl.errors",
+    "ArmctlWarning": "armctl.errors",
+    "IkResult": "armctl.ik",
+    "InputError": "armctl.errors",
+    "LimitError": "armctl.errors",
+    "Limits": "armctl.trajectory",
+    "ModelError": "armctl.errors",
+    "PlanError": "armctl.errors",
+    "Pose": "armctl.pose",
+    "Setpoint": "armctl.trajectory",
+    "SimulationError": "armctl.errors",
+    "Trajectory": "armctl.trajectory",
+    "UnknownNameError": "armctl.errors",
+    "load": "armctl.robots",
+    "move_j": "armctl.motion",
+    "move_through": "armctl.motion",
+    "solve_ik": "armctl.ik",
+}
+
+if TYPE_CHECKING:
+    from armctl.arm import Arm as Arm
+    from armctl.errors import ArmctlError as ArmctlError
+    from armctl.errors import ArmctlWarning as ArmctlWarning
+    from armctl.errors import InputError as InputError
+    from armctl.errors import LimitError as LimitError
+    from armctl.errors import ModelError as ModelError
+    from armctl.errors import PlanError as PlanError
+    from armctl.errors import SimulationError as SimulationError
+    from armctl.errors import UnknownNameError as UnknownNameError
+    from armctl.ik import IkResult as IkResult
+    from armctl.ik import solve_ik as solve_ik
+    from armctl.motion import move_j as move_j
+    from armctl.motion import move_through as move_through
+    from armctl.pose import Pose as Pose
+    from armctl.robots import load as load
+    from armctl.trajectory import Limits as Limits
+    from armctl.trajectory import Setpoint as Setpoint
+    from armctl.trajectory import Trajectory as Trajectory
+
+__all__ = list(_MODULES)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _MODULES:
+        raise AttributeError(f"module 'armctl' has no attribute {name!r}")
+    value = getattr(import_module(_MODULES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_MODULES})
