@@ -68,6 +68,12 @@ class SimulationError(ArmctlError):
     """
 
     def __init__(self, message: str, log: Log | None = None):
+        """An error with what was recorded before it.
+
+        Args:
+            message: One sentence.
+            log: The ticks until then, or None.
+        """
         super().__init__(message)
         self.log = log
 

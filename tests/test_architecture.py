@@ -33,8 +33,8 @@ UPWARD_FOR_TYPES = {("armctl.errors", "armctl.log")}
 MODULE_LINES = 300
 FUNCTION_LINES = 50  # without its docstring
 
-# Modules that are too long today. A line goes when its module is split; no line is added.
-TOO_LONG = {"armctl.ik.kernel"}
+# Modules that are long for a reason. A line goes when its module is split.
+LONG = {"armctl.ik.kernel": "numba's disk cache notices changes in a function's own file only"}
 
 
 def module_name(path: Path) -> str:
@@ -93,8 +93,8 @@ def test_imports_go_down_or_stay_in_their_room(module: str):
 @every_module
 def test_a_module_is_short(module: str):
     lines = len(MODULES[module].read_text(encoding="utf-8").splitlines())
-    if module in TOO_LONG:
-        assert lines > MODULE_LINES, f"{module} is short now: take it off TOO_LONG"
+    if module in LONG:
+        assert lines > MODULE_LINES, f"{module} is short now: take it out of LONG"
     else:
         assert lines <= MODULE_LINES, f"{module} has {lines} lines and asks to be split by meaning"
 
