@@ -1,6 +1,6 @@
 """Dynamics of an arm: mass matrix, bias, and the torque that a motion takes, all of what MuJoCo simulates included.
 
-    tau = M(q) a + bias(q, v) + passive(q, v, a) + friction(v, a)
+    tau = M(q) a + bias(q, v) + passive(q, v, a) + friction(q, v, a)
 
 M and bias are Pinocchio's; armature is in M. Passive forces are joint damping and springs and gravity compensation.
 """
@@ -22,6 +22,7 @@ class Dynamics:
         arm: The arm.
         damping: (n,) N m s/rad, viscous damping of the joints.
         friction_loss: (n,) N m, dry friction of the joints.
+        has_friction: Whether any joint has dry friction.
     """
 
     def __init__(self, arm: Arm):
@@ -44,7 +45,7 @@ class Dynamics:
         self._is_damped = bool(self.damping.any() or self._damping_poly.any())
         self._has_poly_damping = bool(self._damping_poly.any())
         self._has_springs = bool(self._stiffness.any())
-        self._has_friction = bool(self.friction_loss.any())
+        self.has_friction = bool(self.friction_loss.any())
         self._friction_gain, self._friction_rate = _friction_constants(model, dofs)
 
     def mass_matrix(self, q: Array) -> Array:
@@ -104,21 +105,26 @@ class Dynamics:
             tau = tau + (self._damping_force(v, a, dt) if self._has_poly_damping else self.damping * (v + dt * a))
         return self._with_static(tau, q)
 
-    def friction(self, v: Array, a: Array) -> Array:
+    def friction(self, q: Array, v: Array, a: Array, dt: float = 0.0) -> Array:
         """The torque that overcomes dry friction, by MuJoCo's own law: a stiff damper that yields at the friction loss.
 
         From MuJoCo's documentation, Computation, "Constraint model": the friction force of a joint is
-        -clip((a + b v) / R, +-friction_loss), where b and R come from the joint's `solreffriction` and `solimpfriction`.
+        -clip((a + b v) / R, +-friction_loss), where b and R come from the joint's `solreffriction` and `solimpfriction`, and a
+        is the acceleration before damping is taken at the end of the step.
 
         Args:
+            q: (n,) rad.
             v: (n,) rad/s.
             a: (n,) rad/s^2.
+            dt: The step, s, as in `inverse`; 0 for continuous time.
 
         Returns:
             (n,) N m.
         """
-        if not self._has_friction:
+        if not self.has_friction:
             return np.zeros_like(self.friction_loss)
+        if dt and self._is_damped:
+            a = a + np.linalg.solve(self.mass_matrix(q), dt * self._damping_slope(v) * a)
         force = self._friction_gain * (a + self._friction_rate * v)
         return np.clip(force, -self.friction_loss, self.friction_loss)
 
@@ -132,9 +138,12 @@ class Dynamics:
         return tau
 
     def _damping_force(self, v: Array, a: Array, dt: float) -> Array:
-        linear, (quadratic, cubic), speed = self.damping, self._damping_poly.T, np.abs(v)
-        slope = linear + 2 * quadratic * speed + 3 * cubic * v * v
-        return v * (linear + quadratic * speed + cubic * v * v) + dt * slope * a
+        (quadratic, cubic), speed = self._damping_poly.T, np.abs(v)
+        return v * (self.damping + quadratic * speed + cubic * v * v) + dt * self._damping_slope(v) * a
+
+    def _damping_slope(self, v: Array) -> Array:
+        quadratic, cubic = self._damping_poly.T
+        return self.damping + 2 * quadratic * np.abs(v) + 3 * cubic * v * v
 
 
 def _friction_constants(model: mujoco.MjModel, dofs: IntArray) -> tuple[Array, Array]:

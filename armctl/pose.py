@@ -211,6 +211,26 @@ def rotation_from_vector(w: Array) -> Array:
     return _matrix_from_quat(np.array([math.cos(half), *(s * w)]))
 
 
+def quats_from_rotations(R: Array) -> Array:
+    """The quaternions of many rotation matrices.
+
+    Args:
+        R: (T, 3, 3) rotation matrices.
+
+    Returns:
+        (T, 4) wxyz, with w >= 0.
+    """
+    x, y, z = (R[:, i, i] for i in range(3))
+    a, b, c = R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]
+    d, e, f = R[:, 1, 0] + R[:, 0, 1], R[:, 0, 2] + R[:, 2, 0], R[:, 2, 1] + R[:, 1, 2]
+    rows = [[1 + x + y + z, a, b, c], [a, 1 + x - y - z, d, e], [b, d, 1 - x + y - z, f], [c, e, f, 1 - x - y + z]]
+    candidates = np.moveaxis(np.array(rows), -1, 0)  # (T, 4, 4), each row a multiple of the quaternion
+    best = np.diagonal(candidates, axis1=1, axis2=2).argmax(axis=1)
+    quats = candidates[np.arange(len(R)), best]
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    return np.where(quats[:, :1] < 0, -quats, quats)
+
+
 def _rebuilt(position: Array, rotation: Array) -> Pose:
     return Pose.from_rotation(position, rotation)
 

@@ -18,12 +18,13 @@ from armctl.datasheets import ALIASES, ROWS, Row
 from armctl.errors import ArmctlWarning, InputError, ModelError, UnknownNameError
 from armctl.motors import JointData, from_row, joint_limits, make_motors, torque_limits
 from armctl.pose import Pose
-from armctl.rigid_body import build
+from armctl.rigid_body import build, joint_above
 
 BUNDLED = "robot_arm_3dof"
 TARGET = "target"
 _GREEN = (0.0, 1.0, 0.0, 0.5)
 _TARGET_RADIUS = 0.03
+_TARGET_OFFSET = 0.3  # rad (m) from home at every joint: where a target that armctl adds is reached
 
 
 @dataclass(frozen=True)
@@ -66,8 +67,6 @@ def load(name: str | os.PathLike[str], *, tip: str | None = None, tip_offset: Po
     spec = _read(source.path)
     arm = _assemble(source, spec, tip, tip_offset)
     check_parity(arm)
-    for note in arm.notes:
-        warnings.warn(f"{arm.name}: {note}", ArmctlWarning, stacklevel=2)
     return arm
 
 
@@ -157,6 +156,9 @@ def _assemble(source: Source, spec: mujoco.MjSpec, tip: str | None, tip_offset: 
     except ModelError as error:
         raise ModelError(f"{source.name}: {error}") from None
     T_body_tip = T_body_tip @ tip_offset if tip_offset is not None else T_body_tip
+    for sentence in notes:
+        warnings.warn(f"{source.name}: {sentence}", ArmctlWarning, stacklevel=3)
+    notes += _exclude_overlaps(spec, original, joints)
     _add_target(spec, original)
     model = _compiled(source, spec)
     index = list(joints)
@@ -167,7 +169,7 @@ def _assemble(source: Source, spec: mujoco.MjSpec, tip: str | None, tip_offset: 
     _rest_keyframes(model, ctrl_adr)
     rigid_body = build(model, joints, home_qpos, tip_body, T_body_tip)
     home = frozen(home_qpos[model.jnt_qposadr[index]])
-    _place_target(model, rigid_body.tip(home)[0])
+    _place_target(model, rigid_body.tip(limits.clamp(home + _TARGET_OFFSET))[0])
     return Arm(
         name=source.name,
         model=model,
@@ -236,6 +238,24 @@ def _rest_keyframes(model: mujoco.MjModel, ctrl_adr: IntArray) -> None:
         model.key_ctrl[:, ctrl_adr] = 0.0
 
 
+def _exclude_overlaps(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Chain) -> list[str]:
+    """Takes off the contact of links that overlap their neighbour at home: it would brake the joint between them.
+
+    MuJoCo leaves out contacts of a body with its parent, but not where the parent stands still in the world.
+    """
+    data, above = mujoco.MjData(model), joint_above(model, joints)
+    data.qpos[:] = _home(model, joints)
+    mujoco.mj_forward(model, data)
+    pairs = {tuple(sorted(int(model.geom_bodyid[g]) for g in contact.geom)) for contact in data.contact if contact.dist < 0}
+    notes = []
+    for first, second in sorted(pairs):
+        names = model.body(first).name, model.body(second).name
+        if first > 0 and all(names) and abs(above[first] - above[second]) == 1:
+            spec.add_exclude(bodyname1=names[0], bodyname2=names[1])
+            notes.append(f"contact of {names[0]} with {names[1]} left out: neighbours that overlap at home")
+    return notes
+
+
 def _add_target(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, TARGET) >= 0:
         return
@@ -246,7 +266,7 @@ def _add_target(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
 
 
 def _place_target(model: mujoco.MjModel, position: Array) -> None:
-    """A target that armctl added starts at the tip."""
+    """Where a target that armctl added starts: within reach, and not where the tip is at home."""
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, TARGET)
     if model.body_mocapid[body] >= 0 and not model.body_pos[body].any():
         model.body_pos[body] = position

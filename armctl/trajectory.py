@@ -19,11 +19,16 @@ class Setpoint(NamedTuple):
         q: Position, rad (m for a slide joint).
         v: Velocity, rad/s.
         a: Acceleration, rad/s^2.
+        v_tick: What a sampled velocity reads on the way: the backward difference of q over the control period, rad/s. None
+            where nobody samples.
+        a_tick: The change of v_tick over the coming period, rad/s^2: the acceleration that a discrete step must make.
     """
 
     q: Array
     v: Array
     a: Array
+    v_tick: Array | None = None
+    a_tick: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,3 +144,31 @@ class Trajectory(Protocol):
             q, v, a, each (T, n).
         """
         ...
+
+
+class TickReference(NamedTuple):
+    """A trajectory on the tick grid: rows for a Setpoint, each (K, n)."""
+
+    q: Array
+    v: Array
+    a: Array
+    v_tick: Array
+    a_tick: Array
+
+    @classmethod
+    def of(cls, trajectory: Trajectory, dt: float, ticks: int) -> TickReference:
+        """Samples a trajectory.
+
+        Args:
+            trajectory: The motion; it stands still before 0 and after its duration.
+            dt: s, the tick.
+            ticks: How many ticks, from t = 0 on.
+
+        Returns:
+            Its q, v, a and the differences of q on the grid.
+        """
+        q, v, a = trajectory.sample(dt * np.arange(-1, ticks + 1))[:3]
+        q = np.array(q)
+        q[0] = q[1] - dt * v[1]
+        v_tick = np.diff(q, axis=0) / dt
+        return cls(q[1:-1], v[1:-1], a[1:-1], v_tick[:-1], np.diff(v_tick, axis=0) / dt)

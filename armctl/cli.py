@@ -1,0 +1,194 @@
+"""The command line: `armctl robots | info | reach | compare | simulate`.
+
+Exit status: 0 done and reached, 1 not reached, 2 a wrong call.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from armctl.errors import ArmctlError
+
+if TYPE_CHECKING:
+    from armctl.arm import Arm
+    from armctl.report import Report
+
+OK, NOT_REACHED, WRONG_CALL = 0, 1, 2
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one command.
+
+    Args:
+        argv: The arguments; those of the process if left out.
+
+    Returns:
+        The exit status.
+    """
+    args = _parser().parse_args(argv)
+    warnings.showwarning = _show_warning
+    try:
+        return args.run(args)
+    except ArmctlError as error:
+        print(f"armctl: {error}", file=sys.stderr)
+        return WRONG_CALL
+    except BrokenPipeError:
+        sys.stderr.close()
+        return OK
+    except KeyboardInterrupt:
+        print("armctl: stopped", file=sys.stderr)
+        return 130
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="armctl", description="Command robot arms in MuJoCo.")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    def command(name: str, run, text: str, robot: bool = True) -> argparse.ArgumentParser:
+        sub = commands.add_parser(name, help=text, description=text)
+        sub.set_defaults(run=run)
+        if robot:
+            sub.add_argument("robot", help="bundled name, alias, Menagerie name, or path of an .xml or .urdf file")
+            sub.add_argument("--tip", help="site, body or geom at the end of the chain")
+        return sub
+
+    command("robots", _robots, "list the robots that have a name", robot=False)
+    info = command("info", _info, "show a robot's joints and limits")
+    reach = command("reach", _reach, "bring the tip to a target and report")
+    reach.add_argument("--target", nargs="+", metavar="N", help="x y z in m, and roll pitch yaw in rad if wanted")
+    reach.add_argument("--controller", default="computed-torque", help="pd or computed-torque (default)")
+    compare = command("compare", _compare, "follow the same motion under every controller")
+    simulate = command("simulate", _simulate, "hold the motors at constant controls")
+    simulate.add_argument("--ctrl", nargs="+", required=True, metavar="N", help="one control a motor; torque = gear x control")
+    simulate.add_argument("--seconds", default="2", help="how long, s (default 2)")
+    simulate.add_argument("--plot", type=Path, metavar="DIR", help="draw the run into this folder")
+    for sub in (info, reach, compare, simulate):
+        sub.add_argument("--json", action="store_true", help="print JSON instead of text")
+    for sub in (reach, compare):
+        sub.add_argument("--save", type=Path, metavar="DIR", help="write logs, figures and plots into this folder")
+    return parser
+
+
+def _robots(args: argparse.Namespace) -> int:
+    from armctl.robots import robots
+
+    known = robots()
+    width = max(map(len, known))
+    for name, text in known.items():
+        print(f"{name:{width}}  {text}")
+    return OK
+
+
+def _info(args: argparse.Namespace) -> int:
+    from armctl.describe import describe, facts
+
+    arm = _load(args)
+    print(json.dumps(facts(arm), indent=2) if args.json else describe(arm))
+    return OK
+
+
+def _reach(args: argparse.Namespace) -> int:
+    from armctl.report import Report
+    from armctl.simulation import Simulation
+
+    simulation = Simulation(_load(args), args.controller)
+    result = simulation.move_to(simulation.target if args.target is None else _target(args.target))
+    if result.log is None:
+        _print(args, str(result), {"ok": False, "verdict": str(result), "robot": args.robot, "controller": args.controller})
+        return NOT_REACHED
+    report = Report.from_log(result.log)
+    _print(args, str(report), report.to_dict())
+    if args.save:
+        _save(report, args.save, "")
+    return OK if result.reached and report.ok else NOT_REACHED
+
+
+def _compare(args: argparse.Namespace) -> int:
+    from armctl.compare import compare, out_and_back
+    from armctl.control import CONTROLLERS
+    from armctl.report import table
+
+    arm = _load(args)
+    reports = compare(arm, list(CONTROLLERS), out_and_back(arm))
+    _print(args, table(reports), [r.to_dict() for r in reports])
+    if args.save:
+        for report in reports:
+            _save(report, args.save, f"{report.controller}-")
+    return OK
+
+
+def _simulate(args: argparse.Namespace) -> int:
+    from armctl.plot import four_panels
+    from armctl.simulation import Simulation
+
+    simulation = Simulation(_load(args))
+    log = simulation.apply_ctrl(_numbers("ctrl", args.ctrl), _numbers("seconds", [args.seconds])[0])
+    names = simulation.arm.joint_names
+    q, v, tau = (dict(zip(names, column[-1].round(6).tolist(), strict=True)) for column in (log.q, log.v, log.tau))
+    tip = log.tip[-1].round(6).tolist()
+    lines = [f"{'joint':20} {'q, rad':>10} {'v, rad/s':>10} {'torque, N m':>12}"]
+    lines += [f"{n:20} {q[n]:10.4f} {v[n]:10.4f} {tau[n]:12.3f}" for n in names]
+    lines += [
+        f"after {log.t[-1]:.3f} s the tip is at [{tip[0]:.4f}, {tip[1]:.4f}, {tip[2]:.4f}] m" + (log.end and f"; {log.end}")
+    ]
+    _print(args, "\n".join(lines), {"ok": not log.end, "t": log.t[-1], "q": q, "v": v, "tau": tau, "tip": tip, "end": log.end})
+    if args.plot:
+        _say(four_panels(log, args.plot / f"{args.robot.replace('/', '_')}.png"))
+    return NOT_REACHED if log.end else OK
+
+
+def _load(args: argparse.Namespace) -> Arm:
+    from armctl.robots import load
+
+    return load(args.robot, tip=args.tip)
+
+
+def _target(words: list[str]):
+    from armctl.errors import InputError
+    from armctl.pose import Pose
+
+    numbers = _numbers("target", words)
+    if len(numbers) == 6:
+        return Pose(numbers[:3], rpy=numbers[3:])
+    if len(numbers) != 3:
+        raise InputError(f"target: {len(numbers)} numbers given, x y z or x y z roll pitch yaw wanted")
+    return numbers
+
+
+def _numbers(what: str, words: list[str]) -> list[float]:
+    from armctl.arrays import vector
+    from armctl.errors import InputError
+
+    try:
+        return vector(what, [float(word) for word in words]).tolist()
+    except ValueError as error:
+        raise (
+            error if isinstance(error, InputError) else InputError(f"{what}: {' '.join(words)} is no list of numbers")
+        ) from None
+
+
+def _print(args: argparse.Namespace, text: str, figures: object) -> None:
+    print(json.dumps(figures, indent=2) if args.json else text)
+
+
+def _save(report: Report, folder: Path, prefix: str) -> None:
+    paths = [report.log.save(folder / f"{prefix}log.npz"), report.log.save(folder / f"{prefix}log.csv")]
+    paths.append(folder / f"{prefix}report.json")
+    paths[-1].write_text(json.dumps(report.to_dict(), indent=2) + "\n")
+    paths.append(report.plot(folder / f"{prefix}plot.png"))
+    for path in paths:
+        _say(path)
+
+
+def _say(path: Path) -> None:
+    print(f"wrote {path}", file=sys.stderr)
+
+
+def _show_warning(message, category, filename, lineno, file=None, line=None) -> None:
+    print(f"armctl: note: {message}", file=sys.stderr)

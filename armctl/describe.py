@@ -1,0 +1,58 @@
+"""What an arm is, in words and as plain data."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields
+
+from armctl.arm import Arm
+
+
+def facts(arm: Arm) -> dict[str, object]:
+    """An arm as plain data, fit for JSON: what is unlimited becomes None.
+
+    Args:
+        arm: The arm.
+
+    Returns:
+        Its name, joints, tip, home, limits, where these come from, and what was assumed.
+    """
+    limits = {
+        f.name: [x if math.isfinite(x) else None for x in getattr(arm.limits, f.name).tolist()] for f in fields(arm.limits)
+    }
+    return {
+        "name": arm.name,
+        "joint_names": list(arm.joint_names),
+        "tip": arm.tip,
+        "tip_at_home": arm.fk(arm.home).position.tolist(),
+        "home": arm.home.tolist(),
+        "limits": limits,
+        "sources": dict(arm.sources),
+        "mass_kg": float(sum(inertia.mass for inertia in arm.rigid_body.pin_model.inertias)),
+        "timestep_s": arm.dt,
+        "notes": list(arm.notes),
+    }
+
+
+def describe(arm: Arm) -> str:
+    """An arm in words: a table of its joints and limits, and where these come from.
+
+    Args:
+        arm: The arm.
+
+    Returns:
+        Several lines.
+    """
+    data, limits = facts(arm), arm.limits
+    width = max(5, *map(len, arm.joint_names))
+    tip = ", ".join(f"{x:.4f}" for x in arm.fk(arm.home).position)
+    lines = [
+        f"{arm.name}: {arm.n} joints, {data['mass_kg']:.2f} kg moving, tip {arm.tip!r} at [{tip}] m at home",
+        f"{'joint':{width}} {'home':>8} {'q_min':>8} {'q_max':>8} {'v_max':>8} {'a_max':>8} {'j_max':>8} {'tau_max':>8}",
+    ]
+    columns = (arm.home, limits.q_min, limits.q_max, limits.v_max, limits.a_max, limits.j_max, limits.tau_max)
+    for i, name in enumerate(arm.joint_names):
+        lines.append(f"{name:{width}} " + " ".join(f"{column[i]:8.4g}" for column in columns))
+    lines.append("units: rad, rad/s, rad/s^2, rad/s^3, N m (m and N for a slide joint)")
+    lines += [f"{name} from: {source}" for name, source in arm.sources.items() if name != "q_min"]
+    return "\n".join(lines + [f"note: {note}" for note in arm.notes])

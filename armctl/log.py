@@ -1,0 +1,135 @@
+"""Log: every tick of a run."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from armctl.arrays import Array, frozen
+from armctl.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """What happened, tick by tick. Read-only arrays; row k is the state at t[k] and what was done about it.
+
+    Attributes:
+        robot: The arm's name.
+        controller: The controller's name.
+        joint_names: The n joints.
+        dt: s, the tick.
+        tau_max: (n,) N m.
+        motion_duration: s, when the reference comes to rest; the log may go on.
+        target: (7,) where the tip should end, m and wxyz; NaN for what was not asked for.
+        real_time_factor: Simulated time over the time it took.
+        end: Why the run ended early, in words; empty if it did not.
+        t: (T,) s.
+        q: (T, n) rad.
+        v: (T, n) rad/s.
+        q_ref: (T, n) rad; NaN in an open-loop run, as are v_ref, a_ref and the reference's tip.
+        v_ref: (T, n) rad/s.
+        a_ref: (T, n) rad/s^2.
+        tau: (T, n) N m, what the motors did.
+        tau_cmd: (T, n) N m, what the controller wanted.
+        tip: (T, 3) m.
+        tip_quat: (T, 4) wxyz.
+        tip_ref: (T, 3) m.
+        tip_ref_quat: (T, 4) wxyz.
+    """
+
+    robot: str
+    controller: str
+    joint_names: tuple[str, ...]
+    dt: float
+    tau_max: Array
+    motion_duration: float
+    target: Array
+    real_time_factor: float
+    end: str
+    t: Array
+    q: Array
+    v: Array
+    q_ref: Array
+    v_ref: Array
+    a_ref: Array
+    tau: Array
+    tau_cmd: Array
+    tip: Array
+    tip_quat: Array
+    tip_ref: Array
+    tip_ref_quat: Array
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, np.ndarray):
+                frozen(value)
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def is_open_loop(self) -> bool:
+        """Whether there was no reference to follow."""
+        return bool(np.isnan(self.q_ref).all())
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes the log as .npz, or as .csv (the arrays over time alone).
+
+        Args:
+            path: The file; its folder is made. Its ending decides the format.
+
+        Returns:
+            The path.
+
+        Raises:
+            InputError: Another ending.
+        """
+        path = Path(path)
+        if path.suffix not in (".npz", ".csv"):
+            raise InputError(f"path: {path.name!r} ends in {path.suffix!r}, .npz or .csv wanted")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.suffix == ".csv":
+            self._save_csv(path)
+        else:
+            everything = {f.name: getattr(self, f.name) for f in fields(self)}
+            arrays = {k: x for k, x in everything.items() if isinstance(x, np.ndarray)}
+            rest = json.dumps({k: x for k, x in everything.items() if k not in arrays})
+            np.savez_compressed(path, meta=np.array(rest), **arrays)
+        return path
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Log:
+        """Reads a log that `save` wrote as .npz.
+
+        Args:
+            path: The file.
+
+        Returns:
+            The log.
+
+        Raises:
+            InputError: There is no such file, or it is no log.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                arrays = {k: data[k] for k in data.files if k != "meta"}
+                meta = json.loads(str(data["meta"]))
+            return cls(**arrays, **(meta | {"joint_names": tuple(meta["joint_names"])}))
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InputError(f"{os.fspath(path)}: no log that armctl wrote ({error})") from None
+
+    def _save_csv(self, path: Path) -> None:
+        per_joint = ("q", "v", "q_ref", "v_ref", "a_ref", "tau", "tau_cmd")
+        header = ["t", *(f"{k}_{j}" for k in per_joint for j in self.joint_names)]
+        header += [f"{k}_{axis}" for k in ("tip", "tip_ref") for axis in "xyz"]
+        columns = [self.t[:, None], *(getattr(self, k) for k in per_joint), self.tip, self.tip_ref]
+        with path.open("w", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(header)
+            writer.writerows(np.hstack(columns).tolist())
