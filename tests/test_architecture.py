@@ -19,7 +19,7 @@ FLOORS = [
     ["robots", "dynamics", "ik"],
     ["motion", "control", "plant"],
     ["recorder", "simulation > recorder"],
-    ["plot", "report > plot", "view > report plot"],
+    ["plot", "describe", "report > plot", "compare > report", "view > report plot"],
     ["__init__", "cli > __init__", "__main__ > cli"],
 ]
 FLOOR_OF = {room.split()[0]: floor for floor, rooms in enumerate(FLOORS) for room in rooms}

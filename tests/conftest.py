@@ -1,0 +1,46 @@
+"""What all tests share: the environment, the arms at hand, and a loud word about those that are not."""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # seven-vectors gain nothing from threads, and two workers lose
+os.environ.setdefault("MPLBACKEND", "agg")
+os.environ["MENAGERIE_BASE_URL"] = "file:///nowhere"  # a test downloads nothing, and is told so at once
+if not os.environ.get("DISPLAY"):
+    os.environ.setdefault("MUJOCO_GL", "egl")
+
+import hypothesis
+import pytest
+from arms import ARMS, MISSING, arm_of
+
+import armctl
+
+hypothesis.settings.register_profile("armctl", deadline=None, derandomize=True, print_blob=True)
+hypothesis.settings.load_profile("armctl")
+
+
+@pytest.fixture(params=ARMS)
+def arm(request: pytest.FixtureRequest) -> armctl.Arm:
+    """Every arm at hand."""
+    return arm_of(request.param)
+
+
+@pytest.fixture(scope="session")
+def bundled() -> armctl.Arm:
+    """The arm that comes with armctl."""
+    return arm_of("robot_arm_3dof")
+
+
+def pytest_report_header() -> str:
+    return f"arms at hand: {', '.join(ARMS)}"
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    reasons = [str(report.longrepr[-1]) for report in terminalreporter.stats.get("skipped", [])]
+    robots = sorted({reason.removeprefix("Skipped: ").partition(":")[0] for reason in reasons if MISSING in reason})
+    if robots:
+        count = sum(MISSING in reason for reason in reasons)
+        terminalreporter.write_line(
+            f"{count} tests skipped, since these robots are not at hand: {', '.join(robots)}. Set MENAGERIE_ROOT to a checkout of "
+            "MuJoCo Menagerie, or run `mujoco-menagerie prefetch` with their names there.",
+            yellow=True,
+        )
