@@ -13,25 +13,41 @@ _MODULES = {
     "Arm": "armctl.arm",
     "ArmctlError": "armctl.errors",
     "ArmctlWarning": "armctl.errors",
+    "ComputedTorque": "armctl.control",
+    "Controller": "armctl.control",
     "IkResult": "armctl.ik",
     "InputError": "armctl.errors",
     "LimitError": "armctl.errors",
     "Limits": "armctl.trajectory",
+    "Log": "armctl.log",
     "ModelError": "armctl.errors",
+    "MoveResult": "armctl.simulation",
+    "PD": "armctl.control",
     "PlanError": "armctl.errors",
+    "Plant": "armctl.plant",
     "Pose": "armctl.pose",
+    "Report": "armctl.report",
     "Setpoint": "armctl.trajectory",
+    "Simulation": "armctl.simulation",
     "SimulationError": "armctl.errors",
+    "State": "armctl.control",
     "Trajectory": "armctl.trajectory",
     "UnknownNameError": "armctl.errors",
+    "compare": "armctl.comparison",
     "load": "armctl.robots",
     "move_j": "armctl.motion",
     "move_through": "armctl.motion",
+    "simulate": "armctl.simulation",
     "solve_ik": "armctl.ik",
 }
 
 if TYPE_CHECKING:
     from armctl.arm import Arm as Arm
+    from armctl.comparison import compare as compare
+    from armctl.control import PD as PD
+    from armctl.control import ComputedTorque as ComputedTorque
+    from armctl.control import Controller as Controller
+    from armctl.control import State as State
     from armctl.errors import ArmctlError as ArmctlError
     from armctl.errors import ArmctlWarning as ArmctlWarning
     from armctl.errors import InputError as InputError
@@ -42,10 +58,16 @@ if TYPE_CHECKING:
     from armctl.errors import UnknownNameError as UnknownNameError
     from armctl.ik import IkResult as IkResult
     from armctl.ik import solve_ik as solve_ik
+    from armctl.log import Log as Log
     from armctl.motion import move_j as move_j
     from armctl.motion import move_through as move_through
+    from armctl.plant import Plant as Plant
     from armctl.pose import Pose as Pose
+    from armctl.report import Report as Report
     from armctl.robots import load as load
+    from armctl.simulation import MoveResult as MoveResult
+    from armctl.simulation import Simulation as Simulation
+    from armctl.simulation import simulate as simulate
     from armctl.trajectory import Limits as Limits
     from armctl.trajectory import Setpoint as Setpoint
     from armctl.trajectory import Trajectory as Trajectory

@@ -110,7 +110,7 @@ def _reach(args: argparse.Namespace) -> int:
 
 
 def _compare(args: argparse.Namespace) -> int:
-    from armctl.compare import compare, out_and_back
+    from armctl.comparison import compare, out_and_back
     from armctl.control import CONTROLLERS
     from armctl.report import table
 
