@@ -40,6 +40,7 @@ class Report:
         chatter_nm: Root mean square of how far a torque is from the mean of its neighbours in time.
         duration_s: Simulated time.
         real_time_factor: Simulated time over the time it took.
+        log: The run itself.
     """
 
     ok: bool

@@ -55,6 +55,7 @@ def load(name: str | os.PathLike[str], *, tip: str | None = None, tip_offset: Po
         The arm.
 
     Raises:
+        InputError: The name is no name, or `tip_offset` is no Pose.
         UnknownNameError: No robot, or nothing in the model, has that name.
         ModelError: The file cannot be read, is no arm, or could not be downloaded.
 
@@ -80,6 +81,7 @@ def locate(name: str | os.PathLike[str]) -> Source:
         The place.
 
     Raises:
+        InputError: It is neither a name nor a path.
         UnknownNameError: No robot has that name.
         ModelError: There is no such file, or the robot could not be downloaded.
     """

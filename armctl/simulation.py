@@ -80,6 +80,7 @@ class Simulation:
             plant: How reality differs from the model; in nothing if left out.
 
         Raises:
+            InputError: The controller has no method `torque`.
             UnknownNameError: There is no such robot or controller.
             ModelError: The robot's model is no arm.
         """

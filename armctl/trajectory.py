@@ -147,7 +147,15 @@ class Trajectory(Protocol):
 
 
 class TickReference(NamedTuple):
-    """A trajectory on the tick grid: rows for a Setpoint, each (K, n)."""
+    """A trajectory on the tick grid: rows for a `Setpoint`, each (K, n).
+
+    Attributes:
+        q: Position, rad (m for a slide joint).
+        v: Velocity, rad/s.
+        a: Acceleration, rad/s^2.
+        v_tick: The backward difference of q, rad/s.
+        a_tick: The forward difference of v_tick, rad/s^2.
+    """
 
     q: Array
     v: Array
