@@ -100,7 +100,7 @@ class Log:
             everything = {f.name: getattr(self, f.name) for f in fields(self)}
             arrays = {k: x for k, x in everything.items() if isinstance(x, np.ndarray)}
             rest = json.dumps({k: x for k, x in everything.items() if k not in arrays})
-            np.savez_compressed(path, meta=np.array(rest), **arrays)
+            np.savez_compressed(path, allow_pickle=False, meta=np.array(rest), **arrays)
         return path
 
     @classmethod

@@ -90,7 +90,7 @@ class Recorder:
             target=np.array(target),
             real_time_factor=real_time_factor,
             end=end,
-            t=dt * np.arange(self.size),
+            t=dt * np.arange(self.size, dtype=np.float64),
             tip=tip,
             tip_quat=tip_quat,
             tip_ref=tip_ref,

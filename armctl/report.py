@@ -11,11 +11,9 @@ import numpy as np
 
 from armctl.arrays import Array, BoolArray
 from armctl.errors import InputError
+from armctl.goal import ANGLE_TOLERANCE, TOLERANCE
 from armctl.log import Log
 from armctl.plot import four_panels
-
-TOLERANCE = 1e-3  # m
-ANGLE_TOLERANCE = 1e-2  # rad
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Simulation: the only object that changes in time. It owns the plant, its MjData and the clock."""
+"""Simulation: the only object that changes in time. An arm in its scene, commanded in three lines."""
 
 from __future__ import annotations
 
@@ -11,23 +11,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
-from armctl.arrays import Array, IntArray, number, vector
-from armctl.control import ComputedTorque, Controller, State, controller_by_name, controller_name
-from armctl.errors import InputError, LimitError, SimulationError
+from armctl.arrays import Array, number, vector
+from armctl.control import ComputedTorque, Controller, State, controller_by_name
+from armctl.errors import InputError, LimitError
+from armctl.goal import ANGLE_TOLERANCE, TOLERANCE, Goal
 from armctl.ik import solve_ik
 from armctl.log import Log
 from armctl.motion import move_j
 from armctl.plant import Plant
-from armctl.pose import Pose, rotation_angle
+from armctl.pose import Pose
 from armctl.recorder import Recorder
+from armctl.rig import Rig
 from armctl.robots import TARGET, load
 from armctl.trajectory import Setpoint, TickReference, Trajectory
 
-TOLERANCE = 1e-3  # m: within it a move counts as reached
-ANGLE_TOLERANCE = 1e-2  # rad
 _SETTLED_SPEED = 1e-3  # rad/s
 _SETTLE_CHUNK = 0.02  # s
-_RUNAWAY = 1e4**2  # (rad/s)^2: a sum of squared speeds no arm survives
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,28 +90,24 @@ class Simulation:
         if not callable(getattr(self.controller, "torque", None)):
             raise InputError(f"controller: {controller!r} has no method torque(state, setpoint)")
         self.plant = Plant() if plant is None else plant
-        self.model = self.plant.model(self.arm)
-        self.data = mujoco.MjData(self.model)
         self.log: Log | None = None
-        self._adr = tuple(map(_index, (self.arm.qpos_adr, self.arm.dof_adr, self.arm.ctrl_adr)))
-        self.reset()
+        self._rig = Rig(self.arm, self.plant)
+        self.model, self.data = self._rig.model, self._rig.data
 
     @property
     def dt(self) -> float:
         """The tick, s: the plant's step and the control period."""
-        return float(self.model.opt.timestep)
+        return self._rig.dt
 
     @property
     def state(self) -> State:
         """The arm's state now."""
-        return State(self.data.qpos[self.arm.qpos_adr], self.data.qvel[self.arm.dof_adr], float(self.data.time), self.dt)
+        return self._rig.state
 
     @property
     def tip(self) -> Pose:
         """Where the simulated tip is now, T_world_tip."""
-        mujoco.mj_kinematics(self.model, self.data)
-        body = self.arm.tip_body
-        return Pose.from_rotation(self.data.xpos[body], self.data.xmat[body].reshape(3, 3)) @ self.arm.T_body_tip
+        return self._rig.tip
 
     @property
     def target(self) -> Array:
@@ -129,13 +124,7 @@ class Simulation:
         Raises:
             InputError: A wrong length or a number that is not finite.
         """
-        q = self.arm.home if q is None else vector("q", q, self.arm.n)
-        mujoco.mj_resetData(self.model, self.data)
-        self.data.qpos[:] = self.arm.qpos(q)
-        self.data.qvel[self.arm.dof_adr] = 0.0 if v is None else vector("v", v, self.arm.n)
-        self.data.ctrl[:] = self.arm.home_ctrl
-        mujoco.mj_forward(self.model, self.data)
-        self._q_ref, self._end = np.array(q), ""
+        self._rig.reset(self.arm.home if q is None else q, np.zeros(self.arm.n) if v is None else v)
 
     def run(self, trajectory: Trajectory, settle: float = 0.0) -> Log:
         """Follows a trajectory, starting now.
@@ -148,14 +137,13 @@ class Simulation:
             Every tick of it. A run that diverges ends early, and `log.end` says why.
 
         Raises:
+            InputError: The settling time is negative.
             SimulationError: The controller failed; `error.log` holds what there was until then.
         """
-        recorder = Recorder(self.arm.n)
+        recorder, started = Recorder(self.arm.n), time.perf_counter()
         ticks = _ticks(trajectory.duration + number("settle", settle, 0.0), self.dt)
-        started = time.perf_counter()
-        self._follow(TickReference.of(trajectory, self.dt, ticks), recorder)
-        self.log = self._log(recorder, trajectory.duration, np.full(7, np.nan), time.perf_counter() - started)
-        return self.log
+        self._rig.follow(self.controller, TickReference.of(trajectory, self.dt, ticks), recorder)
+        return self._logged(recorder, trajectory.duration, np.full(7, np.nan), started)
 
     def move_to(
         self,
@@ -180,18 +168,17 @@ class Simulation:
             InputError: The target has a wrong length or a number that is not finite, or a tolerance is negative.
             SimulationError: The controller failed; `error.log` holds what there was until then.
         """
-        goal = _goal(target)
-        number("tolerance", tolerance, 0.0)
-        number("angle_tolerance", angle_tolerance, 0.0)
-        self.show_target(goal)
-        if self._end:
-            return self._refused(goal, f"{self._end}; reset() starts afresh")
-        ik = solve_ik(self.arm, target, self.arm.limits.clamp(self._q_ref))
+        goal = Goal.read(target, tolerance, angle_tolerance)
+        number("settle", settle, 0.0)
+        self._show(goal)
+        if self._rig.end:
+            return self._refused(goal, f"{self._rig.end}; reset() starts afresh")
+        start = self.arm.limits.clamp(self._rig.q_ref)
+        ik = solve_ik(self.arm, target, start)
         if not ik.ok:
             short = 1e3 * ik.position_error
             return self._refused(goal, f"out of reach by {short:.1f} mm" if short >= 0.1 else ik.reason)
-        trajectory = move_j(self.arm, self.arm.limits.clamp(self._q_ref), ik.q)
-        return self._move(trajectory, goal, tolerance, angle_tolerance, number("settle", settle, 0.0))
+        return self._move(move_j(self.arm, start, ik.q), goal, settle)
 
     def apply_ctrl(self, ctrl: ArrayLike, seconds: float) -> Log:
         """Holds the arm's motors at constant controls, without a controller.
@@ -212,121 +199,50 @@ class Simulation:
         if outside.any():
             i = int(outside.argmax())
             raise LimitError(f"ctrl: {self.arm.joint_names[i]}: {ctrl[i]:g} is outside [{-bound[i]:g}, {bound[i]:g}]")
-        recorder, controller = Recorder(self.arm.n), self.controller
         nothing = np.full((_ticks(number("seconds", seconds, 0.0), self.dt), self.arm.n), np.nan)
-        self.controller = _Constant(ctrl * self.arm.gear)
-        try:
-            self._follow(TickReference(*[nothing] * 5), recorder)
-            self.log = self._log(recorder, seconds, np.full(7, np.nan), math.inf)
-        finally:
-            self.controller = controller
+        recorder, started, constant = Recorder(self.arm.n), time.perf_counter(), _Constant(ctrl * self.arm.gear)
+        self._rig.follow(constant, TickReference(*[nothing] * 5), recorder)
+        return self._logged(recorder, seconds, np.full(7, np.nan), started, constant)
+
+    def _move(self, trajectory: Trajectory, goal: Goal, settle: float) -> MoveResult:
+        """Follows a motion, then holds its end until the tip has come to rest, at most `settle` seconds."""
+        rig, recorder, started, begin = self._rig, Recorder(self.arm.n), time.perf_counter(), self.data.time
+        ticks = _ticks(trajectory.duration, self.dt)
+        rig.follow(self.controller, TickReference.of(trajectory, self.dt, ticks), recorder)
+        still = np.zeros((_ticks(_SETTLE_CHUNK, self.dt), self.arm.n))
+        hold = TickReference(trajectory(trajectory.duration).q + still, still, still, still, still)
+        deadline = self.data.time + settle
+        while not rig.end and self.data.time < deadline and not (self._is_still() and goal.is_reached(self.tip)):
+            rig.follow(self.controller, hold, recorder)
+        log = self._logged(recorder, trajectory.duration, goal.numbers, started)
+        position_error, orientation_error = goal.distance(self.tip)
+        reason = rig.end
+        if not reason and not goal.is_reached(self.tip):
+            reason = f"the tip is {1e3 * position_error:.3g} mm and {orientation_error:.3g} rad from the target"
+        elif not reason and not self._is_still():
+            reason = f"the arm has not come to rest within {settle:g} s"
+        return MoveResult(not reason, position_error, orientation_error, float(self.data.time - begin), reason, log)
+
+    def _logged(
+        self, recorder: Recorder, motion_duration: float, goal: Array, started: float, controller: Controller | None = None
+    ) -> Log:
+        wall = time.perf_counter() - started
+        self.log = self._rig.log(controller or self.controller, recorder, motion_duration, goal, wall)
         return self.log
 
-    def show_target(self, goal: ArrayLike) -> None:
-        """Puts the green target somewhere.
+    def _refused(self, goal: Goal, reason: str) -> MoveResult:
+        return MoveResult(False, *goal.distance(self.tip), 0.0, reason, None)
 
-        Args:
-            goal: (3,) m, or (7,) with the orientation as wxyz.
-        """
-        goal = np.asarray(goal, dtype=np.float64)
-        body = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, TARGET)
-        mocap = self.model.body_mocapid[body]
+    def _is_still(self) -> bool:
+        return bool(np.abs(self.state.v).max() < _SETTLED_SPEED)
+
+    def _show(self, goal: Goal) -> None:
+        """Puts the green target at a goal."""
+        mocap = self.model.body_mocapid[mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, TARGET)]
         if mocap >= 0:
-            self.data.mocap_pos[mocap] = goal[:3]
-            if goal.size == 7 and np.isfinite(goal[3:]).all():
-                self.data.mocap_quat[mocap] = goal[3:]
-
-    def _move(self, trajectory: Trajectory, goal: Array, tolerance: float, angle: float, settle: float) -> MoveResult:
-        """Follows a motion, then holds its end until the tip has come to rest, at most `settle` seconds."""
-        recorder, started, begin = Recorder(self.arm.n), time.perf_counter(), self.data.time
-        self._follow(TickReference.of(trajectory, self.dt, _ticks(trajectory.duration, self.dt)), recorder)
-        end = trajectory(trajectory.duration)
-        chunk = _ticks(_SETTLE_CHUNK, self.dt)
-        still = np.zeros((chunk, self.arm.n))
-        hold = TickReference(end.q + still, still, still, still, still)
-        deadline = self.data.time + settle
-        while not self._end and not self._arrived(goal, tolerance, angle) and self.data.time < deadline:
-            self._follow(hold, recorder)
-        self.log = self._log(recorder, trajectory.duration, goal, time.perf_counter() - started)
-        position_error, orientation_error = self._distance(goal)
-        reason = self._end
-        if not reason and (position_error > tolerance or orientation_error > angle):
-            reason = f"the tip is {1e3 * position_error:.3g} mm and {orientation_error:.3g} rad from the target"
-        elif not reason and not self._at_rest():
-            reason = f"the arm has not come to rest within {settle:g} s"
-        duration = float(self.data.time - begin)
-        return MoveResult(not reason, position_error, orientation_error, duration, reason, self.log)
-
-    def _follow(self, reference: TickReference, recorder: Recorder) -> None:
-        """The tick loop: measure, control, record, step. All runs go through here."""
-        if self._end:
-            raise SimulationError(f"{self._end}; reset() starts afresh", self.log)
-        model, data, dt, arm = self.model, self.data, self.dt, self.arm
-        qpos, qvel, ctrl, applied = data.qpos, data.qvel, data.ctrl, data.qfrc_actuator
-        body_position, body_quat = data.xpos[arm.tip_body], data.xquat[arm.tip_body]
-        qi, vi, ci = self._adr
-        torque, step, rec = self.controller.torque, mujoco.mj_step, recorder
-        rec.reserve(rec.size + len(reference.q))
-        for k, row in enumerate(range(rec.size, rec.size + len(reference.q))):
-            rec.q[row], rec.v[row] = qpos[qi], qvel[vi]
-            q, v = rec.q[row], rec.v[row]
-            if not v.dot(v) < _RUNAWAY:
-                self._end = self._runaway(v)
-                break
-            setpoint = Setpoint(*(column[k] for column in reference))
-            try:
-                rec.tau_cmd[row] = tau = torque(State(q, v, data.time, dt), setpoint)
-                total = float(tau.dot(tau))
-            except Exception as error:
-                raise self._failed(error, recorder) from error
-            if not total < math.inf:
-                self._end = f"the controller gave no finite torque at {data.time:.3f} s"
-                break
-            ctrl[ci] = tau / arm.gear
-            step(model, data)
-            rec.q_ref[row], rec.v_ref[row], rec.a_ref[row] = setpoint[:3]
-            rec.tau[row] = applied[vi]
-            rec.body_position[row], rec.body_quat[row] = body_position, body_quat
-            rec.size = row + 1
-        last = reference.q[-1]
-        self._q_ref = last if np.isfinite(last).all() else np.array(qpos[qi])
-
-    def _log(self, recorder: Recorder, motion_duration: float, goal: Array, wall: float) -> Log:
-        return recorder.log(
-            self.arm,
-            controller=controller_name(self.controller),
-            dt=self.dt,
-            motion_duration=float(motion_duration),
-            target=goal,
-            real_time_factor=recorder.size * self.dt / max(wall, 1e-9),
-            end=self._end,
-        )
-
-    def _failed(self, error: Exception, recorder: Recorder) -> SimulationError:
-        self._end = f"the controller {controller_name(self.controller)} failed at {self.data.time:.3f} s: {error}"
-        self.log = self._log(recorder, 0.0, np.full(7, np.nan), 0.0)
-        return SimulationError(self._end, self.log)
-
-    def _runaway(self, v: Array) -> str:
-        worst = int(np.argmax(np.abs(np.nan_to_num(v, nan=np.inf))))
-        return f"diverged at {self.data.time:.3f} s: {self.arm.joint_names[worst]} moves at {v[worst]:.3g} rad/s"
-
-    def _refused(self, goal: Array, reason: str) -> MoveResult:
-        return MoveResult(False, *self._distance(goal), 0.0, reason, None)
-
-    def _distance(self, goal: Array) -> tuple[float, float]:
-        tip = self.tip
-        position_error = float(np.linalg.norm(tip.position - goal[:3]))
-        if np.isnan(goal[3:]).any():
-            return position_error, 0.0
-        return position_error, rotation_angle(tip.rotation.T @ Pose(goal[:3], goal[3:]).rotation)
-
-    def _arrived(self, goal: Array, tolerance: float, angle: float) -> bool:
-        position_error, orientation_error = self._distance(goal)
-        return self._at_rest() and position_error <= tolerance and orientation_error <= angle
-
-    def _at_rest(self) -> bool:
-        return bool(np.abs(self.data.qvel[self.arm.dof_adr]).max() < _SETTLED_SPEED)
+            self.data.mocap_pos[mocap] = goal.position
+            if goal.pose is not None:
+                self.data.mocap_quat[mocap] = goal.pose.quat
 
 
 def simulate(
@@ -369,16 +285,3 @@ class _Constant:
 def _ticks(duration: float, dt: float) -> int:
     """How many ticks show a motion from its first instant to its last."""
     return math.ceil(duration / dt - 1e-9) + 1
-
-
-def _index(addresses: IntArray) -> slice | IntArray:
-    """Addresses as a slice where they are consecutive: NumPy reads and writes those faster."""
-    first = int(addresses[0])
-    consecutive = np.array_equal(addresses, np.arange(first, first + len(addresses)))
-    return slice(first, first + len(addresses)) if consecutive else addresses
-
-
-def _goal(target: Pose | ArrayLike) -> Array:
-    if isinstance(target, Pose):
-        return np.concatenate([target.position, target.quat])
-    return np.concatenate([vector("target", target, 3), np.full(4, np.nan)])

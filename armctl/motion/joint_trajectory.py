@@ -120,7 +120,9 @@ class JointTrajectory:
         """
         if other.joint_names != self.joint_names:
             raise InputError(f"then: a motion of {list(other.joint_names)} cannot follow one of {list(self.joint_names)}")
-        for what, end, start in zip(("position", "velocity", "acceleration"), self(self.duration), other(0.0), strict=True):
+        for what, end, start in zip(
+            ("position", "velocity", "acceleration"), self(self.duration)[:3], other(0.0)[:3], strict=True
+        ):
             gap = np.abs(end - start)
             if (gap > _JOIN_TOLERANCE * np.maximum(1.0, np.abs(end))).any():
                 i = int(gap.argmax())
