@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -130,11 +131,38 @@ class JointTrajectory:
                     f"then: {self.joint_names[i]}: the first motion ends at {what} {end[i]:.6g}, the second starts at "
                     f"{start[i]:.6g}; plan it from where the first one ends"
                 )
-        return replace(
-            self,
-            knots=np.concatenate([self.knots, self.duration + other.knots[1:]]),
-            coefficients=np.concatenate([self.coefficients, other.coefficients]),
-        )
+        return self.joined([self, other])
+
+    @classmethod
+    def joined(cls, parts: Sequence[JointTrajectory]) -> JointTrajectory:
+        """Motions one after another, each known to start as the one before it ends.
+
+        Args:
+            parts: The motions, at least one.
+
+        Returns:
+            All in one.
+        """
+        starts = np.cumsum([0.0, *(part.duration for part in parts)])
+        knots = [[0.0], *(start + part.knots[1:] for start, part in zip(starts[:-1], parts, strict=True))]
+        coefficients = np.concatenate([part.coefficients for part in parts])
+        return replace(parts[0], knots=np.concatenate(knots), coefficients=coefficients)
+
+    @classmethod
+    def standing(cls, joint_names: tuple[str, ...], limits: Limits, q: Array) -> JointTrajectory:
+        """No motion: it stands at a position and takes no time.
+
+        Args:
+            joint_names: The n joints.
+            limits: Their limits.
+            q: (n,) rad.
+
+        Returns:
+            The motion.
+        """
+        coefficients = np.zeros((1, DEGREE + 1, len(q)))
+        coefficients[0, 0] = q
+        return cls(np.zeros(2), coefficients, joint_names, limits)
 
     def __repr__(self) -> str:
         return f"JointTrajectory({self.n} joints, {self.duration:.3f} s)"

@@ -62,6 +62,8 @@ def _roots(p: Array) -> Array:
     degree = p.shape[-1] - 1
     if degree == 0:
         return np.empty((*p.shape[:-1], 0))
+    if degree <= 2:
+        return _closed_form(p)
     turns = np.sort(_roots(derivative(p)), axis=-1)
     ends = np.zeros((*p.shape[:-1], 1))
     low, high = np.concatenate([ends, turns], axis=-1), np.concatenate([turns, ends + 1.0], axis=-1)
@@ -71,6 +73,19 @@ def _roots(p: Array) -> Array:
         same = (value(p, middle) > 0) == sign
         low, high = np.where(same, middle, low), np.where(same, high, middle)
     return 0.5 * (low + high)
+
+
+def _closed_form(p: Array) -> Array:
+    """`_roots` of degrees 1 and 2, without the cancellation of the schoolbook formula."""
+    with np.errstate(all="ignore"):
+        if p.shape[-1] == 2:
+            x = -p[..., :1] / p[..., 1:]
+        else:
+            c, b, a = p[..., 0], p[..., 1], p[..., 2]
+            root = np.sqrt(np.maximum(b * b - 4 * a * c, 0.0))
+            half = -0.5 * (b + np.where(b < 0, -root, root))
+            x = np.stack([half / a, c / half], axis=-1)
+    return np.clip(np.nan_to_num(x), 0.0, 1.0)
 
 
 def _trimmed(p: Array) -> Array:

@@ -9,7 +9,6 @@ import ruckig
 
 from armctl.arrays import Array
 from armctl.errors import PlanError
-from armctl.motion.joint_trajectory import DEGREE
 from armctl.trajectory import Limits
 
 _WORKING = {ruckig.Result.Working, ruckig.Result.Finished}
@@ -97,42 +96,93 @@ class Profiles:
         Raises:
             PlanError: Ruckig finds none.
         """
+        if not self.reach(start, goal):
+            raise PlanError("no jerk-limited move joins the two states; start and end slower")
+        return _pieces(*(x[:, 0] for x in phase_nodes([self.phases()], Moving(*(x[None] for x in start)))))
+
+    def reach(self, start: Moving, goal: Moving, at_least: float | None = None) -> bool:
+        """Finds the fastest move from one state to another; `duration`, `fastest` and `phases` then tell of it.
+
+        Args:
+            start: Where it starts, arrays or lists.
+            goal: Where it ends, arrays or lists.
+            at_least: How long it must take, s.
+
+        Returns:
+            Whether there is one.
+        """
         inp = self._input
-        inp.current_position, inp.current_velocity, inp.current_acceleration = (x.tolist() for x in start)
-        inp.target_position, inp.target_velocity, inp.target_acceleration = (x.tolist() for x in goal)
+        inp.current_position, inp.current_velocity, inp.current_acceleration = start
+        inp.target_position, inp.target_velocity, inp.target_acceleration = goal
+        inp.minimum_duration = at_least
         try:
-            status = self._otg.calculate(inp, self._result)
-        except ruckig.RuckigError as error:
-            raise PlanError(f"no jerk-limited move joins the two states: {error}") from None
-        if status not in _WORKING:
-            raise PlanError(f"no jerk-limited move joins the two states: {status}")
-        return _pieces(self._result.profiles[0], start)
+            return self._otg.calculate(inp, self._result) in _WORKING
+        except ruckig.RuckigError:
+            return False
+
+    @property
+    def duration(self) -> float:
+        """How long the move takes, s."""
+        return self._result.duration
+
+    @property
+    def fastest(self) -> list[float]:
+        """How long each joint would take by itself, s."""
+        return self._result.independent_min_durations
+
+    def phases(self) -> tuple[list[tuple[float, ...]], list[tuple[float, ...]]]:
+        """The move as phases of constant jerk: for each joint their durations, s, and their jerks, rad/s^3."""
+        profiles = self._result.profiles[0]
+        return [(*p.brake.t, *p.t) for p in profiles], [(*p.brake.j, *p.j) for p in profiles]
 
 
-def _pieces(profiles: list[ruckig.Profile], start: Moving) -> Pieces:
-    """Cubic pieces from ruckig's phases, cut wherever the jerk of any joint changes."""
-    steps = np.array([(*p.brake.t, *p.t) for p in profiles]).T
-    jerks = np.array([(*p.brake.j, *p.j) for p in profiles]).T
-    ends = np.cumsum(steps, axis=0)
-    starts = np.vstack([np.zeros_like(ends[:1]), ends])
-    nodes = [start]
-    for h, j in zip(steps, jerks, strict=True):
-        q, v, a = nodes[-1]
-        nodes.append(Moving(q + h * (v + h * (a / 2 + h * j / 6)), v + h * (a + h * j / 2), a + h * j))
-    q, v, a = (np.array(x) for x in zip(*nodes, strict=True))
+def phase_nodes(phases: list[tuple[list[tuple[float, ...]], list[tuple[float, ...]]]], start: Moving) -> tuple[Array, ...]:
+    """What joints do at the start of each phase of several moves.
 
+    Args:
+        phases: `Profiles.phases` of K moves.
+        start: (K, n) states they start from.
+
+    Returns:
+        Durations, positions, velocities, accelerations and jerks, each (P, K, n).
+    """
+    steps, jerks = (np.moveaxis(np.array(x), -1, 0) for x in zip(*phases, strict=True))
+    q, v, a = (np.empty_like(steps) for _ in range(3))
+    now = start
+    for i, (h, j) in enumerate(zip(steps, jerks, strict=True)):
+        q[i], v[i], a[i] = now
+        now = Moving(q[i] + h * (v[i] + h * (a[i] / 2 + h * j / 6)), v[i] + h * (a[i] + h * j / 2), a[i] + h * j)
+    return steps, q, v, a, jerks
+
+
+def phase_polynomials(steps: Array, q: Array, v: Array, a: Array, jerks: Array) -> Array:
+    """The positions during phases, as polynomials on [0, 1].
+
+    Args:
+        steps: (P, K, n) s, durations.
+        q: (P, K, n) rad, positions at the start.
+        v: (P, K, n) rad/s, likewise.
+        a: (P, K, n) rad/s^2, likewise.
+        jerks: (P, K, n) rad/s^3.
+
+    Returns:
+        (P, K, n, 4) coefficients.
+    """
+    return np.stack([q, v * steps, a * steps**2 / 2, jerks * steps**3 / 6], axis=-1)
+
+
+def _pieces(steps: Array, q: Array, v: Array, a: Array, jerks: Array) -> Pieces:
+    """Cubic pieces from phases (P, n), cut wherever the jerk of any joint changes."""
+    starts = np.vstack([np.zeros_like(steps[:1]), np.cumsum(steps, axis=0)])
     knots = np.unique(starts)
     knots = np.append(knots[:-1][np.diff(knots) > _SAME_TIME], knots[-1])
     if len(knots) == 1:
         knots = np.zeros(2)
-    coefficients = np.zeros((len(knots) - 1, DEGREE + 1, len(profiles)))
+    joints = np.arange(steps.shape[1])
     middle = 0.5 * (knots[1:] + knots[:-1])
-    for i in range(len(profiles)):
-        phase = np.clip(np.searchsorted(starts[:, i], middle, side="right") - 1, 0, len(steps) - 1)
-        u, j = knots[:-1] - starts[phase, i], jerks[phase, i]
-        q0, v0, a0 = q[phase, i], v[phase, i], a[phase, i]
-        coefficients[:, 0, i] = q0 + u * (v0 + u * (a0 / 2 + u * j / 6))
-        coefficients[:, 1, i] = v0 + u * (a0 + u * j / 2)
-        coefficients[:, 2, i] = (a0 + u * j) / 2
-        coefficients[:, 3, i] = j / 6
-    return Pieces(knots, coefficients)
+    phase = np.minimum((starts[1:, None] <= middle[:, None]).sum(axis=0), len(steps) - 1)
+    u, j = knots[:-1, None] - starts[phase, joints], jerks[phase, joints]
+    q, v, a = q[phase, joints], v[phase, joints], a[phase, joints]
+    zero = np.zeros_like(u)
+    rows = (q + u * (v + u * (a / 2 + u * j / 6)), v + u * (a + u * j / 2), (a + u * j) / 2, j / 6, zero, zero)
+    return Pieces(knots, np.stack(rows, axis=1))
