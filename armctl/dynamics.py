@@ -132,7 +132,7 @@ class Dynamics:
         if self._has_springs:
             x = q - self._rest
             k = self._stiffness
-            tau = tau + x * (k[:, 0] + np.abs(x) * k[:, 1] + x * x * k[:, 2])
+            tau = tau + x * (k[:, 0] + x * k[:, 1] + x * x * k[:, 2])
         if self._support is not None:
             tau = tau - pin.computeGeneralizedGravity(self._support, self._support_data, q)
         return tau

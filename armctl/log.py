@@ -73,6 +73,9 @@ class Log:
     def __len__(self) -> int:
         return len(self.t)
 
+    def __repr__(self) -> str:
+        return f"Log({self.robot!r}, {self.controller!r}, {len(self)} ticks of {1e3 * self.dt:g} ms)"
+
     @property
     def is_open_loop(self) -> bool:
         """Whether there was no reference to follow."""

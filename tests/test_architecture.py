@@ -15,7 +15,7 @@ PACKAGE = Path(armctl.__file__).parent
 FLOORS = [
     ["errors", "arrays > errors"],
     ["pose", "trajectory", "log", "goal > pose"],
-    ["chain", "datasheets", "rigid_body", "arm > rigid_body", "motors > datasheets chain"],
+    ["chain", "datasheets", "rigid_body", "arm > rigid_body", "motors > datasheets chain", "contacts > arm chain rigid_body"],
     ["robots", "dynamics", "ik", "describe"],
     ["motion", "control", "plant"],
     ["recorder", "rig > recorder", "simulation > rig recorder"],

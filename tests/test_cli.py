@@ -1,0 +1,163 @@
+"""The command line as a stranger uses it: what it prints, what it exits with, and how it says no."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from arms import BUNDLED, MISSING, at_hand
+
+from armctl.cli import main
+
+
+def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
+    status = main(argv)
+    out, err = capsys.readouterr()
+    return status, out, err
+
+
+def test_the_bundled_arm_reaches_the_green_target(capsys):
+    status, out, err = run(capsys, "reach", BUNDLED)
+    assert status == 0, err
+    assert out.startswith("reached: the tip ended")
+    assert "computed-torque" in out
+
+
+def test_a_menagerie_arm_reaches_a_target(capsys):
+    if not at_hand("panda"):
+        pytest.skip(f"panda: {MISSING}")
+    status, out, _ = run(capsys, "reach", "panda", "--target", "0.5", "0.2", "0.4", "--json")
+    figures = json.loads(out)
+    assert status == 0
+    assert figures["ok"]
+    assert figures["final_tip_error_m"] < 1e-4
+
+
+def test_a_pose_is_six_numbers(capsys):
+    status, out, _ = run(capsys, "reach", BUNDLED, "--target", "0.3", "0.2", "0.3", "0", "0", "0")
+    assert status == 1
+    assert "not reached" in out
+
+
+def test_out_of_reach_exits_1_and_says_by_how_many_millimetres(capsys):
+    status, out, _ = run(capsys, "reach", BUNDLED, "--target", "2", "0", "0.35")
+    assert status == 1
+    assert "out of reach by 1450.0 mm" in out
+    status, out, _ = run(capsys, "reach", BUNDLED, "--target", "2", "0", "0.35", "--json")
+    assert status == 1
+    assert json.loads(out)["ok"] is False
+
+
+def test_a_controller_that_sags_exits_1(capsys):
+    status, out, _ = run(capsys, "reach", BUNDLED, "--controller", "pd")
+    assert status == 1
+    assert out.startswith("not reached")
+
+
+def test_save_writes_the_log_the_figures_and_the_plot(capsys, tmp_path):
+    status, _, err = run(capsys, "reach", BUNDLED, "--save", str(tmp_path / "run"))
+    assert status == 0
+    assert sorted(p.name for p in (tmp_path / "run").iterdir()) == ["log.csv", "log.npz", "plot.png", "report.json"]
+    assert err.count("wrote") == 4
+    assert json.loads((tmp_path / "run" / "report.json").read_text())["ok"]
+
+
+def test_simulate_holds_the_controls_and_plots(capsys, tmp_path):
+    status, out, _ = run(
+        capsys, "simulate", BUNDLED, "--ctrl", "0.5", "-0.3", "-0.2", "--seconds", "2", "--plot", str(tmp_path)
+    )
+    assert status == 0
+    assert "shoulder_yaw" in out
+    assert "after 2.000 s the tip is at" in out
+    assert (tmp_path / f"{BUNDLED}.png").is_file()
+
+
+def test_info_names_joints_limits_and_sources(capsys):
+    status, out, _ = run(capsys, "info", BUNDLED)
+    assert status == 0
+    assert "shoulder_pitch" in out
+    assert "tau_max from: ctrlrange" in out
+    _, out, _ = run(capsys, "info", BUNDLED, "--json")
+    assert json.loads(out)["limits"]["tau_max"] == [250.0, 250.0, 150.0]
+
+
+def test_robots_lists_every_name(capsys):
+    status, out, _ = run(capsys, "robots")
+    assert status == 0
+    assert {BUNDLED, "panda", "ur5e", "iiwa14", "xarm7", "gen3", "so_arm100"} <= {line.split()[0] for line in out.splitlines()}
+
+
+def test_compare_shows_every_controller(capsys):
+    status, out, _ = run(capsys, "compare", BUNDLED)
+    assert status == 0
+    assert "| computed-torque " in out
+    assert "| pd " in out
+
+
+BROKEN = "<mujoco><worldbody><body></worldbody></mujoco>"
+WRONG_CALLS = {
+    "unknown robot": (["reach", "pandaa"], "unknown robot 'pandaa'; did you mean 'panda'?"),
+    "short target": (["reach", BUNDLED, "--target", "0.3", "0.2"], "target: 2 numbers given"),
+    "NaN target": (["reach", BUNDLED, "--target", "nan", "0", "0"], "target: element [0] is nan"),
+    "word as target": (["reach", BUNDLED, "--target", "here", "0", "0"], "target: here 0 0 is no list of numbers"),
+    "unknown controller": (["reach", BUNDLED, "--controller", "pdd"], "unknown controller 'pdd'; did you mean 'pd'?"),
+    "no such file": (["reach", "nothing.xml"], "nothing.xml: no such file"),
+    "negative time": (["simulate", BUNDLED, "--ctrl", "1", "1", "1", "--seconds", "-1"], "seconds: -1 given"),
+    "control out of range": (["simulate", BUNDLED, "--ctrl", "1", "1", "9"], "ctrl: elbow: 9 is outside [-5, 5]"),
+    "unknown tip": (["reach", BUNDLED, "--tip", "end_efector"], "did you mean 'end_effector'?"),
+}
+
+
+@pytest.mark.parametrize(("argv", "sentence"), WRONG_CALLS.values(), ids=WRONG_CALLS)
+def test_a_wrong_call_exits_2_with_one_sentence(capsys, argv: list[str], sentence: str):
+    status, out, err = run(capsys, *argv)
+    assert status == 2
+    assert out == ""
+    assert err.startswith("armctl: ")
+    assert sentence in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (BROKEN, "MuJoCo cannot read it"),
+        ("not xml at all", "MuJoCo cannot read it"),
+        ("<mujoco/>", "no arm: the model has no joints"),
+        ("<mujoco><worldbody><body><joint/><geom size='.1'/></body></worldbody></mujoco>", "has an actuator"),
+        ("<mujoco><worldbody><body><freejoint name='f'/><geom size='.1'/></body></worldbody></mujoco>", "no arm"),
+    ],
+)
+def test_a_model_that_is_no_arm_exits_2_with_one_sentence(capsys, tmp_path, text: str, sentence: str):
+    path = tmp_path / "model.xml"
+    path.write_text(text)
+    status, _, err = run(capsys, "info", str(path))
+    assert status == 2
+    assert sentence in err
+    assert err.count("\n") == 1
+    assert "Traceback" not in err
+
+
+def test_no_network_and_no_models_says_what_to_set_or_run(tmp_path):
+    code = "import sys; from armctl.cli import main; sys.exit(main(['info', 'panda']))"
+    env = {"PATH": "/usr/bin", "MENAGERIE_CACHE_DIR": str(tmp_path), "MENAGERIE_BASE_URL": "file:///nowhere"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env | _paths())
+    assert done.returncode == 2
+    assert "mujoco-menagerie prefetch franka_emika_panda" in done.stderr
+    assert "MENAGERIE_ROOT" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_help_is_there_without_heavy_imports():
+    code = (
+        "import sys\nfrom armctl.cli import main\ntry: main(['--help'])\n"
+        "finally: assert not {'numpy', 'mujoco', 'pinocchio'} & set(sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=_paths())
+    assert done.returncode == 0, done.stderr
+    for command in ("robots", "info", "reach", "compare", "simulate"):
+        assert command in done.stdout
+
+
+def _paths() -> dict[str, str]:
+    return {"PYTHONPATH": ":".join(sys.path)}

@@ -1,0 +1,103 @@
+"""Pose is a group, and reads what people give it."""
+
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from armctl import InputError, Pose
+from armctl.pose import quats_from_rotations, rotation_from_vector, rotation_vector
+
+coordinates = st.lists(st.floats(-10, 10), min_size=3, max_size=3)
+turns = st.lists(st.floats(-np.pi, np.pi), min_size=3, max_size=3)
+poses = st.builds(lambda p, rpy: Pose(p, rpy=rpy), coordinates, turns)
+
+
+def assert_same(a: Pose, b: Pose, tolerance: float = 1e-12):
+    assert np.abs(a.matrix - b.matrix).max() <= tolerance
+
+
+@given(poses, poses, poses)
+def test_poses_are_a_group(a: Pose, b: Pose, c: Pose):
+    assert_same((a @ b) @ c, a @ (b @ c))
+    assert_same(a @ a.inverse(), Pose([0, 0, 0]))
+    assert_same((a @ b).inverse(), b.inverse() @ a.inverse())
+    assert_same(a @ Pose([0, 0, 0]), a)
+
+
+@given(poses, coordinates)
+def test_a_pose_acts_as_its_matrix(a: Pose, point: list[float]):
+    assert np.allclose(a.transform(point), (a.matrix @ [*point, 1.0])[:3], atol=1e-12)
+
+
+@given(poses)
+def test_every_way_of_writing_an_orientation_agrees(a: Pose):
+    assert_same(Pose(a.position, quat=a.quat), a)
+    assert_same(Pose(a.position, quat=-a.quat), a)
+    assert_same(Pose(a.position, rpy=a.rpy), a, 1e-9)
+    assert_same(Pose.from_matrix(a.matrix), a)
+    assert_same(pickle.loads(pickle.dumps(a)), a, 0.0)
+    assert a.quat[0] >= 0
+    assert np.linalg.norm(a.quat) == pytest.approx(1, abs=1e-12)
+
+
+@given(turns)
+def test_rotation_vector_and_its_matrix_are_inverse(w: list[float]):
+    R = rotation_from_vector(np.array(w))
+    assert np.allclose(R @ R.T, np.eye(3), atol=1e-14)
+    assert np.allclose(rotation_from_vector(rotation_vector(R)), R, atol=1e-12)
+    assert np.linalg.norm(rotation_vector(R)) <= np.pi + 1e-12
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-7, 1e-3, 1.0, np.pi - 1e-9, np.pi])
+def test_the_angle_is_exact_at_zero_and_at_half_a_turn(angle: float):
+    axis = np.array([2.0, -1.0, 0.5]) / np.linalg.norm([2.0, -1.0, 0.5])
+    _, measured = Pose([0, 0, 0]).distance(Pose.from_rotation([0, 0, 0], rotation_from_vector(angle * axis)))
+    assert measured == pytest.approx(angle, rel=1e-9, abs=1e-15)
+
+
+def test_many_quaternions_are_what_one_is():
+    rng = np.random.default_rng(0)
+    Rs = np.array([rotation_from_vector(w) for w in rng.uniform(-4, 4, (200, 3))] + [np.diag([1.0, -1, -1]), np.eye(3)])
+    assert np.allclose(quats_from_rotations(Rs), [Pose.from_rotation([0, 0, 0], R).quat for R in Rs], atol=1e-14)
+
+
+def test_roll_pitch_yaw_turn_about_fixed_axes():
+    T = Pose([0, 0, 0], rpy=[0.0, 0.0, np.pi / 2])
+    assert np.allclose(T.transform([1, 0, 0]), [0, 1, 0])
+    assert np.allclose(Pose([0, 0, 0], rpy=[0.1, 0.2, 0.3]).rpy, [0.1, 0.2, 0.3])
+
+
+def test_a_pose_is_frozen():
+    T = Pose([1, 2, 3])
+    with pytest.raises(AttributeError, match="frozen"):
+        T.position = np.zeros(3)  # type: ignore[misc]
+    with pytest.raises(ValueError, match="read-only"):
+        T.position[0] = 0.0
+
+
+def test_equal_poses_are_equal_and_hash_alike():
+    assert Pose([1, 2, 3]) == Pose([1.0, 2, 3])
+    assert hash(Pose([1, 2, 3])) == hash(Pose([1.0, 2, 3]))
+    assert Pose([1, 2, 3]) != Pose([1, 2, 4])
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda: Pose([1, 2]), "position: 2 numbers given, 3 wanted"),
+        (lambda: Pose([1, 2, np.nan]), r"position: element \[2\] is nan, a finite number wanted"),
+        (lambda: Pose("abc"), "position: 'abc' is not an array of numbers"),
+        (lambda: Pose([1, 2, 3], quat=[0, 0, 0, 0]), "quat: its norm is zero"),
+        (lambda: Pose([1, 2, 3], quat=[1, 0, 0]), "quat: 3 numbers given, 4 wanted"),
+        (lambda: Pose([1, 2, 3], quat=[1, 0, 0, 0], rpy=[0, 0, 0]), "both quat and rpy given"),
+        (lambda: Pose.from_matrix(np.eye(3)), r"matrix: shape \(3, 3\) given, \(4, 4\) wanted"),
+        (lambda: Pose.from_matrix(2 * np.eye(4)), "matrix: no rigid transform"),
+        (lambda: Pose.from_matrix(np.diag([1.0, 1, -1, 1])), "matrix: no rigid transform"),
+    ],
+)
+def test_a_wrong_pose_is_one_sentence(call, sentence: str):
+    with pytest.raises(InputError, match=sentence):
+        call()

@@ -1,0 +1,160 @@
+"""Logs keep what happened, and reports say it right: figures of runs whose answer is known by hand."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+import armctl
+from armctl import InputError, Log, Report
+from armctl.report import table
+
+
+def made_log(**changes) -> Log:
+    """A run of one second: the tip goes 0.1 m along x and stays 2 mm beyond, the joint lags by 0.01 rad."""
+    t = np.arange(1001) * 1e-3
+    ramp = np.clip(t / 0.5, 0, 1)
+    q_ref = ramp[:, None]
+    tip_ref = np.outer(ramp, [0.1, 0, 0])
+    tip = tip_ref + np.where(t > 0.5, 0.002, 0.0)[:, None] * [1, 0, 0]
+    upright = np.tile([1.0, 0, 0, 0], (1001, 1))
+    tau = np.where(t < 0.25, 4.0, -1.0)[:, None]
+    values = {
+        "robot": "made",
+        "controller": "by hand",
+        "joint_names": ("j",),
+        "dt": 1e-3,
+        "tau_max": np.array([4.0]),
+        "motion_duration": 0.5,
+        "target": np.full(7, np.nan),
+        "real_time_factor": 10.0,
+        "end": "",
+        "t": t,
+        "q": q_ref - 0.01,
+        "v": np.gradient(q_ref[:, 0], t)[:, None],
+        "q_ref": q_ref,
+        "v_ref": np.gradient(q_ref[:, 0], t)[:, None],
+        "a_ref": np.zeros((1001, 1)),
+        "tau": tau,
+        "tau_cmd": 1.5 * tau,
+        "tip": tip,
+        "tip_quat": upright,
+        "tip_ref": tip_ref,
+        "tip_ref_quat": upright,
+    }
+    return Log(**(values | changes))
+
+
+def test_the_figures_are_what_they_say():
+    report = Report.from_log(made_log())
+    assert report.joint_rms_rad == pytest.approx(0.01)
+    assert report.joint_max_rad == pytest.approx(0.01)
+    assert report.tip_rms_m == pytest.approx(0.0)
+    assert report.final_tip_error_m == pytest.approx(0.002)
+    assert report.overshoot_m == pytest.approx(0.002)
+    assert report.peak_torque_ratio == pytest.approx(1.0)
+    assert report.saturated_fraction == pytest.approx(250 / 1001)
+    assert report.duration_s == pytest.approx(1.001)
+    assert report.final_orientation_error_rad == 0
+    assert math.isnan(report.settling_time_s)
+    assert not report.ok
+    assert "2 mm from its goal" in report.verdict
+
+
+def test_the_goal_is_the_target_where_there_is_one():
+    target = np.array([0.102, 0, 0, np.nan, np.nan, np.nan, np.nan])
+    report = Report.from_log(made_log(target=target))
+    assert report.ok
+    assert report.final_tip_error_m == pytest.approx(0.0, abs=1e-15)
+    assert report.settling_time_s == pytest.approx(0.0, abs=2e-3)
+    turned = np.array([0.102, 0, 0, math.cos(0.25), 0, 0, math.sin(0.25)])
+    report = Report.from_log(made_log(target=turned))
+    assert report.final_orientation_error_rad == pytest.approx(0.5)
+    assert not report.ok
+    assert "0.5 rad from its orientation" in report.verdict
+
+
+def test_settling_is_counted_from_the_end_of_the_motion():
+    log = made_log()
+    tip = np.array(log.tip_ref)
+    late = (log.t > 0.5) & (log.t < 0.7)
+    tip[late, 1] = 0.01
+    report = Report.from_log(made_log(tip=tip))
+    assert report.settling_time_s == pytest.approx(0.2, abs=2e-3)
+    assert report.ok
+
+
+def test_chatter_is_what_alternates():
+    tau = np.zeros((1001, 1))
+    tau[::2] = 1.0
+    assert Report.from_log(made_log(tau=tau)).chatter_nm == pytest.approx(1.0)
+    assert Report.from_log(made_log(tau=np.linspace(0, 4, 1001)[:, None])).chatter_nm == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_run_that_ended_early_fails_first():
+    report = Report.from_log(made_log(end="diverged at 0.5 s: j moves at 1e+05 rad/s"))
+    assert not report.ok
+    assert str(report).startswith("failed: diverged at 0.5 s")
+
+
+def test_figures_are_fit_for_json():
+    figures = json.loads(json.dumps(Report.from_log(made_log()).to_dict()))
+    wanted = (
+        "ok joint_rms_rad joint_max_rad tip_rms_m tip_max_m final_tip_error_m final_orientation_error_rad settling_time_s "
+        "overshoot_m peak_torque_ratio saturated_fraction chatter_nm duration_s real_time_factor robot controller"
+    )
+    assert set(wanted.split()) <= set(figures)
+    assert figures["settling_time_s"] is None
+
+
+def test_a_table_has_a_row_for_every_report():
+    lines = table([Report.from_log(made_log()), Report.from_log(made_log(controller="another"))]).splitlines()
+    assert len(lines) == 4
+    assert len({len(line) for line in lines}) == 1
+    assert "another" in lines[3]
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+def test_plots_are_drawn(tmp_path, suffix: str):
+    path = Report.from_log(made_log()).plot(tmp_path / "new" / f"run{suffix}")
+    assert path.stat().st_size > 5000
+
+
+def test_a_log_comes_back_from_its_file(tmp_path):
+    log = made_log(end="diverged", target=np.arange(7.0))
+    back = Log.load(log.save(tmp_path / "new" / "run.npz"))
+    for name, value in vars(log).items():
+        if isinstance(value, np.ndarray):
+            assert np.array_equal(getattr(back, name), value, equal_nan=True)
+            assert not getattr(back, name).flags.writeable
+        else:
+            assert getattr(back, name) == value
+
+
+def test_a_log_as_csv_has_named_columns(tmp_path):
+    rows = made_log().save(tmp_path / "run.csv").read_text().splitlines()
+    assert rows[0].startswith("t,q_j,v_j,q_ref_j")
+    assert len(rows) == 1002
+    assert [float(x) for x in rows[1].split(",")][:2] == [0.0, -0.01]
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda d: made_log().save(d / "run.txt"), r"path: 'run.txt' ends in '.txt', .npz or .csv wanted"),
+        (lambda d: Log.load(d / "none.npz"), "no log that armctl wrote"),
+        (lambda d: Report.from_log(made_log()).plot(d / "run.jpeg"), ".png, .svg or .pdf wanted"),
+        (lambda d: Report.from_log(made_log(q_ref=np.full((1001, 1), np.nan))), "nothing to report"),
+    ],
+)
+def test_a_wrong_call_is_one_sentence(tmp_path, call, sentence: str):
+    with pytest.raises(InputError, match=sentence):
+        call(tmp_path)
+
+
+def test_a_file_that_is_no_log_is_refused(tmp_path):
+    path = tmp_path / "run.npz"
+    path.write_bytes(b"not a log")
+    with pytest.raises(armctl.InputError, match="no log that armctl wrote"):
+        Log.load(path)
