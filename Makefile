@@ -1,0 +1,79 @@
+# make demo   the bundled arm reaches the green target, from nothing but Python 3.11 or later
+# make test   everything: lint, types, docs, tests, examples
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+WORKERS ?= auto
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+export PIP_NO_INPUT := 1
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint format types docs pytest examples bench outputs pictures clean
+
+help:
+	@echo "make demo      the bundled arm reaches the green target, and a report"
+	@echo "make test      all of the next four"
+	@echo "make lint      ruff: rules and format        make format   mend both"
+	@echo "make types     pyright"
+	@echo "make docs      the pages, in docs/_build"
+	@echo "make pytest    tests and examples            make examples the examples alone"
+	@echo "make outputs   what README and docs show as printed, afresh"
+	@echo "make bench     the benchmarks, one table each"
+	@echo "make pictures  the pictures of README and docs, afresh"
+	@echo "make clean     everything that the above made"
+
+# The environment: once, and again when pyproject.toml changes.
+$(VENV)/run.stamp: pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+	  echo "armctl needs Python 3.11 or later, but $(PYTHON) is $$($(PYTHON) --version 2>&1 || echo missing). Name another: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
+	@$(PYTHON) -m venv $(VENV) || { \
+	  echo "$(PYTHON) could not make a virtual environment in $(VENV). On Debian and Ubuntu: apt-get install python3-venv"; exit 1; }
+	@echo "installing armctl and what it needs into $(VENV): half a minute, once"
+	@$(BIN)/python -m pip install --quiet --editable . || { \
+	  echo "pip could not install what pyproject.toml names; its reason is above. Without a network, set PIP_FIND_LINKS to a folder of wheels."; exit 1; }
+	@touch $@
+
+$(VENV)/dev.stamp: $(VENV)/run.stamp
+	@echo "installing what the tests need into $(VENV): half a minute, once"
+	@$(BIN)/python -m pip install --quiet --editable '.[dev]' || { \
+	  echo "pip could not install the tools that pyproject.toml names under dev; its reason is above."; exit 1; }
+	@touch $@
+
+demo: $(VENV)/run.stamp
+	@$(BIN)/armctl reach robot_arm_3dof
+
+test: lint types docs pytest
+
+lint: $(VENV)/dev.stamp
+	@$(BIN)/ruff check . || { echo "ruff found the above; make format mends what it can"; exit 1; }
+	@$(BIN)/ruff format --check . || { echo "some files are not in ruff's format; make format mends that"; exit 1; }
+
+format: $(VENV)/dev.stamp
+	@$(BIN)/ruff check --fix . ; $(BIN)/ruff format .
+
+types: $(VENV)/dev.stamp
+	@$(BIN)/pyright --pythonpath $(BIN)/python || { echo "pyright found the type errors above"; exit 1; }
+
+docs: $(VENV)/dev.stamp
+	@$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build || { echo "the docs do not build; the warnings above count as errors"; exit 1; }
+	@echo "docs/_build/index.html is up to date"
+
+pytest: $(VENV)/dev.stamp
+	@$(BIN)/python -m pytest -n $(WORKERS) --maxprocesses 8 || { echo "tests failed, as listed above; make pytest runs them alone"; exit 1; }
+
+examples: $(VENV)/dev.stamp
+	@$(BIN)/python -m pytest tests/test_examples.py -n $(WORKERS) --maxprocesses 8
+
+bench: $(VENV)/dev.stamp
+	@for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+
+outputs: $(VENV)/run.stamp
+	@$(BIN)/python docs/outputs/make.py
+
+pictures: $(VENV)/run.stamp
+	@$(BIN)/python docs/pictures/make.py
+
+clean:
+	rm -rf $(VENV) build dist docs/_build run out .pytest_cache .ruff_cache .hypothesis MUJOCO_LOG.TXT
+	find armctl tests -name __pycache__ -type d -prune -exec rm -rf {} +
