@@ -1,0 +1,34 @@
+"""Every example is short, says what it shows, and runs without a screen."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from arms import MISSING
+
+EXAMPLES = sorted((Path(__file__).parent.parent / "examples").glob("*.py"))
+every_example = pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+
+
+@every_example
+def test_an_example_is_short_and_begins_with_a_sentence(example: Path):
+    text = example.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 40
+    first = (ast.get_docstring(ast.parse(text)) or "").split("\n")[0]
+    assert text.startswith('"""')
+    assert first.endswith(".")
+
+
+@every_example
+def test_an_example_runs(example: Path, tmp_path: Path):
+    done = subprocess.run([sys.executable, example, tmp_path], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    if done.returncode != 0 and MISSING in done.stderr:
+        pytest.skip(f"{done.stderr.split('ModelError: ')[-1].split(':')[0]}: {MISSING}")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout
+
+
+def test_there_are_examples():
+    assert EXAMPLES
