@@ -23,6 +23,7 @@ class Dynamics:
         damping: (n,) N m s/rad, viscous damping of the joints.
         friction_loss: (n,) N m, dry friction of the joints.
         has_friction: Whether any joint has dry friction.
+        is_discrete: Whether the model's integrator makes a step that `inverse` inverts exactly; RK4 does not.
     """
 
     def __init__(self, arm: Arm):
@@ -47,6 +48,12 @@ class Dynamics:
         self._has_springs = bool(self._stiffness.any())
         self.has_friction = bool(self.friction_loss.any())
         self._friction_gain, self._friction_rate = _friction_constants(model, dofs)
+        integrator = mujoco.mjtIntegrator(model.opt.integrator)
+        explicit = bool(model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP))
+        self.is_discrete = integrator != mujoco.mjtIntegrator.mjINT_RK4
+        damps_at_end = self.is_discrete and not (integrator == mujoco.mjtIntegrator.mjINT_EULER and explicit)
+        self._turns_at_end = integrator == mujoco.mjtIntegrator.mjINT_IMPLICIT
+        self._changes_late = self._turns_at_end or (damps_at_end and self._is_damped)
 
     def mass_matrix(self, q: Array) -> Array:
         """M(q), armature included.
@@ -87,9 +94,9 @@ class Dynamics:
     def inverse(self, q: Array, v: Array, a: Array, dt: float = 0.0) -> Array:
         """Inverse dynamics without dry friction: the torque that makes the arm accelerate.
 
-        With a time step it is the inverse of MuJoCo's discrete step, which takes damping at the end of the step (integrators
-        Euler, implicitfast): the a that is asked for is then exactly (v_next - v) / dt. This is what `mj_inverse` computes
-        with `mjENBL_INVDISCRETE`.
+        With a time step it is the inverse of MuJoCo's discrete step: the a that is asked for is then exactly (v_next - v) / dt.
+        The integrators Euler and implicitfast take damping at the end of the step, implicit also Coriolis forces. This is what
+        `mj_inverse` computes with `mjENBL_INVDISCRETE`.
 
         Args:
             q: (n,) rad.
@@ -102,7 +109,9 @@ class Dynamics:
         """
         tau = pin.rnea(self._model, self._data, q, v, a)
         if self._is_damped:
-            tau = tau + (self._damping_force(v, a, dt) if self._has_poly_damping else self.damping * (v + dt * a))
+            tau = tau + (self._damping_force(v) if self._has_poly_damping else self.damping * v)
+        if dt and self._changes_late:
+            tau = tau + self._late(q, v, a, dt)
         return self._with_static(tau, q)
 
     def friction(self, q: Array, v: Array, a: Array, dt: float = 0.0) -> Array:
@@ -123,8 +132,8 @@ class Dynamics:
         """
         if not self.has_friction:
             return np.zeros_like(self.friction_loss)
-        if dt and self._is_damped:
-            a = a + np.linalg.solve(self.mass_matrix(q), dt * self._damping_slope(v) * a)
+        if dt and self._changes_late:
+            a = a + np.linalg.solve(self.mass_matrix(q), self._late(q, v, a, dt))
         force = self._friction_gain * (a + self._friction_rate * v)
         return np.clip(force, -self.friction_loss, self.friction_loss)
 
@@ -137,13 +146,19 @@ class Dynamics:
             tau = tau - pin.computeGeneralizedGravity(self._support, self._support_data, q)
         return tau
 
-    def _damping_force(self, v: Array, a: Array, dt: float) -> Array:
-        (quadratic, cubic), speed = self._damping_poly.T, np.abs(v)
-        return v * (self.damping + quadratic * speed + cubic * v * v) + dt * self._damping_slope(v) * a
-
-    def _damping_slope(self, v: Array) -> Array:
+    def _damping_force(self, v: Array) -> Array:
         quadratic, cubic = self._damping_poly.T
-        return self.damping + 2 * quadratic * np.abs(v) + 3 * cubic * v * v
+        return v * (self.damping + quadratic * np.abs(v) + cubic * v * v)
+
+    def _late(self, q: Array, v: Array, a: Array, dt: float) -> Array:
+        """What a step changes in the forces that its integrator takes at its end: dt d(force)/dv a."""
+        quadratic, cubic = self._damping_poly.T
+        change = (
+            (self.damping + 2 * quadratic * np.abs(v) + 3 * cubic * v * v) * a if self._has_poly_damping else self.damping * a
+        )
+        if self._turns_at_end:
+            change = change + pin.computeRNEADerivatives(self._model, self._data, q, v, np.zeros_like(a))[1] @ a
+        return dt * change
 
 
 def _friction_constants(model: mujoco.MjModel, dofs: IntArray) -> tuple[Array, Array]:

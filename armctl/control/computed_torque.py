@@ -49,6 +49,7 @@ class ComputedTorque:
         self.name = "computed-torque" if form == "discrete" else "computed-torque-textbook"
         self._kp, self._kd = self.bandwidth**2, 2 * self.damping_ratio * self.bandwidth
         self._dynamics = Dynamics(arm)
+        self._is_textbook = form == "textbook" or not self._dynamics.is_discrete
 
     def torque(self, state: State, setpoint: Setpoint) -> Array:
         """The torque for the coming control period.
@@ -62,7 +63,7 @@ class ComputedTorque:
         """
         q, v, _, dt = state
         q_ref, v_ref, a_ref, v_tick, a_tick = setpoint
-        if self.form == "textbook" or v_tick is None or a_tick is None:
+        if self._is_textbook or v_tick is None or a_tick is None:
             dt = 0.0
         else:
             v_ref, a_ref = v_tick, a_tick
