@@ -1,6 +1,7 @@
 """How Sphinx builds the pages; the reference is written here, from the public names."""
 
 import inspect
+import re
 from importlib import import_module
 from pathlib import Path
 
@@ -16,6 +17,7 @@ default_role = "code"
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 
+autoclass_content = "both"
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "BoolArray", "IntArray")}
@@ -55,10 +57,11 @@ def reference() -> str:
     for module, names in modules.items():
         lines += [f"## {CHAPTERS.get(module, module)}", "", (import_module(module).__doc__ or "").split("\n")[0], ""]
         for name in names:
-            is_class = inspect.isclass(getattr(armctl, name))
-            members = ["   :members:", "   :show-inheritance:"] if is_class else []
-            kind = "autoclass" if is_class else "autofunction"
-            lines += ["```{eval-rst}", f".. {kind}:: armctl.{name}", *members, "```", ""]
+            value, options = getattr(armctl, name), []
+            if inspect.isclass(value):
+                options = ["   :members:"] + ["   :show-inheritance:"] * issubclass(value, Exception)
+            kind = "autoclass" if inspect.isclass(value) else "autofunction"
+            lines += ["```{eval-rst}", f".. {kind}:: armctl.{name}", *options, "```", ""]
     return "\n".join(lines)
 
 
@@ -67,6 +70,18 @@ def leave_out(app, what, name, obj, skip, options):
     return True if type(obj).__name__ == "_tuplegetter" else None
 
 
+def plain_aliases(app, what, name, obj, options, signature, returns):
+    """A type's alias by its own name."""
+    return tuple(part and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", part) for part in (signature, returns))
+
+
+def own_words(app, what, name, obj, options, lines):
+    """Without what Python says of every NamedTuple."""
+    lines[:] = [line for line in lines if not line.startswith("Create new instance of")]
+
+
 def setup(app):
     (Path(__file__).parent / "reference.md").write_text(reference(), encoding="utf-8")
     app.connect("autodoc-skip-member", leave_out)
+    app.connect("autodoc-process-signature", plain_aliases)
+    app.connect("autodoc-process-docstring", own_words)
