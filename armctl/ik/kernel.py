@@ -1,33 +1,44 @@
 """The compiled solver: Levenberg-Marquardt on a serial chain, joint bounds as an active set, counted random restarts.
 
-Everything here is scalar loops over small arrays, for numba. Lengths are in units of the arm's reach, so that one set of
-constants fits an arm of three centimetres and one of three metres. All kernels live in one file: numba's disk cache notices
-a change in this file only.
+Everything here is scalar loops over one small array, which numba compiles in seconds and runs without allocating. Lengths are
+in units of the arm's reach, so that one set of constants fits an arm of three centimetres and one of three metres. All
+kernels live in one file: numba's disk cache notices a change in this file only.
 
-Levenberg-Marquardt with a damping that follows the error is Sugihara's ("Solvability-unconcerned inverse kinematics by the
-Levenberg-Marquardt method", IEEE Trans. Robotics 27(5), 2011).
+A damping that follows the error is Sugihara's ("Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt
+method", IEEE Trans. Robotics 27(5), 2011).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numba
 import numpy as np
 
-from armctl.arrays import Array, BoolArray
+from armctl.arrays import Array
 
-# Columns of a packed chain, one row a joint and a last row for the tip: 0-8 rotation, 9-11 translation, then
+# A packed chain (n + 1, 15): one row a joint and a last row for the tip: rotation 0-8, translation 9-11, and
 SLIDE, LOW, HIGH = 12, 13, 14
-COLUMNS = 15
+
 # What of the tip is asked for.
-POSE, POSITION, FREE_X, FREE_Y, FREE_Z = 0, 1, 2, 3, 4
+POSE, POSITION, FREE_X = 0, 1, 2  # the next two are free about y and about z
+
+# Scratch memory (n + 2, 17 + 2 n). One row a joint:
+ORIGIN, AXIS, JACOBIAN = 0, 3, 6  # (3,), (3,), (6,)
+GRADIENT, STEP, RHS, HELD, BEST = 12, 13, 14, 15, 16
+NORMAL = 17  # (n,) a row of J^T J; behind it the n of its Cholesky factor
+# a row for the tip: rotation 0-8, translation 9-11, error 12-17, and a row for the target: rotation, translation.
+ERROR = 12
+FIRST = 12  # in the target's row: the squared error at the start of a descent
+
+NEAR, JUMP = 0.5, 0.3  # more than 0.3 rad of a joint for a target within half a reach is suspicious
 ROTATION_WEIGHT = 0.5  # of a radian, beside an error of one reach
-MAX_STEPS = 60  # of one descent
-SETTLE_STEPS = 200  # of the last one, to the nearest that can be had
-STALL_STEPS, STALL_GAIN = 4, 0.7  # give a descent up after so many steps whose error stays above this share
-DAMPING, DAMPING_FLOOR = 1e-2, 1e-12
+DESCENT_STEPS = 60
+SETTLE_STEPS, SETTLED = 200, 1e-7
+STALL_STEPS, STALL_GAIN = 3, 0.7  # give a descent up after so many steps whose error stays above this share
+DAMPING, DAMPING_FLOOR = 2e-2, 1e-12
 BOUND_PASSES = 3
+STEP_MAX = 2.0  # rad, or reaches
+STRETCH = 0.2  # random starts beyond the bounds by this share of the range start at them
+FARTHEST = 1e3  # reaches, up to where the solver sees the difference a step makes
 
 
 def _njit(function):
@@ -38,332 +49,364 @@ def _njit(function):
         return numba.njit(nogil=True, error_model="numpy")(function)
 
 
-class Scratch(NamedTuple):
-    """Memory that one search needs, so that no step allocates."""
+def scratch(n: int) -> Array:
+    """The memory of one search.
 
-    origin: Array  # (n, 3) joint origins
-    axis: Array  # (n, 3) joint axes
-    tip: Array  # (12,) rotation, translation
-    error: Array  # (6,)
-    jacobian: Array  # (6, n)
-    normal: Array  # (n, n) J^T J
-    factor: Array  # (n, n) its Cholesky factor
-    gradient: Array  # (n,) J^T e
-    step: Array  # (n,)
-    rhs: Array  # (n,)
-    held: BoolArray  # (n,)
-    best: Array  # (n,)
+    Args:
+        n: How many joints.
+
+    Returns:
+        (n + 2, 17 + 2 n), not initialised.
+    """
+    return np.empty((n + 2, NORMAL + 2 * n))
 
 
 @_njit
-def make_scratch(n):
-    return Scratch(
-        np.empty((n, 3)),
-        np.empty((n, 3)),
-        np.empty(12),
-        np.zeros(6),
-        np.zeros((6, n)),
-        np.empty((n, n)),
-        np.empty((n, n)),
-        np.empty(n),
-        np.empty(n),
-        np.empty(n),
-        np.empty(n, np.bool_),
-        np.empty(n),
-    )
-
-
-@_njit
-def forward(chain, q, origin, axis, tip):
+def forward(chain, q, work):
     """Forward kinematics: fills the joints' origins and axes, and the tip's rotation and translation."""
     n = len(q)
     a, b, c, d, e, f, g, h, i = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
     x, y, z = 0.0, 0.0, 0.0
     for k in range(n + 1):
-        X = chain[k]
-        x += a * X[9] + b * X[10] + c * X[11]
-        y += d * X[9] + e * X[10] + f * X[11]
-        z += g * X[9] + h * X[10] + i * X[11]
-        a, b, c = a * X[0] + b * X[3] + c * X[6], a * X[1] + b * X[4] + c * X[7], a * X[2] + b * X[5] + c * X[8]
-        d, e, f = d * X[0] + e * X[3] + f * X[6], d * X[1] + e * X[4] + f * X[7], d * X[2] + e * X[5] + f * X[8]
-        g, h, i = g * X[0] + h * X[3] + i * X[6], g * X[1] + h * X[4] + i * X[7], g * X[2] + h * X[5] + i * X[8]
-        if k == n:
-            break
-        axis[k, 0], axis[k, 1], axis[k, 2] = c, f, i
-        if X[SLIDE] > 0:
-            x, y, z = x + c * q[k], y + f * q[k], z + i * q[k]
-        else:
-            cos, sin = np.cos(q[k]), np.sin(q[k])
-            a, b = a * cos + b * sin, b * cos - a * sin
-            d, e = d * cos + e * sin, e * cos - d * sin
-            g, h = g * cos + h * sin, h * cos - g * sin
-        origin[k, 0], origin[k, 1], origin[k, 2] = x, y, z
-    tip[0], tip[1], tip[2], tip[3], tip[4], tip[5], tip[6], tip[7], tip[8] = a, b, c, d, e, f, g, h, i
-    tip[9], tip[10], tip[11] = x, y, z
+        r, s, t = chain[k, 9], chain[k, 10], chain[k, 11]
+        x += a * r + b * s + c * t
+        y += d * r + e * s + f * t
+        z += g * r + h * s + i * t
+        xx, xy, xz = chain[k, 0], chain[k, 1], chain[k, 2]
+        yx, yy, yz = chain[k, 3], chain[k, 4], chain[k, 5]
+        zx, zy, zz = chain[k, 6], chain[k, 7], chain[k, 8]
+        r, s, t = a * xx + b * yx + c * zx, a * xy + b * yy + c * zy, a * xz + b * yz + c * zz
+        a, b, c = r, s, t
+        r, s, t = d * xx + e * yx + f * zx, d * xy + e * yy + f * zy, d * xz + e * yz + f * zz
+        d, e, f = r, s, t
+        r, s, t = g * xx + h * yx + i * zx, g * xy + h * yy + i * zy, g * xz + h * yz + i * zz
+        g, h, i = r, s, t
+        if k < n:
+            if chain[k, SLIDE] > 0:
+                x += c * q[k]
+                y += f * q[k]
+                z += i * q[k]
+            else:
+                cos, sin = np.cos(q[k]), np.sin(q[k])
+                r, s, t = a * cos + b * sin, d * cos + e * sin, g * cos + h * sin
+                b, e, h = b * cos - a * sin, e * cos - d * sin, h * cos - g * sin
+                a, d, g = r, s, t
+            work[k, ORIGIN], work[k, ORIGIN + 1], work[k, ORIGIN + 2] = x, y, z
+            work[k, AXIS], work[k, AXIS + 1], work[k, AXIS + 2] = c, f, i
+    work[n, 0], work[n, 1], work[n, 2] = a, b, c
+    work[n, 3], work[n, 4], work[n, 5] = d, e, f
+    work[n, 6], work[n, 7], work[n, 8] = g, h, i
+    work[n, 9], work[n, 10], work[n, 11] = x, y, z
 
 
 @_njit
-def fill_jacobian(chain, origin, axis, tip, jacobian):
-    """The tip's Jacobian from what `forward` filled: (6, n), linear first, world axes."""
-    for k in range(len(origin)):
-        u, v, w = axis[k, 0], axis[k, 1], axis[k, 2]
+def jacobian(chain, work):
+    """The tip's Jacobian from what `forward` filled: a row of six for each joint, linear first, world axes."""
+    n = len(work) - 2
+    for k in range(n):
+        u, v, w = work[k, AXIS], work[k, AXIS + 1], work[k, AXIS + 2]
         if chain[k, SLIDE] > 0:
-            jacobian[0, k], jacobian[1, k], jacobian[2, k] = u, v, w
-            jacobian[3, k], jacobian[4, k], jacobian[5, k] = 0.0, 0.0, 0.0
+            work[k, JACOBIAN], work[k, JACOBIAN + 1], work[k, JACOBIAN + 2] = u, v, w
+            work[k, JACOBIAN + 3], work[k, JACOBIAN + 4], work[k, JACOBIAN + 5] = 0.0, 0.0, 0.0
         else:
-            x, y, z = tip[9] - origin[k, 0], tip[10] - origin[k, 1], tip[11] - origin[k, 2]
-            jacobian[0, k], jacobian[1, k], jacobian[2, k] = v * z - w * y, w * x - u * z, u * y - v * x
-            jacobian[3, k], jacobian[4, k], jacobian[5, k] = u, v, w
+            x, y, z = work[n, 9] - work[k, ORIGIN], work[n, 10] - work[k, ORIGIN + 1], work[n, 11] - work[k, ORIGIN + 2]
+            work[k, JACOBIAN], work[k, JACOBIAN + 1], work[k, JACOBIAN + 2] = v * z - w * y, w * x - u * z, u * y - v * x
+            work[k, JACOBIAN + 3], work[k, JACOBIAN + 4], work[k, JACOBIAN + 5] = u, v, w
 
 
 @_njit
-def fill_error(target, tip, asked, error):
-    """What is left to the target: (6,) translation and rotation vector, world axes, from tip to target."""
-    for r in range(3):
-        error[r] = target[9 + r] - tip[9 + r]
-        error[3 + r] = 0.0
-    if asked == POSITION:
-        return
+def rotation_error(target, asked, work):
+    """Fills the rotation vector from the tip to the target; with a free axis the shortest one that lays axis on axis."""
+    n = len(work) - 2
     x, y, z, cos = 0.0, 0.0, 0.0, 0.0
-    if asked == POSE:  # of R_target R_tip^T: the antisymmetric part, and the trace
-        for k in range(3):
-            x += target[6 + k] * tip[3 + k] - target[3 + k] * tip[6 + k]
-            y += target[k] * tip[6 + k] - target[6 + k] * tip[k]
-            z += target[3 + k] * tip[k] - target[k] * tip[3 + k]
-            cos += target[k] * tip[k] + target[3 + k] * tip[3 + k] + target[6 + k] * tip[6 + k]
+    for k in range(3):  # half of the sum of cross products of the columns, and the trace
+        if asked == POSE or asked - FREE_X == k:
+            x += work[n, 3 + k] * target[6 + k] - work[n, 6 + k] * target[3 + k]
+            y += work[n, 6 + k] * target[k] - work[n, k] * target[6 + k]
+            z += work[n, k] * target[3 + k] - work[n, 3 + k] * target[k]
+            cos += work[n, k] * target[k] + work[n, 3 + k] * target[3 + k] + work[n, 6 + k] * target[6 + k]
+    if asked == POSE:
         x, y, z, cos = 0.5 * x, 0.5 * y, 0.5 * z, 0.5 * (cos - 1.0)
-    else:  # the shortest turn that lays the tip's axis on the target's
-        k = asked - FREE_X
-        x = tip[3 + k] * target[6 + k] - tip[6 + k] * target[3 + k]
-        y = tip[6 + k] * target[k] - tip[k] * target[6 + k]
-        z = tip[k] * target[3 + k] - tip[3 + k] * target[k]
-        cos = tip[k] * target[k] + tip[3 + k] * target[3 + k] + tip[6 + k] * target[6 + k]
     sin = np.sqrt(x * x + y * y + z * z)
+    scale = 0.0
     if sin > 1e-9:
         scale = np.arctan2(sin, cos) / sin
-        error[3], error[4], error[5] = scale * x, scale * y, scale * z
-    elif cos < 0.0:
-        _half_turn(target, tip, asked, error)
+    elif cos < 0.0:  # half a turn: about the tip's axis that turns least, or about one across the free axis
+        longest, length = (asked - FREE_X + 1) % 3, -2.0
+        for k in range(3):
+            along = work[n, k] * target[k] + work[n, 3 + k] * target[3 + k] + work[n, 6 + k] * target[6 + k]
+            if asked == POSE and along > length:
+                longest, length = k, along
+        x, y, z = work[n, longest], work[n, 3 + longest], work[n, 6 + longest]
+        if asked == POSE:  # the middle between before and after is on the axis
+            x, y, z = x + target[longest], y + target[3 + longest], z + target[6 + longest]
+        scale = np.pi / np.sqrt(x * x + y * y + z * z)
+    work[n, ERROR + 3], work[n, ERROR + 4], work[n, ERROR + 5] = scale * x, scale * y, scale * z
 
 
 @_njit
-def _half_turn(target, tip, asked, error):
-    """The rotation vector of half a turn: its axis is the longest column of R_target R_tip^T + I, or any normal of the axis."""
-    if asked != POSE:
-        k = asked - FREE_X
-        other = (k + 1) % 3
-        for r in range(3):
-            error[3 + r] = np.pi * tip[3 * r + other]
-        return
-    longest, length = 0, -1.0
-    for r in range(3):
-        diagonal = 0.0
-        for k in range(3):
-            diagonal += target[3 * r + k] * tip[3 * r + k]
-        if diagonal > length:
-            longest, length = r, diagonal
-    norm = 0.0
-    for r in range(3):
-        value = 1.0 if r == longest else 0.0
-        for k in range(3):
-            value += target[3 * r + k] * tip[3 * longest + k]
-        error[3 + r] = value
-        norm += value * value
-    for r in range(3):
-        error[3 + r] *= np.pi / np.sqrt(norm)
-
-
-@_njit
-def _linearise(chain, target, q, asked, s):
+def _linearise(chain, target, asked, q, work):
     """Fills error, Jacobian, J^T J and J^T e at q. Returns the position's and the rotation's error."""
     n = len(q)
-    forward(chain, q, s.origin, s.axis, s.tip)
-    fill_error(target, s.tip, asked, s.error)
-    fill_jacobian(chain, s.origin, s.axis, s.tip, s.jacobian)
-    e, J = s.error, s.jacobian
-    off = np.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
-    turned = np.sqrt(e[3] * e[3] + e[4] * e[4] + e[5] * e[5])
-    rows = 3 if asked == POSITION else 6
-    if asked >= FREE_X:  # a turn about the free axis costs nothing
-        k = asked - FREE_X
-        u, v, w = s.tip[k], s.tip[3 + k], s.tip[6 + k]
-        for i in range(n):
-            along = u * J[3, i] + v * J[4, i] + w * J[5, i]
-            J[3, i], J[4, i], J[5, i] = J[3, i] - along * u, J[4, i] - along * v, J[5, i] - along * w
-    for r in range(3, rows):
-        e[r] *= ROTATION_WEIGHT
-        for i in range(n):
-            J[r, i] *= ROTATION_WEIGHT
+    forward(chain, q, work)
+    jacobian(chain, work)
+    rows = 6
+    if asked == POSITION:
+        rows = 3
+        work[n, ERROR + 3], work[n, ERROR + 4], work[n, ERROR + 5] = 0.0, 0.0, 0.0
+    else:
+        rotation_error(target, asked, work)
+    off, turned = 0.0, 0.0
+    for r in range(3):
+        work[n, ERROR + r] = target[9 + r] - work[n, 9 + r]
+        off += work[n, ERROR + r] * work[n, ERROR + r]
+        turned += work[n, ERROR + 3 + r] * work[n, ERROR + 3 + r]
+        work[n, ERROR + 3 + r] *= ROTATION_WEIGHT
     for i in range(n):
+        if asked >= FREE_X:  # a turn about the free axis costs nothing
+            k = asked - FREE_X
+            along = 0.0
+            for r in range(3):
+                along += work[n, 3 * r + k] * work[i, JACOBIAN + 3 + r]
+            for r in range(3):
+                work[i, JACOBIAN + 3 + r] -= along * work[n, 3 * r + k]
         total = 0.0
         for r in range(rows):
-            total += J[r, i] * e[r]
-        s.gradient[i] = total
+            if r >= 3:
+                work[i, JACOBIAN + r] *= ROTATION_WEIGHT
+            total += work[i, JACOBIAN + r] * work[n, ERROR + r]
+        work[i, GRADIENT] = total
         for j in range(i + 1):
             total = 0.0
             for r in range(rows):
-                total += J[r, i] * J[r, j]
-            s.normal[i, j] = total
-            s.normal[j, i] = total
-    return off, turned
+                total += work[i, JACOBIAN + r] * work[j, JACOBIAN + r]
+            work[i, NORMAL + j] = total
+            work[j, NORMAL + i] = total
+    return np.sqrt(off), np.sqrt(turned)
 
 
 @_njit
-def _solve_free(s, damping):
-    """(J^T J + damping I) step = gradient for the joints that are not held; those keep their step."""
-    n = len(s.step)
-    A, L, x = s.normal, s.factor, s.step
+def _solve_free(damping, work):
+    """(J^T J + damping I) step = gradient for the joints that are not held, by Cholesky; the held ones keep their step."""
+    n = len(work) - 2
+    factor = NORMAL + n
     for i in range(n):
-        if s.held[i]:
+        if work[i, HELD] > 0:
             continue
-        total = s.gradient[i]
+        total = work[i, GRADIENT]
         for j in range(n):
-            if s.held[j]:
-                total -= A[i, j] * x[j]
-        for j in range(i):
-            if s.held[j]:
+            if work[j, HELD] > 0:
+                total -= work[i, NORMAL + j] * work[j, STEP]
+        for j in range(i + 1):
+            if work[j, HELD] > 0:
                 continue
-            value = A[i, j]
+            value = work[i, NORMAL + j]
             for k in range(j):
-                if not s.held[k]:
-                    value -= L[i, k] * L[j, k]
-            L[i, j] = value / L[j, j]
-            total -= L[i, j] * s.rhs[j]
-        value = A[i, i] + damping
-        for k in range(i):
-            if not s.held[k]:
-                value -= L[i, k] * L[i, k]
-        L[i, i] = np.sqrt(max(value, 1e-300))
-        s.rhs[i] = total / L[i, i]
+                if work[k, HELD] == 0:
+                    value -= work[i, factor + k] * work[j, factor + k]
+            if j < i:
+                work[i, factor + j] = value / work[j, factor + j]
+                total -= work[i, factor + j] * work[j, RHS]
+            else:
+                work[i, factor + i] = np.sqrt(max(value + damping, 1e-300))
+        work[i, RHS] = total / work[i, factor + i]
     for i in range(n - 1, -1, -1):
-        if s.held[i]:
+        if work[i, HELD] > 0:
             continue
-        total = s.rhs[i]
+        total = work[i, RHS]
         for k in range(i + 1, n):
-            if not s.held[k]:
-                total -= L[k, i] * x[k]
-        x[i] = total / L[i, i]
+            if work[k, HELD] == 0:
+                total -= work[k, factor + i] * work[k, STEP]
+        work[i, STEP] = total / work[i, factor + i]
 
 
 @_njit
-def _bounded_step(chain, q, damping, s):
-    """A damped step inside the joint bounds: joints pushed out of theirs are held there and the others solved again."""
+def _bounded_step(chain, damping, q, work):
+    """A damped step of q inside the joint bounds: joints pushed out of theirs are held there and the others solved again.
+
+    Returns the largest move of a joint.
+    """
     n = len(q)
     for i in range(n):
-        at_low, at_high = q[i] <= chain[i, LOW], q[i] >= chain[i, HIGH]
-        s.held[i] = (at_low and s.gradient[i] < 0) or (at_high and s.gradient[i] > 0)
-        s.step[i] = 0.0
+        gradient = work[i, GRADIENT]
+        at_bound = (q[i] <= chain[i, LOW] and gradient < 0) or (q[i] >= chain[i, HIGH] and gradient > 0)
+        work[i, HELD] = 1.0 if at_bound else 0.0
+        work[i, STEP] = 0.0
     for _ in range(BOUND_PASSES):
-        _solve_free(s, damping)
+        _solve_free(damping, work)
         inside = True
         for i in range(n):
-            if not s.held[i] and not chain[i, LOW] <= q[i] + s.step[i] <= chain[i, HIGH]:
-                s.held[i] = True
-                s.step[i] = min(max(s.step[i], chain[i, LOW] - q[i]), chain[i, HIGH] - q[i])
+            wanted = q[i] + work[i, STEP]
+            kept = min(max(wanted, chain[i, LOW]), chain[i, HIGH])
+            if work[i, HELD] == 0 and kept != wanted:
+                work[i, HELD], work[i, STEP] = 1.0, kept - q[i]
                 inside = False
         if inside:
             break
+    longest, moved = 0.0, 0.0
     for i in range(n):
-        q[i] = min(max(q[i] + s.step[i], chain[i, LOW]), chain[i, HIGH])
+        longest = max(longest, abs(work[i, STEP]))
+    share = min(1.0, STEP_MAX / max(longest, 1e-300))
+    for i in range(n):
+        before = q[i]
+        q[i] = min(max(before + share * work[i, STEP], chain[i, LOW]), chain[i, HIGH])
+        moved = max(moved, abs(q[i] - before))
+    return moved
 
 
 @_njit
-def _descend(chain, target, q, asked, off_max, turned_max, s):
+def _descend(chain, target, asked, off_max, turned_max, q, work):
     """One descent from q, which becomes the best position met. Returns (ok, squared error, steps)."""
     n = len(q)
-    best, reference, stalled, steps = np.inf, np.inf, 0, 0
-    for steps in range(1, MAX_STEPS + 1):
-        off, turned = _linearise(chain, target, q, asked, s)
+    best, reference, stalled, steps, ok = np.inf, np.inf, 0, 0, False
+    while steps < DESCENT_STEPS and stalled < STALL_STEPS and not ok:
+        steps += 1
+        off, turned = _linearise(chain, target, asked, q, work)
         size = off * off + ROTATION_WEIGHT * ROTATION_WEIGHT * turned * turned
-        if size < best:
+        if steps == 1:
+            work[n + 1, FIRST] = size
+        ok = off <= off_max and turned <= turned_max
+        if ok or size < best:
             best = size
             for i in range(n):
-                s.best[i] = q[i]
-        if off <= off_max and turned <= turned_max:
-            return True, best, steps
+                work[i, BEST] = q[i]
+        stalled += 1
         if size < STALL_GAIN * reference:
             reference, stalled = size, 0
-        else:
-            stalled += 1
-            if stalled >= STALL_STEPS:
-                break
-        _bounded_step(chain, q, DAMPING * min(size, np.sqrt(size)) + DAMPING_FLOOR, s)
+        if not ok:
+            _bounded_step(chain, DAMPING * min(size, np.sqrt(size)) + DAMPING_FLOOR, q, work)
     for i in range(n):
-        q[i] = s.best[i]
-    return False, best, steps
-
-
-@_njit
-def _random(state):
-    """The next state of a splitmix64 generator (Steele, Lea, Flood 2014) and its number in [0, 1)."""
-    state = state + np.uint64(0x9E3779B97F4A7C15)
-    x = state
-    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    x = x ^ (x >> np.uint64(31))
-    return state, np.float64(x >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+        q[i] = work[i, BEST]
+    return ok, best, steps
 
 
 @_njit
 def _random_start(chain, q0, start, seed, q):
-    """The start of a number: anywhere inside the joint bounds; half a turn around q0 for a joint without bounds."""
+    """The random start of a number: inside the joint bounds or at one, or half a turn around q0 where there are none.
+
+    The generator is splitmix64 (Steele, Lea, Flood: "Fast splittable pseudorandom number generators", 2014).
+    """
     state = np.uint64(seed) ^ (np.uint64(start) * np.uint64(0xD1B54A32D192ED03))
     for i in range(len(q)):
-        state, share = _random(state)
-        low, high = max(chain[i, LOW], q0[i] - np.pi), min(chain[i, HIGH], q0[i] + np.pi)
-        if np.isfinite(chain[i, LOW]) and np.isfinite(chain[i, HIGH]):
-            low, high = chain[i, LOW], chain[i, HIGH]
-        q[i] = low + share * (high - low)
+        state += np.uint64(0x9E3779B97F4A7C15)
+        x = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        share = np.float64((x ^ (x >> np.uint64(31))) >> np.uint64(11)) / 9007199254740992.0
+        low, high = chain[i, LOW], chain[i, HIGH]
+        if not high - low < np.inf:
+            low, high = max(low, q0[i] - np.pi), min(high, q0[i] + np.pi)
+        wanted = low + ((1 + 2 * STRETCH) * share - STRETCH) * (high - low)
+        q[i] = min(max(wanted, low), high)
 
 
 @_njit
-def search(chain, target, asked, off_max, turned_max, q0, first, last, seed, q):
-    """Descents from the starts `first` to `last` (start 0 is q0, the others are random) until one is inside the tolerance.
+def _unwind(chain, q0, q):
+    """Takes whole turns off the hinges, or adds them, where that comes nearer to q0 and stays inside the bounds."""
+    turn = 2 * np.pi
+    for i in range(len(q)):
+        if chain[i, SLIDE] == 0:
+            turns = np.round((q0[i] - q[i]) / turn)
+            while turns != 0 and not chain[i, LOW] <= q[i] + turns * turn <= chain[i, HIGH]:
+                turns -= np.sign(turns)
+            q[i] += turns * turn
 
-    Returns (ok, starts used, steps); q is the solution, or else the best position met.
+
+@_njit
+def _aim(chain, reach, target, work):
+    """The target in reaches, as the last row of `work`; one beyond FARTHEST is pulled in along its line."""
+    n = len(chain) - 1
+    distance = 0.0
+    for k in range(9):
+        work[n + 1, k] = target[k]
+    for k in range(9, 12):
+        work[n + 1, k] = target[k] / reach
+        distance += (work[n + 1, k] - chain[0, k]) ** 2
+    share = min(1.0, FARTHEST / max(np.sqrt(distance), 1e-300))
+    for k in range(9, 12):
+        work[n + 1, k] = chain[0, k] + share * (work[n + 1, k] - chain[0, k])
+    return work[n + 1]
+
+
+@_njit
+def search(chain, reach, targets, asked, off_max, turned_max, q0, begin, first, last, seed, q, tally, work):
+    """For each target descents from the starts `first` to `last` until one is inside the tolerance.
+
+    Start 0 is `begin`, the others are random; whole turns are counted from q0. Fills q (N, n) with the solutions, or else the best positions met, and `tally` (N, 4)
+    with 1 for a solution, the start after the last one used, how many steps it took, and 1 if q is far from q0 although
+    the tip began near the target.
     """
-    n = len(q0)
-    s = make_scratch(n)
+    n = len(chain) - 1
     trial = np.empty(n)
-    best, steps = np.inf, 0
-    for start in range(first, last):
-        if start == 0:
-            trial[:] = q0
-        else:
-            _random_start(chain, q0, start, seed, trial)
-        ok, size, more = _descend(chain, target, trial, asked, off_max, turned_max, s)
-        steps += more
-        if ok or size < best:
+    for t in range(len(targets)):
+        target = _aim(chain, reach, targets[t], work)
+        best, steps, start, ok, near = np.inf, 0, first, False, False
+        while start < last and not ok:
+            if start == 0:
+                for i in range(n):
+                    trial[i] = begin[t, i]
+            else:
+                _random_start(chain, q0[t], start, seed, trial)
+            ok, size, more = _descend(chain, target, asked, off_max / reach, turned_max, trial, work)
+            steps += more
+            near = near or (start == 0 and work[n + 1, FIRST] < NEAR * NEAR)
+            start += 1
+            if ok or size < best:
+                best = size
+                for i in range(n):
+                    q[t, i] = trial[i]
+        _unwind(chain, q0[t], q[t])
+        farthest = 0.0
+        for i in range(n):
+            farthest = max(farthest, abs(q[t, i] - q0[t, i]))
+        tally[t, 0], tally[t, 1], tally[t, 2] = 1 if ok else 0, start, steps
+        tally[t, 3] = 1 if near and farthest > JUMP else 0
+
+
+@_njit
+def settle(chain, reach, targets, asked, q0, pull, q, sizes, work):
+    """Moves each q to the least squared error plus `pull` times its squared distance from q0; every step makes that smaller.
+
+    Without a pull it ends at the nearest the tip can come to a target it cannot reach. Fills `sizes` (N,) with what is left.
+    """
+    n = len(chain) - 1
+    for t in range(len(targets)):
+        target, here = _aim(chain, reach, targets[t], work), q[t]
+        best, damping, moved, steps = np.inf, 0.0, np.inf, 0
+        while moved > SETTLED and steps < SETTLE_STEPS:
+            steps += 1
+            off, turned = _linearise(chain, target, asked, here, work)
+            size = off * off + ROTATION_WEIGHT * ROTATION_WEIGHT * turned * turned
+            for i in range(n):
+                size += pull * (q0[t, i] - here[i]) ** 2
+            if size > best:
+                damping *= 4.0
+                for i in range(n):
+                    here[i] = work[i, BEST]
+                continue
+            if best == np.inf:
+                damping = np.sqrt(size)  # the curvature that J^T J leaves out is as large as the error
+            elif size < best:
+                damping *= 0.5
             best = size
             for i in range(n):
-                q[i] = trial[i]
-        if ok:
-            return True, start + 1 - first, steps
-    return False, last - first, steps
+                work[i, BEST] = here[i]
+                work[i, GRADIENT] += pull * (q0[t, i] - here[i])
+                work[i, NORMAL + i] += pull
+            moved = _bounded_step(chain, damping + DAMPING_FLOOR, here, work)
+        for i in range(n):
+            here[i] = work[i, BEST]
+        sizes[t] = best
 
 
 @_njit
-def settle(chain, target, asked, q):
-    """Moves q to the nearest it can come to a target it cannot reach: a descent whose every step makes the error smaller."""
-    n = len(q)
-    s = make_scratch(n)
-    trial = q.copy()
-    off, turned = _linearise(chain, target, trial, asked, s)
-    best = off * off + ROTATION_WEIGHT * ROTATION_WEIGHT * turned * turned
-    damping = np.sqrt(best)  # the curvature that J^T J leaves out is as large as the error
-    for _ in range(SETTLE_STEPS):
-        _bounded_step(chain, trial, damping + DAMPING_FLOOR, s)
-        moved = 0.0
-        for i in range(n):
-            moved = max(moved, abs(trial[i] - q[i]))
-        off, turned = _linearise(chain, target, trial, asked, s)
-        size = off * off + ROTATION_WEIGHT * ROTATION_WEIGHT * turned * turned
-        if size < best:
-            best, damping = size, 0.5 * damping
-            q[:] = trial
-        else:
-            damping *= 4.0
-            trial[:] = q
-            _linearise(chain, target, trial, asked, s)
-        if moved < 1e-9:
-            break
+def residuals(asked, targets, positions, rotations, off, turned):
+    """How far tips (N, 3), (N, 3, 3) are from their targets: fills (N,) in the unit of length and (N,) in rad."""
+    for t in range(len(targets)):
+        size, chord = 0.0, 0.0
+        for r in range(3):
+            size += (positions[t, r] - targets[t, 9 + r]) ** 2
+            for k in range(3):
+                if asked == POSE or asked - FREE_X == k:
+                    chord += (rotations[t, r, k] - targets[t, 3 * r + k]) ** 2
+        off[t] = np.sqrt(size)
+        turned[t] = 2.0 * np.arcsin(min(1.0, np.sqrt(chord / (8.0 if asked == POSE else 4.0))))

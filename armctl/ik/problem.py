@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 from weakref import WeakKeyDictionary
 
@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
-from armctl.arrays import Array, frozen, vector
+from armctl.arrays import Array, IntArray, frozen, vector
 from armctl.errors import InputError
 from armctl.pose import Pose
+from armctl.trajectory import Limits
 
 PoseOrPoint: TypeAlias = Pose | ArrayLike
 
@@ -29,26 +30,50 @@ class Chain:
         rows: (n + 1, 15): rotation, translation, 1 for a slide joint, bounds; the last row is the tip.
         reach: m, the arm stretched out: the unit of length.
         unit: (n,) what one unit of each joint is: 1 rad, or the reach for a slide joint.
+        slides: Whether any joint slides.
+        limits: The arm's.
     """
 
     rows: Array
     reach: float
     unit: Array
+    slides: bool
+    limits: Limits
+
+    def units(self, q: Array) -> Array:
+        """Joint positions in the solver's units.
+
+        Args:
+            q: (N, n) rad (m for a slide joint).
+
+        Returns:
+            (N, n).
+        """
+        return q / self.unit if self.slides else q
+
+    def joints(self, q: Array) -> Array:
+        """Joint positions from the solver's units.
+
+        Args:
+            q: (N, n), inside the bounds of `rows`.
+
+        Returns:
+            (N, n) rad (m for a slide joint), inside the joint limits.
+        """
+        return self.limits.clamp(q * self.unit) if self.slides else q
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class Target:
     """Where the tip should be.
 
     Attributes:
         asked: POSE, POSITION, or which axis of the tip may be turned about freely.
-        position: (3,) m.
-        rotation: (3, 3), the identity where none is asked for.
+        numbers: (12,) rotation matrix row by row (zeros for a point), and position, m.
     """
 
     asked: int
-    position: Array
-    rotation: Array
+    numbers: Array
 
     @classmethod
     def read(cls, target: PoseOrPoint, free_axis: str | None) -> Target:
@@ -66,30 +91,70 @@ class Target:
         """
         if free_axis is not None and free_axis not in _FREE:
             raise InputError(f"free_axis: {free_axis!r} given, 'x', 'y', 'z' or None wanted")
+        numbers = np.zeros(12)
         if isinstance(target, Pose):
-            return cls(_FREE[free_axis] if free_axis else POSE, target.position, target.rotation)
-        return cls(POSITION, vector("target", target, 3), np.eye(3))
+            numbers[:9] = target.rotation.ravel()
+            numbers[9:] = target.position
+            return cls(_FREE[free_axis] if free_axis else POSE, numbers)
+        if free_axis is not None:
+            raise InputError("free_axis: given with a point, which leaves every axis free; give a Pose as the target")
+        numbers[9:] = vector("target", target, 3)
+        return cls(POSITION, numbers)
 
-    def residual(self, position: Array, rotation: Array) -> tuple[float, float]:
-        """How far a tip is from the target.
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Problem:
+    """N targets for one arm, of one kind, with what a solver needs to know.
+
+    Attributes:
+        arm: The arm.
+        chain: Its packed chain.
+        asked: What of the tip is asked for.
+        targets: (N, 12).
+        q0: (N, n) rad, where to start.
+        position_tolerance: m.
+        orientation_tolerance: rad.
+        seed: Of the random starts.
+    """
+
+    arm: Arm
+    chain: Chain
+    asked: int
+    targets: Array
+    q0: Array
+    position_tolerance: float
+    orientation_tolerance: float
+    seed: int
+
+    def rows(self, which: IntArray) -> Problem:
+        """The same problem for some of its targets.
 
         Args:
-            position: (3,) m, the tip's.
-            rotation: (3, 3), the tip's.
+            which: (K,) their numbers.
 
         Returns:
-            m, and rad of what of the orientation is asked for.
+            K targets.
         """
-        x, y, z = (position - self.position).tolist()
-        off = math.sqrt(x * x + y * y + z * z)
-        if self.asked == POSITION:
-            return off, 0.0
-        if self.asked == POSE:
-            chord, turns = (rotation - self.rotation).ravel(), 2 * math.sqrt(2)
+        return replace(self, targets=self.targets[which], q0=self.q0[which])
+
+    def residuals(self, q: Array) -> tuple[Array, Array]:
+        """How far the tip is from each target, by the arm's own forward kinematics.
+
+        Args:
+            q: (N, n) rad.
+
+        Returns:
+            (N,) m, and (N,) rad of what of the orientation is asked for.
+        """
+        from armctl.ik import kernel
+
+        if len(q) == 1:
+            position, rotation = (part[None] for part in self.arm.rigid_body.tip(q[0]))
         else:
-            axis = self.asked - FREE_X
-            chord, turns = rotation[:, axis] - self.rotation[:, axis], 2.0
-        return off, 2 * math.asin(min(1.0, math.sqrt(float(chord @ chord)) / turns))
+            position, rotation = self.arm.rigid_body.tips(q)
+        off, turned = np.empty(len(q)), np.empty(len(q))
+        kernel.residuals(self.asked, self.targets, position, np.ascontiguousarray(rotation), off, turned)
+        return off, turned
 
 
 _chains: WeakKeyDictionary[Arm, Chain] = WeakKeyDictionary()
@@ -121,4 +186,4 @@ def _pack(arm: Arm) -> Chain:
     rows[:, 9:12] = links[:, :3, 3] / reach
     rows[:-1, 12] = body.is_slide
     rows[:-1, 13], rows[:-1, 14] = limits.q_min / unit, limits.q_max / unit
-    return Chain(frozen(rows), reach, frozen(unit))
+    return Chain(frozen(rows), reach, frozen(unit), bool(body.is_slide.any()), limits)

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
 from armctl.arrays import Array, frozen, number
 from armctl.errors import InputError
-from armctl.ik.problem import POSITION, Chain, PoseOrPoint, Target, chain_of
+from armctl.ik import lm
+from armctl.ik.problem import PoseOrPoint, Problem, Target, chain_of
 from armctl.ik.result import IkResult
 
-STARTS = 100
-FARTHEST = 1e3  # reaches; a target beyond is pulled in along its line, where the solver still sees differences
+STARTS = 200
 
 
 def solve_ik(
@@ -45,59 +43,25 @@ def solve_ik(
         InputError: An argument of the wrong shape, kind or value.
         LimitError: q0 is outside the joint limits.
     """
-    from armctl.ik import kernel
-
     goal = Target.read(target, free_axis)
     off_max = number("position_tolerance", position_tolerance, 1e-12)
     turned_max = number("orientation_tolerance", orientation_tolerance, 1e-12)
     start = arm.home if q0 is None else arm.limits.check("q0", q0, arm.joint_names)
     if not isinstance(rng, int):
         raise InputError(f"rng: {rng!r} given, the seed of the random starts wanted: an integer")
-    chain = chain_of(arm)
-    packed, q = _packed(goal, chain), np.empty(arm.n)
-    first = start / chain.unit
-    _, starts, steps = kernel.search(
-        chain.rows, packed, goal.asked, off_max / chain.reach, turned_max, first, 0, STARTS, rng & (2**63 - 1), q
-    )
-    found = _judged(arm, goal, q, chain)
-    if found[1] <= off_max and found[2] <= turned_max:
-        return IkResult(True, *found, "", steps, starts)
-    return _best_effort(arm, goal, chain, packed, q, off_max, steps, starts)
-
-
-def _best_effort(
-    arm: Arm, goal: Target, chain: Chain, packed: Array, q: Array, off_max: float, steps: int, starts: int
-) -> IkResult:
-    """The nearest the tip can come: if the point is out of reach as close to it as possible, or else the least error."""
-    from armctl.ik import kernel
-
-    near = q.copy()
-    kernel.search(chain.rows, packed, POSITION, off_max / chain.reach, 0.0, q, 0, 10, 0, near)
-    kernel.settle(chain.rows, packed, POSITION, near)
-    nearest = _judged(arm, goal, near, chain)
-    if nearest[1] > off_max:
-        return IkResult(False, *nearest, f"{_length(nearest[1])} out of reach", steps, starts)
-    kernel.settle(chain.rows, packed, goal.asked, q)
+    problem = Problem(arm, chain_of(arm), goal.asked, goal.numbers[None], start[None], off_max, turned_max, rng)
+    q, tally = lm.search(problem, 0, STARTS)
+    q = lm.stay_near(problem, q, tally)
+    _, starts, steps, _ = tally[0].tolist()
+    off, turned = (float(error[0]) for error in problem.residuals(q))
+    if off <= off_max and turned <= turned_max:
+        return IkResult(True, frozen(q[0]), off, turned, "", steps, starts)
+    q, out_of_reach = lm.best_effort(problem, q)
+    off, turned = (float(error[0]) for error in problem.residuals(q))
     reason = f"no solution within the joint limits found in {starts} starts"
-    return IkResult(False, *_judged(arm, goal, q, chain), reason, steps, starts)
-
-
-def _judged(arm: Arm, goal: Target, q: Array, chain: Chain) -> tuple[Array, float, float]:
-    """A solver's answer in joint units, inside the limits, and its residual by the arm's own forward kinematics."""
-    inside = frozen(arm.limits.clamp(q * chain.unit))
-    return inside, *goal.residual(*arm.rigid_body.tip(inside))
-
-
-def _packed(goal: Target, chain: Chain) -> Array:
-    """(12,) rotation and translation in reaches."""
-    packed = np.empty(12)
-    packed[:9] = goal.rotation.ravel()
-    packed[9:] = goal.position / chain.reach
-    base = chain.rows[0, 9:12]
-    distance = math.dist(packed[9:], base)
-    if distance > FARTHEST:
-        packed[9:] = base + (packed[9:] - base) * (FARTHEST / distance)
-    return packed
+    if out_of_reach[0]:
+        reason = f"{_length(off)} out of reach"
+    return IkResult(False, frozen(q[0]), off, turned, reason, steps, starts)
 
 
 def _length(metres: float) -> str:
