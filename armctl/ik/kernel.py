@@ -331,9 +331,9 @@ def _aim(chain, reach, target, work):
 def search(chain, reach, targets, asked, off_max, turned_max, q0, begin, first, last, seed, q, tally, work):
     """For each target descents from the starts `first` to `last` until one is inside the tolerance.
 
-    Start 0 is `begin`, the others are random; whole turns are counted from q0. Fills q (N, n) with the solutions, or else the best positions met, and `tally` (N, 4)
-    with 1 for a solution, the start after the last one used, how many steps it took, and 1 if q is far from q0 although
-    the tip began near the target.
+    Start 0 is `begin`, the others are random; whole turns are counted from q0. Fills q (N, n) with the solutions, or else the
+    best positions met, and `tally` (N, 4) with 1 for a solution, the start after the last one used, how many steps it took, and
+    1 if q is far from q0 although the tip began near the target.
     """
     n = len(chain) - 1
     trial = np.empty(n)

@@ -96,7 +96,7 @@ def stay_near(problem: Problem, q: Array, tally: IntArray) -> Array:
     far, rng = np.flatnonzero(tally[:, 3] & tally[:, 0]), np.random.default_rng(problem.seed)
     for attempt in range(NEAR_TRIES):
         part = problem.rows(far)
-        noise = rng.uniform(-NEAR_NOISE, NEAR_NOISE, part.q0.shape) if attempt else 0.0
+        noise = rng.uniform(-NEAR_NOISE, NEAR_NOISE, part.arm.n) if attempt else 0.0
         trial, verdict = search(part, 0, 1, settle(part, part.arm.limits.clamp(part.q0 + noise))[0])
         nearer = np.abs(trial - part.q0).max(axis=1) < np.abs(q[far] - part.q0).max(axis=1)
         better = nearer & (verdict[:, 0] == 1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 from weakref import WeakKeyDictionary
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
-from armctl.arrays import Array, IntArray, frozen, vector
+from armctl.arrays import Array, IntArray, frozen, matrix, number, vector
 from armctl.errors import InputError
 from armctl.pose import Pose
 from armctl.trajectory import Limits
@@ -61,45 +60,6 @@ class Chain:
             (N, n) rad (m for a slide joint), inside the joint limits.
         """
         return self.limits.clamp(q * self.unit) if self.slides else q
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Target:
-    """Where the tip should be.
-
-    Attributes:
-        asked: POSE, POSITION, or which axis of the tip may be turned about freely.
-        numbers: (12,) rotation matrix row by row (zeros for a point), and position, m.
-    """
-
-    asked: int
-    numbers: Array
-
-    @classmethod
-    def read(cls, target: PoseOrPoint, free_axis: str | None) -> Target:
-        """A caller's target, checked.
-
-        Args:
-            target: A Pose, or (3,) m for position only.
-            free_axis: "x", "y" or "z", the tip's axis about which the target may be turned; None fixes all three.
-
-        Returns:
-            The target.
-
-        Raises:
-            InputError: Neither a Pose nor three finite numbers, or no such axis.
-        """
-        if free_axis is not None and free_axis not in _FREE:
-            raise InputError(f"free_axis: {free_axis!r} given, 'x', 'y', 'z' or None wanted")
-        numbers = np.zeros(12)
-        if isinstance(target, Pose):
-            numbers[:9] = target.rotation.ravel()
-            numbers[9:] = target.position
-            return cls(_FREE[free_axis] if free_axis else POSE, numbers)
-        if free_axis is not None:
-            raise InputError("free_axis: given with a point, which leaves every axis free; give a Pose as the target")
-        numbers[9:] = vector("target", target, 3)
-        return cls(POSITION, numbers)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -155,6 +115,120 @@ class Problem:
         off, turned = np.empty(len(q)), np.empty(len(q))
         kernel.residuals(self.asked, self.targets, position, np.ascontiguousarray(rotation), off, turned)
         return off, turned
+
+
+def read_target(target: PoseOrPoint, free_axis: str | None) -> tuple[int, Array]:
+    """A caller's target, checked.
+
+    Args:
+        target: A Pose, or (3,) m for position only.
+        free_axis: "x", "y" or "z", the tip's axis about which the target may be turned; None fixes all three.
+
+    Returns:
+        What of the tip is asked for, and (12,): rotation row by row (zeros for a point), position.
+
+    Raises:
+        InputError: Neither a Pose nor three finite numbers, or no such axis.
+    """
+    asked, numbers = asked_for(isinstance(target, Pose), free_axis), np.zeros(12)
+    if isinstance(target, Pose):
+        numbers[:9], numbers[9:] = target.rotation.ravel(), target.position
+    else:
+        numbers[9:] = vector("target", target, 3)
+    return asked, numbers
+
+
+def asked_for(is_pose: bool, free_axis: str | None) -> int:
+    """What of the tip is asked for.
+
+    Args:
+        is_pose: Whether the target is a pose rather than a point.
+        free_axis: As for `read_target`.
+
+    Returns:
+        POSE, POSITION, FREE_X, FREE_Y or FREE_Z.
+
+    Raises:
+        InputError: No such axis, or an axis beside a point.
+    """
+    if free_axis is None:
+        return POSE if is_pose else POSITION
+    if free_axis not in _FREE:
+        raise InputError(f"free_axis: {free_axis!r} given, 'x', 'y', 'z' or None wanted")
+    if not is_pose:
+        raise InputError("free_axis: given with a point, which leaves every axis free; give a Pose as the target")
+    return _FREE[free_axis]
+
+
+def read_problem(
+    arm: Arm,
+    asked: int,
+    targets: Array,
+    q0: ArrayLike | None,
+    position_tolerance: float,
+    orientation_tolerance: float,
+    rng: int,
+) -> Problem:
+    """A caller's problem, checked.
+
+    Args:
+        arm: The arm.
+        asked: What of the tip is asked for.
+        targets: (N, 12).
+        q0: (n,) or (N, n) rad, where to start; None is the arm's home.
+        position_tolerance: m.
+        orientation_tolerance: rad.
+        rng: The seed of the random starts.
+
+    Returns:
+        The problem.
+
+    Raises:
+        InputError: An argument of the wrong shape, kind or value.
+        LimitError: q0 is outside the joint limits.
+    """
+    if isinstance(rng, bool) or not isinstance(rng, (int, np.integer)) or rng < 0:
+        raise InputError(f"rng: {rng!r} given, the seed of the random starts wanted: an integer of at least 0")
+    count = len(targets)
+    if q0 is None or np.ndim(q0) == 1 or count == 1:
+        start = arm.home if q0 is None else arm.limits.check("q0", np.reshape(q0, -1) if count == 1 else q0, arm.joint_names)
+        starts = np.broadcast_to(start, (count, arm.n))
+    else:
+        rows = matrix("q0", q0, arm.n)
+        if len(rows) != count:
+            raise InputError(f"q0: {len(rows)} rows given for {count} targets")
+        outside = ~((rows >= arm.limits.q_min - 1e-9) & (rows <= arm.limits.q_max + 1e-9)).all(axis=1)
+        for row in rows[outside]:
+            arm.limits.check("q0", row, arm.joint_names)
+        starts = arm.limits.clamp(rows)
+    return Problem(
+        arm,
+        chain_of(arm),
+        asked,
+        targets,
+        starts,
+        number("position_tolerance", position_tolerance, 1e-12),
+        number("orientation_tolerance", orientation_tolerance, 1e-12),
+        int(rng) % 2**63,
+    )
+
+
+def random_positions(limits: Limits, q0: Array, count: int, rng: np.random.Generator) -> Array:
+    """Positions anywhere inside the joint limits, or within half a turn around q0 where there are none.
+
+    Args:
+        limits: The arm's.
+        q0: (n,) rad, inside them.
+        count: How many.
+        rng: The generator.
+
+    Returns:
+        (count, n) rad.
+    """
+    bounded = np.isfinite(limits.q_max - limits.q_min)
+    low = np.where(bounded, limits.q_min, np.maximum(limits.q_min, q0 - np.pi))
+    high = np.where(bounded, limits.q_max, np.minimum(limits.q_max, q0 + np.pi))
+    return rng.uniform(low, high, (count, len(q0)))
 
 
 _chains: WeakKeyDictionary[Arm, Chain] = WeakKeyDictionary()

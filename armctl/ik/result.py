@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from armctl.arrays import Array
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.arrays import Array, BoolArray, IntArray
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -33,3 +36,59 @@ class IkResult:
         if self.ok:
             return f"solved within {1e3 * self.position_error:.2g} mm and {self.orientation_error:.2g} rad"
         return f"not solved: {self.reason}"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class IkBatch:
+    """The outcome of N IK problems: the fields of IkResult as arrays. Its length is N, and `batch[i]` is one IkResult.
+
+    Attributes:
+        ok: (N,) bool.
+        q: (N, n) rad.
+        position_error: (N,) m.
+        orientation_error: (N,) rad.
+        reason: (N,) strings.
+        iterations: (N,) int.
+        starts: (N,) int.
+    """
+
+    ok: BoolArray
+    q: Array
+    position_error: Array
+    orientation_error: Array
+    reason: NDArray[np.object_]
+    iterations: IntArray
+    starts: IntArray
+
+    def __len__(self) -> int:
+        return len(self.ok)
+
+    def __getitem__(self, i: int) -> IkResult:
+        return IkResult(
+            bool(self.ok[i]),
+            self.q[i],
+            float(self.position_error[i]),
+            float(self.orientation_error[i]),
+            self.reason[i],
+            int(self.iterations[i]),
+            int(self.starts[i]),
+        )
+
+    def __str__(self) -> str:
+        return f"{int(self.ok.sum())} of {len(self)} solved"
+
+
+def why_not(out_of_reach: bool, position_error: float, starts: int) -> str:
+    """The reason of a failure in words.
+
+    Args:
+        out_of_reach: Whether the tip cannot come to its point at all.
+        position_error: m by which it misses it.
+        starts: From how many positions the solver started.
+
+    Returns:
+        Such as "0.312 m out of reach".
+    """
+    if not out_of_reach:
+        return f"no solution within the joint limits found in {starts} starts"
+    return f"{position_error:.3g} m out of reach" if position_error < 1e3 else f"{position_error:.0f} m out of reach"

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import chain
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
-from armctl.arrays import Array, frozen, number
-from armctl.errors import InputError
+from armctl.arrays import Array, IntArray, frozen
+from armctl.errors import UnknownNameError
 from armctl.ik import lm
-from armctl.ik.problem import PoseOrPoint, Problem, Target, chain_of
-from armctl.ik.result import IkResult
+from armctl.ik.contacts import contacts_of
+from armctl.ik.problem import PoseOrPoint, Problem, random_positions, read_problem, read_target
+from armctl.ik.result import IkResult, why_not
 
 STARTS = 200
+NEAREST_STARTS = 64
+PULL = 1e-3
+
+Search = Callable[[Problem, int, int, Array | None], tuple[Array, IntArray]]
 
 
 def solve_ik(
@@ -23,9 +32,14 @@ def solve_ik(
     position_tolerance: float = 1e-5,
     orientation_tolerance: float = 1e-4,
     free_axis: str | None = None,
+    nearest: bool = False,
+    avoid_collisions: bool = False,
+    method: str = "lm",
     rng: int = 0,
 ) -> IkResult:
     """Joint positions that bring the tip to a target, inside the joint limits.
+
+    The same call gives the same answer on any machine: steps and starts are counted, no clock decides.
 
     Args:
         arm: The arm.
@@ -34,6 +48,9 @@ def solve_ik(
         position_tolerance: m.
         orientation_tolerance: rad.
         free_axis: "x", "y" or "z": the tip's axis about which the target may be turned freely.
+        nearest: Whether to look for many solutions and take the one nearest to q0.
+        avoid_collisions: Whether the arm must touch neither itself nor the scene, with all else at home.
+        method: "lm", the compiled Levenberg-Marquardt, or "mink", `DifferentialIk` stepped until it arrives.
         rng: The seed of the random starts.
 
     Returns:
@@ -42,27 +59,59 @@ def solve_ik(
     Raises:
         InputError: An argument of the wrong shape, kind or value.
         LimitError: q0 is outside the joint limits.
+        UnknownNameError: There is no such method.
     """
-    goal = Target.read(target, free_axis)
-    off_max = number("position_tolerance", position_tolerance, 1e-12)
-    turned_max = number("orientation_tolerance", orientation_tolerance, 1e-12)
-    start = arm.home if q0 is None else arm.limits.check("q0", q0, arm.joint_names)
-    if not isinstance(rng, int):
-        raise InputError(f"rng: {rng!r} given, the seed of the random starts wanted: an integer")
-    problem = Problem(arm, chain_of(arm), goal.asked, goal.numbers[None], start[None], off_max, turned_max, rng)
-    q, tally = lm.search(problem, 0, STARTS)
-    q = lm.stay_near(problem, q, tally)
-    _, starts, steps, _ = tally[0].tolist()
-    off, turned = (float(error[0]) for error in problem.residuals(q))
-    if off <= off_max and turned <= turned_max:
-        return IkResult(True, frozen(q[0]), off, turned, "", steps, starts)
+    asked, numbers = read_target(target, free_axis)
+    problem = read_problem(arm, asked, numbers[None], q0, position_tolerance, orientation_tolerance, rng)
+    search = _search(method)
+    touched_at = contacts_of(arm).at if avoid_collisions else _nothing
+    one_by_one = _one_by_one(problem, search, stay_near=q0 is not None)
+    q, starts, steps, kept, touched = problem.q0, 0, 0, None, ""
+    for q, starts, steps in chain(_nearest_first(problem, search), one_by_one) if nearest else one_by_one:
+        off, turned = (float(error[0]) for error in problem.residuals(q))
+        if off > problem.position_tolerance or turned > problem.orientation_tolerance:
+            break
+        touched = touched_at(q[0])
+        kept = IkResult(not touched, frozen(q[0]), off, turned, "", steps, starts)
+        if not touched:
+            return kept
+    if kept is not None:
+        return replace(kept, reason=f"no solution without contact found in {starts} starts: {touched}")
     q, out_of_reach = lm.best_effort(problem, q)
     off, turned = (float(error[0]) for error in problem.residuals(q))
-    reason = f"no solution within the joint limits found in {starts} starts"
-    if out_of_reach[0]:
-        reason = f"{_length(off)} out of reach"
-    return IkResult(False, frozen(q[0]), off, turned, reason, steps, starts)
+    return IkResult(False, frozen(q[0]), off, turned, why_not(bool(out_of_reach[0]), off, starts), steps, starts)
 
 
-def _length(metres: float) -> str:
-    return f"{metres:.3g} m" if metres < 1e3 else f"{metres:.0f} m"
+def _nothing(q: Array) -> str:
+    return ""
+
+
+def _search(method: str) -> Search:
+    if method == "lm":
+        return lm.search
+    raise UnknownNameError.of("method", str(method), ["lm", "mink"])
+
+
+def _one_by_one(problem: Problem, search: Search, stay_near: bool) -> Iterator[tuple[Array, int, int]]:
+    """Solutions (1, n) in the order they are found, each with the starts and steps so far; the last may be a best effort."""
+    start, steps = 0, 0
+    while start < STARTS:
+        q, tally = search(problem, start, STARTS, None)
+        if start == 0 and stay_near:
+            q = lm.stay_near(problem, q, tally)
+        _, start, more, _ = tally[0].tolist()
+        steps += more
+        yield q, start, steps
+
+
+def _nearest_first(problem: Problem, search: Search) -> Iterator[tuple[Array, int, int]]:
+    """Solutions from many starts, drawn towards q0 as far as they remain solutions, the nearest first."""
+    many = problem.rows(np.zeros(NEAREST_STARTS, np.int64))
+    begin = random_positions(problem.arm.limits, problem.q0[0], NEAREST_STARTS, np.random.default_rng(problem.seed))
+    begin[0] = problem.q0[0]
+    found, first = search(many, 0, 1, begin)
+    drawn, second = lm.search(many, 0, 1, lm.settle(many, found, PULL)[0])
+    q = np.concatenate([found[first[:, 0] == 1], drawn[second[:, 0] == 1]])
+    steps = int(first[:, 2].sum() + second[:, 2].sum())
+    for k in np.argsort(np.linalg.norm(q - problem.q0, axis=1), kind="stable"):
+        yield q[k : k + 1], NEAREST_STARTS, steps

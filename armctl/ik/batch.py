@@ -1,0 +1,139 @@
+"""solve_ik_batch: joint positions for many targets, on all cores."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from typing import cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.arm import Arm
+from armctl.arrays import Array, IntArray, array, frozen, matrix
+from armctl.errors import InputError
+from armctl.ik import lm
+from armctl.ik.problem import Problem, asked_for, read_problem
+from armctl.ik.result import IkBatch, why_not
+from armctl.ik.solve import STARTS
+from armctl.pose import Pose
+
+CHUNK = 256
+QUIET_SECONDS = 2.0
+
+
+def solve_ik_batch(
+    arm: Arm,
+    targets: Sequence[Pose] | ArrayLike,
+    q0: ArrayLike | None = None,
+    threads: int | None = None,
+    *,
+    position_tolerance: float = 1e-5,
+    orientation_tolerance: float = 1e-4,
+    free_axis: str | None = None,
+    rng: int = 0,
+) -> IkBatch:
+    """Joint positions for many targets; each answer is what `solve_ik` gives for it alone.
+
+    A progress bar appears on stderr after two seconds where a person watches.
+
+    Args:
+        arm: The arm.
+        targets: N Poses, (N, 4, 4) homogeneous transforms, or (N, 3) m for positions only.
+        q0: (n,) or (N, n) rad, where to start. Left out, the arm's home.
+        threads: How many cores to use; all of them where left out.
+        position_tolerance: m.
+        orientation_tolerance: rad.
+        free_axis: "x", "y" or "z": the tip's axis about which every target may be turned freely.
+        rng: The seed of the random starts.
+
+    Returns:
+        The fields of IkResult as arrays.
+
+    Raises:
+        InputError: An argument of the wrong shape, kind or value.
+        LimitError: q0 is outside the joint limits.
+    """
+    asked, numbers = _read_targets(targets, free_axis)
+    problem = read_problem(arm, asked, numbers, q0, position_tolerance, orientation_tolerance, rng)
+    if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
+        raise InputError(f"threads: {threads!r} given, an integer of at least 1 wanted")
+    count = len(numbers)
+    chunks = np.array_split(np.arange(count), max(1, -(-count // CHUNK)))
+    parts: dict[int, IkBatch] = {}
+    progress = _Progress(count)
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        jobs = {pool.submit(_solve, problem, rows, q0 is not None): i for i, rows in enumerate(chunks)}
+        try:
+            for job in as_completed(jobs):
+                parts[jobs[job]] = job.result()
+                progress.add(len(chunks[jobs[job]]))
+        finally:
+            pool.shutdown(cancel_futures=True)
+            progress.close()
+    columns = ([getattr(parts[i], field) for i in range(len(chunks))] for field in IkBatch.__slots__)
+    return IkBatch(*(frozen(np.concatenate(column)) for column in columns))
+
+
+def _solve(problem: Problem, rows: IntArray, stay_near: bool) -> IkBatch:
+    part = problem.rows(rows)
+    q, tally = lm.search(part, 0, STARTS)
+    if stay_near:
+        q = lm.stay_near(part, q, tally)
+    off, turned = part.residuals(q)
+    ok = (off <= part.position_tolerance) & (turned <= part.orientation_tolerance)
+    reason = np.full(len(rows), "", object)
+    failed = np.flatnonzero(~ok)
+    if len(failed):
+        q[failed], out_of_reach = lm.best_effort(part.rows(failed), q[failed])
+        off, turned = part.residuals(q)
+        reason[failed] = [why_not(*row) for row in zip(out_of_reach, off[failed], tally[failed, 1], strict=True)]
+    return IkBatch(ok, q, off, turned, reason, tally[:, 2], tally[:, 1])
+
+
+def _read_targets(targets: Sequence[Pose] | ArrayLike, free_axis: str | None) -> tuple[int, Array]:
+    """What is asked for, and (N, 12): rotation row by row (zeros for points), position."""
+    if isinstance(targets, Pose):
+        raise InputError("targets: one Pose given, a list of them wanted; solve_ik takes one")
+    if isinstance(targets, Sequence) and len(targets) and isinstance(targets[0], Pose):
+        poses = [target for target in targets if isinstance(target, Pose)]
+        if len(poses) < len(targets):
+            raise InputError(f"targets: {len(poses)} of {len(targets)} are Poses; all or none wanted")
+        return asked_for(True, free_axis), np.array([np.concatenate([T.rotation.ravel(), T.position]) for T in poses])
+    numbers = cast(ArrayLike, targets)
+    if np.ndim(numbers) == 3:
+        T = array("targets", numbers, 3)
+        if T.shape[1:] != (4, 4):
+            raise InputError(f"targets: shape {T.shape} given, (N, 4, 4) or (N, 3) wanted")
+        R = T[:, :3, :3]
+        error = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
+        bad = (error > 1e-6) | (np.linalg.det(R) < 0) | (np.abs(T[:, 3] - (0, 0, 0, 1)).max(axis=1, initial=0.0) > 1e-9)
+        if bad.any():
+            raise InputError(f"targets: element {int(bad.argmax())} is no rigid transform")
+        return asked_for(True, free_axis), np.concatenate([R.reshape(-1, 9), T[:, :3, 3]], axis=1)
+    points = matrix("targets", numbers, 3) if np.size(numbers) else np.empty((0, 3))
+    return asked_for(False, free_axis), np.concatenate([np.zeros((len(points), 9)), points], axis=1)
+
+
+class _Progress:
+    """A line on stderr, from two seconds on, where stderr is a terminal."""
+
+    def __init__(self, total: int):
+        self._total, self._done, self._shown = total, 0, False
+        self._next = time.monotonic() + QUIET_SECONDS if sys.stderr.isatty() else float("inf")
+
+    def add(self, count: int) -> None:
+        self._done += count
+        if time.monotonic() >= self._next:
+            self._next, self._shown = time.monotonic() + 0.1, True
+            width = 30 * self._done // self._total
+            print(
+                f"\rIK [{'#' * width}{'.' * (30 - width)}] {self._done} of {self._total}", end="", file=sys.stderr, flush=True
+            )
+
+    def close(self) -> None:
+        if self._shown:
+            print(file=sys.stderr)

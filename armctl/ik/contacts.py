@@ -1,0 +1,97 @@
+"""What an arm touches at a position, by MuJoCo's own collision detection."""
+
+from __future__ import annotations
+
+from weakref import WeakKeyDictionary
+
+import mujoco
+import numpy as np
+
+from armctl.arm import Arm
+from armctl.arrays import Array, IntArray
+from armctl.chain import body_name
+from armctl.ik.problem import random_positions
+from armctl.rigid_body import joint_above
+
+SAMPLES = 64
+
+
+class Contacts:
+    """Contacts of an arm with itself and with the scene, everything outside its chain at home.
+
+    Left out are contacts that no motion of the arm changes, pairs that touch in every one of many random positions, and
+    neighbouring links that touch at home: their geoms overlap by design.
+    """
+
+    def __init__(self, arm: Arm):
+        """Learns which pairs always touch.
+
+        Args:
+            arm: The arm.
+        """
+        self._arm, self._data = arm, mujoco.MjData(arm.model)
+        self.owner = geom_owners(arm)
+        self._ignored = np.empty(0, np.int64)
+        at_home = self._pairs(arm.home)
+        always = at_home
+        for q in random_positions(arm.limits, arm.home, SAMPLES, np.random.default_rng(0)):
+            always = np.intersect1d(always, self._pairs(q))
+        first, second = (self.owner[geoms] for geoms in divmod(at_home, arm.model.ngeom))
+        self._ignored = np.union1d(always, at_home[np.abs(first - second) == 1])
+
+    def at(self, q: Array) -> str:
+        """What touches what at a position.
+
+        Args:
+            q: (n,) rad.
+
+        Returns:
+            Such as "link7 touches floor", or nothing where nothing touches.
+        """
+        touching = self._pairs(q)
+        if not len(touching):
+            return ""
+        model = self._arm.model
+        bodies = [body_name(model, int(model.geom_bodyid[geom])) for geom in divmod(int(touching[0]), model.ngeom)]
+        return " touches ".join(bodies)
+
+    def _pairs(self, q: Array) -> IntArray:
+        """The geoms of each contact that counts, the lesser first, as one number."""
+        model, data = self._arm.model, self._data
+        data.qpos[:] = self._arm.qpos(q)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        geoms = np.sort(data.contact.geom.astype(np.int64), axis=1)
+        geoms = geoms[(geoms[:, 0] >= 0) & (self.owner[geoms[:, 0]] != self.owner[geoms[:, 1]])]
+        return np.setdiff1d(geoms[:, 0] * model.ngeom + geoms[:, 1], self._ignored)
+
+
+def geom_owners(arm: Arm) -> IntArray:
+    """Which joint of the chain moves each geom.
+
+    Args:
+        arm: The arm.
+
+    Returns:
+        (ngeom,) the last joint above it, counted from the base; -1 where none is.
+    """
+    joints = tuple(int(joint) for joint in arm.model.dof_jntid[arm.dof_adr])
+    return np.array(joint_above(arm.model, joints), np.int64)[arm.model.geom_bodyid]
+
+
+_contacts: WeakKeyDictionary[Arm, Contacts] = WeakKeyDictionary()
+
+
+def contacts_of(arm: Arm) -> Contacts:
+    """The contacts of an arm, learned once.
+
+    Args:
+        arm: The arm.
+
+    Returns:
+        Its contacts.
+    """
+    contacts = _contacts.get(arm)
+    if contacts is None:
+        contacts = _contacts[arm] = Contacts(arm)
+    return contacts
