@@ -7,7 +7,7 @@ import numpy as np
 
 from armctl.arm import Arm
 from armctl.arrays import Array
-from armctl.chain import body_name
+from armctl.chain import body_name, name_of
 from armctl.rigid_body import joint_above
 
 
@@ -37,7 +37,7 @@ class Contacts:
             margin: m that parts must be apart; contacts are seen as far as the model's own contact margins reach.
 
         Returns:
-            The names of the two bodies, or None where nothing touches.
+            The names of the two bodies (of a geom where it is part of the scene), or None where nothing touches.
         """
         model, data = self.arm.model, self._data
         data.qpos[:] = self.arm.qpos(q)
@@ -49,8 +49,15 @@ class Contacts:
         near = np.flatnonzero(moved & (distance < margin))
         if not len(near):
             return None
-        first, second = geoms[near[distance[near].argmin()]]
-        return body_name(model, int(model.geom_bodyid[first])), body_name(model, int(model.geom_bodyid[second]))
+        first, second = geoms[near[distance[near].argmin()]].tolist()
+        return self._name(first), self._name(second)
+
+    def _name(self, geom: int) -> str:
+        """The body of a geom; for a part of the scene, the geom itself."""
+        body = int(self.arm.model.geom_bodyid[geom])
+        if body == 0:
+            return name_of(self.arm.model, mujoco.mjtObj.mjOBJ_GEOM, geom)
+        return body_name(self.arm.model, body)
 
     def along(self, path: Array) -> tuple[str, str] | None:
         """The first contact along a path.
@@ -59,6 +66,6 @@ class Contacts:
             path: (T, n) rad.
 
         Returns:
-            The names of the two bodies, or None where nothing touches.
+            The names of the two bodies (of a geom where it is part of the scene), or None where nothing touches.
         """
         return next((pair for pair in map(self.at, path) if pair is not None), None)
