@@ -187,7 +187,8 @@ class WaypointSearch:
         dv = np.where(v > 0, -_DIFFERENCE, _DIFFERENCE) * self.limits.v_max
         da = np.where(a > 0, -_DIFFERENCE, _DIFFERENCE) * self.limits.a_max
         steps = np.stack([dv[:-1], da[:-1], dv[1:], da[1:]], axis=1)
-        near = (candidate.excess > -_NEAR).any(axis=1) & (candidate.v[:-1].any(axis=1) | candidate.v[1:].any(axis=1))
+        moving = (candidate.v[:-1] != 0) | (candidate.v[1:] != 0)
+        near = np.any(candidate.excess > -_NEAR, axis=1) & np.any(moving, axis=1)
         rise, swing = np.zeros_like(steps), np.zeros_like(steps)
         now, moved = (
             list(zip(v.tolist(), a.tolist(), strict=True)),
