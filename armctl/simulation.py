@@ -175,7 +175,9 @@ class Simulation:
         if self._rig.end:
             return self._refused(goal, f"{self._rig.end}; reset() starts afresh")
         start = self.arm.limits.clamp(self._rig.q_ref)
-        ik = solve_ik(self.arm, target, start)
+        ik = solve_ik(self.arm, target, start, avoid_collisions=True)
+        if not ik.ok:  # a target that cannot be had without touching something may be meant to be touched
+            ik = solve_ik(self.arm, target, start)
         if not ik.ok:
             short = 1e3 * ik.position_error
             return self._refused(goal, f"out of reach by {short:.1f} mm" if short >= 0.1 else ik.reason)
