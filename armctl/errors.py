@@ -56,6 +56,10 @@ class ModelError(ArmctlError):
     """A model that cannot be read, or that is no arm."""
 
 
+class NotInstalledError(ArmctlError):
+    """Something that armctl uses where it is there, and that this needs."""
+
+
 class PlanError(ArmctlError):
     """A motion that cannot be planned."""
 
