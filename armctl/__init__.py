@@ -21,7 +21,8 @@ _MODULES = {
     "Limits": "armctl.trajectory",
     "Log": "armctl.log",
     "ModelError": "armctl.errors",
-    "MoveResult": "armctl.simulation",
+    "NotInstalledError": "armctl.errors",
+    "MoveResult": "armctl.move_result",
     "PD": "armctl.control",
     "PlanError": "armctl.errors",
     "Plant": "armctl.plant",
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
     from armctl.errors import InputError as InputError
     from armctl.errors import LimitError as LimitError
     from armctl.errors import ModelError as ModelError
+    from armctl.errors import NotInstalledError as NotInstalledError
     from armctl.errors import PlanError as PlanError
     from armctl.errors import SimulationError as SimulationError
     from armctl.errors import UnknownNameError as UnknownNameError
@@ -61,11 +63,11 @@ if TYPE_CHECKING:
     from armctl.log import Log as Log
     from armctl.motion import move_j as move_j
     from armctl.motion import move_through as move_through
+    from armctl.move_result import MoveResult as MoveResult
     from armctl.plant import Plant as Plant
     from armctl.pose import Pose as Pose
     from armctl.report import Report as Report
     from armctl.robots import load as load
-    from armctl.simulation import MoveResult as MoveResult
     from armctl.simulation import Simulation as Simulation
     from armctl.simulation import simulate as simulate
     from armctl.trajectory import Limits as Limits

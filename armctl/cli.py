@@ -63,6 +63,7 @@ def _parser() -> argparse.ArgumentParser:
     reach = command("reach", _reach, "bring the tip to a target and report")
     reach.add_argument("--target", nargs="+", metavar="N", help="x y z in m, and roll pitch yaw in rad if wanted")
     reach.add_argument("--controller", default="computed-torque", help="pd or computed-torque (default)")
+    reach.add_argument("--video", type=Path, metavar="FILE", help="film the run into this .mp4 or .gif")
     compare = command("compare", _compare, "follow the same motion under every controller")
     simulate = command("simulate", _simulate, "hold the motors at constant controls")
     simulate.add_argument("--ctrl", nargs="+", required=True, metavar="N", help="one control a motor; torque = gear x control")
@@ -96,7 +97,10 @@ def _info(args: argparse.Namespace) -> int:
 def _reach(args: argparse.Namespace) -> int:
     from armctl.report import Report
     from armctl.simulation import Simulation
+    from armctl.view import film_path
 
+    if args.video:
+        film_path(args.video)
     simulation = Simulation(_load(args), args.controller)
     result = simulation.move_to(simulation.target if args.target is None else _target(args.target))
     if result.log is None:
@@ -106,6 +110,8 @@ def _reach(args: argparse.Namespace) -> int:
     _print(args, str(report), report.to_dict())
     if args.save:
         _save(report, args.save, "")
+    if args.video:
+        _say(simulation.record(args.video))
     return OK if result.reached and report.ok else NOT_REACHED
 
 

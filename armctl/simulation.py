@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+import os
 import time
-from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl import view
 from armctl.arm import Arm
 from armctl.arrays import Array, number, vector
 from armctl.contacts import Contacts
@@ -19,6 +22,7 @@ from armctl.goal import ANGLE_TOLERANCE, TOLERANCE, Goal
 from armctl.ik import solve_ik
 from armctl.log import Log
 from armctl.motion import move_j
+from armctl.move_result import MoveResult
 from armctl.plant import Plant
 from armctl.pose import Pose
 from armctl.recorder import Recorder
@@ -28,35 +32,6 @@ from armctl.trajectory import Setpoint, TickReference, Trajectory
 
 _SETTLED_SPEED = 1e-3  # rad/s
 _SETTLE_CHUNK = 0.02  # s
-
-
-@dataclass(frozen=True, eq=False)
-class MoveResult:
-    """How a move ended.
-
-    Attributes:
-        reached: Whether the tip is at the target and at rest.
-        position_error: m, measured in the simulation.
-        orientation_error: rad, measured likewise; 0 where no orientation was asked for.
-        duration: s of simulated time.
-        reason: Why it was not reached, in words; empty if it was.
-        log: Every tick of it; None where nothing moved.
-    """
-
-    reached: bool
-    position_error: float
-    orientation_error: float
-    duration: float
-    reason: str
-    log: Log | None
-
-    def __bool__(self) -> bool:
-        return self.reached
-
-    def __str__(self) -> str:
-        if self.reached:
-            return f"reached within {max(1e3 * self.position_error, 0.01):.2g} mm in {self.duration:.2f} s"
-        return f"not reached: {self.reason}"
 
 
 class Simulation:
@@ -206,6 +181,24 @@ class Simulation:
         recorder, started, constant = Recorder(self.arm.n), time.perf_counter(), _Constant(ctrl * self.arm.gear)
         self._rig.follow(constant, TickReference(*[nothing] * 5), recorder)
         return self._logged(recorder, seconds, np.full(7, np.nan), started, constant)
+
+    def record(self, path: str | os.PathLike[str], **options: Any) -> Path:
+        """Films the last run: the arm, the target, and the way of the tip.
+
+        Args:
+            path: The film, .mp4 or .gif; its folder is made.
+            **options: width, height, quality and speed, as for `armctl.view.record`.
+
+        Returns:
+            The path.
+
+        Raises:
+            InputError: Nothing has run yet, or the path has another ending.
+            NotInstalledError: There is no OpenGL here that works without a screen, or no encoder for .mp4.
+        """
+        if self.log is None:
+            raise InputError("log: nothing has run yet, so there is nothing to film; move first")
+        return view.record(self.log, self.arm, path, **options)
 
     def _move(self, trajectory: Trajectory, goal: Goal, settle: float) -> MoveResult:
         """Follows a motion, then holds its end until the tip has come to rest, at most `settle` seconds."""

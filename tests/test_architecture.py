@@ -14,12 +14,12 @@ PACKAGE = Path(armctl.__file__).parent
 # One line a floor; a room is a module or a folder. Rooms on one floor do not know each other, but `a > b` may import b.
 FLOORS = [
     ["errors", "arrays > errors"],
-    ["pose", "trajectory", "log", "goal > pose"],
+    ["pose", "trajectory", "log", "goal > pose", "move_result > log"],
     ["chain", "datasheets", "rigid_body", "arm > rigid_body", "motors > datasheets chain", "contacts > arm chain rigid_body"],
     ["robots", "dynamics", "ik", "describe"],
     ["motion", "control", "plant"],
-    ["recorder", "rig > recorder", "simulation > rig recorder"],
-    ["plot", "report > plot", "comparison > report", "view > report plot comparison"],
+    ["recorder", "rig > recorder", "view", "simulation > rig recorder view"],
+    ["plot", "report > plot", "comparison > report"],
     ["__init__", "cli > __init__", "__main__ > cli"],
 ]
 FLOOR_OF = {room.split()[0]: floor for floor, rooms in enumerate(FLOORS) for room in rooms}

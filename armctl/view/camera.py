@@ -17,7 +17,7 @@ _SIDE_ON = 0.5  # what seeing the way's whole length is worth, against seeing al
 
 
 def frame(arm: Arm, poses: Sequence[mujoco.MjData], way: Array, aspect: float) -> mujoco.MjvCamera:
-    """A camera that shows an arm in several states, and the way of its tip, hidden as little and as much from the side as can be.
+    """A camera that shows an arm in several states and the way of its tip: the least hidden, the most from the side.
 
     Args:
         arm: The arm.

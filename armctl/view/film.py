@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 import sys
 import time
@@ -152,11 +153,12 @@ def images(log: Log, arm: Arm, times: Array, *, width: int, height: int, quality
         raise InputError("log: it has no tick, so there is nothing to film")
     if log.joint_names != arm.joint_names:
         raise InputError(f"log: it is of {log.robot} with {len(log.joint_names)} joints, not of {arm!r}")
-    target = _target(log, arm)
+    model, target = copy.copy(arm.model), _target(log, arm)
+    model.geom_size[model.geom_bodyid == model.body(TARGET).id] *= 1.15  # to be seen around a tip as thick as itself
     shown = [_state(arm, log.q[k], target) for k in np.linspace(0, len(log) - 1, _FRAMED).astype(int)]
     seen = np.concatenate([log.tip, target[None, :3]])
     camera, data = frame(arm, shown, seen, width / height), shown[-1]
-    with Renderer(arm.model, width, height, quality) as renderer:
+    with Renderer(model, width, height, quality) as renderer:
         for k in np.clip(np.rint(times / log.dt).astype(int), 0, len(log) - 1):
             _pose(arm, data, log.q[k])
             yield renderer.image(data, camera, log.tip[: k + 1])

@@ -43,9 +43,8 @@ def gl_context(width: int, height: int) -> GlContext:
     try:
         return importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
     except Exception as error:
-        raise NotInstalledError(
-            f"OpenGL ({backend or 'none found'}) gives no picture ({' '.join(str(error).split()) or type(error).__name__}); on Debian: {INSTALL}"
-        ) from None
+        why = " ".join(str(error).split()) or type(error).__name__
+        raise NotInstalledError(f"OpenGL by {backend} gives no picture ({why}); on Debian: {INSTALL}") from None
 
 
 def _found() -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -104,7 +105,7 @@ class Renderer:
         """Capsules between points, thinned out to what a picture can show."""
         radius = _TRACE_RADIUS * min(self._model.stat.extent, 2.0)
         points, scene, capsule = thinned(points, _TRACE_PIECES), self._scene, int(mujoco.mjtGeom.mjGEOM_CAPSULE)
-        for start, end in zip(points[:-1], points[1:], strict=True):
+        for start, end in pairwise(points):
             if scene.ngeom == scene.maxgeom:
                 return
             geom = scene.geoms[scene.ngeom]

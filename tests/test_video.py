@@ -1,0 +1,164 @@
+"""Films and pictures: decoded again, to see that they show what they should."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from arms import BUNDLED, arm_of
+from PIL import Image, ImageSequence
+
+import armctl
+from armctl import InputError, NotInstalledError, Simulation
+from armctl.cli import main
+from armctl.robots import TARGET
+from armctl.view import Renderer, record, still
+from armctl.view.camera import axes, box_corners, frame
+from armctl.view.gl import INSTALL, gl_context
+from armctl.view.renderer import thinned
+
+
+def _can_draw() -> bool:
+    try:
+        gl_context(16, 16).free()
+    except NotInstalledError:
+        return False
+    return True
+
+
+draws = pytest.mark.skipif(not _can_draw(), reason=f"no OpenGL without a screen: {INSTALL}")
+
+
+@pytest.fixture(scope="module")
+def sim() -> Simulation:
+    sim = Simulation(arm_of(BUNDLED))
+    assert sim.move_to(sim.target)
+    return sim
+
+
+def green(image: np.ndarray) -> np.ndarray:
+    """Which pixels are of the target."""
+    r, g, b = np.moveaxis(np.asarray(image).astype(int), -1, 0)
+    return (g > 80) & (g > 1.5 * r) & (g > 1.5 * b)
+
+
+def decoded(path: Path) -> list[np.ndarray]:
+    if path.suffix == ".gif":
+        with Image.open(path) as film:
+            return [np.array(image.convert("RGB")) for image in ImageSequence.Iterator(film)]
+    av = pytest.importorskip("av", reason="no decoder: pip install 'armctl[view]'")
+    with av.open(path) as film:
+        return [image.to_ndarray(format="rgb24") for image in film.decode(video=0)]
+
+
+@draws
+@pytest.mark.parametrize(("ending", "per_second"), [(".mp4", 30), (".gif", 25)])
+def test_a_film_is_as_long_as_its_run_and_shows_the_arm_move(sim: Simulation, tmp_path: Path, ending: str, per_second: int):
+    path = sim.record(tmp_path / "new" / f"reach{ending}", width=320, height=240)
+    frames = decoded(path)
+    assert sim.log is not None
+    assert len(frames) == int(sim.log.t[-1] * per_second) + 1
+    assert {image.shape for image in frames} == {(240, 320, 3)}
+    assert np.abs(frames[-1].astype(int) - frames[0]).max(axis=2).mean() > 1.0
+    assert green(frames[0]).sum() > 20
+
+
+@draws
+def test_slow_motion_takes_longer(sim: Simulation, tmp_path: Path):
+    fast, slow = (decoded(sim.record(tmp_path / f"{s}.gif", width=64, height=48, speed=s)) for s in (1.0, 0.5))
+    assert abs(len(slow) - 2 * len(fast)) <= 1
+
+
+@draws
+def test_the_same_run_gives_the_same_pixels(sim: Simulation, tmp_path: Path):
+    assert sim.log is not None
+    first, second = (still(sim.log, sim.arm, tmp_path / f"{k}.png", width=160, height=120).read_bytes() for k in range(2))
+    assert first == second
+
+
+@draws
+def test_the_trace_of_the_tip_is_in_the_picture(sim: Simulation):
+    data, model = sim.data, sim.model
+    camera = mujoco.MjvCamera()
+    mujoco.mjv_defaultFreeCamera(model, camera)
+    assert sim.log is not None
+    with Renderer(model, 320, 240) as renderer:
+        with_trace = renderer.image(data, camera, sim.log.tip)
+        without = renderer.image(data, camera)
+    changed = (with_trace != without).any(axis=2)
+    assert 50 < changed.sum() < 5000
+
+
+@draws
+def test_the_command_line_films(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["reach", BUNDLED, "--video", str(tmp_path / "out.gif")]) == 0
+    assert "out.gif" in capsys.readouterr().err
+    assert len(decoded(tmp_path / "out.gif")) > 5
+
+
+def test_a_film_needs_a_known_ending_before_anything_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["reach", BUNDLED, "--video", str(tmp_path / "out.avi")]) == 2
+    assert "'out.avi' ends in '.avi', .mp4 or .gif wanted" in capsys.readouterr().err
+
+
+def test_nothing_to_film_is_said(tmp_path: Path):
+    with pytest.raises(InputError, match="nothing has run yet"):
+        Simulation(arm_of(BUNDLED)).record(tmp_path / "out.gif")
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"width": 321}, "even numbers wanted"),
+        ({"quality": "best"}, "one of fast, full wanted"),
+        ({"width": 8, "height": 8}, "at least 16 x 16 wanted"),
+        ({"speed": 0.0}, "speed: 0 given"),
+    ],
+)
+def test_a_wrong_option_is_one_sentence(sim: Simulation, tmp_path: Path, options: dict, sentence: str):
+    with pytest.raises(InputError, match=sentence):
+        sim.record(tmp_path / "out.gif", **options)
+
+
+def test_a_log_of_another_arm_is_refused(sim: Simulation, tmp_path: Path):
+    assert sim.log is not None
+    with pytest.raises(InputError, match="it is of robot_arm_3dof with 3 joints"):
+        record(sim.log, arm_of("planar"), tmp_path / "out.gif")
+
+
+@pytest.mark.parametrize("backend", ["egl", "nonsense"])
+def test_no_opengl_is_one_sentence_that_says_what_to_install(monkeypatch: pytest.MonkeyPatch, backend: str):
+    monkeypatch.setenv("MUJOCO_GL", backend)
+    monkeypatch.setattr("mujoco.egl.GLContext", None, raising=False)
+    with pytest.raises(NotInstalledError, match="apt-get install"):
+        gl_context(64, 64)
+
+
+def test_the_camera_has_the_whole_arm_and_the_target_in_its_picture(arm: armctl.Arm):
+    model, aspect = arm.model, 4 / 3
+    poses = []
+    for q in (arm.home, arm.limits.clamp(arm.home + 0.4)):
+        data = mujoco.MjData(model)
+        data.qpos[:] = arm.qpos(q)
+        mujoco.mj_forward(model, data)
+        poses.append(data)
+    target = poses[0].xpos[model.body(TARGET).id]
+    way = np.array([arm.fk(arm.home).position, target])
+    camera = frame(arm, poses, way, aspect)
+    forward, right, up = axes(*np.radians([camera.azimuth, camera.elevation]))
+    seen = np.concatenate([box_corners(arm, data) for data in poses] + [way]) - (camera.lookat - camera.distance * forward)
+    depth, tan = seen @ forward, np.tan(np.radians(model.vis.global_.fovy) / 2)
+    assert (depth > 0).all()
+    x, y = seen @ right / (depth * tan * aspect), seen @ up / (depth * tan)
+    assert np.abs([x, y]).max() < 1.0
+    assert max(np.ptp(x), np.ptp(y)) > 1.4  # and it is not a speck in the middle of it
+
+
+def test_a_thinned_line_keeps_its_ends_and_its_shape():
+    angle = np.linspace(0, np.pi, 5000)
+    line = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    thin = thinned(line, 100)
+    assert len(thin) <= 101
+    assert (thin[[0, -1]] == line[[0, -1]]).all()
+    assert np.linalg.norm(np.diff(thin, axis=0), axis=1).max() < 0.035
+    assert len(thinned(np.zeros((10, 3)), 100)) == 1
