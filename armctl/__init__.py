@@ -36,7 +36,10 @@ _MODULES = {
     "UnknownNameError": "armctl.errors",
     "compare": "armctl.comparison",
     "load": "armctl.robots",
+    "move_c": "armctl.motion",
     "move_j": "armctl.motion",
+    "move_l": "armctl.motion",
+    "move_path": "armctl.motion",
     "move_through": "armctl.motion",
     "simulate": "armctl.simulation",
     "solve_ik": "armctl.ik",
@@ -61,7 +64,10 @@ if TYPE_CHECKING:
     from armctl.ik import IkResult as IkResult
     from armctl.ik import solve_ik as solve_ik
     from armctl.log import Log as Log
+    from armctl.motion import move_c as move_c
     from armctl.motion import move_j as move_j
+    from armctl.motion import move_l as move_l
+    from armctl.motion import move_path as move_path
     from armctl.motion import move_through as move_through
     from armctl.move_result import MoveResult as MoveResult
     from armctl.plant import Plant as Plant

@@ -1,0 +1,227 @@
+"""move_l, move_c, move_path: the tip on lines and arcs, its orientation turning along, as fast as the joints can."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.arm import Arm
+from armctl.arrays import Array, number, vector
+from armctl.errors import InputError
+from armctl.motion.checks import require_bounds
+from armctl.motion.geometry import Blend, Chained, Circle, Shape, Straight, Stretch, Turn
+from armctl.motion.joint_trajectory import JointTrajectory
+from armctl.motion.pace import fastest
+from armctl.motion.tracking import track
+from armctl.pose import Pose
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A straight line of the tip, for `move_path`.
+
+    Attributes:
+        target: T_world_tip at its end, or (3,) m with the orientation left free.
+        blend: m, how far around its end the corner to what follows may be rounded; None for the path's own.
+    """
+
+    target: Pose | ArrayLike
+    blend: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Arc:
+    """An arc of the tip, for `move_path`.
+
+    Attributes:
+        via: T_world_tip or (3,) m, a point that it goes through.
+        target: T_world_tip at its end, or (3,) m with the orientation left free.
+        angle: rad, how far to go on the circle; None stops at the target. 2 pi is the full circle.
+        blend: m, how far around its end the corner to what follows may be rounded; None for the path's own.
+    """
+
+    via: Pose | ArrayLike
+    target: Pose | ArrayLike
+    angle: float | None = None
+    blend: float | None = None
+
+
+def move_l(
+    arm: Arm,
+    q_start: ArrayLike,
+    target: Pose | ArrayLike,
+    *,
+    tip_speed: float | None = None,
+    tip_turn_speed: float | None = None,
+) -> JointTrajectory:
+    """The tip on a straight line, its orientation turning along about one axis, as fast as the joints can.
+
+    Near a singularity, where the joints have far to go, it slows down.
+
+    Args:
+        arm: The arm.
+        q_start: (n,) rad, where it starts.
+        target: T_world_tip at the end, or (3,) m with the orientation left free.
+        tip_speed: m/s, the greatest speed of the tip's point; None for no cap.
+        tip_turn_speed: rad/s, the greatest speed of its turning; None for no cap.
+
+    Returns:
+        The motion, at rest at both ends.
+
+    Raises:
+        InputError: An argument of the wrong shape, kind or value.
+        LimitError: q_start is outside the limits.
+        PlanError: The line leaves the reach or the joint limits.
+    """
+    return _planned(arm, "move_l", q_start, [Line(target)], 0.0, tip_speed, tip_turn_speed)
+
+
+def move_c(
+    arm: Arm,
+    q_start: ArrayLike,
+    via: Pose | ArrayLike,
+    target: Pose | ArrayLike,
+    *,
+    angle: float | None = None,
+    tip_speed: float | None = None,
+    tip_turn_speed: float | None = None,
+) -> JointTrajectory:
+    """The tip on an arc from where it is through one point to another, its orientation turning along about one axis.
+
+    Args:
+        arm: The arm.
+        q_start: (n,) rad, where it starts.
+        via: T_world_tip or (3,) m, a point on the way; its orientation does not matter.
+        target: T_world_tip, or (3,) m with the orientation left free.
+        angle: rad, how far to go on the circle; None stops at the target's point. 2 pi is the full circle, back to the start's.
+            The target's orientation is reached at the end in any case.
+        tip_speed: m/s, the greatest speed of the tip's point; None for no cap.
+        tip_turn_speed: rad/s, the greatest speed of its turning; None for no cap.
+
+    Returns:
+        The motion, at rest at both ends.
+
+    Raises:
+        InputError: An argument of the wrong shape, kind or value, or three points on one line.
+        LimitError: q_start is outside the limits.
+        PlanError: The arc leaves the reach or the joint limits.
+    """
+    return _planned(arm, "move_c", q_start, [Arc(via, target, angle)], 0.0, tip_speed, tip_turn_speed)
+
+
+def move_path(
+    arm: Arm,
+    q_start: ArrayLike,
+    path: Sequence[Line | Arc | Pose | ArrayLike],
+    *,
+    blend: float = 0.0,
+    tip_speed: float | None = None,
+    tip_turn_speed: float | None = None,
+) -> JointTrajectory:
+    """The tip on lines and arcs, one after another, the corners between them rounded.
+
+    Inside the blend radius of a corner the path is rounded; outside it is exact. Where the radius is 0 the tip stops.
+
+    Args:
+        arm: The arm.
+        q_start: (n,) rad, where it starts.
+        path: Its lines and arcs; a pose or a point alone is a line to it. All with orientation or all without.
+        blend: m, the radius around each corner in which it is rounded, at most half of each neighbour.
+        tip_speed: m/s, the greatest speed of the tip's point; None for no cap.
+        tip_turn_speed: rad/s, the greatest speed of its turning; None for no cap.
+
+    Returns:
+        The motion, at rest at both ends.
+
+    Raises:
+        InputError: An argument of the wrong shape, kind or value.
+        LimitError: q_start is outside the limits.
+        PlanError: The path leaves the reach or the joint limits.
+    """
+    parts = [part if isinstance(part, (Line, Arc)) else Line(part) for part in path]
+    return _planned(arm, "move_path", q_start, parts, number("blend", blend, 0.0), tip_speed, tip_turn_speed)
+
+
+def _planned(
+    arm: Arm,
+    what: str,
+    q_start: ArrayLike,
+    parts: list[Line | Arc],
+    blend: float,
+    tip_speed: float | None,
+    tip_turn_speed: float | None,
+) -> JointTrajectory:
+    require_bounds(arm)
+    q = arm.limits.check("q_start", q_start, arm.joint_names)
+    if not parts:
+        raise InputError("path: it is empty; give at least one line or arc")
+    oriented = isinstance(parts[0].target, Pose)
+    shapes = _shapes(arm.fk(q), parts, oriented)
+    blends = [number("blend", blend if part.blend is None else part.blend, 0.0) for part in parts[:-1]]
+    motions = []
+    for path in _chains(shapes, blends):
+        if path.length == 0.0:
+            continue
+        joint_path = track(arm, what, path, q, oriented)
+        pieces = fastest(joint_path, arm.limits, caps=_caps(path, tip_speed, tip_turn_speed))
+        motions.append(JointTrajectory(*pieces, arm.joint_names, arm.limits))
+        q = motions[-1](motions[-1].duration).q
+    return JointTrajectory.joined(motions) if motions else JointTrajectory.standing(arm.joint_names, arm.limits, q)
+
+
+def _shapes(start: Pose, parts: list[Line | Arc], oriented: bool) -> list[Shape]:
+    shapes: list[Shape] = []
+    position, rotation = start.position, start.rotation
+    for part in parts:
+        if isinstance(part.target, Pose) != oriented:
+            raise InputError("path: some targets are poses and some are points; give all of one kind")
+        end = part.target.position if isinstance(part.target, Pose) else vector("target", part.target, 3)
+        turn = Turn.between(rotation, part.target.rotation if isinstance(part.target, Pose) else rotation)
+        if isinstance(part, Arc):
+            via = part.via.position if isinstance(part.via, Pose) else vector("via", part.via, 3)
+            angle = None if part.angle is None else number("angle", part.angle, 1e-6)
+            shapes.append(Circle.through(position, via, end, angle, turn))
+            end = shapes[-1].at(shapes[-1].length).position
+        else:
+            shapes.append(Straight(position, end, turn))
+        position, rotation = end, turn.at(1.0)
+    return shapes
+
+
+def _chains(shapes: list[Shape], blends: list[float]) -> list[Chained]:
+    """What is gone through without stopping: stretches of the shapes, and blends between them."""
+    chains: list[list[Shape]] = [[]]
+    begin = 0.0
+    for i, shape in enumerate(shapes):
+        radius = blends[i] if i < len(blends) else 0.0
+        if radius > 0.0:
+            shorter = min(shape.length, shapes[i + 1].length)
+            if radius > 0.5 * shorter + 1e-12:
+                raise InputError(
+                    f"blend: {radius:g} m at corner {i + 1} is more than half of the shorter side, {0.5 * shorter:.4g} m"
+                )
+        chains[-1].append(Stretch(shape, begin, shape.length - radius))
+        if radius > 0.0:
+            chains[-1].append(Blend(shape, shapes[i + 1], radius))
+        else:
+            chains.append([])
+        begin = radius
+    return [Chained(chain) for chain in chains]
+
+
+def _caps(path: Shape, tip_speed: float | None, tip_turn_speed: float | None) -> Callable[[Array], Array] | None:
+    """The greatest speeds along a path that keep the tip's caps."""
+    if tip_speed is None and tip_turn_speed is None:
+        return None
+    linear = np.inf if tip_speed is None else number("tip_speed", tip_speed, 1e-6)
+    angular = np.inf if tip_turn_speed is None else number("tip_turn_speed", tip_turn_speed, 1e-6)
+
+    def caps(s: Array) -> Array:
+        twists = np.array([path.at(x).twist for x in np.clip(s, 0.0, path.length)])
+        with np.errstate(divide="ignore"):
+            return np.minimum(linear / np.linalg.norm(twists[:, :3], axis=1), angular / np.linalg.norm(twists[:, 3:], axis=1))
+
+    return caps

@@ -1,0 +1,176 @@
+"""From a path of the tip to a path of the joints: dense inverse kinematics on one branch, settled before anything moves.
+
+The joints follow the path's twist through the Jacobian's weighted pseudo-inverse (Chan and Dubey, "A weighted least-norm
+solution based scheme for avoiding joint limits", IEEE Trans. Robotics and Automation 11(2), 1995) by Runge and Kutta's
+fourth-order rule, and Newton's method brings the tip back onto the path at each step. A spline of degree five joins the steps.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from armctl.arm import Arm
+from armctl.arrays import Array
+from armctl.errors import PlanError
+from armctl.motion.geometry import Shape, TipState
+from armctl.pose import rotation_vector
+
+_JOINT_STEP = 0.02  # rad (m), the longest step of a joint
+_STEPS = 60  # of a path, at least
+_LEAST_STEP = 1e-6  # of the path
+_NEWTON, _CONVERGED = 8, 1e-10  # m and rad
+_DAMPING = 1e-12
+_OFF_PATH = 1e-6  # m and rad, between the steps
+_FINEST = 0.25  # of the steps
+
+
+class JointPath(NamedTuple):
+    """Joint positions along a path, as a spline.
+
+    Attributes:
+        spline: scipy's B-spline, (n,) rad over the length, m.
+        length: m.
+    """
+
+    spline: object
+    length: float
+
+    def derivatives(self, s: Array) -> tuple[Array, Array, Array, Array]:
+        """Positions and three derivatives.
+
+        Args:
+            s: (T,) m.
+
+        Returns:
+            q, dq/ds, d2q/ds2 and d3q/ds3, each (T, n).
+        """
+        return tuple(self.spline(s, order) for order in range(4))  # type: ignore[operator, return-value]
+
+
+def track(arm: Arm, what: str, path: Shape, q_start: Array, oriented: bool) -> JointPath:
+    """The joints that keep the tip on a path.
+
+    Args:
+        arm: The arm.
+        what: What is being planned, for the error.
+        path: The tip's path.
+        q_start: (n,) rad, with the tip at the path's start.
+        oriented: Whether the orientation is followed too.
+
+    Returns:
+        The joint path.
+
+    Raises:
+        PlanError: The path leaves the reach or the joint limits, or passes a singularity that the joints cannot.
+    """
+    from scipy.interpolate import make_interp_spline
+
+    tracker, fineness = _Tracker(arm, what, path, oriented), 1.0
+    while True:
+        lengths, q = tracker.run(q_start, fineness)
+        joint_path = JointPath(make_interp_spline(lengths, q, k=5), path.length)
+        between = 0.5 * (lengths[1:] + lengths[:-1])
+        if fineness <= _FINEST or max(tracker.off_path(joint_path, s) for s in between) <= _OFF_PATH:
+            return joint_path
+        fineness *= 0.5
+
+
+class _Tracker:
+    """One walk along a path."""
+
+    def __init__(self, arm: Arm, what: str, path: Shape, oriented: bool):
+        self.arm, self.what, self.path = arm, what, path
+        self.rows = 6 if oriented else 3
+        q_min, q_max = arm.limits.q_min, arm.limits.q_max
+        self._is_bounded = np.isfinite(q_min) & np.isfinite(q_max) & (q_max > q_min)
+        self._low, self._range = np.where(self._is_bounded, q_min, 0.0), np.where(self._is_bounded, q_max - q_min, 1.0)
+
+    def run(self, q: Array, fineness: float) -> tuple[Array, Array]:
+        """Lengths (k,) and joint positions (k, n) along the path."""
+        total = self.path.length
+        longest = fineness * total / _STEPS
+        s, lengths, rows = 0.0, [0.0], [q]
+        while s < total:
+            slope = self._slope(q, s)
+            h = min(longest, fineness * _JOINT_STEP / max(float(np.abs(slope).max()), 1e-12), total - s)
+            stepped = self._step(q, s, h, slope)
+            while stepped is None and h > _LEAST_STEP * total:
+                h *= 0.5
+                stepped = self._step(q, s, h, slope)
+            if stepped is None or h < min(_LEAST_STEP * total, total - s):
+                raise self._stuck(q, s)
+            q, s = stepped, total if total - s - h < 1e-9 * total else s + h
+            self._require_limits(q, s)
+            lengths.append(s)
+            rows.append(q)
+        return np.array(lengths), np.array(rows)
+
+    def off_path(self, joint_path: JointPath, s: float) -> float:
+        """How far the spline's tip is from the path, m and rad."""
+        return float(np.abs(self._error(np.asarray(joint_path.spline(s)), self.path.at(s))).max())  # type: ignore[operator]
+
+    def _step(self, q: Array, s: float, h: float, k1: Array) -> Array | None:
+        """The joints a step further, or None where Newton's method does not get there."""
+        k2 = self._slope(q + h / 2 * k1, s + h / 2)
+        k3 = self._slope(q + h / 2 * k2, s + h / 2)
+        k4 = self._slope(q + h * k3, s + h)
+        moved = h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        if np.abs(moved).max() > 4 * _JOINT_STEP:
+            return None
+        q = q + moved
+        place = self.path.at(s + h)
+        for _ in range(_NEWTON):
+            error = self._error(q, place)
+            if np.abs(error).max() < _CONVERGED:
+                return q
+            q = q + self._inverse(q, error)
+        return None
+
+    def _slope(self, q: Array, s: float) -> Array:
+        return self._inverse(q, self.path.at(s).twist[: self.rows])
+
+    def _inverse(self, q: Array, twist: Array) -> Array:
+        """The least joint velocity that makes the twist; joints near their limits count for more."""
+        J = self.arm.rigid_body.jacobian(q)[: self.rows]
+        share = (q - self._low) / self._range
+        room = np.where(self._is_bounded, np.maximum(4 * share * (1 - share), 1e-3), 1.0)
+        W = room[:, None] * J.T
+        A = J @ W
+        A.flat[:: len(A) + 1] += _DAMPING
+        return W @ np.linalg.solve(A, twist)
+
+    def _error(self, q: Array, place: TipState) -> Array:
+        """From the tip to the place, (rows,) m and rad."""
+        position, rotation = self.arm.rigid_body.tip(q)
+        off = place.position - position
+        if self.rows == 3:
+            return off
+        return np.concatenate([off, rotation @ rotation_vector(rotation.T @ place.rotation)])
+
+    def _require_limits(self, q: Array, s: float) -> None:
+        limits = self.arm.limits
+        outside = (q < limits.q_min - 1e-9) | (q > limits.q_max + 1e-9)
+        if outside.any():
+            i = int(outside.argmax())
+            raise PlanError(
+                f"{self._where(s)} {self.arm.joint_names[i]} would leave its limits "
+                f"[{limits.q_min[i]:.3f}, {limits.q_max[i]:.3f}] rad; start from another joint position for the same tip pose"
+                f"{', or let the orientation be free with target=[x, y, z]' if self.rows == 6 else ''}"
+            )
+
+    def _stuck(self, q: Array, s: float) -> PlanError:
+        J = self.arm.rigid_body.jacobian(q)[: self.rows]
+        needed = np.abs(self._slope(q, s))
+        i = int(needed.argmax())
+        weakest = float(np.linalg.svd(J, compute_uv=False)[-1])
+        return PlanError(
+            f"{self._where(s)} the arm can follow no further: it is stretched out or folded (smallest singular value "
+            f"{weakest:.2g}), and {self.arm.joint_names[i]} would have to turn at once; "
+            "bring the path nearer, or go round with move_j"
+        )
+
+    def _where(self, s: float) -> str:
+        x, y, z = self.path.at(s).position
+        return f"{self.what}: at {100 * s / self.path.length:.1f} % of the path, tip at [{x:.3f}, {y:.3f}, {z:.3f}] m,"
