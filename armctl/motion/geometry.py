@@ -1,4 +1,4 @@
-"""What the tip's path is made of: lines, arcs, and the blends that round the corners between them.
+"""What the tip's path is made of: lines and arcs, the orientation turning along.
 
 Each shape is a function of its own length. Lengths are metres; a turn of the tip counts as an arc of 0.2 m radius where that is
 longer than the way of its point, so that turning on the spot has a length too.
@@ -17,7 +17,6 @@ from armctl.errors import InputError
 from armctl.pose import rotation_from_vector, rotation_vector
 
 TURN_RADIUS = 0.2  # m: what a radian of turning counts as
-_COINCIDE = 1e-9  # m
 
 
 class TipState(NamedTuple):
@@ -194,116 +193,3 @@ class Circle:
         arm = rotation_from_vector(share * self.angle * self.axis) @ (self.start - self.center)
         linear = np.cross(self.axis, arm) * self.angle
         return TipState(self.center + arm, self.turn.at(share), np.concatenate([linear, self.turn.vector]) / self.length)
-
-
-@dataclass(frozen=True, eq=False)
-class Blend:
-    """A rounded corner: the one shape slows down to the corner while the next already leaves it, added up.
-
-    Inside it goes from a `radius` before the corner to a `radius` after it; at both ends it agrees with the shapes in position,
-    orientation and their first three derivatives.
-
-    Attributes:
-        before: The shape that ends at the corner.
-        after: The shape that starts there.
-        radius: m, along both.
-    """
-
-    before: Shape
-    after: Shape
-    radius: float
-
-    @property
-    def length(self) -> float:
-        """Its length, m."""
-        return 2 * self.radius
-
-    def at(self, s: float) -> TipState:
-        """The place at a length.
-
-        Args:
-            s: m from its start.
-
-        Returns:
-            The place.
-        """
-        u = s / self.length
-        done, speed = _ease(u)
-        ahead, ahead_speed = _ease(1 - u)
-        a = self.before.at(self.before.length - self.radius * (1 - done))
-        b = self.after.at(self.radius * (1 - ahead))
-        corner = self.after.at(0.0)
-        turned = a.rotation @ corner.rotation.T
-        twist = a.twist * speed + np.concatenate([b.twist[:3], turned @ b.twist[3:]]) * ahead_speed
-        return TipState(a.position + b.position - corner.position, turned @ b.rotation, twist)
-
-
-@dataclass(frozen=True, eq=False)
-class Stretch:
-    """Part of a shape.
-
-    Attributes:
-        shape: The shape.
-        start: m, where it begins on it.
-        end: m, where it ends.
-    """
-
-    shape: Shape
-    start: float
-    end: float
-
-    @property
-    def length(self) -> float:
-        """Its length, m."""
-        return self.end - self.start
-
-    def at(self, s: float) -> TipState:
-        """The place at a length.
-
-        Args:
-            s: m from its start.
-
-        Returns:
-            The place.
-        """
-        return self.shape.at(self.start + s)
-
-
-class Chained:
-    """Shapes one after another."""
-
-    def __init__(self, shapes: list[Shape]):
-        """The shapes in a row.
-
-        Args:
-            shapes: Each starts where the one before it ends.
-        """
-        self._shapes = [shape for shape in shapes if shape.length > _COINCIDE]
-        self.ends = np.cumsum([shape.length for shape in self._shapes])
-
-    @property
-    def length(self) -> float:
-        """Its length, m."""
-        return float(self.ends[-1]) if len(self.ends) else 0.0
-
-    def at(self, s: float) -> TipState:
-        """The place at a length.
-
-        Args:
-            s: m from its start.
-
-        Returns:
-            The place.
-        """
-        k = min(int(np.searchsorted(self.ends, s, side="right")), len(self.ends) - 1)
-        shape = self._shapes[k]
-        return shape.at(min(s - (self.ends[k] - shape.length), shape.length))
-
-
-def _ease(u: float) -> tuple[float, float]:
-    """From 0 to 1 for u from 0 to 1, arriving at rest, and the speed: 1 at first in lengths of 2, three derivatives smooth.
-
-    The speed is 1 - S(u), S the quintic step 6 u^5 - 15 u^4 + 10 u^3.
-    """
-    step = u**3 * (10 + u * (6 * u - 15))
-    return 2 * u - u**4 * (5 + u * (2 * u - 6)), 1 - step

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 from armctl.arm import Arm
 from armctl.arrays import Array, number, vector
 from armctl.errors import InputError
+from armctl.motion.blending import Blend, Chained, Stretch
 from armctl.motion.checks import require_bounds
-from armctl.motion.geometry import Blend, Chained, Circle, Shape, Straight, Stretch, Turn
+from armctl.motion.geometry import Circle, Shape, Straight, Turn
 from armctl.motion.joint_trajectory import JointTrajectory
 from armctl.motion.pace import fastest
 from armctl.motion.tracking import track
