@@ -8,6 +8,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
 TABLE = re.compile(r"(?<=<!-- armctl compare ur5e -->\n).*?(?=<!-- end -->)", re.DOTALL)
+REACHED = re.compile(r"reached within .*")
 
 
 def printed(*command: str | Path) -> str:
@@ -20,6 +21,6 @@ if __name__ == "__main__":
     for example in sorted((ROOT / "examples").glob("*.py")):
         (HERE / f"{example.stem}.txt").write_text(printed(example), encoding="utf-8")
     (HERE / "info.txt").write_text(printed("-m", "armctl", "info", "robot_arm_3dof"), encoding="utf-8")
-    readme = ROOT / "README.md"
-    table = printed("-m", "armctl", "compare", "ur5e")
-    readme.write_text(TABLE.sub(f"\n{table}\n", readme.read_text(encoding="utf-8")), encoding="utf-8")
+    readme, panda = ROOT / "README.md", (HERE / "05_menagerie_panda.txt").read_text(encoding="utf-8")
+    text = TABLE.sub(f"\n{printed('-m', 'armctl', 'compare', 'ur5e')}\n", readme.read_text(encoding="utf-8"))
+    readme.write_text(REACHED.sub(REACHED.findall(panda)[0], text), encoding="utf-8")
