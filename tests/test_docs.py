@@ -1,0 +1,57 @@
+"""What README and the pages tell a reader to type and to open is really there."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from armctl.cli import _parser
+
+ROOT = Path(__file__).parent.parent
+PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
+TEXTS = {page.relative_to(ROOT): page.read_text(encoding="utf-8") for page in PAGES}
+
+
+def blocks(text: str, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
+
+
+COMMANDS = sorted(
+    {
+        line
+        for text in TEXTS.values()
+        for block in blocks(text, "sh")
+        for line in block.splitlines()
+        if line.startswith("armctl ")
+    }
+)
+PROGRAMS = [(page, block) for page, text in TEXTS.items() for block in blocks(text, "python")]
+LINKS = [(page, link) for page, text in TEXTS.items() for link in re.findall(r"\]\(([^)#:\s]+)\)", text)]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_in_the_pages_is_one_that_armctl_takes(command: str):
+    assert _parser().parse_args(shlex.split(command, comments=True)[1:]).run
+
+
+@pytest.mark.parametrize(("page", "program"), PROGRAMS)
+def test_a_program_in_the_pages_is_python(page: Path, program: str):
+    compile(program, str(page), "exec")
+
+
+@pytest.mark.parametrize(("page", "link"), LINKS)
+def test_a_link_in_the_pages_leads_somewhere(page: Path, link: str):
+    assert (ROOT / page).parent.joinpath(link).exists() or link == "reference.md", "the build writes reference.md alone"
+
+
+def test_every_make_target_in_the_pages_is_in_the_makefile():
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    in_code = {t for text in TEXTS.values() for t in re.findall(r"(?:^|`)make (\w+)", text, flags=re.MULTILINE)}
+    assert in_code
+    assert all(re.search(rf"^{target}:", makefile, flags=re.MULTILINE) for target in in_code), in_code
+
+
+def test_the_readme_begins_with_the_two_commands():
+    first = blocks(TEXTS[Path("README.md")], "sh")[0]
+    assert [line.split("  ")[0] for line in first.splitlines()] == ["make demo", "make test"]
