@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 __version__ = "0.1.0"
 
 _MODULES = {
+    "Adaptive": "armctl.control",
     "Arm": "armctl.arm",
     "ArmctlError": "armctl.errors",
     "ArmctlWarning": "armctl.errors",
     "ComputedTorque": "armctl.control",
     "Controller": "armctl.control",
     "IkResult": "armctl.ik",
+    "Impedance": "armctl.control",
     "InputError": "armctl.errors",
     "LimitError": "armctl.errors",
     "Limits": "armctl.trajectory",
@@ -23,7 +25,10 @@ _MODULES = {
     "ModelError": "armctl.errors",
     "NotInstalledError": "armctl.errors",
     "MoveResult": "armctl.move_result",
+    "OperationalSpace": "armctl.control",
     "PD": "armctl.control",
+    "PDGravity": "armctl.control",
+    "PIDGravity": "armctl.control",
     "PlanError": "armctl.errors",
     "Plant": "armctl.plant",
     "Pose": "armctl.pose",
@@ -49,8 +54,13 @@ if TYPE_CHECKING:
     from armctl.arm import Arm as Arm
     from armctl.comparison import compare as compare
     from armctl.control import PD as PD
+    from armctl.control import Adaptive as Adaptive
     from armctl.control import ComputedTorque as ComputedTorque
     from armctl.control import Controller as Controller
+    from armctl.control import Impedance as Impedance
+    from armctl.control import OperationalSpace as OperationalSpace
+    from armctl.control import PDGravity as PDGravity
+    from armctl.control import PIDGravity as PIDGravity
     from armctl.control import State as State
     from armctl.errors import ArmctlError as ArmctlError
     from armctl.errors import ArmctlWarning as ArmctlWarning

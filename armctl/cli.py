@@ -62,7 +62,7 @@ def _parser() -> argparse.ArgumentParser:
     info = command("info", _info, "show a robot's joints and limits")
     reach = command("reach", _reach, "bring the tip to a target and report")
     reach.add_argument("--target", nargs="+", metavar="N", help="x y z in m, and roll pitch yaw in rad if wanted")
-    reach.add_argument("--controller", default="computed-torque", help="pd or computed-torque (default)")
+    reach.add_argument("--controller", default="computed-torque", help="its name (default computed-torque)")
     reach.add_argument("--video", type=Path, metavar="FILE", help="film the run into this .mp4 or .gif")
     compare = command("compare", _compare, "follow the same motion under every controller")
     simulate = command("simulate", _simulate, "hold the motors at constant controls")

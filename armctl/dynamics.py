@@ -54,6 +54,7 @@ class Dynamics:
         damps_at_end = self.is_discrete and not (integrator == mujoco.mjtIntegrator.mjINT_EULER and explicit)
         self._turns_at_end = integrator == mujoco.mjtIntegrator.mjINT_IMPLICIT
         self._changes_late = self._turns_at_end or (damps_at_end and self._is_damped)
+        self._payload_basis = _payload_basis(arm.rigid_body.T_last_tip)
 
     def mass_matrix(self, q: Array) -> Array:
         """M(q), armature included.
@@ -114,6 +115,53 @@ class Dynamics:
             tau = tau + self._late(q, v, a, dt)
         return self._with_static(tau, q)
 
+    def held(self, q: Array, v: Array, a: Array, dt: float) -> Array:
+        """The torque that, held for a while, makes an arm in continuous time accelerate: inverse dynamics half-way there.
+
+        Args:
+            q: (n,) rad, at the beginning.
+            v: (n,) rad/s, at the beginning.
+            a: (n,) rad/s^2, the change of v over the while by dt.
+            dt: How long it is held, s.
+
+        Returns:
+            (n,) N m; off by terms of dt^2.
+        """
+        half = 0.5 * dt
+        return self.inverse(q + half * v, v + half * a, a)
+
+    def coriolis(self, q: Array, v: Array, w: Array) -> Array:
+        """C(q, v) w with the C of Christoffel's symbols, for which M_dot - 2 C is skew-symmetric.
+
+        C(q, v) w is symmetric in v and w, so it follows from C(q, v) v by polarisation.
+
+        Args:
+            q: (n,) rad.
+            v: (n,) rad/s.
+            w: (n,) rad/s.
+
+        Returns:
+            (n,) N m.
+        """
+        nle, model, data = pin.nonLinearEffects, self._model, self._data
+        return 0.25 * (nle(model, data, q, v + w) - nle(model, data, q, v - w))
+
+    def payload_regressor(self, q: Array, v: Array, a: Array) -> Array:
+        """The torques that a point mass at the tip takes, by its mass m and first moment m c in the tip's frame.
+
+        The inertia m c c^T about the tip, which is not linear in these four, is left out: it is small where c is.
+
+        Args:
+            q: (n,) rad.
+            v: (n,) rad/s.
+            a: (n,) rad/s^2.
+
+        Returns:
+            (n, 4), N m per kg and per kg m: `regressor @ [m, m cx, m cy, m cz]` is a torque.
+        """
+        last = pin.computeJointTorqueRegressor(self._model, self._data, q, v, a)[:, -10:]
+        return last @ self._payload_basis
+
     def friction(self, q: Array, v: Array, a: Array, dt: float = 0.0) -> Array:
         """The torque that overcomes dry friction, by MuJoCo's own law: a stiff damper that yields at the friction loss.
 
@@ -133,7 +181,9 @@ class Dynamics:
         if not self.has_friction:
             return np.zeros_like(self.friction_loss)
         if dt and self._changes_late:
-            a = a + np.linalg.solve(self.mass_matrix(q), self._late(q, v, a, dt))
+            pin.crba(self._model, self._data, q)
+            pin.cholesky.decompose(self._model, self._data)
+            a = a + pin.cholesky.solve(self._model, self._data, self._late(q, v, a, dt))
         force = self._friction_gain * (a + self._friction_rate * v)
         return np.clip(force, -self.friction_loss, self.friction_loss)
 
@@ -169,3 +219,18 @@ def _friction_constants(model: mujoco.MjModel, dofs: IntArray) -> tuple[Array, A
     rate = np.where(solref[:, 0] > 0, 2 / (impedance_max * time_constant), -solref[:, 1] / impedance_max)
     regularisation = (1 - impedance) / impedance * np.maximum(model.dof_invweight0[dofs], 1e-15)
     return 1 / regularisation, rate
+
+
+def _payload_basis(T_last_tip: Array) -> Array:
+    """(10, 4): Pinocchio's ten inertial parameters in the last joint's frame from m and m c in the tip's.
+
+    With p = r + R c, a point mass has first moment m p and second moment S = m p p^T, of which I = tr(S) 1 - S.
+    """
+    R, r = T_last_tip[:3, :3], T_last_tip[:3, 3]
+    basis = np.zeros((10, 4))
+    for k in range(4):
+        m, h = (1.0, np.zeros(3)) if k == 0 else (0.0, R[:, k - 1])
+        S = m * np.outer(r, r) + np.outer(r, h) + np.outer(h, r)
+        inertia = np.trace(S) * np.eye(3) - S
+        basis[:, k] = [m, *(m * r + h), *inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]]
+    return basis

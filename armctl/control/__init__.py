@@ -1,12 +1,31 @@
 """Controllers: one file each, one method `torque(state, setpoint)`."""
 
+from collections.abc import Callable
+from functools import partial
+
 from armctl.arm import Arm
+from armctl.control.adaptive import Adaptive
 from armctl.control.computed_torque import ComputedTorque
 from armctl.control.contract import Controller, State, controller_name
+from armctl.control.gravity import PDGravity, PIDGravity
+from armctl.control.impedance import Impedance
+from armctl.control.operational_space import OperationalSpace
 from armctl.control.pd import PD
 from armctl.errors import UnknownNameError
 
-CONTROLLERS = {"pd": PD, "computed-torque": ComputedTorque}
+OBSERVER_BANDWIDTH = 200.0  # rad/s
+
+CONTROLLERS: dict[str, Callable[[Arm], Controller]] = {
+    "pd": PD,
+    "pd-gravity": PDGravity,
+    "pid-gravity": PIDGravity,
+    "computed-torque": ComputedTorque,
+    "computed-torque-textbook": partial(ComputedTorque, form="textbook"),
+    "computed-torque-observer": partial(ComputedTorque, observer_bandwidth=OBSERVER_BANDWIDTH),
+    "operational-space": OperationalSpace,
+    "impedance": Impedance,
+    "adaptive": Adaptive,
+}
 
 
 def controller_by_name(name: str, arm: Arm) -> Controller:
@@ -27,4 +46,17 @@ def controller_by_name(name: str, arm: Arm) -> Controller:
     return CONTROLLERS[name](arm)
 
 
-__all__ = ["CONTROLLERS", "PD", "ComputedTorque", "Controller", "State", "controller_by_name", "controller_name"]
+__all__ = [
+    "CONTROLLERS",
+    "PD",
+    "Adaptive",
+    "ComputedTorque",
+    "Controller",
+    "Impedance",
+    "OperationalSpace",
+    "PDGravity",
+    "PIDGravity",
+    "State",
+    "controller_by_name",
+    "controller_name",
+]

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
+
 from armctl.arm import Arm
 from armctl.arrays import Array, number
+from armctl.control import model
 from armctl.control.contract import State
-from armctl.control.gains import DEFAULT_BANDWIDTH
+from armctl.control.gains import DEFAULT_BANDWIDTH, joint_inertia, raised
+from armctl.control.observer import DisturbanceObserver
 from armctl.dynamics import Dynamics
 from armctl.errors import InputError
 from armctl.trajectory import Setpoint
@@ -17,19 +23,30 @@ class ComputedTorque:
     """Computed torque (inverse dynamics control): tau = ID(q, v, a_ref + k_p (q_ref - q) + k_d (v_ref - v)).
 
     After Siciliano, Sciavicco, Villani, Oriolo, Robotics: Modelling, Planning and Control (2009), 8.5.2. Dry friction is fed
-    forward at the reference's velocity, so that measurement noise does not make it chatter.
+    forward at the reference's velocity, so that measurement noise does not make it chatter. A joint with almost no inertia of
+    its own gets the feedback of one that has a little (`gains.raised`).
 
-    The discrete form (the default) inverts the simulator's step instead of the differential equation: the reference's velocity
-    and acceleration are differences on the tick grid, and damping is taken at the end of the step. With an exact model nothing
-    is left but rounding. The textbook form is off by (k_d / k_p) (dt / 2) a_ref.
+    The discrete form (the default) inverts what the plant does over a control period instead of the differential equation: the
+    reference's velocity and acceleration are differences on the tick grid, and damping is taken at the end of the step, or all
+    in the middle of the period where the plant moves on continuously. With an exact model nothing is left but rounding. The
+    textbook form is off by (k_d / k_p) (dt / 2) a_ref.
 
     Attributes:
         bandwidth: rad/s.
         damping_ratio: 1 is critically damped.
         form: "discrete" or "textbook".
+        observer_bandwidth: rad/s of the disturbance observer; 0 without one.
     """
 
-    def __init__(self, arm: Arm, *, bandwidth: float = DEFAULT_BANDWIDTH, damping_ratio: float = 1.0, form: str = "discrete"):
+    def __init__(
+        self,
+        arm: Arm,
+        *,
+        bandwidth: float = DEFAULT_BANDWIDTH,
+        damping_ratio: float = 1.0,
+        form: str = "discrete",
+        observer_bandwidth: float = 0.0,
+    ):
         """A computed-torque controller for an arm.
 
         Args:
@@ -37,19 +54,26 @@ class ComputedTorque:
             bandwidth: rad/s, the natural frequency of the error.
             damping_ratio: 1 is critically damped.
             form: "discrete" or "textbook".
+            observer_bandwidth: rad/s up to which unknown torques are estimated and cancelled; 0 leaves them alone.
 
         Raises:
-            InputError: A gain is negative or not finite, or there is no such form.
+            InputError: A gain is negative or not finite, there is no such form, or a textbook form is to have an observer.
         """
         if form not in FORMS:
             raise InputError(f"form: {form!r} given, one of {', '.join(FORMS)} wanted")
         self.bandwidth = number("bandwidth", bandwidth, 0.0)
         self.damping_ratio = number("damping_ratio", damping_ratio, 0.0)
+        self.observer_bandwidth = number("observer_bandwidth", observer_bandwidth, 0.0)
+        if self.observer_bandwidth and form == "textbook":
+            raise InputError("observer_bandwidth: the observer compares ticks, so it needs form='discrete'")
         self.form = form
-        self.name = "computed-torque" if form == "discrete" else "computed-torque-textbook"
+        self.name = "computed-torque" + ("-textbook" if form == "textbook" else "-observer" if observer_bandwidth else "")
         self._kp, self._kd = self.bandwidth**2, 2 * self.damping_ratio * self.bandwidth
         self._dynamics = Dynamics(arm)
-        self._is_textbook = form == "textbook" or not self._dynamics.is_discrete
+        self._observer = DisturbanceObserver(arm, self.observer_bandwidth) if self.observer_bandwidth else None
+        self._arm, self._inertia = arm, joint_inertia(arm).min(axis=0)
+        self._is_raised = bool(self._raised(0.0).any())
+        self._raise, self._raise_for = np.zeros(arm.n), math.nan
 
     def torque(self, state: State, setpoint: Setpoint) -> Array:
         """The torque for the coming control period.
@@ -61,12 +85,24 @@ class ComputedTorque:
         Returns:
             (n,) N m.
         """
-        q, v, _, dt = state
-        q_ref, v_ref, a_ref, v_tick, a_tick = setpoint
-        if self._is_textbook or v_tick is None or a_tick is None:
-            dt = 0.0
+        if self.form == "textbook":
+            instant, v_ref, a_ref = state._replace(dt=0.0, continuous=False), setpoint.v, setpoint.a
         else:
-            v_ref, a_ref = v_tick, a_tick
-        a = a_ref + self._kp * (q_ref - q) + self._kd * (v_ref - v)
-        tau = self._dynamics.inverse(q, v, a, dt)
-        return tau + self._dynamics.friction(q, v_ref, a_ref, dt) if self._dynamics.has_friction else tau
+            instant, (v_ref, a_ref) = state, model.sampled(setpoint)
+        correction = self._kp * (setpoint.q - state.q) + self._kd * (v_ref - state.v)
+        tau = model.inverse(self._dynamics, instant, a_ref + correction)
+        if self._is_raised:
+            if state.dt != self._raise_for:
+                self._raise, self._raise_for = self._raised(state.dt), state.dt
+            tau = tau + self._raise * correction
+        friction = None
+        if self._dynamics.has_friction:
+            friction = self._dynamics.friction(state.q, v_ref, a_ref, state.dt)
+        if self._observer is not None:
+            tau = self._observer.corrected(tau, state, friction)
+        return tau if friction is None else tau + friction
+
+    def _raised(self, dt: float) -> Array:
+        """What joints of almost no inertia are taken to have besides their own, kg m^2."""
+        bandwidth = self.bandwidth * max(self.damping_ratio, 1.0)
+        return raised(self._arm, self._inertia, self._inertia, bandwidth, dt) - self._inertia

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from armctl.arrays import Array
@@ -16,12 +17,15 @@ class State(NamedTuple):
         v: (n,) measured velocities, rad/s.
         t: Time, s.
         dt: The control period, for which the torque will be held, s; 0 means continuous time.
+        continuous: Whether the arm moves on continuously while the torque is held, as a real one does. Otherwise one step of
+            the simulator is the period.
     """
 
     q: Array
     v: Array
     t: float = 0.0
     dt: float = 0.0
+    continuous: bool = False
 
 
 @runtime_checkable
@@ -42,6 +46,27 @@ class Controller(Protocol):
             (n,) N m; the simulation clips it at the arm's limits.
         """
         ...
+
+
+class Clock:
+    """Tells a controller with memory whether a tick follows the one before it."""
+
+    def __init__(self) -> None:
+        """A clock that has seen no tick."""
+        self._next = math.nan
+
+    def follows(self, state: State) -> bool:
+        """Whether a state is one control period after the state of the last call; False at first.
+
+        Args:
+            state: The measured state at this tick.
+
+        Returns:
+            True if it is.
+        """
+        follows = abs(state.t - self._next) <= 0.5 * state.dt
+        self._next = state.t + state.dt
+        return follows
 
 
 def controller_name(controller: Controller) -> str:
