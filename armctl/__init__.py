@@ -35,10 +35,12 @@ _MODULES = {
     "Report": "armctl.report",
     "Setpoint": "armctl.trajectory",
     "Simulation": "armctl.simulation",
+    "SerialChain": "armctl.chain",
     "SimulationError": "armctl.errors",
     "State": "armctl.control",
     "Trajectory": "armctl.trajectory",
     "UnknownNameError": "armctl.errors",
+    "chains": "armctl.robots",
     "compare": "armctl.comparison",
     "load": "armctl.robots",
     "move_c": "armctl.motion",
@@ -52,6 +54,7 @@ _MODULES = {
 
 if TYPE_CHECKING:
     from armctl.arm import Arm as Arm
+    from armctl.chain import SerialChain as SerialChain
     from armctl.comparison import compare as compare
     from armctl.control import PD as PD
     from armctl.control import Adaptive as Adaptive
@@ -83,6 +86,7 @@ if TYPE_CHECKING:
     from armctl.plant import Plant as Plant
     from armctl.pose import Pose as Pose
     from armctl.report import Report as Report
+    from armctl.robots import chains as chains
     from armctl.robots import load as load
     from armctl.simulation import Simulation as Simulation
     from armctl.simulation import simulate as simulate

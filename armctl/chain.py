@@ -1,97 +1,88 @@
-"""Finding the serial chain in a compiled model: which joints make the arm, which actuator moves each, where the tip is."""
+"""Finding the serial chains in a compiled model: which joints make an arm, and why others make none."""
 
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 
 import mujoco
 
-from armctl.errors import ModelError, UnknownNameError
-from armctl.pose import Pose
+from armctl.coupling import coupling
+from armctl.elements import (
+    SCALAR,
+    Chain,
+    actuator_name,
+    body_name,
+    branches,
+    is_below,
+    joint_actuators,
+    joint_name,
+    joints_above,
+    joints_of,
+)
+from armctl.errors import ModelError
+from armctl.tip import find_tip
 
-# As numbers: `numpy.int32(3) in (mjtJoint.mjJNT_HINGE,)` is False, although the two compare equal with ==.
-_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-_ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-_CLOSES_LOOP = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
 _JAW = re.compile(r"jaw|grip|finger|claw|knuckle", re.IGNORECASE)
-_JAW_BODY = re.compile(r"^(?!.*(fix|static|base)).*(jaw|finger|claw|moving)", re.IGNORECASE)
-_TIP_NAMES = ("attachment", "tool", "tcp", "pinch", "grasp", "effector", "eef", "ee", "tip", "flange", "gripper")
-_NO_TIP = re.compile(r"imu|cam|force|torque|sensor", re.IGNORECASE)
-
-Chain = tuple[int, ...]
+_JAW_BODY = re.compile(r"^(?!.*(fix|static|base)).*(jaw|finger|fngr|claw|moving)", re.IGNORECASE)
 
 
-def name_of(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int) -> str:
-    """The name of an element, or its kind and number where it has none.
+@dataclass(frozen=True)
+class SerialChain:
+    """Joints in series inside a model: an arm, a leg, a finger, a head.
 
-    Args:
-        model: The compiled model.
-        kind: Which kind of element.
-        index: Its number.
-
-    Returns:
-        A name fit for an error message.
+    Attributes:
+        base: The body it stands on; "world" where nothing moves below it.
+        tip: The site or body at its end.
+        joint_names: Its joints, from the base to the tip.
+        actuator_names: What moves them; empty for a joint that nothing moves directly.
+        reason: Why `armctl.load` refuses it, in words; empty where it does not.
     """
-    return mujoco.mj_id2name(model, kind, index) or f"{kind.name.removeprefix('mjOBJ_').lower()}{index}"
+
+    base: str
+    tip: str
+    joint_names: tuple[str, ...]
+    actuator_names: tuple[str, ...]
+    reason: str = ""
+
+    @property
+    def ok(self) -> bool:
+        """Whether `armctl.load(robot, base=..., tip=...)` takes it."""
+        return not self.reason
 
 
-def joint_name(model: mujoco.MjModel, joint: int) -> str:
-    """The name of a joint.
+def all_chains(model: mujoco.MjModel) -> list[SerialChain]:
+    """Every serial chain of a model, whose free bases are taken to be held.
 
-    Args:
-        model: The compiled model.
-        joint: Its number.
-
-    Returns:
-        Its name, or "joint3" for the nameless fourth.
-    """
-    return name_of(model, mujoco.mjtObj.mjOBJ_JOINT, joint)
-
-
-def body_name(model: mujoco.MjModel, body: int) -> str:
-    """The name of a body.
-
-    Args:
-        model: The compiled model.
-        body: Its number.
-
-    Returns:
-        Its name, or "body3" for the nameless fourth.
-    """
-    return name_of(model, mujoco.mjtObj.mjOBJ_BODY, body)
-
-
-def joint_actuators(model: mujoco.MjModel) -> dict[int, int]:
-    """Which actuator moves which hinge or slide joint, directly.
+    A chain ends where the model branches no further, before the fingers of a gripper, and before a joint that cannot be driven:
+    what follows is a chain of its own, on the body before it.
 
     Args:
         model: The compiled model.
 
     Returns:
-        Joint to actuator; the first one, where several move the same joint.
+        The chains that can be driven, longest first, then the joints that cannot, with the reason.
     """
-    found: dict[int, int] = {}
-    for actuator in range(model.nu):
-        joint = int(model.actuator_trnid[actuator, 0])
-        if is_on_joint(model, actuator) and model.jnt_type[joint] in _SCALAR:
-            found.setdefault(joint, actuator)
-    return found
+    refused: dict[tuple[int, Chain], str] = {}
+    runs: set[tuple[int, Chain]] = set()
+    base, run = [0] * model.nbody, [()] * model.nbody
+    for body in range(1, model.nbody):
+        parent, own = int(model.body_parentid[body]), joints_of(model, body)
+        reason = next(filter(None, (_refusal(model, joint) for joint in own)), "")
+        base[body], run[body] = (body, ()) if reason else (base[parent], run[parent] + own)
+        runs |= {(base[body], run[body])} if run[body] else set()
+        if reason and not _is_free(model, own[0]):
+            refused[parent, own] = reason
+    found: set[tuple[int, Chain]] = set()
+    for start, joints in _longest(runs):
+        end = _end_of_arm(model, joints)
+        found |= {(start, joints[:end]), (int(model.jnt_bodyid[joints[end - 1]]), joints[end:])}
+    kept = sorted(_longest({key for key in found if key[1]}))
+    described = [_describe(model, *key, reason) for key, reason in [*((k, "") for k in kept), *refused.items()]]
+    return sorted(described, key=lambda chain: (not chain.ok, -len(chain.joint_names)))
 
 
-def is_on_joint(model: mujoco.MjModel, actuator: int) -> bool:
-    """Whether an actuator acts on one joint directly, not through a tendon, a site or a crank.
-
-    Args:
-        model: The compiled model.
-        actuator: Its number.
-
-    Returns:
-        True if it does; `actuator_trnid[actuator, 0]` is then the joint.
-    """
-    return model.actuator_trntype[actuator] in _ON_JOINT
-
-
-def find_chain(model: mujoco.MjModel) -> Chain:
+def find_chain(model: mujoco.MjModel, base: int = 0) -> Chain:
     """The arm of a model that nobody described: its longest run of actuated joints from the base.
 
     The run ends before the fingers of a gripper part: at a body that carries several jointed branches with fewer joints behind
@@ -99,6 +90,7 @@ def find_chain(model: mujoco.MjModel) -> Chain:
 
     Args:
         model: The compiled model.
+        base: The body it stands on; the world if left out.
 
     Returns:
         The joints from the base to the tip.
@@ -106,192 +98,136 @@ def find_chain(model: mujoco.MjModel) -> Chain:
     Raises:
         ModelError: There is none, or several are equally long.
     """
-    runs = {_without_jaw(model, _cut_at_fingers(model, run)) for run in _runs(model)}
+    runs = {run[: _end_of_arm(model, run)] for run in _runs(model, base)}
     longest = max((len(run) for run in runs), default=0)
     if longest == 0:
-        raise ModelError(_why_no_arm(model))
+        raise ModelError(_why_no_arm(model, base))
     best = sorted(run for run in runs if len(run) == longest)
     if len(best) > 1:
         tips = ", ".join(repr(find_tip(model, run)[0]) for run in best)
-        raise ModelError(f"{len(best)} chains of {longest} joints start at the base; choose one with tip=: {tips}")
-    check_chain(model, best[0])
+        on = f"on {body_name(model, base)!r}" if base else "at the base"
+        raise ModelError(f"{len(best)} chains of {longest} joints start {on}; choose one with tip=: {tips}")
+    _check_free(model, best[0])
     return best[0]
 
 
-def chain_to(model: mujoco.MjModel, body: int) -> Chain:
-    """All joints between the world and a body.
+def chain_to(model: mujoco.MjModel, body: int, base: int = 0) -> Chain:
+    """All joints between a base and a body.
 
     Args:
         model: The compiled model.
         body: The body at the end.
+        base: The body it stands on; the world if left out.
 
     Returns:
         The joints from the base to the body.
 
     Raises:
-        ModelError: One of them is no hinge or slide joint, has no actuator of its own, or is part of a loop.
+        ModelError: One of them is no hinge or slide joint, has no actuator of its own, or is coupled to others.
     """
-    actuated, joints = joint_actuators(model), _joints_above(model, body)
+    name = body_name(model, body)
+    if not is_below(model, body, base):
+        raise ModelError(f"{name!r} does not hang on {body_name(model, base)!r}; choose a base further down")
+    actuated, joints = joint_actuators(model), joints_above(model, body, base)
+    if joints and _is_free(model, joints[0]):
+        raise ModelError(_free_base(model, joints[0]))
     for joint in joints:
-        name = joint_name(model, joint)
-        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
-            raise ModelError(f"the base of {body_name(model, body)!r} is free (joint {name!r}), an arm needs a fixed one")
-        if model.jnt_type[joint] not in _SCALAR:
-            raise ModelError(f"joint {name!r} on the way to {body_name(model, body)!r} is a ball joint, not a hinge or slide")
+        if model.jnt_type[joint] not in SCALAR:
+            raise ModelError(f"joint {joint_name(model, joint)!r} on the way to {name!r} is a ball joint, not a hinge or slide")
         if joint not in actuated:
-            raise ModelError(f"joint {name!r} on the way to {body_name(model, body)!r} has no actuator of its own")
+            why = coupling(model, joint) or "base= can be a body behind it, which holds it"
+            raise ModelError(f"joint {joint_name(model, joint)!r} on the way to {name!r} has no actuator of its own; {why}")
     if not joints:
-        raise ModelError(f"no joint moves {body_name(model, body)!r}, so it is the tip of no arm")
-    check_chain(model, joints)
+        raise ModelError(f"no joint moves {name!r}, so it is the tip of no arm")
+    _check_free(model, joints)
     return joints
 
 
-def check_chain(model: mujoco.MjModel, joints: Chain) -> None:
-    """Makes sure that each joint of a chain moves freely of all others.
-
-    Args:
-        model: The compiled model.
-        joints: The chain.
-
-    Raises:
-        ModelError: An equality closes a loop over the chain or couples one of its joints, or a tendon spans one.
-    """
-    for equality in range(model.neq):
-        if not model.eq_active0[equality]:
-            continue
-        kind, ends = model.eq_type[equality], (int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality]))
-        name = name_of(model, mujoco.mjtObj.mjOBJ_EQUALITY, equality)
-        if kind == mujoco.mjtEq.mjEQ_JOINT and set(ends) & set(joints):
-            coupled = next(j for j in ends if j in joints)
-            raise ModelError(f"joint {joint_name(model, coupled)!r} is coupled to another by the equality {name!r}")
-        if kind in _CLOSES_LOOP:
-            of_site = model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE
-            bodies = [int(model.site_bodyid[i]) if of_site else i for i in ends]
-            above = [set(_joints_above(model, body)) & set(joints) for body in bodies]
-            if above[0] != above[1]:
-                raise ModelError(
-                    f"the equality {name!r} closes a loop over joint {joint_name(model, min(above[0] ^ above[1]))!r}"
-                )
-    for tendon in range(model.ntendon):
-        for wrap in range(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon]):
-            joint = int(model.wrap_objid[wrap])
-            if model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_JOINT and joint in joints:
-                name = name_of(model, mujoco.mjtObj.mjOBJ_TENDON, tendon)
-                raise ModelError(f"joint {joint_name(model, joint)!r} is coupled to others by the tendon {name!r}")
+def _check_free(model: mujoco.MjModel, joints: Chain) -> None:
+    """Makes sure that each joint of a chain moves freely of all others."""
+    for joint in joints:
+        if reason := coupling(model, joint):
+            raise ModelError(reason)
 
 
-def find_tip(model: mujoco.MjModel, joints: Chain) -> tuple[str, int, Pose]:
-    """The tip of a chain: a site fixed behind its last joint that is named like one, or else the last body.
-
-    Args:
-        model: The compiled model.
-        joints: The chain.
-
-    Returns:
-        The tip's name, the body that carries it, and its pose in that body.
-    """
-    bodies = _welded_behind(model, int(model.jnt_bodyid[joints[-1]]))
-    sites = [s for s in range(model.nsite) if int(model.site_bodyid[s]) in bodies]
-    names = {s: name_of(model, mujoco.mjtObj.mjOBJ_SITE, s) for s in sites}
-    named = [s for wanted in _TIP_NAMES for s in sites if wanted in names[s].lower() and not _NO_TIP.search(names[s])]
-    if named:
-        return named_tip(model, names[named[0]])
-    return body_name(model, bodies[-1]), bodies[-1], Pose([0.0, 0.0, 0.0])
+def _refusal(model: mujoco.MjModel, joint: int) -> str:
+    """Why a joint cannot be part of an arm; empty where it can."""
+    if _is_free(model, joint):
+        return _free_base(model, joint)
+    if model.jnt_type[joint] not in SCALAR:
+        return f"joint {joint_name(model, joint)!r} is a ball joint, not a hinge or slide"
+    if reason := coupling(model, joint):
+        return reason
+    return "" if joint in joint_actuators(model) else f"joint {joint_name(model, joint)!r} has no actuator of its own"
 
 
-def named_tip(model: mujoco.MjModel, name: str) -> tuple[str, int, Pose]:
-    """The site, body or geom of a name, as a tip.
-
-    Args:
-        model: The compiled model.
-        name: The name; a site is looked for first, then a body, then a geom.
-
-    Returns:
-        The tip's name, the body that carries it, and its pose in that body.
-
-    Raises:
-        UnknownNameError: There is none of that name.
-    """
-    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
-    if site >= 0:
-        return name, int(model.site_bodyid[site]), Pose(model.site_pos[site], model.site_quat[site])
-    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
-    if body >= 0:
-        return name, body, Pose([0.0, 0.0, 0.0])
-    geom = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name)
-    if geom >= 0:
-        return name, int(model.geom_bodyid[geom]), Pose(model.geom_pos[geom], model.geom_quat[geom])
-    known = [model.site(i).name for i in range(model.nsite)] + [model.body(i).name for i in range(1, model.nbody)]
-    raise UnknownNameError.of("site, body or geom", name, filter(None, known))
+def _describe(model: mujoco.MjModel, base: int, joints: Chain, reason: str) -> SerialChain:
+    actuators = joint_actuators(model)
+    return SerialChain(
+        base=body_name(model, base),
+        tip=find_tip(model, joints)[0],
+        joint_names=tuple(joint_name(model, joint) for joint in joints),
+        actuator_names=tuple(actuator_name(model, actuators[j]) if j in actuators else "" for j in joints),
+        reason=reason,
+    )
 
 
-def _runs(model: mujoco.MjModel) -> set[Chain]:
-    """The runs of actuated joints from the base to every body, as far as nothing interrupts them."""
+def _longest(runs: set[tuple[int, Chain]]) -> set[tuple[int, Chain]]:
+    """Those runs that no other run on the same base goes on from."""
+    beginnings = {(base, joints[:k]) for base, joints in runs for k in range(len(joints))}
+    return runs - beginnings
+
+
+def _runs(model: mujoco.MjModel, base: int) -> set[Chain]:
+    """The runs of actuated joints from a base to every body behind it, as far as nothing interrupts them."""
     actuated = joint_actuators(model)
-    run: list[Chain] = [()] * model.nbody
-    blocked = [False] * model.nbody
-    for body in range(1, model.nbody):
-        parent, own = int(model.body_parentid[body]), _joints_of(model, body)
-        blocked[body] = blocked[parent] or any(joint not in actuated for joint in own)
-        run[body] = run[parent] if blocked[body] else run[parent] + own
-    return {r for r in run if r}
+    run: dict[int, Chain] = {base: ()}
+    for body in range(base + 1, model.nbody):
+        parent, own = int(model.body_parentid[body]), joints_of(model, body)
+        if parent in run and all(joint in actuated for joint in own):
+            run[body] = run[parent] + own
+    return {r for r in run.values() if r}
 
 
-def _cut_at_fingers(model: mujoco.MjModel, run: Chain) -> Chain:
+def _end_of_arm(model: mujoco.MjModel, run: Chain) -> int:
+    """How many joints of a run come before its fingers."""
     for before in range(1, len(run)):
         last, following = int(model.jnt_bodyid[run[before - 1]]), int(model.jnt_bodyid[run[before]])
-        if last != following and len(run) - before < before and _branches(model, last) > 1:
-            return run[:before]
-    return run
-
-
-def _without_jaw(model: mujoco.MjModel, run: Chain) -> Chain:
+        if last != following and len(run) - before < before and len(branches(model, last)) > 1:
+            return before
     actuated, end = joint_actuators(model), len(run)
-    while end > 1 and _is_jaw(model, run[end - 1], actuated[run[end - 1]]):
+    if not run or branches(model, int(model.jnt_bodyid[run[-1]])):
+        return end  # it carries something that moves: a wrist, whatever its name
+    while end > 0 and _is_jaw(model, run[end - 1], actuated[run[end - 1]]):
         end -= 1
-    return run[:end] if end > 1 else run
+    return end or len(run)
 
 
 def _is_jaw(model: mujoco.MjModel, joint: int, actuator: int) -> bool:
-    names = joint_name(model, joint), name_of(model, mujoco.mjtObj.mjOBJ_ACTUATOR, actuator)
+    names = joint_name(model, joint), actuator_name(model, actuator)
     return any(map(_JAW.search, names)) or bool(_JAW_BODY.search(body_name(model, int(model.jnt_bodyid[joint]))))
 
 
-def _branches(model: mujoco.MjModel, body: int) -> int:
-    """How many jointed bodies hang on a body or on what is welded to it."""
-    rigid = _welded_behind(model, body)
-    return sum(1 for b in range(1, model.nbody) if model.body_parentid[b] in rigid and model.body_jntnum[b] and b not in rigid)
+def _is_free(model: mujoco.MjModel, joint: int) -> bool:
+    return bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE)
 
 
-def _welded_behind(model: mujoco.MjModel, body: int) -> list[int]:
-    """A body and its descendants without a joint between, in the model's order."""
-    rigid = [body]
-    for b in range(body + 1, model.nbody):
-        if model.body_parentid[b] in rigid and not model.body_jntnum[b]:
-            rigid.append(b)
-    return rigid
+def _free_base(model: mujoco.MjModel, joint: int) -> str:
+    body = body_name(model, int(model.jnt_bodyid[joint]))
+    return f"the base {body!r} is free (joint {joint_name(model, joint)!r}); hold_base=True holds it where its keyframe puts it"
 
 
-def _joints_of(model: mujoco.MjModel, body: int) -> Chain:
-    first = int(model.body_jntadr[body])
-    return tuple(range(first, first + int(model.body_jntnum[body])))
-
-
-def _joints_above(model: mujoco.MjModel, body: int) -> Chain:
-    joints: Chain = ()
-    while body > 0:
-        joints = _joints_of(model, body) + joints
-        body = int(model.body_parentid[body])
-    return joints
-
-
-def _why_no_arm(model: mujoco.MjModel) -> str:
+def _why_no_arm(model: mujoco.MjModel, base: int) -> str:
     if model.njnt == 0:
         return "no arm: the model has no joints"
     if not joint_actuators(model):
         return "no arm: no hinge or slide joint has an actuator; add one, such as <motor joint=...>, for each joint"
-    free = [j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE]
-    if free:
-        return f"no arm: the base is free (joint {joint_name(model, free[0])!r}), an arm needs a fixed one"
-    blocking = next(j for j in range(model.njnt) if j not in joint_actuators(model))
+    below = [j for j in range(model.njnt) if is_below(model, int(model.jnt_bodyid[j]), base)]
+    behind = [j for j in below if model.jnt_bodyid[j] != base]
+    if not behind:
+        return f"no arm: no joint hangs on {body_name(model, base)!r}"
+    free = next((j for j in behind if _is_free(model, j)), None)
+    if free is not None:
+        return f"no arm: {_free_base(model, free)}"
+    blocking = next(j for j in behind if j not in joint_actuators(model))
     return f"no arm: joint {joint_name(model, blocking)!r}, the first one from the base, has no actuator of its own"

@@ -1,4 +1,4 @@
-"""The command line: `armctl robots | info | reach | compare | simulate`.
+"""The command line: `armctl robots | chains | info | reach | compare | simulate`.
 
 Exit status: 0 done and reached, 1 not reached, 2 a wrong call.
 """
@@ -50,15 +50,19 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="armctl", description="Command robot arms in MuJoCo.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    def command(name: str, run, text: str, robot: bool = True) -> argparse.ArgumentParser:
+    def command(name: str, run, text: str, robot: bool = True, chain: bool = True) -> argparse.ArgumentParser:
         sub = commands.add_parser(name, help=text, description=text)
         sub.set_defaults(run=run)
         if robot:
             sub.add_argument("robot", help="bundled name, alias, Menagerie name, or path of an .xml or .urdf file")
+        if chain:
             sub.add_argument("--tip", help="site, body or geom at the end of the chain")
+            sub.add_argument("--base", help="body that the chain stands on; joints above it are held")
+            sub.add_argument("--hold-base", action="store_true", help="hold a robot that floats or walks where its keyframe is")
         return sub
 
-    command("robots", _robots, "list the robots that have a name", robot=False)
+    command("robots", _robots, "list the robots that have a name", robot=False, chain=False)
+    chains = command("chains", _chains, "list every serial chain of a robot: arms, legs, fingers", chain=False)
     info = command("info", _info, "show a robot's joints and limits")
     reach = command("reach", _reach, "bring the tip to a target and report")
     reach.add_argument("--target", nargs="+", metavar="N", help="x y z in m, and roll pitch yaw in rad if wanted")
@@ -69,7 +73,7 @@ def _parser() -> argparse.ArgumentParser:
     simulate.add_argument("--ctrl", nargs="+", required=True, metavar="N", help="one control a motor; torque = gear x control")
     simulate.add_argument("--seconds", default="2", help="how long, s (default 2)")
     simulate.add_argument("--plot", type=Path, metavar="DIR", help="draw the run into this folder")
-    for sub in (info, reach, compare, simulate):
+    for sub in (chains, info, reach, compare, simulate):
         sub.add_argument("--json", action="store_true", help="print JSON instead of text")
     for sub in (reach, compare):
         sub.add_argument("--save", type=Path, metavar="DIR", help="write logs, figures and plots into this folder")
@@ -77,12 +81,23 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _robots(args: argparse.Namespace) -> int:
-    from armctl.robots import robots
+    from armctl.source import robots
 
     known = robots()
     width = max(map(len, known))
     for name, text in known.items():
         print(f"{name:{width}}  {text}")
+    return OK
+
+
+def _chains(args: argparse.Namespace) -> int:
+    from dataclasses import asdict
+
+    from armctl.describe import describe_chains
+    from armctl.robots import chains
+
+    found = chains(args.robot)
+    _print(args, describe_chains(args.robot, found), [asdict(chain) for chain in found])
     return OK
 
 
@@ -152,7 +167,7 @@ def _simulate(args: argparse.Namespace) -> int:
 def _load(args: argparse.Namespace) -> Arm:
     from armctl.robots import load
 
-    return load(args.robot, tip=args.tip)
+    return load(args.robot, tip=args.tip, base=args.base, hold_base=args.hold_base)
 
 
 def _target(words: list[str]):

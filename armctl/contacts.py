@@ -7,7 +7,7 @@ import numpy as np
 
 from armctl.arm import Arm
 from armctl.arrays import Array
-from armctl.chain import body_name, name_of
+from armctl.elements import body_name, name_of
 from armctl.rigid_body import joint_above
 
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import fields
 
 from armctl.arm import Arm
+from armctl.chain import SerialChain
 
 
 def facts(arm: Arm) -> dict[str, object]:
@@ -56,3 +57,25 @@ def describe(arm: Arm) -> str:
     lines.append("units: rad, rad/s, rad/s^2, rad/s^3, N m (m and N for a slide joint)")
     lines += [f"{name} from: {source}" for name, source in arm.sources.items() if name != "q_min"]
     return "\n".join(lines + [f"note: {note}" for note in arm.notes])
+
+
+def describe_chains(robot: str, chains: list[SerialChain]) -> str:
+    """The chains of a robot in words: a table with base, tip and joints, and why some are refused.
+
+    Args:
+        robot: Its name.
+        chains: Its chains.
+
+    Returns:
+        Several lines.
+    """
+    usable = sum(chain.ok for chain in chains)
+    width = {name: max([len(name), *(len(getattr(chain, name)) for chain in chains)]) for name in ("base", "tip")}
+    lines = [
+        f"{robot}: {usable} chains that load(robot, base=..., tip=...) takes, {len(chains) - usable} that it refuses",
+        f"{'base':{width['base']}} {'tip':{width['tip']}} joints",
+    ]
+    for chain in chains:
+        said = f"refused: {chain.reason}" if chain.reason else f"{len(chain.joint_names)}: {' '.join(chain.joint_names)}"
+        lines.append(f"{chain.base:{width['base']}} {chain.tip:{width['tip']}} {said}")
+    return "\n".join(lines)

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from armctl.arrays import Array
-from armctl.chain import Chain, is_on_joint, joint_actuators, joint_name
 from armctl.datasheets import Row
+from armctl.elements import Chain, is_on_joint, joint_actuators, joint_name
 from armctl.errors import ModelError
 from armctl.trajectory import Limits
 
@@ -140,17 +140,22 @@ def make_motors(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Chain, tau_m
         tau_max: (n,) N m, which become the motors' ranges.
     """
     chosen = joint_actuators(model)
+    hinges, motors = {j.id: j for j in spec.joints}, {a.id: a for a in spec.actuators}
+    states: set[int] = set()
     for i, joint in enumerate(joints):
-        target = spec.joints[joint]
         for actuator in range(model.nu):
             if model.actuator_trnid[actuator, 0] != joint or not is_on_joint(model, actuator):
                 continue
-            motor, gear = spec.actuators[actuator], abs(float(model.actuator_gear[actuator, 0])) or 1.0
-            _move_reflected(motor, target, gear)
+            motor, gear = motors[actuator], abs(float(model.actuator_gear[actuator, 0])) or 1.0
+            states |= {int(model.actuator_actadr[actuator]) + k for k in range(int(model.actuator_actnum[actuator]))}
+            _move_reflected(motor, hinges[joint], gear)
             motor.set_to_motor()
+            motor.actlimited, motor.actrange = mujoco.mjtLimited.mjLIMITED_FALSE, (0.0, 0.0)
             bound = tau_max[i] / gear if actuator == chosen[joint] else 1e-12
             motor.ctrllimited = motor.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
             motor.ctrlrange = motor.forcerange = (-bound, bound)
+    for key in spec.keys:
+        key.act = [x for k, x in enumerate(key.act) if k not in states]
 
 
 def _move_reflected(motor: mujoco.MjsActuator, joint: mujoco.MjsJoint, gear: float) -> None:
@@ -163,6 +168,10 @@ def _move_reflected(motor: mujoco.MjsActuator, joint: mujoco.MjsJoint, gear: flo
 def _torque_ranges(model: mujoco.MjModel, joint: int, actuator: int) -> dict[str, tuple[float, float]]:
     """What the model says about a joint's torque, by where it says it: (low, high) N m."""
     gear = float(model.actuator_gear[actuator, 0])
+    if model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_MUSCLE:
+        raise ModelError(
+            f"joint {joint_name(model, joint)!r} is moved by a muscle, which pulls one way only; an arm needs motors"
+        )
     if gear == 0:
         raise ModelError(f"joint {joint_name(model, joint)!r}: its actuator has a gear of 0 and cannot move it")
     ranges = {}

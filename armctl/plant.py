@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
 from armctl.arrays import IntArray, number, vector
+from armctl.coupling import dofs_of_equality, dofs_of_tendon
 
 _BRAKE = 1e8  # kg m^2 (kg): the armature of a joint that is held; it then moves less than rounding does
 
@@ -97,44 +98,12 @@ def brake(model: mujoco.MjModel, dofs: IntArray) -> None:
     model.dof_frictionloss[held] = 0.0
     model.jnt_limited[held[model.jnt_dofadr]] = 0
     for tendon in range(model.ntendon):
-        if held[_dofs_of_tendon(model, tendon)].all():
+        if held[dofs_of_tendon(model, tendon)].all():
             model.tendon_limited[tendon] = 0
             model.tendon_frictionloss[tendon] = 0.0
     for equality in range(model.neq):
-        if held[_dofs_of_equality(model, equality)].all():
+        if held[dofs_of_equality(model, equality)].all():
             model.eq_active0[equality] = 0
-
-
-def _dofs_of_tendon(model: mujoco.MjModel, tendon: int) -> list[int]:
-    first, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
-    joints = [w for w in range(first, first + count) if model.wrap_type[w] == int(mujoco.mjtWrap.mjWRAP_JOINT)]
-    bodies = [w for w in range(first, first + count) if model.wrap_type[w] == int(mujoco.mjtWrap.mjWRAP_SITE)]
-    dofs = {int(model.jnt_dofadr[model.wrap_objid[w]]) for w in joints}
-    above = [_dofs_above(model, int(model.site_bodyid[model.wrap_objid[w]])) for w in bodies]
-    return sorted(dofs | (set.union(*above) - set.intersection(*above) if above else set()))
-
-
-def _dofs_of_equality(model: mujoco.MjModel, equality: int) -> list[int]:
-    """The degrees of freedom that an equality acts on."""
-    kind, ends = int(model.eq_type[equality]), (int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality]))
-    if kind == int(mujoco.mjtEq.mjEQ_JOINT):
-        return [int(model.jnt_dofadr[j]) for j in ends if j >= 0]
-    if kind == int(mujoco.mjtEq.mjEQ_TENDON):
-        return [dof for tendon in ends if tendon >= 0 for dof in _dofs_of_tendon(model, tendon)]
-    if kind in (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)):
-        of_site = model.eq_objtype[equality] == int(mujoco.mjtObj.mjOBJ_SITE)
-        first, second = (_dofs_above(model, int(model.site_bodyid[i]) if of_site else i) for i in ends)
-        return sorted(first ^ second)
-    return list(range(model.nv))
-
-
-def _dofs_above(model: mujoco.MjModel, body: int) -> set[int]:
-    dofs: set[int] = set()
-    while body > 0:
-        first = int(model.body_dofadr[body])
-        dofs |= set(range(first, first + int(model.body_dofnum[body])))
-        body = int(model.body_parentid[body])
-    return dofs
 
 
 def _add_point_mass(model: mujoco.MjModel, body: int, mass: float, point: np.ndarray) -> None:

@@ -27,7 +27,8 @@ from armctl.plant import Plant
 from armctl.pose import Pose
 from armctl.recorder import Recorder
 from armctl.rig import Rig
-from armctl.robots import TARGET, load
+from armctl.robots import load
+from armctl.staging import TARGET
 from armctl.trajectory import Setpoint, TickReference, Trajectory
 
 _SETTLED_SPEED = 1e-3  # rad/s

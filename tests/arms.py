@@ -14,7 +14,7 @@ import pytest
 
 import armctl
 from armctl.datasheets import ALIASES
-from armctl.robots import BUNDLED
+from armctl.source import BUNDLED
 
 MODELS = Path(__file__).parent / "models"
 MISSING = "its model is not at hand"

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import armctl
-from armctl.robots import bundled_models
+from armctl.source import bundled_models
 
 ROOT = Path(__file__).parent.parent
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}

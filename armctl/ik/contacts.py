@@ -9,7 +9,7 @@ import numpy as np
 
 from armctl.arm import Arm
 from armctl.arrays import Array, IntArray
-from armctl.chain import body_name
+from armctl.elements import body_name
 from armctl.ik.problem import random_positions
 from armctl.rigid_body import joint_above
 

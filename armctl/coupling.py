@@ -1,0 +1,91 @@
+"""What couples the joints of a model beside the links themselves: tendons and equality constraints."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from armctl.elements import joint_name, name_of
+
+_CLOSES_LOOP = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
+
+
+def coupling(model: mujoco.MjModel, joint: int) -> str:
+    """Why a joint does not move freely of all others.
+
+    Args:
+        model: The compiled model.
+        joint: Its number.
+
+    Returns:
+        The tendon or equality that couples it, in words; empty where none does.
+    """
+    dof, name = int(model.jnt_dofadr[joint]), joint_name(model, joint)
+    for equality in range(model.neq):
+        if not model.eq_active0[equality] or dof not in dofs_of_equality(model, equality):
+            continue
+        label = name_of(model, mujoco.mjtObj.mjOBJ_EQUALITY, equality)
+        if model.eq_type[equality] in _CLOSES_LOOP:
+            return f"the equality {label!r} closes a loop over joint {name!r}"
+        return f"joint {name!r} is coupled to another by the equality {label!r}"
+    for tendon in range(model.ntendon):
+        if _pulls(model, tendon) and dof in dofs_of_tendon(model, tendon):
+            return f"joint {name!r} is coupled to others by the tendon {name_of(model, mujoco.mjtObj.mjOBJ_TENDON, tendon)!r}"
+    return ""
+
+
+def dofs_of_tendon(model: mujoco.MjModel, tendon: int) -> list[int]:
+    """The degrees of freedom that change a tendon's length.
+
+    Args:
+        model: The compiled model.
+        tendon: Its number.
+
+    Returns:
+        Their addresses in `MjData.qvel`.
+    """
+    wraps = range(int(model.tendon_adr[tendon]), int(model.tendon_adr[tendon]) + int(model.tendon_num[tendon]))
+    joints = [w for w in wraps if model.wrap_type[w] == int(mujoco.mjtWrap.mjWRAP_JOINT)]
+    sites = [w for w in wraps if model.wrap_type[w] == int(mujoco.mjtWrap.mjWRAP_SITE)]
+    dofs = {int(model.jnt_dofadr[model.wrap_objid[w]]) for w in joints}
+    above = [_dofs_above(model, int(model.site_bodyid[model.wrap_objid[w]])) for w in sites]
+    return sorted(dofs | (set.union(*above) - set.intersection(*above) if above else set()))
+
+
+def dofs_of_equality(model: mujoco.MjModel, equality: int) -> list[int]:
+    """The degrees of freedom that an equality acts on.
+
+    Args:
+        model: The compiled model.
+        equality: Its number.
+
+    Returns:
+        Their addresses in `MjData.qvel`; all of them for a kind that armctl does not know.
+    """
+    kind, ends = int(model.eq_type[equality]), (int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality]))
+    if kind == int(mujoco.mjtEq.mjEQ_JOINT):
+        return [int(model.jnt_dofadr[j]) for j in ends if j >= 0]
+    if kind == int(mujoco.mjtEq.mjEQ_TENDON):
+        return [dof for tendon in ends if tendon >= 0 for dof in dofs_of_tendon(model, tendon)]
+    if kind in _CLOSES_LOOP:
+        of_site = model.eq_objtype[equality] == int(mujoco.mjtObj.mjOBJ_SITE)
+        first, second = (_dofs_above(model, int(model.site_bodyid[i]) if of_site else i) for i in ends)
+        return sorted(first ^ second)
+    return list(range(model.nv))
+
+
+def _pulls(model: mujoco.MjModel, tendon: int) -> bool:
+    """Whether a tendon makes any force; one that is only measured couples nothing."""
+    on_tendon = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)
+    is_driven = bool(np.any(on_tendon & (model.actuator_trnid[:, 0] == tendon)))
+    passive = model.tendon_stiffness[tendon], model.tendon_damping[tendon], model.tendon_frictionloss[tendon]
+    return is_driven or bool(model.tendon_limited[tendon]) or any(np.any(x) for x in (*passive, model.tendon_armature[tendon]))
+
+
+def _dofs_above(model: mujoco.MjModel, body: int) -> set[int]:
+    dofs: set[int] = set()
+    while body > 0:
+        first = int(model.body_dofadr[body])
+        dofs |= set(range(first, first + int(model.body_dofnum[body])))
+        body = int(model.body_parentid[body])
+    return dofs

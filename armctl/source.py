@@ -1,0 +1,133 @@
+"""From a name to a file: the bundled arm, a robot of MuJoCo Menagerie, or a path."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+
+from armctl.datasheets import ALIASES, ROWS, Row
+from armctl.errors import InputError, ModelError, UnknownNameError
+from armctl.urdf import read_urdf
+
+BUNDLED = "robot_arm_3dof"
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a robot's description is.
+
+    Attributes:
+        name: What the arm will be called.
+        path: Its MJCF or URDF file.
+        row: Its data-sheet row, or None.
+    """
+
+    name: str
+    path: Path
+    row: Row | None = None
+
+    def read(self) -> tuple[mujoco.MjSpec, list[str]]:
+        """The description as a specification that can still be changed.
+
+        Returns:
+            The specification, and what was left out of it, one sentence each.
+
+        Raises:
+            ModelError: MuJoCo cannot read it.
+        """
+        try:
+            if self.path.suffix.lower() == ".urdf":
+                return read_urdf(self.path)
+            return mujoco.MjSpec.from_file(str(self.path)), []
+        except (ValueError, OSError) as error:
+            raise ModelError(f"{self.path}: MuJoCo cannot read it: {_one_line(error)}") from None
+
+    def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
+        """The model of a specification that was read from here.
+
+        Args:
+            spec: The specification.
+
+        Returns:
+            The model.
+
+        Raises:
+            ModelError: MuJoCo cannot compile it.
+        """
+        try:
+            return spec.compile()
+        except (ValueError, OSError) as error:
+            raise ModelError(f"{self.path}: MuJoCo cannot compile it: {_one_line(error)}") from None
+
+
+def locate(name: str | os.PathLike[str], *, scene: bool = True) -> Source:
+    """Where the description of a robot is; downloads a Menagerie robot on first use.
+
+    Args:
+        name: As for `armctl.load`.
+        scene: Whether a Menagerie robot that was named without an entry point comes in its scene, or bare.
+
+    Returns:
+        The place.
+
+    Raises:
+        InputError: It is neither a name nor a path.
+        UnknownNameError: No robot has that name.
+        ModelError: There is no such file, or the robot could not be downloaded.
+    """
+    import mujoco_menagerie as menagerie
+
+    if not isinstance(name, (str, os.PathLike)) or not os.fspath(name):
+        raise InputError(f"robot: {name!r} is neither a name nor a path; try armctl.load('panda')")
+    given = os.fspath(name)
+    if given.lower().endswith((".xml", ".mjcf", ".urdf")) or isinstance(name, os.PathLike):
+        path = Path(given)
+        if not path.is_file():
+            raise ModelError(f"{given}: no such file")
+        return Source(path.stem, path)
+    if given == BUNDLED:
+        return Source(given, bundled_models() / f"{BUNDLED}.xml")
+    family, _, entry = given.partition("/")
+    robot = ALIASES.get(family, family)
+    if robot not in menagerie.names():
+        raise UnknownNameError.of("robot", given, [BUNDLED, *ALIASES, *menagerie.names()])
+    row = menagerie.get(robot)
+    if entry and entry not in row.entry_names:
+        raise UnknownNameError.of(f"entry point of {robot}", entry, row.entry_names)
+    try:
+        path = row.xml(entry or (row.default_scene if scene else row.default_model))
+    except menagerie.MenagerieError as error:
+        raise ModelError(
+            f"{given}: its model is not at hand ({_one_line(error)}); with a network run `mujoco-menagerie prefetch {robot}`, "
+            "or set MENAGERIE_ROOT to a checkout of MuJoCo Menagerie"
+        ) from error
+    if not path.is_file():
+        raise ModelError(f"{given}: {path} does not exist; this copy of MuJoCo Menagerie is older than its index")
+    return Source(given, path, ROWS.get(robot))
+
+
+def bundled_models() -> Path:
+    """The folder of the models that come with armctl, in a checkout as in an installed package."""
+    installed = Path(__file__).parent / "models"
+    return installed if installed.is_dir() else Path(__file__).parent.parent / "models"
+
+
+def robots() -> dict[str, str]:
+    """Every name that `load` takes, but paths.
+
+    Returns:
+        Name to a short description: the bundled arm, the aliases, then Menagerie's arms.
+    """
+    import mujoco_menagerie as menagerie
+
+    known = {BUNDLED: "bundled: three joints, the tutorial's arm"}
+    known |= {alias: f"MuJoCo Menagerie: {menagerie.get(name).display_name}" for alias, name in ALIASES.items()}
+    unlisted = (r for r in menagerie.robots() if "arm" in r.category and r.name not in ALIASES.values())
+    return known | {r.name: f"MuJoCo Menagerie: {r.display_name}" for r in unlisted}
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
