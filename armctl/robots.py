@@ -104,7 +104,7 @@ def _assemble(
     model = source.compile(spec)
     index, qpos = list(joints), rest_qpos(model, joints)
     limits, more = joint_limits(model, joints, qpos, tau_max, sheet)
-    actuators = [joint_actuators(model)[j] for j in joints]
+    actuators = [joint_actuators(original)[j] for j in joints]
     ctrl_adr = model.actuator_ctrladr[actuators].astype(int)
     rigid_body = build(model, joints, qpos, tip_body, T_body_tip)
     home = frozen(qpos[model.jnt_qposadr[index]])

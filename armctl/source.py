@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import os
+import socket
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+from urllib.request import getproxies
 
 import mujoco
 
@@ -12,7 +16,11 @@ from armctl.datasheets import ALIASES, ROWS, Row
 from armctl.errors import InputError, ModelError, UnknownNameError
 from armctl.urdf import read_urdf
 
+if TYPE_CHECKING:
+    import mujoco_menagerie as menagerie
+
 BUNDLED = "robot_arm_3dof"
+_PATIENCE = 3.0  # s for the server of MuJoCo Menagerie to answer
 
 
 @dataclass(frozen=True)
@@ -98,8 +106,9 @@ def locate(name: str | os.PathLike[str], *, scene: bool = True) -> Source:
     if entry and entry not in row.entry_names:
         raise UnknownNameError.of(f"entry point of {robot}", entry, row.entry_names)
     try:
+        _check_network(row)
         path = row.xml(entry or (row.default_scene if scene else row.default_model))
-    except menagerie.MenagerieError as error:
+    except (menagerie.MenagerieError, OSError) as error:
         raise ModelError(
             f"{given}: its model is not at hand ({_one_line(error)}); with a network run `mujoco-menagerie prefetch {robot}`, "
             "or set MENAGERIE_ROOT to a checkout of MuJoCo Menagerie"
@@ -127,6 +136,21 @@ def robots() -> dict[str, str]:
     known |= {alias: f"MuJoCo Menagerie: {menagerie.get(name).display_name}" for alias, name in ALIASES.items()}
     unlisted = (r for r in menagerie.robots() if "arm" in r.category and r.name not in ALIASES.values())
     return known | {r.name: f"MuJoCo Menagerie: {r.display_name}" for r in unlisted}
+
+
+def _check_network(robot: menagerie.Robot) -> None:
+    """Finds out at once whether a robot that is not here can be downloaded: the download itself would try for seconds."""
+    import mujoco_menagerie as menagerie
+
+    cache = menagerie.Cache()
+    server = urlsplit(cache.base_url)
+    if cache.root or cache.is_cached(robot) or getproxies() or not server.hostname:
+        return
+    port = server.port or {"http": 80}.get(server.scheme, 443)
+    try:
+        socket.create_connection((server.hostname, port), timeout=_PATIENCE).close()
+    except OSError as error:
+        raise OSError(f"{cache.base_url}: {error}") from None
 
 
 def _one_line(error: Exception) -> str:

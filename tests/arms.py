@@ -1,7 +1,8 @@
 """The arms that tests run on: whatever is at hand, without downloading anything, each loaded once a session.
 
 `ARMS` are their names: the bundled arm, every arm of MuJoCo Menagerie under MENAGERIE_ROOT or in its cache, and the chains in
-`tests/models/` that no robot there has: slides, joints without limits, axes and anchors off the usual, a URDF.
+`tests/models/` that no robot there has: slides, joints without limits, axes and anchors off the usual, a URDF. `ROBOTS` are all
+robots at hand, legged ones and hands included.
 """
 
 import re
@@ -65,3 +66,4 @@ _SHORT = {name: alias for alias, name in ALIASES.items()}
 MENAGERIE_ARMS = [_SHORT.get(r.name, r.name) for r in menagerie.robots("arm") if at_hand(r.name)]
 PAIRS = [chain for r in menagerie.robots("dual_arm") if at_hand(r.name) for chain in _chains(r.name)]
 ARMS = [BUNDLED, *MENAGERIE_ARMS, *PAIRS, *sorted(path.stem for path in MODELS.iterdir())]
+ROBOTS = [BUNDLED, *(_SHORT.get(r.name, r.name) for r in menagerie.robots() if at_hand(r.name))]

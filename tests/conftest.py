@@ -10,7 +10,7 @@ if not os.environ.get("DISPLAY"):
 
 import hypothesis
 import pytest
-from arms import ARMS, MISSING, arm_of
+from arms import ARMS, MISSING, ROBOTS, arm_of
 
 import armctl
 
@@ -22,6 +22,12 @@ hypothesis.settings.load_profile("armctl")
 def arm(request: pytest.FixtureRequest) -> armctl.Arm:
     """Every arm at hand."""
     return arm_of(request.param)
+
+
+@pytest.fixture(params=ROBOTS)
+def robot(request: pytest.FixtureRequest) -> str:
+    """The name of every robot at hand, arm or not."""
+    return request.param
 
 
 @pytest.fixture(scope="session")

@@ -53,7 +53,7 @@ def test_a_wheel_holds_the_models_the_license_and_the_types(wheel: Path):
 
 
 def test_an_installed_wheel_loads_the_bundled_arm(installed: Path):
-    code = "import armctl, armctl.robots as r; print(r.bundled_models(), armctl.__version__, armctl.load('robot_arm_3dof').n)"
+    code = "import armctl, armctl.source as r; print(r.bundled_models(), armctl.__version__, armctl.load('robot_arm_3dof').n)"
     models, version, joints = run(installed / "bin" / "python", "-c", code, cwd=installed).split()
     assert Path(models).is_relative_to(installed)
     assert version == armctl.__version__
