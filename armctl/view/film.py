@@ -16,7 +16,7 @@ from armctl.arm import Arm
 from armctl.arrays import Array, number
 from armctl.errors import InputError, NotInstalledError
 from armctl.log import Log
-from armctl.robots import TARGET
+from armctl.staging import TARGET
 from armctl.view.camera import frame
 from armctl.view.renderer import Image, Renderer
 
