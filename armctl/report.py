@@ -135,7 +135,7 @@ class Report:
             f" {self.real_time_factor:.0f} times real time",
             f"  tip error    final {_mm(self.final_tip_error_m)}, {degrees:.3g} deg; while moving RMS {_mm(self.tip_rms_m)},"
             f" max {_mm(self.tip_max_m)}",
-            f"  joint error  while moving RMS {self.joint_rms_rad:.2g} rad, max {self.joint_max_rad:.2g} rad",
+            f"  joint error  while moving RMS {_rad(self.joint_rms_rad)} rad, max {_rad(self.joint_max_rad)} rad",
             f"  at the goal  settled after {settled}, overshoot {_mm(self.overshoot_m)}",
             f"  torque       peak {100 * self.peak_torque_ratio:.0f} % of the limit, saturated"
             f" {100 * self.saturated_fraction:.1f} % of the time, chatter {self.chatter_nm:.2g} N m",
@@ -165,8 +165,8 @@ def table(reports: list[Report]) -> str:
     rows = [
         [
             r.controller,
-            f"{r.joint_rms_rad:.1e}",
-            f"{r.joint_max_rad:.1e}",
+            _rad(r.joint_rms_rad),
+            _rad(r.joint_max_rad),
             _mm(r.tip_rms_m),
             _mm(r.tip_max_m),
             _mm(r.final_tip_error_m),
@@ -227,3 +227,7 @@ def _mm(metres: float) -> str:
     if metres < 1e-9:
         return "<1 nm"
     return f"{1e3 * metres:.3g} mm" if metres >= 1e-6 else f"{1e9 * metres:.0f} nm"
+
+
+def _rad(angle: float) -> str:
+    return f"{angle:.1e}" if angle >= 1e-15 else "<1e-15"
