@@ -35,6 +35,7 @@ _MODULES = {
     "Report": "armctl.report",
     "Setpoint": "armctl.trajectory",
     "Simulation": "armctl.simulation",
+    "Scene": "armctl.scene",
     "SerialChain": "armctl.chain",
     "SimulationError": "armctl.errors",
     "State": "armctl.control",
@@ -88,6 +89,7 @@ if TYPE_CHECKING:
     from armctl.report import Report as Report
     from armctl.robots import chains as chains
     from armctl.robots import load as load
+    from armctl.scene import Scene as Scene
     from armctl.simulation import Simulation as Simulation
     from armctl.simulation import simulate as simulate
     from armctl.trajectory import Limits as Limits

@@ -10,15 +10,16 @@ import mujoco
 from armctl.arm import Arm, check_parity
 from armctl.arrays import frozen
 from armctl.chain import SerialChain, all_chains, chain_to, find_chain
-from armctl.datasheets import Row
 from armctl.elements import Chain, joint_actuators, joint_name
 from armctl.errors import ArmctlWarning, InputError, ModelError, UnknownNameError
 from armctl.motors import from_row, joint_limits, make_motors, torque_limits
 from armctl.pose import Pose
 from armctl.rigid_body import build
+from armctl.scene import Scene
 from armctl.source import Source, locate
 from armctl.staging import add_target, exclude_overlaps, hold_bases, place_target, rest_ctrl, rest_qpos
 from armctl.tip import find_tip, named_body, named_tip
+from armctl.tools import mount
 from armctl.urdf import speed_limits
 
 _TARGET_OFFSET = 0.3  # rad (m) from home at every joint: where a target that armctl adds is reached
@@ -31,6 +32,8 @@ def load(
     tip_offset: Pose | None = None,
     base: str | None = None,
     hold_base: bool = False,
+    tool: str | os.PathLike[str] | None = None,
+    scene: Scene | None = None,
 ) -> Arm:
     """An arm by name: any serial chain of any robot, its actuators turned into torque motors.
 
@@ -43,12 +46,14 @@ def load(
         tip_offset: The tip in that element's frame.
         base: The body the chain stands on: joints above it are held. Left out, the chain starts at the world.
         hold_base: Whether to hold a robot that floats or walks, such as a quadruped, where its keyframe puts it.
+        tool: What to mount at the tip: a gripper or a hand by name, or any MJCF file. The tip is then the tool's.
+        scene: What stands and lies around.
 
     Returns:
         The arm.
 
     Raises:
-        InputError: The name is no name, or `tip_offset` is no Pose.
+        InputError: The name is no name, `tip_offset` is no Pose, or the scene's names are taken.
         UnknownNameError: No robot, or nothing in the model, has that name.
         ModelError: The file cannot be read, is no arm, or could not be downloaded.
 
@@ -61,6 +66,12 @@ def load(
     spec, notes = source.read()
     if hold_base:
         hold_bases(spec, source.compile(spec))
+    if tool is not None:
+        model = source.compile(spec)
+        _, _, body, T_body_flange = _found(source, model, tip, base)
+        tip = mount(spec, next(b for b in spec.bodies if b.id == body), T_body_flange, locate(tool, scene=False))
+    if scene is not None:
+        scene.build(spec)
     arm = _assemble(source, spec, notes, tip, tip_offset, base)
     check_parity(arm)
     return arm
@@ -89,8 +100,8 @@ def _assemble(
     source: Source, spec: mujoco.MjSpec, notes: list[str], tip: str | None, tip_offset: Pose | None, base: str | None
 ) -> Arm:
     original = source.compile(spec)
+    joints, tip_name, tip_body, T_body_tip = _found(source, original, tip, base)
     try:
-        joints, tip_name, tip_body, T_body_tip = _chain_and_tip(original, tip, base, source.row)
         sheet = speed_limits(source.path, original, joints) or from_row(source.row, joints)
         tau_max, sources, assumed = torque_limits(original, joints, sheet)
         make_motors(spec, original, joints, tau_max)
@@ -130,12 +141,17 @@ def _assemble(
     )
 
 
-def _chain_and_tip(model: mujoco.MjModel, tip: str | None, base: str | None, row: Row | None) -> tuple[Chain, str, int, Pose]:
-    start = 0 if base is None else named_body(model, base)
-    if tip is not None:
-        name, body, T_body_tip = named_tip(model, tip)
-        return chain_to(model, body, start), name, body, T_body_tip
-    joints = find_chain(model, start)
+def _found(source: Source, model: mujoco.MjModel, tip: str | None, base: str | None) -> tuple[Chain, str, int, Pose]:
+    """The chain, its tip's name, the body that carries the tip, and the tip in that body."""
+    try:
+        start = 0 if base is None else named_body(model, base)
+        if tip is not None:
+            name, body, T_body_tip = named_tip(model, tip)
+            return chain_to(model, body, start), name, body, T_body_tip
+        joints = find_chain(model, start)
+    except ModelError as error:
+        raise ModelError(f"{source.name}: {error}") from None
+    row = source.row
     if row is not None and row.tip is not None and base is None:
         try:
             name, body, T_body_tip = named_tip(model, row.tip)

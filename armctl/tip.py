@@ -15,10 +15,7 @@ _NO_TIP = re.compile(r"imu|cam|force|torque|sensor", re.IGNORECASE)
 
 
 def find_tip(model: mujoco.MjModel, joints: Chain) -> tuple[str, int, Pose]:
-    """The tip of a chain: a site fixed behind its last joint that is named like one, or else the last body.
-
-    Where no site is named like a tip, the only site will do, and then a named ball, such as a foot: a body's own frame often
-    sits on the last joint's axis, which then could not move it.
+    """The tip of a chain.
 
     Args:
         model: The compiled model.
@@ -27,7 +24,23 @@ def find_tip(model: mujoco.MjModel, joints: Chain) -> tuple[str, int, Pose]:
     Returns:
         The tip's name, the body that carries it, and its pose in that body.
     """
-    bodies = welded_behind(model, int(model.jnt_bodyid[joints[-1]]))
+    return tip_on(model, int(model.jnt_bodyid[joints[-1]]))
+
+
+def tip_on(model: mujoco.MjModel, body: int) -> tuple[str, int, Pose]:
+    """The tip of what is one rigid piece with a body: a site that is named like one, or else the last body.
+
+    Where no site is named like a tip, the only site will do, and then a named ball, such as a foot: a body's own frame often
+    sits on the last joint's axis, which then could not move it.
+
+    Args:
+        model: The compiled model.
+        body: Its number.
+
+    Returns:
+        The tip's name, the body that carries it, and its pose in that body.
+    """
+    bodies = welded_behind(model, body)
     sites = [s for s in range(model.nsite) if int(model.site_bodyid[s]) in bodies and model.site(s).name]
     names = {s: name_of(model, mujoco.mjtObj.mjOBJ_SITE, s) for s in sites}
     named = [s for wanted in _TIP_NAMES for s in sites if wanted in names[s].lower() and not _NO_TIP.search(names[s])]

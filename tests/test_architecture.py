@@ -24,6 +24,8 @@ FLOORS = [
         "motors > datasheets elements",
         "urdf > elements motors",
         "source > datasheets urdf",
+        "scene",
+        "tools > source tip",
         "rigid_body",
         "staging > elements rigid_body",
         "arm > rigid_body",

@@ -1,0 +1,138 @@
+"""Scene: tables, obstacles and loose objects around a robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.arrays import Array, number, vector
+from armctl.errors import InputError
+from armctl.pose import Pose
+
+_LOOSE, _FIXED = (0.85, 0.45, 0.2, 1.0), (0.6, 0.6, 0.65, 1.0)  # rgba
+_BOX, _BALL, _CYLINDER = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER
+
+
+@dataclass(frozen=True, eq=False)
+class Item:
+    """One thing in a scene.
+
+    Attributes:
+        name: Its name.
+        shape: Its shape, as MuJoCo's geom type.
+        size: (3,) m, as MuJoCo's geom size: half of each edge, or radius and half the length.
+        pose: T_world_item.
+        mass: kg if it is loose; None if it stands fixed.
+    """
+
+    name: str
+    shape: mujoco.mjtGeom
+    size: Array
+    pose: Pose
+    mass: float | None
+
+
+class Scene:
+    """What stands and lies around a robot; `armctl.load(robot, scene=scene)` puts the robot into it.
+
+    Without a mass a thing is fixed, such as a table; with one it is loose. Each `add_...` returns the scene itself.
+
+    Attributes:
+        items: What is in it, in order.
+    """
+
+    def __init__(self) -> None:
+        """An empty scene."""
+        self.items: list[Item] = []
+
+    def add_box(self, name: str, size: ArrayLike, at: Pose | ArrayLike, mass: float | None = None) -> Scene:
+        """Adds a box.
+
+        Args:
+            name: Its name.
+            size: (3,) m, its edges.
+            at: T_world_box, or (3,) m where its centre is.
+            mass: kg if it is loose; left out, it is fixed.
+
+        Returns:
+            This scene.
+
+        Raises:
+            InputError: A name twice, a size or a mass that is not positive.
+        """
+        return self._add(name, _BOX, 0.5 * _positive("size", vector("size", size, 3)), at, mass)
+
+    def add_ball(self, name: str, radius: float, at: Pose | ArrayLike, mass: float | None = None) -> Scene:
+        """Adds a ball.
+
+        Args:
+            name: Its name.
+            radius: m.
+            at: T_world_ball, or (3,) m where its centre is.
+            mass: kg if it is loose; left out, it is fixed.
+
+        Returns:
+            This scene.
+
+        Raises:
+            InputError: A name twice, a radius or a mass that is not positive.
+        """
+        return self._add(name, _BALL, _positive("radius", vector("radius", [radius, 0, 0], 3), 1), at, mass)
+
+    def add_cylinder(self, name: str, radius: float, length: float, at: Pose | ArrayLike, mass: float | None = None) -> Scene:
+        """Adds a cylinder along its own z axis.
+
+        Args:
+            name: Its name.
+            radius: m.
+            length: m.
+            at: T_world_cylinder, or (3,) m where its centre is.
+            mass: kg if it is loose; left out, it is fixed.
+
+        Returns:
+            This scene.
+
+        Raises:
+            InputError: A name twice, a size or a mass that is not positive.
+        """
+        size = _positive("radius and length", vector("radius and length", [radius, length / 2, 0], 3), 2)
+        return self._add(name, _CYLINDER, size, at, mass)
+
+    def build(self, spec: mujoco.MjSpec) -> None:
+        """Adds everything in it to a specification.
+
+        Args:
+            spec: The specification, changed in place.
+
+        Raises:
+            InputError: The model has a body of the same name already.
+        """
+        taken = {body.name for body in spec.bodies}
+        for item in self.items:
+            if item.name in taken:
+                raise InputError(f"scene: the model has a body {item.name!r} already; choose another name")
+            body = spec.worldbody.add_body(name=item.name, pos=item.pose.position, quat=item.pose.quat)
+            if item.mass is None:
+                body.add_geom(name=item.name, type=item.shape, size=item.size, rgba=_FIXED)
+                continue
+            body.add_freejoint(name=item.name)
+            # Condim 4: what two fingers hold must not spin between them.
+            body.add_geom(name=item.name, type=item.shape, size=item.size, rgba=_LOOSE, mass=item.mass, condim=4)
+
+    def _add(self, name: str, shape: mujoco.mjtGeom, size: Array, at: Pose | ArrayLike, mass: float | None) -> Scene:
+        if not name or any(name == item.name for item in self.items):
+            raise InputError(f"name: {name!r} is empty or in the scene already; choose another")
+        if mass is not None:
+            number("mass", mass, 1e-6)
+        pose = at if isinstance(at, Pose) else Pose(vector("at", at, 3))
+        self.items.append(Item(name, shape, size, pose, mass))
+        return self
+
+
+def _positive(what: str, value: Array, count: int = 3) -> Array:
+    if np.any(value[:count] <= 0):
+        raise InputError(f"{what}: {value[:count].tolist()} given, lengths above 0 m wanted")
+    return value

@@ -1,0 +1,47 @@
+"""Mounting a tool, such as a gripper, at the flange of an arm."""
+
+from __future__ import annotations
+
+import mujoco
+
+from armctl.pose import Pose
+from armctl.source import Source
+from armctl.tip import tip_on
+
+_FLANGE = "armctl_flange"
+
+
+def mount(spec: mujoco.MjSpec, flange: mujoco.MjsBody, T_body_flange: Pose, tool: Source) -> str:
+    """Mounts a tool, in place; its masses, joints and actuators become part of the robot's model.
+
+    Args:
+        spec: The robot's specification.
+        flange: The body of it that carries the tool.
+        T_body_flange: Where the tool's own frame goes, in that body.
+        tool: The tool.
+
+    Returns:
+        The name of the tool's tip in the robot's model: all names of the tool get its own before them.
+
+    Raises:
+        ModelError: The tool cannot be read.
+    """
+    child, _ = tool.read()
+    model = tool.compile(child)
+    for joint in list(child.joints):
+        if joint.type == mujoco.mjtJoint.mjJNT_FREE:
+            child.delete(joint)
+    _share_options(spec, child)
+    prefix = f"{tool.name.replace('/', '_')}/"
+    site = flange.add_site(name=_FLANGE, pos=T_body_flange.position, quat=T_body_flange.quat)
+    spec.attach(child, site=site, prefix=prefix)
+    root = next((body for body in range(1, model.nbody) if model.body_parentid[body] == 0), 0)
+    return prefix + tip_on(model, root)[0]
+
+
+def _share_options(spec: mujoco.MjSpec, child: mujoco.MjSpec) -> None:
+    """The robot's options for both, but the better friction of the two: a gripper that holds by it says how it needs it."""
+    ours, theirs = spec.option, child.option
+    ours.cone, ours.impratio = max(ours.cone, theirs.cone), max(ours.impratio, theirs.impratio)
+    for name in ("cone", "impratio", "timestep", "integrator", "solver", "iterations", "noslip_iterations", "tolerance"):
+        setattr(theirs, name, getattr(ours, name))
