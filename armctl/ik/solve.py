@@ -17,7 +17,7 @@ from armctl.ik.contacts import contacts_of
 from armctl.ik.problem import PoseOrPoint, Problem, random_positions, read_problem, read_target
 from armctl.ik.result import IkResult, why_not
 
-STARTS = 200
+STARTS, MINK_STARTS = 200, 60
 NEAREST_STARTS = 64
 PULL = 1e-3
 
@@ -63,9 +63,9 @@ def solve_ik(
     """
     asked, numbers = read_target(target, free_axis)
     problem = read_problem(arm, asked, numbers[None], q0, position_tolerance, orientation_tolerance, rng)
-    search = _search(method)
+    search, most = _search(method)
     touched_at = contacts_of(arm).at if avoid_collisions else _nothing
-    one_by_one = _one_by_one(problem, search, stay_near=q0 is not None)
+    one_by_one = _one_by_one(problem, search, most, stay_near=q0 is not None)
     q, starts, steps, kept, touched = problem.q0, 0, 0, None, ""
     for q, starts, steps in chain(_nearest_first(problem, search), one_by_one) if nearest else one_by_one:
         off, turned = (float(error[0]) for error in problem.residuals(q))
@@ -86,17 +86,21 @@ def _nothing(q: Array) -> str:
     return ""
 
 
-def _search(method: str) -> Search:
+def _search(method: str) -> tuple[Search, int]:
     if method == "lm":
-        return lm.search
+        return lm.search, STARTS
+    if method == "mink":
+        from armctl.ik import stepping
+
+        return stepping.search, MINK_STARTS
     raise UnknownNameError.of("method", str(method), ["lm", "mink"])
 
 
-def _one_by_one(problem: Problem, search: Search, stay_near: bool) -> Iterator[tuple[Array, int, int]]:
+def _one_by_one(problem: Problem, search: Search, most: int, stay_near: bool) -> Iterator[tuple[Array, int, int]]:
     """Solutions (1, n) in the order they are found, each with the starts and steps so far; the last may be a best effort."""
     start, steps = 0, 0
-    while start < STARTS:
-        q, tally = search(problem, start, STARTS, None)
+    while start < most:
+        q, tally = search(problem, start, most, None)
         if start == 0 and stay_near:
             q = lm.stay_near(problem, q, tally)
         _, start, more, _ = tally[0].tolist()
