@@ -16,6 +16,8 @@ _MODULES = {
     "ArmctlWarning": "armctl.errors",
     "ComputedTorque": "armctl.control",
     "Controller": "armctl.control",
+    "DifferentialIk": "armctl.ik",
+    "IkBatch": "armctl.ik",
     "IkResult": "armctl.ik",
     "Impedance": "armctl.control",
     "InputError": "armctl.errors",
@@ -51,6 +53,7 @@ _MODULES = {
     "move_through": "armctl.motion",
     "simulate": "armctl.simulation",
     "solve_ik": "armctl.ik",
+    "solve_ik_batch": "armctl.ik",
 }
 
 if TYPE_CHECKING:
@@ -75,8 +78,11 @@ if TYPE_CHECKING:
     from armctl.errors import PlanError as PlanError
     from armctl.errors import SimulationError as SimulationError
     from armctl.errors import UnknownNameError as UnknownNameError
+    from armctl.ik import DifferentialIk as DifferentialIk
+    from armctl.ik import IkBatch as IkBatch
     from armctl.ik import IkResult as IkResult
     from armctl.ik import solve_ik as solve_ik
+    from armctl.ik import solve_ik_batch as solve_ik_batch
     from armctl.log import Log as Log
     from armctl.motion import move_c as move_c
     from armctl.motion import move_j as move_j

@@ -100,8 +100,8 @@ def contacts_of(arm: Arm) -> Contacts:
 def avoidable_pairs(arm: Arm, clearance: float) -> IntArray:
     """The pairs of geoms that could collide and that some motion of the arm keeps apart.
 
-    Left out are pairs that MuJoCo does not let collide, neighbours in the chain, and pairs nearer than the clearance in every one of
-    many random positions.
+    Left out are pairs that MuJoCo does not let collide, neighbours in the chain, and pairs nearer than the clearance in every
+    one of many random positions.
 
     Args:
         arm: The arm.

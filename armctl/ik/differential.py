@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,10 +16,13 @@ from armctl.ik.problem import PoseOrPoint, read_target
 if TYPE_CHECKING:
     import mink
     import qpsolvers
+    from mink.tasks import BaseTask
+
+    from armctl.ik.mink_parts import Clearance
 
 DAMPING = 1e-9
 CUTS, HALVINGS = 4, 4
-PRECISION = {"osqp": {"eps_abs": 1e-7, "eps_rel": 1e-7}, "proxqp": {"eps_abs": 1e-9}}
+PRECISION: dict[str, dict[str, Any]] = {"osqp": {"eps_abs": 1e-7, "eps_rel": 1e-7}, "proxqp": {"eps_abs": 1e-9}}
 
 
 class DifferentialIk:
@@ -41,7 +44,7 @@ class DifferentialIk:
         posture_gain: float = 4.0,
         avoid_collisions: bool = False,
         clearance: float = 0.01,
-        tasks: Sequence[mink.BaseTask] = (),
+        tasks: Sequence[BaseTask] = (),
         limits: Sequence[mink.Limit] = (),
         constraints: Sequence[mink.Task] = (),
         solver: str = "daqp",
@@ -145,25 +148,24 @@ class DifferentialIk:
             self.status = "no solution"
             return np.zeros(self.arm.n)
         dq = np.clip(dq, low, high)
-        return dq if self._clearance is None else self._cleared(problem, q, dq)
+        return dq if self._clearance is None else self._cleared(self._clearance, problem, q, dq)
 
-    def _cleared(self, problem: qpsolvers.Problem, q: Array, dq: Array) -> Array:
+    def _cleared(self, clearance: Clearance, problem: qpsolvers.Problem, q: Array, dq: Array) -> Array:
         """The step, held to what the linear limits miss: where two bodies are nearest may change within a step."""
-        assert self._clearance is not None and problem.lb is not None and problem.ub is not None
         for _ in range(CUTS):
-            cut = self._clearance.cuts(self.configuration, q, dq)
+            cut = clearance.cuts(self.configuration, q, dq)
             if cut.inactive:
                 return dq
-            G, h = (np.empty((0, len(q))), np.empty(0)) if problem.G is None else (problem.G, problem.h)
-            problem.G, problem.h = np.vstack([G, cut.G]), np.concatenate([h, cut.h])
+            problem.G = cut.G if problem.G is None else np.vstack([problem.G, cut.G])  # pyright: ignore[reportArgumentType, reportCallIssue]
+            problem.h = cut.h if problem.h is None else np.hstack([problem.h, cut.h])  # pyright: ignore[reportArgumentType, reportCallIssue]
             better = _solution(problem, self._solver)
             if better is None:
                 break
-            dq = np.clip(better, problem.lb, problem.ub)
+            dq = np.clip(better, problem.lb, problem.ub)  # pyright: ignore[reportCallIssue, reportArgumentType]
         self.status = "held back"
         for _ in range(HALVINGS):
             dq = 0.5 * dq
-            if self._clearance.cuts(self.configuration, q, dq).inactive:
+            if clearance.cuts(self.configuration, q, dq).inactive:
                 return dq
         return np.zeros_like(dq)
 

@@ -8,6 +8,7 @@ import mink
 import mujoco
 import numpy as np
 import pinocchio as pin
+from mink.tasks import BaseTask
 
 from armctl.arm import Arm
 from armctl.arrays import Array
@@ -25,15 +26,15 @@ APPROACH = 0.5  # of the free distance may be used up in one step
 RECOVERY = 0.1  # m/s, how fast what is too near is moved apart
 
 
-class TipTask(mink.Task):
+class TipTask(BaseTask):
     """Brings the tip to a target and, as far as that leaves freedom, the joints to a posture.
 
-    The objective is the second-order model of half the squared error: J^T J and the curvature of the chain, which grows with the
-    error. It is what makes the arm stand still at the nearest reach of a target it cannot reach, where J^T J alone overshoots.
-    Negative curvature counts by its size (Dauphin and others: "Identifying and attacking the saddle point problem", NeurIPS
-    2014). In flat directions, the null space, the posture rules. Damping rises near singularities, with the smallest singular
-    value (Nakamura, Hanafusa: "Inverse kinematic solutions with singularity robustness for robot manipulator control", J. Dyn.
-    Sys., Meas., Control 108(3), 1986). Lengths are in reaches.
+    The objective is the second-order model of half the squared error: J^T J and the curvature of the chain, which grows with
+    the error. It is what makes the arm stand still at the nearest reach of a target it cannot reach, where J^T J alone
+    overshoots. Negative curvature counts by its size (Dauphin and others: "Identifying and attacking the saddle point problem",
+    NeurIPS 2014). In flat directions, the null space, the posture rules. Damping rises near singularities, with the smallest
+    singular value (Nakamura, Hanafusa: "Inverse kinematic solutions with singularity robustness for robot manipulator control",
+    J. Dyn. Sys., Meas., Control 108(3), 1986). Lengths are in reaches.
     """
 
     def __init__(self, arm: Arm, posture: Array):
@@ -43,7 +44,6 @@ class TipTask(mink.Task):
             arm: The arm.
             posture: (n,) rad, where the joints go as far as the tip lets them.
         """
-        super().__init__(cost=np.ones(6))
         self._arm, self._posture, self._reach = arm, posture, chain_of(arm).reach
         self._scale = np.repeat([1 / self._reach, 1.0], 3)[:, None]
         self._upper = np.triu(np.ones((arm.n, arm.n), bool))
@@ -74,38 +74,6 @@ class TipTask(mink.Task):
             turn = cross * (np.arctan2(sin, axis @ wanted) / sin) if sin > 1e-9 else np.pi * (axis @ wanted < 0) * R[:, k - 1]
             J[3:] -= np.outer(axis, axis @ J[3:])
         return q, np.concatenate([off, weight * turn]), J, axes
-
-    def compute_error(self, configuration: mink.Configuration) -> Array:
-        """The error, weighted.
-
-        Args:
-            configuration: Where the model is.
-
-        Returns:
-            (3,) or (6,), from the target to the tip.
-        """
-        return -self._tip(configuration)[1]
-
-    def compute_jacobian(self, configuration: mink.Configuration) -> Array:
-        """The derivative of the error.
-
-        Args:
-            configuration: Where the model is.
-
-        Returns:
-            (3, nv) or (6, nv).
-        """
-        J = self._tip(configuration)[2]
-        full = np.zeros((len(J), configuration.nv))
-        full[:, self._arm.dof_adr] = J
-        return full
-
-    def compute_qp_residual(self, configuration: mink.Configuration) -> None:
-        """None: the objective is more than a sum of squared rows.
-
-        Args:
-            configuration: Where the model is.
-        """
 
     def compute_qp_objective(self, configuration: mink.Configuration) -> mink.Objective:
         """The task's part of the quadratic program.
@@ -152,8 +120,8 @@ def _cross(vector: Array, columns: Array) -> Array:
 class Clearance(mink.Limit):
     """Keeps pairs of geoms apart: in one step their distance may shrink by half of what is free at most.
 
-    Faverjon, Tournassoud: "A local based approach for path planning of manipulators with a high number of degrees of freedom", ICRA
-    1987.
+    The rule is Faverjon's and Tournassoud's ("A local based approach for path planning of manipulators with a high number of
+    degrees of freedom", ICRA 1987).
     """
 
     def __init__(self, arm: Arm, clearance: float):
