@@ -1,0 +1,52 @@
+"""Contest: the same motion under every controller with the payload of the moment, at the push of a button."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from armctl.comparison import compare, out_and_back
+from armctl.control import CONTROLLERS
+from armctl.live.session import Session
+from armctl.plant import Plant
+from armctl.plot import overlay_image
+from armctl.report import table
+
+if TYPE_CHECKING:
+    import viser
+
+
+class Contest:
+    """A button, and below it what came out."""
+
+    def __init__(self, server: viser.ViserServer, session: Session):
+        """Adds the button to the page.
+
+        Args:
+            server: The page's server.
+            session: Whose arm and payload are taken; it stands still meanwhile.
+        """
+        self._gui, self._session = server.gui, session
+        with server.gui.add_folder("Comparison"):
+            self._button = server.gui.add_button("compare the controllers")
+            self._words = server.gui.add_markdown("Joints out and back at full speed, under every controller, with this payload.")
+            self._picture = None
+        self._folder = server.gui
+        self._button.on_click(lambda event: self._run())
+
+    def _run(self) -> None:
+        session, paused = self._session, self._session.paused
+        self._button.disabled = True
+        session.pause(True)
+        try:
+            self._words.content = "comparing ..."
+            plant = Plant(payload=session.payload)
+            reports = compare(session.arm, list(CONTROLLERS), out_and_back(session.arm), [plant])
+            self._words.content = table(reports)
+            image = overlay_image([report.log for report in reports])
+            if self._picture is None:
+                self._picture = self._gui.add_image(image)
+            else:
+                self._picture.image = image
+        finally:
+            session.pause(paused)
+            self._button.disabled = False

@@ -1,0 +1,87 @@
+"""Page: the session in the browser: a scene with a target to drag, and a panel of all that can be changed and read."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+
+from armctl.arm import Arm
+from armctl.live.charts import Charts
+from armctl.live.panel import Panel
+from armctl.live.session import Session
+from armctl.pose import Pose
+from armctl.view.stage import PORT, Stage
+
+_GIZMO = 0.25  # m
+_INTERVAL = 0.1  # s between words and charts
+
+
+class Page:
+    """A session on a page of its own.
+
+    Attributes:
+        session: What it shows.
+        url: Where it is.
+    """
+
+    def __init__(self, arm: Arm, controller: str = "computed-torque", port: int = PORT):
+        """Opens a page; `serve` then runs it.
+
+        Args:
+            arm: The arm.
+            controller: The name of the controller to begin with.
+            port: Where to serve; the next free one if it is taken, any if 0.
+
+        Raises:
+            NotInstalledError: viser or mjviser is missing.
+            UnknownNameError: There is no such controller.
+            InputError: The port is no port.
+        """
+        self.session = Session(arm, controller)
+        self._stage = Stage(arm, port)
+        self.url, scene = self._stage.url, self._stage.server.scene
+        target = self.session.target
+        self._gizmo = scene.add_transform_controls(
+            "/goal", scale=_GIZMO, depth_test=False, position=target.position, wxyz=target.quat
+        )
+        self._label = scene.add_label("/goal/status", self.session.status, position=(0.0, 0.0, 0.0), anchor="bottom-left")
+        self._gizmo.on_update(self._dragged)
+        self._panel = Panel(self._stage.server, self.session)
+        self._charts = Charts(self._stage.server, arm.joint_names, self.session.history.read())
+        self._held, self._closing = threading.Event(), threading.Event()
+
+    async def _dragged(self, event) -> None:
+        """A target moved by hand. Asynchronous, so that it runs at once and in order."""
+        if event.phase == "end":
+            self._held.clear()
+        else:
+            self._held.set()
+        self.session.aim(Pose(event.target.position, quat=event.target.wxyz))
+
+    def serve(self) -> None:
+        """Runs the session and keeps the page up to date until `close`."""
+        self.session.start()
+        ticks = 0
+        while not self._closing.wait(1 / 60):
+            self._draw()
+            ticks += 1
+            if ticks % 6 == 0:
+                self._write()
+
+    def close(self) -> None:
+        """Ends the session and takes the page away. Once is enough, twice does no harm."""
+        self._closing.set()
+        self.session.stop()
+        self._stage.close()
+
+    def _draw(self) -> None:
+        session, target = self.session, self.session.target
+        self._stage.show(session.shown, target.position[None], target.quat[None])
+        if not self._held.is_set() and not np.array_equal(self._gizmo.position, target.position):
+            self._gizmo.position, self._gizmo.wxyz = target.position, target.quat
+
+    def _write(self) -> None:
+        self._label.text = self.session.status
+        self._panel.update()
+        self._charts.update(self.session.history.read())

@@ -1,0 +1,112 @@
+"""Panel: all that can be changed about a session, and what it says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from armctl.arrays import Array
+from armctl.control import CONTROLLERS
+from armctl.live.contest import Contest
+from armctl.live.session import Session
+from armctl.pose import Pose
+
+if TYPE_CHECKING:
+    import viser
+
+PAYLOAD_MAX = 5.0  # kg
+
+
+class Panel:
+    """The controls of a session. What one page changes, all pages show."""
+
+    def __init__(self, server: viser.ViserServer, session: Session):
+        """Adds the controls to the page.
+
+        Args:
+            server: The page's server.
+            session: What they control.
+        """
+        self._gui, self._session = server.gui, session
+        self._words = server.gui.add_markdown("")
+        self._add_target()
+        self._add_plant()
+        self._add_clock()
+        self._add_joints()
+        Contest(server, session)
+
+    def update(self) -> None:
+        """Says how things stand."""
+        session = self._session
+        self._words.content = f"**{session.status}**\n\nreal time x {session.real_time_factor * session.pace.speed:.2f}"
+        target = session.target
+        _tell(self._position, target.position)
+        _tell(self._rpy, np.degrees(target.rpy))
+        if not session.steered:
+            for slider, angle in zip(self._joints, session.q, strict=True):
+                slider.value = round(float(angle), 3)
+
+    def _add_target(self) -> None:
+        session, gui = self._session, self._gui
+        with gui.add_folder("Target"):
+            self._position = gui.add_vector3("position, m", tuple(session.target.position), step=0.001)
+            self._rpy = gui.add_vector3("roll, pitch, yaw, deg", tuple(np.degrees(session.target.rpy)), step=1.0)
+            oriented = gui.add_checkbox("orientation counts", session.oriented)
+
+        def aim(event) -> None:
+            if event.client is not None:
+                session.aim(Pose(self._position.value, rpy=np.radians(self._rpy.value)))
+
+        self._position.on_update(aim)
+        self._rpy.on_update(aim)
+        oriented.on_update(lambda event: session.orient(oriented.value))
+
+    def _add_plant(self) -> None:
+        session, gui = self._session, self._gui
+        controller = gui.add_dropdown("controller", tuple(CONTROLLERS), initial_value=session.controller)
+        payload = gui.add_slider(
+            "payload, kg", 0.0, PAYLOAD_MAX, 0.1, session.payload, hint="held at the tip; no controller is told of it"
+        )
+        controller.on_update(lambda event: session.control_by(controller.value))
+        payload.on_update(lambda event: session.carry(payload.value))
+
+    def _add_clock(self) -> None:
+        session, gui = self._session, self._gui
+        speed = gui.add_slider("speed", 0.05, 2.0, 0.05, 1.0, hint="simulated seconds a second")
+        pause = gui.add_checkbox("pause", False)
+        reset = gui.add_button("reset")
+
+        def change(event) -> None:
+            session.pace.speed = speed.value
+
+        speed.on_update(change)
+        pause.on_update(lambda event: session.pause(pause.value))
+        reset.on_click(lambda event: session.reset())
+
+    def _add_joints(self) -> None:
+        session, gui, limits = self._session, self._gui, self._session.arm.limits
+        low, high = np.maximum(limits.q_min, -2 * np.pi), np.minimum(limits.q_max, 2 * np.pi)
+        with gui.add_folder("Joints, rad (m for a slide)", expand_by_default=False):
+            self._joints = [
+                gui.add_slider(name, float(low[i]), float(high[i]), 0.001, float(session.q[i]))
+                for i, name in enumerate(session.arm.joint_names)
+            ]
+
+        def steer(event) -> None:
+            if event.client is not None:
+                session.steer(_values(self._joints))
+
+        for slider in self._joints:
+            slider.on_update(steer)
+
+
+def _values(sliders: Sequence[viser.GuiSliderHandle[float]]) -> Array:
+    return np.array([slider.value for slider in sliders])
+
+
+def _tell(field: viser.GuiVector3Handle, value: Array) -> None:
+    """Writes a value that is not the field's own already."""
+    if np.abs(np.array(field.value) - value).max() > 5e-4:
+        field.value = tuple(np.round(value, 3).tolist())

@@ -1,0 +1,250 @@
+"""Session: an arm that follows a target in real time, in a thread of its own, while others watch and interfere."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+
+from armctl.arm import Arm
+from armctl.arrays import Array
+from armctl.control import controller_by_name
+from armctl.errors import SimulationError
+from armctl.goal import TOLERANCE, Goal
+from armctl.ik import solve_ik
+from armctl.live.guide import Guide
+from armctl.live.history import History
+from armctl.plant import Plant
+from armctl.pose import Pose
+from armctl.recorder import Recorder
+from armctl.rig import Rig
+from armctl.robots import TARGET
+from armctl.view.pace import Pace
+
+INTERVAL = 0.01  # s between looks at the target
+_STILL = 1e-3  # rad/s
+
+
+class Session:
+    """An arm in real time. What others order is done between two looks at the target; the latest of its kind wins.
+
+    Attributes:
+        arm: The arm.
+        history: The last seconds.
+        pace: Its clock.
+        controller: The name of the controller.
+        payload: kg at the tip.
+        paused: Whether it stands.
+        shown: (nq,) the model's positions, for those who draw.
+        target: T_world_tip that is wanted.
+        oriented: Whether the target's orientation counts.
+        steered: Whether the joints are steered by hand, and the target follows the tip.
+    """
+
+    def __init__(self, arm: Arm, controller: str = "computed-torque", payload: float = 0.0):
+        """A session with the arm at home. It stands until `start`.
+
+        Args:
+            arm: The arm.
+            controller: The name of one.
+            payload: kg at the tip.
+
+        Raises:
+            UnknownNameError: There is no such controller.
+            InputError: The payload is negative.
+        """
+        self.arm, self.payload, self.controller = arm, payload, controller
+        self._law = controller_by_name(controller, arm)
+        self._rig = Rig(arm, Plant(payload=payload))
+        self._ticks = max(1, round(INTERVAL / self._rig.dt))
+        self.history, self.pace = History(arm.n, self._ticks * self._rig.dt), Pace()
+        self._guide, self._recorder = Guide(arm, self._rig.dt), Recorder(arm.n)
+        self._orders: dict[str, Callable[[], None]] = {}
+        self._lock, self._stopping, self._thread = threading.Lock(), threading.Event(), None
+        self.paused, self.oriented = False, arm.n >= 6
+        self._restart()
+
+    # What others may order, from any thread.
+
+    def aim(self, target: Pose) -> None:
+        """Sends the tip to a target.
+
+        Args:
+            target: T_world_tip.
+        """
+        self._order("goal", lambda: self._aim(target))
+
+    def steer(self, q: Array) -> None:
+        """Sends the joints somewhere; the target goes where the tip will be.
+
+        Args:
+            q: (n,) rad; clamped to the limits.
+        """
+        self._order("goal", lambda: self._steer(self.arm.limits.clamp(q)))
+
+    def orient(self, oriented: bool) -> None:
+        """Says whether the target's orientation counts.
+
+        Args:
+            oriented: Whether it does.
+        """
+
+        def change() -> None:
+            self.oriented = oriented
+            self._aim(self.target)
+
+        self._order("orient", change)
+
+    def control_by(self, controller: str) -> None:
+        """Changes the controller while the arm moves.
+
+        Args:
+            controller: The name of one.
+
+        Raises:
+            UnknownNameError: There is none of that name.
+        """
+        law = controller_by_name(controller, self.arm)
+
+        def change() -> None:
+            self._law, self.controller = law, controller
+
+        self._order("controller", change)
+
+    def carry(self, payload: float) -> None:
+        """Changes what hangs at the tip; the controller is not told.
+
+        Args:
+            payload: kg.
+
+        Raises:
+            InputError: It is negative or not finite.
+        """
+        rig = Rig(self.arm, Plant(payload=payload))
+
+        def change() -> None:
+            rig.reset(self._rig.state.q, self._rig.state.v)
+            self._rig, self.payload = rig, payload
+
+        self._order("payload", change)
+
+    def pause(self, paused: bool) -> None:
+        """Holds time, or lets it go on.
+
+        Args:
+            paused: Whether it stands.
+        """
+        self.paused = paused
+
+    def reset(self) -> None:
+        """The arm at home again, at rest, and the target where it was at first."""
+        self._order("reset", self._restart)
+
+    # What others may read.
+
+    @property
+    def status(self) -> str:
+        """What the arm does, in words."""
+        if self._rig.end:
+            return f"{self._rig.end}: reset"
+        if self.paused:
+            return "paused"
+        millimetres = 1e3 * self._to_target
+        if self._refusal and self._arrived:
+            return self._refusal
+        if self._to_target <= TOLERANCE and self._still:
+            return f"at the target, {max(millimetres, 1e-3):.2g} mm off"
+        if self._arrived and self._still:
+            burden = f" under {self.payload:g} kg" if self.payload else ""
+            return f"{millimetres:.1f} mm off: {self.controller} does not hold it there{burden}"
+        return f"following, {millimetres:.0f} mm to go" + (f"; {self._refusal}" if self._refusal else "")
+
+    @property
+    def real_time_factor(self) -> float:
+        """1 where the simulation keeps up with the clock."""
+        return self.pace.real_time_factor
+
+    # The loop.
+
+    def start(self) -> None:
+        """Starts the clock."""
+        self._thread = threading.Thread(target=self._run, name="armctl session", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Stops it for good."""
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join(timeout=2.0)
+
+    def _run(self) -> None:
+        self.pace.restart()
+        while not self._stopping.is_set():
+            if self.advance():
+                self.pace.wait(self._ticks * self._rig.dt)
+            else:
+                time.sleep(INTERVAL)
+                self.pace.restart()
+
+    def advance(self) -> bool:
+        """Obeys, and goes on by one look at the target.
+
+        Returns:
+            Whether time went by: not so while paused, or after the arm ran away.
+        """
+        with self._lock:
+            orders, self._orders = self._orders, {}
+        for order in orders.values():
+            order()
+        if self.paused or self._rig.end:
+            return False
+        self._recorder.size = 0
+        reference = self._guide.toward(self._goal, self._ticks)
+        try:
+            self._rig.follow(self._law, reference, self._recorder)
+        except SimulationError:
+            return False
+        self._look(reference.q[-1])
+        return True
+
+    def _order(self, kind: str, order: Callable[[], None]) -> None:
+        with self._lock:
+            self._orders.pop(kind, None)
+            self._orders[kind] = order
+
+    def _restart(self) -> None:
+        arm = self.arm
+        self._rig.reset(arm.home, np.zeros(arm.n))
+        self._guide.stand(arm.home)
+        self._goal = arm.home
+        start = self._rig.data.xpos[self._rig.model.body(TARGET).id]
+        self._aim(arm.fk(solve_ik(arm, start, arm.home).q))
+        self._look(arm.home)
+
+    def _aim(self, target: Pose) -> None:
+        """The joints that bring the tip there, or as near as it can come."""
+        self.target, self.steered = target, False
+        answer = solve_ik(self.arm, target if self.oriented else target.position, self._goal)
+        self._goal, self._refusal = answer.q, ""
+        if not answer.ok:
+            short = 1e3 * answer.position_error
+            self._refusal = f"out of reach by {short:.0f} mm" if short >= 1 else "cannot turn that way there"
+
+    def _steer(self, q: Array) -> None:
+        self._goal, self._refusal = q, ""
+        self.target, self.steered = self.arm.fk(q), True
+
+    def _look(self, q_ref: Array) -> None:
+        """Notes where things are now."""
+        tip, reference, rig = self._rig.tip, self.arm.fk(q_ref), self._rig
+        goal = Goal(self.target.position, self.target if self.oriented else None)
+        self._to_target = goal.distance(tip)[0]
+        self._still = bool(np.abs(rig.state.v).max() < _STILL)
+        self._arrived = bool(np.abs(q_ref - self._goal).max() < 1e-6)
+        shares = rig.data.qfrc_actuator[self.arm.dof_adr] / self.arm.limits.tau_max
+        self.history.add(self._to_target, float(np.linalg.norm(tip.position - reference.position)), shares)
+        self.shown = rig.data.qpos.copy()
+        self.q = rig.state.q.copy()
