@@ -160,7 +160,9 @@ def _simulate(args: argparse.Namespace) -> int:
     ]
     _print(args, "\n".join(lines), {"ok": not log.end, "t": log.t[-1], "q": q, "v": v, "tau": tau, "tip": tip, "end": log.end})
     if args.plot:
-        _say(four_panels(log, args.plot / f"{args.robot.replace('/', '_')}.png"))
+        picture = args.plot / f"{args.robot.replace('/', '_')}.png"
+        four_panels(log, picture)
+        _say(picture)
     return NOT_REACHED if log.end else OK
 
 
@@ -202,7 +204,8 @@ def _save(report: Report, folder: Path, prefix: str) -> None:
     paths = [report.log.save(folder / f"{prefix}log.npz"), report.log.save(folder / f"{prefix}log.csv")]
     paths.append(folder / f"{prefix}report.json")
     paths[-1].write_text(json.dumps(report.to_dict(), indent=2) + "\n")
-    paths.append(report.plot(folder / f"{prefix}plot.png"))
+    paths.append(folder / f"{prefix}plot.png")
+    report.plot(paths[-1])
     for path in paths:
         _say(path)
 

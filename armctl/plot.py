@@ -1,85 +1,226 @@
-"""Pictures of a log over time. One style for the whole project; matplotlib waits until a picture is drawn."""
+"""Pictures of logs over time. One style for the whole project; matplotlib waits until a picture is drawn."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from armctl.errors import InputError
+from armctl.arrays import Array
+from armctl.errors import InputError, NotInstalledError
+from armctl.goal import TOLERANCE
 from armctl.log import Log
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 # Okabe and Ito's palette, told apart by the colour-blind (Color Universal Design, 2008).
 COLORS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8C6D00", "#000000")
 STYLE: dict[Any, Any] = {
     "axes.grid": True,
+    "axes.labelcolor": "#222222",
     "axes.spines.right": False,
     "axes.spines.top": False,
+    "axes.titlesize": 10,
+    "axes.titlelocation": "left",
+    "axes.xmargin": 0.0,
+    "figure.titlesize": 11,
+    "font.size": 9,
     "grid.alpha": 0.25,
     "legend.fontsize": 8,
     "legend.frameon": False,
-    "lines.linewidth": 1.4,
+    "lines.linewidth": 1.5,
+    "lines.solid_capstyle": "round",
     "savefig.dpi": 120,
     "svg.hashsalt": "armctl",
 }
+ENDINGS = (".png", ".svg", ".pdf")
+
+_BOUND = {"color": "#555555", "linestyle": (0, (4, 3)), "linewidth": 0.9, "zorder": 1}
+_LEAST = 1e-9  # m: what is smaller is drawn there where the scale is logarithmic
 
 
-def four_panels(log: Log, path: str | os.PathLike[str]) -> Path:
+def four_panels(log: Log, path: str | os.PathLike[str] | None = None) -> Path | None:
     """Draws joint angles, velocities, torques with their limits, and the tip, over time.
 
     Args:
         log: The run.
-        path: The picture, .png, .svg or .pdf; its folder is made.
+        path: The picture, .png, .svg or .pdf; its folder is made. Left out, a window opens.
 
     Returns:
-        The path.
+        The path, if one was given.
 
     Raises:
         InputError: The log is empty, or the path has another ending.
+        NotInstalledError: There is no screen for a window.
     """
-    path = Path(path)
-    if path.suffix not in (".png", ".svg", ".pdf"):
-        raise InputError(f"path: {path.name!r} ends in {path.suffix!r}, .png, .svg or .pdf wanted")
-    if len(log) == 0:
-        raise InputError("log: it has no tick, so there is nothing to draw")
+    _check([log])
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots(2, 2, sharex=True)
+        _lines(axes[0, 0], log.t, log.q, log.q_ref)
+        _lines(axes[0, 1], log.t, log.v, log.v_ref)
+        _lines(axes[1, 0], log.t, log.tau)
+        _torque_limits(axes[1, 0], log)
+        _lines(axes[1, 1], log.t, log.tip, log.tip_ref, names=("x", "y", "z"))
+        _target(axes[1, 1], log)
+        dashed = "" if log.is_open_loop else "; dashed: wanted"
+        titles = f"joint angle, rad{dashed}", f"joint velocity, rad/s{dashed}", "motor torque, N m", f"tip position, m{dashed}"
+        for ax, title in zip(axes.flat, titles, strict=True):
+            ax.set_title(title)
+        for ax in axes[1]:
+            ax.set_xlabel("time, s")
+        handles = axes[0, 0].get_lines()[: len(log.joint_names)]
+        figure.legend(handles, log.joint_names, loc="outside lower center", ncols=min(len(handles), 8))
+        axes[1, 1].legend(loc="center right", bbox_to_anchor=(1.0, 0.5))
+        figure.suptitle(
+            f"{log.robot}, {log.controller}" + (f": {log.end}" if log.end else ""), fontweight="bold", x=0.01, ha="left"
+        )
+
+    return _finish(draw, (10, 7), path)
+
+
+def overlay(
+    logs: Sequence[Log], path: str | os.PathLike[str] | None = None, *, labels: Sequence[str] | None = None
+) -> Path | None:
+    """Draws several runs over each other: the tip's distance from where it should be, and how hard the motors work.
+
+    Args:
+        logs: The runs.
+        path: The picture, .png, .svg or .pdf; its folder is made. Left out, a window opens.
+        labels: One for each run; the names of their controllers if left out.
+
+    Returns:
+        The path, if one was given.
+
+    Raises:
+        InputError: A log is empty, there is none, there are not as many labels, or the path has another ending.
+        NotInstalledError: There is no screen for a window.
+    """
+    return _finish(lambda figure: _overlay(figure, logs, labels), (8, 6), path)
+
+
+def overlay_image(logs: Sequence[Log], labels: Sequence[str] | None = None) -> NDArray[np.uint8]:
+    """`overlay` as an image in memory.
+
+    Args:
+        logs: The runs.
+        labels: One for each run; the names of their controllers if left out.
+
+    Returns:
+        (height, width, 3), red, green and blue.
+
+    Raises:
+        InputError: A log is empty, there is none, or there are not as many labels.
+    """
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(6, 6), layout="constrained", dpi=120)
+        canvas = FigureCanvasAgg(figure)
+        _overlay(figure, logs, labels)
+        canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def _overlay(figure: Figure, logs: Sequence[Log], labels: Sequence[str] | None) -> None:
+    _check(logs)
+    labels = [log.controller for log in logs] if labels is None else labels
+    if len(labels) != len(logs):
+        raise InputError(f"labels: {len(labels)} given, {len(logs)} wanted, one for each log")
+    off, load = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    for i, (log, label) in enumerate(zip(logs, labels, strict=True)):
+        color = COLORS[i % len(COLORS)]
+        off.semilogy(log.t, np.maximum(_tip_error(log), _LEAST) * 1e3, color=color, label=label)
+        share = np.abs(log.tau / log.tau_max).max(axis=1)
+        load.plot(log.t, 100 * share, color=color)
+    off.axhline(1e3 * TOLERANCE, **_BOUND)
+    load.axhline(100.0, **_BOUND)
+    load.set_ylim(0.0)
+    off.set_title(f"tip's distance from where it should be, mm (dashed: {1e3 * TOLERANCE:g} mm)")
+    load.set_title("hardest-working motor, % of its limit")
+    load.set_xlabel("time, s")
+    least = min(float(np.median(_tip_error(log))) for log in logs) / 30
+    off.set_ylim(bottom=1e3 * max(least, 10 * _LEAST))
+    off.yaxis.set_major_formatter("{x:g}")
+    figure.legend(loc="outside lower center", ncols=min(len(logs), 4))
+
+
+def _check(logs: Sequence[Log]) -> None:
+    if not logs or min(map(len, logs)) == 0:
+        raise InputError("log: it has no tick, so there is nothing to draw" if logs else "logs: none given, nothing to draw")
+
+
+def _finish(draw: Callable[[Figure], None], size: tuple[float, float], path: str | os.PathLike[str] | None) -> Path | None:
+    """Draws into a file or a window."""
+    if path is not None and Path(path).suffix not in ENDINGS:
+        raise InputError(f"path: {Path(path).name!r} ends in {Path(path).suffix!r}, .png, .svg or .pdf wanted")
     import matplotlib
     from matplotlib.figure import Figure
 
-    path.parent.mkdir(parents=True, exist_ok=True)
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(10, 7), layout="constrained")
-        axes = figure.subplots(2, 2, sharex=True)
-        _draw(axes[0, 0], log, log.q, log.q_ref, "joint angle, rad")
-        _draw(axes[0, 1], log, log.v, log.v_ref, "joint velocity, rad/s")
-        _draw(axes[1, 0], log, log.tau, None, "torque, N m")
-        _draw_limits(axes[1, 0], log)
-        _draw(axes[1, 1], log, log.tip, log.tip_ref, "tip position, m", names=("x", "y", "z"))
-        for ax in axes[1]:
-            ax.set_xlabel("time, s")
-        figure.suptitle(f"{log.robot}, {log.controller}" + (f": {log.end}" if log.end else ""))
-        figure.savefig(path)
+        if path is None:
+            return _window(draw, size)
+        figure = Figure(figsize=size, layout="constrained")
+        draw(figure)
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
     return path
 
 
-def _draw(ax: Axes, log: Log, values, reference, label: str, names: tuple[str, ...] | None = None) -> None:
-    for i, name in enumerate(names or log.joint_names):
-        color = COLORS[i % len(COLORS)]
-        ax.plot(log.t, values[:, i], color=color, label=name)
-        if reference is not None and not np.isnan(reference).all():
-            ax.plot(log.t, reference[:, i], color=color, linestyle="--", linewidth=0.9, alpha=0.7)
-    ax.set_ylabel(label + (" (dashed: wanted)" if reference is not None and not np.isnan(reference).all() else ""))
-    ax.legend(ncols=2 if len(names or log.joint_names) > 4 else 1, loc="best")
+def _window(draw: Callable[[Figure], None], size: tuple[float, float]) -> None:
+    import matplotlib
+    import matplotlib.pyplot as plt
+    from matplotlib.backends.registry import BackendFilter, backend_registry
+
+    if matplotlib.get_backend().lower() not in backend_registry.list_builtin(BackendFilter.INTERACTIVE):
+        raise NotInstalledError("there is no screen for a window here; name a file to draw into, such as plot.png")
+    draw(plt.figure(figsize=size, layout="constrained"))
+    plt.show()
 
 
-def _draw_limits(ax: Axes, log: Log) -> None:
-    """Each joint's torque limit, where the torques come near it."""
+def _lines(ax: Axes, t: Array, values: Array, reference: Array | None = None, names: tuple[str, ...] | None = None) -> None:
+    """One line for each column, and its reference dashed over it."""
+    for i, column in enumerate(values.T):
+        ax.plot(t, column, color=COLORS[i % len(COLORS)], label=names[i] if names else None)
+    if reference is not None and not np.isnan(reference).all():
+        for i, column in enumerate(reference.T):
+            ax.plot(t, column, color=COLORS[i % len(COLORS)], linestyle=(0, (4, 2)), linewidth=0.9)
+
+
+def _torque_limits(ax: Axes, log: Log) -> None:
+    """The limits that the torques come near, each value once, with the joints that it is for."""
     peak = float(np.nanmax(np.abs(log.tau)))
-    for i, limit in enumerate(log.tau_max):
-        if limit <= 1.5 * peak:
-            for bound in (-limit, limit):
-                ax.axhline(bound, color=COLORS[i % len(COLORS)], linestyle=":", linewidth=1.0)
+    for limit in sorted({float(x) for x in log.tau_max if x <= 1.5 * peak}):
+        joints = [name for name, bound in zip(log.joint_names, log.tau_max, strict=True) if bound == limit]
+        whose = joints[0] if len(joints) == 1 else f"{joints[0]} to {joints[-1]}" if len(joints) > 2 else " and ".join(joints)
+        for bound in (-limit, limit):
+            ax.axhline(bound, **_BOUND)
+        ax.annotate(
+            f"limit of {whose}: {limit:g}",
+            (1.0, limit),
+            xycoords=("axes fraction", "data"),
+            ha="right",
+            va="bottom",
+            fontsize=7,
+        )
+
+
+def _target(ax: Axes, log: Log) -> None:
+    """Where the tip should end."""
+    for i, value in enumerate(log.target[:3]):
+        if np.isfinite(value):
+            ax.plot(log.t[-1], value, marker="o", color=COLORS[i], markersize=6, clip_on=False, markerfacecolor="none")
+
+
+def _tip_error(log: Log) -> Array:
+    """(T,) m from the tip to where it should be."""
+    return np.linalg.norm(log.tip - log.tip_ref, axis=1)

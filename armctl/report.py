@@ -115,14 +115,14 @@ class Report:
         figures = {k: v for k, v in self.__dict__.items() if k != "log"}
         return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in figures.items()}
 
-    def plot(self, path: str | os.PathLike[str]) -> Path:
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Path | None:
         """Draws joint angles, velocities, torques with their limits, and the tip, over time.
 
         Args:
-            path: The picture, .png, .svg or .pdf; its folder is made.
+            path: The picture, .png, .svg or .pdf; its folder is made. Left out, a window opens.
 
         Returns:
-            The path.
+            The path, if one was given.
         """
         return four_panels(self.log, path)
 

@@ -34,7 +34,7 @@ FLOORS = [
     ["robots", "dynamics", "ik", "describe"],
     ["motion", "control", "plant"],
     ["recorder", "rig > recorder", "view", "simulation > rig recorder view"],
-    ["plot", "report > plot", "comparison > report"],
+    ["plot", "report > plot", "comparison > report", "live > report plot comparison"],
     ["__init__", "cli > __init__", "__main__ > cli"],
 ]
 FLOOR_OF = {room.split()[0]: floor for floor, rooms in enumerate(FLOORS) for room in rooms}

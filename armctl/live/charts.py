@@ -12,8 +12,9 @@ from armctl.plot import COLORS
 
 if TYPE_CHECKING:
     import viser
+    from viser import uplot
 
-_LEAST_MM = 1e-3  # what is below it is drawn there: the scale is logarithmic
+_LEAST_MM = 1e-2  # what is below it is drawn there: the scale is logarithmic
 _EVERY = 4  # a row of the history in so many is drawn
 
 
@@ -28,22 +29,26 @@ class Charts:
             joint_names: The n joints.
             past: What is to be seen at first.
         """
-        lines = ("to the target", COLORS[2]), ("to its reference", COLORS[0])
+        joints = [_line(name, COLORS[i % len(COLORS)]) for i, name in enumerate(joint_names)]
         self._error = server.gui.add_uplot(
             _errors(past),
-            ({"label": "s"}, *(_line(label, color) for label, color in lines), _bound(f"{1e3 * TOLERANCE:g} mm")),
-            title="tip error, mm",
-            scales={"x": {"time": False}, "y": {"distr": 3, "range": (_LEAST_MM, 1e4)}},
-            axes=({"show": True}, {"size": 60}),
-            height=190,
+            (
+                _TIME,
+                _line("to the target", COLORS[2]),
+                _line("to its reference", COLORS[0]),
+                _line("tolerance", "#555555", 1.0),
+            ),
+            title=f"tip error, mm; grey: {1e3 * TOLERANCE:g} mm",
+            scales={"x": _SPAN, "y": {"distr": 3, "range": (_LEAST_MM, 1e3)}},
+            axes=({}, {"grid": {"show": False}}),
+            height=150,
         )
         self._torque = server.gui.add_uplot(
             _torques(past),
-            ({"label": "s"}, *(_line(j, COLORS[i % len(COLORS)]) for i, j in enumerate(joint_names)), _bound("+"), _bound("-")),
+            (_TIME, *joints, _line("limit", "#555555", 1.0), _line("limit", "#555555", 1.0)),
             title="torque, % of each motor's limit",
-            scales={"x": {"time": False}, "y": {"range": (-115.0, 115.0)}},
-            axes=({"show": True}, {"size": 60}),
-            height=260,
+            scales={"x": _SPAN, "y": {"range": (-115.0, 115.0)}},
+            height=190,
         )
 
     def update(self, past: Past) -> None:
@@ -55,26 +60,28 @@ class Charts:
         self._error.data, self._torque.data = _errors(past), _torques(past)
 
 
-def _line(label: str, color: str) -> dict:
-    return {"label": label, "stroke": color, "width": 2, "points": {"show": False}}
+_TIME: uplot.Series = {"label": "s"}
+_SPAN: uplot.Scale = {"time": False, "range": (-SECONDS, 0.0)}
 
 
-def _bound(label: str) -> dict:
-    return {"label": label, "stroke": "#555555", "width": 1, "dash": (6, 4), "points": {"show": False}}
+def _line(label: str, color: str, width: float = 2.0) -> uplot.Series:
+    return {"label": label, "stroke": color, "width": width, "points": {"show": False}}
 
 
 def _errors(past: Past) -> tuple[np.ndarray, ...]:
-    rows = slice(None, None, -_EVERY)
-    lines = [np.maximum(1e3 * line[rows][::-1], _LEAST_MM) for line in (past.to_target, past.to_reference)]
-    time = _ago(past)
+    time, rows = _ago(past)
+    lines = [np.maximum(1e3 * line[rows], _LEAST_MM) for line in (past.to_target, past.to_reference)]
     return time, *lines, np.full_like(time, 1e3 * TOLERANCE)
 
 
 def _torques(past: Past) -> tuple[np.ndarray, ...]:
-    shares, time = 100 * past.torque_share[::-_EVERY][::-1], _ago(past)
-    return time, *shares.T.copy(), np.full_like(time, 100.0), np.full_like(time, -100.0)
+    time, rows = _ago(past)
+    bound = np.full_like(time, 100.0)
+    return time, *np.ascontiguousarray(100 * past.torque_share[rows].T), bound, -bound
 
 
-def _ago(past: Past) -> np.ndarray:
-    """s before now."""
-    return np.linspace(-SECONDS, 0.0, len(past.t[::-_EVERY]))
+def _ago(past: Past) -> tuple[np.ndarray, np.ndarray]:
+    """The rows to draw, and how long ago they were, s."""
+    rows = np.arange(len(past.t))[::-_EVERY][::-1]
+    rows = rows[np.isfinite(past.to_target[rows])]
+    return past.t[rows] - past.t[-1], rows

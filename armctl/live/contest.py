@@ -9,7 +9,7 @@ from armctl.control import CONTROLLERS
 from armctl.live.session import Session
 from armctl.plant import Plant
 from armctl.plot import overlay_image
-from armctl.report import table
+from armctl.report import Report
 
 if TYPE_CHECKING:
     import viser
@@ -26,11 +26,12 @@ class Contest:
             session: Whose arm and payload are taken; it stands still meanwhile.
         """
         self._gui, self._session = server.gui, session
-        with server.gui.add_folder("Comparison"):
+        with server.gui.add_folder("Comparison", expand_by_default=False) as self._folder:
             self._button = server.gui.add_button("compare the controllers")
-            self._words = server.gui.add_markdown("Joints out and back at full speed, under every controller, with this payload.")
-            self._picture = None
-        self._folder = server.gui
+            self._words = server.gui.add_markdown(
+                "All joints out and back at full speed, under every controller, with this payload."
+            )
+        self._picture: viser.GuiImageHandle | None = None
         self._button.on_click(lambda event: self._run())
 
     def _run(self) -> None:
@@ -41,12 +42,20 @@ class Contest:
             self._words.content = "comparing ..."
             plant = Plant(payload=session.payload)
             reports = compare(session.arm, list(CONTROLLERS), out_and_back(session.arm), [plant])
-            self._words.content = table(reports)
-            image = overlay_image([report.log for report in reports])
-            if self._picture is None:
-                self._picture = self._gui.add_image(image)
-            else:
-                self._picture.image = image
+            self._words.content = _table(reports)
+            if self._picture is not None:
+                self._picture.remove()
+            with self._folder:
+                self._picture = self._gui.add_image(overlay_image([report.log for report in reports]))
         finally:
             session.pause(paused)
             self._button.disabled = False
+
+
+def _table(reports: list[Report]) -> str:
+    """The figures that fit beside the scene, as Markdown."""
+    rows = [
+        f"| {r.controller} | {1e3 * r.tip_rms_m:.3g} | {1e3 * r.final_tip_error_m:.3g} | {100 * r.peak_torque_ratio:.0f} |"
+        for r in reports
+    ]
+    return "\n".join(["| | tip RMS, mm | at the end, mm | peak torque, % |", "| - | - | - | - |", *rows])

@@ -7,13 +7,13 @@ import threading
 import numpy as np
 
 from armctl.arm import Arm
-from armctl.live.charts import Charts
 from armctl.live.panel import Panel
 from armctl.live.session import Session
 from armctl.pose import Pose
 from armctl.view.stage import PORT, Stage
 
-_GIZMO = 0.25  # m
+_GIZMO = 0.15  # m
+_ABOVE = np.array([0.0, 0.0, 0.1])  # m, where the words are, from the target
 _INTERVAL = 0.1  # s between words and charts
 
 
@@ -45,10 +45,10 @@ class Page:
         self._gizmo = scene.add_transform_controls(
             "/goal", scale=_GIZMO, depth_test=False, position=target.position, wxyz=target.quat
         )
-        self._label = scene.add_label("/goal/status", self.session.status, position=(0.0, 0.0, 0.0), anchor="bottom-left")
+        self._label = scene.add_label("/status", self.session.status, position=target.position + _ABOVE, anchor="bottom-center")
         self._gizmo.on_update(self._dragged)
         self._panel = Panel(self._stage.server, self.session)
-        self._charts = Charts(self._stage.server, arm.joint_names, self.session.history.read())
+        self._stage.server.gui.main_panel.dock_right()
         self._held, self._closing = threading.Event(), threading.Event()
 
     async def _dragged(self, event) -> None:
@@ -78,10 +78,10 @@ class Page:
     def _draw(self) -> None:
         session, target = self.session, self.session.target
         self._stage.show(session.shown, target.position[None], target.quat[None])
+        self._label.position = target.position + _ABOVE
         if not self._held.is_set() and not np.array_equal(self._gizmo.position, target.position):
             self._gizmo.position, self._gizmo.wxyz = target.position, target.quat
 
     def _write(self) -> None:
         self._label.text = self.session.status
         self._panel.update()
-        self._charts.update(self.session.history.read())

@@ -9,6 +9,7 @@ import numpy as np
 
 from armctl.arrays import Array
 from armctl.control import CONTROLLERS
+from armctl.live.charts import Charts
 from armctl.live.contest import Contest
 from armctl.live.session import Session
 from armctl.pose import Pose
@@ -31,9 +32,10 @@ class Panel:
         """
         self._gui, self._session = server.gui, session
         self._words = server.gui.add_markdown("")
-        self._add_target()
+        self._charts = Charts(server, session.arm.joint_names, session.history.read())
         self._add_plant()
         self._add_clock()
+        self._add_target()
         self._add_joints()
         Contest(server, session)
 
@@ -41,6 +43,7 @@ class Panel:
         """Says how things stand."""
         session = self._session
         self._words.content = f"**{session.status}**\n\nreal time x {session.real_time_factor * session.pace.speed:.2f}"
+        self._charts.update(session.history.read())
         target = session.target
         _tell(self._position, target.position)
         _tell(self._rpy, np.degrees(target.rpy))
@@ -51,8 +54,8 @@ class Panel:
     def _add_target(self) -> None:
         session, gui = self._session, self._gui
         with gui.add_folder("Target"):
-            self._position = gui.add_vector3("position, m", tuple(session.target.position), step=0.001)
-            self._rpy = gui.add_vector3("roll, pitch, yaw, deg", tuple(np.degrees(session.target.rpy)), step=1.0)
+            self._position = gui.add_vector3("position, m", _rounded(session.target.position), step=0.001)
+            self._rpy = gui.add_vector3("roll, pitch, yaw, deg", _rounded(np.degrees(session.target.rpy)), step=1.0)
             oriented = gui.add_checkbox("orientation counts", session.oriented)
 
         def aim(event) -> None:
@@ -109,4 +112,9 @@ def _values(sliders: Sequence[viser.GuiSliderHandle[float]]) -> Array:
 def _tell(field: viser.GuiVector3Handle, value: Array) -> None:
     """Writes a value that is not the field's own already."""
     if np.abs(np.array(field.value) - value).max() > 5e-4:
-        field.value = tuple(np.round(value, 3).tolist())
+        field.value = _rounded(value)
+
+
+def _rounded(value: Array) -> tuple[float, float, float]:
+    x, y, z = np.round(value, 3).tolist()
+    return x, y, z

@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Callable
 
-import mujoco
 import numpy as np
 
 from armctl.arm import Arm
@@ -21,7 +20,7 @@ from armctl.plant import Plant
 from armctl.pose import Pose
 from armctl.recorder import Recorder
 from armctl.rig import Rig
-from armctl.robots import TARGET
+from armctl.staging import TARGET
 from armctl.view.pace import Pace
 
 INTERVAL = 0.01  # s between looks at the target

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from armctl.arm import Arm
 from armctl.arrays import Array
 from armctl.errors import InputError, NotInstalledError
-from armctl.robots import TARGET
+from armctl.staging import TARGET
 from armctl.view.camera import axes, frame
 
 if TYPE_CHECKING:
-    import viser
+    pass
 
 LOCAL = "127.0.0.1"
 PORT = 8080
@@ -125,7 +125,7 @@ class Stage:
         mujoco.mj_kinematics(self._model, self._data)
         target = self._data.xpos[self._model.body(TARGET).id]
         tip = self._arm.fk(self._arm.home).position
-        view = frame(self._arm, [self._data], np.array([tip, target]), 1.3)
+        view = frame(self._arm, [self._data], np.array([tip, target]), 1.0)
         forward, _, _ = axes(*np.radians([view.azimuth, view.elevation]))
         ratio = np.tan(np.radians(self._model.vis.global_.fovy) / 2) / np.tan(np.radians(_FIELD_OF_VIEW) / 2)
         camera = self.server.initial_camera
