@@ -2,20 +2,41 @@
 
 from __future__ import annotations
 
+import os
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arrays import Array, frozen, number, vector
-from armctl.errors import InputError
+from armctl.arrays import Array, IntArray, frozen, number, vector
+from armctl.errors import InputError, LimitError
+from armctl.motion.peaks import LimitCheck, check_limits
+from armctl.motion.pieces import DEGREE, basis, basis_many
 from armctl.trajectory import Limits, Setpoint
 
-DEGREE = 5
 _JOIN_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Slowdown:
+    """That a motion was slowed because a motor would have saturated.
+
+    Attributes:
+        factor: How many times longer it takes.
+        joint: The joint that would have needed most of its limit.
+        torque_ratio: How much of it.
+    """
+
+    factor: float
+    joint: str
+    torque_ratio: float
+
+    def __str__(self) -> str:
+        return f"{self.factor:.3f} times longer, since {self.joint} would need {100 * self.torque_ratio:.0f} % of its torque"
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,12 +51,14 @@ class JointTrajectory:
         coefficients: (m, 6, n) rad/s^i.
         joint_names: The n joints.
         limits: The limits it was planned for.
+        slowed: Where the motors made it slower than speed, acceleration and jerk allow: by how much, for which joint.
     """
 
     knots: Array
     coefficients: Array
     joint_names: tuple[str, ...]
     limits: Limits
+    slowed: Slowdown | None = None
 
     def __post_init__(self) -> None:
         frozen(self.knots)
@@ -68,7 +91,7 @@ class JointTrajectory:
         inside = min(max(t, 0.0), knots[-1])
         k = min(bisect_right(knots, inside), len(knots) - 1) - 1
         u = inside - knots[k]
-        q, v, a = np.array(_basis(u)) @ self.coefficients[k]
+        q, v, a = np.array(basis(u)) @ self.coefficients[k]
         return Setpoint(q, v, a) if inside == t else Setpoint(q, np.zeros_like(v), np.zeros_like(a))
 
     def sample(self, times: ArrayLike) -> Setpoint:
@@ -84,12 +107,120 @@ class JointTrajectory:
             InputError: Not a list of finite numbers.
         """
         t = vector("times", times)
-        inside = np.clip(t, 0.0, self.duration)
-        k = np.clip(np.searchsorted(self.knots, inside, side="right"), 1, len(self.knots) - 1) - 1
-        q, v, a = np.einsum("otc,tcn->otn", _basis_many(inside - self.knots[k]), self.coefficients[k])
+        inside, k = self._located(t)
+        q, v, a = np.einsum("otc,tcn->otn", basis_many(inside - self.knots[k]), self.coefficients[k])
         outside = t != inside
         v[outside] = a[outside] = 0.0
         return Setpoint(q, v, a)
+
+    def jerk(self, times: ArrayLike) -> Array:
+        """The jerk at many times.
+
+        Args:
+            times: (T,) s, each clamped to [0, duration].
+
+        Returns:
+            (T, n) rad/s^3; where it jumps, the value just after.
+
+        Raises:
+            InputError: Not a list of finite numbers.
+        """
+        inside, k = self._located(vector("times", times))
+        u, c = (inside - self.knots[k])[:, None], self.coefficients[k]
+        return 6 * c[:, 3] + u * (24 * c[:, 4] + u * 60 * c[:, 5])
+
+    def check_limits(self, limits: Limits | None = None) -> LimitCheck:
+        """Holds the motion against limits by its true extremes, also those between samples.
+
+        Args:
+            limits: The limits; its own if left out.
+
+        Returns:
+            The check: whether it is inside, and each joint's extremes with their times.
+        """
+        return check_limits(self.knots, self.coefficients, limits or self.limits, self.joint_names)
+
+    def stopped_at(self, t: float) -> JointTrajectory:
+        """The motion with a stop on its path, as soon as the limits allow once it is asked for.
+
+        Args:
+            t: s, when the stop is asked for; until then nothing changes.
+
+        Returns:
+            The motion, at rest at its end; it never leaves the path.
+
+        Raises:
+            InputError: The time is outside the motion.
+            PlanError: The motion does not end at rest, and what is left of it is too short to stop.
+        """
+        from armctl.motion.stop import stopped
+
+        return stopped(self, number("t", t, 0.0, self.duration))
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes the motion, exactly, as a NumPy archive that `JointTrajectory.load` reads.
+
+        Args:
+            path: Where to; the name gets the ending .npz if it has none.
+
+        Returns:
+            The file.
+        """
+        from armctl.motion import files
+
+        return files.save(self, path)
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> JointTrajectory:
+        """Reads a motion that `save` wrote.
+
+        Args:
+            path: The file.
+
+        Returns:
+            The motion.
+
+        Raises:
+            InputError: There is no such file, or it holds no motion.
+        """
+        from armctl.motion import files
+
+        return files.load(path)
+
+    def to_csv(self, path: str | os.PathLike[str], dt: float = 1e-3) -> Path:
+        """Writes samples as a table: t, then q, v and a of each joint, named in the first row.
+
+        Args:
+            path: Where to.
+            dt: s, from sample to sample; the end is always one.
+
+        Returns:
+            The file.
+
+        Raises:
+            InputError: dt is not greater than 0.
+        """
+        from armctl.motion import files
+
+        return files.to_csv(self, path, dt)
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> object:
+        """Draws position, velocity, acceleration and jerk of every joint, the last three as shares of their limits.
+
+        Args:
+            path: Where to save the picture; left out, it is not saved.
+
+        Returns:
+            Matplotlib's figure.
+        """
+        from armctl.motion import files
+
+        return files.plot(self, path)
+
+    def _located(self, t: Array) -> tuple[Array, IntArray]:
+        """Times clamped to the motion, and the pieces they are in."""
+        inside = np.clip(t, 0.0, self.duration)
+        return inside, np.clip(np.searchsorted(self.knots, inside, side="right"), 1, len(self.knots) - 1) - 1
 
     def scaled(self, factor: float) -> JointTrajectory:
         """The same path at another speed, as the speed override of a robot controller.
@@ -102,10 +233,14 @@ class JointTrajectory:
 
         Raises:
             InputError: The factor is not greater than 0.
+            LimitError: It is greater than 1, and a joint would leave its limits.
         """
-        factor = number("factor", factor, np.finfo(float).tiny)
+        factor = number("factor", factor, 1e-9)
         powers = factor ** np.arange(DEGREE + 1)
-        return replace(self, knots=self.knots / factor, coefficients=self.coefficients * powers[:, None])
+        changed = replace(self, knots=self.knots / factor, coefficients=self.coefficients * powers[:, None])
+        if factor > 1.0 and not (check := changed.check_limits()).ok:
+            raise LimitError(f"factor: {factor:g} is too fast: {check.violations[0]}")
+        return changed
 
     def then(self, other: JointTrajectory) -> JointTrajectory:
         """This motion, and after it another one.
@@ -146,7 +281,13 @@ class JointTrajectory:
         starts = np.cumsum([0.0, *(part.duration for part in parts)])
         knots = [[0.0], *(start + part.knots[1:] for start, part in zip(starts[:-1], parts, strict=True))]
         coefficients = np.concatenate([part.coefficients for part in parts])
-        return replace(parts[0], knots=np.concatenate(knots), coefficients=coefficients)
+        slowed = [part.slowed for part in parts if part.slowed is not None]
+        return replace(
+            parts[0],
+            knots=np.concatenate(knots),
+            coefficients=coefficients,
+            slowed=max(slowed, key=lambda slowdown: slowdown.factor, default=None),
+        )
 
     @classmethod
     def standing(cls, joint_names: tuple[str, ...], limits: Limits, q: Array) -> JointTrajectory:
@@ -166,20 +307,3 @@ class JointTrajectory:
 
     def __repr__(self) -> str:
         return f"JointTrajectory({self.n} joints, {self.duration:.3f} s)"
-
-
-def _basis(u: float) -> tuple[tuple[float, ...], ...]:
-    """Rows that turn the coefficients of a piece into q, v and a at local time u."""
-    u2, u3, u4 = u * u, u**3, u**4
-    return (
-        (1.0, u, u2, u3, u4, u**5),
-        (0.0, 1.0, 2 * u, 3 * u2, 4 * u3, 5 * u4),
-        (0.0, 0.0, 2.0, 6 * u, 12 * u2, 20 * u3),
-    )
-
-
-def _basis_many(u: Array) -> Array:
-    """`_basis` at many local times: (3, T, 6)."""
-    one, zero = np.ones_like(u), np.zeros_like(u)
-    rows = [[entry + zero if isinstance(entry, np.ndarray) else entry * one for entry in row] for row in _basis(u)]  # type: ignore[arg-type]
-    return np.moveaxis(np.array(rows), 1, 2)

@@ -16,6 +16,7 @@ from armctl.motion.checks import require_bounds
 from armctl.motion.geometry import Circle, Shape, Straight, Turn
 from armctl.motion.joint_trajectory import JointTrajectory
 from armctl.motion.pace import fastest
+from armctl.motion.torque import within_torque
 from armctl.motion.tracking import track
 from armctl.pose import Pose
 
@@ -167,8 +168,8 @@ def _planned(
         if path.length == 0.0:
             continue
         joint_path = track(arm, what, path, q, oriented)
-        pieces = fastest(joint_path, arm.limits, caps=_caps(path, tip_speed, tip_turn_speed))
-        motions.append(JointTrajectory(*pieces, arm.joint_names, arm.limits))
+        pieces = fastest(joint_path, arm.limits, _caps(path, tip_speed, tip_turn_speed))
+        motions.append(within_torque(arm, JointTrajectory(*pieces, arm.joint_names, arm.limits)))
         q = motions[-1](motions[-1].duration).q
     return JointTrajectory.joined(motions) if motions else JointTrajectory.standing(arm.joint_names, arm.limits, q)
 

@@ -112,8 +112,9 @@ def check_limits(knots: Array, coefficients: Array, limits: Limits, joint_names:
         times = np.moveaxis(times + knots[:-1, None, None], 1, 0).reshape(len(joint_names), -1)
         values = np.moveaxis(values, 1, 0).reshape(len(joint_names), -1)
         low, high = _bounds(limits, order)
-        middle, half = np.where(np.isfinite(high - low), 0.5 * (low + high), 0.0), 0.5 * (high - low)
+        half = 0.5 * (high - low)
         with np.errstate(invalid="ignore"):
+            middle = np.where(np.isfinite(half), low + half, 0.0)
             ratios = np.where(half[:, None] > 0, np.abs(values - middle[:, None]) / half[:, None], 0.0)
         for i in np.flatnonzero(np.isfinite(half) & (half > 0)):
             k = int(ratios[i].argmax())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -9,14 +10,16 @@ import ruckig
 
 from armctl.arrays import Array
 from armctl.errors import PlanError
+from armctl.motion.pieces import Pieces
 from armctl.trajectory import Limits
 
 _WORKING = {ruckig.Result.Working, ruckig.Result.Finished}
+_TOGETHER, _ALONE = ruckig.Synchronization.Time, ruckig.Synchronization.No
 _SAME_TIME = 1e-12
 
 
 class Moving(NamedTuple):
-    """A state of joints in motion.
+    """A state of joints in motion, as arrays or, for ruckig, as lists.
 
     Attributes:
         q: (n,) rad.
@@ -24,21 +27,9 @@ class Moving(NamedTuple):
         a: (n,) rad/s^2.
     """
 
-    q: Array
-    v: Array
-    a: Array
-
-
-class Pieces(NamedTuple):
-    """Polynomials over time.
-
-    Attributes:
-        knots: (m + 1,) s, from 0.
-        coefficients: (m, 6, n).
-    """
-
-    knots: Array
-    coefficients: Array
+    q: Array | list[float]
+    v: Array | list[float]
+    a: Array | list[float]
 
 
 def at_rest(q: Array) -> Moving:
@@ -98,15 +89,16 @@ class Profiles:
         """
         if not self.reach(start, goal):
             raise PlanError("no jerk-limited move joins the two states; start and end slower")
-        return _pieces(*(x[:, 0] for x in phase_nodes([self.phases()], Moving(*(x[None] for x in start)))))
+        return _pieces(*(x[:, 0] for x in phase_nodes([self.phases()], Moving(*(np.asarray(x)[None] for x in start)))))
 
-    def reach(self, start: Moving, goal: Moving, at_least: float | None = None) -> bool:
-        """Finds the fastest move from one state to another; `duration`, `fastest` and `phases` then tell of it.
+    def reach(self, start: Moving, goal: Moving, at_least: float | None = None, together: bool = True) -> bool:
+        """Finds the fastest move from one state to another; what follows then tells of it.
 
         Args:
             start: Where it starts, arrays or lists.
             goal: Where it ends, arrays or lists.
             at_least: How long it must take, s.
+            together: Whether all joints arrive at the same time; otherwise each goes as fast as it can.
 
         Returns:
             Whether there is one.
@@ -115,10 +107,67 @@ class Profiles:
         inp.current_position, inp.current_velocity, inp.current_acceleration = start
         inp.target_position, inp.target_velocity, inp.target_acceleration = goal
         inp.minimum_duration = at_least
+        inp.synchronization = _TOGETHER if together else _ALONE
+        return self._found()
+
+    def stop(self, start: Moving) -> bool:
+        """Finds the fastest stop, each joint by itself.
+
+        Args:
+            start: Where it starts, arrays or lists.
+
+        Returns:
+            Whether there is one.
+        """
+        inp = self._input
+        inp.current_position, inp.current_velocity, inp.current_acceleration = start
+        inp.target_velocity = inp.target_acceleration = [0.0] * len(start.q)
+        inp.minimum_duration, inp.synchronization, inp.control_interface = None, _ALONE, ruckig.ControlInterface.Velocity
+        found = self._found()
+        inp.control_interface = ruckig.ControlInterface.Position
+        return found
+
+    def _found(self) -> bool:
         try:
-            return self._otg.calculate(inp, self._result) in _WORKING
+            return self._otg.calculate(self._input, self._result) in _WORKING
         except ruckig.RuckigError:
             return False
+
+    def at(self, t: float) -> tuple[list[float], list[float], list[float]]:
+        """The move at a time.
+
+        Args:
+            t: s, within its duration.
+
+        Returns:
+            Positions, velocities and accelerations.
+        """
+        return self._result.at_time(t)
+
+    def stays_inside(self, q_min: list[float], q_max: list[float]) -> bool:
+        """Whether the move keeps position limits, by the turning points of every phase.
+
+        Plain Python, since it is called in real time and numpy takes longer for so little.
+
+        Args:
+            q_min: (n,) rad.
+            q_max: (n,) rad.
+
+        Returns:
+            Whether it does.
+        """
+        for profile, low, high in zip(self._result.profiles[0], q_min, q_max, strict=True):
+            q, v, a = profile.p, profile.v, profile.a
+            if min(q) < low or max(q) > high:
+                return False
+            turning = [k for k in range(7) if v[k] * v[k + 1] < 0 or a[k] * a[k + 1] < 0]
+            if turning:
+                j, t = profile.j, profile.t
+                for k in turning:
+                    for u in _turns(v[k], a[k], j[k]):
+                        if 0 < u < t[k] and not low <= q[k] + u * (v[k] + u * (a[k] / 2 + u * j[k] / 6)) <= high:
+                            return False
+        return True
 
     @property
     def duration(self) -> float:
@@ -134,6 +183,17 @@ class Profiles:
         """The move as phases of constant jerk: for each joint their durations, s, and their jerks, rad/s^3."""
         profiles = self._result.profiles[0]
         return [(*p.brake.t, *p.t) for p in profiles], [(*p.brake.j, *p.j) for p in profiles]
+
+
+def _turns(v: float, a: float, j: float) -> tuple[float, ...]:
+    """When a joint with this velocity, acceleration and constant jerk stands still."""
+    if j == 0.0:
+        return (-v / a,) if a else ()
+    root = a * a - 2 * j * v
+    if root < 0:
+        return ()
+    half = -(a + math.copysign(math.sqrt(root), a))
+    return (half / j, 2 * v / half) if half else ()
 
 
 def phase_nodes(phases: list[tuple[list[tuple[float, ...]], list[tuple[float, ...]]]], start: Moving) -> tuple[Array, ...]:

@@ -7,10 +7,12 @@ from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
 from armctl.arrays import Array
-from armctl.errors import InputError
+from armctl.errors import InputError, LimitError
 from armctl.motion.checks import require_bounds, start_velocity
 from armctl.motion.joint_trajectory import JointTrajectory
-from armctl.motion.profiles import Moving, Pieces, Profiles, at_rest
+from armctl.motion.pieces import Pieces
+from armctl.motion.profiles import Moving, Profiles, at_rest
+from armctl.motion.torque import within_torque
 
 _PARALLEL = 1e-6
 
@@ -22,6 +24,7 @@ def move_j(
 
     Straight: one path parameter carries all joints, its limits the tightest of theirs along the direction; ruckig
     (Berscheid and Kroeger, "Jerk-limited Real-time Trajectory Generation with Arbitrary Target States", RSS 2021) times it.
+    Where a motor would saturate it goes slower, and its `slowed` says so.
 
     Args:
         arm: The arm.
@@ -36,7 +39,8 @@ def move_j(
 
     Raises:
         InputError: A wrong length, a number that is not finite, or a start velocity that leads off the line.
-        LimitError: A position or velocity outside the limits.
+        LimitError: A position or velocity outside the limits, or a start so fast that the motion would leave them.
+        PlanError: A motor cannot hold the arm on the way, however slowly it moves.
     """
     require_bounds(arm)
     start = arm.limits.check("q_start", q_start, arm.joint_names)
@@ -46,7 +50,10 @@ def move_j(
         pieces = _line(arm, start, goal, v)
     else:
         pieces = Profiles.of(arm.limits).solve(Moving(start, v, np.zeros(arm.n)), at_rest(goal))
-    return JointTrajectory(*pieces, arm.joint_names, arm.limits)
+    motion = JointTrajectory(*pieces, arm.joint_names, arm.limits)
+    if v.any() and not (check := motion.check_limits()).ok:
+        raise LimitError(f"v_start: {check.violations[0]}; start slower, or let it stop before")
+    return within_torque(arm, motion)
 
 
 def _line(arm: Arm, start: Array, goal: Array, v: Array) -> Pieces:

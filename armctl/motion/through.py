@@ -13,6 +13,7 @@ from armctl.errors import InputError
 from armctl.motion.checks import require_bounds
 from armctl.motion.joint_trajectory import JointTrajectory
 from armctl.motion.profiles import Moving, Profiles
+from armctl.motion.torque import within_torque
 from armctl.motion.waypoint_search import Candidate, WaypointSearch
 
 _TIME_SHARE = 0.75  # of the time with stops, for the spline that the search starts from
@@ -46,9 +47,8 @@ def move_through(arm: Arm, waypoints: ArrayLike) -> JointTrajectory:
     best = _fastest(WaypointSearch(points, arm.limits))
     states = [Moving(*state) for state in zip(best.q, best.v, best.a, strict=True)]
     profiles = Profiles.of(arm.limits)
-    return JointTrajectory.joined(
-        [JointTrajectory(*profiles.solve(a, b), arm.joint_names, arm.limits) for a, b in pairwise(states)]
-    )
+    sections = [JointTrajectory(*profiles.solve(a, b), arm.joint_names, arm.limits) for a, b in pairwise(states)]
+    return within_torque(arm, JointTrajectory.joined(sections))
 
 
 def _fastest(search: WaypointSearch) -> Candidate:

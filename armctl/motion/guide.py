@@ -1,0 +1,104 @@
+"""A first motion along a path, for the solver of `pace` to run at another pace."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from armctl.arrays import Array
+from armctl.trajectory import Limits
+
+_INTERVALS = 120  # of a first guide
+
+
+class Path(Protocol):
+    """A path of the joints, as a function of its length."""
+
+    @property
+    def length(self) -> float:
+        """In whatever unit the path is measured in."""
+        ...
+
+    def derivatives(self, s: Array) -> tuple[Array, Array, Array, Array]:
+        """Positions and three derivatives.
+
+        Args:
+            s: (T,) lengths.
+
+        Returns:
+            q, dq/ds, d2q/ds2 and d3q/ds3, each (T, n).
+        """
+        ...
+
+
+class Guide(NamedTuple):
+    """A motion along a path that is run at another pace.
+
+    Attributes:
+        h: s, the length of an interval.
+        intervals: How many there are.
+        spline: scipy's spline of the length over time; None where the length is the time.
+    """
+
+    h: float
+    intervals: int
+    spline: object | None
+
+    @property
+    def edges(self) -> Array:
+        """(intervals + 1,) s, the edges of the intervals."""
+        return self.h * np.arange(self.intervals + 1.0)
+
+    def at(self, u: Array) -> tuple[Array, Array, Array, Array]:
+        """The length and three derivatives.
+
+        Args:
+            u: (T,) s, from 0 to the guide's last edge.
+
+        Returns:
+            s, s', s'' and s''', each (T,).
+        """
+        if self.spline is None:
+            return u, np.ones_like(u), np.zeros_like(u), np.zeros_like(u)
+        s, s1, s2, s3 = (self.spline(u, order) for order in range(4))  # type: ignore[operator]
+        s[0], s1[0], s1[-1], s2[0], s2[-1] = np.zeros(5)
+        return s, s1, s2, s3
+
+
+def first_guide(path: Path, limits: Limits) -> Guide:
+    """From rest to rest, the joints together at an even speed in between: a path by a singularity needs that.
+
+    Args:
+        path: The path.
+        limits: What the joints can do.
+
+    Returns:
+        The guide.
+    """
+    from scipy.interpolate import CubicSpline
+
+    s = np.linspace(0.0, path.length, 4 * _INTERVALS + 1)
+    rate = np.linalg.norm(path.derivatives(s)[1] / limits.v_max, axis=1)
+    rate += 1e-3 * rate.mean()
+    way = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(s))])
+    u = np.linspace(0.0, 1.0, _INTERVALS // 2 + 1)
+    step = u**3 * (10 + u * (6 * u - 15))
+    return smooth(2 * float(way[-1]) * u, np.clip(CubicSpline(way, s)(way[-1] * step), 0.0, path.length), _INTERVALS)
+
+
+def smooth(t: Array, s: Array, intervals: int) -> Guide:
+    """The guide along a spline of degree five, at rest at both ends.
+
+    Args:
+        t: (k,) s.
+        s: (k,) lengths.
+        intervals: How many the guide has.
+
+    Returns:
+        The guide.
+    """
+    from scipy.interpolate import make_interp_spline
+
+    rest = [(1, 0.0), (2, 0.0)]
+    return Guide(float(t[-1]) / intervals, intervals, make_interp_spline(t, s, k=5, bc_type=(rest, rest)))

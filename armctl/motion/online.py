@@ -1,0 +1,129 @@
+"""OnlineMotion: setpoints tick by tick towards a goal that may change at any tick, within every limit."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.arm import Arm
+from armctl.arrays import Array, vector
+from armctl.errors import LimitError, PlanError
+from armctl.motion.checks import require_bounds, start_velocity
+from armctl.motion.profiles import Moving, Profiles
+from armctl.trajectory import Setpoint
+
+_ROUNDING = 1e-9  # rad
+_SHARE = 1e-9  # of a limit
+
+
+class OnlineMotion:
+    """A motion that is planned while it runs: a goal now, another one at any later tick; jerk-limited throughout.
+
+    Each new goal is planned for from the position, velocity and acceleration of that instant, all joints arriving together.
+    Where that would swing a joint beyond its position limits, each joint goes as fast as it can by itself instead.
+
+    ```python
+    motion = OnlineMotion(arm, arm.home)
+    motion.goal = q
+    setpoint = motion.step(0.001)
+    ```
+    """
+
+    def __init__(self, arm: Arm, q_start: ArrayLike, *, v_start: ArrayLike | None = None, a_start: ArrayLike | None = None):
+        """A motion from where the arm is; until it is given a goal it comes to rest.
+
+        Args:
+            arm: The arm.
+            q_start: (n,) rad, inside the limits.
+            v_start: (n,) rad/s; at rest if left out. With `a_start` it takes over a motion that is under way.
+            a_start: (n,) rad/s^2; zero if left out.
+
+        Raises:
+            InputError: A wrong length or a number that is not finite.
+            LimitError: A start outside the limits, or so fast that no stop inside them is possible.
+        """
+        require_bounds(arm)
+        self._arm, limits = arm, arm.limits
+        self._q_min, self._q_max = (limits.q_min - _ROUNDING).tolist(), (limits.q_max + _ROUNDING).tolist()
+        self._profiles = Profiles.of(limits)
+        q = limits.check("q_start", q_start, arm.joint_names)
+        v = start_velocity(arm, v_start)
+        a = np.zeros(arm.n) if a_start is None else vector("a_start", a_start, arm.n)
+        self._require_feasible(v, a)
+        self._t = 0.0
+        self._now = Moving(q.tolist(), v.tolist(), a.tolist())
+        self._goal: Array | None = None
+        self._brake()
+        if not self._stays_inside():
+            raise LimitError("v_start: the arm cannot stop inside its position limits from this start; start slower")
+
+    @property
+    def goal(self) -> Array | None:
+        """(n,) rad, where it goes; None while it only stops. Assign another at any time."""
+        return self._goal
+
+    @goal.setter
+    def goal(self, q: ArrayLike) -> None:
+        goal = self._arm.limits.check("goal", q, self._arm.joint_names)
+        rest = [0.0] * self._arm.n
+        self._now = self._state(self._t)
+        target = Moving(goal.tolist(), rest, rest)
+        for together in (True, False):
+            if self._profiles.reach(self._now, target, together=together) and self._stays_inside():
+                self._t, self._goal = 0.0, goal
+                return
+        self._brake()
+        raise PlanError("goal: no motion inside the limits leads there from here; it stops instead, ask again when it rests")
+
+    def stop(self) -> None:
+        """Comes to rest as soon as the limits allow."""
+        self._now, self._goal = self._state(self._t), None
+        self._brake()
+
+    def step(self, dt: float) -> Setpoint:
+        """Goes on by one tick.
+
+        Args:
+            dt: s, the tick, at least 0.
+
+        Returns:
+            q, v, a at its end, each (n,).
+        """
+        self._t += dt
+        return self.setpoint
+
+    @property
+    def setpoint(self) -> Setpoint:
+        """Where it is now: q, v, a, each (n,)."""
+        return Setpoint(*(np.array(x) for x in self._state(self._t)))
+
+    @property
+    def time_left(self) -> float:
+        """s until it comes to rest, if nothing changes."""
+        return max(0.0, self._profiles.duration - self._t)
+
+    def _require_feasible(self, v: Array, a: Array) -> None:
+        """Refuses a start from which a joint would have to exceed its speed or acceleration."""
+        limits, names = self._arm.limits, self._arm.joint_names
+        over = np.abs(a) > limits.a_max * (1 + _SHARE)
+        if over.any():
+            i = int(over.argmax())
+            raise LimitError(f"a_start: {names[i]}: {a[i]:g} rad/s^2 is outside +-{limits.a_max[i]:g} rad/s^2")
+        later = np.abs(v + a * np.abs(a) / (2 * limits.j_max))
+        over = later > limits.v_max * (1 + _SHARE)
+        if over.any():
+            i = int(over.argmax())
+            raise LimitError(
+                f"v_start: {names[i]}: with this acceleration its speed comes to {later[i]:g} rad/s, "
+                f"more than its limit {limits.v_max[i]:g} rad/s; start slower"
+            )
+
+    def _stays_inside(self) -> bool:
+        return self._profiles.stays_inside(self._q_min, self._q_max)
+
+    def _brake(self) -> None:
+        self._profiles.stop(self._now)
+        self._t = 0.0
+
+    def _state(self, t: float) -> Moving:
+        return Moving(*self._profiles.at(min(t, self._profiles.duration)))
