@@ -28,6 +28,7 @@ _MODULES = {
     "NotInstalledError": "armctl.errors",
     "MoveResult": "armctl.move_result",
     "OperationalSpace": "armctl.control",
+    "OnlineMotion": "armctl.motion",
     "PD": "armctl.control",
     "PDGravity": "armctl.control",
     "PIDGravity": "armctl.control",
@@ -44,6 +45,7 @@ _MODULES = {
     "Trajectory": "armctl.trajectory",
     "UnknownNameError": "armctl.errors",
     "chains": "armctl.robots",
+    "check_torque": "armctl.motion",
     "compare": "armctl.comparison",
     "load": "armctl.robots",
     "move_c": "armctl.motion",
@@ -84,6 +86,8 @@ if TYPE_CHECKING:
     from armctl.ik import solve_ik as solve_ik
     from armctl.ik import solve_ik_batch as solve_ik_batch
     from armctl.log import Log as Log
+    from armctl.motion import OnlineMotion as OnlineMotion
+    from armctl.motion import check_torque as check_torque
     from armctl.motion import move_c as move_c
     from armctl.motion import move_j as move_j
     from armctl.motion import move_l as move_l

@@ -12,7 +12,8 @@ import numpy as np
 
 from armctl.arrays import Array, number
 from armctl.errors import InputError
-from armctl.motion.joint_trajectory import JointTrajectory, Slowdown
+from armctl.motion.joint_trajectory import JointTrajectory
+from armctl.motion.slowdown import Slowdown
 from armctl.trajectory import Limits
 
 _FORMAT = 1

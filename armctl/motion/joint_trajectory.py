@@ -16,27 +16,10 @@ from armctl.arrays import Array, IntArray, frozen, number, vector
 from armctl.errors import InputError, LimitError
 from armctl.motion.peaks import LimitCheck, check_limits
 from armctl.motion.pieces import DEGREE, basis, basis_many
+from armctl.motion.slowdown import Slowdown
 from armctl.trajectory import Limits, Setpoint
 
 _JOIN_TOLERANCE = 1e-6
-
-
-@dataclass(frozen=True)
-class Slowdown:
-    """That a motion was slowed because a motor would have saturated.
-
-    Attributes:
-        factor: How many times longer it takes.
-        joint: The joint that would have needed most of its limit.
-        torque_ratio: How much of it.
-    """
-
-    factor: float
-    joint: str
-    torque_ratio: float
-
-    def __str__(self) -> str:
-        return f"{self.factor:.3f} times longer, since {self.joint} would need {100 * self.torque_ratio:.0f} % of its torque"
 
 
 @dataclass(frozen=True, eq=False)

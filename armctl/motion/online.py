@@ -24,7 +24,7 @@ class OnlineMotion:
 
     ```python
     motion = OnlineMotion(arm, arm.home)
-    motion.goal = q
+    motion.go_to(q)
     setpoint = motion.step(0.001)
     ```
     """
@@ -59,12 +59,21 @@ class OnlineMotion:
 
     @property
     def goal(self) -> Array | None:
-        """(n,) rad, where it goes; None while it only stops. Assign another at any time."""
+        """(n,) rad, where it goes; None while it only stops."""
         return self._goal
 
-    @goal.setter
-    def goal(self, q: ArrayLike) -> None:
-        goal = self._arm.limits.check("goal", q, self._arm.joint_names)
+    def go_to(self, q: ArrayLike) -> None:
+        """Takes a new goal, to arrive there at rest.
+
+        Args:
+            q: (n,) rad, inside the limits.
+
+        Raises:
+            InputError: A wrong length or a number that is not finite; the motion goes on as it was.
+            LimitError: A position outside the limits; the motion goes on as it was.
+            PlanError: No motion inside the limits leads there from the present state; the motion stops instead.
+        """
+        goal = self._arm.limits.check("q", q, self._arm.joint_names)
         rest = [0.0] * self._arm.n
         self._now = self._state(self._t)
         target = Moving(goal.tolist(), rest, rest)
@@ -73,7 +82,7 @@ class OnlineMotion:
                 self._t, self._goal = 0.0, goal
                 return
         self._brake()
-        raise PlanError("goal: no motion inside the limits leads there from here; it stops instead, ask again when it rests")
+        raise PlanError("go_to: no motion inside the limits leads there from here; it stops instead, ask again when it rests")
 
     def stop(self) -> None:
         """Comes to rest as soon as the limits allow."""
@@ -99,7 +108,7 @@ class OnlineMotion:
 
     @property
     def time_left(self) -> float:
-        """s until it comes to rest, if nothing changes."""
+        """How long until it comes to rest, s, if nothing changes."""
         return max(0.0, self._profiles.duration - self._t)
 
     def _require_feasible(self, v: Array, a: Array) -> None:

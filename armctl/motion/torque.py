@@ -15,8 +15,9 @@ from armctl.arm import Arm
 from armctl.arrays import Array
 from armctl.dynamics import Dynamics
 from armctl.errors import InputError, PlanError
-from armctl.motion.joint_trajectory import JointTrajectory, Slowdown
+from armctl.motion.joint_trajectory import JointTrajectory
 from armctl.motion.pace import TorqueRows, slower
+from armctl.motion.slowdown import Slowdown
 from armctl.trajectory import Trajectory
 
 _SAMPLE = 0.002  # s
