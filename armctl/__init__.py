@@ -25,8 +25,8 @@ _MODULES = {
     "Limits": "armctl.trajectory",
     "Log": "armctl.log",
     "ModelError": "armctl.errors",
-    "NotInstalledError": "armctl.errors",
     "MoveResult": "armctl.move_result",
+    "NotInstalledError": "armctl.errors",
     "OperationalSpace": "armctl.control",
     "OnlineMotion": "armctl.motion",
     "PD": "armctl.control",
@@ -35,6 +35,7 @@ _MODULES = {
     "PlanError": "armctl.errors",
     "Plant": "armctl.plant",
     "Pose": "armctl.pose",
+    "Push": "armctl.plant",
     "Report": "armctl.report",
     "Setpoint": "armctl.trajectory",
     "Simulation": "armctl.simulation",
@@ -95,6 +96,7 @@ if TYPE_CHECKING:
     from armctl.motion import move_through as move_through
     from armctl.move_result import MoveResult as MoveResult
     from armctl.plant import Plant as Plant
+    from armctl.plant import Push as Push
     from armctl.pose import Pose as Pose
     from armctl.report import Report as Report
     from armctl.robots import chains as chains

@@ -51,9 +51,10 @@ class Dynamics:
         integrator = mujoco.mjtIntegrator(model.opt.integrator)
         explicit = bool(model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP))
         self.is_discrete = integrator != mujoco.mjtIntegrator.mjINT_RK4
-        damps_at_end = self.is_discrete and not (integrator == mujoco.mjtIntegrator.mjINT_EULER and explicit)
+        self._damps_at_end = self.is_discrete and not (integrator == mujoco.mjtIntegrator.mjINT_EULER and explicit)
         self._turns_at_end = integrator == mujoco.mjtIntegrator.mjINT_IMPLICIT
-        self._changes_late = self._turns_at_end or (damps_at_end and self._is_damped)
+        self._is_simply_damped = self._is_damped and not self._has_poly_damping and not self._turns_at_end
+        self._changes_late = self._turns_at_end or (self._damps_at_end and self._is_damped)
         self._payload_basis = _payload_basis(arm.rigid_body.T_last_tip)
 
     def mass_matrix(self, q: Array) -> Array:
@@ -109,9 +110,11 @@ class Dynamics:
             (n,) N m.
         """
         tau = pin.rnea(self._model, self._data, q, v, a)
-        if self._is_damped:
-            tau = tau + (self._damping_force(v) if self._has_poly_damping else self.damping * v)
-        if dt and self._changes_late:
+        if self._is_simply_damped:
+            tau = tau + self.damping * (v + dt * a if self._damps_at_end else v)
+        elif self._is_damped:
+            tau = tau + self._damping_force(v)
+        if dt and self._changes_late and not self._is_simply_damped:
             tau = tau + self._late(q, v, a, dt)
         return self._with_static(tau, q)
 
@@ -185,7 +188,7 @@ class Dynamics:
             pin.cholesky.decompose(self._model, self._data)
             a = a + pin.cholesky.solve(self._model, self._data, self._late(q, v, a, dt))
         force = self._friction_gain * (a + self._friction_rate * v)
-        return np.clip(force, -self.friction_loss, self.friction_loss)
+        return np.minimum(np.maximum(force, -self.friction_loss), self.friction_loss)  # faster than clip
 
     def _with_static(self, tau: Array, q: Array) -> Array:
         if self._has_springs:

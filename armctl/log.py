@@ -40,6 +40,7 @@ class Log:
         tip_quat: (T, 4) wxyz.
         tip_ref: (T, 3) m.
         tip_ref_quat: (T, 4) wxyz.
+        plant: How reality differed from the model, in words.
     """
 
     robot: str
@@ -63,6 +64,7 @@ class Log:
     tip_quat: Array
     tip_ref: Array
     tip_ref_quat: Array
+    plant: str = "nominal"
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -7,7 +7,8 @@ import numpy as np
 from armctl.arm import Arm
 from armctl.arrays import Array
 from armctl.log import Log
-from armctl.pose import Pose, quats_from_rotations
+from armctl.pose import quats_from_rotations
+from armctl.trajectory import TickReference
 
 
 class Recorder:
@@ -31,7 +32,6 @@ class Recorder:
         self.q, self.v, self.q_ref, self.v_ref, self.a_ref, self.tau, self.tau_cmd = (
             np.full((capacity, n), np.nan) for _ in self._COLUMNS
         )
-        self.body_position, self.body_quat = np.full((capacity, 3), np.nan), np.full((capacity, 4), np.nan)
 
     @property
     def capacity(self) -> int:
@@ -46,28 +46,45 @@ class Recorder:
         """
         if capacity <= self.capacity:
             return
-        for name in (*self._COLUMNS, "body_position", "body_quat"):
+        for name in self._COLUMNS:
             old = getattr(self, name)
             new = np.full((max(capacity, 2 * len(old)), old.shape[1]), np.nan)
             new[: len(old)] = old
             setattr(self, name, new)
+
+    def rows(self, reference: TickReference) -> tuple[list[Array], list[Array], list[Array], list[Array]]:
+        """Makes room for a reference's ticks and notes it.
+
+        Args:
+            reference: What will be followed.
+
+        Returns:
+            The rows to write q, v, the torque commanded and the torque done into, tick by tick; `size` counts what was written.
+        """
+        first, last = self.size, self.size + len(reference.q)
+        self.reserve(last)
+        self.q_ref[first:last], self.v_ref[first:last], self.a_ref[first:last] = reference[:3]
+        q, v, tau_cmd, tau = (list(column[first:last]) for column in (self.q, self.v, self.tau_cmd, self.tau))
+        return q, v, tau_cmd, tau
 
     def log(
         self,
         arm: Arm,
         *,
         controller: str,
+        plant: str,
         dt: float,
         motion_duration: float,
         target: Array,
         real_time_factor: float,
         end: str,
     ) -> Log:
-        """The recorded rows as a Log. The tip is the simulator's own; the reference's tip is the arm's forward kinematics.
+        """The recorded rows as a Log, with the tips by the arm's forward kinematics, which is MuJoCo's to 1e-9.
 
         Args:
             arm: The arm.
             controller: As for Log, like all that follow.
+            plant: In words.
             dt: s.
             motion_duration: s.
             target: (7,).
@@ -78,13 +95,13 @@ class Recorder:
             The log; its arrays are copies.
         """
         columns = {name: getattr(self, name)[: self.size].copy() for name in self._COLUMNS}
-        tip, tip_quat = _tips(arm.T_body_tip, self.body_position[: self.size], self.body_quat[: self.size])
-        tip_ref, rotation_ref = arm.rigid_body.tips(columns["q_ref"])
+        (tip, rotation), (tip_ref, rotation_ref) = (arm.rigid_body.tips(columns[name]) for name in ("q", "q_ref"))
         return Log(
             robot=arm.name,
             joint_names=arm.joint_names,
             tau_max=np.array(arm.limits.tau_max),
             controller=controller,
+            plant=plant,
             dt=dt,
             motion_duration=motion_duration,
             target=np.array(target),
@@ -92,18 +109,8 @@ class Recorder:
             end=end,
             t=dt * np.arange(self.size, dtype=np.float64),
             tip=tip,
-            tip_quat=tip_quat,
+            tip_quat=quats_from_rotations(rotation),
             tip_ref=tip_ref,
             tip_ref_quat=quats_from_rotations(rotation_ref),
             **columns,
         )
-
-
-def _tips(T_body_tip: Pose, position: Array, quat: Array) -> tuple[Array, Array]:
-    """The tips (T, 3), (T, 4) from the poses (T, 3), (T, 4) of the body that carries the tip."""
-    w, xyz, offset = quat[:, :1], quat[:, 1:], T_body_tip.position
-    turned = offset + 2 * np.cross(xyz, np.cross(xyz, offset) + w * offset)
-    bw, bx, by, bz = T_body_tip.quat
-    times_offset = np.array([[bw, -bx, -by, -bz], [bx, bw, bz, -by], [by, -bz, bw, bx], [bz, by, -bx, bw]])
-    product = quat @ times_offset.T
-    return position + turned, np.where(product[:, :1] < 0, -product, product)

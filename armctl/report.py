@@ -25,6 +25,7 @@ class Report:
         verdict: Why, in words.
         robot: The arm's name.
         controller: The controller's name.
+        plant: How reality differed from the model, in words.
         joint_rms_rad: Root mean square over ticks and joints of q_ref - q while the reference moves.
         joint_max_rad: The largest of these.
         tip_rms_m: Root mean square distance of the tip from the reference's while that moves.
@@ -45,6 +46,7 @@ class Report:
     verdict: str
     robot: str
     controller: str
+    plant: str
     joint_rms_rad: float
     joint_max_rad: float
     tip_rms_m: float
@@ -90,6 +92,7 @@ class Report:
             verdict=_verdict(log, final, angle, tolerance, angle_tolerance),
             robot=log.robot,
             controller=log.controller,
+            plant=log.plant,
             joint_rms_rad=_rms(joint_error),
             joint_max_rad=float(np.abs(joint_error).max()),
             tip_rms_m=_rms(tip_error),

@@ -11,12 +11,13 @@ from numpy.typing import ArrayLike
 from armctl.arm import Arm
 from armctl.arrays import Array, IntArray, vector
 from armctl.control import Controller, State, controller_name
+from armctl.disturbances import Disturbances
 from armctl.errors import SimulationError
 from armctl.log import Log
 from armctl.plant import Plant
 from armctl.pose import Pose
 from armctl.recorder import Recorder
-from armctl.trajectory import Setpoint, TickReference
+from armctl.trajectory import Setpoint, TickReference, Trajectory
 
 _RUNAWAY = 1e4**2  # (rad/s)^2: a sum of squared speeds no arm survives
 
@@ -29,7 +30,8 @@ class Rig:
         plant: How the simulated arm differs.
         model: The plant's MuJoCo model.
         data: Its MjData.
-        dt: s, the tick: the plant's step and the control period.
+        dt: s, the tick: the control period.
+        continuous: Whether the arm moves on continuously between ticks.
         q_ref: (n,) rad, where the arm was last told to be.
         end: Why nothing more can be run, in words; empty while all is well.
     """
@@ -44,14 +46,18 @@ class Rig:
         self.arm, self.plant = arm, plant
         self.model = plant.model(arm)
         self.data = mujoco.MjData(self.model)
-        self.dt = float(self.model.opt.timestep)
+        self.continuous = bool(self.model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4))
+        self.dt = arm.dt if plant.timestep is None else float(plant.timestep)
+        self._steps = round(self.dt / self.model.opt.timestep)
         self._qi, self._vi, self._ci = map(_index, (arm.qpos_adr, arm.dof_adr, arm.ctrl_adr))
         self.reset(arm.home, np.zeros(arm.n))
 
     @property
     def state(self) -> State:
         """The arm's state now."""
-        return State(self.data.qpos[self.arm.qpos_adr], self.data.qvel[self.arm.dof_adr], float(self.data.time), self.dt)
+        return State(
+            self.data.qpos[self.arm.qpos_adr], self.data.qvel[self.arm.dof_adr], float(self.data.time), self.dt, self.continuous
+        )
 
     @property
     def tip(self) -> Pose:
@@ -77,6 +83,19 @@ class Rig:
         self.data.ctrl[:] = self.arm.home_ctrl
         mujoco.mj_forward(self.model, self.data)
         self.q_ref, self.end = q, ""
+        self._disturbances = Disturbances(self.plant, self.arm, self.data) if self.plant.disturbs else None
+
+    def reference(self, trajectory: Trajectory, ticks: int) -> TickReference:
+        """A trajectory on this rig's ticks.
+
+        Args:
+            trajectory: The motion.
+            ticks: How many ticks, from its beginning on.
+
+        Returns:
+            Its rows.
+        """
+        return TickReference.of(trajectory, self.dt, ticks, self.continuous)
 
     def follow(self, controller: Controller, reference: TickReference, recorder: Recorder) -> None:
         """The tick loop: measure, control, record, step.
@@ -93,33 +112,28 @@ class Rig:
         """
         if self.end:
             raise SimulationError(f"{self.end}; reset() starts afresh")
-        model, data, dt, arm = self.model, self.data, self.dt, self.arm
-        qpos, qvel, ctrl, applied = data.qpos, data.qvel, data.ctrl, data.qfrc_actuator
-        body_position, body_quat = data.xpos[arm.tip_body], data.xquat[arm.tip_body]
+        model, data, dt, continuous, steps = self.model, self.data, self.dt, self.continuous, self._steps
+        qpos, qvel, ctrl, applied, gear = data.qpos, data.qvel, data.ctrl, data.qfrc_actuator, self.arm.gear
         qi, vi, ci = self._qi, self._vi, self._ci
-        torque, step, rec = controller.torque, mujoco.mj_step, recorder
-        rec.reserve(rec.size + len(reference.q))
-        for k, row in enumerate(range(rec.size, rec.size + len(reference.q))):
-            rec.q[row], rec.v[row] = qpos[qi], qvel[vi]
-            q, v = rec.q[row], rec.v[row]
+        torque, step, disturbances = controller.torque, mujoco.mj_step, self._disturbances
+        for setpoint, q, v, command, done in zip(map(Setpoint, *map(list, reference)), *recorder.rows(reference), strict=True):
+            q[:], v[:] = qpos[qi], qvel[vi]
             if not v.dot(v) < _RUNAWAY:
                 self.end = self._runaway(v)
                 break
-            setpoint = Setpoint(*(column[k] for column in reference))
+            q_seen, v_seen = (q, v) if disturbances is None else disturbances.measured(q, v)
             try:
-                rec.tau_cmd[row] = tau = torque(State(q, v, data.time, dt), setpoint)
-                total = float(tau.dot(tau))
+                command[:] = tau = torque(State(q_seen, v_seen, data.time, dt, continuous), setpoint)
+                total = tau.dot(tau)
             except Exception as error:
                 raise self._failed(controller, error, recorder) from error
             if not total < math.inf:
                 self.end = f"the controller gave no finite torque at {data.time:.3f} s"
                 break
-            ctrl[ci] = tau / arm.gear
-            step(model, data)
-            rec.q_ref[row], rec.v_ref[row], rec.a_ref[row] = setpoint[:3]
-            rec.tau[row] = applied[vi]
-            rec.body_position[row], rec.body_quat[row] = body_position, body_quat
-            rec.size = row + 1
+            ctrl[ci] = (command if disturbances is None else disturbances.driven(command, q)) / gear
+            step(model, data, steps)
+            done[:] = applied[vi]
+            recorder.size += 1
         last = reference.q[-1]
         self.q_ref = last if np.isfinite(last).all() else np.array(qpos[qi])
 
@@ -139,6 +153,7 @@ class Rig:
         return recorder.log(
             self.arm,
             controller=controller_name(controller),
+            plant=str(self.plant),
             dt=self.dt,
             motion_duration=float(motion_duration),
             target=goal,

@@ -74,18 +74,19 @@ class RigidBody:
         Returns:
             Positions (T, 3) m and rotation matrices (T, 3, 3), in the world.
         """
-        R = np.broadcast_to(np.eye(3), (len(q), 3, 3))
-        p = np.zeros((len(q), 3))
-        for i, X in enumerate(self.placements):
-            p = p + R @ X[:3, 3]
-            R = R @ X[:3, :3]
-            if self.is_slide[i]:
-                p = p + R[:, :, 2] * q[:, i, None]
+        R = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(q)))  # time last: whole columns of R turn at once
+        p = np.zeros((3, len(q)))
+        for qi, X, slides in zip(q.T, self.placements, self.is_slide, strict=True):
+            p = p + X[:3, 3] @ R
+            R = X[:3, :3].T @ R
+            if slides:
+                p = p + R[:, 2] * qi
             else:
-                c, s = np.cos(q[:, i])[:, None], np.sin(q[:, i])[:, None]
-                x, y = R[:, :, 0], R[:, :, 1]
-                R = np.stack([c * x + s * y, c * y - s * x, R[:, :, 2]], axis=-1)
-        return p + R @ self.T_last_tip[:3, 3], R @ self.T_last_tip[:3, :3]
+                c, s = np.cos(qi), np.sin(qi)
+                x, y = R[:, 0], R[:, 1]
+                R = np.stack([c * x + s * y, c * y - s * x, R[:, 2]], axis=1)
+        p, R = p + self.T_last_tip[:3, 3] @ R, self.T_last_tip[:3, :3].T @ R
+        return np.ascontiguousarray(p.T), np.ascontiguousarray(R.transpose(2, 0, 1))
 
     def __reduce__(self):
         fields = (self.pin_model, self.tip_frame, self.placements, self.is_slide, self.T_last_tip, self.gravity_support)

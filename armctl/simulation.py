@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import time
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from armctl.ik import solve_ik
 from armctl.log import Log
 from armctl.motion import move_j
 from armctl.move_result import MoveResult
-from armctl.plant import Plant
+from armctl.plant import NOMINAL, Plant
 from armctl.pose import Pose
 from armctl.recorder import Recorder
 from armctl.rig import Rig
@@ -66,7 +67,7 @@ class Simulation:
         self.controller = ComputedTorque(self.arm) if controller is None else controller
         if not callable(getattr(self.controller, "torque", None)):
             raise InputError(f"controller: {controller!r} has no method torque(state, setpoint)")
-        self.plant = Plant() if plant is None else plant
+        self.plant = NOMINAL if plant is None else plant
         self.log: Log | None = None
         self._rig = Rig(self.arm, self.plant)
         self.model, self.data = self._rig.model, self._rig.data
@@ -117,10 +118,8 @@ class Simulation:
             InputError: The settling time is negative.
             SimulationError: The controller failed; `error.log` holds what there was until then.
         """
-        recorder, started = Recorder(self.arm.n), time.perf_counter()
-        ticks = _ticks(trajectory.duration + number("settle", settle, 0.0), self.dt)
-        self._rig.follow(self.controller, TickReference.of(trajectory, self.dt, ticks), recorder)
-        return self._logged(recorder, trajectory.duration, np.full(7, np.nan), started)
+        self.log = _run(self._rig, self.controller, trajectory, settle)
+        return self.log
 
     def move_to(
         self,
@@ -205,7 +204,7 @@ class Simulation:
         """Follows a motion, then holds its end until the tip has come to rest, at most `settle` seconds."""
         rig, recorder, started, begin = self._rig, Recorder(self.arm.n), time.perf_counter(), self.data.time
         ticks = _ticks(trajectory.duration, self.dt)
-        rig.follow(self.controller, TickReference.of(trajectory, self.dt, ticks), recorder)
+        rig.follow(self.controller, rig.reference(trajectory, ticks), recorder)
         still = np.zeros((_ticks(_SETTLE_CHUNK, self.dt), self.arm.n))
         hold = TickReference(trajectory(trajectory.duration).q + still, still, still, still, still)
         deadline = self.data.time + settle
@@ -263,10 +262,23 @@ def simulate(
         UnknownNameError: There is no such controller.
         SimulationError: The controller failed; `error.log` holds what there was until then.
     """
-    simulation = Simulation(arm, controller, plant)
-    start = trajectory(0.0)
-    simulation.reset(start.q, start.v)
-    return simulation.run(trajectory, settle)
+    controller = controller_by_name(controller, arm) if isinstance(controller, str) else controller
+    rig, start = _rig_for(arm, NOMINAL if plant is None else plant), trajectory(0.0)
+    rig.reset(start.q, start.v)
+    return _run(rig, controller, trajectory, settle)
+
+
+@lru_cache(maxsize=4)
+def _rig_for(arm: Arm, plant: Plant) -> Rig:
+    """The rig of an arm and a plant, kept for the next run: to copy a model with its meshes takes as long as a second of it."""
+    return Rig(arm, plant)
+
+
+def _run(rig: Rig, controller: Controller, trajectory: Trajectory, settle: float) -> Log:
+    recorder, started = Recorder(rig.arm.n), time.perf_counter()
+    ticks = _ticks(trajectory.duration + number("settle", settle, 0.0), rig.dt)
+    rig.follow(controller, rig.reference(trajectory, ticks), recorder)
+    return rig.log(controller, recorder, trajectory.duration, np.full(7, np.nan), time.perf_counter() - started)
 
 
 class _Constant:

@@ -19,8 +19,8 @@ class Setpoint(NamedTuple):
         q: Position, rad (m for a slide joint).
         v: Velocity, rad/s.
         a: Acceleration, rad/s^2.
-        v_tick: What a sampled velocity reads on the way: the backward difference of q over the control period, rad/s. None
-            where nobody samples.
+        v_tick: What a sampled velocity reads on the way, rad/s: the backward difference of q over the control period, or v
+            where the arm moves continuously. None where nobody samples.
         a_tick: The change of v_tick over the coming period, rad/s^2: the acceleration that a discrete step must make.
     """
 
@@ -153,7 +153,7 @@ class TickReference(NamedTuple):
         q: Position, rad (m for a slide joint).
         v: Velocity, rad/s.
         a: Acceleration, rad/s^2.
-        v_tick: The backward difference of q, rad/s.
+        v_tick: What a sampled velocity reads on the way, rad/s.
         a_tick: The forward difference of v_tick, rad/s^2.
     """
 
@@ -164,19 +164,20 @@ class TickReference(NamedTuple):
     a_tick: Array
 
     @classmethod
-    def of(cls, trajectory: Trajectory, dt: float, ticks: int) -> TickReference:
+    def of(cls, trajectory: Trajectory, dt: float, ticks: int, continuous: bool = False) -> TickReference:
         """Samples a trajectory.
 
         Args:
             trajectory: The motion; it stands still before 0 and after its duration.
             dt: s, the tick.
             ticks: How many ticks, from t = 0 on.
+            continuous: Whether the arm moves on continuously between ticks: its velocity then is no difference of positions.
 
         Returns:
-            Its q, v, a and the differences of q on the grid.
+            Its q, v, a and the differences of q (of v, where the arm moves continuously) on the grid.
         """
         q, v, a = trajectory.sample(dt * np.arange(-1, ticks + 1))[:3]
         q = np.array(q)
         q[0] = q[1] - dt * v[1]
-        v_tick = np.diff(q, axis=0) / dt
+        v_tick = v[1:] if continuous else np.diff(q, axis=0) / dt
         return cls(q[1:-1], v[1:-1], a[1:-1], v_tick[:-1], np.diff(v_tick, axis=0) / dt)

@@ -33,7 +33,7 @@ FLOORS = [
     ],
     ["robots", "dynamics", "ik", "describe"],
     ["motion", "control", "plant"],
-    ["recorder", "rig > recorder", "view", "simulation > rig recorder view"],
+    ["recorder", "disturbances", "rig > recorder disturbances", "view", "simulation > rig recorder view"],
     ["plot", "report > plot", "comparison > report", "live > report plot comparison"],
     ["__init__", "cli > __init__", "__main__ > cli"],
 ]

@@ -92,4 +92,5 @@ class Adaptive:
         shown = np.diag(seen)
         moment = max(shown[1:].max(), _ARM**2 * shown[0], np.finfo(float).tiny)
         little = _LITTLE * np.array([max(shown[0], moment), moment, moment, moment])
-        return np.linalg.inv(seen + np.diag(little)) * (self.adaptation_rate * self.bandwidth)
+        gain = self.adaptation_rate * self.bandwidth * np.linalg.inv(seen + np.diag(little))
+        return np.asarray(gain, dtype=np.float64)

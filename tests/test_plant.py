@@ -1,0 +1,185 @@
+"""Each way in which a plant departs from the model: what it does, that it is seeded, and that the log records the truth."""
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+from arms import arm_of
+
+import armctl
+from armctl.dynamics import Dynamics
+from armctl.trajectory import Setpoint
+
+
+class Still:
+    """Stands where it is."""
+
+    def __init__(self, q, duration=0.2):
+        self.q, self.duration = q, duration
+
+    def __call__(self, t):
+        return Setpoint(self.q, 0 * self.q, 0 * self.q)
+
+    def sample(self, times):
+        q = np.tile(self.q, (len(times), 1))
+        return Setpoint(q, 0 * q, 0 * q)
+
+
+class Holding:
+    """Holds the arm's weight and nothing else, and remembers what it was told."""
+
+    def __init__(self, arm, extra=0.0):
+        self.dynamics, self.extra, self.states = Dynamics(arm), extra, []
+
+    def torque(self, state, setpoint):
+        self.states.append(state)
+        return self.dynamics.gravity(setpoint.q) + self.extra
+
+
+class Counting:
+    """Commands the number of the tick, so that a delay can be read off."""
+
+    def __init__(self, n):
+        self.n, self.k = n, -1
+
+    def torque(self, state, setpoint):
+        self.k += 1
+        return np.full(self.n, 0.001 * self.k)
+
+
+def test_nothing_departs_by_default(arm):
+    model = armctl.Plant().model(arm)
+    assert np.array_equal(model.body_mass, arm.model.body_mass)
+    assert str(armctl.Plant()) == "nominal"
+    assert not armctl.Plant().disturbs
+
+
+@pytest.mark.parametrize("robot", ["panda", "gantry", "planar"])
+def test_a_payload_weighs_what_it_weighs(robot):
+    arm = arm_of(robot)
+    center, mass = np.array([0.05, -0.02, 0.1]), 1.5
+    model = armctl.Plant(payload=mass, payload_center=center).model(arm)
+    data = mujoco.MjData(model)
+    data.qpos[:] = arm.qpos(arm.home)
+    mujoco.mj_forward(model, data)
+    J = arm.jacobian(arm.home)
+    lever = arm.fk(arm.home).rotation @ center
+    force = -mass * model.opt.gravity
+    expected = Dynamics(arm).bias(arm.home, np.zeros(arm.n)) + J.T @ np.concatenate([force, np.cross(lever, force)])
+    assert np.allclose(data.qfrc_bias[arm.dof_adr], expected, atol=1e-10)
+
+
+def test_masses_scale(bundled):
+    model = armctl.Plant(mass_scale=1.2).model(bundled)
+    assert np.allclose(model.body_mass, 1.2 * bundled.model.body_mass)
+    assert np.allclose(model.body_inertia, 1.2 * bundled.model.body_inertia)
+
+
+def test_coulomb_friction_holds_what_is_less(bundled):
+    pushed = Holding(bundled, extra=np.array([0.9, 0.0, 0.0]))
+    stuck = armctl.simulate(bundled, pushed, Still(bundled.home, 1.0), armctl.Plant(coulomb_friction=1.0), settle=0.0)
+    free = armctl.simulate(bundled, pushed, Still(bundled.home, 1.0), settle=0.0)
+    assert np.abs(stuck.v).max() < 0.05 * np.abs(free.v).max()
+
+
+def test_viscous_friction_takes_its_power(bundled):
+    damped = armctl.Plant(viscous_friction=[3.0, 0.0, 0.0]).model(bundled)
+    assert np.allclose((damped.dof_damping - bundled.model.dof_damping)[bundled.dof_adr], [3.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_a_delay_is_so_many_ticks(bundled, delay):
+    log = armctl.simulate(bundled, Counting(3), Still(bundled.home, 0.05), armctl.Plant(delay=delay), settle=0.0)
+    late = np.maximum(np.arange(len(log)) - delay, 0)
+    assert np.allclose(log.tau[:, 0], 0.001 * late)
+    assert np.allclose(log.tau_cmd[:, 0], 0.001 * np.arange(len(log)))
+
+
+def test_noise_has_its_size_and_the_log_the_truth(bundled):
+    plant, holding = armctl.Plant(encoder_noise=1e-3, velocity_noise=2e-2), Holding(bundled)
+    log = armctl.simulate(bundled, holding, Still(bundled.home, 2.0), plant, settle=0.0)
+    q, v = (np.array([getattr(s, k) for s in holding.states]) for k in ("q", "v"))
+    assert np.std(q - log.q) == pytest.approx(1e-3, rel=0.1)
+    assert np.std(v - log.v) == pytest.approx(2e-2, rel=0.1)
+    assert np.abs(log.q - bundled.home).max() < 1e-9
+
+
+def test_the_same_seed_gives_the_same_bits(bundled):
+    first, second, other = (
+        armctl.simulate(bundled, "pd-gravity", Still(bundled.home), armctl.Plant(encoder_noise=1e-4, rng=seed))
+        for seed in (7, 7, 8)
+    )
+    assert np.array_equal(first.q, second.q)
+    assert not np.array_equal(first.q, other.q)
+
+
+def test_ripple_swings_with_the_joint(bundled):
+    plant = armctl.Plant(torque_ripple=0.1)
+    log = armctl.simulate(bundled, Holding(bundled), Still(bundled.home, 0.5), plant, settle=0.0)
+    assert np.allclose(log.tau, log.tau_cmd * (1 + 0.1 * np.sin(12.0 * log.q)), atol=1e-9)
+
+
+def test_a_push_moves_the_tip_while_it_lasts():
+    arm = arm_of("panda")
+    push = armctl.Push(0.1, 0.2, force=[0.0, 20.0, 0.0])
+    log = armctl.simulate(arm, "impedance", Still(arm.home, 1.5), armctl.Plant(pushes=[push]), settle=0.0)
+    off = (log.tip - log.tip_ref)[:, 1]
+    assert np.abs(off[log.t < 0.1]).max() < 1e-9
+    assert off.max() > 2e-3
+    assert np.abs(off[-1]) < 0.05 * off.max()
+
+
+def test_a_push_is_a_wrench_at_the_tip():
+    arm = arm_of("panda")
+    push = armctl.Push(0.0, 1.0, force=[5.0, -3.0, 2.0], torque=[0.1, 0.2, -0.3])
+    simulation = armctl.Simulation(arm, Holding(arm, -arm.jacobian(arm.home).T @ push.wrench), armctl.Plant(pushes=push))
+    log = simulation.run(Still(arm.home, 0.05))
+    assert np.abs(log.v).max() < 1e-9
+
+
+def test_continuous_motion_is_what_finer_steps_converge_to(bundled):
+    """The same held torques, by the plant's own steps and by MuJoCo's Euler steps a hundred times finer."""
+    tau = np.array([2.0, -60.0, 5.0])
+
+    class Constant:
+        def torque(self, state, setpoint):
+            assert state.continuous
+            return tau
+
+    log = armctl.simulate(bundled, Constant(), Still(bundled.home, 0.1), armctl.Plant(continuous=True), settle=0.0)
+    model = armctl.Plant(timestep=bundled.dt / 200).model(bundled)
+    data = mujoco.MjData(model)
+    data.qpos[:] = bundled.qpos(bundled.home)
+    data.ctrl[bundled.ctrl_adr] = tau / bundled.gear
+    mujoco.mj_step(model, data, 200 * (len(log) - 1))
+    assert np.abs(data.qpos[bundled.qpos_adr] - log.q[-1]).max() < 2e-4 * np.abs(log.q[-1] - bundled.home).max()
+
+
+def test_a_plant_says_what_it_is():
+    plant = armctl.Plant(payload=1.0, mass_scale=1.2, coulomb_friction=0.5, delay=2, encoder_noise=1e-5)
+    assert str(plant) == "payload 1 kg, masses x 1.2, friction, delay 2, noise"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ({"payload": -1.0}, "payload: -1 given, a number at least 0 wanted"),
+        ({"mass_scale": 0.0}, "mass_scale: 0 given"),
+        ({"delay": 1.5}, "delay: 1.5 given, a whole number of ticks wanted"),
+        ({"delay": -1}, "delay: -1 given"),
+        ({"encoder_noise": math.nan}, "encoder_noise: nan given"),
+        ({"coulomb_friction": [0.1, -0.2]}, "least coulomb_friction: -0.2 given"),
+        ({"viscous_friction": "much"}, "viscous_friction: .* is not an array of numbers"),
+        ({"timestep": 1.0}, "timestep: 1 given"),
+        ({"payload_center": [0.0, 1.0]}, "payload_center: 2 numbers given, 3 wanted"),
+    ],
+)
+def test_a_plant_that_cannot_be_is_refused(arguments, sentence):
+    with pytest.raises(armctl.InputError, match=sentence):
+        armctl.Plant(**arguments)
+
+
+def test_friction_for_other_joints_is_refused(bundled):
+    with pytest.raises(armctl.InputError, match="coulomb_friction: 2 numbers given, 1 or 3 wanted"):
+        armctl.Plant(coulomb_friction=[0.1, 0.2]).model(bundled)
