@@ -42,7 +42,9 @@ class UnknownNameError(ArmctlError, LookupError):
             The error, to be raised by the caller.
         """
         known = list(known)
-        near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.5)
+        near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.6) or [
+            k for k in known if name and name.lower() in k.lower()
+        ]
         if near:
             hint = f"did you mean {near[0]!r}?"
         elif len(known) <= 12:
