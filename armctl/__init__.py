@@ -18,6 +18,7 @@ _MODULES = {
     "Controller": "armctl.control",
     "DifferentialIk": "armctl.ik",
     "IkBatch": "armctl.ik",
+    "GripResult": "armctl.gripper",
     "IkResult": "armctl.ik",
     "Impedance": "armctl.control",
     "InputError": "armctl.errors",
@@ -81,6 +82,7 @@ if TYPE_CHECKING:
     from armctl.errors import PlanError as PlanError
     from armctl.errors import SimulationError as SimulationError
     from armctl.errors import UnknownNameError as UnknownNameError
+    from armctl.gripper import GripResult as GripResult
     from armctl.ik import DifferentialIk as DifferentialIk
     from armctl.ik import IkBatch as IkBatch
     from armctl.ik import IkResult as IkResult

@@ -128,14 +128,15 @@ class Plant:
         """Whether it does anything to signals while it runs."""
         return bool(self.delay or self.encoder_noise or self.velocity_noise or self.torque_ripple or self.pushes)
 
-    def model(self, arm: Arm) -> mujoco.MjModel:
+    def model(self, arm: Arm, loose: IntArray | None = None) -> mujoco.MjModel:
         """The MuJoCo model of this plant.
 
         Args:
             arm: The arm as controllers know it.
+            loose: Addresses in `MjData.qvel` of joints outside the chain that are not braked, such as a gripper's.
 
         Returns:
-            A model of one's own, with all joints outside the chain braked.
+            A model of one's own, with all other joints outside the chain braked.
 
         Raises:
             InputError: Friction is given for another number of joints.
@@ -158,7 +159,7 @@ class Plant:
                 raise InputError(f"{what}: {len(added)} numbers given, 1 or {arm.n} wanted for {arm.name}")
             column[arm.dof_adr] += added
         mujoco.mj_setConst(model, mujoco.MjData(model))
-        brake(model, held_dofs(arm))
+        brake(model, held_dofs(arm) if loose is None else np.setdiff1d(held_dofs(arm), loose))
         return model
 
 

@@ -137,6 +137,19 @@ class Rig:
         last = reference.q[-1]
         self.q_ref = last if np.isfinite(last).all() else np.array(qpos[qi])
 
+    def hold(self, controller: Controller, seconds: float) -> None:
+        """Holds the arm where it was last told to be, unrecorded.
+
+        Args:
+            controller: What makes the torques.
+            seconds: How long, at least one tick.
+
+        Raises:
+            SimulationError: As for `follow`.
+        """
+        still = np.zeros((max(1, round(seconds / self.dt)), self.arm.n))
+        self.follow(controller, TickReference(self.q_ref + still, *[still] * 4), Recorder(self.arm.n, len(still)))
+
     def log(self, controller: Controller, recorder: Recorder, motion_duration: float, goal: Array, wall: float) -> Log:
         """What was recorded, as a Log.
 

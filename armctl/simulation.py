@@ -20,6 +20,7 @@ from armctl.contacts import Contacts
 from armctl.control import ComputedTorque, Controller, State, controller_by_name
 from armctl.errors import InputError, LimitError
 from armctl.goal import ANGLE_TOLERANCE, TOLERANCE, Goal
+from armctl.gripper import Gripper
 from armctl.ik import solve_ik
 from armctl.log import Log
 from armctl.motion import move_j
@@ -69,7 +70,7 @@ class Simulation:
             raise InputError(f"controller: {controller!r} has no method torque(state, setpoint)")
         self.plant = NOMINAL if plant is None else plant
         self.log: Log | None = None
-        self._rig = Rig(self.arm, self.plant)
+        self._rig, self._gripper = Rig(self.arm, self.plant), None
         self.model, self.data = self._rig.model, self._rig.data
 
     @property
@@ -92,6 +93,12 @@ class Simulation:
         """(3,) m, where the green target is now."""
         return self.data.xpos[mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, TARGET)].copy()
 
+    @property
+    def gripper(self) -> Gripper:
+        """The gripper behind the arm's tip, found when it is first asked for."""
+        self._gripper = self._gripper or Gripper(self._rig, lambda seconds: self._rig.hold(self.controller, seconds))
+        return self._gripper
+
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
         """Starts afresh at t = 0.
 
@@ -102,6 +109,8 @@ class Simulation:
         Raises:
             InputError: A wrong length or a number that is not finite.
         """
+        if self._gripper is not None:
+            self._gripper.reset()
         self._rig.reset(self.arm.home if q is None else q, np.zeros(self.arm.n) if v is None else v)
 
     def run(self, trajectory: Trajectory, settle: float = 0.0) -> Log:

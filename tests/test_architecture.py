@@ -33,7 +33,15 @@ FLOORS = [
     ],
     ["robots", "dynamics", "ik", "describe"],
     ["motion", "control", "plant"],
-    ["recorder", "disturbances", "rig > recorder disturbances", "view", "simulation > rig recorder view"],
+    [
+        "recorder",
+        "jaws",
+        "disturbances",
+        "rig > recorder disturbances",
+        "gripper > jaws rig",
+        "view",
+        "simulation > gripper rig recorder view",
+    ],
     ["plot", "report > plot", "comparison > report", "live > report plot comparison"],
     ["__init__", "cli > __init__", "__main__ > cli"],
 ]
