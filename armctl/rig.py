@@ -183,6 +183,36 @@ class Rig:
         return f"diverged at {self.data.time:.3f} s: {self.arm.joint_names[worst]} moves at {v[worst]:.3g} rad/s"
 
 
+class ConstantTorque:
+    """The controller of an open-loop run.
+
+    Attributes:
+        tau: (n,) N m.
+    """
+
+    name = "constant"
+
+    def __init__(self, tau: Array):
+        """A controller that gives one torque whatever happens.
+
+        Args:
+            tau: (n,) N m.
+        """
+        self.tau = tau
+
+    def torque(self, state: State, setpoint: Setpoint) -> Array:
+        """The torque for the coming control period.
+
+        Args:
+            state: Not looked at.
+            setpoint: Not looked at.
+
+        Returns:
+            (n,) N m.
+        """
+        return self.tau
+
+
 def _index(addresses: IntArray) -> slice | IntArray:
     """Addresses as a slice where they are consecutive: NumPy reads and writes those faster."""
     first = int(addresses[0])

@@ -28,10 +28,10 @@ from armctl.move_result import MoveResult
 from armctl.plant import NOMINAL, Plant
 from armctl.pose import Pose
 from armctl.recorder import Recorder
-from armctl.rig import Rig
+from armctl.rig import ConstantTorque, Rig
 from armctl.robots import load
 from armctl.staging import TARGET
-from armctl.trajectory import Setpoint, TickReference, Trajectory
+from armctl.trajectory import TickReference, Trajectory
 
 _SETTLED_SPEED = 1e-3  # rad/s
 _SETTLE_CHUNK = 0.02  # s
@@ -187,7 +187,7 @@ class Simulation:
             i = int(outside.argmax())
             raise LimitError(f"ctrl: {self.arm.joint_names[i]}: {ctrl[i]:g} is outside [{-bound[i]:g}, {bound[i]:g}]")
         nothing = np.full((_ticks(number("seconds", seconds, 0.0), self.dt), self.arm.n), np.nan)
-        recorder, started, constant = Recorder(self.arm.n), time.perf_counter(), _Constant(ctrl * self.arm.gear)
+        recorder, started, constant = Recorder(self.arm.n), time.perf_counter(), ConstantTorque(ctrl * self.arm.gear)
         self._rig.follow(constant, TickReference(*[nothing] * 5), recorder)
         return self._logged(recorder, seconds, np.full(7, np.nan), started, constant)
 
@@ -288,18 +288,6 @@ def _run(rig: Rig, controller: Controller, trajectory: Trajectory, settle: float
     ticks = _ticks(trajectory.duration + number("settle", settle, 0.0), rig.dt)
     rig.follow(controller, rig.reference(trajectory, ticks), recorder)
     return rig.log(controller, recorder, trajectory.duration, np.full(7, np.nan), time.perf_counter() - started)
-
-
-class _Constant:
-    """The controller of an open-loop run."""
-
-    name = "constant"
-
-    def __init__(self, tau: Array):
-        self.tau = tau
-
-    def torque(self, state: State, setpoint: Setpoint) -> Array:
-        return self.tau
 
 
 def _ticks(duration: float, dt: float) -> int:
