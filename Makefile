@@ -62,7 +62,7 @@ docs: $(VENV)/dev.stamp
 	@echo "docs/_build/index.html is up to date"
 
 pytest: $(VENV)/dev.stamp
-	@$(BIN)/python -m pytest -n $(WORKERS) --maxprocesses 8 || { echo "tests failed, as listed above; make pytest runs them alone"; exit 1; }
+	@$(BIN)/python -m pytest -n $(WORKERS) --maxprocesses 8 --dist loadgroup || { echo "tests failed, as listed above; make pytest runs them alone"; exit 1; }
 
 examples: $(VENV)/dev.stamp
 	@$(BIN)/python -m pytest tests/test_examples.py -n $(WORKERS) --maxprocesses 8

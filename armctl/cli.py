@@ -73,6 +73,12 @@ def _parser() -> argparse.ArgumentParser:
     simulate.add_argument("--ctrl", nargs="+", required=True, metavar="N", help="one control a motor; torque = gear x control")
     simulate.add_argument("--seconds", default="2", help="how long, s (default 2)")
     simulate.add_argument("--plot", type=Path, metavar="DIR", help="draw the run into this folder")
+    view = command("view", _view, "drag the target in the browser, and the arm follows")
+    view.add_argument("--controller", default="computed-torque", help="the one to begin with (default computed-torque)")
+    view.add_argument("--port", type=int, default=8080, help="where to serve; the next free one if taken (default 8080)")
+    view.add_argument("--host", help="serve other machines too, at this address; wants --token")
+    view.add_argument("--token", help="what visitors from other machines must know, at least 8 characters")
+    view.add_argument("--native", action="store_true", help="MuJoCo's own viewer instead of the browser")
     for sub in (chains, info, reach, compare, simulate):
         sub.add_argument("--json", action="store_true", help="print JSON instead of text")
     for sub in (reach, compare):
@@ -164,6 +170,21 @@ def _simulate(args: argparse.Namespace) -> int:
         four_panels(log, picture)
         _say(picture)
     return NOT_REACHED if log.end else OK
+
+
+def _view(args: argparse.Namespace) -> int:
+    from armctl.errors import InputError
+    from armctl.live import view, view_natively
+
+    if args.host and not args.token:
+        raise InputError("host: whoever finds the page could drive the arm; choose a --token for those who may")
+    if args.token and not args.host:
+        raise InputError("token: without --host only this machine can reach the page, and it wants no token")
+    if args.native:
+        view_natively(_load(args), args.controller)
+    else:
+        view(_load(args), args.controller, port=args.port, host=args.host, token=args.token)
+    return OK
 
 
 def _load(args: argparse.Namespace) -> Arm:

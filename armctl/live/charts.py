@@ -32,20 +32,15 @@ class Charts:
         joints = [_line(name, COLORS[i % len(COLORS)]) for i, name in enumerate(joint_names)]
         self._error = server.gui.add_uplot(
             _errors(past),
-            (
-                _TIME,
-                _line("to the target", COLORS[2]),
-                _line("to its reference", COLORS[0]),
-                _line("tolerance", "#555555", 1.0),
-            ),
+            (_TIME, _line("to the target", COLORS[2]), _line("to its reference", COLORS[0]), _bound("tolerance")),
             title=f"tip error, mm; grey: {1e3 * TOLERANCE:g} mm",
             scales={"x": _SPAN, "y": {"distr": 3, "range": (_LEAST_MM, 1e3)}},
-            axes=({}, {"grid": {"show": False}}),
+            axes=({}, {"grid": {"show": False}, "ticks": {"show": False}}),
             height=150,
         )
         self._torque = server.gui.add_uplot(
             _torques(past),
-            (_TIME, *joints, _line("limit", "#555555", 1.0), _line("limit", "#555555", 1.0)),
+            (_TIME, *joints, _bound("limit"), _bound("limit")),
             title="torque, % of each motor's limit",
             scales={"x": _SPAN, "y": {"range": (-115.0, 115.0)}},
             height=190,
@@ -64,8 +59,12 @@ _TIME: uplot.Series = {"label": "s"}
 _SPAN: uplot.Scale = {"time": False, "range": (-SECONDS, 0.0)}
 
 
-def _line(label: str, color: str, width: float = 2.0) -> uplot.Series:
-    return {"label": label, "stroke": color, "width": width, "points": {"show": False}}
+def _line(label: str, color: str) -> uplot.Series:
+    return {"label": label, "stroke": color, "width": 2.0, "points": {"show": False}}
+
+
+def _bound(label: str) -> uplot.Series:
+    return {**_line(label, "#555555"), "width": 1.0}
 
 
 def _errors(past: Past) -> tuple[np.ndarray, ...]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 
 import numpy as np
 
 from armctl.arm import Arm
+from armctl.live.gate import Gate
 from armctl.live.panel import Panel
 from armctl.live.session import Session
 from armctl.pose import Pose
@@ -23,6 +25,7 @@ class Page:
     Attributes:
         session: What it shows.
         url: Where it is.
+        port: Its port.
     """
 
     def __init__(self, arm: Arm, controller: str = "computed-torque", port: int = PORT):
@@ -40,7 +43,7 @@ class Page:
         """
         self.session = Session(arm, controller)
         self._stage = Stage(arm, port)
-        self.url, scene = self._stage.url, self._stage.server.scene
+        self.url, self.port, scene = self._stage.url, self._stage.port, self._stage.server.scene
         target = self.session.target
         self._gizmo = scene.add_transform_controls(
             "/goal", scale=_GIZMO, depth_test=False, position=target.position, wxyz=target.quat
@@ -85,3 +88,33 @@ class Page:
     def _write(self) -> None:
         self._label.text = self.session.status
         self._panel.update()
+
+
+def view(
+    arm: Arm, controller: str = "computed-torque", *, port: int = PORT, host: str | None = None, token: str | None = None
+) -> None:
+    """Serves a page with an arm that follows a target, until Ctrl-C.
+
+    Args:
+        arm: The arm.
+        controller: The name of the controller to begin with.
+        port: Where to serve; the next free one if it is taken, any if 0.
+        host: An address of this machine, to serve other machines too; this machine alone if left out.
+        token: What visitors from other machines must know; needed with a host.
+
+    Raises:
+        InputError: The token is missing or too short, or nobody can listen there.
+        NotInstalledError: viser or mjviser is missing.
+        UnknownNameError: There is no such controller.
+    """
+    with contextlib.ExitStack() as stack:
+        page = Page(arm, controller, port if host is None else 0)
+        stack.callback(page.close)
+        url = page.url
+        if host is not None:
+            gate = Gate(host, token or "", page.port, port)
+            stack.callback(gate.close)
+            url = gate.url
+        print(f"{arm.name} is at {url}; Ctrl-C ends it", flush=True)
+        with contextlib.suppress(KeyboardInterrupt):
+            page.serve()

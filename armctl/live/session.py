@@ -13,7 +13,7 @@ from armctl.arrays import Array
 from armctl.control import controller_by_name
 from armctl.errors import SimulationError
 from armctl.goal import TOLERANCE, Goal
-from armctl.ik import solve_ik
+from armctl.ik import DifferentialIk, solve_ik
 from armctl.live.guide import Guide
 from armctl.live.history import History
 from armctl.plant import Plant
@@ -25,6 +25,8 @@ from armctl.view.pace import Pace
 
 INTERVAL = 0.01  # s between looks at the target
 _STILL = 1e-3  # rad/s
+_SETTLED = 1e-2  # rad/s: the goal of the joints has arrived
+_WORTH_IT = 0.01  # m by which another posture must be nearer to a target out of reach, to be taken
 
 
 class Session:
@@ -61,6 +63,7 @@ class Session:
         self._ticks = max(1, round(INTERVAL / self._rig.dt))
         self.history, self.pace = History(arm.n, self._ticks * self._rig.dt), Pace()
         self._guide, self._recorder = Guide(arm, self._rig.dt), Recorder(arm.n)
+        self._ik = DifferentialIk(arm)
         self._orders: dict[str, Callable[[], None]] = {}
         self._lock, self._stopping, self._thread = threading.Lock(), threading.Event(), None
         self.paused, self.oriented = False, arm.n >= 6
@@ -180,6 +183,7 @@ class Session:
             self._thread.join(timeout=2.0)
 
     def _run(self) -> None:
+        self._ik.step(self.arm.home, self.target, INTERVAL)  # what waits for its first use is loaded now
         self.pace.restart()
         while not self._stopping.is_set():
             if self.advance():
@@ -200,6 +204,8 @@ class Session:
             order()
         if self.paused or self._rig.end:
             return False
+        if not self._decided:
+            self._follow()
         self._recorder.size = 0
         reference = self._guide.toward(self._goal, self._ticks)
         try:
@@ -218,23 +224,33 @@ class Session:
         arm = self.arm
         self._rig.reset(arm.home, np.zeros(arm.n))
         self._guide.stand(arm.home)
-        self._goal = arm.home
         start = self._rig.data.xpos[self._rig.model.body(TARGET).id]
-        self._aim(arm.fk(solve_ik(arm, start, arm.home).q))
+        self._steer(solve_ik(arm, start, arm.home).q)
+        self.steered = False
         self._look(arm.home)
 
     def _aim(self, target: Pose) -> None:
-        """The joints that bring the tip there, or as near as it can come."""
-        self.target, self.steered = target, False
-        answer = solve_ik(self.arm, target if self.oriented else target.position, self._goal)
-        self._goal, self._refusal = answer.q, ""
+        self.target, self.steered, self._refusal, self._decided = target, False, "", False
+
+    def _follow(self) -> None:
+        """Moves the joints' goal after the target by differential IK; where that comes to rest, IK has the last word."""
+        wanted, interval = self.target if self.oriented else self.target.position, self._ticks * self._rig.dt
+        rate = self._ik.step(self._goal, wanted, interval)
+        self._goal = self.arm.limits.clamp(self._goal + interval * rate)
+        if np.abs(rate).max() > _SETTLED:
+            return
+        self._decided = True
+        answer = solve_ik(self.arm, wanted, self._goal)
+        short = answer.position_error
+        nearest = Goal.read(wanted).distance(self.arm.fk(self._goal))[0]
+        if answer.ok or short < nearest - _WORTH_IT:
+            self._goal = answer.q
         if not answer.ok:
-            short = 1e3 * answer.position_error
-            self._refusal = f"out of reach by {short:.0f} mm" if short >= 1 else "cannot turn that way there"
+            self._refusal = f"out of reach by {1e3 * short:.0f} mm" if short >= TOLERANCE else "cannot turn that way there"
 
     def _steer(self, q: Array) -> None:
-        self._goal, self._refusal = q, ""
-        self.target, self.steered = self.arm.fk(q), True
+        self._aim(self.arm.fk(q))
+        self._goal, self.steered, self._decided = q, True, True
 
     def _look(self, q_ref: Array) -> None:
         """Notes where things are now."""

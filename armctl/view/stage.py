@@ -33,6 +33,7 @@ class Stage:
 
     Attributes:
         server: viser's server, to put more on the page.
+        port: Where it serves.
         url: Where the page is.
     """
 
@@ -57,7 +58,8 @@ class Stage:
         self._arm, self._model, self._data = arm, _drawn(arm.model), mujoco.MjData(arm.model)
         with contextlib.redirect_stdout(io.StringIO()):  # it announces itself with a table
             self.server = viser.ViserServer(host=LOCAL, port=port, verbose=False)
-        self.url = f"http://{LOCAL}:{self.server.get_port()}"
+        self.port = self.server.get_port()
+        self.url = f"http://{LOCAL}:{self.port}"
         atexit.register(self.close)
         self.server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         self.server.scene.set_background_image(_sky())

@@ -1,0 +1,60 @@
+"""Native: the session in MuJoCo's own viewer, on a machine with a screen. Ctrl and right-drag move the target."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+
+import mujoco
+
+from armctl.arm import Arm
+from armctl.errors import NotInstalledError
+from armctl.live.session import Session
+from armctl.pose import Pose
+from armctl.staging import TARGET
+
+_INTERVAL = 1 / 60  # s between drawings
+
+
+def view_natively(arm: Arm, controller: str) -> None:
+    """Runs a session in a window until that is closed.
+
+    Args:
+        arm: The arm.
+        controller: The name of the controller.
+
+    Raises:
+        NotInstalledError: There is no screen.
+        UnknownNameError: There is no such controller.
+    """
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise NotInstalledError("there is no screen for MuJoCo's own viewer here; without --native a browser will do")
+    import mujoco.viewer
+
+    session, model, data = Session(arm, controller), arm.model, mujoco.MjData(arm.model)
+    mocap = model.body_mocapid[model.body(TARGET).id]
+    _show(session, model, data)
+    data.mocap_pos[mocap], data.mocap_quat[mocap] = session.target.position, session.target.quat
+    session.start()
+    try:
+        with mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False) as window:
+            window.perturb.select = model.body(TARGET).id
+            while window.is_running():
+                with window.lock():
+                    wanted = Pose(data.mocap_pos[mocap], quat=data.mocap_quat[mocap])
+                    _show(session, model, data)
+                if wanted != session.target:
+                    session.aim(wanted)
+                window.set_texts((None, mujoco.mjtGridPos.mjGRID_TOPLEFT, session.status, ""))
+                window.sync()
+                time.sleep(_INTERVAL)
+    finally:
+        session.stop()
+
+
+def _show(session: Session, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    data.qpos[:] = session.shown
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_camlight(model, data)

@@ -1,0 +1,216 @@
+"""The page in a real browser: the target is dragged with the mouse, numbers are typed, switches are turned."""
+
+import shutil
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from arms import BUNDLED, arm_of
+
+CHROMIUM = shutil.which("chromium")
+pytestmark = [
+    pytest.mark.skipif(CHROMIUM is None, reason="no browser: apt-get install -y chromium"),
+    pytest.mark.xdist_group("browser"),
+]
+pytest.importorskip("mjviser", reason="pip install 'armctl[view]'")
+sync_api = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
+
+from armctl.live.gate import Gate  # noqa: E402
+from armctl.live.page import Page  # noqa: E402
+
+SOFTWARE_GL = [
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+]
+PATIENCE = 30.0  # s: a browser that draws in software, on a busy machine
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator:
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE_GL)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[Page]:
+    """The bundled arm on a page: its scene is light, so that software draws it fast."""
+    page = Page(arm_of(BUNDLED), port=0)
+    thread = threading.Thread(target=page.serve, daemon=True)
+    thread.start()
+    yield page
+    page.close()
+    thread.join(timeout=5.0)
+    assert not thread.is_alive()
+
+
+@pytest.fixture(scope="module")
+def tab(browser, page: Page):
+    return opened(browser, page.url)
+
+
+def opened(browser, url: str):
+    tab = browser.new_page(viewport={"width": 900, "height": 600})
+    tab.goto(url)
+    tab.get_by_text("real time").wait_for(timeout=1e3 * PATIENCE)
+    return tab
+
+
+def until(condition, what: str) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.05)
+
+
+def tip_error(page: Page) -> float:
+    session = page.session
+    return float(np.linalg.norm(session.arm.fk(session.q).position - session.target.position))
+
+
+def arrives(page: Page) -> None:
+    until(lambda: tip_error(page) < 1e-3 and page.session.status.startswith("at the target"), page.session.status)
+
+
+def on_screen(page: Page, tab, point: np.ndarray) -> np.ndarray:
+    """Where a point of the world is in the tab, pixels."""
+    box = tab.locator("canvas").first.bounding_box()
+    (client, *_) = page._stage.server.get_clients().values()
+    eye, look_at, fov = np.array(client.camera.position), np.array(client.camera.look_at), client.camera.fov
+    forward = (look_at - eye) / np.linalg.norm(look_at - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    up, way = np.cross(right, forward), point - eye
+    scale = box["height"] / 2 / np.tan(fov / 2) / (way @ forward)
+    return np.array([box["x"] + box["width"] / 2 + scale * (way @ right), box["y"] + box["height"] / 2 - scale * (way @ up)])
+
+
+def typed(tab, label: str, value: str, which: int = 0) -> None:
+    """Types into a number field of the panel."""
+    field = field_of(tab, label, which)
+    field.fill(value)
+    field.press("Enter")
+
+
+def field_of(tab, label: str, which: int = 0):
+    return tab.get_by_text(label, exact=True).locator("xpath=ancestor::*[.//input][1]").locator("input:visible").nth(which)
+
+
+def choose(tab, controller: str) -> None:
+    """Chooses a controller from the list."""
+    tab.get_by_role("combobox").click()
+    tab.get_by_role("option", name=controller, exact=True).click()
+
+
+def test_the_page_shows_the_arm_and_says_what_it_does(page: Page, tab):
+    arrives(page)
+    tab.get_by_text("at the target").first.wait_for(timeout=1e3 * PATIENCE)
+    for text in ("tip error, mm", "torque, %", "controller", "payload, kg", "speed", "pause", "Target", "Comparison"):
+        assert tab.get_by_text(text).first.is_visible(), text
+    assert tab.get_by_role("button", name="reset", exact=True).is_visible()
+    assert page.session.real_time_factor > 0.5
+
+
+def test_dragging_the_target_with_the_mouse_brings_the_tip_there(page: Page, tab):
+    arrives(page)
+    before = page.session.target.position.copy()
+    axis = page.session.target.rotation[:, 2]
+    handle, farther = (on_screen(page, tab, before + reach * axis) for reach in (0.11, -0.02))
+    tab.mouse.move(*handle)
+    time.sleep(0.5)
+    tab.mouse.down()
+    for share in np.linspace(0.0, 1.0, 12):
+        tab.mouse.move(*(handle + share * (farther - handle)))
+        time.sleep(0.05)
+    tab.mouse.up()
+    until(lambda: np.linalg.norm(page.session.target.position - before) > 0.03, "the target has not moved")
+    until(lambda: not page._held.is_set(), "the target is still held")
+    moved = page.session.target.position - before
+    assert np.linalg.norm(np.cross(moved, axis)) < 0.02 * np.linalg.norm(moved)  # along the arrow that was held
+    arrives(page)
+
+
+def test_a_typed_target_is_reached_and_an_impossible_one_refused_in_millimetres(page: Page, tab):
+    typed(tab, "position, m", "0.25", 0)
+    until(lambda: abs(page.session.target.position[0] - 0.25) < 1e-6, "x is not taken over")
+    arrives(page)
+    typed(tab, "position, m", "3", 0)
+    tab.get_by_text("out of reach by").first.wait_for(timeout=1e3 * PATIENCE)
+    typed(tab, "position, m", "0.25", 0)
+    arrives(page)
+
+
+def test_switching_the_controller_and_the_payload_shows_in_the_error_plot(page: Page, tab):
+    arrives(page)
+    chart = page._panel._charts._error
+
+    def error() -> float:
+        return float(chart.data[2][-1])
+
+    until(lambda: error() <= 0.011, "computed torque is exact")
+    typed(tab, "payload, kg", "2")
+    until(lambda: page.session.payload == 2.0 and error() > 1.0, "the payload shows")
+    typed(tab, "payload, kg", "0")
+    until(lambda: page.session.payload == 0.0 and error() <= 0.011, "without payload it is exact again")
+    choose(tab, "pd")
+    until(lambda: page.session.controller == "pd" and error() > 1.0, "PD sags")
+    tab.get_by_text("pd does not hold it there").first.wait_for(timeout=1e3 * PATIENCE)
+    choose(tab, "computed-torque")
+    arrives(page)
+
+
+def test_pause_and_reset_do_what_they_say(page: Page, tab):
+    tab.get_by_label("pause").check()
+    until(lambda: page.session.paused, "pause is not taken over")
+    tab.get_by_text("paused").first.wait_for(timeout=1e3 * PATIENCE)
+    tab.get_by_label("pause").uncheck()
+    page.session.steer(page.session.arm.home + 0.3)
+    start = type(page.session)(page.session.arm).target
+    tab.get_by_role("button", name="reset", exact=True).click()
+    until(lambda: page.session.target == start, "reset is not taken over")
+    arrives(page)
+
+
+def test_a_second_tab_sees_the_same_and_closing_it_harms_nothing(browser, page: Page, tab):
+    second = opened(browser, page.url)
+    typed(tab, "position, m", "0.22", 0)
+    x = field_of(second, "position, m")
+    until(lambda: float(x.input_value()) == 0.22, "the second tab shows another target")
+    second.close()
+    arrives(page)
+    until(lambda: len(page._stage.server.get_clients()) == 1, "the closed tab is gone")
+
+
+def test_the_comparison_runs_on_the_page(page: Page, tab):
+    tab.get_by_text("Comparison").click()
+    tab.get_by_role("button", name="compare the controllers").click()
+    tab.get_by_text("tip RMS, mm").wait_for(timeout=1e3 * PATIENCE)
+    until(lambda: not page.session.paused, "time goes on afterwards")
+    assert tab.get_by_role("cell", name="computed-torque", exact=True).is_visible()
+
+
+def test_from_other_machines_a_wrong_token_gets_nothing_and_the_right_one_everything(browser, page: Page):
+    gate = Gate("127.0.0.1", "open sesame", page.port, 0)
+    root = gate.url.split("?")[0]
+    try:
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(f"{root}?token=open")
+        stranger = browser.new_context().new_page()
+        with pytest.raises(sync_api.Error, match="ERR_HTTP_RESPONSE_CODE_FAILURE"):
+            stranger.goto(f"{root}?token=wrong")
+        stranger = stranger.context.new_page()
+        knock = "u => new Promise(f => Object.assign(new WebSocket(u), {onopen: () => f('in'), onerror: () => f('out')}))"
+        assert stranger.evaluate(knock, root.replace("http", "ws")) == "out"
+        friend = opened(browser.new_context(), gate.url)
+        assert "token" not in friend.url
+        friend.close()
+    finally:
+        gate.close()
