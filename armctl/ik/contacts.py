@@ -9,7 +9,7 @@ import numpy as np
 
 from armctl.arm import Arm
 from armctl.arrays import Array, IntArray
-from armctl.elements import body_name
+from armctl.elements import body_name, name_of
 from armctl.ik.problem import random_positions
 from armctl.rigid_body import joint_above
 
@@ -31,13 +31,13 @@ class Contacts:
         """
         self._arm, self._data = arm, mujoco.MjData(arm.model)
         self.owner = geom_owners(arm)
-        self._ignored = np.empty(0, np.int64)
+        self.ignored = np.empty(0, np.int64)
         at_home = self._pairs(arm.home)
         always = at_home
         for q in random_positions(arm.limits, arm.home, SAMPLES, np.random.default_rng(0)):
             always = np.intersect1d(always, self._pairs(q))
         first, second = (self.owner[geoms] for geoms in divmod(at_home, arm.model.ngeom))
-        self._ignored = np.union1d(always, at_home[np.abs(first - second) == 1])
+        self.ignored = np.union1d(always, at_home[np.abs(first - second) == 1])
 
     def at(self, q: Array) -> str:
         """What touches what at a position.
@@ -51,9 +51,12 @@ class Contacts:
         touching = self._pairs(q)
         if not len(touching):
             return ""
-        model = self._arm.model
-        bodies = [body_name(model, int(model.geom_bodyid[geom])) for geom in divmod(int(touching[0]), model.ngeom)]
-        return " touches ".join(bodies)
+        return " touches ".join(self._name(geom) for geom in divmod(int(touching[0]), self._arm.model.ngeom))
+
+    def _name(self, geom: int) -> str:
+        """The body a geom is on; in the world, the geom itself."""
+        body = int(self._arm.model.geom_bodyid[geom])
+        return body_name(self._arm.model, body) if body else name_of(self._arm.model, mujoco.mjtObj.mjOBJ_GEOM, geom)
 
     def _pairs(self, q: Array) -> IntArray:
         """The geoms of each contact that counts, the lesser first, as one number."""
@@ -63,7 +66,7 @@ class Contacts:
         mujoco.mj_collision(model, data)
         geoms = np.sort(data.contact.geom.astype(np.int64), axis=1)
         geoms = geoms[(geoms[:, 0] >= 0) & (self.owner[geoms[:, 0]] != self.owner[geoms[:, 1]])]
-        return np.setdiff1d(geoms[:, 0] * model.ngeom + geoms[:, 1], self._ignored)
+        return np.setdiff1d(geoms[:, 0] * model.ngeom + geoms[:, 1], self.ignored)
 
 
 def geom_owners(arm: Arm) -> IntArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -117,10 +118,11 @@ class DifferentialIk:
         """
         self.tip.asked, self.tip.target = asked, numbers
         self.tip.posture_share = min(1.0, self._posture_gain * dt)
+        low, high = self.tip.bounds = self._bounds(q, dt)
         self.configuration.data.qpos[self.arm.qpos_adr] = q
         if self._needs_kinematics:
             self.configuration.update()
-        return self._solve(q, *self._bounds(q, dt), dt) / dt
+        return self._solve(q, low, high, dt) / dt
 
     def _bounds(self, q: Array, dt: float) -> tuple[Array, Array]:
         """What each joint may move in one step; outside its limits it must move back, as fast as it can."""
@@ -175,7 +177,9 @@ def _solution(problem: qpsolvers.Problem, solver: str) -> Array | None:
     import qpsolvers
 
     try:
-        x = qpsolvers.solve_problem(problem, solver=solver, **PRECISION.get(solver, {})).x
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of solvers: what they have to say is in the solution
+            solution = qpsolvers.solve_problem(problem, solver=solver, **PRECISION.get(solver, {}))
     except (qpsolvers.QPError, ValueError, ArithmeticError, RuntimeError):
         return None
-    return x if x is not None and np.isfinite(x).all() else None
+    return solution.x if solution.found and solution.x is not None and np.isfinite(solution.x).all() else None

@@ -17,11 +17,12 @@ from armctl.ik.problem import FREE_X, POSITION, chain_of
 
 ROTATION_WEIGHT = 0.5  # of a radian, beside an error of one reach;
 YIELD = 10.0  # it yields to a position error: at a target out of reach the position comes first
-POSTURE_WEIGHT = 1e-4  # small: where joints are at their limits, the task may still use the null space
-FLAT = 1e-3  # curvature below which a direction is left to the posture, more and more
+DAMPING, ERROR_DAMPING = 1e-5, 0.05
+FLAT, FAR = 1e-3, 0.01  # the posture fades out of directions as curved as this, and at targets as far as that
 SEARCH_DAMPING = 2e-2  # of the squared error, where second order is left out
 SINGULAR, SINGULAR_DAMPING = 0.05, 1e-3  # below this singular value damping rises, up to that
 FARTHEST = 100.0  # reaches
+NULL_PASSES, NO_ROOM = 4, 0.01
 APPROACH = 0.5  # of the free distance may be used up in one step
 RECOVERY = 0.1  # m/s, how fast what is too near is moved apart
 
@@ -32,9 +33,9 @@ class TipTask(BaseTask):
     The objective is the second-order model of half the squared error: J^T J and the curvature of the chain, which grows with
     the error. It is what makes the arm stand still at the nearest reach of a target it cannot reach, where J^T J alone
     overshoots. Negative curvature counts by its size (Dauphin and others: "Identifying and attacking the saddle point problem",
-    NeurIPS 2014). In flat directions, the null space, the posture rules. Damping rises near singularities, with the smallest
-    singular value (Nakamura, Hanafusa: "Inverse kinematic solutions with singularity robustness for robot manipulator control",
-    J. Dyn. Sys., Meas., Control 108(3), 1986). Lengths are in reaches.
+    NeurIPS 2014). Damping rises near singularities, with the smallest singular value (Nakamura, Hanafusa: "Inverse kinematic
+    solutions with singularity robustness for robot manipulator control", J. Dyn. Sys., Meas., Control 108(3), 1986), and it
+    damps towards a step in the null space that leads to the posture, so that neither bends the other. Lengths are in reaches.
     """
 
     def __init__(self, arm: Arm, posture: Array):
@@ -48,6 +49,7 @@ class TipTask(BaseTask):
         self._scale = np.repeat([1 / self._reach, 1.0], 3)[:, None]
         self._upper = np.triu(np.ones((arm.n, arm.n), bool))
         self._block = np.ix_(arm.dof_adr, arm.dof_adr)
+        self.bounds = (np.full(arm.n, -np.inf), np.full(arm.n, np.inf))  # of the step
         self.settles = True  # at a target out of reach; a search that starts again elsewhere gets there faster without
         self.asked, self.target, self.posture_share = POSITION, np.zeros(12), 0.0
 
@@ -91,15 +93,39 @@ class TipTask(BaseTask):
             upper = _second_order(error, J, axes)
             curvature, V = np.linalg.eigh(normal - np.where(self._upper, upper, upper.T))
             curvature = np.abs(curvature)
-            flat = np.maximum(0.0, 1 - curvature / FLAT) ** 2
-            smallest = np.linalg.eigvalsh(J @ J.T if len(J) <= len(q) else normal)[0]
-            curvature += SINGULAR_DAMPING * max(0.0, 1 - smallest / SINGULAR**2) * (1 - flat) + POSTURE_WEIGHT * flat
             normal = (V * curvature) @ V.T
-            pull = pull + self.posture_share * POSTURE_WEIGHT * (V * flat) @ ((self._posture - q) @ V)
+            smallest = np.linalg.eigvalsh(J @ J.T if len(J) <= len(q) else J.T @ J)[0]
+            size = float(np.sqrt(error @ error))
+            damping = (
+                DAMPING + min(ERROR_DAMPING * size, SINGULAR_DAMPING) + SINGULAR_DAMPING * max(0.0, 1 - smallest / SINGULAR**2)
+            )
+            share = self.posture_share * max(0.0, 1 - size / FAR)
+            if share > 0 and len(J) < len(q):
+                low, high = self.bounds
+                flat = np.maximum(0.0, 1 - curvature / FLAT) ** 2
+                step = _null_step(J, share * (self._posture - q), low, high)
+                pull = pull + damping * (V * flat) @ (step @ V)
         else:
-            normal.flat[:: len(q) + 1] += SEARCH_DAMPING * min(1.0, float(error @ error))
+            damping = SEARCH_DAMPING * min(1.0, float(error @ error))
+        normal.flat[:: len(q) + 1] += damping
         H[self._block], c[self._arm.dof_adr] = normal, -pull
         return mink.Objective(H, c)
+
+
+def _null_step(J: Array, wish: Array, low: Array, high: Array) -> Array:
+    """The part of a wished step (n,) in the null space of J, shortened to its bounds; joints at theirs take no part."""
+    free = np.ones(len(wish), bool)
+    for _ in range(NULL_PASSES):
+        part = J[:, free]
+        if part.shape[1] <= len(J):
+            break
+        step = np.zeros_like(wish)
+        step[free] = wish[free] - part.T @ np.linalg.solve(part @ part.T + 1e-12 * np.eye(len(J)), part @ wish[free])
+        room = np.maximum(0.0, np.where(step > 0, high, -low)) / np.maximum(np.abs(step), 1e-300)
+        if room.min() > NO_ROOM:
+            return min(1.0, room.min()) * step
+        free &= room > NO_ROOM
+    return np.zeros_like(wish)
 
 
 def _second_order(error: Array, J: Array, axes: Array) -> Array:

@@ -1,0 +1,375 @@
+"""IK, each method on each arm: solutions are solutions, failures are honest, limits hold, the same call gives the same bits."""
+
+import os
+import subprocess
+import sys
+
+import mujoco
+import numpy as np
+import pytest
+from arms import ARMS, arm_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import armctl
+from armctl import Arm, InputError, LimitError, Pose, UnknownNameError, solve_ik
+from armctl.ik import kernel, solve_ik_batch
+from armctl.ik.contacts import contacts_of
+from armctl.ik.problem import chain_of, random_positions
+
+METHODS = ["lm", "mink"]
+COUNT = {"lm": 40, "mink": 4}
+every_method = pytest.mark.parametrize("method", METHODS)
+every_arm = pytest.mark.parametrize("name", ARMS)
+
+
+def positions(arm: Arm, count: int, seed: int = 0) -> np.ndarray:
+    return random_positions(arm.limits, arm.home, count, np.random.default_rng(seed))
+
+
+def target_of(arm: Arm, q: np.ndarray) -> Pose | np.ndarray:
+    """A pose that is generic for the arm: with fewer than five joints a point."""
+    T = arm.fk(q)
+    return T if arm.n >= 5 else T.position
+
+
+def mujoco_error(arm: Arm, q: np.ndarray, target: Pose | np.ndarray) -> tuple[float, float]:
+    """What MuJoCo's own kinematics say of an answer."""
+    data = mujoco.MjData(arm.model)
+    data.qpos[:] = arm.qpos(q)
+    mujoco.mj_kinematics(arm.model, data)
+    T = Pose.from_rotation(data.xpos[arm.tip_body], data.xmat[arm.tip_body].reshape(3, 3)) @ arm.T_body_tip
+    if isinstance(target, Pose):
+        return T.distance(target)
+    return float(np.linalg.norm(T.position - target)), 0.0
+
+
+@every_arm
+@every_method
+def test_reaches_what_can_be_reached_also_at_the_joint_limits(name: str, method: str):
+    arm = arm_of(name)
+    rng = np.random.default_rng(1)
+    for k, q in enumerate(positions(arm, COUNT[method])):
+        if k % 4 == 3:
+            at_limit = np.where(rng.random(arm.n) < 0.5, arm.limits.q_min, arm.limits.q_max)
+            q = np.where(np.isfinite(at_limit) & (rng.random(arm.n) < 0.5), at_limit, q)
+        target = target_of(arm, q)
+        result = solve_ik(arm, target, method=method)
+        assert result.ok, f"{q}: {result}"
+        off, turned = mujoco_error(arm, result.q, target)
+        assert off <= 1e-5 + 1e-9
+        assert turned <= 1e-4 + 1e-9
+        assert (off, turned) == pytest.approx((result.position_error, result.orientation_error), abs=1e-8)
+        assert arm.limits.contains(result.q)
+        assert result.reason == ""
+
+
+@every_arm
+@every_method
+def test_out_of_reach_is_a_best_effort_with_a_reason(name: str, method: str):
+    arm = arm_of(name)
+    reach, base = chain_of(arm).reach, arm.rigid_body.placements[0, :3, 3]
+    for far in (1.5, 10.0, 1e6):
+        target = base + far * reach * np.array([0.6, 0.0, 0.8])
+        result = solve_ik(arm, target, method=method)
+        assert not result.ok
+        assert "out of reach" in result.reason
+        assert arm.limits.contains(result.q)
+        least = np.linalg.norm(arm.fk_many(positions(arm, 2000))[0] - target, axis=1).min()
+        assert result.position_error <= least + 1e-9 * far
+        assert result.position_error == pytest.approx(mujoco_error(arm, result.q, target)[0], rel=1e-9)
+        assert result.reason.startswith(f"{result.position_error:.3g} m" if far < 1e3 else f"{result.position_error:.0f} m")
+
+
+@every_method
+def test_an_orientation_that_five_joints_cannot_take_is_a_best_effort(method: str):
+    arm = arm_of("so_arm100")
+    twisted = arm.fk(arm.home) @ Pose([0.0, 0.0, 0.0], rpy=[0.3, 0.4, 0.8])
+    result = solve_ik(arm, twisted, method=method)
+    assert not result.ok
+    assert result.reason.startswith("no solution within the joint limits found in")
+    assert result.position_error < 0.1
+    assert result.orientation_error > 1e-3
+
+
+@every_arm
+@every_method
+def test_the_base_itself_is_a_target_like_any_other(name: str, method: str):
+    arm = arm_of(name)
+    result = solve_ik(arm, arm.rigid_body.placements[0, :3, 3], method=method)
+    assert np.isfinite(result.q).all()
+    assert arm.limits.contains(result.q)
+    assert result.ok == (result.position_error <= 1e-5)
+
+
+@every_method
+@pytest.mark.parametrize("name", [arm for arm in ARMS if arm in ("panda", "ur5e", "so_arm100", "endless")])
+def test_a_free_axis_leaves_the_turn_about_it_open(name: str, method: str):
+    arm = arm_of(name)
+    for k, q in enumerate(positions(arm, 8)):
+        target = arm.fk(q) @ Pose([0.0, 0.0, 0.0], rpy=[0.0, 0.0, 1.0 + k])
+        result = solve_ik(arm, target, free_axis="z", method=method)
+        assert result.ok, result
+        T = arm.fk(result.q)
+        assert np.linalg.norm(T.position - target.position) <= 1e-5
+        assert T.rotation[:, 2] @ target.rotation[:, 2] > np.cos(1.01e-4)
+        assert result.orientation_error == pytest.approx(
+            np.linalg.norm(np.cross(T.rotation[:, 2], target.rotation[:, 2])), abs=1e-9
+        )
+
+
+@every_method
+def test_the_same_call_gives_the_same_bits(method: str):
+    arm = arm_of("robot_arm_3dof")
+    for target in ([0.3, 0.2, 0.3], [2.0, 0.0, 0.0]):
+        first, second = (solve_ik(arm, target, method=method, rng=3) for _ in range(2))
+        assert first.q.tobytes() == second.q.tobytes()
+        assert (first.position_error, first.iterations, first.starts) == (
+            second.position_error,
+            second.iterations,
+            second.starts,
+        )
+
+
+@every_arm
+def test_a_near_target_is_reached_nearby(name: str):
+    arm, rng = arm_of(name), np.random.default_rng(2)
+    for q0 in positions(arm, 150, seed=3):
+        q = arm.limits.clamp(q0 + rng.uniform(-0.05, 0.05, arm.n) * np.where(arm.rigid_body.is_slide, 0.2, 1.0))
+        result = solve_ik(arm, target_of(arm, q), q0)
+        assert result.ok
+        assert np.abs(result.q - q0).max() < 0.5
+
+
+@every_arm
+def test_a_joint_turns_no_further_than_it_must(name: str):
+    arm = arm_of(name)
+    endless = ~np.isfinite(arm.limits.q_max - arm.limits.q_min) & ~arm.rigid_body.is_slide
+    q0 = np.where(endless, 40.0, arm.home)
+    result = solve_ik(arm, target_of(arm, positions(arm, 1)[0]), q0)
+    assert result.ok
+    assert (np.abs(result.q - q0)[endless] <= np.pi + 1e-9).all()
+
+
+@every_method
+@pytest.mark.parametrize("name", [arm for arm in ARMS if arm in ("panda", "ur5e", "robot_arm_3dof")])
+def test_nearest_is_at_least_as_near(name: str, method: str):
+    arm = arm_of(name)
+    for q, q0 in zip(positions(arm, 3), positions(arm, 3, seed=1), strict=True):
+        target = target_of(arm, q)
+        near, plain = (solve_ik(arm, target, q0, nearest=nearest, method=method) for nearest in (True, False))
+        assert near.ok
+        assert np.linalg.norm(near.q - q0) <= np.linalg.norm(plain.q - q0) + 1e-4
+        assert np.linalg.norm(near.q - q0) <= np.linalg.norm(q - q0) + 1e-4
+
+
+@every_arm
+def test_avoiding_collisions_is_what_mujoco_says(name: str):
+    arm = arm_of(name)
+    contacts = contacts_of(arm)
+    free = [q for q in positions(arm, 12) if not contacts.at(q)]
+    for q in free:
+        result = solve_ik(arm, target_of(arm, q), avoid_collisions=True)
+        if result.ok:
+            assert contacts.at(result.q) == ""
+        else:
+            assert "without contact" in result.reason
+            assert "touches" in result.reason
+            assert contacts.at(result.q)
+
+
+def test_contacts_between_links_that_always_touch_do_not_count(tmp_path):
+    model = tmp_path / "stub.xml"
+    model.write_text(
+        """<mujoco><worldbody><geom name="floor" type="plane" size="2 2 0.1"/>
+        <body name="base"><geom type="box" size=".1 .1 .1" pos="0 0 .1"/>
+        <body name="upper" pos="0 0 .2"><joint name="a" axis="0 1 0" range="-180 180"/>
+        <geom type="capsule" fromto="0 0 0 0 0 .3" size=".05"/>
+        <body name="fore" pos="0 0 .3"><joint name="b" axis="0 1 0" range="-150 150"/>
+        <geom type="capsule" fromto="0 0 0 0 0 .3" size=".05"/><site name="tip" pos="0 0 .35"/></body></body></body></worldbody>
+        <actuator><motor joint="a" ctrlrange="-9 9"/><motor joint="b" ctrlrange="-9 9"/></actuator></mujoco>"""
+    )
+    arm = armctl.load(model)
+    contacts = contacts_of(arm)
+    assert contacts.at(np.zeros(2)) == ""
+    assert contacts.at(np.array([2.5, 0.0])) == "floor touches upper"
+    below = arm.fk(np.array([2.5, 0.0])).position
+    assert solve_ik(arm, below).ok
+    blocked = solve_ik(arm, below, avoid_collisions=True)
+    assert not blocked.ok
+    assert "floor touches" in blocked.reason
+
+
+def test_a_batch_is_many_single_calls():
+    arm = arm_of("robot_arm_3dof")
+    points = np.concatenate([arm.fk_many(positions(arm, 600))[0], [[3.0, 0.0, 0.0]]])
+    one, two = (solve_ik_batch(arm, points, threads=threads) for threads in (1, 2))
+    assert len(one) == 601
+    assert one.ok.sum() == 600
+    assert str(one) == "600 of 601 solved"
+    assert one.q.tobytes() == two.q.tobytes()
+    for i in (0, 300, 600):
+        single = solve_ik(arm, points[i])
+        assert np.array_equal(single.q, one.q[i])
+        assert (one[i].ok, one[i].reason, one[i].starts) == (single.ok, single.reason, single.starts)
+        assert one[i].position_error == pytest.approx(single.position_error, abs=1e-15)
+    assert "out of reach" in one.reason[600]
+
+
+def test_a_batch_takes_poses_and_transforms_and_starts():
+    arm = arm_of("endless")
+    Q = positions(arm, 20)
+    poses = [arm.fk(q) for q in Q]
+    assert solve_ik_batch(arm, poses).ok.all()
+    warm = solve_ik_batch(arm, np.array([T.matrix for T in poses]), Q)
+    assert warm.ok.all()
+    assert np.abs(warm.q - Q).max() < 1e-3
+    assert len(solve_ik_batch(arm, np.empty((0, 3)))) == 0
+
+
+def test_a_batch_shows_its_progress_to_a_person_only(monkeypatch, capsys):
+    arm = arm_of("robot_arm_3dof")
+    points = arm.fk_many(positions(arm, 600))[0]
+    monkeypatch.setattr("armctl.ik.batch.QUIET_SECONDS", 0.0)
+    solve_ik_batch(arm, points)
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    solve_ik_batch(arm, points)
+    assert "of 600" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "sentence"),
+    [
+        ({"target": [0.1, 0.2]}, InputError, "target: 2 numbers given, 3 wanted"),
+        ({"target": [0.1, 0.2, float("nan")]}, InputError, "target: element [2] is nan, a finite number wanted"),
+        ({"target": "there"}, InputError, "target: 'there' is not an array of numbers"),
+        ({"q0": [0.0, 0.0]}, InputError, "q0: 2 numbers given, 3 wanted"),
+        ({"q0": [0.0, 9.0, 0.0]}, LimitError, "q0: shoulder_pitch: 9 rad is outside [-1.570, 1.570] rad"),
+        ({"position_tolerance": 0.0}, InputError, "position_tolerance: 0 given, a number at least 1e-12 wanted"),
+        ({"free_axis": "w"}, InputError, "free_axis: 'w' given, 'x', 'y', 'z' or None wanted"),
+        (
+            {"free_axis": "z"},
+            InputError,
+            "free_axis: given with a point, which leaves every axis free; give a Pose as the target",
+        ),
+        ({"method": "newton"}, UnknownNameError, "unknown method 'newton'; known: lm, mink"),
+        ({"rng": 1.5}, InputError, "rng: 1.5 given, the seed of the random starts wanted: an integer of at least 0"),
+    ],
+)
+def test_a_wrong_call_is_one_sentence(arguments, error, sentence):
+    with pytest.raises(error) as caught:
+        solve_ik(arm_of("robot_arm_3dof"), **{"target": [0.3, 0.2, 0.3], **arguments})
+    assert str(caught.value) == sentence
+
+
+@pytest.mark.parametrize(
+    ("targets", "more", "sentence"),
+    [
+        (Pose([0.0, 0.0, 0.0]), {}, "targets: one Pose given, a list of them wanted; solve_ik takes one"),
+        (np.zeros((2, 4, 4)), {}, "targets: element 0 is no rigid transform"),
+        (np.zeros((2, 3)), {"threads": 0}, "threads: 0 given, an integer of at least 1 wanted"),
+        (np.zeros((2, 3)), {"q0": np.zeros((3, 3))}, "q0: 3 rows given for 2 targets"),
+        (np.zeros((2, 5)), {}, "targets: rows of 5 numbers given, 3 wanted"),
+    ],
+)
+def test_a_wrong_batch_is_one_sentence(targets, more, sentence):
+    with pytest.raises(InputError) as caught:
+        solve_ik_batch(arm_of("robot_arm_3dof"), targets, **more)
+    assert str(caught.value) == sentence
+
+
+@every_arm
+def test_the_kernel_is_pinocchio(name: str):
+    arm = arm_of(name)
+    chain, work = chain_of(arm), kernel.scratch(arm.n)
+    for q in positions(arm, 20):
+        kernel.forward(chain.rows, q / chain.unit, work)
+        kernel.jacobian(chain.rows, work)
+        position, R = arm.rigid_body.tip(q)
+        scale = max(1.0, chain.reach)
+        assert np.abs(work[arm.n, :9] - R.ravel()).max() < 1e-12
+        assert np.abs(work[arm.n, 9:12] * chain.reach - position).max() < 1e-12 * scale
+        J = work[: arm.n, 6:12].T / chain.unit
+        J[:3] *= chain.reach
+        assert np.abs(J - arm.jacobian(q)).max() < 1e-12 * scale
+
+
+@st.composite
+def chains(draw) -> str:
+    """MJCF of a random serial chain: three to nine joints, hinges and slides, odd axes and anchors, some without limits."""
+    n = draw(st.integers(3, 9))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    words = lambda values: " ".join(f"{x:.6f}" for x in values)  # noqa: E731
+    body = '<site name="tip" pos="0.05 0 0.1"/>'
+    for k in reversed(range(n)):
+        kind = "slide" if rng.random() < 0.25 else "hinge"
+        limited = kind == "slide" or rng.random() < 0.7
+        low = rng.uniform(-2.5, -0.5) * (0.2 if kind == "slide" else 1)
+        bounds = f'range="{low:.6f} {low + rng.uniform(1.0, 3.0) * (0.2 if kind == "slide" else 1):.6f}"' if limited else ""
+        body = (
+            f'<body name="b{k}" pos="{words(rng.uniform(-0.2, 0.3, 3))}" quat="{words(rng.normal(size=4))}">'
+            f'<joint name="j{k}" type="{kind}" axis="{words(rng.normal(size=3))}" pos="{words(rng.uniform(-0.05, 0.05, 3))}" '
+            f'ref="{rng.uniform(-0.1, 0.1):.6f}" {bounds}/><geom type="sphere" size="0.02"/>{body}</body>'
+        )
+    motors = "".join(f'<motor joint="j{k}" ctrlrange="-50 50"/>' for k in range(n))
+    return (
+        '<mujoco><compiler angle="radian"/><default><geom contype="0" conaffinity="0"/></default>'
+        f"<worldbody>{body}</worldbody><actuator>{motors}</actuator></mujoco>"
+    )
+
+
+@settings(max_examples=25, deadline=None)
+@given(mjcf=chains(), seed=st.integers(0, 1000))
+@pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")
+def test_a_solution_on_any_chain_is_a_solution_by_mujoco(tmp_path_factory, mjcf: str, seed: int):
+    path = tmp_path_factory.mktemp("chain") / "chain.xml"
+    path.write_text(mjcf)
+    arm = armctl.load(path)
+    for q in positions(arm, 3, seed):
+        result = solve_ik(arm, arm.fk(q), q)
+        assert result.ok
+        assert np.abs(result.q - q).max() < 1e-3
+        point = solve_ik(arm, arm.fk(q).position)
+        assert point.ok, point
+        assert mujoco_error(arm, point.q, arm.fk(q).position)[0] <= 1.001e-5
+        assert arm.limits.contains(point.q)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    point=st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3),
+    quat=st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 1e-3),
+    name=st.sampled_from(["robot_arm_3dof", "endless", "gantry"]),
+)
+def test_whatever_is_asked_the_answer_is_finite_inside_the_limits_and_honest(point, quat, name):
+    arm = arm_of(name)
+    result = solve_ik(arm, Pose(point, quat))
+    assert np.isfinite(result.q).all()
+    assert arm.limits.contains(result.q)
+    off, turned = mujoco_error(arm, result.q, Pose(point, quat))
+    assert off == pytest.approx(result.position_error, rel=1e-7, abs=1e-9)
+    assert result.ok == (off <= 1e-5 and turned <= 1e-4)
+    assert result.ok == (not result.reason)
+
+
+def run(code: str, **environment: str) -> subprocess.CompletedProcess:
+    return subprocess.run(
+        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, env={**os.environ, **environment}
+    )
+
+
+def test_importing_ik_loads_neither_numba_nor_mink():
+    done = run("import armctl.ik, sys; assert not {'numba', 'mink', 'qpsolvers'} & set(sys.modules)")
+    assert done.returncode == 0, done.stderr
+
+
+def test_solves_without_a_warning_where_no_folder_for_compiled_code_can_be_written():
+    code = (
+        "import numba.core.caching as caching\n"
+        "for locator in caching.CacheImpl._locator_classes: locator.from_function = classmethod(lambda *a: None)\n"
+        "import armctl\n"
+        "print(armctl.solve_ik(armctl.load('robot_arm_3dof'), [0.3, 0.2, 0.3]).ok)"
+    )
+    done = run(code)
+    assert (done.returncode, done.stdout.strip(), done.stderr) == (0, "True", "")

@@ -1,0 +1,237 @@
+"""DifferentialIk: limits hold whatever happens, targets out of reach end still, nothing is run into."""
+
+import shutil
+from itertools import pairwise
+from pathlib import Path
+
+import mink
+import mujoco
+import numpy as np
+import pytest
+import qpsolvers
+from arms import ARMS, arm_of
+
+import armctl
+from armctl import Arm, DifferentialIk, InputError, LimitError, Pose, UnknownNameError
+from armctl.ik.contacts import contacts_of, geom_owners
+from armctl.ik.problem import random_positions
+
+every_arm = pytest.mark.parametrize("name", ARMS)
+DT = 0.01
+
+
+def positions(arm: Arm, count: int, seed: int = 0) -> np.ndarray:
+    return random_positions(arm.limits, arm.home, count, np.random.default_rng(seed))
+
+
+def follow(ik: DifferentialIk, q: np.ndarray, target, steps: int, dt: float = DT) -> tuple[np.ndarray, np.ndarray]:
+    """The position and velocity after so many steps."""
+    v = np.zeros_like(q)
+    for _ in range(steps):
+        v = ik.step(q, target, dt)
+        q = q + dt * v
+    return q, v
+
+
+def beside(arm: Arm, q: np.ndarray, offset: list[float]) -> np.ndarray:
+    return arm.fk(q).position + np.array(offset)
+
+
+def reachable(arm: Arm, q: np.ndarray) -> Pose | np.ndarray:
+    return arm.fk(q) if arm.n >= 5 else arm.fk(q).position
+
+
+@every_arm
+def test_arrives_at_a_near_target_and_stays(name: str):
+    arm, rng = arm_of(name), np.random.default_rng(1)
+    ik = DifferentialIk(arm)
+    scale = np.where(arm.rigid_body.is_slide, 0.05, 0.2)
+    for q in positions(arm, 3):
+        goal = arm.limits.clamp(q + scale * rng.uniform(-1, 1, arm.n))
+        target = reachable(arm, goal)
+        end, _ = follow(ik, arm.limits.clamp(q), target, 600)
+        T = arm.fk(end)
+        assert np.linalg.norm(T.position - getattr(target, "position", target)) < 1e-5
+        if isinstance(target, Pose):
+            assert T.distance(target)[1] < 1e-4
+        assert ik.status == "solved"
+
+
+@every_arm
+def test_position_and_velocity_limits_hold_at_random_states_inside_and_at_the_limits(name: str):
+    arm, rng, limits = arm_of(name), np.random.default_rng(2), arm_of(name).limits
+    ik = DifferentialIk(arm)
+    for k, q in enumerate(positions(arm, 10_000 // len(ARMS))):
+        if k % 3 == 0:
+            corner = np.where(rng.random(arm.n) < 0.5, limits.q_min, limits.q_max)
+            q = np.where(np.isfinite(corner) & (rng.random(arm.n) < 0.5), corner, q)
+        dt = float(10 ** rng.uniform(-4, 0))
+        v = ik.step(q, arm.fk(q) @ Pose(rng.normal(size=3), rng.normal(size=4)), dt)
+        assert (np.abs(v) <= limits.v_max).all()
+        assert limits.contains(q + dt * v)
+
+
+@every_arm
+def test_from_outside_the_limits_it_moves_back_in(name: str):
+    arm, rng, limits = arm_of(name), np.random.default_rng(3), arm_of(name).limits
+    ik = DifferentialIk(arm)
+    for q in positions(arm, 40):
+        q = q + rng.normal(size=arm.n) * 2.0
+        outside = np.maximum(0.0, np.maximum(limits.q_min - q, q - limits.q_max))
+        v = ik.step(q, reachable(arm, arm.home), DT)
+        after = q + DT * v
+        still = np.maximum(0.0, np.maximum(limits.q_min - after, after - limits.q_max))
+        assert (np.abs(v) <= limits.v_max).all()
+        assert still == pytest.approx(np.maximum(0.0, outside - DT * limits.v_max), abs=1e-9)
+
+
+@every_arm
+def test_a_target_out_of_reach_ends_still_at_the_nearest_reach(name: str):
+    arm = arm_of(name)
+    ik = DifferentialIk(arm)
+    for point in (np.array([4.0, 1.0, 1.0]), np.array([-30.0, 20.0, 5.0])):
+        target = arm.fk(arm.home).position + point
+        q = arm.limits.clamp(arm.home + 0.05)
+        q, _ = follow(ik, q, target, 1000)
+        before = q
+        for _ in range(100):
+            v = ik.step(q, target, DT)
+            q = q + DT * v
+            assert np.abs(v).max() < 1e-3
+        best = np.linalg.norm(arm.fk_many(positions(arm, 3000))[0] - target, axis=1).min()
+        around = arm.limits.clamp(q + 0.02 * np.random.default_rng(0).normal(size=(500, arm.n)))
+        local = np.linalg.norm(arm.fk_many(around)[0] - target, axis=1)
+        distance = np.linalg.norm(arm.fk(before).position - target)
+        assert distance <= local.min() + 1e-5
+        assert distance <= best + 0.25 * (np.linalg.norm(point))
+
+
+def test_the_null_space_goes_to_the_posture_and_the_tip_stays():
+    arm = arm_of("gen3")
+    start = np.array([0.4, 0.5, 2.8, -1.8, 0.5, 0.9, 1.2])
+    target = arm.fk(start)
+    q, v = follow(DifferentialIk(arm), start, target, 1000)
+    assert arm.fk(q).distance(target) == pytest.approx((0.0, 0.0), abs=1e-8)
+    assert np.linalg.norm(q - arm.home) < np.linalg.norm(start - arm.home) - 0.05
+    _, _, V = np.linalg.svd(arm.jacobian(q))
+    assert abs(V[-1] @ (q - arm.home)) < 1e-3
+    assert np.abs(v).max() < 1e-3
+    assert np.abs(follow(DifferentialIk(arm, posture_gain=0.0), start, target, 50)[0] - start).max() < 1e-9
+
+
+def test_damping_rises_near_a_singularity():
+    arm = arm_of("ur5e")
+    ik = DifferentialIk(arm)
+    speeds = []
+    for wrist in (1.0, 0.3, 0.1, 0.03, 0.01):  # at wrist_2 = 0 two axes are parallel
+        q = np.array([0.3, -1.2, 1.4, -1.0, wrist, 0.2])
+        J = arm.jacobian(q)
+        lost = np.linalg.svd(J)[0][:, -1]
+        T = arm.fk(q)
+        turn = 1e-4 * lost[3:]
+        target = Pose.from_rotation(T.position + 1e-4 * lost[:3], (np.eye(3) + np.cross(np.eye(3), -turn)) @ T.rotation)
+        speeds.append(np.abs(ik.step(q, target, 1.0)).max() * np.linalg.svd(J)[1][-1] / 1e-4)
+    assert speeds[0] > 0.5
+    assert all(a >= b - 1e-3 for a, b in pairwise(speeds))
+    assert speeds[-1] < 0.2 * speeds[0]
+
+
+def test_further_tasks_limits_and_constraints_pass_through():
+    arm = arm_of("iiwa14")
+    name = arm.joint_names[0]
+    slow = DifferentialIk(arm, limits=[mink.VelocityLimit(arm.model, {name: 0.01})])
+    v = slow.step(arm.home, beside(arm, arm.home, [0.0, 0.3, 0.0]), DT)
+    assert abs(v[0]) <= 0.01 + 1e-9
+    frozen = DifferentialIk(arm, constraints=[mink.DofFreezingTask(arm.model, dof_indices=[int(arm.dof_adr[0])])])
+    v = frozen.step(arm.home, beside(arm, arm.home, [0.0, 0.3, 0.0]), DT)
+    assert abs(v[0]) < 1e-9
+    assert np.abs(v).max() > 0.01
+    posture = mink.PostureTask(arm.model, cost=10.0)
+    posture.set_target(arm.qpos(arm.home))
+    held = DifferentialIk(arm, tasks=[posture])
+    free = np.abs(DifferentialIk(arm).step(arm.home, beside(arm, arm.home, [0.0, 0.01, 0.0]), 1.0)).max()
+    assert np.abs(held.step(arm.home, beside(arm, arm.home, [0.0, 0.01, 0.0]), 1.0)).max() < 0.1 * free
+
+
+class Impossible(mink.Limit):
+    """Asks that all joints move both ways at once."""
+
+    def compute_qp_inequalities(self, configuration, dt):
+        G = np.eye(configuration.nv)
+        return mink.Constraint(np.vstack([G, -G]), -np.ones(2 * configuration.nv))
+
+
+@pytest.mark.parametrize("solver", [s for s in ("daqp", "osqp", "proxqp") if s in qpsolvers.available_solvers])
+def test_a_program_without_a_solution_is_a_status(solver: str):
+    arm = arm_of("robot_arm_3dof")
+    ik = DifferentialIk(arm, limits=[Impossible()], solver=solver)
+    assert (ik.step(arm.home, [0.3, 0.2, 0.3], DT) == 0).all()
+    assert ik.status == "no solution"
+
+
+@pytest.mark.parametrize("solver", [s for s in ("daqp", "osqp", "proxqp") if s in qpsolvers.available_solvers])
+def test_every_solver_arrives(solver: str):
+    arm = arm_of("robot_arm_3dof")
+    q, _ = follow(DifferentialIk(arm, solver=solver), arm.home, [0.3, 0.2, 0.3], 400)
+    assert np.linalg.norm(arm.fk(q).position - [0.3, 0.2, 0.3]) < 1e-4
+
+
+def depth(arm: Arm, q: np.ndarray) -> float:
+    """How deep the arm is in itself or in the scene, m, by MuJoCo's contacts."""
+    data, owner, ignored = mujoco.MjData(arm.model), geom_owners(arm), contacts_of(arm).ignored
+    data.qpos[:] = arm.qpos(q)
+    mujoco.mj_kinematics(arm.model, data)
+    mujoco.mj_collision(arm.model, data)
+    geoms = np.sort(data.contact.geom.astype(np.int64), axis=1)
+    counts = (owner[geoms[:, 0]] != owner[geoms[:, 1]]) & ~np.isin(geoms[:, 0] * arm.model.ngeom + geoms[:, 1], ignored)
+    return float(max(-data.contact.dist[counts], default=0.0))
+
+
+def with_wall(arm: Arm, name: str, folder: Path) -> Arm:
+    """The same arm before a wall half its reach away."""
+    spec = mujoco.MjSpec.from_file(str(armctl.source.locate(name).path))
+    where = 0.5 * float(np.linalg.norm(arm.fk(arm.home).position)) + 0.1
+    spec.worldbody.add_geom(name="wall", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.02, 1.0, 1.0], pos=[where, 0.0, 0.5])
+    source = armctl.source.locate(name).path
+    shutil.copytree(source.parent, folder, dirs_exist_ok=True)
+    (folder / "walled.xml").write_text(spec.to_xml())
+    return armctl.load(folder / "walled.xml")
+
+
+@pytest.mark.parametrize("walled", [False, True], ids=["itself", "a wall"])
+@pytest.mark.parametrize("name", [arm for arm in ARMS if arm in ("robot_arm_3dof", "ur5e", "so_arm100", "gen3", "panda")])
+@pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")
+def test_runs_into_nothing(name: str, walled: bool, tmp_path: Path):
+    arm = arm_of(name)
+    if walled:
+        arm = with_wall(arm, name, tmp_path)
+    ik, contacts = DifferentialIk(arm, avoid_collisions=True), contacts_of(arm)
+    starts = [q for q in positions(arm, 30) if not contacts.at(q)][:5]
+    assert len(starts) >= 3
+    for q in starts:
+        target = beside(arm, q, [1.0, 0.0, 0.0]) if walled else arm.rigid_body.placements[0, :3, 3] + [0.0, 0.0, 0.1]
+        for _ in range(80):
+            q = q + DT * ik.step(q, target, DT)
+            assert depth(arm, q) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "sentence"),
+    [
+        ({"solver": "dacp"}, UnknownNameError, "unknown QP solver 'dacp'; did you mean 'daqp'?"),
+        ({"posture": [0.0, 9.0, 0.0]}, LimitError, "posture: shoulder_pitch: 9 rad is outside [-1.570, 1.570] rad"),
+        ({"clearance": -1.0}, InputError, "clearance: -1 given, a number at least 0 wanted"),
+    ],
+)
+def test_a_wrong_follower_is_one_sentence(arguments, error, sentence):
+    with pytest.raises(error) as caught:
+        DifferentialIk(arm_of("robot_arm_3dof"), **{"avoid_collisions": True, **arguments})
+    assert str(caught.value) == sentence
+
+
+def test_a_wrong_step_is_one_sentence():
+    ik = DifferentialIk(arm_of("robot_arm_3dof"))
+    with pytest.raises(InputError, match=r"^dt: 0 given, a number at least 1e-09 wanted$"):
+        ik.step([0.0, 0.0, 0.0], [0.3, 0.2, 0.3], 0.0)
+    with pytest.raises(InputError, match=r"^q: element \[1\] is nan, a finite number wanted$"):
+        ik.step([0.0, float("nan"), 0.0], [0.3, 0.2, 0.3], DT)
