@@ -58,7 +58,7 @@ def tab(browser, page: Page):
 
 
 def opened(browser, url: str):
-    tab = browser.new_page(viewport={"width": 900, "height": 600})
+    tab = browser.new_context(viewport={"width": 900, "height": 600}).new_page()
     tab.goto(url)
     tab.get_by_text("real time").wait_for(timeout=1e3 * PATIENCE)
     return tab
@@ -209,7 +209,7 @@ def test_from_other_machines_a_wrong_token_gets_nothing_and_the_right_one_everyt
         stranger = stranger.context.new_page()
         knock = "u => new Promise(f => Object.assign(new WebSocket(u), {onopen: () => f('in'), onerror: () => f('out')}))"
         assert stranger.evaluate(knock, root.replace("http", "ws")) == "out"
-        friend = opened(browser.new_context(), gate.url)
+        friend = opened(browser, gate.url)
         assert "token" not in friend.url
         friend.close()
     finally:

@@ -110,6 +110,24 @@ def test_the_joints_can_be_steered_and_the_target_follows():
     assert session.target.distance(session.arm.fk(goal))[0] < 1e-9
 
 
+def test_the_gripper_moves_while_the_arm_holds_its_place():
+    session = Session(arm_of("panda"))
+    go(session, 2.0)
+    assert session.gripper is not None
+    assert Session(arm_of(BUNDLED)).gripper is None
+    for width in (0.02, 0.06):
+        session.grip(width)
+        go(session, 0.1)
+        assert session.gripper.width == pytest.approx(width, abs=2e-3)
+        assert tip_error(session) < 1e-3
+    session.carry(0.5)
+    go(session, 0.1)
+    assert session.gripper.width == pytest.approx(0.06, abs=2e-3)
+    session.reset()
+    go(session, 2.0)
+    assert session.status.startswith("at the target") or "0.5 kg" in session.status
+
+
 def test_pause_holds_time_and_reset_starts_afresh():
     session = Session(arm_of(BUNDLED))
     go(session, 0.1)

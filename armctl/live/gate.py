@@ -77,7 +77,7 @@ class Gate:
 
     async def _visit(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """One connection: its first request decides; then bytes flow both ways."""
-        with contextlib.suppress(OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, asyncio.TimeoutError):
+        try:
             head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), _PATIENCE)
             path, cookie = _path_and_cookie(head)
             if self._knows(parse_qs(urlsplit(path).query).get("token", [""])[0]):
@@ -86,10 +86,12 @@ class Gate:
                 writer.write(_REFUSAL)
             else:
                 await self._pass_on(head, reader, writer)
-            await writer.drain()
-        writer.close()
-        with contextlib.suppress(OSError):
+            writer.close()
             await writer.wait_closed()
+        except (TimeoutError, OSError, ValueError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
+            pass  # a visitor who left, or never spoke HTTP
+        finally:
+            writer.transport.abort()
 
     async def _pass_on(self, head: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         inner_reader, inner_writer = await asyncio.open_connection(LOCAL, self._inner)
@@ -100,9 +102,7 @@ class Gate:
         finally:
             for flow in flows:
                 flow.cancel()
-            inner_writer.close()
-            with contextlib.suppress(OSError):
-                await inner_writer.wait_closed()
+            inner_writer.transport.abort()
 
     def _knows(self, word: str) -> bool:
         return hmac.compare_digest(word.encode(), self._token)

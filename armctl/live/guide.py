@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 
 from armctl.arm import Arm
 from armctl.arrays import Array
 from armctl.errors import PlanError
-from armctl.motion import JointTrajectory
-from armctl.motion.profiles import Moving, Profiles, at_rest
+from armctl.motion import OnlineMotion
 from armctl.trajectory import TickReference
 
 
 class Guide:
-    """A jerk-limited reference, tick by tick, whose goal may change at any time.
+    """An online motion as rows for the tick loop, a few at a time; its goal may change between them.
 
     Attributes:
         q: (n,) rad, where the reference is now.
@@ -26,7 +27,7 @@ class Guide:
             arm: The arm.
             dt: s, the tick.
         """
-        self._arm, self._dt, self._profiles = arm, dt, Profiles.of(arm.limits)
+        self._arm, self._dt = arm, dt
         self.stand(arm.home)
 
     def stand(self, q: Array) -> None:
@@ -35,8 +36,8 @@ class Guide:
         Args:
             q: (n,) rad, where.
         """
-        self.q = self._before = self._goal = np.array(q)
-        self._motion, self._time = JointTrajectory.standing(self._arm.joint_names, self._arm.limits, self.q), 0.0
+        self.q = self._before = np.array(q)
+        self._motion = OnlineMotion(self._arm, q)
 
     def toward(self, goal: Array, ticks: int) -> TickReference:
         """The next ticks on the way to a goal, as fast as the joints' limits allow.
@@ -48,19 +49,11 @@ class Guide:
         Returns:
             The reference at these ticks.
         """
-        if not np.array_equal(goal, self._goal):
-            self._set_out(np.array(goal))
-        q, v, a = self._motion.sample(self._time + self._dt * np.arange(ticks + 1))[:3]
+        if self._motion.goal is None or not np.array_equal(goal, self._motion.goal):
+            with contextlib.suppress(PlanError):  # it stops instead; the next look asks again
+                self._motion.go_to(goal)
+        steps = [self._motion.setpoint, *(self._motion.step(self._dt) for _ in range(ticks))]
+        q, v, a = (np.array(column) for column in zip(*(step[:3] for step in steps), strict=True))
         v_tick = np.diff(np.vstack([self._before, q]), axis=0) / self._dt
-        self._time += ticks * self._dt
         self.q, self._before = q[-1], q[-2]
         return TickReference(q[:-1], v[:-1], a[:-1], v_tick[:-1], np.diff(v_tick, axis=0) / self._dt)
-
-    def _set_out(self, goal: Array) -> None:
-        """Plans from the state that the reference is in; where that cannot be done, the old motion goes on."""
-        try:
-            pieces = self._profiles.solve(Moving(*self._motion(self._time)[:3]), at_rest(goal))
-        except PlanError:
-            return
-        self._goal, self._time = goal, 0.0
-        self._motion = JointTrajectory(*pieces, self._arm.joint_names, self._arm.limits)

@@ -9,6 +9,7 @@ import numpy as np
 
 from armctl.arrays import Array
 from armctl.control import CONTROLLERS
+from armctl.gripper import Gripper
 from armctl.live.charts import Charts
 from armctl.live.contest import Contest
 from armctl.live.session import Session
@@ -37,6 +38,8 @@ class Panel:
         self._add_clock()
         self._add_target()
         self._add_joints()
+        if session.gripper is not None:
+            self._add_gripper(session.gripper)
         Contest(server, session)
 
     def update(self) -> None:
@@ -103,6 +106,11 @@ class Panel:
 
         for slider in self._joints:
             slider.on_update(steer)
+
+    def _add_gripper(self, gripper: Gripper) -> None:
+        most = float(np.floor(1e3 * gripper.width_max))
+        width = self._gui.add_slider("gripper, mm", 0.0, most, 1.0, min(most, float(round(1e3 * gripper.width))))
+        width.on_update(lambda event: self._session.grip(1e-3 * width.value))
 
 
 def _values(sliders: Sequence[viser.GuiSliderHandle[float]]) -> Array:

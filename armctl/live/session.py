@@ -11,8 +11,9 @@ import numpy as np
 from armctl.arm import Arm
 from armctl.arrays import Array
 from armctl.control import controller_by_name
-from armctl.errors import SimulationError
+from armctl.errors import ModelError, SimulationError
 from armctl.goal import TOLERANCE, Goal
+from armctl.gripper import Gripper
 from armctl.ik import DifferentialIk, solve_ik
 from armctl.live.guide import Guide
 from armctl.live.history import History
@@ -43,6 +44,7 @@ class Session:
         target: T_world_tip that is wanted.
         oriented: Whether the target's orientation counts.
         steered: Whether the joints are steered by hand, and the target follows the tip.
+        gripper: The one behind the tip; None where there is none.
     """
 
     def __init__(self, arm: Arm, controller: str = "computed-torque", payload: float = 0.0):
@@ -67,6 +69,7 @@ class Session:
         self._orders: dict[str, Callable[[], None]] = {}
         self._lock, self._stopping, self._thread = threading.Lock(), threading.Event(), None
         self.paused, self.oriented = False, arm.n >= 6
+        self.gripper = self._gripper_of(self._rig)
         self._restart()
 
     # What others may order, from any thread.
@@ -129,9 +132,23 @@ class Session:
 
         def change() -> None:
             rig.reset(self._rig.state.q, self._rig.state.v)
-            self._rig, self.payload = rig, payload
+            rig.data.qpos[:] = self._rig.data.qpos
+            self._rig, self.payload, self.gripper = rig, payload, self._gripper_of(rig)
 
         self._order("payload", change)
+
+    def grip(self, width: float) -> None:
+        """Moves the gripper; the arm holds its place meanwhile.
+
+        Args:
+            width: m between the pads.
+        """
+
+        def move() -> None:
+            if self.gripper is not None and not self.paused:
+                self.gripper.move(min(max(width, 0.0), self.gripper.width_max))
+
+        self._order("grip", move)
 
     def pause(self, paused: bool) -> None:
         """Holds time, or lets it go on.
@@ -200,8 +217,11 @@ class Session:
         """
         with self._lock:
             orders, self._orders = self._orders, {}
-        for order in orders.values():
-            order()
+        try:
+            for order in orders.values():
+                order()
+        except SimulationError:
+            return False
         if self.paused or self._rig.end:
             return False
         if not self._decided:
@@ -220,8 +240,23 @@ class Session:
             self._orders.pop(kind, None)
             self._orders[kind] = order
 
+    def _gripper_of(self, rig: Rig) -> Gripper | None:
+        try:
+            return Gripper(rig, self._hold)
+        except ModelError:
+            return None
+
+    def _hold(self, seconds: float) -> None:
+        """Holds the arm while the gripper moves."""
+        self._rig.hold(self._law, seconds)
+        self._look(self._rig.q_ref)
+        if self._thread is threading.current_thread():
+            self.pace.wait(seconds)
+
     def _restart(self) -> None:
         arm = self.arm
+        if self.gripper is not None:
+            self.gripper.reset()
         self._rig.reset(arm.home, np.zeros(arm.n))
         self._guide.stand(arm.home)
         start = self._rig.data.xpos[self._rig.model.body(TARGET).id]
