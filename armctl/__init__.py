@@ -28,20 +28,21 @@ _MODULES = {
     "ModelError": "armctl.errors",
     "MoveResult": "armctl.move_result",
     "NotInstalledError": "armctl.errors",
-    "OperationalSpace": "armctl.control",
     "OnlineMotion": "armctl.motion",
+    "OperationalSpace": "armctl.control",
     "PD": "armctl.control",
     "PDGravity": "armctl.control",
     "PIDGravity": "armctl.control",
+    "PayloadEstimate": "armctl.identification",
     "PlanError": "armctl.errors",
     "Plant": "armctl.plant",
     "Pose": "armctl.pose",
     "Push": "armctl.plant",
     "Report": "armctl.report",
-    "Setpoint": "armctl.trajectory",
-    "Simulation": "armctl.simulation",
     "Scene": "armctl.scene",
     "SerialChain": "armctl.chain",
+    "Setpoint": "armctl.trajectory",
+    "Simulation": "armctl.simulation",
     "SimulationError": "armctl.errors",
     "State": "armctl.control",
     "Trajectory": "armctl.trajectory",
@@ -49,6 +50,8 @@ _MODULES = {
     "chains": "armctl.robots",
     "check_torque": "armctl.motion",
     "compare": "armctl.comparison",
+    "excitation": "armctl.identification",
+    "identify_payload": "armctl.identification",
     "load": "armctl.robots",
     "move_c": "armctl.motion",
     "move_j": "armctl.motion",
@@ -83,6 +86,9 @@ if TYPE_CHECKING:
     from armctl.errors import SimulationError as SimulationError
     from armctl.errors import UnknownNameError as UnknownNameError
     from armctl.gripper import GripResult as GripResult
+    from armctl.identification import PayloadEstimate as PayloadEstimate
+    from armctl.identification import excitation as excitation
+    from armctl.identification import identify_payload as identify_payload
     from armctl.ik import DifferentialIk as DifferentialIk
     from armctl.ik import IkBatch as IkBatch
     from armctl.ik import IkResult as IkResult

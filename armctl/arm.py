@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import copy
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arrays import Array, IntArray, matrix, vector
+from armctl.arrays import Array, IntArray, matrix, number, vector
 from armctl.errors import ModelError
+from armctl.payload import add_point_mass
 from armctl.pose import Pose
-from armctl.rigid_body import RigidBody
+from armctl.rigid_body import RigidBody, build
 from armctl.trajectory import Limits
 
 PARITY_TOLERANCE = 1e-9
@@ -123,6 +125,42 @@ class Arm:
         qpos = self.home_qpos.copy()
         qpos[self.qpos_adr] = q
         return qpos
+
+    def with_payload(
+        self,
+        mass: float,
+        center: ArrayLike = (0.0, 0.0, 0.0),
+        *,
+        coulomb_friction: ArrayLike = 0.0,
+        viscous_friction: ArrayLike = 0.0,
+    ) -> Arm:
+        """The same arm as one knows it with something in its hand: what a controller's model should be.
+
+        Args:
+            mass: kg, of a point mass at the tip.
+            center: (3,) m, where it is, in the tip's frame.
+            coulomb_friction: N m of dry friction besides the model's, on each joint or (n,) for each.
+            viscous_friction: N m s/rad of damping besides the model's, on each joint or (n,) for each.
+
+        Returns:
+            The arm; a simulation of it carries the payload as well, so give a plant's payload with the bare arm.
+
+        Raises:
+            InputError: The mass or a friction is negative, or a number is not finite or a list of a wrong length.
+        """
+        model = copy.copy(self.model)
+        for what, value, column in (
+            ("coulomb_friction", coulomb_friction, model.dof_frictionloss),
+            ("viscous_friction", viscous_friction, model.dof_damping),
+        ):
+            added = vector(what, np.broadcast_to(value, self.n) if np.ndim(value) == 0 else value, self.n)
+            number(f"least {what}", added.min(), 0.0)
+            column[self.dof_adr] += added
+        if number("mass", mass, 0.0) > 0.0:
+            add_point_mass(model, self.tip_body, mass, self.T_body_tip.transform(vector("center", center, 3)))
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        joints = tuple(int(j) for j in model.dof_jntid[self.dof_adr])
+        return replace(self, model=model, rigid_body=build(model, joints, self.home_qpos, self.tip_body, self.T_body_tip))
 
     def __repr__(self) -> str:
         return f"Arm({self.name!r}, {self.n} joints, tip {self.tip!r})"

@@ -14,6 +14,7 @@ from armctl.arm import Arm
 from armctl.arrays import Array, IntArray, number, vector
 from armctl.coupling import dofs_of_equality, dofs_of_tendon
 from armctl.errors import InputError
+from armctl.payload import add_point_mass
 
 _CONTINUOUS_STEP = 2e-4  # s
 _BRAKE = 1e8  # kg m^2 (kg): the armature of a joint that is held; it then moves less than rounding does
@@ -152,7 +153,7 @@ class Plant:
             model.body_mass *= self.mass_scale
             model.body_inertia *= self.mass_scale
         if self.payload > 0.0:
-            _add_point_mass(model, arm.tip_body, self.payload, arm.T_body_tip.transform(self.payload_center))
+            add_point_mass(model, arm.tip_body, self.payload, arm.T_body_tip.transform(self.payload_center))
         for what, column in (("coulomb_friction", model.dof_frictionloss), ("viscous_friction", model.dof_damping)):
             added = np.asarray(getattr(self, what))
             if len(added) not in (1, arm.n):
@@ -208,33 +209,3 @@ def brake(model: mujoco.MjModel, dofs: IntArray) -> None:
     for equality in range(model.neq):
         if held[dofs_of_equality(model, equality)].all():
             model.eq_active0[equality] = 0
-
-
-def _add_point_mass(model: mujoco.MjModel, body: int, mass: float, point: np.ndarray) -> None:
-    """Adds a point mass to a body: parallel axes, then principal axes again."""
-    R = np.zeros(9)
-    mujoco.mju_quat2Mat(R, model.body_iquat[body])
-    R = R.reshape(3, 3)
-    m, c = float(model.body_mass[body]), model.body_ipos[body].copy()
-    total = m + mass
-    center = (m * c + mass * point) / total
-    inertia = R @ np.diag(model.body_inertia[body]) @ R.T + _steiner(m, c - center) + _steiner(mass, point - center)
-    moments, axes = np.linalg.eigh(inertia)
-    axes[:, 2] *= np.sign(np.linalg.det(axes))
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, axes.ravel())
-    model.body_mass[body], model.body_ipos[body] = total, center
-    model.body_inertia[body], model.body_iquat[body] = moments, quat
-    _forget_shortcuts(model, body)
-
-
-def _forget_shortcuts(model: mujoco.MjModel, body: int) -> None:
-    """What the compiler noted about a body's old inertial frame, to save work, is true no longer."""
-    model.body_simple[body] = model.body_sameframe[body] = 0
-    model.geom_sameframe[model.geom_bodyid == body] = 0
-    model.site_sameframe[model.site_bodyid == body] = 0
-    model.dof_simplenum[:] = 0
-
-
-def _steiner(mass: float, r: np.ndarray) -> np.ndarray:
-    return mass * (r @ r * np.eye(3) - np.outer(r, r))

@@ -1,0 +1,136 @@
+"""A payload is found by its torques: mass, centre and friction from one run, with honest errors, or a reason why not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import arm_of
+
+import armctl
+from armctl.contacts import Contacts
+from armctl.dynamics import Dynamics
+from armctl.motion import check_torque
+
+ROBOTS = ("robot_arm_3dof", "panda", "ur5e", "iiwa14", "so_arm100", "gantry")
+CENTER = np.array([0.02, 0.01, 0.05])
+
+
+def run(arm, motion, **plant):
+    return armctl.simulate(arm, "computed-torque-observer", motion, armctl.Plant(timestep=0.002, **plant))
+
+
+@pytest.fixture(scope="module")
+def motions():
+    made = {}
+
+    def motion_of(robot):
+        if robot not in made:
+            made[robot] = armctl.excitation(arm_of(robot))
+        return made[robot]
+
+    return motion_of
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_an_excitation_is_safe(robot, motions):
+    arm, motion = arm_of(robot), motions(robot)
+    path = motion.sample(np.arange(0.0, motion.duration, 0.005))
+    assert arm.limits.contains(path.q, 1e-9)
+    assert (np.abs(path.v) <= arm.limits.v_max * (1 + 1e-6)).all()
+    assert (np.abs(path.a) <= arm.limits.a_max * (1 + 1e-6)).all()
+    assert check_torque(arm, motion).ok
+    assert check_torque(arm.with_payload(1.0), motion).ok
+    assert Contacts(arm).along(path.q) is None
+    assert np.allclose(path.q[0], arm.home)
+    assert np.abs(path.v[[0]]).max() == 0.0
+
+
+@pytest.mark.parametrize("mass", [0.5, 2.0])
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_a_payload_is_found_within_one_percent(robot, mass, motions):
+    arm = arm_of(robot)
+    found = armctl.identify_payload(arm, run(arm, motions(robot), payload=mass, payload_center=CENTER))
+    assert found.ok, found.reason
+    assert found.mass == pytest.approx(mass, rel=0.01)
+    shown = found.center_error < 0.02  # a gantry's slides do not show where along them a mass hangs
+    assert np.abs(found.center - CENTER)[shown].max() < 2e-3
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5e", "iiwa14"])
+def test_a_payload_is_found_through_friction_and_noise(robot, motions):
+    arm, rng = arm_of(robot), np.random.default_rng(3)
+    coulomb, viscous = 0.02 * arm.limits.tau_max, 0.01 * arm.limits.tau_max
+    friction = {"coulomb_friction": coulomb, "viscous_friction": viscous}
+    log = run(arm, motions(robot), payload=1.0, encoder_noise=1e-5, velocity_noise=1e-3, **friction)
+    seen = replace(log, q=log.q + 1e-5 * rng.normal(size=log.q.shape), v=log.v + 1e-3 * rng.normal(size=log.v.shape))
+    found = armctl.identify_payload(arm, seen)
+    assert found.ok, found.reason
+    assert found.mass == pytest.approx(1.0, rel=0.03)
+    assert np.abs(found.coulomb_friction / coulomb - 1).max() < 1.0  # MuJoCo's dry friction is partly viscous at low speed
+    assert abs(found.mass - 1.0) < 5 * found.mass_error
+
+
+def test_nothing_held_is_found_to_be_nothing(motions):
+    arm = arm_of("ur5e")
+    found = armctl.identify_payload(arm, run(arm, motions("ur5e")))
+    assert found.ok, found.reason
+    assert abs(found.mass) < 0.02
+
+
+def test_the_result_goes_into_a_controller(motions):
+    arm = arm_of("ur5e")
+    motion, plant = motions("ur5e"), armctl.Plant(timestep=0.002, payload=1.0, payload_center=CENTER)
+    found = armctl.identify_payload(arm, run(arm, motion, payload=1.0, payload_center=CENTER))
+    before, after = (
+        armctl.Report.from_log(armctl.simulate(arm, armctl.ComputedTorque(model), motion, plant))
+        for model in (arm, found.applied_to(arm))
+    )
+    assert after.joint_rms_rad < 0.02 * before.joint_rms_rad
+
+
+def test_an_arm_with_a_payload_is_the_plant_with_that_payload():
+    arm = arm_of("panda")
+    known = arm.with_payload(1.3, CENTER, coulomb_friction=0.2, viscous_friction=0.1)
+    motion = armctl.move_j(arm, arm.home, arm.home + 0.2)
+    plant = armctl.Plant(payload=1.3, payload_center=CENTER, coulomb_friction=0.2, viscous_friction=0.1)
+    log = armctl.simulate(arm, armctl.ComputedTorque(known), motion, plant)
+    assert np.abs(log.q - log.q_ref).max() < 1e-8
+    q, zero = arm.home, np.zeros(arm.n)
+    more = Dynamics(known).inverse(q, zero, zero) - Dynamics(arm).inverse(q, zero, zero)
+    assert np.abs(more).max() > 1.0
+
+
+@pytest.mark.parametrize(
+    ("motion", "reason"),
+    [
+        (lambda arm: armctl.move_j(arm, arm.home, arm.home + 1e-4), "no joint moves|at least"),
+        (lambda arm: armctl.move_j(arm, arm.home, arm.home + 0.9 * np.eye(6)[0]), "the mass is known to"),
+        (lambda arm: armctl.move_j(arm, arm.home, arm.home + 0.02), "at least"),
+    ],
+)
+def test_a_poor_excitation_is_refused_with_its_reason(motion, reason):
+    arm = arm_of("ur5e")
+    found = armctl.identify_payload(arm, run(arm, motion(arm), payload=1.0))
+    assert not found.ok
+    assert not found
+    with pytest.raises(AssertionError, match=reason):
+        raise AssertionError(str(found))
+    with pytest.raises(armctl.InputError, match="not identified"):
+        found.applied_to(arm)
+
+
+def test_a_log_of_other_joints_is_refused():
+    log = run(arm_of("ur5e"), armctl.move_j(arm_of("ur5e"), arm_of("ur5e").home, arm_of("ur5e").home + 0.1))
+    with pytest.raises(armctl.InputError, match="log: of the joints"):
+        armctl.identify_payload(arm_of("panda"), log)
+
+
+def test_what_an_arm_cannot_carry_it_does_not_excite():
+    with pytest.raises(armctl.PlanError, match="no motion from home shows a payload of 500 kg safely"):
+        armctl.excitation(arm_of("robot_arm_3dof"), payload=500.0)
+
+
+@pytest.mark.parametrize("arguments", [{"payload": -1.0}, {"pace": 0.0}, {"pace": 2.0}])
+def test_wrong_arguments_are_refused(bundled, arguments):
+    with pytest.raises(armctl.InputError, match=r"payload: -1|pace: [02] given"):
+        armctl.excitation(bundled, **arguments)
