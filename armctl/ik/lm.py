@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from armctl.arrays import Array, BoolArray, IntArray
-from armctl.ik.problem import POSITION, Problem
+from armctl.ik.problem import POSITION, Problem, compiled
 
 MARGIN = 0.999  # of the tolerance, so that rounding decides nothing when the answer is measured
 NEAR_TRIES, NEAR_NOISE = 4, 0.2
@@ -27,9 +27,7 @@ def search(problem: Problem, first: int, last: int, begin: Array | None = None) 
         (N, n) rad inside the joint limits, the solutions or the best positions met, and (N, 4): 1 for a solution, the start
         after the last one used, steps, 1 for a suspicious jump.
     """
-    from armctl.ik import kernel
-
-    chain, count = problem.chain, len(problem.targets)
+    kernel, chain, count = compiled(), problem.chain, len(problem.targets)
     q, tally = np.empty_like(problem.q0), np.empty((count, 4), np.int64)
     q0 = chain.units(problem.q0)
     kernel.search(
@@ -62,9 +60,7 @@ def settle(problem: Problem, q: Array, pull: float = 0.0) -> tuple[Array, Array]
     Returns:
         (N, n) rad inside the joint limits, and (N,) the squared error that is left, in squared reaches.
     """
-    from armctl.ik import kernel
-
-    chain, sizes = problem.chain, np.empty(len(q))
+    kernel, chain, sizes = compiled(), problem.chain, np.empty(len(q))
     q = chain.units(q) + 0.0
     kernel.settle(
         chain.rows,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
+from types import ModuleType
 from typing import TypeAlias
 from weakref import WeakKeyDictionary
 
@@ -106,15 +108,21 @@ class Problem:
         Returns:
             (N,) m, and (N,) rad of what of the orientation is asked for.
         """
-        from armctl.ik import kernel
-
         if len(q) == 1:
             position, rotation = (part[None] for part in self.arm.rigid_body.tip(q[0]))
         else:
             position, rotation = self.arm.rigid_body.tips(q)
         off, turned = np.empty(len(q)), np.empty(len(q))
-        kernel.residuals(self.asked, self.targets, position, np.ascontiguousarray(rotation), off, turned)
+        compiled().residuals(self.asked, self.targets, position, np.ascontiguousarray(rotation), off, turned)
         return off, turned
+
+
+@cache
+def compiled() -> ModuleType:
+    """The compiled kernels; numba is imported when they are first used."""
+    from armctl.ik import kernel
+
+    return kernel
 
 
 def read_target(target: PoseOrPoint, free_axis: str | None) -> tuple[int, Array]:
@@ -192,7 +200,7 @@ def read_problem(
     count = len(targets)
     if q0 is None or np.ndim(q0) == 1 or count == 1:
         start = arm.home if q0 is None else arm.limits.check("q0", np.reshape(q0, -1) if count == 1 else q0, arm.joint_names)
-        starts = np.broadcast_to(start, (count, arm.n))
+        starts = start[None] if count == 1 else np.broadcast_to(start, (count, arm.n))
     else:
         rows = matrix("q0", q0, arm.n)
         if len(rows) != count:

@@ -1,0 +1,209 @@
+"""Inverse kinematics beside its peers: TRAC-IK and the Robotics Toolbox's `ik_LM`, taking turns on the same poses.
+
+Every answer is checked with MuJoCo's own kinematics and the joint limits. Prints the tables and writes them to
+`benchmarks/results/ik.md`, which the docs include. The peers are an extra, `pip install -e .[benchmark]`; one that is not
+installed is left out. `python benchmarks/ik.py --poses 200` is quick.
+"""
+
+import argparse
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+import armctl
+from armctl import Arm, Pose
+from armctl.ik import DifferentialIk, solve_ik, solve_ik_batch
+from armctl.ik.problem import random_positions
+
+ARMS = ["panda", "ur5e", "iiwa14", "xarm7", "gen3"]
+POSITION_TOLERANCE, ORIENTATION_TOLERANCE = 1e-5, 1e-4
+TRAC_IK_BUDGET = 0.05
+TURN = 20
+RESULTS = Path(__file__).parent / "results" / "ik.md"
+
+Solver = Callable[[Pose], np.ndarray | None]
+
+
+@dataclass
+class Score:
+    """What one solver did on one arm."""
+
+    solved: int = 0
+    times: list[float] = field(default_factory=list)
+
+    def row(self) -> str:
+        ms = 1e3 * np.array(self.times)
+        share = 100 * self.solved / len(ms)
+        return f"{share:.2f} % of {len(ms)} | {np.median(ms):.3f} | {np.percentile(ms, 99):.2f}"
+
+
+def armctl_solver(arm: Arm) -> Solver:
+    return lambda T: solve_ik(arm, T).q
+
+
+def toolbox_solver(arm: Arm) -> Solver | None:
+    try:
+        import roboticstoolbox as rtb
+    except ImportError:
+        return None
+    ets = rtb.ETS()
+    for k, X in enumerate(arm.rigid_body.placements):
+        bounds = [max(arm.limits.q_min[k], -np.pi), min(arm.limits.q_max[k], np.pi)]
+        ets *= rtb.ETS(rtb.ET.SE3(X)) * rtb.ETS(rtb.ET.Rz(jindex=k, qlim=bounds))
+    ets *= rtb.ETS(rtb.ET.SE3(arm.rigid_body.T_last_tip))
+    return lambda T: ets.ik_LM(T.matrix, tol=0.5 * POSITION_TOLERANCE**2).q
+
+
+def trac_ik_solver(arm: Arm) -> Solver | None:
+    try:
+        import pytracik
+    except ImportError:
+        return None
+    solver = pytracik.TRAC_IK("base", "tip", urdf(arm), TRAC_IK_BUDGET, POSITION_TOLERANCE / 2, pytracik.SolveType.Speed)
+
+    def solve(T: Pose) -> np.ndarray | None:
+        w, x, y, z = T.quat
+        code, *q = pytracik.ik(solver, arm.home, *T.position, x, y, z, w)
+        return np.array(q) if code >= 0 else None
+
+    return solve
+
+
+def urdf(arm: Arm) -> str:
+    """The chain as a URDF, for solvers that read nothing else."""
+
+    def origin(X: np.ndarray) -> str:
+        T = Pose.from_rotation(X[:3, 3], X[:3, :3])
+        return f'<origin xyz="{words(T.position)}" rpy="{words(T.rpy)}"/>'
+
+    def words(numbers: np.ndarray) -> str:
+        return " ".join(f"{x:.17g}" for x in numbers)
+
+    names = ["base", *(f"link{k}" for k in range(arm.n)), "tip"]
+    parts = [f'<link name="{name}"/>' for name in names]
+    for k, X in enumerate([*arm.rigid_body.placements, arm.rigid_body.T_last_tip]):
+        ends = f'<parent link="{names[k]}"/><child link="{names[k + 1]}"/>{origin(X)}'
+        if k == arm.n:
+            parts.append(f'<joint name="joint{k}" type="fixed">{ends}</joint>')
+            break
+        low, high = max(arm.limits.q_min[k], -np.pi), min(arm.limits.q_max[k], np.pi)
+        limit = f'<limit lower="{low:.17g}" upper="{high:.17g}" effort="1" velocity="1"/>'
+        parts.append(f'<joint name="joint{k}" type="revolute">{ends}<axis xyz="0 0 1"/>{limit}</joint>')
+    return f'<robot name="{arm.name}">{"".join(parts)}</robot>'
+
+
+class Judge:
+    """MuJoCo's own kinematics."""
+
+    def __init__(self, arm: Arm):
+        self.arm, self.data = arm, mujoco.MjData(arm.model)
+
+    def solves(self, q: np.ndarray | None, target: Pose) -> bool:
+        if q is None or not self.arm.limits.contains(q, 1e-9):
+            return False
+        self.data.qpos[:] = self.arm.qpos(q)
+        mujoco.mj_kinematics(self.arm.model, self.data)
+        R = self.data.xmat[self.arm.tip_body].reshape(3, 3)
+        T = Pose.from_rotation(self.data.xpos[self.arm.tip_body], R) @ self.arm.T_body_tip
+        off, turned = T.distance(target)
+        return off <= POSITION_TOLERANCE * (1 + 1e-6) and turned <= ORIENTATION_TOLERANCE * (1 + 1e-6)
+
+
+def poses(arm: Arm, count: int, at_limits: bool, rng: np.random.Generator) -> list[Pose]:
+    """Poses of random positions; at limits, about half of the joints are at one."""
+    Q = random_positions(arm.limits, np.zeros(arm.n), count, rng)
+    if at_limits:
+        bounds = np.where(rng.random(Q.shape) < 0.5, arm.limits.q_min, arm.limits.q_max)
+        Q = np.where(np.isfinite(bounds) & (rng.random(Q.shape) < 0.5), bounds, Q)
+    return [arm.fk(q) for q in Q]
+
+
+def race(solvers: dict[str, Solver], judge: Judge, targets: list[Pose]) -> dict[str, Score]:
+    """Every solver on every target, in turns of TURN targets."""
+    scores = {name: Score() for name in solvers}
+    for first in range(0, len(targets), TURN):
+        turn = targets[first : first + TURN]
+        for name, solver in solvers.items():
+            answers = []
+            for target in turn:
+                start = time.perf_counter()
+                answers.append(solver(target))
+                scores[name].times.append(time.perf_counter() - start)
+            scores[name].solved += sum(map(judge.solves, answers, turn))
+    return scores
+
+
+def rates(arm: Arm, targets: list[Pose]) -> list[str]:
+    """The batch's rate on one thread and on two, the mink step, a pose out of reach, and the jumps of warm starts."""
+    T = np.array([target.matrix for target in targets] * 10)
+    rate = {}
+    for threads in (1, 2):
+        seconds = []
+        for _ in range(3):
+            start = time.perf_counter()
+            solve_ik_batch(arm, T, threads=threads)
+            seconds.append(time.perf_counter() - start)
+        rate[threads] = len(T) / min(seconds)
+    follower, q, steps = DifferentialIk(arm), np.array(arm.home), []
+    for target in targets[:20]:
+        for _ in range(50):
+            start = time.perf_counter()
+            v = follower.step(q, target, 0.01)
+            steps.append(time.perf_counter() - start)
+            q = q + 0.01 * v
+    far, times = Pose([3.0, 1.0, 1.0]), []
+    for _ in range(50):
+        start = time.perf_counter()
+        solve_ik(arm, far)
+        times.append(time.perf_counter() - start)
+    rng, jumps = np.random.default_rng(5), 0
+    for q in random_positions(arm.limits, np.zeros(arm.n), 1000, rng):
+        near = arm.limits.clamp(q + rng.uniform(-0.05, 0.05, arm.n))
+        jumps += bool(np.abs(solve_ik(arm, arm.fk(near), q).q - q).max() > 0.5)
+    return [
+        f"{rate[1]:.0f}",
+        f"{rate[2] / rate[1]:.2f}",
+        f"{1e3 * np.median(times):.2f}",
+        f"{jumps} of 1000",
+        f"{1e6 * np.median(steps):.0f}",
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--poses", type=int, default=2000, help="random poses an arm")
+    parser.add_argument("--limit-poses", type=int, default=600, help="poses with joints at their limits")
+    parser.add_argument("--arms", nargs="*", default=ARMS)
+    options = parser.parse_args()
+    warnings.simplefilter("ignore")
+    table = ["| arm | solver | solved | median ms | p99 ms | solved at joint limits |", "|---|---|---|---|---|---|"]
+    more = ["| arm | batch, solves/s | on two threads, times | out of reach, ms | jumps of warm starts | mink step, us |"]
+    more.append("|---|---|---|---|---|---|")
+    for name in options.arms:
+        arm = armctl.load(name)
+        judge, rng = Judge(arm), np.random.default_rng(2)
+        makers = {"armctl": armctl_solver, "Robotics Toolbox `ik_LM`": toolbox_solver, "TRAC-IK (50 ms)": trac_ik_solver}
+        solvers = {label: solver for label, make in makers.items() if (solver := make(arm)) is not None}
+        race(solvers, judge, poses(arm, 20, False, rng))  # compiles, warms caches
+        targets = poses(arm, options.poses, False, rng)
+        anywhere = race(solvers, judge, targets)
+        at_limits = race(solvers, judge, poses(arm, options.limit_poses, True, rng))
+        for label in solvers:
+            limits = at_limits[label]
+            table.append(f"| {name} | {label} | {anywhere[label].row()} | {limits.solved} of {len(limits.times)} |")
+        for label in makers.keys() - solvers.keys():
+            table.append(f"| {name} | {label} | not installed | | | |")
+        more.append(f"| {name} | " + " | ".join(rates(arm, targets)) + " |")
+    text = "\n".join([*table, "", *more, ""])
+    print(text)
+    RESULTS.parent.mkdir(exist_ok=True)
+    RESULTS.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
