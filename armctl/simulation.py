@@ -32,6 +32,7 @@ from armctl.rig import ConstantTorque, Rig
 from armctl.robots import load
 from armctl.staging import TARGET
 from armctl.trajectory import TickReference, Trajectory
+from armctl.view.viewer import WatchedRig
 
 _SETTLED_SPEED = 1e-3  # rad/s
 _SETTLE_CHUNK = 0.02  # s
@@ -47,15 +48,19 @@ class Simulation:
         model: The plant's MuJoCo model.
         data: Its MjData; read it freely.
         log: The last run, or None.
+        viewer: The page it is seen on, or None.
     """
 
-    def __init__(self, robot: Arm | str, controller: Controller | str | None = None, plant: Plant | None = None):
+    def __init__(
+        self, robot: Arm | str, controller: Controller | str | None = None, plant: Plant | None = None, *, viewer: bool = False
+    ):
         """A simulation with the arm at home, at rest.
 
         Args:
             robot: An arm, or a name for `armctl.load`.
             controller: A controller or the name of one; computed torque if left out.
             plant: How reality differs from the model; in nothing if left out.
+            viewer: Whether a page in the browser shows all that it does, in real time.
 
         Raises:
             InputError: The controller has no method `torque`.
@@ -70,7 +75,8 @@ class Simulation:
             raise InputError(f"controller: {controller!r} has no method torque(state, setpoint)")
         self.plant = NOMINAL if plant is None else plant
         self.log: Log | None = None
-        self._rig, self._gripper = Rig(self.arm, self.plant), None
+        self._rig, self._gripper = WatchedRig(self.arm, self.plant) if viewer else Rig(self.arm, self.plant), None
+        self.viewer = self._rig.viewer if isinstance(self._rig, WatchedRig) else None
         self.model, self.data = self._rig.model, self._rig.data
 
     @property

@@ -30,6 +30,11 @@ class Pace:
         self._due, self._simulated = time.perf_counter(), 0.0
         self._marks = deque([(self._due, 0.0)])
 
+    def resume(self) -> None:
+        """Starts afresh if nothing has gone on for a while."""
+        if time.perf_counter() - self._marks[-1][0] > _HOPELESS:
+            self.restart()
+
     def wait(self, seconds: float) -> None:
         """Sleeps until it is time.
 

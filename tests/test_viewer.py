@@ -1,0 +1,55 @@
+"""A simulation that is watched: it shows all it does, in real time, and computes the same."""
+
+import time
+
+import numpy as np
+import pytest
+from arms import BUNDLED, arm_of
+
+from armctl import Simulation
+
+pytest.importorskip("mjviser", reason="pip install 'armctl[view]'")
+
+
+@pytest.fixture(scope="module")
+def watched():
+    sim = Simulation(arm_of(BUNDLED), viewer=True)
+    yield sim
+    assert sim.viewer is not None
+    sim.viewer.close()
+
+
+def test_a_watched_move_takes_its_time_and_computes_the_same(watched: Simulation):
+    plain = Simulation(arm_of(BUNDLED))
+    started = time.perf_counter()
+    result, other = watched.move_to(watched.target), plain.move_to(plain.target)
+    took = time.perf_counter() - started
+    assert result.log is not None
+    assert other.log is not None
+    for name in ("t", "q", "v", "tau", "tip"):
+        np.testing.assert_array_equal(getattr(result.log, name), getattr(other.log, name))
+    assert result.log.real_time_factor < 1.05 < other.log.real_time_factor
+    assert took >= 0.95 * result.duration
+
+
+def test_the_page_draws_what_the_simulation_ended_with(watched: Simulation):
+    watched.reset()
+    watched.move_to([0.2, -0.2, 0.4])
+    stage = watched.viewer._stage
+    deadline = time.monotonic() + 10
+    while stage._latest is not None and time.monotonic() < deadline:
+        time.sleep(0.01)
+    time.sleep(0.1)
+    np.testing.assert_array_equal(stage._data.qpos, watched.data.qpos)
+    np.testing.assert_array_equal(stage._data.mocap_pos, watched.data.mocap_pos)
+
+
+def test_it_says_where_it_is_and_how_fast_it_goes(watched: Simulation):
+    assert watched.viewer.url.startswith("http://127.0.0.1:")
+    watched.viewer._spoken = 0.0
+    watched.viewer.show(watched._rig)
+    assert "real time x" in watched.viewer._words.content
+
+
+def test_without_a_viewer_there_is_none():
+    assert Simulation(arm_of(BUNDLED)).viewer is None
