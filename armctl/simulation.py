@@ -209,7 +209,6 @@ class Simulation:
 
         Raises:
             InputError: Nothing has run yet, or the path has another ending.
-            NotInstalledError: There is no OpenGL here that works without a screen, or no encoder for .mp4.
         """
         if self.log is None:
             raise InputError("log: nothing has run yet, so there is nothing to film; move first")

@@ -40,7 +40,7 @@ FLOORS = [
         "disturbances",
         "rig > recorder disturbances",
         "gripper > jaws rig",
-        "view",
+        "view > rig recorder",
         "simulation > gripper rig recorder view",
         "identification",
     ],
