@@ -13,6 +13,7 @@ import numpy as np
 from armctl.arrays import Array, number
 from armctl.errors import InputError
 from armctl.motion.joint_trajectory import JointTrajectory
+from armctl.motion.pieces import DEGREE
 from armctl.motion.slowdown import Slowdown
 from armctl.trajectory import Limits
 
@@ -60,9 +61,17 @@ def load(path: str | os.PathLike[str]) -> JointTrajectory:
         with np.load(path, allow_pickle=False) as data:
             limits = Limits(**{field.name: data[field.name] for field in fields(Limits)})
             slowed = [str(value) for value in data["slowed"]]
+            knots, coefficients = data["knots"], data["coefficients"]
+            pieces, powers, joints = coefficients.shape
+            if (
+                knots.shape != (pieces + 1,)
+                or powers != DEGREE + 1
+                or {joints} != {len(data["joint_names"]), len(limits.q_min)}
+            ):
+                raise InputError("its parts do not fit each other")
             return JointTrajectory(
-                data["knots"],
-                data["coefficients"],
+                knots,
+                coefficients,
                 tuple(str(name) for name in data["joint_names"]),
                 limits,
                 Slowdown(float(slowed[0]), slowed[1], float(slowed[2])) if slowed else None,

@@ -288,5 +288,8 @@ class JointTrajectory:
         coefficients[0, 0] = q
         return cls(np.zeros(2), coefficients, joint_names, limits)
 
+    def __reduce__(self):
+        return JointTrajectory, (self.knots, self.coefficients, self.joint_names, self.limits, self.slowed)
+
     def __repr__(self) -> str:
         return f"JointTrajectory({self.n} joints, {self.duration:.3f} s)"

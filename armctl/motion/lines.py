@@ -76,7 +76,7 @@ def move_l(
     Raises:
         InputError: An argument of the wrong shape, kind or value.
         LimitError: q_start is outside the limits.
-        PlanError: The line leaves the reach or the joint limits.
+        PlanError: The line leaves the reach or the joint limits, or a motor cannot hold the arm on it.
     """
     return _planned(arm, "move_l", q_start, [Line(target)], 0.0, tip_speed, tip_turn_speed)
 
@@ -109,7 +109,7 @@ def move_c(
     Raises:
         InputError: An argument of the wrong shape, kind or value, or three points on one line.
         LimitError: q_start is outside the limits.
-        PlanError: The arc leaves the reach or the joint limits.
+        PlanError: The arc leaves the reach or the joint limits, or a motor cannot hold the arm on it.
     """
     return _planned(arm, "move_c", q_start, [Arc(via, target, angle)], 0.0, tip_speed, tip_turn_speed)
 
@@ -141,7 +141,7 @@ def move_path(
     Raises:
         InputError: An argument of the wrong shape, kind or value.
         LimitError: q_start is outside the limits.
-        PlanError: The path leaves the reach or the joint limits.
+        PlanError: The path leaves the reach or the joint limits, or a motor cannot hold the arm on it.
     """
     parts = [part if isinstance(part, (Line, Arc)) else Line(part) for part in path]
     return _planned(arm, "move_path", q_start, parts, number("blend", blend, 0.0), tip_speed, tip_turn_speed)

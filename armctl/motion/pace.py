@@ -130,16 +130,20 @@ class _Problem:
     def __init__(self, path: Path, limits: Limits, caps: Callable | None, torques: Callable | None = None):
         self.path, self.limits = path, limits
         self._caps, self._torques = caps, torques
+        self._last: Array | None = None  # the last pace found, to tighten from
 
     def timed(self, guide: Guide, nodes: Array, slack: Array | None = None) -> _Timed:
         """The best pace of a guide, at nodes that include its edges; `slack` (3, m + 1) are factors on its bounds."""
         from armctl.motion import pace_kernel
 
         problem = self._bounds(guide, np.ones((3, guide.intervals + 1)) if slack is None else slack)
-        c = np.full(guide.intervals + 2, 0.5 * float(problem.b_max.min()))
+        c, barrier = np.full(guide.intervals + 2, 0.5 * float(problem.b_max.min())), pace_kernel.COLD
+        if slack is not None and self._last is not None:
+            c, barrier = 0.95 * self._last, pace_kernel.WARM
         while not np.isfinite(pace_kernel.value(c, problem, 1.0)):
             c *= 0.5
-        pace_kernel.solve(problem, c)
+        pace_kernel.solve(problem, c, barrier)
+        self._last = c
         b, slope = _squared_pace(c, guide.h, nodes)
         t = np.concatenate([[0.0], np.cumsum(_durations(c, guide.h, nodes))])
         s, s1, s2, _ = guide.at(nodes)

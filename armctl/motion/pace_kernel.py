@@ -23,7 +23,7 @@ import numpy as np
 
 from armctl.arrays import Array
 
-BARRIER_FIRST, BARRIER_LAST, BARRIER_SHARE = 1e-4, 1e-9, 0.2  # of the motion's time, and from one to the next
+COLD, WARM, BARRIER_LAST, BARRIER_SHARE = 1e-4, 1e-6, 1e-9, 0.2  # of the motion's time, and from one to the next
 NEWTON_STEPS = 12
 HALVINGS = 30
 
@@ -173,12 +173,15 @@ def newton_step(gradient, band, step):
 
 
 @_njit
-def solve(p, c):
-    """The fastest pace from a feasible one; c is changed in place. Returns how many Newton steps it took."""
+def solve(p, c, first):
+    """The fastest pace from a feasible one; c is changed in place. Returns how many Newton steps it took.
+
+    The first barrier is a share of the time: `COLD` from anywhere, `WARM` from near the solution.
+    """
     count = len(c)
     gradient, band, step, trial = np.empty(count), np.empty((count, 3)), np.empty(count), np.empty(count)
     time = p.h * (count - 2)
-    barrier, total = BARRIER_FIRST * time, 0
+    barrier, total = first * time, 0
     while True:
         cost = value(c, p, barrier)
         for _ in range(NEWTON_STEPS):

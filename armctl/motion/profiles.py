@@ -16,6 +16,7 @@ from armctl.trajectory import Limits
 _WORKING = {ruckig.Result.Working, ruckig.Result.Finished}
 _TOGETHER, _ALONE = ruckig.Synchronization.Time, ruckig.Synchronization.No
 _SAME_TIME = 1e-12
+_HAIRS = (1e-9, 1e-7, 1e-5)
 
 
 class Moving(NamedTuple):
@@ -58,9 +59,8 @@ class Profiles:
         """
         n = len(v_max)
         self._otg, self._input, self._result = ruckig.Ruckig(n), ruckig.InputParameter(n), ruckig.Trajectory(n)
-        self._input.max_velocity = v_max.tolist()
-        self._input.max_acceleration = a_max.tolist()
-        self._input.max_jerk = j_max.tolist()
+        self._bounds = v_max, a_max, j_max
+        self._limit(1.0)
 
     @classmethod
     def of(cls, limits: Limits) -> Profiles:
@@ -128,10 +128,26 @@ class Profiles:
         return found
 
     def _found(self) -> bool:
+        """Asks ruckig; where rounding leaves it without an answer, with limits a hair's breadth tighter."""
+        try:
+            return self._otg.calculate(self._input, self._result) in _WORKING
+        except ruckig.RuckigError:
+            found = any(self._found_within(1 - hair) for hair in _HAIRS)
+            self._limit(1.0)
+            return found
+
+    def _found_within(self, share: float) -> bool:
+        self._limit(share)
         try:
             return self._otg.calculate(self._input, self._result) in _WORKING
         except ruckig.RuckigError:
             return False
+
+    def _limit(self, share: float) -> None:
+        v_max, a_max, j_max = self._bounds
+        self._input.max_velocity = (share * v_max).tolist()
+        self._input.max_acceleration = (share * a_max).tolist()
+        self._input.max_jerk = (share * j_max).tolist()
 
     def at(self, t: float) -> tuple[list[float], list[float], list[float]]:
         """The move at a time.

@@ -20,6 +20,7 @@ _SHORTEST, _GROWTH = 0.01, 1.15  # s, and from one length of a fall to the next
 _RAMP = 0.2  # of a fall, in which its slope grows
 _CUTS = 20  # of a fall
 _APART = 2e-5  # s, between cuts
+_SLIVER = 1e-9  # s, too short for a piece
 
 
 def stopped(trajectory: JointTrajectory, t: float) -> JointTrajectory:
@@ -90,6 +91,8 @@ def _crossings(trajectory: JointTrajectory, begin: float, fall: float) -> Array:
 def _until(trajectory: JointTrajectory, t: float, rest: JointTrajectory) -> JointTrajectory:
     """A motion up to a time, and then another."""
     k = int(np.searchsorted(trajectory.knots, t, side="left"))
+    if k > 0 and t - trajectory.knots[k - 1] < _SLIVER:
+        k, t = k - 1, float(trajectory.knots[k - 1])
     if k == 0:
         return rest
     knots = np.append(trajectory.knots[:k], t)

@@ -57,18 +57,19 @@ def move_j(
 
 
 def _line(arm: Arm, start: Array, goal: Array, v: Array) -> Pieces:
-    """The pieces of q(t) = start + s(t) (goal - start), s from 0 to 1."""
+    """The pieces of q(t) = start + s(t) (goal - start) / length, the length the longest way of a joint."""
     way = goal - start
     length = float(np.abs(way).max())
     if length == 0.0 and not v.any():
         return Pieces(np.zeros(2), np.concatenate([start[None, None], np.zeros((1, 5, arm.n))], axis=1))
+    way = way / length if length else way
     speed = float(v @ way) / float(way @ way) if length else 0.0
     if np.abs(v - speed * way).max() > _PARALLEL * arm.limits.v_max.min():
         raise InputError("v_start: it leads off the straight line from q_start to q_goal; plan with straight=False")
     with np.errstate(divide="ignore"):
         bounds = [np.array([(bound / np.abs(way)).min()]) for bound in (arm.limits.v_max, arm.limits.a_max, arm.limits.j_max)]
-    one = np.ones(1)
-    knots, s = Profiles(*bounds).solve(Moving(0 * one, speed * one, 0 * one), at_rest(one))
+    zero = np.zeros(1)
+    knots, s = Profiles(*bounds).solve(Moving(zero, zero + speed, zero), at_rest(zero + length))
     coefficients = s * way
     coefficients[:, 0] += start
     return Pieces(knots, coefficients)

@@ -23,7 +23,8 @@ def move_through(arm: Arm, waypoints: ArrayLike) -> JointTrajectory:
     """The motion through every waypoint without stopping, at rest at the first and the last.
 
     Between waypoints each joint takes its own way, jerk-limited and inside its position limits; the velocities and
-    accelerations at the waypoints are those that a search finds fastest. It is never slower than stopping at each.
+    accelerations at the waypoints are those that a search finds fastest. It is never slower than stopping at each. Where a
+    motor would saturate it goes slower, and its `slowed` says so.
 
     Args:
         arm: The arm.
@@ -35,6 +36,7 @@ def move_through(arm: Arm, waypoints: ArrayLike) -> JointTrajectory:
     Raises:
         InputError: A wrong shape, a number that is not finite, or an arm without finite limits.
         LimitError: A position outside the limits.
+        PlanError: A motor cannot hold the arm on the way, however slowly it moves.
     """
     require_bounds(arm)
     rows = matrix("waypoints", waypoints, arm.n)
@@ -44,16 +46,26 @@ def move_through(arm: Arm, waypoints: ArrayLike) -> JointTrajectory:
     points = points[np.concatenate([[True], np.diff(points, axis=0).any(axis=1)])]
     if len(points) == 1:
         return JointTrajectory.standing(arm.joint_names, arm.limits, points[0])
-    best = _fastest(WaypointSearch(points, arm.limits))
-    states = [Moving(*state) for state in zip(best.q, best.v, best.a, strict=True)]
+    search = WaypointSearch(points, arm.limits)
+    stopping = search.at_rest()
+    motion = within_torque(arm, _motion(arm, _fastest(search, stopping)))
+    if motion.duration > stopping.durations.sum():  # the motors slow one more than the other
+        motion = min(motion, within_torque(arm, _motion(arm, stopping)), key=lambda one: one.duration)
+    return motion
+
+
+def _motion(arm: Arm, found: Candidate) -> JointTrajectory:
+    """The motion that a search found."""
     profiles = Profiles.of(arm.limits)
-    sections = [JointTrajectory(*profiles.solve(a, b), arm.joint_names, arm.limits) for a, b in pairwise(states)]
-    return within_torque(arm, JointTrajectory.joined(sections))
+    states = [Moving(*state) for state in zip(found.q, found.v, found.a, strict=True)]
+    return JointTrajectory.joined(
+        [JointTrajectory(*profiles.solve(a, b), arm.joint_names, arm.limits) for a, b in pairwise(states)]
+    )
 
 
-def _fastest(search: WaypointSearch) -> Candidate:
+def _fastest(search: WaypointSearch, stopping: Candidate) -> Candidate:
     """The best of stopping at each waypoint and of what the search finds from a spline, twice."""
-    best = search.at_rest()
+    best = stopping
     times = _TIME_SHARE * best.durations
     for _ in range(2 if len(search.q) > 2 else 0):
         start = search.evaluate(*_spline(times, search.q))

@@ -20,7 +20,7 @@ from armctl.motion.pace import TorqueRows, slower
 from armctl.motion.slowdown import Slowdown
 from armctl.trajectory import Trajectory
 
-_SAMPLE = 0.002  # s
+_SAMPLE = 0.004  # s
 _MARGIN = 1e-3  # of the limits
 _STRETCHES, _STRETCH = 400, 1.01
 
@@ -63,7 +63,7 @@ def check_torque(arm: Arm, trajectory: Trajectory) -> TorqueCheck:
         trajectory: Any motion of its joints.
 
     Returns:
-        The check, from samples at most 2 ms apart.
+        The check, from samples at most 4 ms apart.
 
     Raises:
         InputError: A motion of another number of joints.
@@ -155,4 +155,4 @@ def _times(trajectory: Trajectory) -> Array:
 
 def _torques(dynamics: Dynamics, q: Array, v: Array, a: Array) -> Array:
     """(T, n) N m, dry friction included."""
-    return np.array([dynamics.inverse(*row) + dynamics.friction(*row) for row in zip(q, v, a, strict=True)])
+    return np.array([dynamics.inverse(*row) for row in zip(q, v, a, strict=True)]) + dynamics.friction(q, v, a)

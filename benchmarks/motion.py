@@ -1,0 +1,309 @@
+"""Motions against their peers: waypoints (ruckig stopping, toppra), lines (toppra), limits kept, new goals online.
+
+    python benchmarks/motion.py [--moves 10000] [--sets 20] [--lines 20] [--out benchmarks/results/motion.md]
+
+Speed, acceleration and jerk limits are the Panda's; torque limits are lifted for the comparisons, since no peer has any.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import toppra
+from scipy.interpolate import make_interp_spline
+from toppra.algorithm import TOPPRA
+from toppra.constraint import DiscretizationType, JointAccelerationConstraint, JointVelocityConstraint
+
+import armctl
+from armctl.motion import JointTrajectory, move_path
+from armctl.motion.waypoint_search import WaypointSearch
+
+Array = np.ndarray
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--moves", type=int, default=10_000)
+    parser.add_argument("--sets", type=int, default=20)
+    parser.add_argument("--lines", type=int, default=20)
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "motion.md")
+    args = parser.parse_args()
+    warnings.simplefilter("ignore", armctl.ArmctlWarning)
+    logging.getLogger("toppra").setLevel(logging.ERROR)
+    panda = untiring(armctl.load("panda"))
+    armctl.move_l(panda, panda.home, panda.fk(panda.home).position + np.array([0.0, 0.0, 0.05]))  # compiles, once
+    sections = [waypoints(panda, args.sets), lines(panda, args.lines), online(panda), limits_kept(args.moves)]
+    text = "\n\n".join(sections) + "\n"
+    args.out.parent.mkdir(exist_ok=True)
+    args.out.write_text(text, encoding="utf-8")
+    print(text)
+
+
+def untiring(arm: armctl.Arm, jerk: float = 1.0) -> armctl.Arm:
+    """The arm without torque limits, and with a share of its jerk."""
+    limits = replace(arm.limits, tau_max=np.full(arm.n, np.inf), j_max=jerk * arm.limits.j_max)
+    return replace(arm, limits=limits)
+
+
+def table(title: str, columns: list[str], rows: list) -> str:
+    head = [f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}"]
+    return "\n".join([f"**{title}**", "", *head, *(f"| {' | '.join(map(str, row))} |" for row in rows)])
+
+
+# Waypoints
+
+
+def uniform(arm: armctl.Arm, rng: np.random.Generator) -> Array:
+    """Ten positions anywhere inside the limits."""
+    return rng.uniform(arm.limits.q_min, arm.limits.q_max, (10, arm.n))
+
+
+def walk(arm: armctl.Arm, rng: np.random.Generator, memory: float = 0.6, step: float = 0.1) -> Array:
+    """Ten positions of a random walk of small steps; a step keeps a part of the one before it."""
+    low, high = arm.limits.q_min, arm.limits.q_max
+    while True:
+        steps = rng.normal(0.0, step, (9, arm.n))
+        for k in range(1, 9):
+            steps[k] = memory * steps[k - 1] + np.sqrt(1 - memory**2) * steps[k]
+        q = rng.uniform(low, high) + np.vstack([np.zeros(arm.n), np.cumsum(steps, axis=0)])
+        if arm.limits.contains(q):
+            return q
+
+
+def jumpy(arm: armctl.Arm, rng: np.random.Generator) -> Array:
+    """A random walk whose steps know nothing of each other: half of the joints turn round at each waypoint."""
+    return walk(arm, rng, memory=0.0)
+
+
+def waypoints(panda: armctl.Arm, sets: int) -> str:
+    rows = []
+    for kind, asked in ((uniform, (0.935, 0.926)), (walk, (0.590, 0.565)), (jumpy, ("", ""))):
+        for jerk, wanted in zip((1.0, 0.1), asked, strict=True):
+            arm, rng = untiring(panda, jerk), np.random.default_rng(1)
+            shares, peers, times, inside = [], [], [], True
+            for _ in range(sets):
+                q = kind(arm, rng)
+                stopping = WaypointSearch(q, arm.limits).at_rest().durations
+                began = time.perf_counter()
+                motion = armctl.move_through(arm, q)
+                times.append(time.perf_counter() - began)
+                shares.append(motion.duration / stopping.sum())
+                peers.append(toppra_time(arm, q, np.concatenate([[0.0], np.cumsum(stopping)]), 400) / stopping.sum())
+                inside &= motion.check_limits().ok
+            figures = f"{np.mean(shares):.3f}", wanted, f"{np.mean(peers):.3f}", f"{1e3 * np.median(times):.0f}"
+            rows.append((kind.__name__, jerk, *figures, "yes" if inside else "NO"))
+    columns = ["10 waypoints", "jerk", "armctl / stopping", "wanted", "toppra / stopping", "median, ms", "all limits kept"]
+    return table(
+        "Through waypoints: duration as a share of stopping at each (toppra: without jerk or position limits)", columns, rows
+    )
+
+
+def toppra_time(arm: armctl.Arm, q: Array, at: Array, points: int) -> float:
+    """The time-optimal duration along the cubic spline through positions, without jerk limits."""
+    v, a = arm.limits.v_max, arm.limits.a_max
+    constraints = [
+        JointVelocityConstraint(np.column_stack([-v, v])),
+        JointAccelerationConstraint(np.column_stack([-a, a]), discretization_scheme=DiscretizationType.Interpolation),
+    ]
+    path = toppra.SplineInterpolator(at, q)
+    grid = np.linspace(at[0], at[-1], points)
+    found = TOPPRA(constraints, path, gridpoints=grid, solver_wrapper="seidel").compute_trajectory(0, 0)
+    return float(found.duration)
+
+
+# Lines
+
+
+def random_line(arm: armctl.Arm, rng: np.random.Generator) -> tuple[Array, armctl.Pose]:
+    """A start in the middle of the joint ranges and a pose 0.2 to 0.6 m and up to 0.8 rad away."""
+    middle, half = 0.5 * (arm.limits.q_max + arm.limits.q_min), 0.5 * (arm.limits.q_max - arm.limits.q_min)
+    half = np.where(np.isfinite(half), half, np.pi)
+    q = np.where(np.isfinite(middle), middle, 0.0) + 0.7 * half * rng.uniform(-1, 1, arm.n)
+    start = arm.fk(q)
+    way, axis = rng.normal(size=3), rng.normal(size=3)
+    way *= rng.uniform(0.2, 0.6) / np.linalg.norm(way)
+    half_angle = 0.5 * rng.uniform(0.0, 0.8)
+    turn = armctl.Pose([0, 0, 0], quat=[np.cos(half_angle), *(np.sin(half_angle) * axis / np.linalg.norm(axis))])
+    return q, armctl.Pose(start.position + way, quat=(turn @ start).quat)
+
+
+def lines(panda: armctl.Arm, count: int) -> str:
+    rows = []
+    for jerk, wanted in ((1.0, 1.01), (0.1, 1.04)):
+        arm, rng = untiring(panda, jerk), np.random.default_rng(0)
+        ratios, times, off, inside = [], [], [], True
+        while len(ratios) < count:
+            q, target = random_line(arm, rng)
+            try:
+                began = time.perf_counter()
+                motion = armctl.move_l(arm, q, target)
+                times.append(time.perf_counter() - began)
+            except armctl.PlanError:
+                continue
+            ratios.append(motion.duration / toppra_time(arm, *along(arm, motion), 1000))
+            off.append(off_line(arm, motion))
+            inside &= motion.check_limits().ok
+        figures = (f"{figure(ratios):.4f}" for figure in (np.mean, np.median, np.max))
+        rest = f"{1e6 * np.max(off):.3f}", f"{1e3 * np.median(times):.0f}", "yes" if inside else "NO"
+        rows.append((jerk, *figures, wanted, *rest))
+    columns = ["jerk", "mean", "median", "worst", "wanted", "tip off the line, um (wanted 5)", "median, ms", "all limits kept"]
+    return table(
+        f"{count} tip lines: duration over toppra's optimum, without jerk limits, for the same joint path", columns, rows
+    )
+
+
+def along(arm: armctl.Arm, motion: JointTrajectory) -> tuple[Array, Array]:
+    """The joint path of a line, evenly along the tip's way, and where on it."""
+    q = motion.sample(np.linspace(0.0, motion.duration, 4000)).q
+    way = np.linalg.norm(arm.fk_many(q)[0] - arm.fk(q[0]).position, axis=1)
+    way, first = np.unique(way, return_index=True)
+    s = np.linspace(0.0, way[-1], 200)
+    return make_interp_spline(way, q[first], k=3)(s), s
+
+
+def off_line(arm: armctl.Arm, motion: JointTrajectory) -> float:
+    """How far the tip comes from its straight line, m."""
+    p = arm.fk_many(motion.sample(np.linspace(0.0, motion.duration, 2000)).q)[0]
+    way = p[-1] - p[0]
+    way /= np.linalg.norm(way)
+    return float(np.linalg.norm((p - p[0]) - ((p - p[0]) @ way)[:, None] * way, axis=1).max())
+
+
+# Limits
+
+
+def limits_kept(moves: int) -> str:
+    """Random moves of every kind on several arms; violations by true extremes and by 1 kHz differences."""
+    kinds: list[tuple[str, int, Callable]] = [
+        ("move_j", 50, lambda arm, rng: armctl.move_j(arm, anywhere(arm, rng), anywhere(arm, rng))),
+        (
+            "move_j, not straight",
+            30,
+            lambda arm, rng: armctl.move_j(arm, anywhere(arm, rng), anywhere(arm, rng), straight=False),
+        ),
+        ("move_through", 5, lambda arm, rng: armctl.move_through(arm, [anywhere(arm, rng) for _ in range(4)])),
+        ("move_l", 7, lambda arm, rng: armctl.move_l(arm, *point_near(arm, rng))),
+        ("move_c", 3, arc),
+        ("move_path", 2, rounded),
+        ("stopped_at", 3, stopped),
+    ]
+    arms = [armctl.load(name) for name in ("panda", "ur5e", "robot_arm_3dof")]
+    rows = []
+    for name, percent, plan in kinds:
+        rng, wanted = np.random.default_rng(2), max(1, moves * percent // 100)
+        done = refused = slowed = 0
+        ratios, differences, torques = [0.0], [0.0], [0.0]
+        while done < wanted:
+            arm = arms[done % len(arms)]
+            try:
+                motion = plan(arm, rng)
+            except armctl.PlanError:
+                refused += 1
+                continue
+            done += 1
+            slowed += motion.slowed is not None
+            ratios.append(motion.check_limits().worst.ratio)
+            differences.append(by_differences(motion))
+            torques.append(armctl.check_torque(arm, motion).ratio)
+        violations = sum(ratio > 1 + 1e-6 for ratio in ratios)
+        rows.append(
+            [
+                name,
+                done,
+                violations,
+                f"{max(ratios) - 1:.1e}",
+                f"{max(differences):.5f}",
+                f"{max(torques):.4f}",
+                slowed,
+                refused,
+            ]
+        )
+    columns = [
+        "kind",
+        "moves",
+        "violations",
+        "worst ratio - 1",
+        "worst by 1 kHz",
+        "most torque / limit",
+        "slowed for torque",
+        "refused",
+    ]
+    return table("Random moves on panda, ur5e and robot_arm_3dof: v, a, j and position limits", columns, rows)
+
+
+def anywhere(arm: armctl.Arm, rng: np.random.Generator) -> Array:
+    low, high = np.maximum(arm.limits.q_min, -np.pi), np.minimum(arm.limits.q_max, np.pi)
+    return rng.uniform(low, high)
+
+
+def point_near(arm: armctl.Arm, rng: np.random.Generator) -> tuple[Array, Array]:
+    q = anywhere(arm, rng)
+    way = rng.normal(size=3)
+    return q, arm.fk(q).position + rng.uniform(0.02, 0.2) * way / np.linalg.norm(way)
+
+
+def arc(arm: armctl.Arm, rng: np.random.Generator) -> JointTrajectory:
+    q, via = point_near(arm, rng)
+    return armctl.move_c(arm, q, via, via + rng.normal(0.0, 0.05, 3))
+
+
+def rounded(arm: armctl.Arm, rng: np.random.Generator) -> JointTrajectory:
+    q, first = point_near(arm, rng)
+    return move_path(arm, q, [first, first + rng.normal(0.0, 0.05, 3), first + rng.normal(0.0, 0.05, 3)], blend=0.005)
+
+
+def stopped(arm: armctl.Arm, rng: np.random.Generator) -> JointTrajectory:
+    motion = armctl.move_j(arm, anywhere(arm, rng), anywhere(arm, rng))
+    return motion.stopped_at(rng.uniform(0.0, motion.duration))
+
+
+def by_differences(motion: JointTrajectory) -> float:
+    """The most that differences of 1 kHz samples of q, v and a use of the limits on v, a and j."""
+    times = np.arange(0.0, motion.duration, 1e-3)
+    if len(times) < 2:
+        return 0.0
+    samples, limits = motion.sample(times), motion.limits
+    bounds = (limits.v_max, limits.a_max, limits.j_max)
+    return max(float((np.abs(np.diff(x, axis=0)) / 1e-3 / bound).max()) for x, bound in zip(samples[:3], bounds, strict=True))
+
+
+# Online
+
+
+def online(panda: armctl.Arm) -> str:
+    """A new goal every 20 ms, in the middle of the motion to the last one."""
+    rng, motion = np.random.default_rng(3), armctl.OnlineMotion(panda, panda.home)
+    times, samples = [], []
+    for tick in range(100_000):
+        if tick % 20 == 0:
+            goal = anywhere(panda, rng) if tick % 4000 else panda.home
+            began = time.perf_counter()
+            motion.go_to(goal)
+            times.append(time.perf_counter() - began)
+        samples.append(motion.step(1e-3)[:3])
+    q, v, a = np.moveaxis(np.array(samples), 1, 0)
+    limits = panda.limits
+    ratio = max(float((np.abs(x) / bound).max()) for x, bound in ((v, limits.v_max), (a, limits.a_max)))
+    jerk = float((np.abs(np.diff(a, axis=0)) / 1e-3 / limits.j_max).max())
+    median, late = np.percentile(times, [50, 99]) * 1e6
+    row = [
+        len(times),
+        f"{median:.0f}",
+        f"{late:.0f}",
+        50,
+        f"{max(ratio, jerk):.6f}",
+        "yes" if limits.contains(q, 1e-9) else "NO",
+    ]
+    columns = ["new goals", "median, us", "p99, us", "wanted", "worst v, a, j / limit", "position limits kept"]
+    return table("Online: a new goal in motion", columns, [row])
+
+
+if __name__ == "__main__":
+    main()

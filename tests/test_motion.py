@@ -1,0 +1,471 @@
+"""What holds for every planner on every arm: ends right, derivatives right, limits kept, torques within the motors' reach."""
+
+import itertools
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import ARMS, arm_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import armctl
+from armctl.motion import JointTrajectory, polynomials
+from armctl.motion.peaks import piece_extremes
+
+
+def anywhere(arm: armctl.Arm, rng: np.random.Generator, share: float = 1.0) -> np.ndarray:
+    low, high = np.maximum(arm.limits.q_min, -3.0), np.minimum(arm.limits.q_max, 3.0)
+    return rng.uniform(*(0.5 * (low + high) + share * 0.5 * (high - low) * side for side in (-1.0, 1.0)))
+
+
+def straight(arm, rng):
+    q, goal = anywhere(arm, rng), anywhere(arm, rng)
+    return armctl.move_j(arm, q, goal), q, goal
+
+
+def together(arm, rng):
+    q, goal = anywhere(arm, rng), anywhere(arm, rng)
+    return armctl.move_j(arm, q, goal, straight=False), q, goal
+
+
+def through(arm, rng):
+    q = np.array([anywhere(arm, rng) for _ in range(4)])
+    return armctl.move_through(arm, q), q[0], q[-1]
+
+
+def line(arm, rng):
+    for _ in range(20):
+        q = anywhere(arm, rng, 0.6)
+        way = arm.jacobian(q)[:3] @ rng.normal(size=arm.n)  # where the tip can go at all: a planar arm stays in its plane
+        try:
+            motion = armctl.move_l(arm, q, arm.fk(q).position + 0.03 * way / np.linalg.norm(way))
+        except armctl.PlanError:
+            continue
+        return motion, q, motion.sample([motion.duration]).q[0]
+    raise AssertionError("not one line of twenty can be planned")
+
+
+PLANNERS = [straight, together, through, line]
+every_planner = pytest.mark.parametrize("plan", PLANNERS, ids=lambda plan: plan.__name__)
+every_arm = pytest.mark.parametrize("name", ARMS)
+panda_or_bundled = pytest.mark.parametrize("name", ["robot_arm_3dof", "panda"])
+
+
+def assert_lawful(motion: JointTrajectory) -> None:
+    """Inside the limits by true extremes and by 1 kHz differences; v = dq/dt, a = dv/dt; continuous."""
+    check = motion.check_limits()
+    assert check.ok, str(check)
+    times = np.arange(0.0, motion.duration, 1e-3)
+    q, v, a = motion.sample(times)[:3]
+    bounds = (motion.limits.v_max, motion.limits.a_max, motion.limits.j_max)
+    for x, bound in zip((q, v, a), bounds, strict=True):
+        assert (np.abs(np.diff(x, axis=0)) <= 1.001e-3 * bound).all()
+    mean_v, mean_a = 0.5 * (v[1:] + v[:-1]), 0.5 * (a[1:] + a[:-1])
+    trapezoid = 1e-6 / 12 * 1.01 * 3  # of the next derivative, which may jump once inside a step
+    assert (np.abs(np.diff(q, axis=0) / 1e-3 - mean_v) <= 3 * trapezoid * motion.limits.j_max + 1e-9).all()
+    assert (np.abs(np.diff(v, axis=0) / 1e-3 - mean_a) <= 0.26e-3 * motion.limits.j_max + 1e-9).all()
+    before, after = piece_ends(motion)
+    for order, (left, right) in enumerate(zip(before, after, strict=True)):
+        assert np.allclose(left, right, atol=1e-7 * 100**order), order
+
+
+def piece_ends(motion: JointTrajectory):
+    """Position, velocity and acceleration at the inner knots, from the left and from the right."""
+    h = np.diff(motion.knots)[:-1, None]
+    c = motion.coefficients
+    left = [
+        sum(np.prod(np.arange(k - order + 1, k + 1)) * c[:-1, k] * h ** (k - order) for k in range(order, 6))
+        for order in range(3)
+    ]
+    return left, [c[1:, 0], c[1:, 1], 2 * c[1:, 2]]
+
+
+@every_arm
+@every_planner
+def test_a_motion_keeps_every_law(name, plan):
+    arm = arm_of(name)
+    motion, start, goal = plan(arm, np.random.default_rng(5))
+    first, last = motion(0.0), motion(motion.duration)
+    assert np.allclose(first.q, start, atol=1e-9)
+    assert np.allclose(last.q, goal, atol=1e-7)
+    for setpoint in (first, last):
+        assert np.abs(setpoint.v).max() < 1e-6
+        assert np.abs(setpoint.a).max() < 1e-4
+    assert_lawful(motion)
+    assert armctl.check_torque(arm, motion).ratio <= 1.0 + 1e-9
+
+
+@panda_or_bundled
+@every_planner
+def test_one_instant_and_many_agree_and_outside_it_stands_still(name, plan):
+    motion, *_ = plan(arm_of(name), np.random.default_rng(1))
+    times = np.linspace(-0.1, motion.duration + 0.1, 57)
+    many = motion.sample(times)
+    for k, t in enumerate(times):
+        one = motion(t)
+        for x, y in zip(one[:3], many[:3], strict=True):
+            assert np.allclose(x, y[k], atol=1e-12)
+    assert not many.v[[0, -1]].any()
+    assert np.array_equal(many.q[-1], motion(motion.duration).q)
+
+
+@panda_or_bundled
+@every_planner
+@settings(max_examples=8)
+@given(factor=st.floats(0.05, 1.0))
+def test_a_scaled_motion_takes_the_same_path_inside_the_limits(name, plan, factor):
+    motion, *_ = plan(arm_of(name), np.random.default_rng(2))
+    slow = motion.scaled(factor)
+    assert slow.duration == pytest.approx(motion.duration / factor)
+    assert slow.check_limits().ok
+    times = np.linspace(0.0, motion.duration, 40)
+    assert np.allclose(slow.sample(times / factor).q, motion.sample(times).q, atol=1e-10)
+
+
+@panda_or_bundled
+@every_planner
+@settings(max_examples=8)
+@given(share=st.floats(0.0, 1.0))
+def test_a_stop_stays_on_the_path_and_inside_the_limits(name, plan, share):
+    motion, *_ = plan(arm_of(name), np.random.default_rng(3))
+    asked = share * motion.duration
+    stop = motion.stopped_at(asked)
+    assert stop.duration <= motion.duration + 1e-9
+    last = stop(stop.duration)
+    assert np.abs(last.v).max() < 1e-6
+    assert np.abs(last.a).max() < 1e-4
+    assert stop.check_limits().ok, str(stop.check_limits())
+    until = np.linspace(0.0, asked, 20)
+    assert np.allclose(stop.sample(until).q, motion.sample(until).q, atol=1e-9)
+    for q in stop.sample(np.linspace(asked, stop.duration, 12)).q:
+        assert distance_to_path(motion, q) < 1e-6
+
+
+def distance_to_path(motion: JointTrajectory, q: np.ndarray) -> float:
+    """How far a position is from the nearest on the path."""
+    low, high = 0.0, motion.duration
+    for _ in range(5):
+        times = np.linspace(low, high, 401)
+        away = np.abs(motion.sample(times).q - q).max(axis=1)
+        k = int(away.argmin())
+        low, high = times[max(k - 1, 0)], times[min(k + 1, 400)]
+    return float(away.min())
+
+
+def test_a_stop_in_the_middle_of_a_long_move_is_soon():
+    arm = arm_of("robot_arm_3dof")
+    motion = armctl.move_j(arm, [-3.0, 0.0, -1.0], [3.0, 0.0, -1.0])
+    stop = motion.stopped_at(0.5 * motion.duration)
+    braking = arm.limits.v_max[0] / arm.limits.a_max[0] + arm.limits.a_max[0] / arm.limits.j_max[0]
+    assert stop.duration < 0.5 * motion.duration + 1.5 * braking
+
+
+def test_a_straight_move_is_straight_and_as_fast_as_its_tightest_joint():
+    rng = np.random.default_rng(4)
+    for name in ("panda", "robot_arm_3dof"):
+        arm = arm_of(name)
+        lifted = untiring(arm)
+        motion, start, goal = straight(lifted, rng)
+        along = (goal - start) / np.linalg.norm(goal - start)
+        away = motion.sample(np.linspace(0, motion.duration, 500)).q - start
+        assert np.abs(away - (away @ along)[:, None] * along).max() < 1e-13
+        worst = {peak.quantity: 0.0 for peak in motion.check_limits().peaks}
+        for peak in motion.check_limits().peaks:
+            worst[peak.quantity] = max(worst[peak.quantity], peak.ratio)
+        assert worst["jerk"] == pytest.approx(1.0, abs=1e-9)
+        assert max(worst["velocity"], worst["acceleration"]) == pytest.approx(1.0, abs=1e-9)
+        assert armctl.move_j(lifted, start, goal, straight=False).duration <= motion.duration + 1e-9
+
+
+def untiring(arm: armctl.Arm) -> armctl.Arm:
+    return replace(arm, limits=replace(arm.limits, tau_max=np.full(arm.n, np.inf)))
+
+
+@settings(max_examples=10)
+@given(seed=st.integers(0, 10_000), count=st.integers(2, 6), step=st.floats(0.01, 1.5))
+def test_flowing_is_never_slower_than_stopping_and_meets_every_waypoint(seed, count, step):
+    arm, rng = untiring(arm_of("robot_arm_3dof")), np.random.default_rng(seed)
+    q = arm.limits.clamp(anywhere(arm, rng) + np.cumsum(rng.normal(0.0, step, (count, arm.n)), axis=0))
+    flowing = armctl.move_through(arm, q)
+    stopping = sum(armctl.move_j(arm, a, b, straight=False).duration for a, b in itertools.pairwise(q))
+    assert flowing.duration <= stopping + 1e-9
+    assert_lawful(flowing)
+    passed = flowing.sample(flowing.knots).q
+    assert all(np.abs(passed - point).max(axis=1).min() < 1e-7 for point in q)
+
+
+def test_flowing_along_a_line_of_waypoints_does_not_stop():
+    arm = untiring(arm_of("panda"))
+    q = arm.home + np.linspace(-0.5, 0.5, 6)[:, None] * np.array([1.0, 0.5, 0.2, 0.3, 0.4, 0.5, 0.1])
+    straight_on = armctl.move_j(arm, q[0], q[-1], straight=False).duration
+    assert armctl.move_through(arm, q).duration < 1.15 * straight_on
+
+
+def test_waypoints_at_a_joint_limit_and_twice_the_same_are_met():
+    arm = arm_of("robot_arm_3dof")
+    limits = arm.limits
+    q = [arm.home, limits.q_max, limits.q_max, 0.5 * (limits.q_min + limits.q_max), limits.q_min]
+    motion = armctl.move_through(arm, q)
+    assert_lawful(motion)
+    assert np.allclose(motion(motion.duration).q, limits.q_min, atol=1e-7)
+    assert armctl.move_through(arm, [arm.home, arm.home]).duration == 0.0
+
+
+def test_a_motion_to_where_the_arm_is_takes_no_time():
+    arm = arm_of("panda")
+    for motion in (armctl.move_j(arm, arm.home, arm.home), armctl.move_l(arm, arm.home, arm.fk(arm.home))):
+        assert motion.duration == 0.0
+        assert np.array_equal(motion(0.0).q, arm.home)
+        assert motion.sample([0.0, 1.0]).q.shape == (2, 7)
+        assert motion.check_limits().ok
+
+
+def test_the_same_waypoints_give_the_same_bits():
+    arm, rng = arm_of("panda"), np.random.default_rng(7)
+    q = [anywhere(arm, rng) for _ in range(4)]
+    one, two = armctl.move_through(arm, q), armctl.move_through(arm, q)
+    assert np.array_equal(one.knots, two.knots)
+    assert np.array_equal(one.coefficients, two.coefficients)
+
+
+@pytest.mark.parametrize("way", [1.0, 0.1, 0.01, 1e-4, 1e-7, 1e-10])
+def test_round_numbers_and_tiny_ways_can_be_planned(way):
+    arm = arm_of("robot_arm_3dof")  # v 2, a 20, j 400: at 0.1 rad the phases of a profile just vanish
+    for motion in (armctl.move_j(arm, arm.home, arm.home + way), armctl.move_through(arm, [arm.home, arm.home + way])):
+        assert np.allclose(motion(motion.duration).q, arm.home + way, atol=1e-9)
+        assert motion.check_limits().ok
+
+
+# Starting in motion
+
+
+def test_a_move_can_start_along_its_line():
+    arm = arm_of("panda")
+    goal = arm.home + 0.4
+    v = 0.3 * (goal - arm.home)
+    motion = armctl.move_j(arm, arm.home, goal, v_start=v)
+    assert np.allclose(motion(0.0).v, v)
+    assert motion.duration < armctl.move_j(arm, arm.home, goal).duration
+    assert_lawful(motion)
+
+
+def test_a_start_that_cannot_be_kept_is_refused():
+    arm = arm_of("robot_arm_3dof")
+    start = arm.limits.q_max - 1e-3
+    with pytest.raises(armctl.InputError, match="off the straight line"):
+        armctl.move_j(arm, start, arm.home, v_start=[0.0, 0.1, 0.1])
+    with pytest.raises(armctl.LimitError, match=r"v_start: shoulder_yaw: position .* limit"):
+        armctl.move_j(arm, start, arm.home, v_start=[1.0, 0.0, 0.0], straight=False)
+    with pytest.raises(armctl.LimitError, match=r"v_start: shoulder_yaw: 99 rad/s is outside"):
+        armctl.move_j(arm, start, arm.home, v_start=[99.0, 0.0, 0.0], straight=False)
+
+
+# Bad input
+
+
+@pytest.mark.parametrize("plan", [armctl.move_j, lambda arm, a, b: armctl.move_through(arm, [a, b])], ids=["move_j", "through"])
+def test_bad_positions_are_refused(plan):
+    arm = arm_of("panda")
+    with pytest.raises(armctl.LimitError, match=r"joint4: 1 rad is outside \[-3.07"):
+        plan(arm, arm.home, [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    with pytest.raises(armctl.InputError):
+        plan(arm, arm.home[:6], arm.home[:6])
+    with pytest.raises(armctl.InputError, match="nan"):
+        plan(arm, arm.home, np.full(7, np.nan))
+
+
+def test_one_waypoint_is_too_few():
+    arm = arm_of("panda")
+    with pytest.raises(armctl.InputError, match="at least 2 wanted"):
+        armctl.move_through(arm, [arm.home])
+
+
+def test_an_arm_without_a_jerk_limit_is_refused():
+    arm = arm_of("panda")
+    endless = replace(arm, limits=replace(arm.limits, j_max=np.full(7, np.inf)))
+    with pytest.raises(armctl.InputError, match="j_max: joint1 has no limit"):
+        armctl.move_j(endless, arm.home, arm.home + 0.1)
+
+
+# Torque
+
+
+def weak(arm: armctl.Arm, share: float) -> armctl.Arm:
+    """The arm with motors that give this share of what its fastest move takes beyond holding still."""
+    return replace(arm, limits=replace(arm.limits, tau_max=share * arm.limits.tau_max))
+
+
+@every_planner
+def test_a_motion_is_slowed_until_the_motors_can_follow_and_says_so(plan):
+    arm = arm_of("panda")
+    tired = weak(arm, 0.5)
+    slowed = 0
+    for seed in range(4):
+        try:
+            motion, start, goal = plan(tired, np.random.default_rng(seed))
+        except armctl.PlanError:  # too heavy even to hold still
+            continue
+        assert armctl.check_torque(tired, motion).ok
+        assert_lawful(motion)
+        assert np.allclose(motion(0.0).q, start, atol=1e-9)
+        assert np.allclose(motion(motion.duration).q, goal, atol=1e-7)
+        if motion.slowed is not None:
+            slowed += 1
+            assert motion.slowed.factor > 1
+            assert motion.slowed.torque_ratio > 1
+            assert motion.slowed.joint in arm.joint_names
+            assert "times longer" in str(motion.slowed)
+    assert slowed or plan is line
+
+
+def test_a_slowed_move_stays_straight_and_slows_where_it_must_only():
+    arm = arm_of("panda")
+    start, goal = arm.home - 0.3, arm.home + 0.3
+    free = armctl.move_j(untiring(arm), start, goal)
+    need = armctl.check_torque(arm, free)
+    i = int(np.argmax(need.ratios))
+    tau_max = arm.limits.tau_max.copy()
+    tau_max[i] *= 0.93 * need.ratio
+    tired = replace(arm, limits=replace(arm.limits, tau_max=tau_max))
+    motion = armctl.move_j(tired, start, goal)
+    assert motion.slowed.joint == arm.joint_names[i]
+    assert 1.0 < motion.slowed.factor < 1.2
+    along = (goal - start) / np.linalg.norm(goal - start)
+    away = motion.sample(np.linspace(0, motion.duration, 500)).q - start
+    assert np.abs(away - (away @ along)[:, None] * along).max() < 1e-12
+
+
+def test_what_no_slowness_helps_is_refused():
+    arm = weak(arm_of("panda"), 0.01)
+    with pytest.raises(armctl.PlanError, match=r"joint\d: holding still takes .* N m"):
+        armctl.move_j(arm, arm.home, arm.home + 0.2)
+
+
+def test_torques_of_any_trajectory_can_be_checked():
+    arm = arm_of("panda")
+
+    class Still:
+        duration = 1.0
+
+        def __call__(self, t):
+            return armctl.Setpoint(arm.home, np.zeros(7), np.zeros(7))
+
+        def sample(self, times):
+            return armctl.Setpoint(*(np.tile(x, (len(times), 1)) for x in self(0.0)[:3]))
+
+    check = armctl.check_torque(arm, Still())
+    assert check.ok
+    assert "inside the torque limits" in str(check)
+    with pytest.raises(armctl.InputError, match="moves 7 joints, and robot_arm_3dof has 3"):
+        armctl.check_torque(arm_of("robot_arm_3dof"), Still())
+
+
+# The trajectory as a value
+
+
+@settings(max_examples=60)
+@given(st.lists(st.floats(-10, 10), min_size=1, max_size=6))
+def test_true_extremes_are_found(coefficients):
+    p = np.array(coefficients)
+    values = polynomials.value(p, np.linspace(0, 1, 2001))
+    places, found = polynomials.extremes(p)
+    assert found.max() >= values.max() - 1e-9
+    assert found.min() <= values.min() + 1e-9
+    assert np.allclose(polynomials.value(p, places), found)
+    assert found.max() <= values.max() + 1e-4
+    assert found.min() >= values.min() - 1e-4
+
+
+def test_a_violation_between_samples_is_found_and_named():
+    arm = arm_of("robot_arm_3dof")
+    motion = armctl.move_j(arm, arm.home, arm.home + 0.1)
+    assert motion.check_limits().ok
+    peak = max(p.value for p in motion.check_limits().peaks if p.quantity == "position" and p.joint == "shoulder_yaw")
+    tight = replace(arm.limits, q_max=np.array([peak - 1e-4, 2.0, 2.0]), v_max=0.5 * arm.limits.v_max)
+    check = motion.check_limits(tight)
+    assert not check.ok
+    assert {p.quantity for p in check.violations} >= {"position"}
+    assert "outside the limits: shoulder_" in str(check)
+    worst = check.worst
+    at = motion(worst.time)
+    assert getattr(at, {"position": "q", "velocity": "v"}[worst.quantity])[arm.joint_names.index(worst.joint)] == pytest.approx(
+        worst.value
+    )
+
+
+def test_extremes_of_pieces_are_those_of_their_values():
+    rng = np.random.default_rng(0)
+    coefficients, steps = rng.normal(size=(7, 6, 2)), rng.uniform(0.1, 0.5, 7)
+    for order in range(4):
+        _, values = piece_extremes(coefficients, steps, order)
+        for k in range(7):
+            u = np.linspace(0, steps[k], 4001)
+            for i in range(2):
+                p = np.polynomial.Polynomial(coefficients[k, :, i]).deriv(order)
+                assert values[k, i].max() == pytest.approx(p(u).max(), abs=1e-5)
+                assert values[k, i].min() == pytest.approx(p(u).min(), abs=1e-5)
+
+
+def test_motions_join_where_they_meet_and_only_there():
+    arm = arm_of("panda")
+    out, back = armctl.move_j(arm, arm.home, arm.home + 0.2), armctl.move_j(arm, arm.home + 0.2, arm.home)
+    both = out.then(back)
+    assert both.duration == pytest.approx(out.duration + back.duration)
+    assert np.allclose(both(both.duration).q, arm.home)
+    assert_lawful(both)
+    with pytest.raises(armctl.InputError, match=r"joint\d: the first motion ends at position"):
+        out.then(out)
+    with pytest.raises(armctl.InputError, match="cannot follow"):
+        out.then(armctl.move_j(arm_of("robot_arm_3dof"), [0, 0, -1], [0, 0, -1.5]))
+
+
+def test_a_motion_survives_pickle_and_files(tmp_path):
+    arm = weak(arm_of("panda"), 0.7)
+    motion = armctl.move_j(arm, arm.home - 0.3, arm.home + 0.3)
+    file = motion.save(tmp_path / "motion")
+    assert file.name == "motion.npz"
+    for copy in (pickle.loads(pickle.dumps(motion)), JointTrajectory.load(file)):
+        assert np.array_equal(copy.coefficients, motion.coefficients)
+        assert np.array_equal(copy.knots, motion.knots)
+        assert copy.joint_names == motion.joint_names
+        assert copy.slowed == motion.slowed
+        assert np.array_equal(copy.limits.tau_max, motion.limits.tau_max)
+        assert not copy.coefficients.flags.writeable
+
+
+def test_a_table_holds_the_samples(tmp_path):
+    arm = arm_of("robot_arm_3dof")
+    motion = armctl.move_j(arm, arm.home, arm.home + 0.1)
+    file = motion.to_csv(tmp_path / "motion.csv", dt=0.01)
+    rows = np.genfromtxt(file, delimiter=",", names=True)
+    assert rows.dtype.names[:2] == ("t", "q_shoulder_yaw")
+    assert np.array_equal(rows["v_elbow"], motion.sample(rows["t"]).v[:, 2])
+    assert rows["t"][-1] == motion.duration
+
+
+def test_what_is_no_trajectory_is_not_loaded(tmp_path):
+    (tmp_path / "text.npz").write_text("no archive")
+    np.savez(tmp_path / "other.npz", a=1)
+    for name in ("text.npz", "other.npz", "nothing.npz"):
+        with pytest.raises(armctl.InputError, match=f"{name}: it holds no trajectory"):
+            JointTrajectory.load(tmp_path / name)
+
+
+def test_a_motion_can_be_drawn(tmp_path):
+    arm = arm_of("robot_arm_3dof")
+    figure = armctl.move_j(arm, arm.home, arm.home + 0.1).plot(tmp_path / "motion.png")
+    assert len(figure.axes) == 4
+    assert (tmp_path / "motion.png").stat().st_size > 1000
+
+
+def test_wrong_times_and_factors_are_refused():
+    arm = arm_of("robot_arm_3dof")
+    motion = armctl.move_j(arm, arm.home, arm.home + 0.1)
+    for call in (lambda: motion.scaled(0.0), lambda: motion.stopped_at(-1.0), lambda: motion.sample([np.nan])):
+        with pytest.raises(armctl.InputError):
+            call()
+    with pytest.raises(armctl.LimitError, match="factor: 2 is too fast"):
+        motion.scaled(2.0)
+    assert motion.scaled(0.5).scaled(2.0).duration == pytest.approx(motion.duration)

@@ -1,0 +1,181 @@
+"""The tip on lines, arcs and blended paths: on the path, inside the caps, slow where the joints have far to go, or refused."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from arms import arm_of
+
+import armctl
+from armctl.motion import Arc, Line
+
+UM = 1e-6
+
+
+@pytest.fixture(scope="module")
+def panda() -> armctl.Arm:
+    arm = arm_of("panda")
+    return replace(arm, limits=replace(arm.limits, tau_max=np.full(7, np.inf)))
+
+
+def moved(arm, *way) -> armctl.Pose:
+    """The pose at home, moved by so many metres."""
+    home = arm.fk(arm.home)
+    return armctl.Pose(home.position + way, quat=home.quat)
+
+
+def tips(arm, motion, count=1500):
+    return arm.fk_many(motion.sample(np.linspace(0.0, motion.duration, count)).q)
+
+
+def test_a_line_is_straight_and_turns_evenly_along(panda):
+    target = moved(panda, 0.0, 0.2, -0.1) @ armctl.Pose([0, 0, 0], rpy=[0.4, 0.2, -0.3])
+    motion = armctl.move_l(panda, panda.home, target)
+    start, angle = panda.fk(panda.home), panda.fk(panda.home).distance(target)[1]
+    position, rotation = tips(panda, motion)
+    way = target.position - start.position
+    share = (position - start.position) @ way / (way @ way)
+    assert np.abs(position - start.position - share[:, None] * way).max() < 5 * UM
+    for k in range(0, 1500, 100):
+        turned = start.distance(armctl.Pose.from_rotation(position[k], rotation[k]))[1]
+        assert turned == pytest.approx(share[k] * angle, abs=1e-5)
+    assert panda.fk(motion(motion.duration).q).distance(target)[0] < UM
+    assert motion.check_limits().ok
+
+
+def test_a_line_can_turn_on_the_spot(panda):
+    target = panda.fk(panda.home) @ armctl.Pose([0, 0, 0], rpy=[0.5, 0.0, 0.3])
+    position, _ = tips(panda, armctl.move_l(panda, panda.home, target))
+    assert np.abs(position - target.position).max() < 5 * UM
+
+
+def test_a_point_leaves_the_orientation_free():
+    arm = arm_of("so_arm100")
+    target = arm.fk(arm.home).position + np.array([0.03, 0.02, 0.04])
+    position, _ = tips(arm, armctl.move_l(arm, arm.home, target))
+    assert np.allclose(position[-1], target, atol=UM)
+
+
+@pytest.mark.parametrize("angle", [None, 2 * np.pi, 4.0])
+def test_an_arc_keeps_its_distance_from_its_centre(panda, angle):
+    start = panda.fk(panda.home).position
+    via, target = moved(panda, 0.0, 0.1, 0.1), moved(panda, 0.0, 0.2, 0.0)
+    motion = armctl.move_c(panda, panda.home, via, target, angle=angle)
+    position, _ = tips(panda, motion)
+    center = start + np.array([0.0, 0.1, 0.0])
+    assert np.abs(np.linalg.norm(position - center, axis=1) - 0.1).max() < 5 * UM
+    assert np.abs(position[:, 0] - start[0]).max() < 5 * UM
+    if angle is None:
+        assert np.allclose(position[-1], target.position, atol=UM)
+        assert np.linalg.norm(position - via.position, axis=1).min() < 1e-3
+    elif angle > 6:
+        assert np.allclose(position[-1], start, atol=UM)
+        assert np.linalg.norm(position - target.position, axis=1).min() < 1e-3
+    assert motion.check_limits().ok
+
+
+def test_three_points_on_a_line_make_no_arc(panda):
+    with pytest.raises(armctl.InputError, match="on one line, so no circle"):
+        armctl.move_c(panda, panda.home, moved(panda, 0, 0.1, 0), moved(panda, 0, 0.2, 0))
+
+
+def test_corners_are_rounded_inside_their_radius_only(panda):
+    corners = [moved(panda, 0, 0.1, 0), moved(panda, 0, 0.1, -0.1), moved(panda, 0, 0, -0.1), moved(panda, 0, 0, 0)]
+    motion = armctl.move_path(panda, panda.home, corners, blend=0.02)
+    position, _ = tips(panda, motion, 4000)
+    points = [panda.fk(panda.home).position, *(corner.position for corner in corners)]
+    sides = [to_segment(position, a, b) for a, b in pairwise(points)]
+    off = np.min(sides, axis=0)
+    near = np.min([np.linalg.norm(position - corner, axis=1) for corner in points[1:-1]], axis=0)
+    assert off[near > 0.02 + UM].max() < 5 * UM
+    assert 1e-3 < off.max() < 0.02
+    speed = np.linalg.norm(np.diff(position, axis=0), axis=1) * 3999 / motion.duration
+    assert speed[200:-200].min() > 0.02
+    assert motion.duration < armctl.move_path(panda, panda.home, corners).duration
+    assert motion.check_limits().ok
+
+
+def to_segment(points, a, b):
+    share = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+    return np.linalg.norm(points - a - share[:, None] * (b - a), axis=1)
+
+
+def test_without_a_blend_the_tip_goes_into_every_corner(panda):
+    corners = [moved(panda, 0, 0.1, 0), moved(panda, 0, 0.1, -0.1)]
+    position, _ = tips(panda, armctl.move_path(panda, panda.home, corners), 4000)
+    assert np.linalg.norm(position - corners[0].position, axis=1).min() < 5 * UM
+
+
+def test_lines_and_arcs_blend_too(panda):
+    path = [
+        Line(moved(panda, 0, 0.1, 0), blend=0.01),
+        Arc(moved(panda, 0.0, 0.15, -0.05), moved(panda, 0, 0.1, -0.1), blend=0.02),
+        moved(panda, 0, 0, -0.1),
+    ]
+    motion = armctl.move_path(panda, panda.home, path)
+    assert motion.check_limits().ok
+    assert np.allclose(panda.fk(motion(motion.duration).q).position, moved(panda, 0, 0, -0.1).position, atol=UM)
+
+
+def test_a_blend_longer_than_half_a_side_is_refused(panda):
+    with pytest.raises(armctl.InputError, match=r"blend: 0\.06 m at corner 1 is more than half"):
+        armctl.move_path(panda, panda.home, [moved(panda, 0, 0.1, 0), moved(panda, 0, 0.1, -0.1)], blend=0.06)
+
+
+def test_points_and_poses_do_not_mix(panda):
+    with pytest.raises(armctl.InputError, match="some targets are poses and some are points"):
+        armctl.move_path(panda, panda.home, [moved(panda, 0, 0.1, 0), [0.5, 0.0, 0.4]])
+    with pytest.raises(armctl.InputError, match="it is empty"):
+        armctl.move_path(panda, panda.home, [])
+
+
+def test_caps_on_the_tip_are_kept_and_reached(panda):
+    target = moved(panda, 0.0, 0.2, -0.1) @ armctl.Pose([0, 0, 0], rpy=[0.4, 0.2, -0.3])
+    for caps in ({"tip_speed": 0.1}, {"tip_turn_speed": 0.2}):
+        motion = armctl.move_l(panda, panda.home, target, **caps)
+        times = np.linspace(0.0, motion.duration, 800)
+        q, v = motion.sample(times)[:2]
+        twists = np.array([panda.jacobian(a) @ b for a, b in zip(q, v, strict=True)])
+        speed = np.linalg.norm(twists[:, :3] if "tip_speed" in caps else twists[:, 3:], axis=1).max()
+        cap = next(iter(caps.values()))
+        assert 0.99 * cap < speed < cap * (1 + 1e-5)
+    with pytest.raises(armctl.InputError, match="tip_speed"):
+        armctl.move_l(panda, panda.home, target, tip_speed=-1.0)
+
+
+def test_near_a_singularity_it_slows_down():
+    arm = arm_of("ur5e")
+    arm = replace(arm, limits=replace(arm.limits, tau_max=np.full(6, np.inf)))
+    q = np.array([0.3, -1.2, 1.6, -1.9, 0.08, 0.2])  # the wrist is almost straight
+    way = arm.jacobian(q)[:, 4]
+    start = arm.fk(q)
+    target = armctl.Pose(start.position + 0.15 * np.cross([0, 0, 1.0], way[3:]) + [0.0, 0.0, 0.05], quat=start.quat)
+    motion = armctl.move_l(arm, q, target)
+    assert motion.check_limits().ok
+    position, _ = tips(arm, motion)
+    line = (target.position - start.position) / np.linalg.norm(target.position - start.position)
+    away = position - start.position
+    assert np.abs(away - (away @ line)[:, None] * line).max() < 5 * UM
+
+
+def test_a_line_out_of_reach_says_where_and_what_helps(panda):
+    with pytest.raises(
+        armctl.PlanError, match=r"move_l: at \d+\.\d % of the path, tip at \[.*\] m, the arm can follow no further"
+    ):
+        armctl.move_l(panda, panda.home, moved(panda, 0.6, 0.2, 0.1))
+
+
+def test_a_line_out_of_a_joint_range_names_the_joint():
+    arm = arm_of("robot_arm_3dof")
+    q = np.array([3.0, -0.5, -1.0])
+    tip = arm.fk(q).position
+    with pytest.raises(armctl.PlanError, match=r"shoulder_yaw would leave its limits \[-3.140, 3.140\] rad"):
+        armctl.move_l(arm, q, [tip[0], -tip[1] - 0.1, tip[2]])
+
+
+def test_a_bad_start_is_refused(panda):
+    with pytest.raises(armctl.LimitError, match="q_start: joint4"):
+        armctl.move_l(panda, np.zeros(7) + 0.5, [0.5, 0.0, 0.5])
+    with pytest.raises(armctl.InputError, match="target"):
+        armctl.move_l(panda, panda.home, [0.5, 0.0])
