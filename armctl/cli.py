@@ -7,19 +7,22 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from armctl.errors import ArmctlError
+from armctl.errors import ArmctlError, UnknownNameError
 
 if TYPE_CHECKING:
     from armctl.arm import Arm
     from armctl.report import Report
 
 OK, NOT_REACHED, WRONG_CALL = 0, 1, 2
+_RUNS_A_WORKER = 6  # a process takes as long to start as a few runs
+_PLANTS_HELP = "nominal, payload=1, mass=1.2, friction, delay=2, noise, ripple, continuous, all, or several joined with +"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -69,6 +72,11 @@ def _parser() -> argparse.ArgumentParser:
     reach.add_argument("--controller", default="computed-torque", help="its name (default computed-torque)")
     reach.add_argument("--video", type=Path, metavar="FILE", help="film the run into this .mp4 or .gif")
     compare = command("compare", _compare, "follow the same motion under every controller")
+    compare.add_argument("--controllers", metavar="A,B,...", help="which ones (default all)")
+    compare.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{_PLANTS_HELP} (default nominal)")
+    compare.add_argument("--report", type=Path, metavar="DIR", help="write JSON, Markdown and an HTML page into this folder")
+    compare.add_argument("--timestep", help="the tick, s (default the model's)")
+    compare.add_argument("--workers", type=int, help="processes that share the work (default one a core)")
     simulate = command("simulate", _simulate, "hold the motors at constant controls")
     simulate.add_argument("--ctrl", nargs="+", required=True, metavar="N", help="one control a motor; torque = gear x control")
     simulate.add_argument("--seconds", default="2", help="how long, s (default 2)")
@@ -137,17 +145,38 @@ def _reach(args: argparse.Namespace) -> int:
 
 
 def _compare(args: argparse.Namespace) -> int:
-    from armctl.comparison import compare, out_and_back
+    from armctl.comparison import compare, out_and_back, remarks
+    from armctl.comparison_page import write_comparison
     from armctl.control import CONTROLLERS
+    from armctl.plant_names import plant_by_name
     from armctl.report import table
 
-    arm = _load(args)
-    reports = compare(arm, list(CONTROLLERS), out_and_back(arm))
-    _print(args, table(reports), [r.to_dict() for r in reports])
+    arm, timestep = _load(args), _numbers("timestep", [args.timestep])[0] if args.timestep else None
+    controllers = _names(args.controllers) or list(CONTROLLERS)
+    for name in controllers:
+        if name not in CONTROLLERS:
+            raise UnknownNameError.of("controller", name, CONTROLLERS)
+    plants = [plant_by_name(name, arm, timestep) for name in _names(args.plants)]
+    workers = min(args.workers or os.cpu_count() or 1, len(plants) * len(controllers) // _RUNS_A_WORKER + 1)
+    reports = compare(arm, controllers, out_and_back(arm), plants, workers=workers, progress=_bar)
+    _print(args, "\n".join([*remarks(reports), table(reports)]), [r.to_dict() for r in reports])
     if args.save:
         for report in reports:
-            _save(report, args.save, f"{report.controller}-")
+            _save(report, args.save, f"{report.controller}-" if len(plants) == 1 else f"{report.controller}-{report.plant}-")
+    for path in write_comparison(reports, args.report, "All joints out and back") if args.report else []:
+        _say(path)
     return OK
+
+
+def _bar(done: int, total: int) -> None:
+    """How far a long command is, on a terminal."""
+    if sys.stderr.isatty():
+        width = 30 * done // total
+        print(f"\r[{'#' * width}{'.' * (30 - width)}] {done}/{total}", end="\n" if done == total else "", file=sys.stderr)
+
+
+def _names(text: str | None) -> list[str]:
+    return [word for word in (text or "").replace(" ", ",").split(",") if word]
 
 
 def _simulate(args: argparse.Namespace) -> int:

@@ -2,39 +2,101 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
 
 import numpy as np
 
 from armctl.arm import Arm
+from armctl.arrays import number
 from armctl.contacts import Contacts
 from armctl.control import Controller
-from armctl.errors import PlanError
+from armctl.errors import PlanError, SimulationError
 from armctl.motion import move_j
-from armctl.plant import Plant
+from armctl.plant import NOMINAL, Plant
 from armctl.report import Report
 from armctl.simulation import simulate
 from armctl.trajectory import Trajectory
 
 
 def compare(
-    arm: Arm, controllers: Sequence[Controller | str], trajectory: Trajectory, plants: Sequence[Plant] = (Plant(),)
+    arm: Arm,
+    controllers: Sequence[Controller | str],
+    trajectory: Trajectory,
+    plants: Sequence[Plant] = (NOMINAL,),
+    *,
+    workers: int = 1,
+    progress: Callable[[int, int], None] | None = None,
 ) -> list[Report]:
     """Follows one trajectory under every controller on every plant.
 
     Args:
         arm: The arm.
-        controllers: Controllers or names of them.
+        controllers: Controllers or names of them; names, where several processes share the work.
         trajectory: The motion.
         plants: How reality differs from the model.
+        workers: How many processes share the work. With more than one, a script that calls this needs its
+            `if __name__ == "__main__":`.
+        progress: Told how many of how many runs are done.
 
     Returns:
-        One report for each pair, plant by plant.
+        One report for each pair, plant by plant. A run whose controller failed is among them, as long as it had begun.
 
     Raises:
+        InputError: No process is to work.
         UnknownNameError: There is no such controller.
+        SimulationError: A controller failed at its first tick.
     """
-    return [Report.from_log(simulate(arm, controller, trajectory, plant)) for plant in plants for controller in controllers]
+    pairs = [(controller, plant) for plant in plants for controller in controllers]
+    run = partial(_run, arm, trajectory)
+    with _pool(min(int(number("workers", workers, 1)), len(pairs))) as mapped:
+        reports = []
+        for report in mapped(run, pairs):
+            reports.append(report)
+            if progress is not None:
+                progress(len(reports), len(pairs))
+    return reports
+
+
+def remarks(reports: Sequence[Report]) -> list[str]:
+    """What must be said before any figure: which runs failed, and which asked motors for more than they give.
+
+    Args:
+        reports: The reports.
+
+    Returns:
+        One sentence a run, the failed ones first.
+    """
+    failed = [f"{r.controller} on {r.plant}: {r.log.end}" for r in reports if r.log.end]
+    saturated = [
+        f"{r.controller} on {r.plant}: asks the motors for more than they give {100 * r.saturated_fraction:.1f} % of the time"
+        for r in reports
+        if r.saturated_fraction > 0.0 and not r.log.end
+    ]
+    return failed + saturated
+
+
+def _run(arm: Arm, trajectory: Trajectory, pair: tuple[Controller | str, Plant]) -> Report:
+    try:
+        return Report.from_log(simulate(arm, pair[0], trajectory, pair[1]))
+    except SimulationError as error:
+        if error.log is None or not len(error.log):
+            raise
+        return Report.from_log(error.log)
+
+
+@contextmanager
+def _pool(workers: int) -> Iterator[Callable]:
+    """A `map` over so many processes."""
+    if workers <= 1:
+        yield map
+        return
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        yield pool.map
 
 
 def out_and_back(arm: Arm, distance: float = 0.6) -> Trajectory:

@@ -157,23 +157,27 @@ def table(reports: list[Report]) -> str:
     """
     header = [
         "controller",
+        "plant",
         "joint RMS, rad",
         "joint max, rad",
         "tip RMS",
         "tip max",
         "final tip error",
         "peak torque",
+        "chatter, N m",
         "verdict",
     ]
     rows = [
         [
             r.controller,
+            r.plant,
             _rad(r.joint_rms_rad),
             _rad(r.joint_max_rad),
             _mm(r.tip_rms_m),
             _mm(r.tip_max_m),
             _mm(r.final_tip_error_m),
             f"{100 * r.peak_torque_ratio:.0f} %",
+            f"{r.chatter_nm:.1g}",
             r.verdict.split(":")[0],
         ]
         for r in reports

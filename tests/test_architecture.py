@@ -33,7 +33,7 @@ FLOORS = [
         "contacts > arm elements rigid_body",
     ],
     ["robots", "dynamics", "ik", "describe"],
-    ["motion", "control", "plant"],
+    ["motion", "control", "plant", "plant_names > plant"],
     [
         "recorder",
         "jaws",
@@ -44,7 +44,13 @@ FLOORS = [
         "simulation > gripper rig recorder view",
         "identification",
     ],
-    ["plot", "report > plot", "comparison > report", "live > report plot comparison"],
+    [
+        "plot",
+        "report > plot",
+        "comparison > report",
+        "comparison_page > comparison plot report",
+        "live > report plot comparison",
+    ],
     ["__init__", "cli > __init__", "__main__ > cli"],
 ]
 FLOOR_OF = {room.split()[0]: floor for floor, rooms in enumerate(FLOORS) for room in rooms}

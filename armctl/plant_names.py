@@ -1,0 +1,71 @@
+"""Plants by name, as the command line takes them: `payload=1`, `friction`, `delay=2`, `noise`, or all at once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from armctl.arm import Arm
+from armctl.arrays import number
+from armctl.errors import InputError, UnknownNameError
+from armctl.plant import NOMINAL, Plant
+
+_ENCODER_NOISE, _VELOCITY_NOISE = 1e-5, 1e-3  # rad, rad/s
+_FRICTION = 0.02  # of the torque limit, dry; and half of that for each rad/s
+_DEFAULT = {"payload": 1.0, "mass": 1.2, "friction": _FRICTION, "delay": 2.0, "noise": 1.0, "ripple": 0.02}
+PLANTS = {
+    "nominal": "as the model says",
+    "payload": "kg that no controller knows of (1)",
+    "mass": "factor on the links' masses (1.2)",
+    "friction": "dry friction, share of the torque limit, and half as much a rad/s viscous (0.02)",
+    "delay": "ticks by which commands come late (2)",
+    "noise": "times 1e-5 rad and 1e-3 rad/s on what is measured (1)",
+    "ripple": "share of the torque (0.02)",
+    "continuous": "near-continuous motion between ticks",
+    "all": "payload, mass, friction, delay and noise at once",
+}
+
+
+def plant_by_name(text: str, arm: Arm, timestep: float | None = None) -> Plant:
+    """A plant from words such as "payload=1" or "payload=0.5+delay=1".
+
+    Args:
+        text: Names of `PLANTS`, joined with "+", each with a value where one is wanted.
+        arm: The arm, whose torque limits friction is measured by.
+        timestep: s, the tick; None for the model's.
+
+    Returns:
+        The plant.
+
+    Raises:
+        UnknownNameError: There is none of that name.
+        InputError: A value is no number, or out of its bounds.
+    """
+    plant = replace(NOMINAL, timestep=timestep)
+    for word in text.split("+"):
+        name, _, value = word.partition("=")
+        if name not in PLANTS:
+            raise UnknownNameError.of("plant", name, PLANTS)
+        if value and name not in _DEFAULT:
+            raise InputError(f"plant: {name!r} takes no value, {word!r} given")
+        for each in ("payload", "mass", "friction", "delay", "noise") if name == "all" else (name,):
+            plant = _with(plant, each, _value(each, value), arm)
+    return plant
+
+
+def _value(name: str, text: str) -> float:
+    try:
+        return number(f"plant {name}", float(text) if text else _DEFAULT.get(name, 0.0))
+    except ValueError as error:
+        raise error if isinstance(error, InputError) else InputError(f"plant {name}: {text!r} is not a number") from None
+
+
+def _with(plant: Plant, name: str, value: float, arm: Arm) -> Plant:
+    if name == "friction":
+        dry = value * arm.limits.tau_max
+        return replace(plant, coulomb_friction=dry, viscous_friction=0.5 * dry)
+    if name == "noise":
+        return replace(plant, encoder_noise=value * _ENCODER_NOISE, velocity_noise=value * _VELOCITY_NOISE)
+    field = {"payload": "payload", "mass": "mass_scale", "delay": "delay", "ripple": "torque_ripple"}.get(name)
+    if field is not None:
+        return replace(plant, **{field: value})
+    return replace(plant, continuous=True) if name == "continuous" else plant

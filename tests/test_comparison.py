@@ -1,0 +1,127 @@
+"""Comparisons: every pair once, failures first, the same from one process as from two, and pages that stand alone."""
+
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+import armctl
+from armctl.comparison import out_and_back, remarks
+from armctl.comparison_page import write_comparison
+from armctl.plant_names import PLANTS, plant_by_name
+from armctl.report import table
+
+
+class Explodes:
+    """A spring with the wrong sign."""
+
+    name = "explodes"
+
+    def torque(self, state, setpoint):
+        return 1e4 * (state.q - setpoint.q) + 1e3 * state.v + 1.0
+
+
+class Breaks:
+    """Raises after a while."""
+
+    name = "breaks"
+
+    def torque(self, state, setpoint):
+        if state.t > 0.1:
+            raise ValueError("out of ideas")
+        return np.zeros_like(state.q)
+
+
+@pytest.fixture(scope="module")
+def bundled_motion():
+    arm = armctl.load("robot_arm_3dof")
+    return arm, out_and_back(arm, 0.3)
+
+
+def test_every_pair_has_a_report_plant_by_plant(bundled_motion):
+    arm, motion = bundled_motion
+    plants = [armctl.Plant(), armctl.Plant(payload=1.0)]
+    told = []
+    reports = armctl.compare(arm, ["pd", "computed-torque"], motion, plants, progress=lambda *done: told.append(done))
+    assert [(r.controller, r.plant) for r in reports] == [
+        ("pd", "nominal"),
+        ("computed-torque", "nominal"),
+        ("pd", "payload 1 kg"),
+        ("computed-torque", "payload 1 kg"),
+    ]
+    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert reports[1].joint_rms_rad < 1e-9 < reports[0].joint_rms_rad
+
+
+def test_two_processes_find_what_one_finds(bundled_motion):
+    arm, motion = bundled_motion
+    plants = [armctl.Plant(encoder_noise=1e-4)]
+    one, two = (armctl.compare(arm, ["pd", "adaptive"], motion, plants, workers=workers) for workers in (1, 2))
+    assert all(np.array_equal(a.log.q, b.log.q) for a, b in zip(one, two, strict=True))
+
+
+def test_what_fails_is_named_first(bundled_motion):
+    arm, motion = bundled_motion
+    reports = armctl.compare(arm, ["pd", Breaks(), Explodes()], motion)
+    assert not reports[1].ok
+    assert not reports[2].ok
+    said = remarks(reports)
+    assert said[0].startswith("breaks on nominal: the controller breaks failed at 0.10")
+    assert "explodes on nominal" in " ".join(said)
+    assert np.isfinite([r.joint_rms_rad for r in reports]).all()
+
+
+def test_a_divergence_ends_in_a_verdict_with_its_log(bundled_motion):
+    arm, motion = bundled_motion
+    report = armctl.compare(arm, [Explodes()], motion, [armctl.Plant(timestep=0.004)])[0]
+    assert not report.ok
+    assert report.verdict
+    assert len(report.log) > 10
+    assert np.isfinite(report.log.q).all()
+    assert np.isfinite(report.log.tau).all()
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_every_plant_has_its_name(bundled, name):
+    plant = plant_by_name(name, bundled)
+    assert (str(plant) == "nominal") == (name == "nominal")
+
+
+def test_plants_take_values_and_join(bundled):
+    plant = plant_by_name("payload=0.5+delay=1+noise=2", bundled, 0.001)
+    assert (plant.payload, plant.delay, plant.encoder_noise, plant.timestep) == (0.5, 1, 2e-5, 0.001)
+    assert np.allclose(plant_by_name("friction=0.1", bundled).coulomb_friction, 0.1 * bundled.limits.tau_max)
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "sentence"),
+    [
+        ("paylod=1", armctl.UnknownNameError, "did you mean 'payload'"),
+        ("payload=much", armctl.InputError, "plant payload: 'much' is not a number"),
+        ("payload=-1", armctl.InputError, "payload: -1 given"),
+        ("nominal=3", armctl.InputError, "'nominal' takes no value"),
+        ("delay=1.5", armctl.InputError, "delay: 1.5 given, a whole number"),
+    ],
+)
+def test_a_wrong_plant_is_one_sentence(bundled, text, error, sentence):
+    with pytest.raises(error, match=sentence):
+        plant_by_name(text, bundled)
+
+
+def test_a_page_stands_alone_and_says_it_all(bundled_motion, tmp_path):
+    arm, motion = bundled_motion
+    plants = [armctl.Plant(), armctl.Plant(payload=1.0)]
+    reports = armctl.compare(arm, ["pd", "computed-torque", Breaks()], motion, plants)
+    paths = write_comparison(reports, tmp_path / "out", "Out and back")
+    assert [path.name for path in paths] == ["comparison.json", "comparison.md", "comparison.html"]
+    figures = json.loads(paths[0].read_text())
+    assert len(figures["runs"]) == 6
+    assert figures["remarks"] == remarks(reports)
+    assert table(reports) in paths[1].read_text()
+    page = paths[2].read_text()
+    HTMLParser().feed(page)
+    assert page.count("<svg") == len(plants)
+    assert not re.search(r'(?:src|href)="(?!#)', page), "the page needs something from elsewhere"
+    assert page.index("breaks on nominal") < page.index("<table")
