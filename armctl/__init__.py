@@ -45,6 +45,7 @@ _MODULES = {
     "Simulation": "armctl.simulation",
     "SimulationError": "armctl.errors",
     "State": "armctl.control",
+    "Team": "armctl.team",
     "Trajectory": "armctl.trajectory",
     "UnknownNameError": "armctl.errors",
     "chains": "armctl.robots",
@@ -53,6 +54,7 @@ _MODULES = {
     "excitation": "armctl.identification",
     "identify_payload": "armctl.identification",
     "load": "armctl.robots",
+    "load_arms": "armctl.robots",
     "move_c": "armctl.motion",
     "move_j": "armctl.motion",
     "move_l": "armctl.motion",
@@ -109,9 +111,11 @@ if TYPE_CHECKING:
     from armctl.report import Report as Report
     from armctl.robots import chains as chains
     from armctl.robots import load as load
+    from armctl.robots import load_arms as load_arms
     from armctl.scene import Scene as Scene
     from armctl.simulation import Simulation as Simulation
     from armctl.simulation import simulate as simulate
+    from armctl.team import Team as Team
     from armctl.trajectory import Limits as Limits
     from armctl.trajectory import Setpoint as Setpoint
     from armctl.trajectory import Trajectory as Trajectory

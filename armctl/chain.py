@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
 
 import mujoco
 
@@ -141,6 +143,27 @@ def chain_to(model: mujoco.MjModel, body: int, base: int = 0) -> Chain:
         raise ModelError(f"no joint moves {name!r}, so it is the tip of no arm")
     _check_free(model, joints)
     return joints
+
+
+def check_apart(model: mujoco.MjModel, chains: Sequence[Chain]) -> None:
+    """Makes sure that chains can move at once without shaking each other.
+
+    Args:
+        model: The compiled model.
+        chains: The chains.
+
+    Raises:
+        ModelError: Two share a joint, or one stands on another.
+    """
+    for one, other in permutations(chains, 2):
+        tips = [repr(find_tip(model, joints)[0]) for joints in (one, other)]
+        if shared := sorted(set(one) & set(other)):
+            name = joint_name(model, shared[0])
+            raise ModelError(
+                f"the chains to {tips[0]} and {tips[1]} share joint {name!r}; base= can be a body behind it, which holds it"
+            )
+        if is_below(model, int(model.jnt_bodyid[other[0]]), int(model.jnt_bodyid[one[0]])):
+            raise ModelError(f"the chain to {tips[1]} stands on the one to {tips[0]}, which would shake it; move one at a time")
 
 
 def _check_free(model: mujoco.MjModel, joints: Chain) -> None:

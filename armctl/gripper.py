@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from armctl.arm import Arm
 from armctl.arrays import number
 from armctl.elements import body_name
 from armctl.errors import InputError
@@ -21,7 +22,6 @@ _LEAST_WAIT, _SETTLE = 0.1, 1.0  # s
 _STILL = 2e-4  # m/s between the pads
 _TOLERANCE = 1e-3  # m
 _TRIMS, _TRIMMED = 20, 2e-4  # corrections at most; m that need none
-_BRAKED = ("dof_armature", "dof_frictionloss", "jnt_limited", "tendon_limited", "tendon_frictionloss", "eq_active0")
 _SERVO = ("actuator_gaintype", "actuator_gainprm", "actuator_biastype", "actuator_biasprm")
 _SERVO_RANGES = ("actuator_ctrllimited", "actuator_ctrlrange", "actuator_forcelimited", "actuator_forcerange")
 
@@ -69,22 +69,22 @@ class Gripper:
         jaws: What was found in the model.
     """
 
-    def __init__(self, rig: Rig, hold: Callable[[float], None]):
+    def __init__(self, rig: Rig, hold: Callable[[float], None], arm: Arm | None = None):
         """The gripper of a simulated arm.
 
         Args:
             rig: The simulated arm.
             hold: Runs the simulation for some seconds with the arm held in its place.
+            arm: The arm, where the rig moves several; the rig's if left out.
 
         Raises:
             ModelError: Nothing moves behind the arm's tip, or it is a hand of many actuators.
         """
-        self.jaws = find_jaws(rig.arm)
+        self.jaws = find_jaws(rig.arm if arm is None else arm)
         self._rig, self._hold = rig, hold
         self._actuators = list(self.jaws.actuators)
         self._ctrl = rig.model.actuator_ctrladr[self._actuators]
         self._servo = {name: getattr(rig.model, name).copy() for name in (*_SERVO, *_SERVO_RANGES)}
-        self._is_loose = False
 
     @property
     def width(self) -> float:
@@ -161,27 +161,15 @@ class Gripper:
         return self._result(bool(held), held, pressed, begin, "" if held else "closed on nothing")
 
     def reset(self) -> None:
-        """Brakes the gripper again, as before it was first used."""
-        if self._is_loose:
-            self._copy(self._rig.plant.model(self._rig.arm), _BRAKED)
-            self._set_servo()
-            self._is_loose = False
+        """Gives the gripper back its servo, as before it was first used."""
+        self._set_servo()
 
     def _begin(self) -> float:
         """Takes off the brake and gives the gripper back its servo; the time now."""
-        model = self._rig.model
-        if not self._is_loose:
-            self._copy(self._rig.plant.model(self._rig.arm, self.jaws.dofs), _BRAKED)
-            self._rig.data.eq_active[:] = model.eq_active0
-            self._is_loose = True
+        self._rig.loosen(self.jaws.dofs)
         self._set_servo()
-        make_servos(model, self.jaws.actuators)
+        make_servos(self._rig.model, self.jaws.actuators)
         return float(self._rig.data.time)
-
-    def _copy(self, source: mujoco.MjModel, fields: tuple[str, ...]) -> None:
-        for name in fields:
-            getattr(self._rig.model, name)[:] = getattr(source, name)
-        self._rig.model.opt.tolerance = source.opt.tolerance
 
     def _set_servo(self) -> None:
         for name, values in self._servo.items():

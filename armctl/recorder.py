@@ -67,6 +67,21 @@ class Recorder:
         q, v, tau_cmd, tau = (list(column[first:last]) for column in (self.q, self.v, self.tau_cmd, self.tau))
         return q, v, tau_cmd, tau
 
+    def part(self, joints: slice) -> Recorder:
+        """The rows of some of the joints.
+
+        Args:
+            joints: Which.
+
+        Returns:
+            A record that shares its rows with this one.
+        """
+        part = Recorder(joints.stop - joints.start, 0)
+        for name in self._COLUMNS:
+            setattr(part, name, getattr(self, name)[:, joints])
+        part.size = self.size
+        return part
+
     def log(
         self,
         arm: Arm,

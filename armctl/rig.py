@@ -19,6 +19,7 @@ from armctl.pose import Pose
 from armctl.recorder import Recorder
 from armctl.trajectory import Setpoint, TickReference, Trajectory
 
+_BRAKED = ("dof_armature", "dof_frictionloss", "jnt_limited", "tendon_limited", "tendon_frictionloss", "eq_active0")
 _RUNAWAY = 1e4**2  # (rad/s)^2: a sum of squared speeds no arm survives
 
 
@@ -44,6 +45,7 @@ class Rig:
             plant: How reality differs from it.
         """
         self.arm, self.plant = arm, plant
+        self._loose = np.zeros(0, dtype=np.int64)
         self.model = plant.model(arm)
         self.data = mujoco.MjData(self.model)
         self.continuous = bool(self.model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4))
@@ -77,6 +79,8 @@ class Rig:
             InputError: A wrong length or a number that is not finite.
         """
         q, v = vector("q", q, self.arm.n), vector("v", v, self.arm.n)
+        if len(self._loose):
+            self._set_loose(self._loose[:0])
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = self.arm.qpos(q)
         self.data.qvel[self.arm.dof_adr] = v
@@ -84,6 +88,22 @@ class Rig:
         mujoco.mj_forward(self.model, self.data)
         self.q_ref, self.end = q, ""
         self._disturbances = Disturbances(self.plant, self.arm, self.data) if self.plant.disturbs else None
+
+    def loosen(self, dofs: IntArray) -> None:
+        """Takes the brake off joints outside the arm, such as a gripper's; `reset` puts it on again.
+
+        Args:
+            dofs: Their addresses in `MjData.qvel`.
+        """
+        if not np.isin(dofs, self._loose).all():
+            self._set_loose(np.union1d(self._loose, dofs))
+            self.data.eq_active[:] = self.model.eq_active0
+
+    def _set_loose(self, dofs: IntArray) -> None:
+        self._loose, source = dofs, self.plant.model(self.arm, dofs)
+        for name in _BRAKED:
+            getattr(self.model, name)[:] = getattr(source, name)
+        self.model.opt.tolerance = source.opt.tolerance
 
     def reference(self, trajectory: Trajectory, ticks: int) -> TickReference:
         """A trajectory on this rig's ticks.

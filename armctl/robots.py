@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import mujoco
+import numpy as np
 
 from armctl.arm import Arm, check_parity
-from armctl.arrays import frozen
-from armctl.chain import SerialChain, all_chains, chain_to, find_chain
+from armctl.arrays import Array, frozen
+from armctl.chain import SerialChain, all_chains, chain_to, check_apart, find_chain
 from armctl.elements import Chain, joint_actuators, joint_name
 from armctl.errors import ArmctlWarning, InputError, ModelError, UnknownNameError
-from armctl.motors import from_row, joint_limits, make_motors, torque_limits
+from armctl.motors import JointData, from_row, joint_limits, make_motors, torque_limits
 from armctl.pose import Pose
 from armctl.rigid_body import build
 from armctl.scene import Scene
@@ -63,18 +66,51 @@ def load(
     if tip_offset is not None and not isinstance(tip_offset, Pose):
         raise InputError(f"tip_offset: {tip_offset!r} is not a Pose; armctl.Pose([0, 0, 0.1]) is 0.1 m along z")
     source = locate(name)
-    spec, notes = source.read()
-    if hold_base:
-        hold_bases(spec, source.compile(spec))
+    spec, notes = _read(source, hold_base)
     if tool is not None:
         model = source.compile(spec)
         _, _, body, T_body_flange = _found(source, model, tip, base)
         tip = mount(spec, next(b for b in spec.bodies if b.id == body), T_body_flange, locate(tool, scene=False))
     if scene is not None:
         scene.build(spec)
-    arm = _assemble(source, spec, notes, tip, tip_offset, base)
-    check_parity(arm)
-    return arm
+    return _assemble(source, spec, notes, [tip], tip_offset, base)[0]
+
+
+def load_arms(
+    name: str | os.PathLike[str],
+    tips: Sequence[str],
+    *,
+    base: str | None = None,
+    hold_base: bool = False,
+    scene: Scene | None = None,
+) -> tuple[Arm, ...]:
+    """Several chains of one robot, to be moved at once: two arms, four legs, five fingers.
+
+    Args:
+        name: As for `load`.
+        tips: The site, body or geom at the end of each chain.
+        base: The body they all stand on: joints above it are held. Left out, they start at the world.
+        hold_base: As for `load`.
+        scene: As for `load`.
+
+    Returns:
+        An arm for each tip; all share one model, in which all of them have torque motors.
+
+    Raises:
+        InputError: As for `load`.
+        UnknownNameError: As for `load`.
+        ModelError: As for `load`; or two chains share a joint, or one stands on another, which it would shake.
+
+    Warns:
+        ArmctlWarning: As for `load`.
+    """
+    if isinstance(tips, str) or not tips:
+        raise InputError(f"tips: {tips!r} given, a list of names wanted, such as ['left/gripper', 'right/gripper']")
+    source = locate(name)
+    spec, notes = _read(source, hold_base)
+    if scene is not None:
+        scene.build(spec)
+    return _assemble(source, spec, notes, list(tips), None, base)
 
 
 def chains(name: str | os.PathLike[str]) -> list[SerialChain]:
@@ -96,48 +132,93 @@ def chains(name: str | os.PathLike[str]) -> list[SerialChain]:
     return all_chains(source.compile(spec))
 
 
+@dataclass(frozen=True)
+class _Part:
+    """One chain on its way to become an arm; what it holds is explained at Arm."""
+
+    joints: Chain
+    tip: str
+    tip_body: int
+    T_body_tip: Pose
+    sheet: JointData | None
+    tau_max: Array
+    sources: dict[str, str]
+    notes: list[str]
+
+
+def _read(source: Source, hold_base: bool) -> tuple[mujoco.MjSpec, list[str]]:
+    spec, notes = source.read()
+    if hold_base:
+        hold_bases(spec, source.compile(spec))
+    return spec, notes
+
+
 def _assemble(
-    source: Source, spec: mujoco.MjSpec, notes: list[str], tip: str | None, tip_offset: Pose | None, base: str | None
-) -> Arm:
+    source: Source, spec: mujoco.MjSpec, notes: list[str], tips: list[str | None], tip_offset: Pose | None, base: str | None
+) -> tuple[Arm, ...]:
+    """The arms to some tips, in one model."""
     original = source.compile(spec)
-    joints, tip_name, tip_body, T_body_tip = _found(source, original, tip, base)
+    found = [_found(source, original, tip, base) for tip in tips]
     try:
-        sheet = speed_limits(source.path, original, joints) or from_row(source.row, joints)
-        tau_max, sources, assumed = torque_limits(original, joints, sheet)
-        make_motors(spec, original, joints, tau_max)
+        check_apart(original, [joints for joints, *_ in found])
+        parts = [_with_motors(source, spec, original, *chain, tip_offset) for chain in found]
     except ModelError as error:
         raise ModelError(f"{source.name}: {error}") from None
-    T_body_tip = T_body_tip @ tip_offset if tip_offset is not None else T_body_tip
-    for sentence in notes + assumed:
+    for sentence in [*notes, *(note for part in parts for note in part.notes)]:
         warnings.warn(f"{source.name}: {sentence}", ArmctlWarning, stacklevel=3)
-    overlaps = exclude_overlaps(spec, original, joints)
+    notes += [note for part in parts for note in exclude_overlaps(spec, original, part.joints)]
     add_target(spec, original)
     model = source.compile(spec)
-    index, qpos = list(joints), rest_qpos(model, joints)
-    limits, more = joint_limits(model, joints, qpos, tau_max, sheet)
+    qpos = rest_qpos(model, tuple(joint for part in parts for joint in part.joints))
+    arms = tuple(_arm(source, model, original, part, qpos, notes) for part in parts)
+    place_target(model, arms[0].fk(arms[0].limits.clamp(arms[0].home + _TARGET_OFFSET)).position)
+    ctrl = rest_ctrl(model, np.concatenate([arm.ctrl_adr for arm in arms]))
+    arms = tuple(replace(arm, home_ctrl=ctrl) for arm in arms)
+    for arm in arms:
+        check_parity(arm)
+    return arms
+
+
+def _with_motors(
+    source: Source,
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    joints: Chain,
+    tip: str,
+    tip_body: int,
+    T_body_tip: Pose,
+    tip_offset: Pose | None,
+) -> _Part:
+    """A chain with its torque limits, its actuators turned into motors in the specification."""
+    sheet = speed_limits(source.path, model, joints) or from_row(source.row, joints)
+    tau_max, sources, notes = torque_limits(model, joints, sheet)
+    make_motors(spec, model, joints, tau_max)
+    T_body_tip = T_body_tip if tip_offset is None else T_body_tip @ tip_offset
+    return _Part(joints, tip, tip_body, T_body_tip, sheet, tau_max, sources, notes)
+
+
+def _arm(source: Source, model: mujoco.MjModel, original: mujoco.MjModel, part: _Part, qpos: Array, notes: list[str]) -> Arm:
+    joints, index = part.joints, list(part.joints)
+    limits, sources = joint_limits(model, joints, qpos, part.tau_max, part.sheet)
     actuators = [joint_actuators(original)[j] for j in joints]
-    ctrl_adr = model.actuator_ctrladr[actuators].astype(int)
-    rigid_body = build(model, joints, qpos, tip_body, T_body_tip)
-    home = frozen(qpos[model.jnt_qposadr[index]])
-    place_target(model, rigid_body.tip(limits.clamp(home + _TARGET_OFFSET))[0])
     return Arm(
         name=source.name,
         model=model,
         joint_names=tuple(joint_name(model, j) for j in joints),
-        tip=tip_name,
-        home=home,
+        tip=part.tip,
+        home=frozen(qpos[model.jnt_qposadr[index]]),
         limits=limits,
-        rigid_body=rigid_body,
+        rigid_body=build(model, joints, qpos, part.tip_body, part.T_body_tip),
         qpos_adr=frozen(model.jnt_qposadr[index].astype(int)),
         dof_adr=frozen(model.jnt_dofadr[index].astype(int)),
-        ctrl_adr=frozen(ctrl_adr),
+        ctrl_adr=frozen(model.actuator_ctrladr[actuators].astype(int)),
         gear=frozen(model.actuator_gear[actuators, 0].copy()),
         home_qpos=qpos,
-        home_ctrl=rest_ctrl(model, ctrl_adr),
-        tip_body=tip_body,
-        T_body_tip=T_body_tip,
-        notes=tuple(notes + assumed + overlaps),
-        sources=sources | more,
+        home_ctrl=qpos[:0],
+        tip_body=part.tip_body,
+        T_body_tip=part.T_body_tip,
+        notes=tuple(notes + part.notes),
+        sources=part.sources | sources,
     )
 
 

@@ -42,6 +42,7 @@ FLOORS = [
         "gripper > jaws rig",
         "view > rig recorder",
         "simulation > gripper rig recorder view",
+        "team > gripper rig recorder",
         "identification",
     ],
     [
