@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TypeVar
 
 import numpy as np
@@ -103,7 +104,7 @@ def number(what: str, value: float, low: float = -np.inf, high: float = np.inf) 
         out = float(value)
     except (TypeError, ValueError):
         raise InputError(f"{what}: {value!r} is not a number") from None
-    if not np.isfinite(out):
+    if not math.isfinite(out):
         raise InputError(f"{what}: {out} given, a finite number wanted")
     if not low <= out <= high:
         wanted = f"at least {low:g}" if high == np.inf else f"in [{low:g}, {high:g}]"

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from armctl.arm import Arm
 from armctl.arrays import Array, frozen, number, vector
 from armctl.errors import UnknownNameError
-from armctl.ik.problem import PoseOrPoint, read_target
+from armctl.ik.problem import PoseOrPoint, check_arm, read_target
 
 if TYPE_CHECKING:
     import mink
@@ -73,6 +73,7 @@ class DifferentialIk:
 
         from armctl.ik.mink_parts import Clearance, TipTask
 
+        check_arm(arm)
         if solver not in qpsolvers.available_solvers:
             raise UnknownNameError.of("QP solver", str(solver), qpsolvers.available_solvers)
         rest = arm.home if posture is None else arm.limits.check("posture", posture, arm.joint_names)

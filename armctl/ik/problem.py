@@ -109,12 +109,26 @@ class Problem:
             (N,) m, and (N,) rad of what of the orientation is asked for.
         """
         if len(q) == 1:
-            position, rotation = (part[None] for part in self.arm.rigid_body.tip(q[0]))
+            position, rotation = self.arm.rigid_body.tip(q[0])
+            position, rotation = position[None], rotation[None]
         else:
             position, rotation = self.arm.rigid_body.tips(q)
         off, turned = np.empty(len(q)), np.empty(len(q))
         compiled().residuals(self.asked, self.targets, position, np.ascontiguousarray(rotation), off, turned)
         return off, turned
+
+
+def check_arm(arm: Arm) -> None:
+    """Makes sure that an argument is an arm.
+
+    Args:
+        arm: The argument.
+
+    Raises:
+        InputError: It is something else, such as a name.
+    """
+    if not isinstance(arm, Arm):
+        raise InputError(f"arm: {arm!r} is not an Arm; armctl.load('panda') gives one")
 
 
 @cache
@@ -195,6 +209,7 @@ def read_problem(
         InputError: An argument of the wrong shape, kind or value.
         LimitError: q0 is outside the joint limits.
     """
+    check_arm(arm)
     if isinstance(rng, bool) or not isinstance(rng, (int, np.integer)) or rng < 0:
         raise InputError(f"rng: {rng!r} given, the seed of the random starts wanted: an integer of at least 0")
     count = len(targets)
