@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from armctl.arm import Arm
@@ -129,3 +131,16 @@ class Recorder:
             tip_ref_quat=quats_from_rotations(rotation_ref),
             **columns,
         )
+
+
+def ticks_for(duration: float, dt: float) -> int:
+    """How many ticks show a motion from its first instant to its last.
+
+    Args:
+        duration: s.
+        dt: s, the tick.
+
+    Returns:
+        The number.
+    """
+    return math.ceil(duration / dt - 1e-9) + 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import time
 from functools import lru_cache
@@ -16,29 +15,22 @@ from numpy.typing import ArrayLike
 from armctl import view
 from armctl.arm import Arm
 from armctl.arrays import Array, number, vector
-from armctl.contacts import Contacts
 from armctl.control import ComputedTorque, Controller, State, controller_by_name
 from armctl.errors import InputError, LimitError
-from armctl.goal import ANGLE_TOLERANCE, TOLERANCE, Goal
 from armctl.gripper import Gripper
-from armctl.ik import solve_ik
 from armctl.log import Log
-from armctl.motion import move_j
-from armctl.move_result import MoveResult
+from armctl.moves import Moves
 from armctl.plant import NOMINAL, Plant
 from armctl.pose import Pose
-from armctl.recorder import Recorder
+from armctl.recorder import Recorder, ticks_for
 from armctl.rig import ConstantTorque, Rig
 from armctl.robots import load
 from armctl.staging import TARGET
 from armctl.trajectory import TickReference, Trajectory
 from armctl.view.viewer import WatchedRig
 
-_SETTLED_SPEED = 1e-3  # rad/s
-_SETTLE_CHUNK = 0.02  # s
 
-
-class Simulation:
+class Simulation(Moves):
     """An arm in its scene, with a controller, commanded in Cartesian or joint targets.
 
     Attributes:
@@ -136,43 +128,6 @@ class Simulation:
         self.log = _run(self._rig, self.controller, trajectory, settle)
         return self.log
 
-    def move_to(
-        self,
-        target: Pose | ArrayLike,
-        *,
-        tolerance: float = TOLERANCE,
-        angle_tolerance: float = ANGLE_TOLERANCE,
-        settle: float = 1.0,
-    ) -> MoveResult:
-        """Brings the tip to a target by inverse kinematics and a jerk-limited motion of the joints.
-
-        Args:
-            target: T_world_tip, or (3,) m where the orientation does not matter.
-            tolerance: m within which the target counts as reached.
-            angle_tolerance: rad, likewise.
-            settle: s that the arm may take to come to rest after the motion.
-
-        Returns:
-            How it ended; what the world refuses (out of reach, not settled, diverged) is in its `reason`.
-
-        Raises:
-            InputError: The target has a wrong length or a number that is not finite, or a tolerance is negative.
-            SimulationError: The controller failed; `error.log` holds what there was until then.
-        """
-        goal = Goal.read(target, tolerance, angle_tolerance)
-        number("settle", settle, 0.0)
-        self._show(goal)
-        if self._rig.end:
-            return self._refused(goal, f"{self._rig.end}; reset() starts afresh")
-        start = self.arm.limits.clamp(self._rig.q_ref)
-        ik = solve_ik(self.arm, target, start, avoid_collisions=True)
-        if not ik.ok:  # a target that cannot be had without touching something may be meant to be touched
-            ik = solve_ik(self.arm, target, start)
-        if not ik.ok:
-            short = 1e3 * ik.position_error
-            return self._refused(goal, f"out of reach by {short:.1f} mm" if short >= 0.1 else ik.reason)
-        return self._move(move_j(self.arm, start, ik.q), goal, settle)
-
     def apply_ctrl(self, ctrl: ArrayLike, seconds: float) -> Log:
         """Holds the arm's motors at constant controls, without a controller.
 
@@ -192,7 +147,7 @@ class Simulation:
         if outside.any():
             i = int(outside.argmax())
             raise LimitError(f"ctrl: {self.arm.joint_names[i]}: {ctrl[i]:g} is outside [{-bound[i]:g}, {bound[i]:g}]")
-        nothing = np.full((_ticks(number("seconds", seconds, 0.0), self.dt), self.arm.n), np.nan)
+        nothing = np.full((ticks_for(number("seconds", seconds, 0.0), self.dt), self.arm.n), np.nan)
         recorder, started, constant = Recorder(self.arm.n), time.perf_counter(), ConstantTorque(ctrl * self.arm.gear)
         self._rig.follow(constant, TickReference(*[nothing] * 5), recorder)
         return self._logged(recorder, seconds, np.full(7, np.nan), started, constant)
@@ -213,48 +168,6 @@ class Simulation:
         if self.log is None:
             raise InputError("log: nothing has run yet, so there is nothing to film; move first")
         return view.record(self.log, self.arm, path, **options)
-
-    def _move(self, trajectory: Trajectory, goal: Goal, settle: float) -> MoveResult:
-        """Follows a motion, then holds its end until the tip has come to rest, at most `settle` seconds."""
-        rig, recorder, started, begin = self._rig, Recorder(self.arm.n), time.perf_counter(), self.data.time
-        ticks = _ticks(trajectory.duration, self.dt)
-        rig.follow(self.controller, rig.reference(trajectory, ticks), recorder)
-        still = np.zeros((_ticks(_SETTLE_CHUNK, self.dt), self.arm.n))
-        hold = TickReference(trajectory(trajectory.duration).q + still, still, still, still, still)
-        deadline = self.data.time + settle
-        while not rig.end and self.data.time < deadline and not (self._is_still() and goal.is_reached(self.tip)):
-            rig.follow(self.controller, hold, recorder)
-        log = self._logged(recorder, trajectory.duration, goal.numbers, started)
-        position_error, orientation_error = goal.distance(self.tip)
-        reason = rig.end
-        if not reason and not goal.is_reached(self.tip):
-            reason = f"the tip is {1e3 * position_error:.3g} mm and {orientation_error:.3g} rad from the target"
-            if touching := Contacts(self.arm).at(self.state.q):
-                reason += f"; {touching[0]} touches {touching[1]}"
-        elif not reason and not self._is_still():
-            reason = f"the arm has not come to rest within {settle:g} s"
-        return MoveResult(not reason, position_error, orientation_error, float(self.data.time - begin), reason, log)
-
-    def _logged(
-        self, recorder: Recorder, motion_duration: float, goal: Array, started: float, controller: Controller | None = None
-    ) -> Log:
-        wall = time.perf_counter() - started
-        self.log = self._rig.log(controller or self.controller, recorder, motion_duration, goal, wall)
-        return self.log
-
-    def _refused(self, goal: Goal, reason: str) -> MoveResult:
-        return MoveResult(False, *goal.distance(self.tip), 0.0, reason, None)
-
-    def _is_still(self) -> bool:
-        return bool(np.abs(self.state.v).max() < _SETTLED_SPEED)
-
-    def _show(self, goal: Goal) -> None:
-        """Puts the green target at a goal."""
-        mocap = self.model.body_mocapid[mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, TARGET)]
-        if mocap >= 0:
-            self.data.mocap_pos[mocap] = goal.position
-            if goal.pose is not None:
-                self.data.mocap_quat[mocap] = goal.pose.quat
 
 
 def simulate(
@@ -290,11 +203,6 @@ def _rig_for(arm: Arm, plant: Plant) -> Rig:
 
 def _run(rig: Rig, controller: Controller, trajectory: Trajectory, settle: float) -> Log:
     recorder, started = Recorder(rig.arm.n), time.perf_counter()
-    ticks = _ticks(trajectory.duration + number("settle", settle, 0.0), rig.dt)
+    ticks = ticks_for(trajectory.duration + number("settle", settle, 0.0), rig.dt)
     rig.follow(controller, rig.reference(trajectory, ticks), recorder)
     return rig.log(controller, recorder, trajectory.duration, np.full(7, np.nan), time.perf_counter() - started)
-
-
-def _ticks(duration: float, dt: float) -> int:
-    """How many ticks show a motion from its first instant to its last."""
-    return math.ceil(duration / dt - 1e-9) + 1

@@ -20,6 +20,8 @@ from armctl.motion.torque import within_torque
 from armctl.motion.tracking import track
 from armctl.pose import Pose
 
+_COINCIDE = 1e-9  # m
+
 
 @dataclass(frozen=True, eq=False)
 class Line:
@@ -161,12 +163,11 @@ def _planned(
     if not parts:
         raise InputError("path: it is empty; give at least one line or arc")
     oriented = isinstance(parts[0].target, Pose)
-    shapes = _shapes(arm.fk(q), parts, oriented)
-    blends = [number("blend", blend if part.blend is None else part.blend, 0.0) for part in parts[:-1]]
+    blends = [number("blend", blend if part.blend is None else part.blend, 0.0) for part in parts]
+    legs = list(zip(_shapes(arm.fk(q), parts, oriented), blends, strict=True))
+    legs = [leg for leg in legs if leg[0].length > _COINCIDE]  # to where the tip is already is no leg
     motions = []
-    for path in _chains(shapes, blends):
-        if path.length == 0.0:
-            continue
+    for path in _chains(legs):
         joint_path = track(arm, what, path, q, oriented)
         pieces = fastest(joint_path, arm.limits, _caps(path, tip_speed, tip_turn_speed))
         motions.append(within_torque(arm, JointTrajectory(*pieces, arm.joint_names, arm.limits)))
@@ -193,25 +194,25 @@ def _shapes(start: Pose, parts: list[Line | Arc], oriented: bool) -> list[Shape]
     return shapes
 
 
-def _chains(shapes: list[Shape], blends: list[float]) -> list[Chained]:
+def _chains(legs: list[tuple[Shape, float]]) -> list[Chained]:
     """What is gone through without stopping: stretches of the shapes, and blends between them."""
     chains: list[list[Shape]] = [[]]
     begin = 0.0
-    for i, shape in enumerate(shapes):
-        radius = blends[i] if i < len(blends) else 0.0
-        if radius > 0.0:
-            shorter = min(shape.length, shapes[i + 1].length)
-            if radius > 0.5 * shorter + 1e-12:
-                raise InputError(
-                    f"blend: {radius:g} m at corner {i + 1} is more than half of the shorter side, {0.5 * shorter:.4g} m"
-                )
-        chains[-1].append(Stretch(shape, begin, shape.length - radius))
-        if radius > 0.0:
-            chains[-1].append(Blend(shape, shapes[i + 1], radius))
-        else:
+    for i, (shape, radius) in enumerate(legs):
+        after = legs[i + 1][0] if i + 1 < len(legs) else None
+        if after is None or radius == 0.0:
+            chains[-1].append(Stretch(shape, begin, shape.length))
             chains.append([])
+            begin = 0.0
+            continue
+        shorter = min(shape.length, after.length)
+        if radius > 0.5 * shorter + 1e-12:
+            raise InputError(
+                f"blend: {radius:g} m at corner {i + 1} is more than half of the shorter side, {0.5 * shorter:.4g} m"
+            )
+        chains[-1] += [Stretch(shape, begin, shape.length - radius), Blend(shape, after, radius)]
         begin = radius
-    return [Chained(chain) for chain in chains]
+    return [Chained(chain) for chain in chains if chain]
 
 
 def _caps(path: Shape, tip_speed: float | None, tip_turn_speed: float | None) -> Callable[[Array], Array] | None:

@@ -1,0 +1,81 @@
+"""What an arm in a simulation can be told: lines, arcs, paths, and to follow."""
+
+import numpy as np
+import pytest
+from arms import arm_of
+
+import armctl
+from armctl.motion import Arc, Line
+
+
+@pytest.fixture
+def sim() -> armctl.Simulation:
+    return armctl.Simulation(arm_of("panda"))
+
+
+def moved(sim: armctl.Simulation, *way: float) -> armctl.Pose:
+    return armctl.Pose(sim.tip.position + way, quat=sim.tip.quat)
+
+
+def test_move_j_brings_the_joints_to_a_position(sim):
+    goal = sim.arm.home + 0.2
+    assert sim.move_j(goal)
+    assert np.allclose(sim.state.q, goal, atol=1e-4)
+    with pytest.raises(armctl.LimitError, match="q: joint4"):
+        sim.move_j(np.ones(7))
+
+
+def test_move_l_keeps_the_simulated_tip_on_its_line(sim):
+    start, target = sim.tip.position, moved(sim, 0.0, 0.2, -0.1)
+    result = sim.move_l(target)
+    assert result, str(result)
+    way = (target.position - start) / np.linalg.norm(target.position - start)
+    away = sim.log.tip[:, :3] - start
+    assert np.abs(away - (away @ way)[:, None] * way).max() < 5e-5
+
+
+def test_a_line_that_cannot_be_is_refused_before_anything_moves(sim):
+    before = sim.state
+    result = sim.move_l(moved(sim, 0.8, 0.0, 0.0))
+    assert not result
+    assert "of the path, tip at" in result.reason
+    assert np.array_equal(sim.state.q, before.q)
+
+
+def test_arcs_circles_and_paths_end_where_they_should(sim):
+    start = sim.tip
+    assert sim.move_c(moved(sim, 0.0, 0.05, 0.05), moved(sim, 0.0, 0.1, 0.0))
+    assert sim.move_c(moved(sim, 0.0, -0.05, 0.05), moved(sim, 0.0, -0.1, 0.0), angle=2 * np.pi)
+    assert sim.tip.distance(start)[0] == pytest.approx(0.1, abs=1e-3)
+    square = [
+        moved(sim, 0.0, 0.0, -0.1),
+        Line(moved(sim, 0.0, -0.1, -0.1)),
+        Arc(moved(sim, 0, -0.12, -0.05), moved(sim, 0, -0.1, 0)),
+    ]
+    assert sim.move_path([*square, start], blend=0.01, tip_speed=0.3)
+    assert sim.tip.distance(start)[0] < 1e-3
+    with pytest.raises(armctl.InputError, match="it is empty"):
+        sim.move_path([])
+
+
+def test_it_follows_a_point_that_moves(sim):
+    start = sim.tip.position
+
+    def circling(t: float) -> np.ndarray:
+        return start + 0.05 * np.array([0.0, np.sin(2 * t), 1 - np.cos(2 * t)])
+
+    log = sim.follow(circling, seconds=3.0)
+    wanted = np.array([circling(t) for t in log.t])
+    off = np.linalg.norm(log.tip[:, :3] - wanted, axis=1)
+    assert off[500:].max() < 0.03
+    assert (np.abs(np.diff(log.q_ref, axis=0)) <= 1.001 * sim.dt * sim.arm.limits.v_max).all()
+    assert np.abs(log.q - log.q_ref).max() < 1e-3
+
+
+def test_it_follows_the_target_wherever_it_is_put(sim):
+    body = sim.model.body("target").mocapid[0]
+    sim.data.mocap_pos[body] = sim.tip.position + np.array([0.05, 0.1, -0.1])
+    sim.follow("target", seconds=2.0)
+    assert np.linalg.norm(sim.tip.position - sim.target) < 1e-4
+    with pytest.raises(armctl.UnknownNameError, match="unknown body 'tarket'; did you mean 'target'"):
+        sim.follow("tarket")
