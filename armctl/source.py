@@ -12,7 +12,7 @@ from urllib.request import getproxies
 
 import mujoco
 
-from armctl.datasheets import ALIASES, ROWS, Row
+from armctl.datasheets import ALIASES, BY_CATEGORY, BY_ROBOT, ROWS, Row
 from armctl.errors import InputError, ModelError, UnknownNameError
 from armctl.urdf import read_urdf
 
@@ -125,17 +125,17 @@ def bundled_models() -> Path:
 
 
 def robots() -> dict[str, str]:
-    """Every name that `load` takes, but paths.
+    """Every robot that `load` knows by name, and what armctl can do with it; nothing is downloaded for that.
 
     Returns:
-        Name to a short description: the bundled arm, the aliases, then Menagerie's arms.
+        Name, the alias where there is one, to a line of text: the bundled arm, then all of MuJoCo Menagerie.
     """
     import mujoco_menagerie as menagerie
 
-    known = {BUNDLED: "bundled: three joints, the tutorial's arm"}
-    known |= {alias: f"MuJoCo Menagerie: {menagerie.get(name).display_name}" for alias, name in ALIASES.items()}
-    unlisted = (r for r in menagerie.robots() if "arm" in r.category and r.name not in ALIASES.values())
-    return known | {r.name: f"MuJoCo Menagerie: {r.display_name}" for r in unlisted}
+    short = {name: alias for alias, name in ALIASES.items()}
+    ability = {r: BY_ROBOT.get(r.name, BY_CATEGORY.get(r.category, "see armctl chains")) for r in menagerie.robots()}
+    known = {BUNDLED: "bundled, the tutorial's: an arm: load"}
+    return known | {short.get(r.name, r.name): f"{r.display_name}: {text}" for r, text in ability.items()}
 
 
 def _check_network(robot: menagerie.Robot) -> None:

@@ -4,12 +4,15 @@ import time
 from pathlib import Path
 
 import mujoco
+import mujoco_menagerie as menagerie
 import numpy as np
 import pytest
 from test_chain import limb, load, mjcf, motors  # noqa: F401
 
 import armctl
 from armctl.arm import PARITY_TOLERANCE, check_parity
+from armctl.datasheets import ALIASES, BY_ROBOT
+from armctl.source import robots
 from armctl.staging import TARGET
 
 HINGE = '<joint name="a" axis="0 1 0" range="-1 1" {}/>'
@@ -94,6 +97,16 @@ def test_a_robot_that_cannot_be_downloaded_says_so_at_once(monkeypatch: pytest.M
     assert sentence.startswith("google_robot: its model is not at hand (http://127.0.0.1:9: ")
     assert "`mujoco-menagerie prefetch google_robot`, or set MENAGERIE_ROOT to a checkout" in sentence
     assert "\n" not in sentence
+
+
+def test_all_of_menagerie_is_listed_with_what_can_be_done_with_it(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.delenv("MENAGERIE_ROOT", raising=False)  # nothing has to be at hand
+    listed = robots()
+    for robot in menagerie.robots():
+        names = [robot.name, *(alias for alias, name in ALIASES.items() if name == robot.name)]
+        assert any(name in listed for name in names), robot.name
+    assert not [text for text in listed.values() if text.endswith("see armctl chains")]
+    assert set(BY_ROBOT) <= set(menagerie.names())
 
 
 # --- torque limits and motors ------------------------------------------------------------------------------------------------
