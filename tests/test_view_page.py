@@ -29,7 +29,7 @@ SOFTWARE_GL = [
     "--enable-unsafe-swiftshader",
     "--ignore-gpu-blocklist",
 ]
-PATIENCE = 30.0  # s: a browser that draws in software, on a busy machine
+PATIENCE = 60.0  # s: a browser that draws in software, on a busy machine
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def tab(browser, page: Page):
 
 
 def opened(browser, url: str):
-    tab = browser.new_context(viewport={"width": 900, "height": 600}).new_page()
+    tab = browser.new_context(viewport={"width": 800, "height": 500}).new_page()
     tab.goto(url)
     tab.get_by_text("real time").wait_for(timeout=1e3 * PATIENCE)
     return tab

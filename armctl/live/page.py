@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
+import time
 
 import numpy as np
 
@@ -12,11 +13,11 @@ from armctl.live.gate import Gate
 from armctl.live.panel import Panel
 from armctl.live.session import Session
 from armctl.pose import Pose
-from armctl.view.stage import PORT, Stage
+from armctl.view.stage import INTERVAL, PORT, Stage
 
 _GIZMO = 0.15  # m
 _ABOVE = np.array([0.0, 0.0, 0.1])  # m, where the words are, from the target
-_INTERVAL = 0.1  # s between words and charts
+_WORDS = 0.15  # s between words and charts
 
 
 class Page:
@@ -44,7 +45,7 @@ class Page:
         self.session = Session(arm, controller)
         self._stage = Stage(arm, port)
         self.url, self.port, scene = self._stage.url, self._stage.port, self._stage.server.scene
-        target = self.session.target
+        target = self._drawn = self.session.target
         self._gizmo = scene.add_transform_controls(
             "/goal", scale=_GIZMO, depth_test=False, position=target.position, wxyz=target.quat
         )
@@ -65,11 +66,11 @@ class Page:
     def serve(self) -> None:
         """Runs the session and keeps the page up to date until `close`."""
         self.session.start()
-        ticks = 0
-        while not self._closing.wait(1 / 60):
+        written = 0.0
+        while not self._closing.wait(INTERVAL):
             self._draw()
-            ticks += 1
-            if ticks % 6 == 0:
+            if time.monotonic() - written > _WORDS:
+                written = time.monotonic()
                 self._write()
 
     def close(self) -> None:
@@ -81,12 +82,14 @@ class Page:
     def _draw(self) -> None:
         session, target = self.session, self.session.target
         self._stage.show(session.shown, target.position[None], target.quat[None])
-        self._label.position = target.position + _ABOVE
+        if target is not self._drawn:
+            self._drawn, self._label.position = target, target.position + _ABOVE
         if not self._held.is_set() and not np.array_equal(self._gizmo.position, target.position):
             self._gizmo.position, self._gizmo.wxyz = target.position, target.quat
 
     def _write(self) -> None:
-        self._label.text = self.session.status
+        if self._label.text != self.session.status:
+            self._label.text = self.session.status
         self._panel.update()
 
 

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 LOCAL = "127.0.0.1"
 PORT = 8080
-_INTERVAL = 1 / 30  # s between drawings
+INTERVAL = 1 / 30  # s between drawings
+_SAME = 1e-6  # rad, m: what moves less is not drawn again
 _FIELD_OF_VIEW = 45.0  # degrees, vertical
 
 
@@ -66,6 +67,7 @@ class Stage:
         self._scene = mjviser.ViserMujocoScene(self.server, self._model, 1)
         self._scene.camera_tracking_enabled = False
         self._latest: tuple[Array, Array, Array] | None = None
+        self._drawn: tuple[Array, Array, Array] | None = None
         self._looking = threading.Event()
         self._closing = threading.Event()
         self._look_at_arm()
@@ -106,17 +108,16 @@ class Stage:
             self.server.stop()
 
     def _draw(self) -> None:
-        while not self._closing.wait(_INTERVAL):
+        while not self._closing.wait(INTERVAL):
             if self._latest is not None:
                 self.draw()
 
     def draw(self) -> None:
         """Sends what was shown last to the pages."""
-        latest, self._latest = self._latest, None
-        if latest is None:
+        latest, self._latest, data = self._latest, None, self._data
+        if latest is None or (self._drawn is not None and _same(latest, self._drawn)):
             return
-        data = self._data
-        data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = latest
+        self._drawn = data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = latest
         mujoco.mj_kinematics(self._model, data)
         with self.server.atomic():
             self._scene.update_from_mjdata(data)
@@ -142,6 +143,10 @@ def _drawn(model: mujoco.MjModel) -> mujoco.MjModel:
     model.geom_rgba[model.geom_group > 2, 3] = 0.0
     model.site_group[:] = 5
     return model
+
+
+def _same(one: tuple[Array, ...], other: tuple[Array, ...]) -> bool:
+    return all(np.abs(a - b).max(initial=0.0) < _SAME for a, b in zip(one, other, strict=True))
 
 
 def _sky() -> NDArray[np.uint8]:
