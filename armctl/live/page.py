@@ -82,9 +82,10 @@ class Page:
     def _draw(self) -> None:
         session, target = self.session, self.session.target
         self._stage.show(session.shown, target.position[None], target.quat[None])
-        if target is not self._drawn:
-            self._drawn, self._label.position = target, target.position + _ABOVE
-        if not self._held.is_set() and not np.array_equal(self._gizmo.position, target.position):
+        if target is self._drawn:
+            return
+        self._drawn, self._label.position = target, target.position + _ABOVE
+        if not self._held.is_set():
             self._gizmo.position, self._gizmo.wxyz = target.position, target.quat
 
     def _write(self) -> None:

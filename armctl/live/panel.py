@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     import viser
 
 PAYLOAD_MAX = 5.0  # kg
+_HANDS_OFF = 0.5  # s after which sliders that nobody moves show where the joints are
 
 
 class Panel:
@@ -31,7 +33,7 @@ class Panel:
             server: The page's server.
             session: What they control.
         """
-        self._gui, self._session = server.gui, session
+        self._gui, self._session, self._told, self._touched = server.gui, session, session.target, 0.0
         self._words = server.gui.add_markdown("")
         self._charts = Charts(server, session.arm.joint_names, session.history.read())
         self._add_plant()
@@ -47,10 +49,11 @@ class Panel:
         session = self._session
         self._words.content = f"**{session.status}**\n\nreal time x {session.real_time_factor * session.pace.speed:.2f}"
         self._charts.update(session.history.read())
-        target = session.target
-        _tell(self._position, target.position)
-        _tell(self._rpy, np.degrees(target.rpy))
-        if not session.steered:
+        if session.target is not self._told:  # else what somebody is just typing would be overwritten
+            self._told = session.target
+            _tell(self._position, self._told.position)
+            _tell(self._rpy, np.degrees(self._told.rpy))
+        if not session.steered and time.monotonic() - self._touched > _HANDS_OFF:
             for slider, angle in zip(self._joints, session.q, strict=True):
                 slider.value = round(float(angle), 3)
 
@@ -61,7 +64,7 @@ class Panel:
             self._rpy = gui.add_vector3("roll, pitch, yaw, deg", _rounded(np.degrees(session.target.rpy)), step=1.0)
             oriented = gui.add_checkbox("orientation counts", session.oriented)
 
-        def aim(event) -> None:
+        async def aim(event) -> None:
             if event.client is not None:
                 session.aim(Pose(self._position.value, rpy=np.radians(self._rpy.value)))
 
@@ -100,8 +103,9 @@ class Panel:
                 for i, name in enumerate(session.arm.joint_names)
             ]
 
-        def steer(event) -> None:
+        async def steer(event) -> None:
             if event.client is not None:
+                self._touched = time.monotonic()
                 session.steer(_values(self._joints))
 
         for slider in self._joints:
