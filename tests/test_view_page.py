@@ -58,7 +58,7 @@ def tab(browser, page: Page):
 
 
 def opened(browser, url: str):
-    tab = browser.new_context(viewport={"width": 800, "height": 500}).new_page()
+    tab = browser.new_context(viewport={"width": 640, "height": 420}).new_page()
     tab.goto(url)
     tab.get_by_text("real time").wait_for(timeout=1e3 * PATIENCE)
     return tab
@@ -181,9 +181,10 @@ def test_pause_and_reset_do_what_they_say(page: Page, tab):
 
 def test_a_second_tab_sees_the_same_and_closing_it_harms_nothing(browser, page: Page, tab):
     second = opened(browser, page.url)
-    typed(tab, "position, m", "0.22", 0)
-    x = field_of(second, "position, m")
-    until(lambda: float(x.input_value()) == 0.22, "the second tab shows another target")
+    typed(second, "position, m", "0.22", 0)
+    until(lambda: page.session.target.position[0] == 0.22, "the second tab is not listened to")
+    tab.bring_to_front()
+    until(lambda: float(field_of(tab, "position, m").input_value()) == 0.22, "the first tab shows another target")
     second.close()
     arrives(page)
     until(lambda: len(page._stage.server.get_clients()) == 1, "the closed tab is gone")
