@@ -59,7 +59,7 @@ class Profiles:
         """
         n = len(v_max)
         self._otg, self._input, self._result = ruckig.Ruckig(n), ruckig.InputParameter(n), ruckig.Trajectory(n)
-        self._bounds = v_max, a_max, j_max
+        self._bounds, self._v_max = (v_max, a_max, j_max), v_max.tolist()
         self._limit(1.0)
 
     @classmethod
@@ -172,8 +172,13 @@ class Profiles:
         Returns:
             Whether it does.
         """
-        for profile, low, high in zip(self._result.profiles[0], q_min, q_max, strict=True):
-            q, v, a = profile.p, profile.v, profile.a
+        time = self._result.duration
+        for profile, low, high, fastest in zip(self._result.profiles[0], q_min, q_max, self._v_max, strict=True):
+            q = profile.p
+            spare = 0.5 * (fastest * time - abs(q[7] - q[0]))  # it cannot swing further beyond its ends, and back in time
+            if low + spare <= min(q[0], q[7]) and max(q[0], q[7]) + spare <= high:
+                continue
+            v, a = profile.v, profile.a
             if min(q) < low or max(q) > high:
                 return False
             turning = [k for k in range(7) if v[k] * v[k + 1] < 0 or a[k] * a[k + 1] < 0]
