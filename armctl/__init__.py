@@ -19,6 +19,7 @@ _MODULES = {
     "DifferentialIk": "armctl.ik",
     "IkBatch": "armctl.ik",
     "GripResult": "armctl.gripper",
+    "Gripper": "armctl.gripper",
     "IkResult": "armctl.ik",
     "Impedance": "armctl.control",
     "InputError": "armctl.errors",
@@ -87,6 +88,7 @@ if TYPE_CHECKING:
     from armctl.errors import PlanError as PlanError
     from armctl.errors import SimulationError as SimulationError
     from armctl.errors import UnknownNameError as UnknownNameError
+    from armctl.gripper import Gripper as Gripper
     from armctl.gripper import GripResult as GripResult
     from armctl.identification import PayloadEstimate as PayloadEstimate
     from armctl.identification import excitation as excitation

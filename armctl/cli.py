@@ -61,6 +61,7 @@ def _parser() -> argparse.ArgumentParser:
         if chain:
             sub.add_argument("--tip", help="site, body or geom at the end of the chain")
             sub.add_argument("--base", help="body that the chain stands on; joints above it are held")
+            sub.add_argument("--tool", help="gripper, hand or MJCF file to mount at the tip")
             sub.add_argument("--hold-base", action="store_true", help="hold a robot that floats or walks where its keyframe is")
         return sub
 
@@ -219,7 +220,7 @@ def _view(args: argparse.Namespace) -> int:
 def _load(args: argparse.Namespace) -> Arm:
     from armctl.robots import load
 
-    return load(args.robot, tip=args.tip, base=args.base, hold_base=args.hold_base)
+    return load(args.robot, tip=args.tip, base=args.base, tool=args.tool, hold_base=args.hold_base)
 
 
 def _target(words: list[str]):

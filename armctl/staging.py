@@ -29,6 +29,7 @@ def hold_bases(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
         if not any(is_below(model, other, body) for other in moved):
             continue
         start = int(model.jnt_qposadr[joint])
+        bodies[body].set_frame(spec.worldbody.add_frame())  # whatever frame the file put it in, its keyframe is in the world's
         bodies[body].pos, bodies[body].quat = qpos[start : start + 3], qpos[start + 3 : start + 7]
         bodies[body].alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
         spec.delete(joints[joint])

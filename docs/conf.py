@@ -32,6 +32,8 @@ html_show_copyright = False
 
 CHAPTERS = {
     "armctl.robots": "Robots by name",
+    "armctl.chain": "Chains",
+    "armctl.scene": "Scenes",
     "armctl.arm": "The arm",
     "armctl.pose": "Poses",
     "armctl.trajectory": "Limits, setpoints, trajectories",
@@ -40,6 +42,8 @@ CHAPTERS = {
     "armctl.control": "Control",
     "armctl.plant": "The plant",
     "armctl.simulation": "Simulation",
+    "armctl.gripper": "Grippers",
+    "armctl.team": "Teams",
     "armctl.log": "The log",
     "armctl.report": "Reports",
     "armctl.comparison": "Comparison",

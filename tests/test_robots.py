@@ -243,6 +243,15 @@ def test_a_held_base_is_where_its_keyframe_puts_it_and_all_else_keeps_its_place(
     assert arm.model.nv == 2 + 6  # the cube stays free
 
 
+def test_a_held_base_without_a_keyframe_is_where_it_is_drawn(load):  # noqa: F811
+    trunk = f'<body name="trunk" pos="0.1 0 0"><freejoint/><geom size="0.1" mass="5"/>{limb("a b")}</body>'
+    arm = load(f'<frame pos="0 0 1" euler="0 0 1.5707963267948966">{trunk}</frame>', motors("a b"), hold_base=True)
+    data = mujoco.MjData(arm.model)
+    mujoco.mj_forward(arm.model, data)
+    assert data.body("trunk").xpos == pytest.approx([0, 0.1, 1])
+    assert data.body("trunk").xquat == pytest.approx([0.5**0.5, 0, 0, 0.5**0.5])
+
+
 def test_a_held_base_stays_while_its_limb_moves(load):  # noqa: F811
     arm = load(WALKER, motors("a b") + STANDING, hold_base=True)
     simulation = armctl.Simulation(arm)
