@@ -1,4 +1,4 @@
-"""The command line: `armctl robots | chains | info | reach | compare | simulate`.
+"""The command line: `armctl robots | chains | info | reach | compare | iso9283 | simulate`.
 
 Exit status: 0 done and reached, 1 not reached, 2 a wrong call.
 """
@@ -78,6 +78,12 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("--report", type=Path, metavar="DIR", help="write JSON, Markdown and an HTML page into this folder")
     compare.add_argument("--timestep", help="the tick, s (default the model's)")
     compare.add_argument("--workers", type=int, help="processes that share the work (default one a core)")
+    iso = command("iso9283", _iso9283, "pose and path accuracy by the standard's cycles")
+    iso.add_argument("--controller", default="computed-torque-observer", help="its name (default computed-torque-observer)")
+    iso.add_argument("--plant", default="noise", metavar="A+B", help=f"{_PLANTS_HELP} (default noise)")
+    iso.add_argument("--identify", action="store_true", help="identify the payload first, and tell the controller")
+    iso.add_argument("--cycles", type=int, default=30, help="of the five poses (default 30)")
+    iso.add_argument("--timestep", help="the tick, s (default the model's)")
     simulate = command("simulate", _simulate, "hold the motors at constant controls")
     simulate.add_argument("--ctrl", nargs="+", required=True, metavar="N", help="one control a motor; torque = gear x control")
     simulate.add_argument("--seconds", default="2", help="how long, s (default 2)")
@@ -88,7 +94,7 @@ def _parser() -> argparse.ArgumentParser:
     view.add_argument("--host", help="serve other machines too, at this address; wants --token")
     view.add_argument("--token", help="what visitors from other machines must know, at least 8 characters")
     view.add_argument("--native", action="store_true", help="MuJoCo's own viewer instead of the browser")
-    for sub in (chains, info, reach, compare, simulate):
+    for sub in (chains, info, reach, compare, iso, simulate):
         sub.add_argument("--json", action="store_true", help="print JSON instead of text")
     for sub in (reach, compare):
         sub.add_argument("--save", type=Path, metavar="DIR", help="write logs, figures and plots into this folder")
@@ -178,6 +184,24 @@ def _bar(done: int, total: int) -> None:
 
 def _names(text: str | None) -> list[str]:
     return [word for word in (text or "").replace(" ", ",").split(",") if word]
+
+
+def _iso9283(args: argparse.Namespace) -> int:
+    from armctl.control import controller_by_name
+    from armctl.identification import excitation, identify_payload
+    from armctl.iso9283 import iso9283_cycles
+    from armctl.plant_names import plant_by_name
+    from armctl.simulation import simulate
+
+    arm, known = (_load(args),) * 2
+    plant = plant_by_name(args.plant, arm, _numbers("timestep", [args.timestep])[0] if args.timestep else None)
+    if args.identify:
+        found = identify_payload(arm, simulate(arm, args.controller, excitation(arm), plant))
+        print(f"armctl: {found}", file=sys.stderr)
+        known = found.applied_to(arm)
+    figures = iso9283_cycles(arm, controller_by_name(args.controller, known), plant, cycles=args.cycles)
+    _print(args, str(figures), figures.to_dict())
+    return OK if figures.ok else NOT_REACHED
 
 
 def _simulate(args: argparse.Namespace) -> int:

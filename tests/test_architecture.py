@@ -50,6 +50,7 @@ FLOORS = [
         "plot",
         "report > plot",
         "comparison > report",
+        "iso9283",
         "comparison_page > comparison plot report",
         "live > report plot comparison",
     ],

@@ -161,3 +161,23 @@ def test_help_is_there_without_heavy_imports():
 
 def _paths() -> dict[str, str]:
     return {"PYTHONPATH": ":".join(sys.path)}
+
+
+def test_compare_writes_a_report_on_the_plants_asked_for(capsys, tmp_path):
+    chosen = ("--controllers", "pd,computed-torque", "--plants", "nominal,payload=1")
+    status, out, _ = run(capsys, "compare", BUNDLED, *chosen, "--report", str(tmp_path), "--workers", "1", "--json")
+    assert status == 0
+    assert [(r["controller"], r["plant"]) for r in json.loads(out)][-1] == ("computed-torque", "payload 1 kg")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["comparison.html", "comparison.json", "comparison.md"]
+
+
+def test_compare_refuses_what_it_does_not_know(capsys):
+    assert run(capsys, "compare", BUNDLED, "--plants", "paylod=1")[0] == 2
+    assert run(capsys, "compare", BUNDLED, "--controllers", "pdd")[0] == 2
+
+
+def test_iso9283_prints_the_figures_with_units(capsys):
+    status, out, _ = run(capsys, "iso9283", BUNDLED, "--cycles", "2", "--plant", "payload=0.5+noise", "--identify")
+    assert status == 0
+    assert "pose accuracy AP" in out
+    assert " um" in out

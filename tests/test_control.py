@@ -83,6 +83,27 @@ def test_comes_back_after_a_kick(arm, name):
     assert np.abs(log.v[-1]).max() < 0.5 * kick.max()
 
 
+@every_tick
+@pytest.mark.parametrize("robot", ["robot_arm_3dof", "panda", "iiwa14", "so_arm100", "gen3"])
+def test_an_observer_bears_a_delay_of_two_ticks(robot, dt):
+    arm = arm_of(robot)
+    plant = armctl.Plant(timestep=dt, delay=2, mass_scale=1.2, encoder_noise=1e-5, velocity_noise=1e-3)
+    log = armctl.simulate(arm, "computed-torque-observer", Sway(arm), plant, settle=1.0)
+    end = log.t > log.t[-1] - 0.2
+    assert not log.end
+    assert np.abs(log.q - log.q_ref)[end].max() < 2e-3
+    assert np.abs(log.v[end]).max() < 0.1
+
+
+def test_an_observer_knows_what_a_motor_cannot_have_done(bundled):
+    """Asked for far more than the limits, the observer must not take what was cut off for a disturbance."""
+    zero, controller = np.zeros(bundled.n), armctl.ComputedTorque(bundled, observer_bandwidth=200.0)
+    simulation = armctl.Simulation(bundled, controller, armctl.Plant(timestep=0.001))
+    log = simulation.run(Still(bundled.home + np.array([2.0, 0.0, 0.0]), 0.2))
+    assert (np.abs(log.tau_cmd) > bundled.limits.tau_max).any()
+    assert np.abs(controller._observer.estimate - zero).max() < 1e-6
+
+
 @every_controller
 def test_the_same_run_gives_the_same_bits(bundled, name):
     controller = controller_by_name(name, bundled)

@@ -13,7 +13,7 @@ from armctl.control.operational_space import OperationalSpace
 from armctl.control.pd import PD
 from armctl.errors import UnknownNameError
 
-OBSERVER_BANDWIDTH = 200.0  # rad/s
+OBSERVED = {"bandwidth": 30.0, "observer_bandwidth": 200.0}  # rad/s; what an observer leaves is forgotten faster
 
 CONTROLLERS: dict[str, Callable[[Arm], Controller]] = {
     "pd": PD,
@@ -21,7 +21,7 @@ CONTROLLERS: dict[str, Callable[[Arm], Controller]] = {
     "pid-gravity": PIDGravity,
     "computed-torque": ComputedTorque,
     "computed-torque-textbook": partial(ComputedTorque, form="textbook"),
-    "computed-torque-observer": partial(ComputedTorque, observer_bandwidth=OBSERVER_BANDWIDTH),
+    "computed-torque-observer": partial(ComputedTorque, **OBSERVED),
     "operational-space": OperationalSpace,
     "impedance": Impedance,
     "adaptive": Adaptive,

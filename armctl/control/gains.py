@@ -10,10 +10,10 @@ from armctl.arrays import Array, number, vector
 from armctl.dynamics import Dynamics
 
 DEFAULT_BANDWIDTH = 20.0  # rad/s
-SLOWEST_TICK = 4e-3  # s: gains that do not know the control period are stable up to it
+GAIN_TICK = 2e-3  # s: gains that do not know the control period are made for it, and stable at twice of it
 _POSES = 64
 _GREATEST_ACCELERATION = 1000.0  # rad/s^2: a motor that could make more has almost no inertia to move
-_DAMPING_PER_TICK = 0.5  # of a joint's velocity; 2 is the limit of stability
+_DAMPING_PER_TICK = 0.25  # of a joint's velocity: bears a delay of two ticks; without one, 2 is the limit
 
 
 def poses(arm: Arm) -> Array:
@@ -60,7 +60,7 @@ def raised(arm: Arm, inertia: Array, least: Array, bandwidth: float, dt: float) 
     """Inertias to scale gains with: those of the joints, but a floor where a joint has almost no inertia.
 
     Gains in proportion to next to nothing give way to any friction or payload. The floor is what the joint's motor accelerates
-    at 1000 rad/s^2. A held torque must not take more than half of the joint's own speed in a tick, wherever the arm is: that is
+    at 1000 rad/s^2. A held torque must not take more than a quarter of the joint's own speed in a tick, wherever the arm is: that is
     the ceiling.
 
     Args:
@@ -100,7 +100,7 @@ def pd_gains(
         InputError: A gain is negative, not finite or of the wrong length.
     """
     felt = joint_inertia(arm)
-    inertia = raised(arm, np.median(felt, axis=0), felt.min(axis=0), bandwidth, SLOWEST_TICK)
+    inertia = raised(arm, np.median(felt, axis=0), felt.min(axis=0), bandwidth, GAIN_TICK)
     if stiffness is None:
         stiffness = number("bandwidth", bandwidth, 0.0) ** 2 * inertia
     stiffness = gain("stiffness", stiffness, arm.n)

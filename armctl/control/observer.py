@@ -12,16 +12,18 @@ from armctl.control import model
 from armctl.control.contract import Clock, State
 from armctl.dynamics import Dynamics
 
+_PER_TICK = 0.3  # rad, the most that bandwidth x dt may be
+
 
 class DisturbanceObserver:
     """A one-step disturbance observer of first order, d = LP[ID(q, v, (v_next - v) / dt) - tau].
 
     After Ohnishi, Shibata, Murakami, "Motion control for advanced mechatronics" (1996), with the whole arm's inverse dynamics
     in place of a joint's nominal inertia. Unfiltered, a delay of two ticks makes it diverge; the low-pass is therefore never
-    faster than a delay of a few ticks allows.
+    faster than 0.3 / dt, which bears a delay of two ticks besides the observer's own.
 
     Attributes:
-        bandwidth: rad/s, of the low-pass.
+        bandwidth: rad/s, of the low-pass, where ticks are short enough for it.
         estimate: (n,) N m, the unknown torque on each joint.
     """
 
@@ -51,7 +53,8 @@ class DisturbanceObserver:
         """
         if self._clock.follows(state):
             unknown = model.inverse(self._dynamics, self._before, (state.v - self._before.v) / state.dt) - self._tau
-            self.estimate = self.estimate - math.expm1(-self.bandwidth * state.dt) * (unknown - self.estimate)
+            share = -math.expm1(-min(self.bandwidth * state.dt, _PER_TICK))
+            self.estimate = self.estimate + share * (unknown - self.estimate)
         else:
             self.estimate = np.zeros_like(self.estimate)
         tau = tau - self.estimate
