@@ -60,8 +60,8 @@ def raised(arm: Arm, inertia: Array, least: Array, bandwidth: float, dt: float) 
     """Inertias to scale gains with: those of the joints, but a floor where a joint has almost no inertia.
 
     Gains in proportion to next to nothing give way to any friction or payload. The floor is what the joint's motor accelerates
-    at 1000 rad/s^2. A held torque must not take more than a quarter of the joint's own speed in a tick, wherever the arm is: that is
-    the ceiling.
+    at 1000 rad/s^2. A held torque must not take more than a quarter of the joint's own speed in a tick, wherever the arm is:
+    that is the ceiling.
 
     Args:
         arm: The arm.
