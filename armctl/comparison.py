@@ -10,7 +10,7 @@ import numpy as np
 
 from armctl.arm import Arm
 from armctl.arrays import number
-from armctl.contacts import Contacts
+from armctl.contacts import contacts_of
 from armctl.control import Controller
 from armctl.errors import PlanError, SimulationError
 from armctl.motion import move_j
@@ -112,9 +112,9 @@ def out_and_back(arm: Arm, distance: float = 0.6) -> Trajectory:
     Raises:
         PlanError: The arm touches something however little it moves.
     """
-    contacts, share = Contacts(arm), np.linspace(0.0, 1.0, 50)[:, None]
+    contacts, share = contacts_of(arm), np.linspace(0.0, 1.0, 50)[:, None]
     for step in (distance * sign * 0.5**k for k in range(5) for sign in (1, -1)):
         there = 0.98 * (arm.limits.clamp(arm.home + step) - arm.home) + arm.home
-        if contacts.along(arm.home + share * (there - arm.home)) is None:
+        if not contacts.along(arm.home + share * (there - arm.home)):
             return move_j(arm, arm.home, there).then(move_j(arm, there, arm.home))
     raise PlanError(f"{arm.name}: it touches something wherever it moves from home, so there is no motion to compare on")

@@ -1,71 +1,110 @@
-"""Contacts: what the arm touches at a position, by MuJoCo's own collision detection."""
+"""What an arm touches at a position, by MuJoCo's own collision detection."""
 
 from __future__ import annotations
+
+from weakref import WeakKeyDictionary
 
 import mujoco
 import numpy as np
 
 from armctl.arm import Arm
-from armctl.arrays import Array
+from armctl.arrays import Array, IntArray
 from armctl.elements import body_name, name_of
 from armctl.rigid_body import joint_above
 
+SAMPLES = 64
+
 
 class Contacts:
-    """Collision detection of an arm with itself and with its scene; all else is at home.
+    """Contacts of an arm with itself and with the scene, everything outside its chain at home.
 
-    Attributes:
-        arm: The arm.
+    Left out are contacts that no motion of the arm changes, pairs that touch in every one of many random positions, and
+    neighbouring links that touch at home: their geoms overlap by design.
     """
 
     def __init__(self, arm: Arm):
-        """Collision detection for an arm.
+        """Learns which pairs always touch.
 
         Args:
             arm: The arm.
         """
-        self.arm = arm
-        self._data = mujoco.MjData(arm.model)
-        joints = tuple(int(j) for j in arm.model.dof_jntid[arm.dof_adr])
-        self._above = np.array(joint_above(arm.model, joints))[arm.model.geom_bodyid]
+        self._arm, self._data = arm, mujoco.MjData(arm.model)
+        self.owner = geom_owners(arm)
+        self.ignored = np.empty(0, np.int64)
+        at_home = self._pairs(arm.home)
+        always = at_home
+        for q in arm.limits.random(arm.home, SAMPLES, np.random.default_rng(0)):
+            always = np.intersect1d(always, self._pairs(q))
+        first, second = (self.owner[geoms] for geoms in divmod(at_home, arm.model.ngeom))
+        self.ignored = np.union1d(always, at_home[np.abs(first - second) == 1])
 
-    def at(self, q: Array, margin: float = 0.0) -> tuple[str, str] | None:
-        """The deepest contact of two parts that the arm moves against each other.
+    def at(self, q: Array) -> str:
+        """What touches what at a position.
 
         Args:
             q: (n,) rad.
-            margin: m that parts must be apart; contacts are seen as far as the model's own contact margins reach.
 
         Returns:
-            The names of the two bodies (of a geom where it is part of the scene), or None where nothing touches.
+            Such as "link7 touches floor", or nothing where nothing touches.
         """
-        model, data = self.arm.model, self._data
-        data.qpos[:] = self.arm.qpos(q)
-        mujoco.mj_fwdPosition(model, data)
-        if not data.ncon:
-            return None
-        distance, geoms = data.contact.dist, data.contact.geom
-        moved = self._above[geoms[:, 0]] != self._above[geoms[:, 1]]
-        near = np.flatnonzero(moved & (distance < margin))
-        if not len(near):
-            return None
-        first, second = geoms[near[distance[near].argmin()]].tolist()
-        return self._name(first), self._name(second)
+        touching = self._pairs(q)
+        if not len(touching):
+            return ""
+        return " touches ".join(self._name(geom) for geom in divmod(int(touching[0]), self._arm.model.ngeom))
 
-    def _name(self, geom: int) -> str:
-        """The body of a geom; for a part of the scene, the geom itself."""
-        body = int(self.arm.model.geom_bodyid[geom])
-        if body == 0:
-            return name_of(self.arm.model, mujoco.mjtObj.mjOBJ_GEOM, geom)
-        return body_name(self.arm.model, body)
-
-    def along(self, path: Array) -> tuple[str, str] | None:
+    def along(self, path: Array) -> str:
         """The first contact along a path.
 
         Args:
             path: (T, n) rad.
 
         Returns:
-            The names of the two bodies (of a geom where it is part of the scene), or None where nothing touches.
+            As for `at`.
         """
-        return next((pair for pair in map(self.at, path) if pair is not None), None)
+        return next(filter(None, map(self.at, path)), "")
+
+    def _name(self, geom: int) -> str:
+        """The body a geom is on; in the world, the geom itself."""
+        body = int(self._arm.model.geom_bodyid[geom])
+        return body_name(self._arm.model, body) if body else name_of(self._arm.model, mujoco.mjtObj.mjOBJ_GEOM, geom)
+
+    def _pairs(self, q: Array) -> IntArray:
+        """The geoms of each contact that counts, the lesser first, as one number."""
+        model, data = self._arm.model, self._data
+        data.qpos[:] = self._arm.qpos(q)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        geoms = np.sort(data.contact.geom.astype(np.int64), axis=1)
+        geoms = geoms[(geoms[:, 0] >= 0) & (self.owner[geoms[:, 0]] != self.owner[geoms[:, 1]])]
+        return np.setdiff1d(geoms[:, 0] * model.ngeom + geoms[:, 1], self.ignored)
+
+
+def geom_owners(arm: Arm) -> IntArray:
+    """Which joint of the chain moves each geom.
+
+    Args:
+        arm: The arm.
+
+    Returns:
+        (ngeom,) the last joint above it, counted from the base; -1 where none is.
+    """
+    joints = tuple(int(joint) for joint in arm.model.dof_jntid[arm.dof_adr])
+    return np.array(joint_above(arm.model, joints), np.int64)[arm.model.geom_bodyid]
+
+
+_contacts: WeakKeyDictionary[Arm, Contacts] = WeakKeyDictionary()
+
+
+def contacts_of(arm: Arm) -> Contacts:
+    """The contacts of an arm, learned once.
+
+    Args:
+        arm: The arm.
+
+    Returns:
+        Its contacts.
+    """
+    contacts = _contacts.get(arm)
+    if contacts is None:
+        contacts = _contacts[arm] = Contacts(arm)
+    return contacts

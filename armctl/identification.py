@@ -9,7 +9,7 @@ import numpy as np
 
 from armctl.arm import Arm
 from armctl.arrays import Array, frozen, number
-from armctl.contacts import Contacts
+from armctl.contacts import contacts_of
 from armctl.dynamics import Dynamics
 from armctl.errors import InputError, LimitError, PlanError
 from armctl.log import Log
@@ -104,7 +104,7 @@ def excitation(arm: Arm, payload: float = 1.0, *, pace: float = 0.6, rng: int | 
         PlanError: There is no such motion from home.
     """
     number("pace", pace, 1e-3, 1.0)
-    loaded, contacts = arm.with_payload(number("payload", payload, 0.0)), Contacts(arm)
+    loaded, contacts = arm.with_payload(number("payload", payload, 0.0)), contacts_of(arm)
     held = Dynamics(loaded)
     why = "it touches something on every way that was tried"
     for waypoints in _candidates(arm, np.random.default_rng(rng)):
@@ -112,7 +112,7 @@ def excitation(arm: Arm, payload: float = 1.0, *, pace: float = 0.6, rng: int | 
             why = "its weight there is more than the motors hold"
             continue
         straight = np.linspace(waypoints[:-1], waypoints[1:], 10).reshape(-1, arm.n)
-        if contacts.along(straight) is not None:
+        if contacts.along(straight):
             continue
         try:
             motion = move_through(loaded, waypoints).scaled(pace)
@@ -120,7 +120,7 @@ def excitation(arm: Arm, payload: float = 1.0, *, pace: float = 0.6, rng: int | 
             why = str(error)
             continue
         path = motion.sample(np.arange(0.0, motion.duration, 0.02))
-        if contacts.along(path.q) is None and max(check_torque(x, motion).ratio for x in (arm, loaded)) < _TORQUE_SHARE:
+        if not contacts.along(path.q) and max(check_torque(x, motion).ratio for x in (arm, loaded)) < _TORQUE_SHARE:
             return motion
     raise PlanError(f"{arm.name}: no motion from home shows a payload of {payload:g} kg safely: {why}")
 

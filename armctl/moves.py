@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
 from armctl.arrays import Array, number
-from armctl.contacts import Contacts
+from armctl.contacts import contacts_of
 from armctl.control import Controller, State
 from armctl.errors import InputError, PlanError, UnknownNameError
 from armctl.goal import ANGLE_TOLERANCE, TOLERANCE, Goal
@@ -247,8 +247,8 @@ class Moves:
         reason = rig.end
         if not reason and not goal.is_reached(self.tip):
             reason = f"the tip is {1e3 * position_error:.3g} mm and {orientation_error:.3g} rad from the target"
-            if touching := Contacts(self.arm).at(self.state.q):
-                reason += f"; {touching[0]} touches {touching[1]}"
+            if touching := contacts_of(self.arm).at(self.state.q):
+                reason += f"; {touching}"
         elif not reason and not self._is_still():
             reason = f"the arm has not come to rest within {settle:g} s"
         return MoveResult(not reason, position_error, orientation_error, float(self.data.time - begin), reason, log)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
 from armctl.arrays import Array, number
-from armctl.contacts import Contacts
+from armctl.contacts import contacts_of
 from armctl.control import ComputedTorque, Controller, State, controller_by_name, controller_name
 from armctl.errors import InputError, UnknownNameError
 from armctl.goal import Goal
@@ -172,8 +172,8 @@ class Team:
         reason = refusal or self._rig.end
         if not reason and not self._arrived(tip, goal):
             reason = f"the tip is {1e3 * position_error:.3g} mm and {orientation_error:.3g} rad from the target, or not at rest"
-            if touching := Contacts(self.arms[tip]).at(self._rig.state.q[self._slices[tip]]):
-                reason += f"; {touching[0]} touches {touching[1]}"
+            if touching := contacts_of(self.arms[tip]).at(self._rig.state.q[self._slices[tip]]):
+                reason += f"; {touching}"
         return MoveResult(not reason, position_error, orientation_error, took, reason, log)
 
     def _arrived(self, tip: str, goal: Goal) -> bool:

@@ -88,6 +88,22 @@ class Limits:
         """
         return np.clip(np.asarray(q, dtype=np.float64), self.q_min, self.q_max)
 
+    def random(self, around: Array, count: int, rng: np.random.Generator) -> Array:
+        """Positions anywhere inside [q_min, q_max], or within half a turn of `around` where a joint is not limited.
+
+        Args:
+            around: (n,) rad, inside the limits.
+            count: How many.
+            rng: The generator.
+
+        Returns:
+            (count, n) rad.
+        """
+        bounded = np.isfinite(self.q_max - self.q_min)
+        low = np.where(bounded, self.q_min, np.maximum(self.q_min, around - np.pi))
+        high = np.where(bounded, self.q_max, np.minimum(self.q_max, around + np.pi))
+        return rng.uniform(low, high, (count, len(around)))
+
     def check(self, what: str, q: ArrayLike, joint_names: tuple[str, ...], tolerance: float = 1e-9) -> Array:
         """Joint positions from a caller, checked.
 

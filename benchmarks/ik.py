@@ -18,7 +18,6 @@ import numpy as np
 import armctl
 from armctl import Arm, Pose
 from armctl.ik import DifferentialIk, solve_ik, solve_ik_batch
-from armctl.ik.problem import random_positions
 
 ARMS = ["panda", "ur5e", "iiwa14", "xarm7", "gen3"]
 POSITION_TOLERANCE, ORIENTATION_TOLERANCE = 1e-5, 1e-4
@@ -116,7 +115,7 @@ class Judge:
 
 def poses(arm: Arm, count: int, at_limits: bool, rng: np.random.Generator) -> list[Pose]:
     """Poses of random positions; at limits, about half of the joints are at one."""
-    Q = random_positions(arm.limits, np.zeros(arm.n), count, rng)
+    Q = arm.limits.random(np.zeros(arm.n), count, rng)
     if at_limits:
         bounds = np.where(rng.random(Q.shape) < 0.5, arm.limits.q_min, arm.limits.q_max)
         Q = np.where(np.isfinite(bounds) & (rng.random(Q.shape) < 0.5), bounds, Q)
@@ -162,7 +161,7 @@ def rates(arm: Arm, targets: list[Pose]) -> list[str]:
         solve_ik(arm, far)
         times.append(time.perf_counter() - start)
     rng, jumps = np.random.default_rng(5), 0
-    for q in random_positions(arm.limits, np.zeros(arm.n), 1000, rng):
+    for q in arm.limits.random(np.zeros(arm.n), 1000, rng):
         near = arm.limits.clamp(q + rng.uniform(-0.05, 0.05, arm.n))
         jumps += bool(np.abs(solve_ik(arm, arm.fk(near), q).q - q).max() > 0.5)
     return [

@@ -18,9 +18,8 @@ import numpy as np
 
 import armctl
 from armctl.arm import check_parity
-from armctl.contacts import Contacts
+from armctl.contacts import contacts_of
 from armctl.ik import solve_ik_batch
-from armctl.ik.problem import random_positions
 from armctl.source import BUNDLED
 
 PAGE = Path(__file__).parent.parent / "docs" / "robots.md"
@@ -86,7 +85,7 @@ def chains_of(robot: str) -> Iterator[tuple[str, armctl.Arm]]:
 def measure(arm: armctl.Arm, base: str, poses: int) -> Row:
     """Parity, inverse kinematics and tracking of one chain."""
     parity = check_parity(arm, samples=20)
-    targets = [arm.fk(q) for q in random_positions(arm.limits, arm.home, poses, np.random.default_rng(0))]
+    targets = [arm.fk(q) for q in arm.limits.random(arm.home, poses, np.random.default_rng(0))]
     solved = solve_ik_batch(arm, targets)
     found = np.mean([_is_answer(arm, q, T) for q, T, ok in zip(solved.q, targets, solved.ok, strict=True) if ok] or [0.0])
     goal, reason = _goal(arm)
@@ -105,15 +104,14 @@ def _is_answer(arm: armctl.Arm, q: np.ndarray, target: armctl.Pose) -> bool:
 
 def _goal(arm: armctl.Arm) -> tuple[np.ndarray, str]:
     """A position near home that the arm reaches without touching anything, or why there is none."""
-    contacts, touching = Contacts(arm), None
+    contacts, touching = contacts_of(arm), ""
     for sign in (1.0, -1.0):
         for share in (1.0, 0.1):
             goal = arm.limits.clamp(arm.home + sign * share * STEP)
-            way = (contacts.at((1 - s) * arm.home + s * goal) for s in np.linspace(0, 1, 12))
-            touching = next(filter(None, way), None)
-            if touching is None:
+            touching = contacts.along(arm.home + np.linspace(0, 1, 12)[:, None] * (goal - arm.home))
+            if not touching:
                 return goal, ""
-    return arm.limits.clamp(arm.home + STEP), f"{touching[0]} touches {touching[1]} at home" if touching else ""
+    return arm.limits.clamp(arm.home + STEP), f"{touching} at home"
 
 
 def page(poses: int) -> str:

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 import armctl
 from armctl import Arm, InputError, LimitError, Pose, UnknownNameError, solve_ik
+from armctl.contacts import contacts_of
 from armctl.ik import kernel, solve_ik_batch
-from armctl.ik.contacts import contacts_of
-from armctl.ik.problem import chain_of, random_positions
+from armctl.ik.problem import chain_of
 
 METHODS = ["lm", "mink"]
 COUNT = {"lm": 40, "mink": 4}
@@ -24,7 +24,7 @@ every_arm = pytest.mark.parametrize("name", ARMS)
 
 
 def positions(arm: Arm, count: int, seed: int = 0) -> np.ndarray:
-    return random_positions(arm.limits, arm.home, count, np.random.default_rng(seed))
+    return arm.limits.random(arm.home, count, np.random.default_rng(seed))
 
 
 def target_of(arm: Arm, q: np.ndarray) -> Pose | np.ndarray:

@@ -13,15 +13,14 @@ from arms import ARMS, arm_of
 
 import armctl
 from armctl import Arm, DifferentialIk, InputError, LimitError, Pose, UnknownNameError
-from armctl.ik.contacts import contacts_of, geom_owners
-from armctl.ik.problem import random_positions
+from armctl.contacts import contacts_of, geom_owners
 
 every_arm = pytest.mark.parametrize("name", ARMS)
 DT = 0.01
 
 
 def positions(arm: Arm, count: int, seed: int = 0) -> np.ndarray:
-    return random_positions(arm.limits, arm.home, count, np.random.default_rng(seed))
+    return arm.limits.random(arm.home, count, np.random.default_rng(seed))
 
 
 def follow(ik: DifferentialIk, q: np.ndarray, target, steps: int, dt: float = DT) -> tuple[np.ndarray, np.ndarray]:

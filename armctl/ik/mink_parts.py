@@ -12,7 +12,7 @@ from mink.tasks import BaseTask
 
 from armctl.arm import Arm
 from armctl.arrays import Array
-from armctl.ik.contacts import avoidable_pairs
+from armctl.ik.pairs import avoidable_pairs
 from armctl.ik.problem import FREE_X, POSITION, chain_of
 
 ROTATION_WEIGHT = 0.5  # of a radian, beside an error of one reach;

@@ -236,24 +236,6 @@ def read_problem(
     )
 
 
-def random_positions(limits: Limits, q0: Array, count: int, rng: np.random.Generator) -> Array:
-    """Positions anywhere inside the joint limits, or within half a turn around q0 where there are none.
-
-    Args:
-        limits: The arm's.
-        q0: (n,) rad, inside them.
-        count: How many.
-        rng: The generator.
-
-    Returns:
-        (count, n) rad.
-    """
-    bounded = np.isfinite(limits.q_max - limits.q_min)
-    low = np.where(bounded, limits.q_min, np.maximum(limits.q_min, q0 - np.pi))
-    high = np.where(bounded, limits.q_max, np.minimum(limits.q_max, q0 + np.pi))
-    return rng.uniform(low, high, (count, len(q0)))
-
-
 _chains: WeakKeyDictionary[Arm, Chain] = WeakKeyDictionary()
 
 

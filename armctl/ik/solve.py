@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
 from armctl.arrays import Array, IntArray, frozen
+from armctl.contacts import contacts_of
 from armctl.errors import UnknownNameError
 from armctl.ik import lm
-from armctl.ik.contacts import contacts_of
-from armctl.ik.problem import PoseOrPoint, Problem, random_positions, read_problem, read_target
+from armctl.ik.problem import PoseOrPoint, Problem, read_problem, read_target
 from armctl.ik.result import IkResult, why_not
 
 STARTS, MINK_STARTS = 200, 60
@@ -116,7 +116,7 @@ def _one_by_one(problem: Problem, search: Search, most: int, stay_near: bool) ->
 def _nearest_first(problem: Problem, search: Search) -> Iterator[tuple[Array, int, int]]:
     """Solutions from many starts, drawn towards q0 as far as they remain solutions, the nearest first."""
     many = problem.rows(np.zeros(NEAREST_STARTS, np.int64))
-    begin = random_positions(problem.arm.limits, problem.q0[0], NEAREST_STARTS, np.random.default_rng(problem.seed))
+    begin = problem.arm.limits.random(problem.q0[0], NEAREST_STARTS, np.random.default_rng(problem.seed))
     begin[0] = problem.q0[0]
     found, first = search(many, 0, 1, begin)
     drawn, second = lm.search(many, 0, 1, lm.settle(many, found, PULL)[0])

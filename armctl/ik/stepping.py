@@ -6,7 +6,7 @@ import numpy as np
 
 from armctl.arrays import Array, IntArray
 from armctl.ik.differential import DifferentialIk
-from armctl.ik.problem import Problem, random_positions
+from armctl.ik.problem import Problem
 
 STEP = 1.0  # s: the velocity limits bound a step, not a motion
 STEPS = 60
@@ -31,7 +31,7 @@ def search(problem: Problem, first: int, last: int, begin: Array | None = None) 
     q, tally = np.empty_like(problem.q0), np.zeros((len(problem.targets), 4), np.int64)
     for t in range(len(problem.targets)):
         part = problem.rows(np.array([t]))
-        others = random_positions(problem.arm.limits, part.q0[0], last, np.random.default_rng(problem.seed))
+        others = problem.arm.limits.random(part.q0[0], last, np.random.default_rng(problem.seed))
         best, start, ok = np.inf, first, False
         while start < last and not ok:
             trial = others[start] if start else (part.q0 if begin is None else begin)[0 if begin is None else t]
