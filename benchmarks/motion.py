@@ -2,7 +2,8 @@
 
     python benchmarks/motion.py [--moves 10000] [--sets 20] [--lines 20] [--out benchmarks/results/motion.md]
 
-Speed, acceleration and jerk limits are the Panda's; torque limits are lifted for the comparisons, since no peer has any.
+toppra is an extra, `pip install -e .[benchmark]`. Speed, acceleration and jerk limits are the Panda's; torque limits are lifted
+for the comparisons, since no peer has any.
 """
 
 from __future__ import annotations
@@ -16,10 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import toppra
 from scipy.interpolate import make_interp_spline
-from toppra.algorithm import TOPPRA
-from toppra.constraint import DiscretizationType, JointAccelerationConstraint, JointVelocityConstraint
 
 import armctl
 from armctl.motion import JointTrajectory, move_path
@@ -106,7 +104,13 @@ def waypoints(panda: armctl.Arm, sets: int) -> str:
 
 
 def toppra_time(arm: armctl.Arm, q: Array, at: Array, points: int) -> float:
-    """The time-optimal duration along the cubic spline through positions, without jerk limits."""
+    """The time-optimal duration along the cubic spline through positions, without jerk limits; NaN without toppra."""
+    try:
+        import toppra
+        from toppra.algorithm import TOPPRA
+        from toppra.constraint import DiscretizationType, JointAccelerationConstraint, JointVelocityConstraint
+    except ImportError:
+        return float("nan")
     v, a = arm.limits.v_max, arm.limits.a_max
     constraints = [
         JointVelocityConstraint(np.column_stack([-v, v])),

@@ -65,7 +65,7 @@ def decorators(node: ast.AST) -> set[str]:
 
 def is_compiled(tree: ast.Module) -> bool:
     """A module of kernels says what their arguments are once, at its head: nobody else calls them."""
-    return any(isinstance(node, ast.Import) and node.names[0].name == "numba" for node in tree.body)
+    return any(isinstance(node, ast.ImportFrom) and node.module == "armctl.compiled" for node in tree.body)
 
 
 TREES = {

@@ -10,10 +10,10 @@ method", IEEE Trans. Robotics 27(5), 2011).
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from armctl.arrays import Array
+from armctl.compiled import njit
 
 # A packed chain (n + 1, 15): one row a joint and a last row for the tip: rotation 0-8, translation 9-11, and
 SLIDE, LOW, HIGH = 12, 13, 14
@@ -41,14 +41,6 @@ STRETCH = 0.2  # random starts beyond the bounds by this share of the range star
 FARTHEST = 1e3  # reaches, up to where the solver sees the difference a step makes
 
 
-def _njit(function):
-    """Compiles, with a cache on disk wherever a folder for it can be written."""
-    try:
-        return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
-    except RuntimeError:  # numba finds no writable folder: compile in every process
-        return numba.njit(nogil=True, error_model="numpy")(function)
-
-
 def scratch(n: int) -> Array:
     """The memory of one search.
 
@@ -61,7 +53,7 @@ def scratch(n: int) -> Array:
     return np.empty((n + 2, NORMAL + 2 * n))
 
 
-@_njit
+@njit
 def forward(chain, q, work):
     """Forward kinematics: fills the joints' origins and axes, and the tip's rotation and translation."""
     n = len(q)
@@ -99,7 +91,7 @@ def forward(chain, q, work):
     work[n, 9], work[n, 10], work[n, 11] = x, y, z
 
 
-@_njit
+@njit
 def jacobian(chain, work):
     """The tip's Jacobian from what `forward` filled: a row of six for each joint, linear first, world axes."""
     n = len(work) - 2
@@ -114,7 +106,7 @@ def jacobian(chain, work):
             work[k, JACOBIAN + 3], work[k, JACOBIAN + 4], work[k, JACOBIAN + 5] = u, v, w
 
 
-@_njit
+@njit
 def rotation_error(target, asked, work):
     """Fills the rotation vector from the tip to the target; with a free axis the shortest one that lays axis on axis."""
     n = len(work) - 2
@@ -144,7 +136,7 @@ def rotation_error(target, asked, work):
     work[n, ERROR + 3], work[n, ERROR + 4], work[n, ERROR + 5] = scale * x, scale * y, scale * z
 
 
-@_njit
+@njit
 def _linearise(chain, target, asked, q, work):
     """Fills error, Jacobian, J^T J and J^T e at q. Returns the position's and the rotation's error."""
     n = len(q)
@@ -185,7 +177,7 @@ def _linearise(chain, target, asked, q, work):
     return np.sqrt(off), np.sqrt(turned)
 
 
-@_njit
+@njit
 def _solve_free(damping, work):
     """(J^T J + damping I) step = gradient for the joints that are not held, by Cholesky; the held ones keep their step."""
     n = len(work) - 2
@@ -220,7 +212,7 @@ def _solve_free(damping, work):
         work[i, STEP] = total / work[i, factor + i]
 
 
-@_njit
+@njit
 def _bounded_step(chain, damping, q, work):
     """A damped step of q inside the joint bounds: joints pushed out of theirs are held there and the others solved again.
 
@@ -254,7 +246,7 @@ def _bounded_step(chain, damping, q, work):
     return moved
 
 
-@_njit
+@njit
 def _descend(chain, target, asked, off_max, turned_max, q, work):
     """One descent from q, which becomes the best position met. Returns (ok, squared error, steps)."""
     n = len(q)
@@ -280,7 +272,7 @@ def _descend(chain, target, asked, off_max, turned_max, q, work):
     return ok, best, steps
 
 
-@_njit
+@njit
 def _random_start(chain, q0, start, seed, q):
     """The random start of a number: inside the joint bounds or at one, or half a turn around q0 where there are none.
 
@@ -299,7 +291,7 @@ def _random_start(chain, q0, start, seed, q):
         q[i] = min(max(wanted, low), high)
 
 
-@_njit
+@njit
 def _unwind(chain, q0, q):
     """Takes whole turns off the hinges, or adds them, where that comes nearer to q0 and stays inside the bounds."""
     turn = 2 * np.pi
@@ -311,7 +303,7 @@ def _unwind(chain, q0, q):
             q[i] += turns * turn
 
 
-@_njit
+@njit
 def _aim(chain, reach, target, work):
     """The target in reaches, as the last row of `work`; one beyond FARTHEST is pulled in along its line."""
     n = len(chain) - 1
@@ -327,7 +319,7 @@ def _aim(chain, reach, target, work):
     return work[n + 1]
 
 
-@_njit
+@njit
 def search(chain, reach, targets, asked, off_max, turned_max, q0, begin, first, last, seed, q, tally, work):
     """For each target descents from the starts `first` to `last` until one is inside the tolerance.
 
@@ -362,7 +354,7 @@ def search(chain, reach, targets, asked, off_max, turned_max, q0, begin, first, 
         tally[t, 3] = 1 if near and farthest > JUMP else 0
 
 
-@_njit
+@njit
 def settle(chain, reach, targets, asked, q0, pull, q, sizes, work):
     """Moves each q to the least squared error plus `pull` times its squared distance from q0; every step makes that smaller.
 
@@ -398,7 +390,7 @@ def settle(chain, reach, targets, asked, q0, pull, q, sizes, work):
         sizes[t] = best
 
 
-@_njit
+@njit
 def residuals(asked, targets, positions, rotations, off, turned):
     """How far tips (N, 3), (N, 3, 3) are from their targets: fills (N,) in the unit of length and (N,) in rad."""
     for t in range(len(targets)):

@@ -18,10 +18,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from armctl.arrays import Array
+from armctl.compiled import njit
 
 COLD, WARM, BARRIER_LAST, BARRIER_SHARE = 1e-4, 1e-6, 1e-9, 0.2  # of the motion's time, and from one to the next
 NEWTON_STEPS = 12
@@ -58,15 +58,7 @@ class Problem(NamedTuple):
     high: Array
 
 
-def _njit(function):
-    """Compiles, with a cache on disk wherever a folder for it can be written."""
-    try:
-        return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
-    except RuntimeError:  # numba finds no writable folder: compile in every process
-        return numba.njit(nogil=True, error_model="numpy")(function)
-
-
-@_njit
+@njit
 def value(c, p, barrier):
     """Time plus barrier; infinite outside the bounds."""
     last = len(c) - 2
@@ -100,7 +92,7 @@ def value(c, p, barrier):
     return time - barrier * logs
 
 
-@_njit
+@njit
 def assemble(c, p, barrier, gradient, band):
     """Gradient and (convex part of the) Hessian; `band[k, d]` is element (k, k + d)."""
     last = len(c) - 2
@@ -140,7 +132,7 @@ def assemble(c, p, barrier, gradient, band):
         _add(m, g, -0.5 * share / (b * w), 0.75 * share / (b * b * w), gradient, band)
 
 
-@_njit
+@njit
 def _add(k, g, slope, curvature, gradient, band):
     """A function of g . c[k : k + 3] with this slope and curvature."""
     for r in range(3):
@@ -150,7 +142,7 @@ def _add(k, g, slope, curvature, gradient, band):
                 band[k + r, d] += curvature * g[r] * g[r + d]
 
 
-@_njit
+@njit
 def newton_step(gradient, band, step):
     """Solves band . step = -gradient by an LDL^T factorisation in place."""
     count = len(gradient)
@@ -172,7 +164,7 @@ def newton_step(gradient, band, step):
         step[k] = total / band[k, 0]
 
 
-@_njit
+@njit
 def solve(p, c, first):
     """The fastest pace from a feasible one; c is changed in place. Returns how many Newton steps it took.
 
