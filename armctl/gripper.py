@@ -21,7 +21,7 @@ _CHUNK = 0.02  # s
 _LEAST_WAIT, _SETTLE = 0.1, 1.0  # s
 _STILL = 2e-4  # m/s between the pads
 _TOLERANCE = 1e-3  # m
-_TRIMS, _TRIMMED = 20, 2e-4  # corrections at most; m that need none
+_TRIMS, _TRIMMED, _TRIMMED_FORCE = 20, 2e-4, 0.05  # corrections at most; m, and share of a force, that need none
 _SERVO = ("actuator_gaintype", "actuator_gainprm", "actuator_biastype", "actuator_biasprm")
 _SERVO_RANGES = ("actuator_ctrllimited", "actuator_ctrlrange", "actuator_forcelimited", "actuator_forcerange")
 
@@ -157,6 +157,7 @@ class Gripper:
         if self._touching()[0] or self.width > self.jaws.width[0] + _TOLERANCE:
             self._press(force)
             self._settle()
+            self._trim_force(force)
         held, pressed = self._touching()
         return self._result(bool(held), held, pressed, begin, "" if held else "closed on nothing")
 
@@ -202,6 +203,20 @@ class Gripper:
                 return
             wanted = float(np.clip(wanted + error, 0.0, self.width_max))
             self._rig.data.ctrl[self._ctrl] = self.jaws.ctrl_at(wanted)
+            self._hold(_LEAST_WAIT)
+
+    def _trim_force(self, goal: float) -> None:
+        """Corrects the push by what the pads press too much or too little: what is held need not touch them where they meet."""
+        push = goal
+        for _ in range(_TRIMS):
+            held, pressed = self._touching()
+            if self._rig.end or (held and abs(pressed - goal) < _TRIMMED_FORCE * goal):
+                return
+            if not held:  # it slips between jaws that are not parallel: close in on it again
+                self._press(goal)
+                return self._settle()
+            push = float(np.clip(push + 0.5 * (goal - pressed), 0.0, self.jaws.force_max))
+            self._press(push)
             self._hold(_LEAST_WAIT)
 
     def _settle(self) -> None:
