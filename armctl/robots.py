@@ -65,6 +65,7 @@ def load(
     """
     if tip_offset is not None and not isinstance(tip_offset, Pose):
         raise InputError(f"tip_offset: {tip_offset!r} is not a Pose; armctl.Pose([0, 0, 0.1]) is 0.1 m along z")
+    _check_scene(scene)
     source = locate(name)
     spec, notes = _read(source, hold_base)
     if tool is not None:
@@ -106,6 +107,7 @@ def load_arms(
     """
     if isinstance(tips, str) or not tips:
         raise InputError(f"tips: {tips!r} given, a list of names wanted, such as ['left/gripper', 'right/gripper']")
+    _check_scene(scene)
     source = locate(name)
     spec, notes = _read(source, hold_base)
     if scene is not None:
@@ -144,6 +146,13 @@ class _Part:
     tau_max: Array
     sources: dict[str, str]
     notes: list[str]
+
+
+def _check_scene(scene: object) -> None:
+    if scene is not None and not isinstance(scene, Scene):
+        raise InputError(
+            f"scene: {scene!r} is not a Scene; armctl.Scene().add_box('box', [0.1, 0.1, 0.1], [0.5, 0, 0.05]) is one"
+        )
 
 
 def _read(source: Source, hold_base: bool) -> tuple[mujoco.MjSpec, list[str]]:

@@ -7,7 +7,7 @@ import re
 import mujoco
 
 from armctl.elements import Chain, body_name, name_of, welded_behind
-from armctl.errors import UnknownNameError
+from armctl.errors import InputError, UnknownNameError
 from armctl.pose import Pose
 
 _TIP_NAMES = ("pinch", "grasp", "tcp", "attachment", "tool", "effector", "eef", "ee", "tip", "flange", "gripper")
@@ -66,8 +66,11 @@ def named_tip(model: mujoco.MjModel, name: str) -> tuple[str, int, Pose]:
         The tip's name, the body that carries it, and its pose in that body.
 
     Raises:
+        InputError: It is no name.
         UnknownNameError: There is none of that name.
     """
+    if not isinstance(name, str):
+        raise InputError(f"tip: {name!r} is no name of a site, body or geom")
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
     if site >= 0:
         return name, int(model.site_bodyid[site]), Pose(model.site_pos[site], model.site_quat[site])
@@ -92,8 +95,11 @@ def named_body(model: mujoco.MjModel, name: str) -> int:
         Its number.
 
     Raises:
+        InputError: It is no name.
         UnknownNameError: There is none of that name.
     """
+    if not isinstance(name, str):
+        raise InputError(f"base: {name!r} is no name of a body")
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
     if body < 0:
         raise UnknownNameError.of("body", name, filter(None, (model.body(i).name for i in range(model.nbody))))

@@ -64,6 +64,20 @@ def test_a_tip_offset_is_a_pose(bundled: armctl.Arm):
         armctl.load(bundled.name, tip_offset=[0, 0, 1])  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.parametrize(
+    ("how", "sentence"),
+    [
+        ({"tip": 3}, "tip: 3 is no name of a site, body or geom"),
+        ({"base": 3}, "base: 3 is no name of a body"),
+        ({"scene": "table"}, "scene: 'table' is not a Scene; armctl.Scene()"),
+    ],
+)
+def test_what_is_of_the_wrong_kind_is_said(bundled: armctl.Arm, how: dict, sentence: str):
+    with pytest.raises(armctl.InputError) as caught:
+        armctl.load(bundled.name, **how)
+    assert str(caught.value).startswith(sentence)
+
+
 BROKEN = {
     "not XML": "<mujoco",
     "crossed tags": "<mujoco><worldbody></mujoco>",
