@@ -1,0 +1,194 @@
+"""Controllers on plants that differ: tracking, ISO 9283, identification, and what a tick costs.
+
+    python benchmarks/control.py [--out benchmarks/results/control.md]
+
+All at 1 ms. Each joint moves 0.6 rad (less where something is in the way) and back in 2 s each, on quintics.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+
+import armctl
+from armctl.comparison import out_and_back
+from armctl.control import CONTROLLERS, controller_by_name
+from armctl.iso9283 import iso9283_cycles
+from armctl.motion import JointTrajectory
+from armctl.plant_names import plant_by_name
+from armctl.trajectory import TickReference
+
+ROBOTS = ("panda", "ur5e", "iiwa14", "xarm7")
+TICK = 0.001  # s
+LEG = 2.0  # s
+PLANTS = {"nominal": "nominal", "continuous": "near-continuous", "payload=1": "1 kg unknown", "all": "everything at once"}
+WANTED = {  # joint RMS, rad, of computed torque with an observer
+    ("1 kg unknown", "iiwa14"): "1e-3",
+    ("1 kg unknown", ""): "1e-4",
+    ("everything at once", "iiwa14"): "5e-3",
+    ("everything at once", ""): "2e-4",
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "control.md")
+    args = parser.parse_args()
+    warnings.simplefilter("ignore", armctl.ArmctlWarning)
+    arms = {name: armctl.load(name) for name in ROBOTS}
+    sections = [tracking(arms), observed(arms), iso(arms["panda"]), identification(arms), speed(arms)]
+    text = "\n\n".join(sections) + "\n"
+    args.out.parent.mkdir(exist_ok=True)
+    args.out.write_text(text, encoding="utf-8")
+    print(text)
+
+
+def table(title: str, columns: list[str], rows: list) -> str:
+    head = [f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}"]
+    return "\n".join([f"**{title}**", "", *head, *(f"| {' | '.join(map(str, row))} |" for row in rows)])
+
+
+def quintic(arm: armctl.Arm) -> JointTrajectory:
+    """Out and back, on the way that `armctl compare` takes, each leg a rest-to-rest quintic."""
+    way = out_and_back(arm)
+    there = way(0.5 * way.duration).q - arm.home
+    leg = np.zeros((6, arm.n))
+    leg[3], leg[4], leg[5] = 10 * there / LEG**3, -15 * there / LEG**4, 6 * there / LEG**5
+    out, back = leg.copy(), -leg
+    out[0], back[0] = arm.home, arm.home + there
+    return JointTrajectory(LEG * np.arange(3), np.stack([out, back]), arm.joint_names, arm.limits)
+
+
+def tracking(arms: dict[str, armctl.Arm]) -> str:
+    rows = []
+    for words, plant in PLANTS.items():
+        reports = {
+            robot: armctl.compare(arm, list(CONTROLLERS), quintic(arm), [plant_by_name(words, arm, TICK)])
+            for robot, arm in arms.items()
+        }
+        for i, name in enumerate(CONTROLLERS):
+            rows.append([plant, name, *(shown(reports[robot][i]) for robot in arms)])
+    return table("Joint error RMS, rad, while the reference moves", ["plant", "controller", *arms], rows)
+
+
+def shown(report: armctl.Report) -> str:
+    return "diverged" if report.log.end else f"{report.joint_rms_rad:.1e}"
+
+
+def observed(arms: dict[str, armctl.Arm]) -> str:
+    """The figures that are promised, beside what is promised."""
+    rows = []
+    for robot, arm in arms.items():
+        for words, plant in PLANTS.items():
+            name = "computed-torque" if words in ("nominal", "continuous") else "computed-torque-observer"
+            report = armctl.compare(arm, [name], quintic(arm), [plant_by_name(words, arm, TICK)])[0]
+            wanted = WANTED.get((plant, robot), WANTED.get((plant, ""), ""))
+            if words in ("nominal", "continuous"):
+                wanted = "max 1e-9" if words == "nominal" else "max 5e-7"
+                wanted += " (has dry friction)" if armctl.Plant().model(arm).dof_frictionloss[arm.dof_adr].any() else ""
+            figures = f"{report.joint_rms_rad:.1e}", f"{report.joint_max_rad:.1e}", wanted, f"{report.chatter_nm:.1g}"
+            rows.append([robot, plant, name, *figures])
+    columns = ["robot", "plant", "controller", "joint RMS, rad", "joint max, rad", "wanted (RMS unless said)", "chatter, N m"]
+    return table("Computed torque", columns, rows)
+
+
+def iso(panda: armctl.Arm) -> str:
+    nominal, loaded = (armctl.Plant(encoder_noise=1e-5, payload=mass, timestep=TICK) for mass in (0.0, 1.0))
+    log = armctl.simulate(panda, "computed-torque-observer", armctl.excitation(panda), loaded)
+    known = armctl.identify_payload(panda, log).applied_to(panda)
+    rows = []
+    for what, arm, plant, wanted in (
+        ("nothing unknown", panda, nominal, ("", "", "")),
+        ("1 kg unknown", panda, loaded, ("10", "0.1", "0.35")),
+        ("1 kg, identified", known, loaded, ("", "", "0.05")),
+    ):
+        f = iso9283_cycles(panda, controller_by_name("computed-torque-observer", arm), plant)
+        values = f"{1e6 * f.pose_accuracy_m:.1f}", f"{f.stabilisation_time_s:.3f}", f"{1e3 * f.path_accuracy_m:.3f}"
+        pairs = [f"{value} ({bound})" if bound else value for value, bound in zip(values, wanted, strict=True)]
+        rows.append([what, pairs[0], f"{1e6 * f.pose_repeatability_m:.1f}", pairs[1], f"{1e6 * f.overshoot_m:.0f}", pairs[2]])
+    columns = ["Panda, encoder noise 1e-5 rad", "AP, um (wanted)", "RP, um", "stable after, s (wanted)", "overshoot, um"]
+    title = f"ISO 9283: 30 cycles, full speed, cube of {1e3 * f.cube_m:.0f} mm, stable within 0.1 mm"
+    return table(title, [*columns, "AT, mm (wanted)"], rows)
+
+
+def identification(arms: dict[str, armctl.Arm]) -> str:
+    rows, rng = [], np.random.default_rng(0)
+    for robot, arm in arms.items():
+        motion = armctl.excitation(arm, payload=2.0)
+        row = [robot, f"{motion.duration:.1f}"]
+        for words in ("", "+friction+noise"):
+            errors = []
+            for mass in (0.5, 1.0, 2.0):
+                plant = replace(plant_by_name(f"payload={mass}{words}", arm, TICK), payload_center=[0.02, 0.01, 0.05])
+                log = armctl.simulate(arm, "computed-torque-observer", motion, plant)
+                noise = (s * rng.standard_normal(log.q.shape) for s in (plant.encoder_noise, plant.velocity_noise))
+                q, v = (x + e for x, e in zip((log.q, log.v), noise, strict=True))
+                found = armctl.identify_payload(arm, replace(log, q=q, v=v))
+                errors.append(abs(found.mass / mass - 1) if found.ok else np.nan)
+            row.append(f"{100 * max(errors):.2f}")
+        rows.append(row)
+    columns = ["robot", "motion, s", "worst error, % (wanted 1)", "with friction and noise, % (wanted 3)"]
+    return table("Payloads of 0.5, 1 and 2 kg identified from one run", columns, rows)
+
+
+def speed(arms: dict[str, armctl.Arm]) -> str:
+    bundled = armctl.load("robot_arm_3dof")
+    rows = [speed_of(name, arm) for name, arm in {**arms, "robot_arm_3dof": bundled}.items()]
+    columns = ["robot", "rnea, us", "tick of computed torque, us", "ratio (wanted 8)"]
+    columns += ["bare mj_step loop, us", "simulate, us", "ratio (wanted 2.0)"]
+    return table("What a tick costs: the best of interleaved rounds", columns, rows)
+
+
+def speed_of(name: str, arm: armctl.Arm) -> list:
+    controller, motion, plant = armctl.ComputedTorque(arm), quintic(arm), armctl.Plant(timestep=TICK)
+    ticks = len(armctl.simulate(arm, controller, motion, plant))
+    model = plant.model(arm)
+    data, step = mujoco.MjData(model), mujoco.mj_step
+    reference = TickReference.of(motion, TICK, 1000)
+    setpoint = armctl.Setpoint(*(column[500].copy() for column in reference))
+    state = armctl.State(setpoint.q, setpoint.v, 0.5, TICK)
+    pin_model, pin_data = arm.rigid_body.pin_model, arm.rigid_body.pin_model.createData()
+
+    def bare() -> None:
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.ctrl[:] = arm.home_qpos, arm.home_ctrl
+        for _ in range(ticks):
+            step(model, data)
+
+    def simulated() -> None:
+        armctl.simulate(arm, controller, motion, plant)
+
+    def rnea() -> None:
+        for _ in range(1000):
+            pin.rnea(pin_model, pin_data, setpoint.q, setpoint.v, setpoint.a)
+
+    def tick() -> None:
+        for _ in range(1000):
+            controller.torque(state, setpoint)
+
+    best = dict.fromkeys((bare, simulated, rnea, tick), np.inf)
+    for _ in range(7):
+        for what in best:
+            best[what] = min(best[what], seconds(what))
+    rnea_us, tick_us = 1e3 * best[rnea], 1e3 * best[tick]
+    bare_us, simulated_us = 1e6 * best[bare] / ticks, 1e6 * best[simulated] / ticks
+    figures = [rnea_us, tick_us, tick_us / rnea_us, bare_us, simulated_us, simulated_us / bare_us]
+    return [name, *(f"{x:.2f}" for x in figures)]
+
+
+def seconds(what: Callable[[], None]) -> float:
+    began = time.perf_counter()
+    what()
+    return time.perf_counter() - began
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,22 @@
+"""An arm holds something that its model does not know: what that costs, an observer's help, and the payload identified."""
+
+import armctl
+from armctl.comparison import out_and_back
+from armctl.report import table
+
+arm = armctl.load("robot_arm_3dof")
+plant = armctl.Plant(payload=1.5, encoder_noise=1e-5, timestep=0.001)  # what the controllers are not told
+motion = out_and_back(arm)
+
+log = armctl.simulate(arm, "computed-torque-observer", armctl.excitation(arm), plant)
+found = armctl.identify_payload(arm, log)
+print(f"identified: {found}")
+
+controllers = {
+    "payload unknown": armctl.ComputedTorque(arm),
+    "disturbance observer": armctl.ComputedTorque(arm, observer_bandwidth=200.0),
+    "payload identified": armctl.ComputedTorque(found.applied_to(arm)),
+}
+for name, controller in controllers.items():
+    controller.name = name
+print(table(armctl.compare(arm, list(controllers.values()), motion, [plant])))

@@ -1,0 +1,115 @@
+"""Laws that controllers obey: the order of their error in the tick, energy that only falls, passivity, learning."""
+
+import numpy as np
+import pytest
+from arms import arm_of
+
+import armctl
+from armctl.comparison import out_and_back
+from armctl.control import pd
+from armctl.dynamics import Dynamics
+from armctl.trajectory import Setpoint
+
+ROBOTS = ("robot_arm_3dof", "panda", "ur5e", "iiwa14")
+
+
+class Still:
+    """Stands where it is."""
+
+    def __init__(self, q, duration):
+        self.q, self.duration = q, duration
+
+    def __call__(self, t):
+        return Setpoint(self.q, 0 * self.q, 0 * self.q)
+
+    def sample(self, times):
+        q = np.tile(self.q, (len(times), 1))
+        return Setpoint(q, 0 * q, 0 * q)
+
+
+def greatest_error(arm, name, dt, **plant):
+    motion = out_and_back(arm, 0.2).scaled(0.5)
+    return armctl.Report.from_log(armctl.simulate(arm, name, motion, armctl.Plant(timestep=dt, **plant))).joint_max_rad
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_discrete_form_leaves_rounding(robot):
+    assert greatest_error(arm_of(robot), "computed-torque", 0.001) < 1e-9
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_textbook_form_is_off_by_an_error_of_first_order(robot):
+    arm = arm_of(robot)
+    coarse, fine = (greatest_error(arm, "computed-torque-textbook", dt) for dt in (0.002, 0.001))
+    assert 1.6 < coarse / fine < 2.4
+
+
+def test_the_textbook_form_is_off_by_what_the_docs_say(bundled):
+    motion = out_and_back(bundled, 0.2).scaled(0.5)
+    log = armctl.simulate(bundled, "computed-torque-textbook", motion, armctl.Plant(timestep=0.001))
+    expected = (2 / 20.0) * (0.001 / 2) * np.abs(log.a_ref).max()
+    assert np.abs(log.q - log.q_ref).max() == pytest.approx(expected, rel=0.5)
+
+
+def test_against_a_continuous_plant_the_error_is_of_second_order(bundled):
+    coarse, fine = (greatest_error(bundled, "computed-torque", dt, continuous=True) for dt in (0.004, 0.002))
+    assert coarse / fine > 2.8
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_pd_with_gravity_only_ever_loses_energy(robot):
+    """V = v M v / 2 + e K e / 2 falls, after Takegaki and Arimoto."""
+    arm = arm_of(robot)
+    law, dynamics = armctl.PDGravity(arm), Dynamics(arm)
+    goal = arm.limits.clamp(arm.home)
+    simulation = armctl.Simulation(arm, law, armctl.Plant(timestep=0.001, continuous=True))
+    simulation.reset(arm.limits.clamp(goal + 0.03))
+    log = simulation.run(Still(goal, 1.0))
+    e = goal - log.q
+    kinetic = [0.5 * v @ dynamics.mass_matrix(q) @ v for q, v in zip(log.q, log.v, strict=True)]
+    energy = np.array(kinetic) + 0.5 * (e**2 @ law.stiffness)
+    assert (np.diff(energy) <= 1e-4 * energy[0]).all()
+    assert energy[-1] < 0.5 * energy[0]
+
+
+def test_an_impedance_gives_back_no_more_than_a_push_put_in():
+    arm = arm_of("panda")
+    law, dynamics = armctl.Impedance(arm, stiffness=[500.0] * 3 + [20.0] * 3), Dynamics(arm)
+    push = armctl.Push(0.0, 0.3, force=[10.0, -15.0, 5.0])
+    plant = armctl.Plant(timestep=0.001, continuous=True, pushes=push)
+    log = armctl.simulate(arm, law, Still(arm.home, 2.0), plant, settle=0.0)
+    wrench = np.where((log.t < 0.3)[:, None], push.wrench, 0.0)
+    power = [w @ arm.jacobian(q) @ v for w, q, v in zip(wrench, log.q, log.v, strict=True)]
+    supplied = np.cumsum(power) * log.dt
+    kinetic = np.array([0.5 * v @ dynamics.mass_matrix(q) @ v for q, v in zip(log.q, log.v, strict=True)])
+    spring = 0.5 * 500.0 * ((log.tip - log.tip_ref) ** 2).sum(axis=1)
+    assert (kinetic + spring <= supplied + 0.02 * supplied.max()).all()
+    assert kinetic[-1] + spring[-1] < 1e-3 * supplied.max()
+
+
+def test_adaptive_control_learns_what_it_holds():
+    arm = arm_of("panda")
+    law = armctl.Adaptive(arm)
+    before = armctl.simulate(arm, "computed-torque", out_and_back(arm), armctl.Plant(payload=1.0))
+    motion = out_and_back(arm)
+    twice = motion.then(motion).then(motion)
+    after = armctl.simulate(arm, law, twice, armctl.Plant(payload=1.0))
+    assert law.payload[0] == pytest.approx(1.0, abs=0.1)
+    last = after.t > 2 * motion.duration
+    assert np.abs(after.q - after.q_ref)[last].max() < 0.2 * np.abs(before.q - before.q_ref).max()
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_an_observer_takes_most_of_an_unknown_payload(robot):
+    arm = arm_of(robot)
+    without, observed = (
+        greatest_error(arm, name, 0.001, payload=1.0) for name in ("computed-torque", "computed-torque-observer")
+    )
+    assert observed < 0.1 * without
+
+
+def test_pd_is_the_formula(bundled):
+    law = pd.PD(bundled, stiffness=[10.0, 20.0, 30.0], damping=[1.0, 2.0, 3.0])
+    state = armctl.State(np.array([0.1, 0.2, 0.3]), np.array([1.0, 0.0, -1.0]))
+    tau = law.torque(state, Setpoint(np.zeros(3), np.zeros(3), np.zeros(3)))
+    assert np.allclose(tau, [-1.0 - 1.0, -4.0, -9.0 + 3.0])
