@@ -73,7 +73,7 @@ bench: $(VENV)/dev.stamp
 outputs: $(VENV)/run.stamp
 	@$(BIN)/python docs/outputs/make.py
 
-pictures: $(VENV)/run.stamp
+pictures: $(VENV)/dev.stamp
 	@$(BIN)/python docs/pictures/make.py
 
 clean:

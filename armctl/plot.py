@@ -147,8 +147,8 @@ def _overlay(figure: Figure, logs: Sequence[Log], labels: Sequence[str] | None) 
     off.set_title(f"tip's distance from where it should be, mm (dashed: {1e3 * TOLERANCE:g} mm)")
     load.set_title("hardest-working motor, % of its limit")
     load.set_xlabel("time, s")
-    least = min(float(np.median(_tip_error(log))) for log in logs) / 30
-    off.set_ylim(bottom=1e3 * max(least, 10 * _LEAST))
+    least = min(float(np.median(_tip_error(log))) for log in logs) / 10
+    off.set_ylim(bottom=1e3 * max(least, _LEAST / 3))
     off.yaxis.set_major_formatter("{x:g}")
     figure.legend(loc="outside lower center", ncols=min(len(logs), 4))
 

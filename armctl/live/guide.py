@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,6 +12,8 @@ from armctl.arrays import Array
 from armctl.errors import PlanError
 from armctl.motion import OnlineMotion
 from armctl.trajectory import TickReference
+
+_EASE = 0.3  # share of the acceleration that a hand's jerky target is followed with; its square for the jerk
 
 
 class Guide:
@@ -27,7 +30,8 @@ class Guide:
             arm: The arm.
             dt: s, the tick.
         """
-        self._arm, self._dt = arm, dt
+        calm = replace(arm.limits, a_max=_EASE * arm.limits.a_max, j_max=_EASE**2 * arm.limits.j_max)
+        self._arm, self._dt = replace(arm, limits=calm), dt
         self.stand(arm.home)
 
     def stand(self, q: Array) -> None:
@@ -40,7 +44,7 @@ class Guide:
         self._motion = OnlineMotion(self._arm, q)
 
     def toward(self, goal: Array, ticks: int) -> TickReference:
-        """The next ticks on the way to a goal, as fast as the joints' limits allow.
+        """The next ticks on the way to a goal: the joints' full speed, at a calm acceleration.
 
         Args:
             goal: (n,) rad, where to come to rest.

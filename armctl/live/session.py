@@ -45,6 +45,7 @@ class Session:
         oriented: Whether the target's orientation counts.
         steered: Whether the joints are steered by hand, and the target follows the tip.
         gripper: The one behind the tip; None where there is none.
+        elapsed: s of simulated time since the session began, whatever was reset meanwhile.
     """
 
     def __init__(self, arm: Arm, controller: str = "computed-torque", payload: float = 0.0):
@@ -68,11 +69,9 @@ class Session:
         self._ik = DifferentialIk(arm)
         self._orders: dict[str, Callable[[], None]] = {}
         self._lock, self._stopping, self._thread = threading.Lock(), threading.Event(), None
-        self.paused, self.oriented = False, arm.n >= 6
+        self.paused, self.oriented, self.elapsed = False, arm.n >= 6, 0.0
         self.gripper = self._gripper_of(self._rig)
         self._restart()
-
-    # What others may order, from any thread.
 
     def aim(self, target: Pose) -> None:
         """Sends the tip to a target.
@@ -162,8 +161,6 @@ class Session:
         """The arm at home again, at rest, and the target where it was at first."""
         self._order("reset", self._restart)
 
-    # What others may read.
-
     @property
     def status(self) -> str:
         """What the arm does, in words."""
@@ -185,8 +182,6 @@ class Session:
     def real_time_factor(self) -> float:
         """1 where the simulation keeps up with the clock."""
         return self.pace.real_time_factor
-
-    # The loop.
 
     def start(self) -> None:
         """Starts the clock."""
@@ -233,6 +228,7 @@ class Session:
         except SimulationError:
             return False
         self._look(reference.q[-1])
+        self.elapsed += self._ticks * self._rig.dt
         return True
 
     def _order(self, kind: str, order: Callable[[], None]) -> None:

@@ -209,7 +209,7 @@ def _write_gif(path: Path, frames: Iterable[Image], per_second: int) -> None:
 
     images = list(frames)
     sample = np.concatenate([images[0], images[len(images) // 2], images[-1]])
-    palette = Picture.fromarray(sample).quantize(128)
+    palette = Picture.fromarray(sample).quantize(256, Picture.Quantize.MAXCOVERAGE)
     pictures = [Picture.fromarray(image).quantize(palette=palette, dither=Picture.Dither.NONE) for image in images]
     pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=1000 // per_second, loop=0, optimize=True)
 

@@ -128,7 +128,7 @@ class Stage:
         mujoco.mj_kinematics(self._model, self._data)
         target = self._data.xpos[self._model.body(TARGET).id]
         tip = self._arm.fk(self._arm.home).position
-        view = frame(self._arm, [self._data], np.array([tip, target]), 1.0)
+        view = frame(self._arm, [self._data], np.array([tip, target]), 0.8)
         forward, _, _ = axes(*np.radians([view.azimuth, view.elevation]))
         ratio = np.tan(np.radians(self._model.vis.global_.fovy) / 2) / np.tan(np.radians(_FIELD_OF_VIEW) / 2)
         camera = self.server.initial_camera

@@ -1,50 +1,117 @@
-"""Draws the pictures of README and docs afresh: `make pictures`."""
+"""Draws the pictures of README and docs afresh: `make pictures`. What it cannot draw here it names, and exits with 1."""
 
-import os
+import shutil
+import sys
+import threading
+import time
+from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
-if not os.environ.get("DISPLAY"):
-    os.environ.setdefault("MUJOCO_GL", "egl")
-
-import matplotlib.image
-import mujoco
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
 
 import armctl
+from armctl.comparison import compare, out_and_back
+from armctl.plot import COLORS, STYLE, overlay
+from armctl.view import record, still
 
 HERE = Path(__file__).parent
 
 
-def reach(path: Path) -> None:
-    """The bundled arm on its way to the green target; where it was before shines through."""
-    sim = armctl.Simulation("robot_arm_3dof")
-    sim.reset([-1.2, -0.7, -0.4])
-    log = sim.move_to(sim.target).log
-    model, data = sim.model, mujoco.MjData(sim.model)
-    model.vis.global_.offwidth, model.vis.global_.offheight = 1280, 720
-    camera = mujoco.MjvCamera()
-    camera.lookat, camera.distance, camera.azimuth, camera.elevation = (0.15, 0.05, 0.38), 1.4, 168, -18
-    everything, moving, hand = mujoco.MjvOption(), mujoco.mjtCatBit.mjCAT_DYNAMIC, mujoco.MjvPerturb()
-    with mujoco.Renderer(model, 720, 1280) as renderer:
-        for share, alpha in ((0.75, 1.0), (0.55, 0.3), (0.35, 0.2), (0.0, 0.15)):
-            data.qpos[sim.arm.qpos_adr] = log.q[int(share * len(log))]
-            data.mocap_pos[:] = sim.data.mocap_pos
-            mujoco.mj_forward(model, data)
-            first = renderer.scene.ngeom
-            if first == 0:
-                renderer.update_scene(data, camera)
-                continue
-            mujoco.mjv_addGeoms(model, data, everything, hand, moving, renderer.scene)
-            for geom in renderer.scene.geoms[first : renderer.scene.ngeom]:
-                geom.rgba[3] *= alpha
-        matplotlib.image.imsave(path, renderer.render())
+def reach() -> None:
+    """The Panda reaches the green target: a film for the README, a still for the pages."""
+    sim = armctl.Simulation("panda")
+    sim.reset(sim.arm.home + np.array([-0.9, -0.3, 0.2, -0.3, 0.0, 0.3, 0.0]))
+    log = sim.move_to([0.5, 0.35, 0.3]).log
+    record(log, sim.arm, HERE / "reach.gif", width=640, height=400, quality="full", speed=0.3)
+    still(log, sim.arm, HERE / "reach.png", at=0.62 * log.t[-1])
 
 
-def four_panels(path: Path) -> None:
-    """The same motion as curves over time."""
+def four_panels() -> None:
+    """A run as curves over time."""
     sim = armctl.Simulation("robot_arm_3dof")
-    armctl.Report.from_log(sim.move_to([0.3, 0.2, 0.3]).log).plot(path)
+    armctl.Report.from_log(sim.move_to([0.3, 0.2, 0.3]).log).plot(HERE / "four_panels.png")
+
+
+def pd_against_computed_torque() -> None:
+    """The same motion of a UR5e under PD and under computed torque, with and without a payload that neither knows of."""
+    arm = armctl.load("ur5e")
+    plants = [armctl.Plant(), armctl.Plant(payload=2.0)]
+    logs = [r.log for r in compare(arm, ["pd", "computed-torque"], out_and_back(arm), plants)]
+    labels = [f"{name}{burden}" for burden in ("", ", 2 kg unknown") for name in ("PD", "computed torque")]
+    overlay(logs, HERE / "pd_against_computed_torque.png", labels=labels)
+
+
+def waypoints() -> None:
+    """The same waypoints, stopping at each and flowing through."""
+    arm, rng = armctl.load("panda"), np.random.default_rng(3)
+    points = [arm.home]
+    for _ in range(6):
+        points.append(arm.limits.clamp(points[-1] + rng.uniform(-0.8, 0.8, arm.n)))
+    stopping = armctl.move_j(arm, points[0], points[1])
+    for start, goal in pairwise(points[1:]):
+        stopping = stopping.then(armctl.move_j(arm, start, goal))
+    flowing = armctl.move_through(arm, np.array(points))
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(8, 5), layout="constrained")
+        for ax, motion, title in zip(
+            figure.subplots(2, 1, sharex=True), (stopping, flowing), ("stopping", "flowing"), strict=True
+        ):
+            t = np.linspace(0.0, motion.duration, 1000)
+            speed = motion.sample(t).v / arm.limits.v_max
+            for i, name in enumerate(arm.joint_names):
+                ax.plot(t, speed[:, i], color=COLORS[i], label=name if motion is flowing else None, linewidth=1.2)
+            ax.set_title(f"{title}: {motion.duration:.2f} s through {len(points)} waypoints; joint speeds, share of the limit")
+            ax.set_ylim(-1.05, 1.05)
+        ax.set_xlabel("time, s")
+        figure.legend(loc="outside lower center", ncols=7)
+        figure.savefig(HERE / "waypoints.png")
+
+
+def page() -> None:
+    """`armctl view panda` in a browser, the target a little ahead of the arm."""
+    from playwright.sync_api import sync_playwright
+
+    from armctl.live.page import Page
+    from armctl.pose import Pose
+
+    page = Page(armctl.load("panda"), port=0)
+    threading.Thread(target=page.serve, daemon=True).start()
+    software = "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --ignore-gpu-blocklist"
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=software.split())
+        tab = browser.new_page(viewport={"width": 1280, "height": 800})
+        tab.goto(page.url)
+        tab.get_by_text("at the target").first.wait_for(timeout=60e3)
+        tab.add_style_tag(content=".mantine-Notification-root { display: none }")  # that software draws is no news here
+        session = page.session
+        center = session.target
+        for k in range(600):
+            offset = [0.0, -0.12 * np.sin(k / 60), 0.06 * np.sin(k / 30)]
+            session.aim(Pose(center.position + offset, quat=center.quat))
+            time.sleep(0.01)
+        session.pause(True)  # until the browser, which draws in software, has caught up
+        time.sleep(12)
+        tab.screenshot(path=HERE / "page.png")
+        browser.close()
+    page.close()
+
+
+def draw(picture: Callable[[], None]) -> bool:
+    """Draws one, or says why not."""
+    try:
+        picture()
+    except (armctl.ArmctlError, ImportError) as error:
+        print(f"{picture.__name__}: not drawn: {error}", file=sys.stderr)
+        return False
+    print(f"{picture.__name__}: drawn")
+    return True
 
 
 if __name__ == "__main__":
-    reach(HERE / "reach.png")
-    four_panels(HERE / "four_panels.png")
+    wanted = [reach, four_panels, pd_against_computed_torque, waypoints, page]
+    chosen = [picture for picture in wanted if not sys.argv[1:] or picture.__name__ in sys.argv[1:]]
+    drawn = [draw(picture) for picture in chosen]
+    sys.exit(0 if all(drawn) else 1)

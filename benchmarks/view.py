@@ -1,0 +1,111 @@
+"""Seeing, on this machine: rendered frames a second, the real-time factor with the page open, time until the page is there.
+
+    python benchmarks/view.py [--robot panda] [--seconds 20] [--out benchmarks/results/view.md]
+
+A headless Chromium, drawing in software, looks at the page meanwhile, on the same cores; the target goes round.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+import armctl
+from armctl.live.page import Page
+from armctl.pose import Pose
+from armctl.view import Renderer
+from armctl.view.camera import frame
+
+SOFTWARE_GL = "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --ignore-gpu-blocklist"
+
+
+def frames_a_second(robot: str, quality: str, frames: int) -> float:
+    """How many images of 640 x 480 are drawn in a second, the arm moving."""
+    arm = armctl.load(robot)
+    data = mujoco.MjData(arm.model)
+    data.qpos[:] = arm.home_qpos
+    mujoco.mj_forward(arm.model, data)
+    camera = frame(arm, [data], arm.fk(arm.home).position[None], 4 / 3)
+    with Renderer(arm.model, 640, 480, quality) as renderer:
+        renderer.image(data, camera)
+        started = time.perf_counter()
+        for k in range(frames):
+            data.qpos[arm.qpos_adr] = arm.home + 0.3 * np.sin(k / 10)
+            mujoco.mj_kinematics(arm.model, data)
+            renderer.image(data, camera)
+        return frames / (time.perf_counter() - started)
+
+
+def seconds_until_served(robot: str) -> float:
+    """From the command to the page's first byte."""
+    command = [sys.executable, "-m", "armctl", "view", robot, "--port", "0"]
+    started = time.perf_counter()
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        url = process.stdout.readline().split(" is at ")[1].split(";")[0]
+        urllib.request.urlopen(url).read(1)
+        took = time.perf_counter() - started
+        process.terminate()
+    return took
+
+
+def real_time(robot: str, seconds: float) -> tuple[float, float]:
+    """The real-time factor over some seconds with the page open in a browser, and the least over two of them."""
+    from playwright.sync_api import sync_playwright
+
+    page = Page(armctl.load(robot), port=0)
+    threading.Thread(target=page.serve, daemon=True).start()
+    session, least = page.session, np.inf
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=SOFTWARE_GL.split())
+        tab = browser.new_page(viewport={"width": 1280, "height": 800})
+        tab.goto(page.url)
+        tab.get_by_text("real time").wait_for(timeout=60e3)
+        center, started, begin = session.target, time.perf_counter(), session.elapsed
+        while time.perf_counter() - started < seconds:
+            angle = 2 * np.pi * (time.perf_counter() - started) / 4
+            offset = 0.1 * np.array([0.0, np.sin(angle), 0.5 * np.sin(2 * angle)])
+            session.aim(Pose(center.position + offset, quat=center.quat))
+            time.sleep(1 / 30)
+            least = min(least, session.real_time_factor)
+        factor = (session.elapsed - begin) / (time.perf_counter() - started)
+        browser.close()
+    page.close()
+    return factor, least
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robot", default="panda")
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "view.md")
+    args = parser.parse_args()
+    factor, least = real_time(args.robot, args.seconds)
+    rows = [
+        ("real-time factor, page open", "at least 0.98", f"{factor:.3f} over {args.seconds:g} s; least over 2 s {least:.3f}"),
+        ("frames a second, 640 x 480, fast", "at least 30", f"{frames_a_second(args.robot, 'fast', 100):.0f}"),
+        ("frames a second, 640 x 480, full", "", f"{frames_a_second(args.robot, 'full', 10):.1f}"),
+        ("page served after", "at most 5 s", f"{seconds_until_served(args.robot):.1f} s"),
+    ]
+    table = [
+        f"| {args.robot}, software OpenGL, {os.cpu_count()} cores | at least (at most) | measured |",
+        "| --- | --- | --- |",
+    ]
+    text = "\n".join(table + [f"| {' | '.join(row)} |" for row in rows]) + "\n"
+    print(text)
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    args.out.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
