@@ -337,6 +337,17 @@ def test_a_slowed_move_stays_straight_and_slows_where_it_must_only():
     assert np.abs(away - (away @ along)[:, None] * along).max() < 1e-12
 
 
+def test_a_payload_slows_a_motion_down():
+    arm = arm_of("panda")
+    start, goal = arm.home - 0.3, arm.home + 0.3
+    empty, loaded = armctl.move_j(arm, start, goal), armctl.move_j(arm.with_payload(4.0), start, goal)
+    assert empty.slowed is None
+    assert loaded.slowed.factor == pytest.approx(loaded.duration / empty.duration)
+    assert loaded.slowed.factor > 1.05
+    assert armctl.check_torque(arm.with_payload(4.0), loaded).ok
+    assert not armctl.check_torque(arm.with_payload(4.0), empty).ok
+
+
 def test_what_no_slowness_helps_is_refused():
     arm = weak(arm_of("panda"), 0.01)
     with pytest.raises(armctl.PlanError, match=r"joint\d: holding still takes .* N m"):
