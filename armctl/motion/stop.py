@@ -20,6 +20,7 @@ _SHORTEST, _GROWTH = 0.01, 1.15  # s, and from one length of a fall to the next
 _RAMP = 0.2  # of a fall, in which its slope grows
 _CUTS = 20  # of a fall
 _APART = 2e-5  # s, between cuts
+_REST = 1e-6  # rad/s
 _SLIVER = 1e-9  # s, too short for a piece
 
 
@@ -45,8 +46,7 @@ def stopped(trajectory: JointTrajectory, t: float) -> JointTrajectory:
                 best, soonest = (t + delay, stop), delay + fall
                 break
             fall *= _GROWTH
-    end = trajectory(trajectory.duration)
-    rests = not (end.v.any() or end.a.any()) or max(np.abs(end.v).max(), np.abs(end.a).max()) < 1e-6
+    rests = np.abs(trajectory(trajectory.duration).v).max() < _REST
     if best is None and not rests:
         raise PlanError(f"stopped_at: no stop on the path inside the limits from {t:.4g} s on; stop sooner")
     if best is None or (rests and soonest >= left):
