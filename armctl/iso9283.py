@@ -13,7 +13,7 @@ import numpy as np
 
 from armctl.arm import Arm
 from armctl.arrays import Array, number
-from armctl.contacts import Contacts
+from armctl.contacts import contacts_of
 from armctl.control import Controller, controller_by_name, controller_name
 from armctl.errors import PlanError
 from armctl.ik import solve_ik
@@ -193,7 +193,7 @@ def _poses(arm: Arm) -> tuple[float, Array, Array]:
 def _is_free(arm: Arm, q: list[Array]) -> bool:
     """Whether nothing touches on the ways between the poses."""
     ways = [a + share * (b - a) for a, b in pairwise([q[k] for k in _ORDER]) for share in np.linspace(0, 1, 20)]
-    return Contacts(arm).along(np.array(ways)) is None
+    return not contacts_of(arm).along(np.array(ways))
 
 
 def _target(arm: Arm, point: Array) -> Pose | Array:
