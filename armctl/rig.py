@@ -135,22 +135,27 @@ class Rig:
         model, data, dt, continuous, steps = self.model, self.data, self.dt, self.continuous, self._steps
         qpos, qvel, ctrl, applied, gear = data.qpos, data.qvel, data.ctrl, data.qfrc_actuator, self.arm.gear
         qi, vi, ci = self._qi, self._vi, self._ci
+        direct, new = bool((gear == 1.0).all()), tuple.__new__  # a NamedTuple's own constructor takes twice as long
         torque, step, disturbances = controller.torque, mujoco.mj_step, self._disturbances
-        for setpoint, q, v, command, done in zip(map(Setpoint, *map(list, reference)), *recorder.rows(reference), strict=True):
+        for reference_row, q, v, command, done in zip(
+            zip(*map(list, reference), strict=True), *recorder.rows(reference), strict=True
+        ):
+            setpoint = new(Setpoint, reference_row)
             q[:], v[:] = qpos[qi], qvel[vi]
             if not v.dot(v) < _RUNAWAY:
                 self.end = self._runaway(v)
                 break
             q_seen, v_seen = (q, v) if disturbances is None else disturbances.measured(q, v)
             try:
-                command[:] = tau = torque(State(q_seen, v_seen, data.time, dt, continuous), setpoint)
+                command[:] = tau = torque(new(State, (q_seen, v_seen, data.time, dt, continuous)), setpoint)
                 total = tau.dot(tau)
             except Exception as error:
                 raise self._failed(controller, error, recorder) from error
             if not total < math.inf:
                 self.end = f"the controller gave no finite torque at {data.time:.3f} s"
                 break
-            ctrl[ci] = (command if disturbances is None else disturbances.driven(command, q)) / gear
+            driven = command if disturbances is None else disturbances.driven(command, q)
+            ctrl[ci] = driven if direct else driven / gear
             step(model, data, steps)
             done[:] = applied[vi]
             recorder.size += 1
