@@ -227,7 +227,7 @@ class Session:
             self._rig.follow(self._law, reference, self._recorder)
         except SimulationError:
             return False
-        self._look(reference.q[-1])
+        self._look(self._guide.q)
         self.elapsed += self._ticks * self._rig.dt
         return True
 
