@@ -175,7 +175,7 @@ def speed_of(name: str, arm: armctl.Arm) -> list:
             controller.torque(state, setpoint)
 
     best = dict.fromkeys((bare, simulated, rnea, tick), np.inf)
-    for _ in range(7):
+    for _ in range(15):
         for what in best:
             best[what] = min(best[what], seconds(what))
     rnea_us, tick_us = 1e3 * best[rnea], 1e3 * best[tick]
