@@ -98,7 +98,7 @@ def main() -> None:
         ("page served after", "at most 5 s", f"{seconds_until_served(args.robot):.1f} s"),
     ]
     table = [
-        f"| {args.robot}, software OpenGL, {os.cpu_count()} cores | at least (at most) | measured |",
+        f"| {args.robot}, software OpenGL, {os.cpu_count()} cores | wanted | measured |",
         "| --- | --- | --- |",
     ]
     text = "\n".join(table + [f"| {' | '.join(row)} |" for row in rows]) + "\n"

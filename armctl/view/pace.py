@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 
-_HOPELESS = 0.25  # s behind: what is lost by then is not caught up
+_HOPELESS = 0.5  # s behind: what is lost by then is not caught up
 _WINDOW = 2.0  # s that the real-time factor is taken over
 
 
