@@ -72,8 +72,10 @@ def _parser() -> argparse.ArgumentParser:
     reach.add_argument("--target", nargs="+", metavar="N", help="x y z in m, and roll pitch yaw in rad if wanted")
     reach.add_argument("--controller", default="computed-torque", help="its name (default computed-torque)")
     reach.add_argument("--video", type=Path, metavar="FILE", help="film the run into this .mp4 or .gif")
-    compare = command("compare", _compare, "follow the same motion under every controller")
-    compare.add_argument("--controllers", metavar="A,B,...", help="which ones (default all)")
+    compare = command("compare", _compare, "follow the same motion under several controllers")
+    compare.add_argument(
+        "--controllers", metavar="A,B,...", default="pd,computed-torque", help="which ones, or all (default %(default)s)"
+    )
     compare.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{_PLANTS_HELP} (default nominal)")
     compare.add_argument("--report", type=Path, metavar="DIR", help="write JSON, Markdown and an HTML page into this folder")
     compare.add_argument("--timestep", help="the tick, s (default the model's)")
@@ -159,7 +161,7 @@ def _compare(args: argparse.Namespace) -> int:
     from armctl.report import table
 
     arm, timestep = _load(args), _numbers("timestep", [args.timestep])[0] if args.timestep else None
-    controllers = _names(args.controllers) or list(CONTROLLERS)
+    controllers = list(CONTROLLERS) if args.controllers == "all" else _names(args.controllers)
     for name in controllers:
         if name not in CONTROLLERS:
             raise UnknownNameError.of("controller", name, CONTROLLERS)

@@ -88,7 +88,7 @@ def test_robots_lists_every_name(capsys):
 
 
 def test_compare_shows_every_controller(capsys):
-    status, out, _ = run(capsys, "compare", BUNDLED)
+    status, out, _ = run(capsys, "compare", BUNDLED, "--controllers", "all")
     assert status == 0
     assert "| computed-torque " in out
     assert "| pd " in out
