@@ -73,9 +73,7 @@ def _parser() -> argparse.ArgumentParser:
     reach.add_argument("--controller", default="computed-torque", help="its name (default computed-torque)")
     reach.add_argument("--video", type=Path, metavar="FILE", help="film the run into this .mp4 or .gif")
     compare = command("compare", _compare, "follow the same motion under several controllers")
-    compare.add_argument(
-        "--controllers", metavar="A,B,...", default="pd,computed-torque", help="which ones, or all (default %(default)s)"
-    )
+    compare.add_argument("--controllers", default="pd,computed-torque", metavar="A,B,...", help="or all (default %(default)s)")
     compare.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{_PLANTS_HELP} (default nominal)")
     compare.add_argument("--report", type=Path, metavar="DIR", help="write JSON, Markdown and an HTML page into this folder")
     compare.add_argument("--timestep", help="the tick, s (default the model's)")

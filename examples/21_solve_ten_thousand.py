@@ -1,4 +1,4 @@
-"""Inverse kinematics of ten thousand points at once, on all cores: how much of a box can the arm reach?"""
+"""Inverse kinematics of ten thousand points at once, on all cores: how much of a box the arm can reach."""
 
 import time
 
