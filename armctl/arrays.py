@@ -13,6 +13,7 @@ from armctl.errors import InputError
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+TextArray = NDArray[np.object_]
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
 

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-from armctl.arrays import Array, BoolArray, IntArray
+from armctl.arrays import Array, BoolArray, IntArray, TextArray
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -56,7 +53,7 @@ class IkBatch:
     q: Array
     position_error: Array
     orientation_error: Array
-    reason: NDArray[np.object_]
+    reason: TextArray
     iterations: IntArray
     starts: IntArray
 
