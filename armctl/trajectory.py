@@ -121,6 +121,8 @@ class Limits:
             LimitError: A position outside its limits.
         """
         checked = vector(what, q, len(joint_names))
+        if ((checked >= self.q_min) & (checked <= self.q_max)).all():
+            return checked
         outside = (checked < self.q_min - tolerance) | (checked > self.q_max + tolerance)
         if outside.any():
             i = int(outside.argmax())

@@ -21,23 +21,24 @@ SLIDE, LOW, HIGH = 12, 13, 14
 # What of the tip is asked for.
 POSE, POSITION, FREE_X = 0, 1, 2  # the next two are free about y and about z
 
-# Scratch memory (n + 2, 17 + 2 n). One row a joint:
+# Scratch memory (n + 2, 18 + 2 n). One row a joint:
 ORIGIN, AXIS, JACOBIAN = 0, 3, 6  # (3,), (3,), (6,)
-GRADIENT, STEP, RHS, HELD, BEST = 12, 13, 14, 15, 16
-NORMAL = 17  # (n,) a row of J^T J; behind it the n of its Cholesky factor
+GRADIENT, STEP, HELD, BEST = 12, 13, 14, 15
+RHS, PIVOT = 16, 17  # of the joints that are free, packed
+NORMAL = 18  # (n,) a row of J^T J's lower triangle; behind it the n of its factor, packed
 # a row for the tip: rotation 0-8, translation 9-11, error 12-17, and a row for the target: rotation, translation.
 ERROR = 12
 FIRST = 12  # in the target's row: the squared error at the start of a descent
 
 NEAR, JUMP = 0.5, 0.3  # more than 0.3 rad of a joint for a target within half a reach is suspicious
-ROTATION_WEIGHT = 0.5  # of a radian, beside an error of one reach
+ROTATION_WEIGHT = 0.35  # of a radian, beside an error of one reach
 DESCENT_STEPS = 60
-SETTLE_STEPS, SETTLED = 200, 1e-7
+SETTLE_STEPS, SETTLE_DAMPING, SETTLED = 200, 0.1, 1e-7
 STALL_STEPS, STALL_GAIN = 3, 0.7  # give a descent up after so many steps whose error stays above this share
 DAMPING, DAMPING_FLOOR = 2e-2, 1e-12
 BOUND_PASSES = 3
-STEP_MAX = 2.0  # rad, or reaches
-STRETCH = 0.2  # random starts beyond the bounds by this share of the range start at them
+STEP_MAX = 1.0  # rad, or reaches
+STRETCH = 0.2  # every other random start lies beyond the bounds by up to this share of their range: then it is at them
 FARTHEST = 1e3  # reaches, up to where the solver sees the difference a step makes
 
 
@@ -48,7 +49,7 @@ def scratch(n: int) -> Array:
         n: How many joints.
 
     Returns:
-        (n + 2, 17 + 2 n), not initialised.
+        (n + 2, 18 + 2 n), not initialised.
     """
     return np.empty((n + 2, NORMAL + 2 * n))
 
@@ -173,43 +174,68 @@ def _linearise(chain, target, asked, q, work):
             for r in range(rows):
                 total += work[i, JACOBIAN + r] * work[j, JACOBIAN + r]
             work[i, NORMAL + j] = total
-            work[j, NORMAL + i] = total
     return np.sqrt(off), np.sqrt(turned)
 
 
 @njit
-def _solve_free(damping, work):
-    """(J^T J + damping I) step = gradient for the joints that are not held, by Cholesky; the held ones keep their step."""
+def _bend(chain, asked, work):
+    """Takes the chain's own curvature off J^T J: error . d^2 tip / dq_i dq_j, with z_i x dp/dq_j as the derivative for i <= j.
+
+    What is left is the Hessian of half the squared error, for a rotation up to the error's third order.
+    """
     n = len(work) - 2
-    factor = NORMAL + n
+    for i in range(n):
+        if chain[i, SLIDE] > 0:
+            continue
+        u, v, w = work[i, AXIS], work[i, AXIS + 1], work[i, AXIS + 2]
+        for row in range(0, 3 if asked == POSITION else 6, 3):
+            share = 1.0 if row == 0 else 0.5
+            x, y, z = work[n, ERROR + row], work[n, ERROR + row + 1], work[n, ERROR + row + 2]
+            x, y, z = share * (y * w - z * v), share * (z * u - x * w), share * (x * v - y * u)
+            for j in range(i, n):
+                J = JACOBIAN + row
+                work[j, NORMAL + i] -= x * work[j, J] + y * work[j, J + 1] + z * work[j, J + 2]
+
+
+@njit
+def _solve_free(damping, work):
+    """(J^T J + damping I) step = gradient for the joints that are not held, by L D L^T; the held ones keep their step.
+
+    Pivots below the damping, which only a curvature that was added can make, are raised to it: every step leads downhill.
+    """
+    n = len(work) - 2
+    factor, count = NORMAL + n, 0
     for i in range(n):
         if work[i, HELD] > 0:
             continue
-        total = work[i, GRADIENT]
+        total, pivot, c = work[i, GRADIENT], work[i, NORMAL + i] + damping, 0
         for j in range(n):
             if work[j, HELD] > 0:
-                total -= work[i, NORMAL + j] * work[j, STEP]
-        for j in range(i + 1):
-            if work[j, HELD] > 0:
-                continue
-            value = work[i, NORMAL + j]
-            for k in range(j):
-                if work[k, HELD] == 0:
-                    value -= work[i, factor + k] * work[j, factor + k]
-            if j < i:
-                work[i, factor + j] = value / work[j, factor + j]
-                total -= work[i, factor + j] * work[j, RHS]
-            else:
-                work[i, factor + i] = np.sqrt(max(value + damping, 1e-300))
-        work[i, RHS] = total / work[i, factor + i]
+                total -= work[max(i, j), NORMAL + min(i, j)] * work[j, STEP]
+            elif j < i:
+                value = work[i, NORMAL + j]
+                for k in range(c):
+                    value -= work[count, factor + k] * work[c, factor + k]
+                work[count, factor + c] = value
+                c += 1
+        for c in range(count):
+            value = work[count, factor + c]
+            share = value * work[c, PIVOT]
+            work[count, factor + c] = share
+            pivot -= share * value
+            total -= share * work[c, RHS]
+        work[count, PIVOT] = 1.0 / max(pivot, damping)
+        work[count, RHS] = total
+        count += 1
+    row = count
     for i in range(n - 1, -1, -1):
-        if work[i, HELD] > 0:
-            continue
-        total = work[i, RHS]
-        for k in range(i + 1, n):
-            if work[k, HELD] == 0:
-                total -= work[k, factor + i] * work[k, STEP]
-        work[i, STEP] = total / work[i, factor + i]
+        if work[i, HELD] == 0:
+            row -= 1
+            total = work[row, RHS] * work[row, PIVOT]
+            for k in range(row + 1, count):
+                total -= work[k, factor + row] * work[k, RHS]
+            work[row, RHS] = total
+            work[i, STEP] = total
 
 
 @njit
@@ -274,20 +300,24 @@ def _descend(chain, target, asked, off_max, turned_max, q, work):
 
 @njit
 def _random_start(chain, q0, start, seed, q):
-    """The random start of a number: inside the joint bounds or at one, or half a turn around q0 where there are none.
+    """The random start of a number: within half a turn of q0 and inside the joint bounds or at one.
+
+    A hinge that turns farther would come by every direction twice, and meet its bounds more often.
 
     The generator is splitmix64 (Steele, Lea, Flood: "Fast splittable pseudorandom number generators", 2014).
     """
     state = np.uint64(seed) ^ (np.uint64(start) * np.uint64(0xD1B54A32D192ED03))
+    stretch = STRETCH * (start % 2)
     for i in range(len(q)):
         state += np.uint64(0x9E3779B97F4A7C15)
         x = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
         x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
         share = np.float64((x ^ (x >> np.uint64(31))) >> np.uint64(11)) / 9007199254740992.0
         low, high = chain[i, LOW], chain[i, HIGH]
-        if not high - low < np.inf:
-            low, high = max(low, q0[i] - np.pi), min(high, q0[i] + np.pi)
-        wanted = low + ((1 + 2 * STRETCH) * share - STRETCH) * (high - low)
+        if high - low > 2 * np.pi:
+            middle = min(max(q0[i], low + np.pi), high - np.pi)
+            low, high = middle - np.pi, middle + np.pi
+        wanted = low + ((1 + 2 * stretch) * share - stretch) * (high - low)
         q[i] = min(max(wanted, low), high)
 
 
@@ -320,8 +350,21 @@ def _aim(chain, reach, target, work):
 
 
 @njit
+def _beyond(chain, target, off_max):
+    """Whether the target is farther from the first joint than the arm stretched out, which is one reach."""
+    n = len(chain) - 1
+    for i in range(n):
+        if chain[i, SLIDE] > 0 and not chain[i, HIGH] - chain[i, LOW] < np.inf:
+            return False
+    distance = 0.0
+    for k in range(9, 12):
+        distance += (target[k] - chain[0, k]) ** 2
+    return np.sqrt(distance) > 1.0 + 1e-9 + off_max
+
+
+@njit
 def search(chain, reach, targets, asked, off_max, turned_max, q0, begin, first, last, seed, q, tally, work):
-    """For each target descents from the starts `first` to `last` until one is inside the tolerance.
+    """For each target descents from the starts `first` to `last` until one is inside the tolerance; beyond reach one is enough.
 
     Start 0 is `begin`, the others are random; whole turns are counted from q0. Fills q (N, n) with the solutions, or else the
     best positions met, and `tally` (N, 4) with 1 for a solution, the start after the last one used, how many steps it took, and
@@ -332,7 +375,8 @@ def search(chain, reach, targets, asked, off_max, turned_max, q0, begin, first, 
     for t in range(len(targets)):
         target = _aim(chain, reach, targets[t], work)
         best, steps, start, ok, near = np.inf, 0, first, False, False
-        while start < last and not ok:
+        end = first + 1 if _beyond(chain, target, off_max / reach) else last
+        while start < end and not ok:
             if start == 0:
                 for i in range(n):
                     trial[i] = begin[t, i]
@@ -376,14 +420,15 @@ def settle(chain, reach, targets, asked, q0, pull, q, sizes, work):
                     here[i] = work[i, BEST]
                 continue
             if best == np.inf:
-                damping = np.sqrt(size)  # the curvature that J^T J leaves out is as large as the error
+                damping = SETTLE_DAMPING * np.sqrt(size)
             elif size < best:
-                damping *= 0.5
+                damping *= 0.25
             best = size
             for i in range(n):
                 work[i, BEST] = here[i]
                 work[i, GRADIENT] += pull * (q0[t, i] - here[i])
                 work[i, NORMAL + i] += pull
+            _bend(chain, asked, work)
             moved = _bounded_step(chain, damping + DAMPING_FLOOR, here, work)
         for i in range(n):
             here[i] = work[i, BEST]
@@ -391,14 +436,19 @@ def settle(chain, reach, targets, asked, q0, pull, q, sizes, work):
 
 
 @njit
+def residual(asked, target, position, rotation):
+    """How far a tip (3,), (3, 3) is from its target: in the unit of length, and in rad."""
+    size, chord = 0.0, 0.0
+    for r in range(3):
+        size += (position[r] - target[9 + r]) ** 2
+        for k in range(3):
+            if asked == POSE or asked - FREE_X == k:
+                chord += (rotation[r, k] - target[3 * r + k]) ** 2
+    return np.sqrt(size), 2.0 * np.arcsin(min(1.0, np.sqrt(chord / (8.0 if asked == POSE else 4.0))))
+
+
+@njit
 def residuals(asked, targets, positions, rotations, off, turned):
-    """How far tips (N, 3), (N, 3, 3) are from their targets: fills (N,) in the unit of length and (N,) in rad."""
+    """`residual` of N tips (N, 3), (N, 3, 3): fills (N,) and (N,)."""
     for t in range(len(targets)):
-        size, chord = 0.0, 0.0
-        for r in range(3):
-            size += (positions[t, r] - targets[t, 9 + r]) ** 2
-            for k in range(3):
-                if asked == POSE or asked - FREE_X == k:
-                    chord += (rotations[t, r, k] - targets[t, 3 * r + k]) ** 2
-        off[t] = np.sqrt(size)
-        turned[t] = 2.0 * np.arcsin(min(1.0, np.sqrt(chord / (8.0 if asked == POSE else 4.0))))
+        off[t], turned[t] = residual(asked, targets[t], positions[t], rotations[t])

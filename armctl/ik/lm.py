@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from armctl.arrays import Array, BoolArray, IntArray
@@ -114,7 +112,7 @@ def best_effort(problem: Problem, q: Array) -> tuple[Array, BoolArray]:
     Returns:
         (N, n) rad inside the joint limits, and (N,) whether the point itself is out of reach.
     """
-    points = replace(problem, asked=POSITION)
+    points = problem._replace(asked=POSITION)
     limit = (problem.position_tolerance / problem.chain.reach) ** 2
     least, nearest = np.full(len(q), np.inf), q.copy()
     for start in range(REACH_STARTS):

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from types import ModuleType
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -64,8 +64,7 @@ class Chain:
         return self.limits.clamp(q * self.unit) if self.slides else q
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Problem:
+class Problem(NamedTuple):
     """N targets for one arm, of one kind, with what a solver needs to know.
 
     Attributes:
@@ -97,10 +96,21 @@ class Problem:
         Returns:
             K targets.
         """
-        return replace(self, targets=self.targets[which], q0=self.q0[which])
+        return self._replace(targets=self.targets[which], q0=self.q0[which])
+
+    def residual(self, q: Array) -> tuple[float, float]:
+        """How far the tip is from the first target, by the arm's own forward kinematics.
+
+        Args:
+            q: (n,) rad.
+
+        Returns:
+            m, and rad of what of the orientation is asked for.
+        """
+        return compiled().residual(self.asked, self.targets[0], *self.arm.rigid_body.tip(q))
 
     def residuals(self, q: Array) -> tuple[Array, Array]:
-        """How far the tip is from each target, by the arm's own forward kinematics.
+        """How far the tip is from each target.
 
         Args:
             q: (N, n) rad.
@@ -108,13 +118,8 @@ class Problem:
         Returns:
             (N,) m, and (N,) rad of what of the orientation is asked for.
         """
-        if len(q) == 1:
-            position, rotation = self.arm.rigid_body.tip(q[0])
-            position, rotation = position[None], rotation[None]
-        else:
-            position, rotation = self.arm.rigid_body.tips(q)
         off, turned = np.empty(len(q)), np.empty(len(q))
-        compiled().residuals(self.asked, self.targets, position, np.ascontiguousarray(rotation), off, turned)
+        compiled().residuals(self.asked, self.targets, *self.arm.rigid_body.tips(q), off, turned)
         return off, turned
 
 

@@ -17,7 +17,7 @@ from armctl.ik import lm
 from armctl.ik.problem import PoseOrPoint, Problem, read_problem, read_target
 from armctl.ik.result import IkResult, why_not
 
-STARTS, MINK_STARTS = 200, 60
+STARTS, MINK_STARTS = 250, 60
 NEAREST_STARTS = 64
 PULL = 1e-3
 
@@ -68,7 +68,7 @@ def solve_ik(
     one_by_one = _one_by_one(problem, search, most, stay_near=q0 is not None)
     q, starts, steps, kept, touched = problem.q0, 0, 0, None, ""
     for q, starts, steps in chain(_nearest_first(problem, search), one_by_one) if nearest else one_by_one:
-        off, turned = _residual(problem, q)
+        off, turned = problem.residual(q[0])
         if off > problem.position_tolerance or turned > problem.orientation_tolerance:
             break
         touched = touched_at(q[0])
@@ -78,13 +78,8 @@ def solve_ik(
     if kept is not None:
         return replace(kept, reason=f"no solution without contact found in {starts} starts: {touched}")
     q, out_of_reach = lm.best_effort(problem, q)
-    off, turned = _residual(problem, q)
+    off, turned = problem.residual(q[0])
     return IkResult(False, frozen(q[0]), off, turned, why_not(bool(out_of_reach[0]), off, starts), steps, starts)
-
-
-def _residual(problem: Problem, q: Array) -> tuple[float, float]:
-    off, turned = problem.residuals(q)
-    return off.item(), turned.item()
 
 
 def _nothing(q: Array) -> str:

@@ -49,7 +49,7 @@ def _descend(follower: DifferentialIk, problem: Problem, q: Array) -> tuple[Arra
     best, kept, reference, stalled, steps, ok = np.inf, q, np.inf, 0, 0, False
     while steps < STEPS and stalled < STALL_STEPS and not ok:
         steps += 1
-        off, turned = (float(error[0]) for error in problem.residuals(q[None]))
+        off, turned = problem.residual(q)
         size = float(np.hypot(off / problem.chain.reach, 0.5 * turned))
         ok = off <= problem.position_tolerance and turned <= problem.orientation_tolerance
         if ok or size < best:
