@@ -129,9 +129,10 @@ class DifferentialIk:
         """What each joint may move in one step; outside its limits it must move back, as fast as it can."""
         limits, reserve = self.arm.limits, 4 * np.finfo(float).eps * (1 + np.abs(q))
         most = limits.v_max * dt * (1 - 1e-12)
-        low = np.minimum(limits.q_min - q + reserve, np.maximum(0.0, limits.q_min - q))
-        high = np.maximum(limits.q_max - q - reserve, np.minimum(0.0, limits.q_max - q))
-        return np.clip(low, -most, most), np.clip(high, -most, most)
+        low, high = limits.q_min - q, limits.q_max - q
+        low = np.minimum(low + reserve, np.maximum(0.0, low))
+        high = np.maximum(high - reserve, np.minimum(0.0, high))
+        return np.minimum(np.maximum(low, -most), most), np.minimum(np.maximum(high, -most), most)
 
     def _solve(self, q: Array, low: Array, high: Array, dt: float) -> Array:
         import mink

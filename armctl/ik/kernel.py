@@ -39,6 +39,7 @@ DAMPING, DAMPING_FLOOR = 2e-2, 1e-12
 BOUND_PASSES = 3
 STEP_MAX = 1.0  # rad, or reaches
 STRETCH = 0.2  # every other random start lies beyond the bounds by up to this share of their range: then it is at them
+NULL_PASSES, NO_ROOM, NULL_DAMPING = 4, 0.01, 1e-10
 FARTHEST = 1e3  # reaches, up to where the solver sees the difference a step makes
 
 
@@ -138,8 +139,11 @@ def rotation_error(target, asked, work):
 
 
 @njit
-def _linearise(chain, target, asked, q, work):
-    """Fills error, Jacobian, J^T J and J^T e at q. Returns the position's and the rotation's error."""
+def _linearise(chain, target, asked, yields, q, work):
+    """Fills error, Jacobian, J^T J and J^T e at q. Returns the position's and the rotation's error.
+
+    A rotation counts by its weight, divided by 1 + `yields` times the position's error (up to one reach).
+    """
     n = len(q)
     forward(chain, q, work)
     jacobian(chain, work)
@@ -154,7 +158,10 @@ def _linearise(chain, target, asked, q, work):
         work[n, ERROR + r] = target[9 + r] - work[n, 9 + r]
         off += work[n, ERROR + r] * work[n, ERROR + r]
         turned += work[n, ERROR + 3 + r] * work[n, ERROR + 3 + r]
-        work[n, ERROR + 3 + r] *= ROTATION_WEIGHT
+    off, turned = np.sqrt(off), np.sqrt(turned)
+    weight = ROTATION_WEIGHT / (1.0 + yields * min(1.0, off))
+    for r in range(3, 6):
+        work[n, ERROR + r] *= weight
     for i in range(n):
         if asked >= FREE_X:  # a turn about the free axis costs nothing
             k = asked - FREE_X
@@ -166,7 +173,7 @@ def _linearise(chain, target, asked, q, work):
         total = 0.0
         for r in range(rows):
             if r >= 3:
-                work[i, JACOBIAN + r] *= ROTATION_WEIGHT
+                work[i, JACOBIAN + r] *= weight
             total += work[i, JACOBIAN + r] * work[n, ERROR + r]
         work[i, GRADIENT] = total
         for j in range(i + 1):
@@ -174,7 +181,7 @@ def _linearise(chain, target, asked, q, work):
             for r in range(rows):
                 total += work[i, JACOBIAN + r] * work[j, JACOBIAN + r]
             work[i, NORMAL + j] = total
-    return np.sqrt(off), np.sqrt(turned)
+    return off, turned
 
 
 @njit
@@ -279,7 +286,7 @@ def _descend(chain, target, asked, off_max, turned_max, q, work):
     best, reference, stalled, steps, ok = np.inf, np.inf, 0, 0, False
     while steps < DESCENT_STEPS and stalled < STALL_STEPS and not ok:
         steps += 1
-        off, turned = _linearise(chain, target, asked, q, work)
+        off, turned = _linearise(chain, target, asked, 0.0, q, work)
         size = off * off + ROTATION_WEIGHT * ROTATION_WEIGHT * turned * turned
         if steps == 1:
             work[n + 1, FIRST] = size
@@ -410,7 +417,7 @@ def settle(chain, reach, targets, asked, q0, pull, q, sizes, work):
         best, damping, moved, steps = np.inf, 0.0, np.inf, 0
         while moved > SETTLED and steps < SETTLE_STEPS:
             steps += 1
-            off, turned = _linearise(chain, target, asked, here, work)
+            off, turned = _linearise(chain, target, asked, 0.0, here, work)
             size = off * off + ROTATION_WEIGHT * ROTATION_WEIGHT * turned * turned
             for i in range(n):
                 size += pull * (q0[t, i] - here[i]) ** 2
@@ -433,6 +440,61 @@ def settle(chain, reach, targets, asked, q0, pull, q, sizes, work):
         for i in range(n):
             here[i] = work[i, BEST]
         sizes[t] = best
+
+
+@njit
+def objective(chain, reach, target, asked, yields, bends, q, H, gradient, J, work):
+    """Half the squared error around q, to second order if it `bends`: fills the Hessian H (n, n), J^T e (n,) and J (6, n).
+
+    Returns the error's size.
+    """
+    n = len(q)
+    _linearise(chain, _aim(chain, reach, target, work), asked, yields, q, work)
+    if bends:
+        _bend(chain, asked, work)
+    size = 0.0
+    for r in range(6):
+        size += work[n, ERROR + r] ** 2
+    for i in range(n):
+        gradient[i] = work[i, GRADIENT]
+        for r in range(6):
+            J[r, i] = work[i, JACOBIAN + r]
+        for j in range(n):
+            H[i, j] = work[max(i, j), NORMAL + min(i, j)]
+    return np.sqrt(size)
+
+
+@njit
+def null_step(asked, wish, low, high, step, work):
+    """The part of a wished step (n,) in the null space of J, shortened to its bounds; joints at theirs take no part.
+
+    J is what `objective` left behind. A damping that is all but zero leaves of a wish what changes no error.
+    """
+    n, rows = len(wish), 3 if asked == POSITION else 6
+    for i in range(n):
+        work[i, HELD], step[i] = 0.0, 0.0
+        for j in range(i + 1):
+            total = 0.0
+            for r in range(rows):
+                total += work[i, JACOBIAN + r] * work[j, JACOBIAN + r]
+            work[i, NORMAL + j] = total
+    for _ in range(NULL_PASSES):
+        for i in range(n):
+            work[i, GRADIENT], work[i, STEP] = NULL_DAMPING * wish[i], 0.0
+        _solve_free(NULL_DAMPING, work)
+        share, free = 1.0, 0
+        for i in range(n):
+            if work[i, HELD] == 0:
+                free += 1
+                room = max(0.0, high[i] if work[i, STEP] > 0 else -low[i]) / max(abs(work[i, STEP]), 1e-300)
+                share = min(share, room)
+                work[i, HELD] = 1.0 if room <= NO_ROOM else 0.0
+        if free <= rows:
+            return
+        if share > NO_ROOM:
+            for i in range(n):
+                step[i] = share * work[i, STEP]
+            return
 
 
 @njit

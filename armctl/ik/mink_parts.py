@@ -7,22 +7,18 @@ from collections.abc import Iterator
 import mink
 import mujoco
 import numpy as np
-import pinocchio as pin
 from mink.tasks import BaseTask
 
 from armctl.arm import Arm
 from armctl.arrays import Array
 from armctl.ik.pairs import avoidable_pairs
-from armctl.ik.problem import FREE_X, POSITION, chain_of
+from armctl.ik.problem import POSITION, chain_of, compiled
 
-ROTATION_WEIGHT = 0.5  # of a radian, beside an error of one reach;
-YIELD = 10.0  # it yields to a position error: at a target out of reach the position comes first
+YIELD = 10.0  # a rotation yields to a position error: at a target out of reach the position comes first
 DAMPING, ERROR_DAMPING = 1e-5, 0.05
 FLAT, FAR = 1e-3, 0.01  # the posture fades out of directions as curved as this, and at targets as far as that
 SEARCH_DAMPING = 2e-2  # of the squared error, where second order is left out
 SINGULAR, SINGULAR_DAMPING = 0.05, 1e-3  # below this singular value damping rises, up to that
-FARTHEST = 100.0  # reaches
-NULL_PASSES, NO_ROOM = 4, 0.01
 APPROACH = 0.5  # of the free distance may be used up in one step
 RECOVERY = 0.1  # m/s, how fast what is too near is moved apart
 
@@ -45,37 +41,31 @@ class TipTask(BaseTask):
             arm: The arm.
             posture: (n,) rad, where the joints go as far as the tip lets them.
         """
-        self._arm, self._posture, self._reach = arm, posture, chain_of(arm).reach
-        self._scale = np.repeat([1 / self._reach, 1.0], 3)[:, None]
-        self._upper = np.triu(np.ones((arm.n, arm.n), bool))
+        self._arm, self._posture, self._chain = arm, posture, chain_of(arm)
         self._block = np.ix_(arm.dof_adr, arm.dof_adr)
+        self._hessian, self._pull, self._jacobian = np.empty((arm.n, arm.n)), np.empty(arm.n), np.empty((6, arm.n))
+        self._scratch = compiled().scratch(arm.n)
         self.bounds = (np.full(arm.n, -np.inf), np.full(arm.n, np.inf))  # of the step
         self.settles = True  # at a target out of reach; a search that starts again elsewhere gets there faster without
         self.asked, self.target, self.posture_share = POSITION, np.zeros(12), 0.0
 
-    def _tip(self, configuration: mink.Configuration) -> tuple[Array, Array, Array, Array]:
-        """Joint positions, weighted error to the target, weighted Jacobian, and axes of the arm's joints."""
-        q, target = configuration.data.qpos[self._arm.qpos_adr], self.target
-        J = self._arm.rigid_body.jacobian(q)
-        position, R = self._arm.rigid_body.tip(q)
-        off = (target[9:] - position) / self._reach
-        distance = float(np.sqrt(off @ off))
-        off *= min(1.0, FARTHEST / max(distance, 1e-300))
-        weight = ROTATION_WEIGHT / (1 + YIELD * min(1.0, distance))
-        axes, J = J[3:], J * self._scale
-        J[3:] *= weight
+    def _squared_error(self, q: Array) -> tuple[float, Array, Array, Array]:
+        """Half the squared error around q (n,): its root, its Hessian, its negative gradient, and the Jacobian of the error."""
+        chain, H, pull, J = self._chain, self._hessian, self._pull, self._jacobian
+        args = chain.rows, chain.reach, self.target, self.asked, YIELD, self.settles, chain.units(q), H, pull, J
+        size = compiled().objective(*args, self._scratch)
         if self.asked == POSITION:
-            return q, off, J[:3], axes
-        if self.asked < FREE_X:
-            turn = pin.log3(target[:9].reshape(3, 3) @ R.T)
-        else:
-            k = self.asked - FREE_X
-            axis, wanted = R[:, k], target[k:9:3]
-            cross = np.cross(axis, wanted)
-            sin = float(np.sqrt(cross @ cross))
-            turn = cross * (np.arctan2(sin, axis @ wanted) / sin) if sin > 1e-9 else np.pi * (axis @ wanted < 0) * R[:, k - 1]
-            J[3:] -= np.outer(axis, axis @ J[3:])
-        return q, np.concatenate([off, weight * turn]), J, axes
+            J = J[:3]
+        if chain.slides:
+            H, pull, J = H / np.outer(chain.unit, chain.unit), pull / chain.unit, J / chain.unit
+        return size, H, pull, J
+
+    def _null_step(self, wish: Array) -> Array:
+        """What of a wished step (n,) leaves the error as it is, within the bounds."""
+        unit, step = self._chain.unit, np.empty_like(wish)
+        low, high = self.bounds
+        compiled().null_step(self.asked, wish / unit, low / unit, high / unit, step, self._scratch)
+        return step * unit
 
     def compute_qp_objective(self, configuration: mink.Configuration) -> mink.Objective:
         """The task's part of the quadratic program.
@@ -86,61 +76,26 @@ class TipTask(BaseTask):
         Returns:
             H (nv, nv) and c (nv,).
         """
-        q, error, J, axes = self._tip(configuration)
-        H, c = np.zeros((configuration.nv, configuration.nv)), np.zeros(configuration.nv)
-        normal, pull = J.T @ J, error @ J
+        q = configuration.data.qpos[self._arm.qpos_adr]
+        size, hessian, pull, J = self._squared_error(q)
         if self.settles:
-            upper = _second_order(error, J, axes)
-            curvature, V = np.linalg.eigh(normal - np.where(self._upper, upper, upper.T))
+            curvature, V = np.linalg.eigh(hessian)
             curvature = np.abs(curvature)
-            normal = (V * curvature) @ V.T
+            hessian = (V * curvature) @ V.T
             smallest = np.linalg.eigvalsh(J @ J.T if len(J) <= len(q) else J.T @ J)[0]
-            size = float(np.sqrt(error @ error))
             damping = (
                 DAMPING + min(ERROR_DAMPING * size, SINGULAR_DAMPING) + SINGULAR_DAMPING * max(0.0, 1 - smallest / SINGULAR**2)
             )
             share = self.posture_share * max(0.0, 1 - size / FAR)
             if share > 0 and len(J) < len(q):
-                low, high = self.bounds
                 flat = np.maximum(0.0, 1 - curvature / FLAT) ** 2
-                step = _null_step(J, share * (self._posture - q), low, high)
-                pull = pull + damping * (V * flat) @ (step @ V)
+                pull = pull + damping * (V * flat) @ (self._null_step(share * (self._posture - q)) @ V)
         else:
-            damping = SEARCH_DAMPING * min(1.0, float(error @ error))
-        normal.flat[:: len(q) + 1] += damping
-        H[self._block], c[self._arm.dof_adr] = normal, -pull
+            damping = SEARCH_DAMPING * min(1.0, size**2)
+        H, c = np.zeros((configuration.nv, configuration.nv)), np.zeros(configuration.nv)
+        H[self._block], c[self._arm.dof_adr] = hessian, -pull
+        H[self._arm.dof_adr, self._arm.dof_adr] += damping
         return mink.Objective(H, c)
-
-
-def _null_step(J: Array, wish: Array, low: Array, high: Array) -> Array:
-    """The part of a wished step (n,) in the null space of J, shortened to its bounds; joints at theirs take no part."""
-    free = np.ones(len(wish), bool)
-    for _ in range(NULL_PASSES):
-        part = J[:, free]
-        if part.shape[1] <= len(J):
-            break
-        step = np.zeros_like(wish)
-        step[free] = wish[free] - part.T @ np.linalg.solve(part @ part.T + 1e-12 * np.eye(len(J)), part @ wish[free])
-        room = np.maximum(0.0, np.where(step > 0, high, -low)) / np.maximum(np.abs(step), 1e-300)
-        if room.min() > NO_ROOM:
-            return min(1.0, room.min()) * step
-        free &= room > NO_ROOM
-    return np.zeros_like(wish)
-
-
-def _second_order(error: Array, J: Array, axes: Array) -> Array:
-    """What the chain's own curvature takes off J^T J: error . d^2 tip / dq_i dq_j, (n, n), its upper triangle.
-
-    For joints i <= j of a serial chain d^2 p / dq_i dq_j = z_i x dp/dq_j; a rotation vector bends by half its cross product.
-    """
-    bend = _cross(error[:3], axes).T @ J[:3]
-    return bend if len(error) == 3 else bend + 0.5 * _cross(error[3:], axes).T @ J[3:]
-
-
-def _cross(vector: Array, columns: Array) -> Array:
-    """vector x each column."""
-    x, y, z = vector.tolist()
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ columns
 
 
 class Clearance(mink.Limit):
