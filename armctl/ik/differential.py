@@ -85,6 +85,7 @@ class DifferentialIk:
         self._tasks, self._constraints = [self.tip, *tasks], list(constraints)
         self._limits = list(limits)
         self._clearance = Clearance(arm, number("clearance", clearance, 0.0)) if avoid_collisions else None
+        self._is_alone = not tasks
         self._needs_kinematics = bool(tasks or limits or constraints or avoid_collisions)
 
     def step(self, q: ArrayLike, target: PoseOrPoint, dt: float, *, free_axis: str | None = None) -> Array:
@@ -152,6 +153,8 @@ class DifferentialIk:
             self.status = "no solution"
             return np.zeros(self.arm.n)
         dq = np.clip(dq, low, high)
+        if self._is_alone and self.tip.is_idle(dq) and _may_rest(problem):
+            return np.zeros(self.arm.n)
         return dq if self._clearance is None else self._cleared(self._clearance, problem, q, dq)
 
     def _cleared(self, clearance: Clearance, problem: qpsolvers.Problem, q: Array, dq: Array) -> Array:
@@ -172,6 +175,12 @@ class DifferentialIk:
             if clearance.cuts(self.configuration, q, dq).inactive:
                 return dq
         return np.zeros_like(dq)
+
+
+def _may_rest(problem: qpsolvers.Problem) -> bool:
+    """Whether a step of nothing keeps the limits: not where joints or bodies have to move back."""
+    bounds = problem.lb, np.negative(problem.ub), 0.0 if problem.h is None else np.negative(problem.h)
+    return problem.A is None and all(np.max(bound, initial=0.0) <= 0.0 for bound in bounds)
 
 
 def _solution(problem: qpsolvers.Problem, solver: str) -> Array | None:

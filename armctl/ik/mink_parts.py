@@ -16,6 +16,7 @@ from armctl.ik.problem import POSITION, chain_of, compiled
 
 YIELD = 10.0  # a rotation yields to a position error: at a target out of reach the position comes first
 DAMPING, ERROR_DAMPING = 1e-5, 0.05
+IDLE = 1e-8  # reaches by which a step must bring the tip nearer to a target out of reach
 FLAT, FAR = 1e-3, 0.01  # the posture fades out of directions as curved as this, and at targets as far as that
 SEARCH_DAMPING = 2e-2  # of the squared error, where second order is left out
 SINGULAR, SINGULAR_DAMPING = 0.05, 1e-3  # below this singular value damping rises, up to that
@@ -45,9 +46,21 @@ class TipTask(BaseTask):
         self._block = np.ix_(arm.dof_adr, arm.dof_adr)
         self._hessian, self._pull, self._jacobian = np.empty((arm.n, arm.n)), np.empty(arm.n), np.empty((6, arm.n))
         self._scratch = compiled().scratch(arm.n)
+        self._gain: Array | None = None  # (n,) reaches nearer for a joint's step, at a target far off
         self.bounds = (np.full(arm.n, -np.inf), np.full(arm.n, np.inf))  # of the step
         self.settles = True  # at a target out of reach; a search that starts again elsewhere gets there faster without
         self.asked, self.target, self.posture_share = POSITION, np.zeros(12), 0.0
+
+    def is_idle(self, dq: Array) -> bool:
+        """Whether a step brings the tip all but nothing nearer to a target that is out of reach.
+
+        Args:
+            dq: (n,) rad, the step from where `compute_qp_objective` was called.
+
+        Returns:
+            True where to stand still is as good.
+        """
+        return self._gain is not None and bool(abs(self._gain @ dq) < IDLE)
 
     def _squared_error(self, q: Array) -> tuple[float, Array, Array, Array]:
         """Half the squared error around q (n,): its root, its Hessian, its negative gradient, and the Jacobian of the error."""
@@ -92,6 +105,7 @@ class TipTask(BaseTask):
                 pull = pull + damping * (V * flat) @ (self._null_step(share * (self._posture - q)) @ V)
         else:
             damping = SEARCH_DAMPING * min(1.0, size**2)
+        self._gain = pull / size if size > FAR else None
         H, c = np.zeros((configuration.nv, configuration.nv)), np.zeros(configuration.nv)
         H[self._block], c[self._arm.dof_adr] = hessian, -pull
         H[self._arm.dof_adr, self._arm.dof_adr] += damping
