@@ -137,29 +137,48 @@ def race(solvers: dict[str, Solver], judge: Judge, targets: list[Pose]) -> dict[
     return scores
 
 
+def seconds(function: Callable[..., object], *args: object, **options: object) -> float:
+    """How long a call takes."""
+    start = time.perf_counter()
+    function(*args, **options)
+    return time.perf_counter() - start
+
+
+def mink_steps(arm: Arm, targets: list[Pose]) -> list[float]:
+    """Microseconds of a step: on the way to far targets, and following one that moves near by."""
+    follower, dt = DifferentialIk(arm), 0.01
+    home = arm.fk(arm.home)
+    circle = [home @ Pose([0.05 * np.cos(t) - 0.05, 0.05 * np.sin(t), 0.0]) for t in np.linspace(0, 4 * np.pi, 1000)]
+    medians = []
+    for goals in ([target for target in targets[:20] for _ in range(50)], circle):
+        q, steps = np.array(arm.home), []
+        for target in goals:
+            start = time.perf_counter()
+            v = follower.step(q, target, dt)
+            steps.append(time.perf_counter() - start)
+            q = q + dt * v
+        medians.append(1e6 * float(np.median(steps)))
+    return medians
+
+
+def unreachable(arm: Arm, targets: list[Pose], rng: np.random.Generator) -> list[Pose]:
+    """Poses with no solution whose point is about as far as the tip can come, or nearer."""
+    middle = arm.rigid_body.placements[0, :3, 3]
+    reach = max(float(np.linalg.norm(target.position - middle)) for target in targets)
+    ways, turns = rng.normal(size=(200, 3)), rng.normal(size=(200, 4))
+    far = rng.uniform(0.9, 1.1, (200, 1)) * reach / np.linalg.norm(ways, axis=1, keepdims=True)
+    beside = map(Pose, middle + far * ways, turns)
+    return [pose for pose in beside if not solve_ik(arm, pose).ok][:50]
+
+
 def rates(arm: Arm, targets: list[Pose]) -> list[str]:
-    """The batch's rate on one thread and on two, the mink step, a pose out of reach, and the jumps of warm starts."""
+    """The batch's rate on one thread and on two, the mink step, poses out of reach, and the jumps of warm starts."""
     T = np.array([target.matrix for target in targets] * 10)
     rate = {}
     for threads in (1, 2):
-        seconds = []
-        for _ in range(3):
-            start = time.perf_counter()
-            solve_ik_batch(arm, T, threads=threads)
-            seconds.append(time.perf_counter() - start)
-        rate[threads] = len(T) / min(seconds)
-    follower, q, steps = DifferentialIk(arm), np.array(arm.home), []
-    for target in targets[:20]:
-        for _ in range(50):
-            start = time.perf_counter()
-            v = follower.step(q, target, 0.01)
-            steps.append(time.perf_counter() - start)
-            q = q + 0.01 * v
-    far, times = Pose([3.0, 1.0, 1.0]), []
-    for _ in range(50):
-        start = time.perf_counter()
-        solve_ik(arm, far)
-        times.append(time.perf_counter() - start)
+        rate[threads] = len(T) / min(seconds(solve_ik_batch, arm, T, threads=threads) for _ in range(3))
+    far = np.median([seconds(solve_ik, arm, Pose([3.0, 1.0, 1.0])) for _ in range(50)])
+    edge = np.median([seconds(solve_ik, arm, pose) for pose in unreachable(arm, targets, np.random.default_rng(4))])
     rng, jumps = np.random.default_rng(5), 0
     for q in arm.limits.random(np.zeros(arm.n), 1000, rng):
         near = arm.limits.clamp(q + rng.uniform(-0.05, 0.05, arm.n))
@@ -167,9 +186,10 @@ def rates(arm: Arm, targets: list[Pose]) -> list[str]:
     return [
         f"{rate[1]:.0f}",
         f"{rate[2] / rate[1]:.2f}",
-        f"{1e3 * np.median(times):.2f}",
+        f"{1e3 * far:.2f}",
+        f"{1e3 * edge:.2f}",
         f"{jumps} of 1000",
-        f"{1e6 * np.median(steps):.0f}",
+        *(f"{step:.0f}" for step in mink_steps(arm, targets)),
     ]
 
 
@@ -181,8 +201,9 @@ def main() -> None:
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     table = ["| arm | solver | solved | median ms | p99 ms | solved at joint limits |", "|---|---|---|---|---|---|"]
-    more = ["| arm | batch, solves/s | on two threads, times | out of reach, ms | jumps of warm starts | mink step, us |"]
-    more.append("|---|---|---|---|---|---|")
+    more = ["| arm | batch, solves/s | two threads, times | far out of reach, ms | just out, ms | jumps of warm starts |"]
+    more[0] += " mink step, us | following, us |"
+    more.append("|---|---|---|---|---|---|---|---|")
     for name in options.arms:
         arm = armctl.load(name)
         judge, rng = Judge(arm), np.random.default_rng(2)

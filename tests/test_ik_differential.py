@@ -9,11 +9,12 @@ import mujoco
 import numpy as np
 import pytest
 import qpsolvers
-from arms import ARMS, arm_of
+from arms import ARMS, MENAGERIE_ARMS, arm_of
 
 import armctl
 from armctl import Arm, DifferentialIk, InputError, LimitError, Pose, UnknownNameError
 from armctl.contacts import contacts_of, geom_owners
+from armctl.source import BUNDLED
 
 every_arm = pytest.mark.parametrize("name", ARMS)
 DT = 0.01
@@ -204,7 +205,7 @@ def with_wall(arm: Arm, name: str, folder: Path) -> Arm:
 
 
 @pytest.mark.parametrize("walled", [False, True], ids=["itself", "a wall"])
-@pytest.mark.parametrize("name", [arm for arm in ARMS if arm in ("robot_arm_3dof", "ur5e", "so_arm100", "gen3", "panda")])
+@pytest.mark.parametrize("name", [BUNDLED, *MENAGERIE_ARMS])
 @pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")
 def test_runs_into_nothing(name: str, walled: bool, tmp_path: Path):
     arm = arm_of(name)

@@ -21,7 +21,7 @@ from armctl.ik.result import IkBatch, why_not
 from armctl.ik.solve import STARTS
 from armctl.pose import Pose
 
-CHUNK = 256
+CHUNK = 1024
 QUIET_SECONDS = 2.0
 
 

@@ -153,7 +153,7 @@ class DifferentialIk:
             self.status = "no solution"
             return np.zeros(self.arm.n)
         dq = np.clip(dq, low, high)
-        if self._is_alone and self.tip.is_idle(dq) and _may_rest(problem):
+        if self._is_alone and self.tip.is_idle(dq) and _may_rest(problem, low, high):
             return np.zeros(self.arm.n)
         return dq if self._clearance is None else self._cleared(self._clearance, problem, q, dq)
 
@@ -177,10 +177,10 @@ class DifferentialIk:
         return np.zeros_like(dq)
 
 
-def _may_rest(problem: qpsolvers.Problem) -> bool:
+def _may_rest(problem: qpsolvers.Problem, low: Array, high: Array) -> bool:
     """Whether a step of nothing keeps the limits: not where joints or bodies have to move back."""
-    bounds = problem.lb, np.negative(problem.ub), 0.0 if problem.h is None else np.negative(problem.h)
-    return problem.A is None and all(np.max(bound, initial=0.0) <= 0.0 for bound in bounds)
+    free = problem.A is None and (problem.h is None or bool((problem.h >= 0).all()))
+    return free and bool((low <= 0).all() and (high >= 0).all())
 
 
 def _solution(problem: qpsolvers.Problem, solver: str) -> Array | None:
