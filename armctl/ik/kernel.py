@@ -31,7 +31,7 @@ ERROR = 12
 FIRST = 12  # in the target's row: the squared error at the start of a descent
 
 NEAR, JUMP = 0.5, 0.3  # more than 0.3 rad of a joint for a target within half a reach is suspicious
-ROTATION_WEIGHT = 0.35  # of a radian, beside an error of one reach
+ROTATION_WEIGHT = 1 / 3  # of a radian, beside an error of one reach
 DESCENT_STEPS = 60
 SETTLE_STEPS, SETTLE_DAMPING, SETTLED = 200, 0.1, 1e-7
 STALL_STEPS, STALL_GAIN = 3, 0.7  # give a descent up after so many steps whose error stays above this share
