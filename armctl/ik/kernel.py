@@ -35,6 +35,7 @@ ROTATION_WEIGHT = 1 / 3  # of a radian, beside an error of one reach
 DESCENT_STEPS = 60
 SETTLE_STEPS, SETTLE_DAMPING, SETTLED = 200, 0.1, 1e-7
 STALL_STEPS, STALL_GAIN = 3, 0.7  # give a descent up after so many steps whose error stays above this share
+HOPELESS_STARTS, HOPELESS = 150, 0.03  # give a target up after so many starts if all ended farther off than this
 DAMPING, DAMPING_FLOOR = 2e-2, 1e-12
 BOUND_PASSES = 3
 STEP_MAX = 1.0  # rad, or reaches
@@ -383,7 +384,7 @@ def search(chain, reach, targets, asked, off_max, turned_max, q0, begin, first, 
         target = _aim(chain, reach, targets[t], work)
         best, steps, start, ok, near = np.inf, 0, first, False, False
         end = first + 1 if _beyond(chain, target, off_max / reach) else last
-        while start < end and not ok:
+        while start < end and not ok and not (first < start == HOPELESS_STARTS and best > HOPELESS * HOPELESS):
             if start == 0:
                 for i in range(n):
                     trial[i] = begin[t, i]

@@ -17,7 +17,7 @@ from armctl.ik import lm
 from armctl.ik.problem import PoseOrPoint, Problem, read_problem, read_target
 from armctl.ik.result import IkResult, why_not
 
-STARTS, MINK_STARTS = 250, 60
+STARTS, MINK_STARTS = 300, 60
 NEAREST_STARTS = 64
 PULL = 1e-3
 
