@@ -194,11 +194,10 @@ def _is_motor(model: mujoco.MjModel, actuator: int) -> bool:
 def _assumed_torque(model: mujoco.MjModel, joints: Chain) -> Array:
     worst, M = np.zeros(len(joints)), np.zeros((len(joints), len(joints)))
     rng, index = np.random.default_rng(0), list(joints)
-    low, high = model.jnt_range[index].T
-    wide = ~model.jnt_limited[index].astype(bool)
+    low, high = np.where(model.jnt_limited[index, None], model.jnt_range[index], (-np.pi, np.pi)).T
     for _ in range(50):
         qpos = model.qpos0.copy()
-        qpos[model.jnt_qposadr[index]] = np.where(wide, rng.uniform(-np.pi, np.pi, len(index)), rng.uniform(low, high))
+        qpos[model.jnt_qposadr[index]] = rng.uniform(low, high)
         M, gravity = _inertia_and_gravity(model, joints, qpos)
         worst = np.maximum(worst, 2 * np.abs(gravity) + _DEFAULT_TAU_ACCELERATION * np.diag(M))
     return worst

@@ -29,7 +29,7 @@ def add_point_mass(model: mujoco.MjModel, body: int, mass: float, point: Array) 
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, axes.ravel())
     model.body_mass[body], model.body_ipos[body] = total, center
-    model.body_inertia[body], model.body_iquat[body] = moments, quat
+    model.body_inertia[body], model.body_iquat[body] = np.maximum(moments, 0.0), quat  # rounding can leave -1e-20 of a point
     _forget_shortcuts(model, body)
 
 

@@ -119,7 +119,7 @@ def build(model: mujoco.MjModel, joints: tuple[int, ...], qpos: Array, tip_body:
     frames = [_joint_frame(data.xanchor[j], data.xaxis[j]) for j in joints]
     is_slide = np.array([model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE for j in joints])
     pin_model = pin.Model()
-    pin_model.gravity.linear = model.opt.gravity
+    pin_model.gravity.linear = model.opt.gravity if _has_gravity(model) else np.zeros(3)
     previous, placements = pin.SE3.Identity(), []
     for i, joint in enumerate(joints):
         back_to_zero = _along_z(-zero[i]) if is_slide[i] else _about_z(-zero[i])
@@ -132,7 +132,7 @@ def build(model: mujoco.MjModel, joints: tuple[int, ...], qpos: Array, tip_body:
     pin_model.armature = model.dof_armature[model.jnt_dofadr[list(joints)]].copy()
 
     for body, owner in enumerate(joint_above(model, joints)):
-        if owner < 0 or model.body_mass[body] == 0:
+        if owner < 0 or not (model.body_mass[body] or model.body_inertia[body].any()):
             continue
         T_joint_inertia = frames[owner].actInv(_se3(data.xipos[body], data.ximat[body]))
         mass, moments = model.body_mass[body], model.body_inertia[body]
@@ -173,7 +173,11 @@ def joint_above(model: mujoco.MjModel, joints: tuple[int, ...]) -> list[int]:
 
 
 def _is_lifted(model: mujoco.MjModel) -> bool:
-    return bool(np.any(model.body_gravcomp))
+    return _has_gravity(model) and bool(np.any(model.body_gravcomp))
+
+
+def _has_gravity(model: mujoco.MjModel) -> bool:
+    return not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
 
 
 def _joint_frame(anchor: Array, axis: Array) -> pin.SE3:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -9,7 +10,9 @@ import mujoco
 import numpy as np
 
 from armctl.elements import Chain, joint_name
-from armctl.motors import JointData
+from armctl.errors import ModelError
+from armctl.motors import DEFAULT_SPEED, JointData
+from armctl.urdf_mass import mend_masses
 
 _READABLE = (".stl", ".obj", ".msh")
 
@@ -24,25 +27,28 @@ def read_urdf(path: Path) -> tuple[mujoco.MjSpec, list[str]]:
         path: The file.
 
     Returns:
-        The specification, and what was left out, one sentence each.
+        The specification, and what was left out or mended, one sentence each.
 
     Raises:
+        ModelError: It is no well-formed XML.
         ValueError: MuJoCo cannot read it.
     """
     spec = mujoco.MjSpec.from_file(str(path))
     spec.compiler.fusestatic = False
-    root = ElementTree.parse(path).getroot()
-    notes = _find_meshes(spec, path, root)
-    followers = {joint.get("name") for joint in root.iter("joint") if joint.find("mimic") is not None}
+    root = _parsed(path)
+    notes = _find_meshes(spec, path, root) + mend_masses(spec)
+    followers = {joint.get("name") for joint in root.findall("joint") if joint.find("mimic") is not None}
     for joint in spec.joints:
         is_scalar = joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
         if is_scalar and joint.name not in followers:
             spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    if backward := [joint.name for joint in spec.joints if joint.range[0] > joint.range[1]]:
+        notes.append(f"the range of {', '.join(backward)} ends below its start, so it counts as unlimited")
     return spec, notes
 
 
 def speed_limits(path: Path, model: mujoco.MjModel, joints: Chain) -> JointData | None:
-    """The speed limits of a URDF, which MuJoCo does not keep.
+    """The speed limits of a URDF, which MuJoCo does not keep; the default for a joint that has none.
 
     Args:
         path: The file.
@@ -50,34 +56,73 @@ def speed_limits(path: Path, model: mujoco.MjModel, joints: Chain) -> JointData 
         joints: The chain.
 
     Returns:
-        The limits; None where a joint has none, or the file is no URDF.
+        The limits; None where no joint has one, or the file is no URDF.
+
+    Raises:
+        ModelError: A limit is no number.
     """
     if path.suffix.lower() != ".urdf":
         return None
-    limits = {j.get("name"): j.find("limit") for j in ElementTree.parse(path).getroot().iter("joint")}
-    given = [limits.get(joint_name(model, joint)) for joint in joints]
-    speeds = np.array([float(limit.get("velocity", 0)) if limit is not None else 0.0 for limit in given])
-    return JointData("URDF", v_max=speeds) if np.all(speeds > 0) else None
+    given = {joint.get("name"): joint.find("limit") for joint in _parsed(path).findall("joint")}  # transmissions name them too
+    names = [joint_name(model, joint) for joint in joints]
+    speeds = np.array([_speed(name, given.get(name)) for name in names])
+    if not (speeds > 0).any():
+        return None
+    missing = [name for name, speed in zip(names, speeds, strict=True) if speed <= 0]
+    default = [DEFAULT_SPEED[mujoco.mjtJoint(int(model.jnt_type[joint]))] for joint in joints]
+    return JointData("URDF" + f"; default for {', '.join(missing)}" * bool(missing), np.where(speeds > 0, speeds, default))
+
+
+def _parsed(path: Path) -> ElementTree.Element:
+    try:
+        return ElementTree.fromstring(path.read_bytes().lstrip())  # MuJoCo allows for blanks before the declaration too
+    except (ElementTree.ParseError, LookupError) as error:
+        raise ModelError(f"{path}: no well-formed XML: {error}") from None
+
+
+def _speed(joint: str, limit: ElementTree.Element | None) -> float:
+    """A joint's speed limit; 0 where it has none."""
+    text = "0" if limit is None else limit.get("velocity", "0")
+    try:
+        speed = float(text)
+    except ValueError:
+        raise ModelError(f"joint {joint!r}: its velocity limit {text!r} is no number") from None
+    return speed if math.isfinite(speed) else 0.0
 
 
 def _find_meshes(spec: mujoco.MjSpec, path: Path, root: ElementTree.Element) -> list[str]:
-    """Points each mesh to its file, or takes it out; says which were taken out."""
+    """Points each mesh to its file, or takes it out; says which were taken out, and why."""
     names = [mesh.get("filename") or "" for mesh in root.iter("mesh")]
     wanted = {Path(name).name: name for name in names}
-    notes = []
+    left_out: dict[str, list[str]] = {}
     for mesh in list(spec.meshes):
         file = Path(mesh.file).name
         found = _locate(path, wanted.get(file) or mesh.file)
-        if found is not None and found.suffix.lower() in _READABLE:
+        why = "not found" if found is None else _unreadable(found)
+        if not why:
             mesh.file = str(found)
             continue
-        why = "not found" if found is None else f"MuJoCo reads {', '.join(_READABLE)}, not {found.suffix}"
-        notes.append(f"collision mesh {file!r} left out: {why}")
+        left_out.setdefault(why, []).append(file)
         for geom in list(spec.geoms):
             if geom.meshname == mesh.name:
                 spec.delete(geom)
         spec.delete(mesh)
-    return notes
+    sentences = {why: ", ".join(map(repr, dict.fromkeys(files))) for why, files in left_out.items()}
+    return [f"collision mesh{'es' * (',' in files)} {files} left out: {why}" for why, files in sentences.items()]
+
+
+def _unreadable(mesh: Path) -> str:
+    """Why MuJoCo cannot use a mesh; empty where it can."""
+    if mesh.suffix.lower() not in _READABLE:
+        return f"MuJoCo reads {', '.join(_READABLE)}, not {mesh.suffix}"
+    probe = mujoco.MjSpec()
+    probe.add_mesh(name="mesh", file=str(mesh))
+    probe.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh")
+    try:
+        probe.compile()
+    except ValueError as error:
+        return " ".join(str(error).split()).partition(" Element name")[0]
+    return ""
 
 
 def _locate(path: Path, name: str) -> Path | None:

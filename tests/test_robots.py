@@ -322,7 +322,7 @@ def test_an_endless_joint_has_no_limits_and_an_unknown_effort_is_assumed(tmp_pat
     with pytest.warns(armctl.ArmctlWarning, match="no torque limit given for j2: assumed"):
         arm = armctl.load(path)
     assert np.isinf(arm.limits.q_max[1])
-    assert arm.sources["v_max"] == "default"
+    assert arm.sources["v_max"] == "URDF; default for j2"
 
 
 MESH = '<collision><geometry><mesh filename="{}"/></geometry></collision>'
