@@ -145,6 +145,23 @@ def chain_to(model: mujoco.MjModel, body: int, base: int = 0) -> Chain:
     return joints
 
 
+def stopped_before(model: mujoco.MjModel, joints: Chain) -> list[str]:
+    """What to say where a chain goes on, but by a joint that nothing drives.
+
+    Args:
+        model: The compiled model.
+        joints: The chain.
+
+    Returns:
+        One sentence, or none.
+    """
+    behind = branches(model, int(model.jnt_bodyid[joints[-1]]))
+    following = joints_of(model, behind[0])[0] if len(behind) == 1 else None
+    if following is None or following in joint_actuators(model) or coupling(model, following):
+        return []
+    return [f"the arm ends before joint {joint_name(model, following)!r}, which has no actuator of its own and is held"]
+
+
 def check_apart(model: mujoco.MjModel, chains: Sequence[Chain]) -> None:
     """Makes sure that chains can move at once without shaking each other.
 
@@ -249,8 +266,9 @@ def _why_no_arm(model: mujoco.MjModel, base: int) -> str:
     behind = [j for j in below if model.jnt_bodyid[j] != base]
     if not behind:
         return f"no arm: no joint hangs on {body_name(model, base)!r}"
-    free = next((j for j in behind if _is_free(model, j)), None)
-    if free is not None:
-        return f"no arm: {_free_base(model, free)}"
-    blocking = next(j for j in behind if j not in joint_actuators(model))
+    moved = [int(model.jnt_bodyid[j]) for j in joint_actuators(model)]
+    for joint in (j for j in behind if _is_free(model, j)):
+        if any(is_below(model, body, int(model.jnt_bodyid[joint])) for body in moved):  # else it is a loose object
+            return f"no arm: {_free_base(model, joint)}"
+    blocking = next(j for j in sorted(behind, key=lambda j: _is_free(model, j)) if j not in joint_actuators(model))
     return f"no arm: joint {joint_name(model, blocking)!r}, the first one from the base, has no actuator of its own"

@@ -35,13 +35,15 @@ class Dynamics:
         model, dofs = arm.model, arm.dof_adr
         joints = model.dof_jntid[dofs]
         self.arm = arm
-        self.damping = model.dof_damping[dofs].copy()
-        self.friction_loss = model.dof_frictionloss[dofs].copy()
+        self.damping = model.dof_damping[dofs] * _acts(model, mujoco.mjtDisableBit.mjDSBL_DAMPER)
+        constraints = _acts(model, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        self.friction_loss = model.dof_frictionloss[dofs] * constraints * _acts(model, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
         self._model, self._data = arm.rigid_body.pin_model, arm.rigid_body.pin_model.createData()
         self._support = arm.rigid_body.gravity_support
         self._support_data = self._support.createData() if self._support is not None else None
-        self._damping_poly = model.dof_dampingpoly[dofs].copy()
+        self._damping_poly = model.dof_dampingpoly[dofs] * _acts(model, mujoco.mjtDisableBit.mjDSBL_DAMPER)
         self._stiffness = np.column_stack([model.jnt_stiffness[joints], model.jnt_stiffnesspoly[joints]])
+        self._stiffness *= _acts(model, mujoco.mjtDisableBit.mjDSBL_SPRING)
         self._rest = model.qpos_spring[arm.qpos_adr].copy()
         self._is_damped = bool(self.damping.any() or self._damping_poly.any())
         self._has_poly_damping = bool(self._damping_poly.any())
@@ -49,7 +51,7 @@ class Dynamics:
         self.has_friction = bool(self.friction_loss.any())
         self._friction_gain, self._friction_rate = _friction_constants(model, dofs)
         integrator = mujoco.mjtIntegrator(model.opt.integrator)
-        explicit = bool(model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP))
+        explicit = not _acts(model, mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
         self.is_discrete = integrator != mujoco.mjtIntegrator.mjINT_RK4
         self._damps_at_end = self.is_discrete and not (integrator == mujoco.mjtIntegrator.mjINT_EULER and explicit)
         self._turns_at_end = integrator == mujoco.mjtIntegrator.mjINT_IMPLICIT
@@ -162,8 +164,8 @@ class Dynamics:
         Returns:
             (n, 4), N m per kg and per kg m: `regressor @ [m, m cx, m cy, m cz]` is a torque.
         """
-        last = pin.computeJointTorqueRegressor(self._model, self._data, q, v, a)[:, -10:]
-        return last @ self._payload_basis
+        regressor = pin.computeJointTorqueRegressor(self._model, self._data, q, v, a)
+        return regressor.reshape(len(q), -1)[:, -10:] @ self._payload_basis
 
     def friction(self, q: Array, v: Array, a: Array, dt: float = 0.0) -> Array:
         """The torque that overcomes dry friction, by MuJoCo's own law: a stiff damper that yields at the friction loss.
@@ -212,6 +214,11 @@ class Dynamics:
         if self._turns_at_end:
             change = change + pin.computeRNEADerivatives(self._model, self._data, q, v, np.zeros_like(a))[1] @ a
         return dt * change
+
+
+def _acts(model: mujoco.MjModel, bit: mujoco.mjtDisableBit) -> bool:
+    """Whether a part of the physics is not switched off by the model's options."""
+    return not model.opt.disableflags & int(bit)
 
 
 def _friction_constants(model: mujoco.MjModel, dofs: IntArray) -> tuple[Array, Array]:

@@ -130,7 +130,7 @@ def joint_limits(
     return Limits(q_min, q_max, v_max, a_max, j_max, tau_max), {"q_min": "model", "q_max": "model", **sources}
 
 
-def make_motors(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Chain, tau_max: Array) -> None:
+def make_motors(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Chain, tau_max: Array) -> list[str]:
     """Turns the actuators of a chain into torque motors, in place; gears, names, armature and damping stay.
 
     Args:
@@ -138,6 +138,9 @@ def make_motors(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Chain, tau_m
         model: The compiled model.
         joints: The chain.
         tau_max: (n,) N m, which become the motors' ranges.
+
+    Returns:
+        What had to be changed besides, one sentence each.
     """
     chosen = joint_actuators(model)
     hinges, motors = {j.id: j for j in spec.joints}, {a.id: a for a in spec.actuators}
@@ -156,6 +159,16 @@ def make_motors(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Chain, tau_m
             motor.ctrlrange = motor.forcerange = (-bound, bound)
     for key in spec.keys:
         key.act = [x for k, x in enumerate(key.act) if k not in states]
+    return _switch_on(spec, {motors[chosen[joint]].group for joint in joints})
+
+
+def _switch_on(spec: mujoco.MjSpec, groups: set[int]) -> list[str]:
+    """Lets the motors of some groups act where the model has actuation switched off; whether it had."""
+    flag, bits = int(mujoco.mjtDisableBit.mjDSBL_ACTUATION), sum(1 << group for group in groups if 0 <= group < 31)
+    is_off = bool(spec.option.disableflags & flag or spec.option.disableactuator & bits)
+    spec.option.disableflags &= ~flag
+    spec.option.disableactuator &= ~bits
+    return ["the model's options switch its actuators off: they are switched on"] * is_off
 
 
 def _move_reflected(motor: mujoco.MjsActuator, joint: mujoco.MjsJoint, gear: float) -> None:

@@ -63,7 +63,8 @@ class RigidBody:
         Returns:
             (6, n), m/rad and rad/rad.
         """
-        return pin.computeFrameJacobian(self.pin_model, self.data, q, self.tip_frame, WORLD_AXES_AT_TIP)
+        J = pin.computeFrameJacobian(self.pin_model, self.data, q, self.tip_frame, WORLD_AXES_AT_TIP)
+        return J.reshape(6, -1)  # Pinocchio drops the column of a single joint
 
     def tips(self, q: Array) -> tuple[Array, Array]:
         """Where the tip is at many positions at once, by matrix products over the chain.

@@ -12,7 +12,7 @@ import numpy as np
 
 from armctl.arm import Arm, check_parity
 from armctl.arrays import Array, frozen
-from armctl.chain import SerialChain, all_chains, chain_to, check_apart, find_chain
+from armctl.chain import SerialChain, all_chains, chain_to, check_apart, find_chain, stopped_before
 from armctl.elements import Chain, joint_actuators, joint_name
 from armctl.errors import ArmctlWarning, InputError, ModelError, UnknownNameError
 from armctl.motors import JointData, from_row, joint_limits, make_motors, torque_limits
@@ -201,7 +201,7 @@ def _with_motors(
     """A chain with its torque limits, its actuators turned into motors in the specification."""
     sheet = speed_limits(source.path, model, joints) or from_row(source.row, joints)
     tau_max, sources, notes = torque_limits(model, joints, sheet)
-    make_motors(spec, model, joints, tau_max)
+    notes += make_motors(spec, model, joints, tau_max) + stopped_before(model, joints)
     T_body_tip = T_body_tip if tip_offset is None else T_body_tip @ tip_offset
     return _Part(joints, tip, tip_body, T_body_tip, sheet, tau_max, sources, notes)
 

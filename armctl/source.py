@@ -63,12 +63,16 @@ class Source:
             The model.
 
         Raises:
-            ModelError: MuJoCo cannot compile it.
+            ModelError: MuJoCo cannot compile it, or its names are not in UTF-8.
         """
         try:
-            return spec.compile()
+            model = spec.compile()
+            model.names.decode()
+        except UnicodeDecodeError:
+            raise ModelError(f"{self.path}: it has names that are not in UTF-8; save it as UTF-8") from None
         except (ValueError, OSError) as error:
             raise ModelError(f"{self.path}: MuJoCo cannot compile it: {_one_line(error)}") from None
+        return model
 
 
 def locate(name: str | os.PathLike[str], *, scene: bool = True) -> Source:

@@ -6,7 +6,7 @@ import re
 
 import mujoco
 
-from armctl.elements import Chain, body_name, name_of, welded_behind
+from armctl.elements import Chain, body_name, is_below, name_of, welded_behind
 from armctl.errors import InputError, UnknownNameError
 from armctl.pose import Pose
 
@@ -28,10 +28,11 @@ def find_tip(model: mujoco.MjModel, joints: Chain) -> tuple[str, int, Pose]:
 
 
 def tip_on(model: mujoco.MjModel, body: int) -> tuple[str, int, Pose]:
-    """The tip of what is one rigid piece with a body: a site that is named like one, or else the last body.
+    """The tip of what is one rigid piece with a body: a site that is named like one, or else a body.
 
     Where no site is named like a tip, the only site will do, and then a named ball, such as a foot: a body's own frame often
-    sits on the last joint's axis, which then could not move it.
+    sits on the last joint's axis, which then could not move it. Then a body that is named like a tip, such as a URDF's tool0,
+    and last the end of the piece; where it branches, as into fingers, the body before that.
 
     Args:
         model: The compiled model.
@@ -52,7 +53,8 @@ def tip_on(model: mujoco.MjModel, body: int) -> tuple[str, int, Pose]:
     balls = [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in bodies and _is_ball(model, g)]
     if len(balls) == 1:
         return named_tip(model, model.geom(balls[0]).name)
-    return body_name(model, bodies[-1]), bodies[-1], Pose([0.0, 0.0, 0.0])
+    end = _end_body(model, bodies)
+    return body_name(model, end), end, Pose([0.0, 0.0, 0.0])
 
 
 def named_tip(model: mujoco.MjModel, name: str) -> tuple[str, int, Pose]:
@@ -104,6 +106,18 @@ def named_body(model: mujoco.MjModel, name: str) -> int:
     if body < 0:
         raise UnknownNameError.of("body", name, filter(None, (model.body(i).name for i in range(model.nbody))))
     return body
+
+
+def _end_body(model: mujoco.MjModel, bodies: list[int]) -> int:
+    """The body of a rigid piece that is named like a tip; else its end, or the body before it branches; no sensor."""
+    kept = [b for b in bodies if not _NO_TIP.search(body_name(model, b))] or bodies
+    for wanted in _TIP_NAMES:
+        word = re.compile(rf"(?<![a-z]){wanted}(?![a-z])", re.IGNORECASE)
+        named = [b for b in kept if word.search(body_name(model, b))]
+        if named and all(is_below(model, named[-1], b) for b in named):
+            return named[-1]
+    ends = [b for b in kept if not any(is_below(model, other, b) for other in kept if other != b)]
+    return max(b for b in bodies if all(is_below(model, end, b) for end in ends))
 
 
 def _is_ball(model: mujoco.MjModel, geom: int) -> bool:

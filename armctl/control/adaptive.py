@@ -14,6 +14,7 @@ from armctl.trajectory import Setpoint
 
 _LITTLE = 0.1  # of what a mass shows: what shows less is learnt more slowly
 _ARM = 0.1  # m, of a payload's centre
+_UNSEEN = 1e-12  # m^2/s^4, of what gravity shows of a payload: round-off
 
 
 class Adaptive:
@@ -83,14 +84,19 @@ class Adaptive:
         return regressor(q, still, a_r) + 0.25 * (regressor(q, v + v_r, still) - regressor(q, v - v_r, still))
 
     def _adaptation_gain(self, arm: Arm) -> Array:
-        """(4, 4), rate k (Y^T M^-1 Y)^-1 at rest: a wrong payload is forgotten at about the adaptation rate."""
+        """(4, 4), rate k (Y^T M^-1 Y)^-1 at rest: a wrong payload is forgotten at about the adaptation rate.
+
+        Where gravity does not show a payload, as without gravity or under a vertical axis, nothing is learnt.
+        """
         still, seen = self._still, np.zeros((4, 4))
         for q in poses(arm):
             Y = self._dynamics.payload_regressor(q, still, still)
             seen += Y.T @ np.linalg.solve(self._dynamics.mass_matrix(q), Y)
         seen /= len(poses(arm))
         shown = np.diag(seen)
-        moment = max(shown[1:].max(), _ARM**2 * shown[0], np.finfo(float).tiny)
+        moment = max(shown[1:].max(), _ARM**2 * shown[0])
+        if moment < _UNSEEN:
+            return np.zeros((4, 4))
         little = _LITTLE * np.array([max(shown[0], moment), moment, moment, moment])
         gain = self.adaptation_rate * self.bandwidth * np.linalg.inv(seen + np.diag(little))
         return np.asarray(gain, dtype=np.float64)

@@ -1,0 +1,137 @@
+"""Models that are unlike the usual ones: one joint, physics switched off by a flag, joints that nothing drives, odd names."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from test_chain import limb, load, mjcf, motors  # noqa: F401
+
+import armctl
+from armctl.arm import PARITY_TOLERANCE, check_parity
+from armctl.control import CONTROLLERS
+from armctl.tip import tip_on
+
+PASSIVE = 'stiffness="2" damping="0.5" frictionloss="0.3" armature="0.05"'
+
+
+# --- one joint ---------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=["hinge", "slide"])
+def single(request: pytest.FixtureRequest, load) -> armctl.Arm:  # noqa: F811
+    body = f'<body name="A"><joint name="a" type="{request.param}" axis="0 1 0" range="-1 1" damping="0.1"/>'
+    return load(body + '<geom size="0.05" pos="0.2 0 0" mass="1"/><site name="tip" pos="0.3 0 0"/></body>', motors("a"))
+
+
+def test_the_jacobian_of_one_joint_has_a_column(single: armctl.Arm):
+    J = single.jacobian([0.3])
+    steps = [single.fk([0.3 + h]).position for h in (-1e-6, 1e-6)]
+    assert J.shape == (6, 1)
+    assert J[:3, 0] == pytest.approx((steps[1] - steps[0]) / 2e-6, abs=1e-8)
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_every_controller_drives_one_joint(single: armctl.Arm, name: str):
+    log = armctl.simulate(single, name, armctl.move_j(single, [0.0], [0.3]))
+    assert not log.end
+    assert np.abs(log.q - log.q_ref).max() < 0.3
+
+
+def test_one_joint_is_solved_stepped_and_identified(single: armctl.Arm):
+    target = single.fk([0.4]).position
+    assert armctl.solve_ik(single, target).q == pytest.approx([0.4], abs=1e-4)
+    assert armctl.DifferentialIk(single).step([0.0], target, 0.01)[0] > 0
+    log = armctl.simulate(single, "computed-torque-observer", armctl.excitation(single), armctl.Plant(payload=0.5))
+    assert armctl.identify_payload(single, log).mass == pytest.approx(0.5, rel=0.02)
+
+
+# --- physics switched off ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("flag", ["damper", "spring", "frictionloss", "constraint", "gravity", "eulerdamp", "limit", "contact"])
+def test_what_a_flag_switches_off_is_off_for_the_controller_too(load, flag: str):  # noqa: F811
+    lifted = limb("a b", joint=PASSIVE).replace("<body", '<body gravcomp="0.5"')
+    arm = load(lifted, motors("a b") + f'<option><flag {flag}="disable"/></option>')
+    assert check_parity(arm) <= PARITY_TOLERANCE
+    log = armctl.simulate(arm, "computed-torque", armctl.move_j(arm, arm.home, arm.home + 0.3))
+    assert np.abs(log.q - log.q_ref).max() < 1e-9
+
+
+@pytest.mark.parametrize("option", ['<option><flag actuation="disable"/></option>', '<option actuatorgroupdisable="0"/>'])
+def test_motors_that_the_model_switches_off_are_switched_on_aloud(load, option: str):  # noqa: F811
+    with pytest.warns(armctl.ArmctlWarning, match="switch its actuators off: they are switched on"):
+        arm = load(limb("a b"), motors("a b") + option)
+    assert armctl.Simulation(arm).move_j(arm.home + 0.3).reached
+
+
+def test_only_the_groups_of_the_arms_motors_are_switched_on(load):  # noqa: F811
+    servo = '<position joint="a" kp="9" group="3"/><position joint="left" kp="9" group="3" forcerange="-1 1"/>'
+    actuators = motors("a b").replace("</actuator>", f"{servo}</actuator>")
+    arm = load(limb("a b", inside=limb("left") + limb("right")), actuators + '<option actuatorgroupdisable="3"/>')
+    assert not arm.notes
+    assert arm.model.opt.disableactuator == 1 << 3
+
+
+def test_without_gravity_an_adaptive_controller_learns_nothing(load):  # noqa: F811
+    arm = load(limb("a b"), motors("a b") + '<option gravity="0 0 0"/>')
+    controller = armctl.Adaptive(arm)
+    log = armctl.simulate(arm, controller, armctl.move_j(arm, arm.home, arm.home + 0.3))
+    assert np.abs(log.q - log.q_ref).max() < 1e-9
+    assert not controller.payload.any()
+
+
+# --- chains that end early, and loose objects --------------------------------------------------------------------------------
+
+
+def test_a_chain_that_ends_before_a_joint_without_a_motor_says_so(load):  # noqa: F811
+    with pytest.warns(
+        armctl.ArmctlWarning, match="the arm ends before joint 'c', which has no actuator of its own and is held"
+    ):
+        arm = load(limb("a b c"), motors("a b"))
+    assert arm.joint_names == ("a", "b")
+
+
+def test_a_loose_object_is_not_blamed_for_an_arm_without_motors(load):  # noqa: F811
+    cube = '<body name="cube" pos="1 0 0"><freejoint name="cube_joint"/><geom size="0.1"/></body>'
+    with pytest.raises(armctl.ModelError, match="joint 'a', the first one from the base, has no actuator of its own"):
+        load(cube + limb("a b"), motors("b"))
+
+
+# --- names -------------------------------------------------------------------------------------------------------------------
+
+
+def test_names_in_any_script_and_with_spaces_are_names(load):  # noqa: F811
+    text = limb("a b").replace('name="a"', 'name="Gelenk ä 1"').replace('name="B"', 'name="手"')
+    arm = load(text, motors("a b").replace('joint="a"', 'joint="Gelenk ä 1"'))
+    assert arm.joint_names == ("Gelenk ä 1", "b")
+    assert arm.tip == "手"
+
+
+def test_names_that_are_not_in_utf8_are_one_clear_sentence(tmp_path: Path):
+    path = tmp_path / "old.xml"
+    path.write_bytes(mjcf(limb("ä b"), motors("ä b")).encode("latin-1"))
+    with pytest.raises(armctl.ModelError, match="names that are not in UTF-8; save it as UTF-8"):
+        armctl.load(path)
+
+
+def fixed(name: str, inside: str = "") -> str:
+    return f'<body name="{name}" pos="0 0 0.1"><geom size="0.01"/>{inside}</body>'
+
+
+ENDS = {
+    "a tool frame beside a camera": (fixed("flange", fixed("tool0") + fixed("camera_link")), "tool0"),
+    "the deeper of two": (fixed("gripper_link", fixed("gripper")), "gripper"),
+    "an effector before its fingers": (fixed("end_effector") + fixed("finger_tip_1") + fixed("finger_tip_2"), "end_effector"),
+    "a palm before its fingers": (fixed("palm", fixed("fingertip_1") + fixed("fingertip_2")), "palm"),
+    "the end of a straight piece": (fixed("one", fixed("two")), "two"),
+    "no sensor": (fixed("one", fixed("imu_link")), "one"),
+    "not a wheel for an ee": (fixed("wheel") + fixed("plate"), "hand"),
+}
+
+
+@pytest.mark.parametrize("case", ENDS)
+def test_a_piece_without_sites_ends_at_its_tool_or_before_its_fingers(case: str):
+    inside, tip = ENDS[case]
+    model = mujoco.MjModel.from_xml_string(mjcf(f'<body name="hand"><joint/><geom size="0.01"/>{inside}</body>'))
+    assert tip_on(model, 1)[0] == tip
