@@ -179,3 +179,32 @@ def test_a_bad_start_is_refused(panda):
         armctl.move_l(panda, np.zeros(7) + 0.5, [0.5, 0.0, 0.5])
     with pytest.raises(armctl.InputError, match="target"):
         armctl.move_l(panda, panda.home, [0.5, 0.0])
+
+
+def column(joints: int) -> str:
+    """An arm that stands upright at home, stretched out: its joints turn about z, y and y in turns."""
+    link = '<body pos="0 0 {0}"><joint axis="{1}" range="-2.5 2.5" name="j{2}"/><geom size="0.02" fromto="0 0 0 0 0 {0}" type="capsule"/>'
+    links = "".join(link.format(1.2 / joints, "0 1 0" if k % 3 else "0 0 1", k) for k in range(joints))
+    motors = "".join(f'<motor joint="j{k}" ctrlrange="-99 99"/>' for k in range(joints))
+    world = f"{links}<site name='tip' pos='0 0 0.1'/>{'</body>' * joints}"
+    return f"<mujoco><compiler angle='radian'/><worldbody>{world}</worldbody><actuator>{motors}</actuator></mujoco>"
+
+
+@pytest.mark.parametrize("joints", [6, 7, 9, 12])
+@pytest.mark.parametrize("ask", ["a line", "an arc", "a path", "a pose"])
+def test_out_of_a_stretched_pose_a_path_keeps_the_limits_or_says_where_it_stops(tmp_path, joints: int, ask: str):
+    path = tmp_path / "column.xml"
+    path.write_text(column(joints))
+    arm = armctl.load(path)
+    via, target = arm.fk(arm.home + 0.05).position, arm.fk(arm.home + 0.1)
+    try:
+        motion = {
+            "a line": lambda: armctl.move_l(arm, arm.home, target.position),
+            "an arc": lambda: armctl.move_c(arm, arm.home, via, target),
+            "a path": lambda: armctl.move_path(arm, arm.home, [via, target.position], blend=0.005),
+            "a pose": lambda: armctl.move_l(arm, arm.home, target),
+        }[ask]()
+    except armctl.PlanError as error:
+        assert "the arm can follow no further" in str(error) or "would leave its limits" in str(error)
+    else:
+        assert motion.check_limits().ok

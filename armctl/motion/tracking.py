@@ -20,9 +20,11 @@ from armctl.pose import rotation_vector
 _JOINT_STEP = 0.02  # rad (m), the longest step of a joint
 _STEPS = 60  # of a path, at least
 _LEAST_STEP = 1e-6  # of the path
+_SHORT, _MOST_SHORT = 1 / 64, 30  # of the step that was tried first, and how many so short make a crawl
 _NEWTON, _CONVERGED = 8, 1e-10  # m and rad
 _DAMPING = 1e-12
 _OFF_PATH = 1e-6  # m and rad, between the steps
+_STRAY = 0.5  # of the longest step, from the middle of a step
 _FINEST = 0.25  # of the steps
 
 
@@ -71,9 +73,13 @@ def track(arm: Arm, what: str, path: Shape, q_start: Array, oriented: bool) -> J
     while True:
         lengths, q = tracker.run(q_start, fineness)
         joint_path = JointPath(make_interp_spline(lengths, q, k=5), path.length)
-        between = 0.5 * (lengths[1:] + lengths[:-1])
-        if fineness <= _FINEST or max(tracker.off_path(joint_path, s) for s in between) <= _OFF_PATH:
-            return joint_path
+        between, middle = 0.5 * (lengths[1:] + lengths[:-1]), 0.5 * (q[1:] + q[:-1])
+        stray = np.abs(np.asarray(joint_path.spline(between)) - middle).max(axis=1)  # type: ignore[operator]
+        if stray.max() <= _STRAY * _JOINT_STEP:
+            if fineness <= _FINEST or max(tracker.off_path(joint_path, s) for s in between) <= _OFF_PATH:
+                return joint_path
+        elif fineness <= _FINEST:
+            raise tracker.stuck(q[stray.argmax()], lengths[stray.argmax()])
         fineness *= 0.5
 
 
@@ -91,16 +97,17 @@ class _Tracker:
         """Lengths (k,) and joint positions (k, n) along the path."""
         total = self.path.length
         longest = fineness * total / _STEPS
-        s, lengths, rows = 0.0, [0.0], [q]
+        s, lengths, rows, crawled = 0.0, [0.0], [q], 0
         while s < total:
             slope = self._slope(q, s)
             h = min(longest, fineness * _JOINT_STEP / max(float(np.abs(slope).max()), 1e-12), total - s)
-            stepped = self._step(q, s, h, slope)
+            tried, stepped = h, self._step(q, s, h, slope)
             while stepped is None and h > _LEAST_STEP * total:
                 h *= 0.5
                 stepped = self._step(q, s, h, slope)
-            if stepped is None or h < min(_LEAST_STEP * total, total - s):
-                raise self._stuck(q, s)
+            crawled += h < _SHORT * tried
+            if stepped is None or h < min(_LEAST_STEP * total, total - s) or crawled > _MOST_SHORT:
+                raise self.stuck(q, s)
             q, s = stepped, total if total - s - h < 1e-9 * total else s + h
             self._require_limits(q, s)
             lengths.append(s)
@@ -160,7 +167,8 @@ class _Tracker:
                 f"{', or let the orientation be free with target=[x, y, z]' if self.rows == 6 else ''}"
             )
 
-    def _stuck(self, q: Array, s: float) -> PlanError:
+    def stuck(self, q: Array, s: float) -> PlanError:
+        """The error at a place that the arm cannot pass, (n,) rad and m along the path."""
         J = self.arm.rigid_body.jacobian(q)[: self.rows]
         needed = np.abs(self._slope(q, s))
         i = int(needed.argmax())
