@@ -17,6 +17,23 @@ TextArray = NDArray[np.object_]
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
+def instance(what: str, value: object, kind: type | tuple[type, ...], hint: str) -> None:
+    """Makes sure that an argument is of its kind.
+
+    Args:
+        what: The name of the argument, for the error.
+        value: What the caller gave.
+        kind: What it must be.
+        hint: How to get one, for the error.
+
+    Raises:
+        InputError: It is something else.
+    """
+    if not isinstance(value, kind):
+        names = " or ".join(k.__name__ for k in (kind if isinstance(kind, tuple) else (kind,)))
+        raise InputError(f"{what}: {value!r:.80} is no {names}; {hint}")
+
+
 def vector(what: str, value: ArrayLike, length: int | None = None, *, finite: bool = True) -> Array:
     """A caller's numbers as a new read-only vector.
 

@@ -44,6 +44,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         sys.stderr.close()
         return OK
+    except OSError as error:  # such as a folder to write to that is a file
+        print(f"armctl: {error.filename or 'file'}: {error.strerror or error}", file=sys.stderr)
+        return WRONG_CALL
     except KeyboardInterrupt:
         print("armctl: stopped", file=sys.stderr)
         return 130
@@ -164,7 +167,9 @@ def _compare(args: argparse.Namespace) -> int:
         if name not in CONTROLLERS:
             raise UnknownNameError.of("controller", name, CONTROLLERS)
     plants = [plant_by_name(name, arm, timestep) for name in _names(args.plants)]
-    workers = min(args.workers or os.cpu_count() or 1, len(plants) * len(controllers) // _RUNS_A_WORKER + 1)
+    workers = min(
+        (os.cpu_count() or 1) if args.workers is None else args.workers, len(plants) * len(controllers) // _RUNS_A_WORKER + 1
+    )
     reports = compare(arm, controllers, out_and_back(arm), plants, workers=workers, progress=_bar)
     _print(args, "\n".join([*remarks(reports), table(reports)]), [r.to_dict() for r in reports])
     if args.save:

@@ -12,7 +12,7 @@ from armctl.arm import Arm
 from armctl.arrays import number
 from armctl.contacts import contacts_of
 from armctl.control import Controller
-from armctl.errors import PlanError, SimulationError
+from armctl.errors import InputError, PlanError, SimulationError
 from armctl.motion import move_j
 from armctl.plant import NOMINAL, Plant
 from armctl.report import Report
@@ -44,10 +44,12 @@ def compare(
         One report for each pair, plant by plant. A run whose controller failed is among them, as long as it had begun.
 
     Raises:
-        InputError: No process is to work.
+        InputError: There is no controller or no plant, or no process is to work.
         UnknownNameError: There is no such controller.
         SimulationError: A controller failed at its first tick.
     """
+    if isinstance(controllers, str) or not controllers or not plants:
+        raise InputError("controllers, plants: a list of at least one of each wanted, such as ['pd', 'computed-torque']")
     pairs = [(controller, plant) for plant in plants for controller in controllers]
     run = partial(_run, arm, trajectory)
     with _pool(min(int(number("workers", workers, 1)), len(pairs))) as mapped:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from armctl.arm import Arm
-from armctl.arrays import Array, frozen, number
+from armctl.arrays import Array, frozen, instance, number
 from armctl.contacts import contacts_of
 from armctl.dynamics import Dynamics
 from armctl.errors import InputError, LimitError, PlanError
@@ -143,6 +143,7 @@ def identify_payload(arm: Arm, log: Log) -> PayloadEstimate:
     Raises:
         InputError: The log is of an arm with other joints.
     """
+    instance("log", log, Log, "armctl.simulate gives one")
     if log.joint_names != arm.joint_names:
         raise InputError(f"log: of the joints {list(log.joint_names)}, {list(arm.joint_names)} wanted")
     window = _window(log.dt)

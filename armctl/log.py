@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import zipfile
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -122,11 +123,14 @@ class Log:
             InputError: There is no such file, or it is no log.
         """
         try:
-            with np.load(path, allow_pickle=False) as data:
+            with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
                 arrays = {k: data[k] for k in data.files if k != "meta"}
                 meta = json.loads(str(data["meta"]))
-            return cls(**arrays, **(meta | {"joint_names": tuple(meta["joint_names"])}))
-        except (OSError, ValueError, KeyError, TypeError) as error:
+            log = cls(**arrays, **(meta | {"joint_names": tuple(meta["joint_names"])}))
+            if len({len(getattr(log, k)) for k in ("t", "q", "v", "q_ref", "v_ref", "a_ref", "tau", "tau_cmd", "tip")}) > 1:
+                raise ValueError("its columns differ in length")
+            return log
+        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
             raise InputError(f"{os.fspath(path)}: no log that armctl wrote ({error})") from None
 
     def _save_csv(self, path: Path) -> None:

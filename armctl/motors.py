@@ -146,6 +146,7 @@ def make_motors(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Chain, tau_m
     hinges, motors = {j.id: j for j in spec.joints}, {a.id: a for a in spec.actuators}
     states: set[int] = set()
     for i, joint in enumerate(joints):
+        hinges[joint].actgravcomp = False  # a lift from outside: as a motor's it would count as torque
         for actuator in range(model.nu):
             if model.actuator_trnid[actuator, 0] != joint or not is_on_joint(model, actuator):
                 continue

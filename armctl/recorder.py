@@ -8,9 +8,12 @@ import numpy as np
 
 from armctl.arm import Arm
 from armctl.arrays import Array
+from armctl.errors import InputError
 from armctl.log import Log
 from armctl.pose import quats_from_rotations
 from armctl.trajectory import TickReference
+
+MOST_TICKS = 10_000_000  # 2.8 hours at 1 ms, and 4 GB for seven joints
 
 
 class Recorder:
@@ -142,5 +145,11 @@ def ticks_for(duration: float, dt: float) -> int:
 
     Returns:
         The number.
+
+    Raises:
+        InputError: They are too many for a log.
     """
-    return math.ceil(duration / dt - 1e-9) + 1
+    ticks = duration / dt
+    if ticks > MOST_TICKS:
+        raise InputError(f"duration: {duration:g} s are {ticks:.3g} ticks of {dt:g} s, at most {MOST_TICKS:,} fit into a log")
+    return math.ceil(ticks - 1e-9) + 1

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from armctl.arrays import Array, BoolArray
+from armctl.arrays import Array, BoolArray, instance
 from armctl.errors import InputError
 from armctl.goal import ANGLE_TOLERANCE, TOLERANCE
 from armctl.log import Log
@@ -77,6 +77,7 @@ class Report:
         Raises:
             InputError: The log is empty or of an open-loop run.
         """
+        instance("log", log, Log, "armctl.simulate gives one")
         if len(log) == 0 or log.is_open_loop:
             raise InputError("log: it has no tick with a reference, so there is nothing to report on")
         moving = log.t <= log.motion_duration + 0.5 * log.dt

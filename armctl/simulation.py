@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from armctl import view
 from armctl.arm import Arm
-from armctl.arrays import Array, number, vector
+from armctl.arrays import Array, instance, number, vector
 from armctl.control import ComputedTorque, Controller, State, controller_by_name
 from armctl.errors import InputError, LimitError
 from armctl.gripper import Gripper
@@ -63,9 +63,7 @@ class Simulation(Moves):
         if isinstance(controller, str):
             controller = controller_by_name(controller, self.arm)
         self.controller = ComputedTorque(self.arm) if controller is None else controller
-        if not callable(getattr(self.controller, "torque", None)):
-            raise InputError(f"controller: {controller!r} has no method torque(state, setpoint)")
-        self.plant = NOMINAL if plant is None else plant
+        self.plant = _checked(self.controller, plant)
         self.log: Log | None = None
         self._rig, self._gripper = WatchedRig(self.arm, self.plant) if viewer else Rig(self.arm, self.plant), None
         self.viewer = self._rig.viewer if isinstance(self._rig, WatchedRig) else None
@@ -186,13 +184,27 @@ def simulate(
         Every tick of it. A run that diverges ends early, and `log.end` says why.
 
     Raises:
+        InputError: An argument of the wrong kind.
         UnknownNameError: There is no such controller.
         SimulationError: The controller failed; `error.log` holds what there was until then.
     """
+    instance("arm", arm, Arm, "armctl.load('panda') gives one")
     controller = controller_by_name(controller, arm) if isinstance(controller, str) else controller
-    rig, start = _rig_for(arm, NOMINAL if plant is None else plant), trajectory(0.0)
+    plant = _checked(controller, plant)
+    if not callable(trajectory) or not hasattr(trajectory, "duration"):
+        raise InputError(f"trajectory: {trajectory!r:.80} is no motion; armctl.move_j(arm, arm.home, q) is one")
+    rig, start = _rig_for(arm, plant), trajectory(0.0)
     rig.reset(start.q, start.v)
     return _run(rig, controller, trajectory, settle)
+
+
+def _checked(controller: object, plant: Plant | None) -> Plant:
+    """The plant, once controller and plant are what they should be."""
+    if isinstance(controller, type) or not callable(getattr(controller, "torque", None)):
+        raise InputError(f"controller: {controller!r} has no method torque(state, setpoint); armctl.PD(arm) has")
+    plant = NOMINAL if plant is None else plant
+    instance("plant", plant, Plant, "armctl.Plant(payload=1.0) is one")
+    return plant
 
 
 @lru_cache(maxsize=4)

@@ -105,7 +105,11 @@ def locate(name: str | os.PathLike[str], *, scene: bool = True) -> Source:
     family, _, entry = given.partition("/")
     robot = ALIASES.get(family, family)
     if robot not in menagerie.names():
-        raise UnknownNameError.of("robot", given, [BUNDLED, *ALIASES, *menagerie.names()])
+        if Path(given).exists():
+            raise ModelError(
+                f"{given}: {'a folder' if Path(given).is_dir() else 'its name does not end in .xml or .urdf'}, no model"
+            )
+        raise UnknownNameError.of("robot" if scene else "tool", given, [BUNDLED, *ALIASES, *menagerie.names()])
     row = menagerie.get(robot)
     if entry and entry not in row.entry_names:
         raise UnknownNameError.of(f"entry point of {robot}", entry, row.entry_names)

@@ -135,3 +135,10 @@ def test_a_piece_without_sites_ends_at_its_tool_or_before_its_fingers(case: str)
     inside, tip = ENDS[case]
     model = mujoco.MjModel.from_xml_string(mjcf(f'<body name="hand"><joint/><geom size="0.01"/>{inside}</body>'))
     assert tip_on(model, 1)[0] == tip
+
+
+def test_what_the_motors_lift_of_themselves_is_not_taken_for_a_payload(load):  # noqa: F811
+    lifted = limb("a b", joint='actuatorgravcomp="true"').replace("<body", '<body gravcomp="1"', 1)
+    arm = load(lifted.replace("</body></body>", '<site name="tip" pos="0.1 0 0"/></body></body>'), motors("a b"))
+    log = armctl.simulate(arm, "computed-torque-observer", armctl.excitation(arm), armctl.Plant(payload=0.5))
+    assert armctl.identify_payload(arm, log).mass == pytest.approx(0.5, rel=0.02)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -145,6 +145,8 @@ def move_path(
         LimitError: q_start is outside the limits.
         PlanError: The path leaves the reach or the joint limits, or a motor cannot hold the arm on it.
     """
+    if isinstance(path, (Pose, str)) or not isinstance(path, Iterable):
+        raise InputError(f"path: {path!r} given, a list of lines, arcs, poses or points wanted")
     parts = [part if isinstance(part, (Line, Arc)) else Line(part) for part in path]
     return _planned(arm, "move_path", q_start, parts, number("blend", blend, 0.0), tip_speed, tip_turn_speed)
 

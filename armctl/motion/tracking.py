@@ -79,7 +79,7 @@ def track(arm: Arm, what: str, path: Shape, q_start: Array, oriented: bool) -> J
             if fineness <= _FINEST or max(tracker.off_path(joint_path, s) for s in between) <= _OFF_PATH:
                 return joint_path
         elif fineness <= _FINEST:
-            raise tracker.stuck(q[stray.argmax()], lengths[stray.argmax()])
+            raise tracker.stuck(q[stray.argmax()], float(lengths[stray.argmax()]))
         fineness *= 0.5
 
 

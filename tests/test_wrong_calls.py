@@ -1,0 +1,89 @@
+"""Wrong calls across the library: each is one clear sentence of armctl's own, and on the command line exit status 2."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arms import arm_of
+
+import armctl
+from armctl.cli import main
+from armctl.log import Log
+from armctl.motion import move_path
+from armctl.recorder import MOST_TICKS
+
+ARM = arm_of("robot_arm_3dof")
+MOTION = armctl.move_j(ARM, ARM.home, ARM.home + 0.1)
+
+CALLS: dict[str, tuple[Callable[[], object], str]] = {
+    "an arm's name": (lambda: armctl.simulate("panda", "pd", MOTION), "arm: 'panda' is no Arm; armctl.load"),  # type: ignore
+    "no controller": (lambda: armctl.simulate(ARM, None, MOTION), "controller: None has no method torque"),  # type: ignore
+    "a class": (lambda: armctl.simulate(ARM, armctl.PD, MOTION), "has no method torque.*armctl.PD.arm. has"),  # type: ignore
+    "no motion": (lambda: armctl.simulate(ARM, "pd", None), "trajectory: None is no motion"),  # type: ignore
+    "a position": (lambda: armctl.simulate(ARM, "pd", ARM.home), "trajectory: array.* is no motion"),  # type: ignore
+    "a plant's name": (lambda: armctl.simulate(ARM, "pd", MOTION, "friction"), "plant: 'friction' is no Plant"),  # type: ignore
+    "a plant's name to Simulation": (lambda: armctl.Simulation(ARM, plant=3), "plant: 3 is no Plant"),  # type: ignore
+    "days": (lambda: armctl.simulate(ARM, "pd", MOTION, settle=1e9), f"ticks of .* s, at most {MOST_TICKS:,} fit into a log"),
+    "a motion to report": (lambda: armctl.Report.from_log(MOTION), "log: .* is no Log; armctl.simulate"),  # type: ignore
+    "a motion to identify": (lambda: armctl.identify_payload(ARM, MOTION), "log: .* is no Log"),  # type: ignore
+    "nothing to compare": (lambda: armctl.compare(ARM, [], MOTION), "a list of at least one of each"),
+    "one name to compare": (lambda: armctl.compare(ARM, "pd", MOTION), "a list of at least one of each"),
+    "a pose for a path": (lambda: move_path(ARM, ARM.home, armctl.Pose([0, 0, 1])), "path: Pose.* given, a list of"),  # type: ignore
+    "no path": (lambda: move_path(ARM, ARM.home, None), "path: None given, a list of"),  # type: ignore
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_wrong_call_is_one_clear_sentence(name: str):
+    call, sentence = CALLS[name]
+    with pytest.raises(armctl.InputError, match=sentence) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return armctl.simulate(ARM, "pd", MOTION).save(tmp_path / "log.npz")
+
+
+def test_a_file_that_is_half_a_log_is_no_log(log: Path):
+    content = log.read_bytes()
+    for part in (content[: len(content) // 2], b"", b"hello"):
+        log.write_bytes(part)
+        with pytest.raises(armctl.InputError, match="no log that armctl wrote"):
+            Log.load(log)
+
+
+def test_a_log_whose_columns_differ_in_length_is_no_log(log: Path):
+    with np.load(log) as data:
+        columns = dict(data)
+    np.savez(log, allow_pickle=False, **(columns | {"q": columns["q"][:3]}))
+    with pytest.raises(armctl.InputError, match="its columns differ in length"):
+        Log.load(log)
+
+
+LINES = {
+    "reach robot_arm_3dof --save FILE": "FILE: File exists",
+    "reach robot_arm_3dof --save FILE/run": "FILE/run: Not a directory",
+    "simulate robot_arm_3dof --ctrl 0 0 0 --plot FILE": "FILE: File exists",
+    "simulate robot_arm_3dof --ctrl 0 0 0 --seconds 1e9": "fit into a log",
+    "compare robot_arm_3dof --controllers ,": "a list of at least one of each wanted",
+    "compare robot_arm_3dof --workers 0": "workers: 0 given, a number at least 1 wanted",
+    "info FILE": "FILE: its name does not end in .xml or .urdf, no model",
+    "info FOLDER": "FOLDER: a folder, no model",
+    "info robot_arm_3dof --tool nothing": "unknown tool 'nothing'",
+}
+
+
+@pytest.mark.parametrize("line", LINES)
+def test_a_wrong_line_is_one_clear_sentence_and_status_2(line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    (tmp_path / "file").write_text("taken")
+    here = {"FILE": str(tmp_path / "file"), "FOLDER": str(tmp_path)}
+    words, sentence = line, LINES[line]
+    for word, path in here.items():
+        words, sentence = words.replace(word, path), sentence.replace(word, path)
+    assert main(words.split()) == 2
+    said = capsys.readouterr().err.strip().splitlines()
+    assert sentence in said[-1]
+    assert said[-1].startswith("armctl: ")
