@@ -16,8 +16,6 @@ from armctl.motion.profiles import Moving, Profiles
 from armctl.motion.torque import within_torque
 from armctl.motion.waypoint_search import Candidate, WaypointSearch
 
-_TIME_SHARE = 0.75  # of the time with stops, for the spline that the search starts from
-
 
 def move_through(arm: Arm, waypoints: ArrayLike) -> JointTrajectory:
     """The motion through every waypoint without stopping, at rest at the first and the last.
@@ -48,41 +46,16 @@ def move_through(arm: Arm, waypoints: ArrayLike) -> JointTrajectory:
         return JointTrajectory.standing(arm.joint_names, arm.limits, points[0])
     search = WaypointSearch(points, arm.limits)
     stopping = search.at_rest()
-    motion = within_torque(arm, _motion(arm, _fastest(search, stopping)))
+    motion = within_torque(arm, _motion(arm, points, search.fastest(stopping)))
     if motion.duration > stopping.durations.sum():  # the motors slow one more than the other
-        motion = min(motion, within_torque(arm, _motion(arm, stopping)), key=lambda one: one.duration)
+        motion = min(motion, within_torque(arm, _motion(arm, points, stopping)), key=lambda one: one.duration)
     return motion
 
 
-def _motion(arm: Arm, found: Candidate) -> JointTrajectory:
+def _motion(arm: Arm, points: Array, found: Candidate) -> JointTrajectory:
     """The motion that a search found."""
     profiles = Profiles.of(arm.limits)
-    states = [Moving(*state) for state in zip(found.q, found.v, found.a, strict=True)]
+    states = [Moving(*state) for state in zip(points, found.v, found.a, strict=True)]
     return JointTrajectory.joined(
         [JointTrajectory(*profiles.solve(a, b), arm.joint_names, arm.limits) for a, b in pairwise(states)]
     )
-
-
-def _fastest(search: WaypointSearch, stopping: Candidate) -> Candidate:
-    """The best of stopping at each waypoint and of what the search finds from a spline, twice."""
-    best = stopping
-    times = _TIME_SHARE * best.durations
-    for _ in range(2 if len(search.q) > 2 else 0):
-        start = search.evaluate(*_spline(times, search.q))
-        if start is None:
-            continue
-        found = search.improve(start)
-        times = found.durations
-        found = search.inside(found)
-        if found.durations.sum() < best.durations.sum():
-            best = found
-    return best
-
-
-def _spline(durations: Array, q: Array) -> tuple[Array, Array]:
-    """Velocities and accelerations at the waypoints of the cubic spline through them, at rest at its ends."""
-    from scipy.interpolate import CubicSpline
-
-    times = np.concatenate([[0.0], np.cumsum(durations)])
-    spline = CubicSpline(times, q, bc_type="clamped")
-    return spline(times, 1), spline(times, 2)

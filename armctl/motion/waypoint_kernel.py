@@ -1,0 +1,277 @@
+"""The compiled search behind `move_through`: times of the sections and velocities and accelerations at the waypoints.
+
+A joint with given states at both ends of a section of given time can cover any displacement between a least and a greatest one.
+The greatest is concave in those states: its acceleration rises to its limit, falls along a line c - j t and rises again, and if
+that is too fast it cruises at its greatest speed. So a motion is possible exactly if every joint's way in every section lies
+between the two, and the fastest one is found by an interior-point method: the sum of the times plus a logarithmic barrier.
+Given the times the joints are independent of each other and each is a chain, so that a Newton step factorises one band matrix
+for each joint and a small dense one for the times. Its Hessian leaves out the curvature of the bounds.
+
+For barriers see Boyd and Vandenberghe, "Convex Optimization", ch. 11; that optimal profiles are such ramps and plateaus is
+Pontryagin's principle, e.g. Bryson and Ho, "Applied Optimal Control", ch. 3.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from armctl.arrays import Array
+from armctl.compiled import njit
+
+BARRIER_FIRST, BARRIER_LAST, BARRIER_SHARE = 10.0, 3e-4, 0.2  # all barriers together, of the time; from one to the next
+NEWTON_STEPS = 30
+CENTERED = 0.3  # of the barrier, what a Newton step must at least promise
+HALVINGS = 30
+BAND = 4
+MARGIN = 1e-9  # rad, of every way, against rounding
+RIDGE = 1e-10  # of the Hessian's diagonal, against rounding
+
+
+class Problem(NamedTuple):
+    """Waypoints and what the joints can do.
+
+    Attributes:
+        q: (k, n) rad, the waypoints.
+        v_max: (n,) rad/s.
+        a_max: (n,) rad/s^2.
+        j_max: (n,) rad/s^3.
+        most: (k, n, 2) rad/s and rad/s^2, the greatest velocity and acceleration at each waypoint; 0 holds it at 0.
+    """
+
+    q: Array
+    v_max: Array
+    a_max: Array
+    j_max: Array
+    most: Array
+
+
+@njit
+def _line(time, v0, a0, v1, a1, a_max, j_max):
+    """The c of the falling line c - j t of the acceleration that goes furthest; NaN if no acceleration makes this change."""
+    below, above = a0, a1 + j_max * time
+    if above < below or a1 - j_max * time > a0:
+        return math.nan
+    flat_top, flat_bottom = 2 * a_max - a0, j_max * time - a1 - 2 * a_max  # c above and below which a limit is reached
+    left = below
+    for right in (min(flat_top, flat_bottom), max(flat_top, flat_bottom), above):
+        right = min(max(right, below), above)
+        top, bottom = min(a_max, 0.5 * (right + a0)), max(-a_max, 0.5 * (right + a1) - 0.5 * j_max * time)
+        change = (2 * (top * top - bottom * bottom) + a1 * a1 - a0 * a0) / (2 * j_max)
+        change += a_max * (max(0.0, right - flat_top) - max(0.0, flat_bottom - right)) / j_max
+        if change >= v1 - v0:  # between left and right the change of velocity is quadratic in c
+            middle = 0.5 * (left + right)
+            bend = (0.5 if middle < flat_top else 0.0) - (0.5 if middle > flat_bottom else 0.0)
+            slope, over = top - bottom, j_max * (change - v1 + v0)
+            root = slope + math.sqrt(max(slope * slope - 2 * bend * over, 0.0))
+            c = right - (2 * over / root if over > 0 else 0.0)
+            return c if c >= left - 1e-9 * (1 + abs(left)) else math.nan
+        left = right
+    return math.nan
+
+
+@njit
+def _late(u, a, a_max, j_max):
+    """How far behind a joint falls on its way to a speed u above its own, with acceleration a; the slopes for u and a."""
+    top = math.sqrt(max(j_max * u + 0.5 * a * a, 0.0))
+    if top < 1e-12:
+        return 0.0, 0.0, 0.0
+    flat = 0.0
+    if top > a_max:
+        top, flat = a_max, (u - (a_max * a_max - 0.5 * a * a) / j_max) / a_max
+    rise, lag = (top - a) / j_max, top * top / (2 * j_max)
+    behind = lag * top / (3 * j_max) + flat * (lag + 0.5 * top * flat)
+    behind += rise * (lag + top * flat + rise * (0.5 * top - j_max * rise / 6))
+    if flat > 0.0:
+        slope = (lag + top * flat + top * rise) / top
+    else:
+        slope = (lag / j_max + top * rise / j_max + 0.5 * rise * rise + u / j_max) * j_max / (2 * top)
+    return behind, slope, slope * a / j_max - u / j_max
+
+
+@njit
+def farthest(time, v0, a0, v1, a1, v_max, a_max, j_max, slopes):
+    """The greatest displacement in a time from one velocity and acceleration to another; NaN if there is none.
+
+    `slopes` (5,) becomes its derivatives with respect to the first five arguments.
+    """
+    c = _line(time, v0, a0, v1, a1, a_max, j_max)
+    if math.isnan(c):
+        return c
+    top, bottom = min(a_max, 0.5 * (c + a0)), max(-a_max, 0.5 * (c + a1) - 0.5 * j_max * time)
+    rise, fall, end = (top - a0) / j_max, (top - bottom) / j_max, (a1 - bottom) / j_max
+    high = max(0.0, (c + a0 - 2 * a_max) / j_max)
+    low = max(0.0, (j_max * time - a1 - 2 * a_max - c) / j_max)
+    if top > 0.0 > bottom and v0 + (2 * top * top - a0 * a0) / (2 * j_max) + top * high > v_max:
+        before, slopes[1], slope = _late(v_max - v0, a0, a_max, j_max)
+        after, slopes[3], slopes[4] = _late(v_max - v1, -a1, a_max, j_max)
+        slopes[0], slopes[2] = v_max, -slope
+        return v_max * time - before - after
+    q, v, a = 0.0, v0, a0
+    for h, j in ((rise, j_max), (high, 0.0), (fall, -j_max), (low, 0.0), (end, j_max)):
+        q += h * (v + h * (a / 2 + h * j / 6))
+        v += h * (a + h * j / 2)
+        a += h * j
+    middle = rise + high + 0.5 * fall  # of the fall: what an earlier or later line moves
+    left = time - middle
+    slopes[0] = v1 - 0.5 * j_max * end * end - left * bottom
+    slopes[1], slopes[2] = middle, rise * (middle - 0.5 * rise)
+    slopes[3], slopes[4] = left, -end * (left - 0.5 * end)
+    return q
+
+
+@njit
+def _room(p, x, times, k, i, sign, slopes):
+    """How much further a joint could go in a section, forwards (sign 1) or backwards (-1); NaN if it cannot."""
+    v0, a0, v1, a1 = sign * x[k, i, 0], sign * x[k, i, 1], sign * x[k + 1, i, 0], sign * x[k + 1, i, 1]
+    way = sign * (p.q[k + 1, i] - p.q[k, i])
+    return farthest(times[k], v0, a0, v1, a1, p.v_max[i], p.a_max[i], p.j_max[i], slopes) - way - MARGIN
+
+
+@njit
+def value(x, times, p, barrier):
+    """Time plus barrier; infinite outside the bounds."""
+    slopes, logs = np.empty(5), 0.0
+    for k in range(len(p.q)):
+        for i in range(len(p.v_max)):
+            for r in range(2):
+                if p.most[k, i, r] > 0.0:
+                    room = 1.0 - (x[k, i, r] / p.most[k, i, r]) ** 2
+                    if room <= 0.0:
+                        return math.inf
+                    logs += math.log(room)
+            for sign in (-1.0, 1.0):
+                room = 1.0 - (sign * x[k, i, 0] + x[k, i, 1] ** 2 / (2 * p.j_max[i])) / p.v_max[i]
+                if room <= 0.0:
+                    return math.inf
+                logs += math.log(room)
+                if k < len(times):
+                    room = _room(p, x, times, k, i, sign, slopes)
+                    if not room > 0.0:
+                        return math.inf
+                    logs += math.log(room)
+    return times.sum() - barrier * logs
+
+
+@njit
+def _bounds(k, i, x, p, barrier, gradient, band):
+    """Adds the barriers on the velocity and acceleration of a joint at a waypoint."""
+    j_max = p.j_max[i]
+    for r in range(2):
+        y, most = x[k, i, r], p.most[k, i, r]
+        if most == 0.0:
+            band[2 * k + r, 0] += 1.0
+        else:
+            room = most * most - y * y
+            gradient[2 * k + r] += barrier * 2 * y / room
+            band[2 * k + r, 0] += barrier * 2 * (most * most + y * y) / room**2
+    v_free, a_free = p.most[k, i, 0] > 0.0, p.most[k, i, 1] > 0.0
+    for sign in (-1.0, 1.0):
+        room = p.v_max[i] - sign * x[k, i, 0] - x[k, i, 1] ** 2 / (2 * j_max)
+        v_slope, a_slope = -sign * v_free, -x[k, i, 1] / j_max * a_free
+        gradient[2 * k] -= barrier / room * v_slope
+        gradient[2 * k + 1] -= barrier / room * a_slope
+        band[2 * k, 0] += barrier / room**2 * v_slope * v_slope
+        band[2 * k, 1] += barrier / room**2 * v_slope * a_slope
+        band[2 * k + 1, 0] += barrier / room**2 * a_slope * a_slope + barrier / room / j_max * a_free
+
+
+@njit
+def assemble(i, x, times, p, barrier, gradient, band, border, time_gradient, time_diagonal):
+    """One joint's gradient and Hessian: a band, `band[r, d]` its element (r, r + d), and its border with the times."""
+    gradient[:], band[:], border[:] = 0.0, 0.0, 0.0
+    slopes = np.empty(5)
+    for k in range(len(p.q)):
+        _bounds(k, i, x, p, barrier, gradient, band)
+    for k in range(len(times)):
+        for sign in (-1.0, 1.0):
+            room = _room(p, x, times, k, i, sign, slopes)
+            time_gradient[k] -= barrier / room * slopes[0]
+            time_diagonal[k] += barrier / room**2 * slopes[0] ** 2
+            for r in range(4):
+                slopes[1 + r] *= sign if p.most[k + r // 2, i, r % 2] > 0.0 else 0.0
+            for r in range(4):
+                row, slope = 2 * k + r, slopes[1 + r]
+                gradient[row] -= barrier / room * slope
+                border[row, k] += barrier / room**2 * slope * slopes[0]
+                for d in range(4 - r):
+                    band[row, d] += barrier / room**2 * slope * slopes[1 + r + d]
+    band[:, 0] *= 1.0 + RIDGE
+
+
+@njit
+def _solve_band(band, columns):
+    """Solves band . y = columns by an LDL^T factorisation, both in place."""
+    count = len(columns)
+    for r in range(count):
+        for d in range(1, min(BAND, count - r)):
+            factor = band[r, d] / band[r, 0]
+            if factor != 0.0:
+                for e in range(d, min(BAND, count - r)):
+                    band[r + d, e - d] -= factor * band[r, e]
+                columns[r + d] -= factor * columns[r]
+    for r in range(count - 1, -1, -1):
+        for d in range(1, min(BAND, count - r)):
+            columns[r] -= band[r, d] * columns[r + d]
+        columns[r] /= band[r, 0]
+
+
+@njit
+def newton_step(x, times, p, barrier, dx, dtimes):
+    """A Newton step into `dx` and `dtimes`; returns what it promises."""
+    points, n = p.q.shape
+    sections, rows = points - 1, 2 * points
+    gradient, columns = np.empty((n, rows)), np.empty((n, rows, sections + 1))
+    band, border = np.empty((rows, BAND)), np.empty((rows, sections))
+    time_gradient, diagonal, schur = np.ones(sections), np.zeros(sections), np.zeros((sections, sections))
+    reduced = np.zeros(sections)
+    for i in range(n):
+        assemble(i, x, times, p, barrier, gradient[i], band, border, time_gradient, diagonal)
+        columns[i, :, :sections], columns[i, :, sections] = border, gradient[i]
+        _solve_band(band, columns[i])
+        for k in range(sections):
+            for row in range(2 * k, 2 * k + 4):
+                schur[k] -= border[row, k] * columns[i, row, :sections]
+                reduced[k] += border[row, k] * columns[i, row, sections]
+    for k in range(sections):
+        schur[k, k] += diagonal[k]
+    dtimes[:] = np.linalg.solve(schur, reduced - time_gradient)
+    promise = -np.dot(time_gradient, dtimes)
+    for i in range(n):
+        for row in range(rows):
+            step = -columns[i, row, sections]
+            for k in range(sections):
+                step -= columns[i, row, k] * dtimes[k]
+            dx[row // 2, i, row % 2] = step
+            promise -= gradient[i, row] * step
+    return promise
+
+
+@njit
+def solve(p, x, times):
+    """The fastest motion from a feasible one; x (k, n, 2) and times (k - 1,) are changed in place."""
+    dx, dtimes = np.zeros_like(x), np.zeros_like(times)
+    barriers = 4.0 * len(times) * len(p.v_max)
+    barrier = BARRIER_FIRST * times.sum() / barriers
+    while True:
+        cost = value(x, times, p, barrier)
+        for _ in range(NEWTON_STEPS):
+            promise = newton_step(x, times, p, barrier, dx, dtimes)
+            if not promise > CENTERED * barrier:
+                break
+            share, trial = 1.0, math.inf
+            for _ in range(HALVINGS):
+                trial = value(x + share * dx, times + share * dtimes, p, barrier)
+                if trial < cost - 1e-4 * share * promise:
+                    break
+                share *= 0.5
+            if not trial < cost:
+                break
+            x += share * dx
+            times += share * dtimes
+            cost = trial
+        if barriers * barrier <= BARRIER_LAST * times.sum():
+            return
+        barrier *= BARRIER_SHARE
