@@ -8,24 +8,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
 from armctl.arrays import Array
 from armctl.motion.guide import Guide, Path, first_guide, smooth
 from armctl.motion.peaks import piece_extremes
-from armctl.motion.pieces import DEGREE, Pieces, hermite
+from armctl.motion.pieces import DEGREE, Pieces, basis_many, hermite
 from armctl.trajectory import Limits
 
 if TYPE_CHECKING:
     from armctl.motion import pace_kernel
 
 _INTERVAL, _FEWEST, _MOST = 0.004, 60, 500  # s, and how many of them
-_TIGHTENINGS = 3
+_TIGHTENINGS, _TORQUE_TIGHTENINGS = 3, 6
+_SLOWER = np.array([1, 1 / 2, 1 / 3, 1 / 2])  # the power of a stretch that lowers speed, acceleration, jerk and torque
 _GOOD_ENOUGH = 1e-4
 _APART = 2e-5  # s, between nodes: rounding tells nothing of the jerk in a shorter piece
 _BOUNDLESS = 1e12
+_BUSY = 0.8  # of a torque's limit, where it is looked at between nodes too
 _STEADY = 0.02  # of the pace in the first and last interval, that it may change by
 
 
@@ -47,6 +49,36 @@ class TorqueRows(NamedTuple):
     high: Array
 
 
+class Torques(Protocol):
+    """What bounds the torques of a motion."""
+
+    def rows(self, q: Array, v: Array, a: Array) -> TorqueRows:
+        """The bounds at places of a motion that is to be run at another pace.
+
+        Args:
+            q: (T, n) rad.
+            v: (T, n) rad/s.
+            a: (T, n) rad/s^2.
+
+        Returns:
+            The bounds.
+        """
+        ...
+
+    def overshoot(self, q: Array, v: Array, a: Array) -> Array:
+        """How much of what the bounds leave beside holding still a motion uses.
+
+        Args:
+            q: (T, n) rad.
+            v: (T, n) rad/s.
+            a: (T, n) rad/s^2.
+
+        Returns:
+            (T,), 1 is all.
+        """
+        ...
+
+
 def fastest(path: Path, limits: Limits, caps: Callable[[Array], Array] | None = None) -> Pieces:
     """The fastest motion along a path, from rest to rest.
 
@@ -64,14 +96,14 @@ def fastest(path: Path, limits: Limits, caps: Callable[[Array], Array] | None = 
     return _tightened(problem, _refined(timed, intervals_for(timed.t[-1])))
 
 
-def slower(path: Path, limits: Limits, knots: Array, torques: Callable[[Array, Array, Array], TorqueRows]) -> Pieces:
+def slower(path: Path, limits: Limits, knots: Array, torques: Torques) -> Pieces:
     """A motion, at rest at both ends, run nowhere faster and slower where torques ask for it.
 
     Args:
         path: The motion, its length the time.
         limits: What the joints can do.
         knots: (m + 1,) s, where its jerk may jump.
-        torques: From q, v and a (T, n) to what bounds the torques.
+        torques: What bounds the torques.
 
     Returns:
         The slower motion.
@@ -97,20 +129,23 @@ def _tightened(problem: _Problem, guide: Guide, knots: Array | None = None) -> P
     """The best pace of a guide, cut at knots too, its bounds tightened wherever it overshoots them between the edges."""
     nodes = guide.edges if knots is None else _merged(guide.edges, knots)
     interval = np.clip(np.searchsorted(guide.edges, 0.5 * (nodes[1:] + nodes[:-1])) - 1, 0, guide.intervals - 1)
-    slack = np.ones((3, guide.intervals + 1))
-    pieces = hermite(*problem.timed(guide, nodes))
-    overshoot = problem.overshoot(pieces)
-    for _ in range(_TIGHTENINGS):
+    slack = np.ones((4, guide.intervals + 1))
+    best, shortest = None, np.inf
+    for tightening in range(1 + (_TIGHTENINGS if problem.torques is None else _TORQUE_TIGHTENINGS)):
+        pieces = hermite(*problem.timed(guide, nodes, slack if tightening else None))
+        overshoot = problem.overshoot(pieces)
+        stretch = float(np.maximum(1.0, overshoot.max(axis=1) ** _SLOWER).max())
+        if best is None or stretch * pieces.knots[-1] < shortest:
+            best, shortest = (pieces, stretch), stretch * float(pieces.knots[-1])
         if (overshoot <= 1 + _GOOD_ENOUGH).all():
             break
-        worst = np.ones((3, guide.intervals))
-        for order in range(3):
-            np.maximum.at(worst[order], interval, overshoot[order])
+        worst = np.ones((4, guide.intervals))
+        for most, over in zip(worst, overshoot, strict=True):
+            np.maximum.at(most, interval, over)
         slack[:, :-1] /= worst
         slack[:, 1:] /= worst
-        pieces = hermite(*problem.timed(guide, nodes, slack))
-        overshoot = problem.overshoot(pieces)
-    stretch = float(np.maximum(1.0, overshoot.max(axis=1) ** (1 / np.arange(1, 4))).max())
+    assert best is not None
+    pieces, stretch = best
     powers = stretch ** -np.arange(DEGREE + 1.0)
     return Pieces(pieces.knots * stretch, pieces.coefficients[:, :, :-1] * powers[:, None])
 
@@ -127,16 +162,16 @@ class _Timed(NamedTuple):
 class _Problem:
     """A path and all that bounds its pace."""
 
-    def __init__(self, path: Path, limits: Limits, caps: Callable | None, torques: Callable | None = None):
+    def __init__(self, path: Path, limits: Limits, caps: Callable | None, torques: Torques | None = None):
         self.path, self.limits = path, limits
-        self._caps, self._torques = caps, torques
+        self._caps, self.torques = caps, torques
         self._last: Array | None = None  # the last pace found, to tighten from
 
     def timed(self, guide: Guide, nodes: Array, slack: Array | None = None) -> _Timed:
-        """The best pace of a guide, at nodes that include its edges; `slack` (3, m + 1) are factors on its bounds."""
+        """The best pace of a guide, at nodes that include its edges; `slack` (4, m + 1) are factors on its bounds."""
         from armctl.motion import pace_kernel
 
-        problem = self._bounds(guide, np.ones((3, guide.intervals + 1)) if slack is None else slack)
+        problem = self._bounds(guide, np.ones((4, guide.intervals + 1)) if slack is None else slack)
         c, barrier = np.full(guide.intervals + 2, 0.5 * float(problem.b_max.min())), pace_kernel.COLD
         if slack is not None and self._last is not None:
             c, barrier = 0.95 * self._last, pace_kernel.WARM
@@ -153,7 +188,7 @@ class _Problem:
         return _Timed(t, q, q1 * np.sqrt(b), q2 * b + q1 * slope / 2)
 
     def overshoot(self, pieces: Pieces) -> Array:
-        """How much of their limits speed, acceleration and jerk use in each piece, (3, m): 1 is all."""
+        """How much of their limits speed, acceleration, jerk and torque use in each piece, (4, m): 1 is all."""
         limits, steps = self.limits, np.diff(pieces.knots)
         v_max = np.tile(np.append(limits.v_max, np.inf), (len(steps), 1))
         if self._caps is not None:
@@ -161,7 +196,19 @@ class _Problem:
             v_max[:, -1] = np.minimum(caps[1:], caps[:-1])
         bounds = (v_max, np.append(limits.a_max, np.inf), np.append(limits.j_max, np.inf))
         peaks = (np.abs(piece_extremes(pieces.coefficients, steps, order)[1]).max(axis=2) for order in (1, 2, 3))
-        return np.array([(peak / bound).max(axis=1) for peak, bound in zip(peaks, bounds, strict=True)])
+        shares = [(peak / bound).max(axis=1) for peak, bound in zip(peaks, bounds, strict=True)]
+        return np.array([*shares, self._torque_overshoot(pieces)])
+
+    def _torque_overshoot(self, pieces: Pieces) -> Array:
+        """How much of their limits torques use at the start of each piece and, where that is much, in its middle, (m,)."""
+        steps, joints = np.diff(pieces.knots), pieces.coefficients[:, :, :-1]
+        if self.torques is None:
+            return np.zeros_like(steps)
+        shares = self.torques.overshoot(joints[:, 0], joints[:, 1], 2 * joints[:, 2])
+        busy = (shares > _BUSY) | (np.append(shares[1:], 0.0) > _BUSY)
+        middle = np.einsum("otc,tcn->otn", basis_many(0.5 * steps[busy]), joints[busy])
+        shares[busy] = np.maximum(shares[busy], self.torques.overshoot(*middle))
+        return shares
 
     def _bounds(self, guide: Guide, slack: Array) -> pace_kernel.Problem:
         """What bounds the pace at the guide's edges."""
@@ -178,7 +225,7 @@ class _Problem:
                 b_max = np.minimum(b_max, (self._caps(s) / np.abs(s1[:, 0]) * slack[0]) ** 2)
             b_max[ends] = np.minimum(b_max[ends], ((j_max[ends] / np.abs(q3[ends])) ** (2 / 3)).min(axis=1))
         b_max = np.minimum(b_max, _BOUNDLESS)
-        rows = self._rows(q, q1, q2, slack[1])
+        rows = self._rows(q, q1, q2, slack)
         # At rest there is neither velocity nor acceleration to bound: instead the pace is held steady there.
         rows.alpha[ends], rows.beta[ends], rows.delta[ends] = 2.0, 0.0, 0.0
         rows.high[ends] = _STEADY * b_max[ends, None] / guide.h
@@ -186,11 +233,13 @@ class _Problem:
         return pace_kernel.Problem(guide.h, b_max, q1, q2, q3, j_max, *rows)
 
     def _rows(self, q: Array, q1: Array, q2: Array, slack: Array) -> TorqueRows:
-        a_max = self.limits.a_max * slack[:, None]
+        a_max = self.limits.a_max * slack[1][:, None]
         rows = TorqueRows(q1.copy(), q2.copy(), np.zeros_like(q1), -a_max, a_max.copy())
-        if self._torques is None:
+        if self.torques is None:
             return rows
-        return TorqueRows(*(np.concatenate(pair, axis=1) for pair in zip(rows, self._torques(q, q1, q2), strict=True)))
+        torques = self.torques.rows(q, q1, q2)
+        torques = torques._replace(low=torques.low * slack[3][:, None], high=torques.high * slack[3][:, None])
+        return TorqueRows(*(np.concatenate(pair, axis=1) for pair in zip(rows, torques, strict=True)))
 
 
 def _identity(s: Array) -> tuple[Array, Array, Array, Array]:

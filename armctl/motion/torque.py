@@ -97,7 +97,7 @@ def within_torque(arm: Arm, trajectory: JointTrajectory) -> JointTrajectory:
         return trajectory
     if trajectory(0.0).v.any() or trajectory(0.0).a.any():
         raise PlanError(f"{asked}, and a motion that starts moving cannot start slower; stop first, or go less far")
-    pieces = slower(_AsPath(trajectory), trajectory.limits, trajectory.knots, _Rows(arm))
+    pieces = slower(_AsPath(trajectory), trajectory.limits, trajectory.knots, _Torques(arm))
     feasible = replace(trajectory, knots=pieces.knots, coefficients=pieces.coefficients)
     for _ in range(_STRETCHES):
         if check_torque(arm, feasible).ratio <= 1.0:
@@ -120,14 +120,14 @@ class _AsPath:
         return q, v, a, self._trajectory.jerk(s)
 
 
-class _Rows:
-    """Torques as rows for the solver: linear in the squared pace, in its change and, with damping, in the pace."""
+class _Torques:
+    """What bounds the torques: linear in the squared pace, in its change and, with damping, in the pace."""
 
     def __init__(self, arm: Arm):
         self._arm, self._dynamics = arm, Dynamics(arm)
         self._most = (1 - _MARGIN) * arm.limits.tau_max
 
-    def __call__(self, q: Array, v: Array, a: Array) -> TorqueRows:
+    def rows(self, q: Array, v: Array, a: Array) -> TorqueRows:
         dynamics, zero = self._dynamics, np.zeros(self._arm.n)
         still = np.array([dynamics.inverse(row, zero, zero) for row in q])
         turning = np.array([dynamics.bias(row, speed) - dynamics.bias(row, zero) for row, speed in zip(q, v, strict=True)])
@@ -144,6 +144,13 @@ class _Rows:
                 "take a lighter payload or another path"
             )
         return TorqueRows(alpha, beta, moving - still - turning, low, high)
+
+    def overshoot(self, q: Array, v: Array, a: Array) -> Array:
+        dynamics, zero = self._dynamics, np.zeros(self._arm.n)
+        still = np.array([dynamics.inverse(row, zero, zero) for row in q]).reshape(q.shape)
+        moving = np.array([dynamics.inverse(*row) for row in zip(q, v, a, strict=True)]).reshape(q.shape) - still
+        held = still + np.sign(v) * dynamics.friction_loss
+        return np.maximum(moving / (self._most - held), -moving / (self._most + held)).max(axis=1)
 
 
 def _times(trajectory: Trajectory) -> Array:
