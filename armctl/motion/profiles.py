@@ -59,7 +59,7 @@ class Profiles:
         """
         n = len(v_max)
         self._otg, self._input, self._result = ruckig.Ruckig(n), ruckig.InputParameter(n), ruckig.Trajectory(n)
-        self._bounds, self._v_max = (v_max, a_max, j_max), v_max.tolist()
+        self._bounds, self._v_max, self._a_max = (v_max, a_max, j_max), v_max.tolist(), a_max.tolist()
         self._limit(1.0)
 
     @classmethod
@@ -173,21 +173,23 @@ class Profiles:
             Whether it does.
         """
         time = self._result.duration
-        for profile, low, high, fastest in zip(self._result.profiles[0], q_min, q_max, self._v_max, strict=True):
+        for profile, low, high, v_max, a_max in zip(
+            self._result.profiles[0], q_min, q_max, self._v_max, self._a_max, strict=True
+        ):
             q = profile.p
-            spare = 0.5 * (fastest * time - abs(q[7] - q[0]))  # it cannot swing further beyond its ends, and back in time
-            if low + spare <= min(q[0], q[7]) and max(q[0], q[7]) + spare <= high:
+            start, end = q[0], q[7]
+            least, most = (start, end) if start < end else (end, start)
+            spare = 0.5 * (v_max * time - (most - least))  # it cannot swing further beyond its ends, and back in time
+            if low + spare <= least and most + spare <= high:
                 continue
-            v, a = profile.v, profile.a
-            if min(q) < low or max(q) > high:
+            least, most = min(q), max(q)
+            if least < low or most > high:
                 return False
-            turning = [k for k in range(7) if v[k] * v[k + 1] < 0 or a[k] * a[k + 1] < 0]
-            if turning:
-                j, t = profile.j, profile.t
-                for k in turning:
-                    for u in _turns(v[k], a[k], j[k]):
-                        if 0 < u < t[k] and not low <= q[k] + u * (v[k] + u * (a[k] / 2 + u * j[k] / 6)) <= high:
-                            return False
+            t, a = profile.t, profile.a
+            longest = max(t[0], t[1], t[2], t[4], t[5], t[6], 0.0 if a[3] == 0.0 else t[3])
+            bulge = a_max * longest * longest / 8  # how far a curve of this acceleration can leave its chord
+            if (least - bulge < low or most + bulge > high) and not _turns_inside(profile, low, high):
+                return False
         return True
 
     @property
@@ -204,6 +206,17 @@ class Profiles:
         """The move as phases of constant jerk: for each joint their durations, s, and their jerks, rad/s^3."""
         profiles = self._result.profiles[0]
         return [(*p.brake.t, *p.t) for p in profiles], [(*p.brake.j, *p.j) for p in profiles]
+
+
+def _turns_inside(profile: ruckig.Profile, low: float, high: float) -> bool:
+    """Whether a joint turns round between two positions in every phase of its profile."""
+    q, v, a, j, t = profile.p, profile.v, profile.a, profile.j, profile.t
+    for k in range(7):
+        if v[k] * v[k + 1] < 0 or a[k] * a[k + 1] < 0:
+            for u in _turns(v[k], a[k], j[k]):
+                if 0 < u < t[k] and not low <= q[k] + u * (v[k] + u * (a[k] / 2 + u * j[k] / 6)) <= high:
+                    return False
+    return True
 
 
 def _turns(v: float, a: float, j: float) -> tuple[float, ...]:
