@@ -1,7 +1,8 @@
 """Motions against their peers: waypoints (ruckig stopping, toppra), lines (toppra), limits kept, new goals online.
 
-    python benchmarks/motion.py [--moves 10000] [--sets 20] [--lines 20] [--out benchmarks/results/motion.md]
+    python benchmarks/motion.py [--only waypoints lines online limits] [--moves 10000] [--sets 200] [--lines 20] [--out FILE]
 
+With `--only`, what else the file says stays as it is.
 toppra is an extra, `pip install -e .[benchmark]`. Speed, acceleration and jerk limits are the Panda's; torque limits are lifted
 for the comparisons, since no peer has any.
 """
@@ -28,8 +29,9 @@ Array = np.ndarray
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--only", nargs="+", choices=list(PARTS), default=list(PARTS))
     parser.add_argument("--moves", type=int, default=10_000)
-    parser.add_argument("--sets", type=int, default=20)
+    parser.add_argument("--sets", type=int, default=200)
     parser.add_argument("--lines", type=int, default=20)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "motion.md")
     args = parser.parse_args()
@@ -37,11 +39,12 @@ def main() -> None:
     logging.getLogger("toppra").setLevel(logging.ERROR)
     panda = untiring(armctl.load("panda"))
     armctl.move_l(panda, panda.home, panda.fk(panda.home).position + np.array([0.0, 0.0, 0.05]))  # compiles, once
-    sections = [waypoints(panda, args.sets), lines(panda, args.lines), online(panda), limits_kept(args.moves)]
-    text = "\n\n".join(sections) + "\n"
+    fresh = {name: PARTS[name](panda, args) for name in args.only}
     args.out.parent.mkdir(exist_ok=True)
-    args.out.write_text(text, encoding="utf-8")
-    print(text)
+    written = args.out.read_text(encoding="utf-8").strip().split("\n\n**") if args.out.exists() else []
+    tables = {name: "**" + text.removeprefix("**") for name, text in zip(PARTS, written, strict=False)} | fresh
+    args.out.write_text("\n\n".join(tables[name] for name in PARTS if name in tables) + "\n", encoding="utf-8")
+    print("\n\n".join(fresh.values()))
 
 
 def untiring(arm: armctl.Arm, jerk: float = 1.0) -> armctl.Arm:
@@ -86,20 +89,25 @@ def waypoints(panda: armctl.Arm, sets: int) -> str:
         for jerk, wanted in zip((1.0, 0.1), asked, strict=True):
             arm, rng = untiring(panda, jerk), np.random.default_rng(1)
             shares, peers, times, inside = [], [], [], True
-            for _ in range(sets):
+            for k in range(sets):
                 q = kind(arm, rng)
                 stopping = WaypointSearch(q, arm.limits).at_rest().durations
                 began = time.perf_counter()
                 motion = armctl.move_through(arm, q)
                 times.append(time.perf_counter() - began)
                 shares.append(motion.duration / stopping.sum())
-                peers.append(toppra_time(arm, q, np.concatenate([[0.0], np.cumsum(stopping)]), 400) / stopping.sum())
+                if k % 10 == 0:
+                    peers.append(toppra_time(arm, q, np.concatenate([[0.0], np.cumsum(stopping)]), 400) / stopping.sum())
                 inside &= motion.check_limits().ok
-            figures = f"{np.mean(shares):.3f}", wanted, f"{np.mean(peers):.3f}", f"{1e3 * np.median(times):.0f}"
+            error = np.std(shares) / np.sqrt(sets)
+            figures = f"{np.mean(shares):.4f} +- {error:.4f}", wanted, f"{np.mean(peers):.3f}", f"{1e3 * np.median(times):.0f}"
             rows.append((kind.__name__, jerk, *figures, "yes" if inside else "NO"))
     columns = ["10 waypoints", "jerk", "armctl / stopping", "wanted", "toppra / stopping", "median, ms", "all limits kept"]
     return table(
-        "Through waypoints: duration as a share of stopping at each (toppra: without jerk or position limits)", columns, rows
+        f"{sets} sets of waypoints: duration as a share of stopping at each, mean and standard error (toppra, on every tenth "
+        "set: without jerk or position limits)",
+        columns,
+        rows,
     )
 
 
@@ -284,15 +292,15 @@ def by_differences(motion: JointTrajectory) -> float:
 def online(panda: armctl.Arm) -> str:
     """A new goal every 20 ms, in the middle of the motion to the last one."""
     rng, motion = np.random.default_rng(3), armctl.OnlineMotion(panda, panda.home)
-    times, samples = [], []
-    for tick in range(100_000):
+    times, states = [], np.empty((100_000, 3, panda.n))
+    for tick in range(len(states)):
         if tick % 20 == 0:
             goal = anywhere(panda, rng) if tick % 4000 else panda.home
             began = time.perf_counter()
             motion.go_to(goal)
             times.append(time.perf_counter() - began)
-        samples.append(motion.step(1e-3)[:3])
-    q, v, a = np.moveaxis(np.array(samples), 1, 0)
+        states[tick] = motion.step(1e-3)[:3]
+    q, v, a = np.moveaxis(states, 1, 0)
     limits = panda.limits
     ratio = max(float((np.abs(x) / bound).max()) for x, bound in ((v, limits.v_max), (a, limits.a_max)))
     jerk = float((np.abs(np.diff(a, axis=0)) / 1e-3 / limits.j_max).max())
@@ -307,6 +315,14 @@ def online(panda: armctl.Arm) -> str:
     ]
     columns = ["new goals", "median, us", "p99, us", "wanted", "worst v, a, j / limit", "position limits kept"]
     return table("Online: a new goal in motion", columns, [row])
+
+
+PARTS = {
+    "waypoints": lambda panda, args: waypoints(panda, args.sets),
+    "lines": lambda panda, args: lines(panda, args.lines),
+    "online": lambda panda, args: online(panda),
+    "limits": lambda panda, args: limits_kept(args.moves),
+}
 
 
 if __name__ == "__main__":

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 import armctl
 from armctl.motion import JointTrajectory, polynomials
 from armctl.motion.peaks import piece_extremes
+from armctl.motion.profiles import Moving, Profiles
+from armctl.motion.waypoint_kernel import farthest
 
 
 def anywhere(arm: armctl.Arm, rng: np.random.Generator, share: float = 1.0) -> np.ndarray:
@@ -203,6 +205,72 @@ def test_flowing_along_a_line_of_waypoints_does_not_stop():
     assert armctl.move_through(arm, q).duration < 1.15 * straight_on
 
 
+def random_states(rng: np.random.Generator) -> tuple[float, list[float], tuple[float, float, float]]:
+    """A time, velocities and accelerations at both its ends, and limits that they keep."""
+    v_max, a_max, j_max = rng.uniform(0.5, 3.0), rng.uniform(1.0, 15.0), 10 ** rng.uniform(1.0, 4.0)
+    a = rng.uniform(-1.0, 1.0, 2) * min(a_max, np.sqrt(2 * j_max * v_max))
+    v = rng.uniform(-1.0, 1.0, 2) * (v_max - a * a / (2 * j_max))
+    return 10 ** rng.uniform(-1.5, 0.5), [v[0], a[0], v[1], a[1]], (v_max, a_max, j_max)
+
+
+def test_the_furthest_that_a_joint_can_go_is_what_ruckig_needs_all_of_the_time_for():
+    rng, slopes, found = np.random.default_rng(0), np.empty(5), 0
+    for _ in range(400):
+        time, states, bounds = random_states(rng)
+        way = farthest(time, *states, *bounds, slopes)
+        if np.isnan(way):  # so much time is too little for this change of velocity
+            continue
+        found += 1
+        profiles = Profiles(*(np.array([bound]) for bound in bounds))
+        short = way - 1e-3 * max(1.0, abs(way)) * min(1.0, time)
+        ends = ([np.array([x]) for x in states[2 * i : 2 * i + 2]] for i in range(2))
+        start, goal = (Moving(np.array([q]), *end) for q, end in zip((0.0, short), ends, strict=True))
+        least = -farthest(time, *(-x for x in states), *bounds, np.empty(5))
+        assert least <= way
+        if least < short:
+            assert profiles.reach(start, goal, at_least=time)
+            assert profiles.duration == pytest.approx(time, rel=1e-6)
+    assert found > 100
+
+
+def test_the_slopes_of_the_furthest_way_are_its_differences():
+    rng, slopes, other, compared = np.random.default_rng(1), np.empty(5), np.empty(5), 0
+    for _ in range(400):
+        time, states, bounds = random_states(rng)
+        at = np.array([time, *states])
+        farthest(*at, *bounds, slopes)
+        for i, step in enumerate(np.diag(1e-6 * np.maximum(1e-3, np.abs(at)))):
+            difference = farthest(*(at + step), *bounds, other) - farthest(*(at - step), *bounds, other)
+            if np.isfinite(difference):
+                compared += 1
+                assert difference / (2 * step[i]) == pytest.approx(slopes[i], rel=1e-2, abs=1e-4)
+    assert compared > 500
+
+
+def test_flowing_past_a_joint_limit_slows_down_there_only():
+    arm = untiring(arm_of("panda"))
+    rng, low, high = np.random.default_rng(4), arm.limits.q_min, arm.limits.q_max
+    shares = []
+    for _ in range(5):
+        q = arm.limits.clamp(rng.uniform(low, high) + np.cumsum(rng.normal(0.0, 0.15, (10, arm.n)), axis=0))
+        motion = armctl.move_through(arm, q)
+        assert_lawful(motion)
+        shares.append(
+            motion.duration / sum(armctl.move_j(arm, a, b, straight=False).duration for a, b in itertools.pairwise(q))
+        )
+    assert max(shares) < 0.95
+
+
+@pytest.mark.parametrize("apart", [1e-4, 1e-8, 1e-10, 1e-13])
+def test_waypoints_next_to_each_other_are_met(apart):
+    arm = arm_of("panda")
+    q = arm.home + np.array([0.0, apart, 0.1, 0.1 + apart, 0.0])[:, None]
+    motion = armctl.move_through(arm, q)
+    assert_lawful(motion)
+    at_knots = motion.sample(motion.knots).q
+    assert max(np.abs(at_knots - point).max(axis=1).min() for point in q) < 2e-8
+
+
 def test_waypoints_at_a_joint_limit_and_twice_the_same_are_met():
     arm = arm_of("robot_arm_3dof")
     limits = arm.limits
@@ -343,7 +411,7 @@ def test_a_payload_slows_a_motion_down():
     empty, loaded = armctl.move_j(arm, start, goal), armctl.move_j(arm.with_payload(4.0), start, goal)
     assert empty.slowed is None
     assert loaded.slowed.factor == pytest.approx(loaded.duration / empty.duration)
-    assert loaded.slowed.factor > 1.01
+    assert 1.01 < loaded.slowed.factor < 1.06
     assert armctl.check_torque(arm.with_payload(4.0), loaded).ok
     assert not armctl.check_torque(arm.with_payload(4.0), empty).ok
 
@@ -471,12 +539,27 @@ def test_a_motion_can_be_drawn(tmp_path):
     assert (tmp_path / "motion.png").stat().st_size > 1000
 
 
+def test_a_file_makes_its_folder(tmp_path):
+    arm = arm_of("robot_arm_3dof")
+    motion = armctl.move_j(arm, arm.home, arm.home + 0.1)
+    assert motion.save(tmp_path / "new" / "one").exists()
+    assert motion.to_csv(tmp_path / "newer" / "one.csv").exists()
+
+
 def test_wrong_times_and_factors_are_refused():
     arm = arm_of("robot_arm_3dof")
     motion = armctl.move_j(arm, arm.home, arm.home + 0.1)
-    for call in (lambda: motion.scaled(0.0), lambda: motion.stopped_at(-1.0), lambda: motion.sample([np.nan])):
+    calls = [
+        lambda: motion.scaled(0.0),
+        lambda: motion.stopped_at(-1.0),
+        lambda: motion.sample([np.nan]),
+        lambda: motion(np.nan),
+    ]
+    for call in calls:
         with pytest.raises(armctl.InputError):
             call()
+    with pytest.raises(armctl.InputError, match="then: None is no JointTrajectory"):
+        motion.then(None)
     with pytest.raises(armctl.LimitError, match="factor: 2 is too fast"):
         motion.scaled(2.0)
     assert motion.scaled(0.5).scaled(2.0).duration == pytest.approx(motion.duration)

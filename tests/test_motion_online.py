@@ -83,3 +83,24 @@ def test_starts_and_goals_outside_the_limits_are_refused():
         motion.go_to([9.0, 0.0, -1.0])
     with pytest.raises(armctl.InputError, match="nan"):
         motion.go_to([np.nan, 0.0, -1.0])
+
+
+@pytest.mark.parametrize("dt", [-1e-3, np.nan, np.inf])
+def test_a_tick_that_is_no_time_is_refused_and_changes_nothing(dt):
+    arm = arm_of("robot_arm_3dof")
+    motion = armctl.OnlineMotion(arm, arm.home)
+    motion.go_to(arm.home + 0.1)
+    before = motion.step(0.01)
+    with pytest.raises(armctl.InputError, match=r"dt: .* s given, a finite time of at least 0 s wanted"):
+        motion.step(dt)
+    assert np.array_equal(motion.setpoint.q, before.q)
+
+
+def test_a_goal_in_numbers_and_one_in_an_array_are_the_same():
+    arm = arm_of("robot_arm_3dof")
+    ends = []
+    for goal in (arm.home + 0.1, (arm.home + 0.1).tolist()):
+        motion = armctl.OnlineMotion(arm, arm.home)
+        motion.go_to(goal)
+        ends.append(motion.step(0.1).q)
+    assert np.array_equal(*ends)

@@ -25,13 +25,14 @@ def save(trajectory: JointTrajectory, path: str | os.PathLike[str]) -> Path:
 
     Args:
         trajectory: The motion.
-        path: Where to; the name gets the ending .npz if it has none.
+        path: Where to; its folder is made, and the name gets the ending .npz if it has none.
 
     Returns:
         The file.
     """
     file = Path(path)
     file = file if file.suffix == ".npz" else file.with_name(file.name + ".npz")
+    file.parent.mkdir(parents=True, exist_ok=True)
     slowed = trajectory.slowed
     np.savez(
         file,
@@ -85,7 +86,7 @@ def to_csv(trajectory: JointTrajectory, path: str | os.PathLike[str], dt: float)
 
     Args:
         trajectory: The motion.
-        path: Where to.
+        path: Where to; its folder is made.
         dt: s, from sample to sample; the end is always one.
 
     Returns:
@@ -98,6 +99,7 @@ def to_csv(trajectory: JointTrajectory, path: str | os.PathLike[str], dt: float)
     names = [f"{kind}_{joint}" for kind in "qva" for joint in trajectory.joint_names]
     table = np.column_stack([times, *trajectory.sample(times)[:3]])
     file = Path(path)
+    file.parent.mkdir(parents=True, exist_ok=True)
     with file.open("w", newline="", encoding="utf-8") as out:
         writer = csv.writer(out)
         writer.writerow(["t", *names])

@@ -167,7 +167,9 @@ class Circle:
         normal = np.cross(a, b)
         size = float(normal @ normal)
         if size <= 1e-12 * float(a @ a) * float(b @ b) or size == 0.0:
-            raise InputError("via: start, via and target are on one line, so no circle goes through them; use a line")
+            raise InputError(
+                "via: start, via and target are on one line, so no one circle does; give three points apart, or use a line"
+            )
         center = start + np.cross((a @ a) * b - (b @ b) * a, normal) / (2 * size)
         axis = normal / math.sqrt(size)
         if angle is None:

@@ -69,9 +69,14 @@ class JointTrajectory:
 
         Returns:
             q, v, a, each (n,).
+
+        Raises:
+            InputError: The time is not a number.
         """
         knots = self._knot_list
         inside = min(max(t, 0.0), knots[-1])
+        if inside != inside:
+            raise InputError("t: nan given, a number wanted")
         k = min(bisect_right(knots, inside), len(knots) - 1) - 1
         u = inside - knots[k]
         q, v, a = np.array(basis(u)) @ self.coefficients[k]
@@ -144,7 +149,7 @@ class JointTrajectory:
         """Writes the motion, exactly, as a NumPy archive that `JointTrajectory.load` reads.
 
         Args:
-            path: Where to; the name gets the ending .npz if it has none.
+            path: Where to; its folder is made, and the name gets the ending .npz if it has none.
 
         Returns:
             The file.
@@ -174,7 +179,7 @@ class JointTrajectory:
         """Writes samples as a table: t, then q, v and a of each joint, named in the first row.
 
         Args:
-            path: Where to.
+            path: Where to; its folder is made.
             dt: s, from sample to sample; the end is always one.
 
         Returns:
@@ -235,8 +240,10 @@ class JointTrajectory:
             Both in one.
 
         Raises:
-            InputError: Other joints, or it starts elsewhere.
+            InputError: No such motion, other joints, or it starts elsewhere.
         """
+        if not isinstance(other, JointTrajectory):
+            raise InputError(f"then: {other!r} is no JointTrajectory")
         if other.joint_names != self.joint_names:
             raise InputError(f"then: a motion of {list(other.joint_names)} cannot follow one of {list(self.joint_names)}")
         for what, end, start in zip(
@@ -265,12 +272,8 @@ class JointTrajectory:
         knots = [[0.0], *(start + part.knots[1:] for start, part in zip(starts[:-1], parts, strict=True))]
         coefficients = np.concatenate([part.coefficients for part in parts])
         slowed = [part.slowed for part in parts if part.slowed is not None]
-        return replace(
-            parts[0],
-            knots=np.concatenate(knots),
-            coefficients=coefficients,
-            slowed=max(slowed, key=lambda slowdown: slowdown.factor, default=None),
-        )
+        slowest = max(slowed, key=lambda slowdown: slowdown.factor, default=None)
+        return replace(parts[0], knots=np.concatenate(knots), coefficients=coefficients, slowed=slowest)
 
     @classmethod
     def standing(cls, joint_names: tuple[str, ...], limits: Limits, q: Array) -> JointTrajectory:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
 from armctl.arrays import Array, vector
-from armctl.errors import LimitError, PlanError
+from armctl.errors import InputError, LimitError, PlanError
 from armctl.motion.checks import require_bounds, start_velocity
 from armctl.motion.profiles import Moving, Profiles
 from armctl.trajectory import Setpoint
@@ -97,7 +99,12 @@ class OnlineMotion:
 
         Returns:
             q, v, a at its end, each (n,).
+
+        Raises:
+            InputError: dt is less than 0 or not finite.
         """
+        if not 0.0 <= dt < math.inf:
+            raise InputError(f"dt: {dt} s given, a finite time of at least 0 s wanted")
         self._t += dt
         return self.setpoint
 
@@ -130,7 +137,8 @@ class OnlineMotion:
     def _checked(self, q: ArrayLike) -> Array:
         """A caller's goal, checked: one that is plainly good is seen to be so in less time than what is wrong takes to tell."""
         if isinstance(q, np.ndarray) and q.shape == (self._arm.n,) and q.dtype == np.float64:
-            if all(low <= x <= high for low, x, high in zip(self._q_low, q.tolist(), self._q_high, strict=True)):
+            inside = [low <= x <= high for low, x, high in zip(self._q_low, q.tolist(), self._q_high, strict=True)]
+            if all(inside):
                 return q.copy()
         return self._arm.limits.check("q", q, self._arm.joint_names)
 

@@ -16,6 +16,8 @@ from armctl.motion.profiles import Moving, Profiles
 from armctl.motion.torque import within_torque
 from armctl.motion.waypoint_search import Candidate, WaypointSearch
 
+_SAME = 1e-9  # rad, between two waypoints that are met as one
+
 
 def move_through(arm: Arm, waypoints: ArrayLike) -> JointTrajectory:
     """The motion through every waypoint without stopping, at rest at the first and the last.
@@ -41,7 +43,8 @@ def move_through(arm: Arm, waypoints: ArrayLike) -> JointTrajectory:
     if len(rows) < 2:
         raise InputError(f"waypoints: {len(rows)} given, at least 2 wanted (the first one is where the arm is)")
     points = np.array([arm.limits.check(f"waypoints[{i}]", row, arm.joint_names) for i, row in enumerate(rows)])
-    points = points[np.concatenate([[True], np.diff(points, axis=0).any(axis=1)])]
+    apart = np.abs(np.diff(points, axis=0)).max(axis=1) > _SAME
+    points = points[np.concatenate([[True], apart])]
     if len(points) == 1:
         return JointTrajectory.standing(arm.joint_names, arm.limits, points[0])
     search = WaypointSearch(points, arm.limits)
