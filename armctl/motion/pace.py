@@ -130,13 +130,11 @@ def _tightened(problem: _Problem, guide: Guide, knots: Array | None = None) -> P
     nodes = guide.edges if knots is None else _merged(guide.edges, knots)
     interval = np.clip(np.searchsorted(guide.edges, 0.5 * (nodes[1:] + nodes[:-1])) - 1, 0, guide.intervals - 1)
     slack = np.ones((4, guide.intervals + 1))
-    best, shortest = None, np.inf
+    tried: list[tuple[Pieces, float]] = []
     for tightening in range(1 + (_TIGHTENINGS if problem.torques is None else _TORQUE_TIGHTENINGS)):
         pieces = hermite(*problem.timed(guide, nodes, slack if tightening else None))
         overshoot = problem.overshoot(pieces)
-        stretch = float(np.maximum(1.0, overshoot.max(axis=1) ** _SLOWER).max())
-        if best is None or stretch * pieces.knots[-1] < shortest:
-            best, shortest = (pieces, stretch), stretch * float(pieces.knots[-1])
+        tried.append((pieces, float(np.maximum(1.0, overshoot.max(axis=1) ** _SLOWER).max())))
         if (overshoot <= 1 + _GOOD_ENOUGH).all():
             break
         worst = np.ones((4, guide.intervals))
@@ -144,8 +142,7 @@ def _tightened(problem: _Problem, guide: Guide, knots: Array | None = None) -> P
             np.maximum.at(most, interval, over)
         slack[:, :-1] /= worst
         slack[:, 1:] /= worst
-    assert best is not None
-    pieces, stretch = best
+    pieces, stretch = min(tried, key=lambda one: one[1] * one[0].knots[-1])
     powers = stretch ** -np.arange(DEGREE + 1.0)
     return Pieces(pieces.knots * stretch, pieces.coefficients[:, :, :-1] * powers[:, None])
 

@@ -91,13 +91,12 @@ class Profiles:
             raise PlanError("no jerk-limited move joins the two states; start and end slower")
         return _pieces(*(x[:, 0] for x in phase_nodes([self.phases()], Moving(*(np.asarray(x)[None] for x in start)))))
 
-    def reach(self, start: Moving, goal: Moving, at_least: float | None = None, together: bool = True) -> bool:
+    def reach(self, start: Moving, goal: Moving, together: bool = True) -> bool:
         """Finds the fastest move from one state to another; what follows then tells of it.
 
         Args:
             start: Where it starts, arrays or lists.
             goal: Where it ends, arrays or lists.
-            at_least: How long it must take, s.
             together: Whether all joints arrive at the same time; otherwise each goes as fast as it can.
 
         Returns:
@@ -106,7 +105,6 @@ class Profiles:
         inp = self._input
         inp.current_position, inp.current_velocity, inp.current_acceleration = start
         inp.target_position, inp.target_velocity, inp.target_acceleration = goal
-        inp.minimum_duration = at_least
         inp.synchronization = _TOGETHER if together else _ALONE
         return self._found()
 
@@ -122,7 +120,7 @@ class Profiles:
         inp = self._input
         inp.current_position, inp.current_velocity, inp.current_acceleration = start
         inp.target_velocity = inp.target_acceleration = [0.0] * len(start.q)
-        inp.minimum_duration, inp.synchronization, inp.control_interface = None, _ALONE, ruckig.ControlInterface.Velocity
+        inp.synchronization, inp.control_interface = _ALONE, ruckig.ControlInterface.Velocity
         found = self._found()
         inp.control_interface = ruckig.ControlInterface.Position
         return found
@@ -196,11 +194,6 @@ class Profiles:
     def duration(self) -> float:
         """How long the move takes, s."""
         return self._result.duration
-
-    @property
-    def fastest(self) -> list[float]:
-        """How long each joint would take by itself, s."""
-        return self._result.independent_min_durations
 
     def phases(self) -> tuple[list[tuple[float, ...]], list[tuple[float, ...]]]:
         """The move as phases of constant jerk: for each joint their durations, s, and their jerks, rad/s^3."""

@@ -150,7 +150,8 @@ class _Torques:
         still = np.array([dynamics.inverse(row, zero, zero) for row in q]).reshape(q.shape)
         moving = np.array([dynamics.inverse(*row) for row in zip(q, v, a, strict=True)]).reshape(q.shape) - still
         held = still + np.sign(v) * dynamics.friction_loss
-        return np.maximum(moving / (self._most - held), -moving / (self._most + held)).max(axis=1)
+        up, down = (np.maximum(self._most - side * held, _MARGIN * self._most) for side in (1.0, -1.0))
+        return np.maximum(moving / up, -moving / down).max(axis=1)
 
 
 def _times(trajectory: Trajectory) -> Array:
