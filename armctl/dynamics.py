@@ -48,6 +48,7 @@ class Dynamics:
         self._is_damped = bool(self.damping.any() or self._damping_poly.any())
         self._has_poly_damping = bool(self._damping_poly.any())
         self._has_springs = bool(self._stiffness.any())
+        self._has_static = self._has_springs or self._support is not None
         self.has_friction = bool(self.friction_loss.any())
         self._friction_gain, self._friction_rate = _friction_constants(model, dofs)
         integrator = mujoco.mjtIntegrator(model.opt.integrator)
@@ -55,8 +56,10 @@ class Dynamics:
         self.is_discrete = integrator != mujoco.mjtIntegrator.mjINT_RK4
         self._damps_at_end = self.is_discrete and not (integrator == mujoco.mjtIntegrator.mjINT_EULER and explicit)
         self._turns_at_end = integrator == mujoco.mjtIntegrator.mjINT_IMPLICIT
-        self._is_simply_damped = self._is_damped and not self._has_poly_damping and not self._turns_at_end
         self._changes_late = self._turns_at_end or (self._damps_at_end and self._is_damped)
+        self._curves_late = self._turns_at_end or (self._damps_at_end and self._has_poly_damping)
+        self._stepping = self._model.copy()
+        self._set_step(0.0)
         self._payload_basis = _payload_basis(arm.rigid_body.T_last_tip)
 
     def mass_matrix(self, q: Array) -> Array:
@@ -111,14 +114,14 @@ class Dynamics:
         Returns:
             (n,) N m.
         """
-        tau = pin.rnea(self._model, self._data, q, v, a)
-        if self._is_simply_damped:
-            tau = tau + self.damping * (v + dt * a if self._damps_at_end else v)
-        elif self._is_damped:
-            tau = tau + self._damping_force(v)
-        if dt and self._changes_late and not self._is_simply_damped:
-            tau = tau + self._late(q, v, a, dt)
-        return self._with_static(tau, q)
+        if dt != self._dt:
+            self._set_step(dt)
+        tau = pin.rnea(self._stepping, self._data, q, v, a)
+        if self._is_damped:
+            tau = tau + (self._damping_force(v) if self._has_poly_damping else self.damping * v)
+        if self._curves_late and dt:
+            tau = tau + dt * self._curvature(q, v, a)
+        return self._with_static(tau, q) if self._has_static else tau
 
     def held(self, q: Array, v: Array, a: Array, dt: float) -> Array:
         """The torque that, held for a while, makes an arm in continuous time accelerate: inverse dynamics half-way there.
@@ -186,11 +189,21 @@ class Dynamics:
         if not self.has_friction:
             return np.zeros_like(self.friction_loss)
         if dt and self._changes_late:
+            if dt != self._dt:
+                self._set_step(dt)
+            late = self._late_damping * a
+            if self._curves_late:
+                late = late + dt * self._curvature(q, v, a)
             pin.crba(self._model, self._data, q)
             pin.cholesky.decompose(self._model, self._data)
-            a = a + pin.cholesky.solve(self._model, self._data, self._late(q, v, a, dt))
+            a = a + pin.cholesky.solve(self._model, self._data, late)
         force = self._friction_gain * (a + self._friction_rate * v)
         return np.minimum(np.maximum(force, -self.friction_loss), self.friction_loss)  # faster than clip
+
+    def _set_step(self, dt: float) -> None:
+        """Damping that is taken at the end of a step acts like an armature of dt x damping besides."""
+        self._dt, self._late_damping = dt, dt * self.damping * self._damps_at_end
+        self._stepping.armature = self._model.armature + self._late_damping
 
     def _with_static(self, tau: Array, q: Array) -> Array:
         if self._has_springs:
@@ -205,15 +218,16 @@ class Dynamics:
         quadratic, cubic = self._damping_poly.T
         return v * (self.damping + quadratic * np.abs(v) + cubic * v * v)
 
-    def _late(self, q: Array, v: Array, a: Array, dt: float) -> Array:
-        """What a step changes in the forces that its integrator takes at its end: dt d(force)/dv a."""
+    def _curvature(self, q: Array, v: Array, a: Array) -> Array:
+        """What changes over a step, by its length, in the forces that its integrator takes at its end: d(force)/dv a.
+
+        Constant damping is not among it.
+        """
         quadratic, cubic = self._damping_poly.T
-        change = (
-            (self.damping + 2 * quadratic * np.abs(v) + 3 * cubic * v * v) * a if self._has_poly_damping else self.damping * a
-        )
+        change = (2 * quadratic * np.abs(v) + 3 * cubic * v * v) * a
         if self._turns_at_end:
             change = change + pin.computeRNEADerivatives(self._model, self._data, q, v, np.zeros_like(a))[1] @ a
-        return dt * change
+        return change
 
 
 def _acts(model: mujoco.MjModel, bit: mujoco.mjtDisableBit) -> bool:

@@ -14,83 +14,45 @@ from armctl.pose import quats_from_rotations
 from armctl.trajectory import TickReference
 
 MOST_TICKS = 10_000_000  # 2.8 hours at 1 ms, and 4 GB for seven joints
+_RECORDED, _FOLLOWED = ("q", "v", "tau_cmd", "tau"), ("q_ref", "v_ref", "a_ref")
 
 
 class Recorder:
     """Rows of a run while it lasts. What was recorded stays readable whatever ends the run.
 
     Attributes:
-        size: How many rows there are.
-        q: Row k is q at tick k; so for the others. All have the same capacity, which `reserve` enlarges.
+        n: How many joints.
+        tape: The rows one after the other as bytes, which grows faster than rows of arrays fill: in each, q, v, the torque
+            commanded and the torque done, n float64 each. Only whole rows are added.
     """
 
-    _COLUMNS = ("q", "v", "q_ref", "v_ref", "a_ref", "tau", "tau_cmd")
-
-    def __init__(self, n: int, capacity: int = 1024):
+    def __init__(self, n: int):
         """An empty record.
 
         Args:
             n: How many joints.
-            capacity: How many rows to make room for.
         """
-        self.size = 0
-        self.q, self.v, self.q_ref, self.v_ref, self.a_ref, self.tau, self.tau_cmd = (
-            np.full((capacity, n), np.nan) for _ in self._COLUMNS
-        )
+        self.n, self.tape = n, bytearray()
+        self._followed: list[tuple[int, Array]] = []
 
     @property
-    def capacity(self) -> int:
-        """For how many rows there is room."""
-        return len(self.q)
+    def size(self) -> int:
+        """How many rows there are."""
+        return len(self.tape) // (8 * len(_RECORDED) * self.n)
 
-    def reserve(self, capacity: int) -> None:
-        """Makes room.
-
-        Args:
-            capacity: For how many rows in all; at least doubles the room where it is too small.
-        """
-        if capacity <= self.capacity:
-            return
-        for name in self._COLUMNS:
-            old = getattr(self, name)
-            new = np.full((max(capacity, 2 * len(old)), old.shape[1]), np.nan)
-            new[: len(old)] = old
-            setattr(self, name, new)
-
-    def rows(self, reference: TickReference) -> tuple[list[Array], list[Array], list[Array], list[Array]]:
-        """Makes room for a reference's ticks and notes it.
+    def follow(self, reference: TickReference) -> None:
+        """Notes what the coming rows follow.
 
         Args:
-            reference: What will be followed.
-
-        Returns:
-            The rows to write q, v, the torque commanded and the torque done into, tick by tick; `size` counts what was written.
+            reference: A row for each of them; what is not followed to its end counts as far as there are rows.
         """
-        first, last = self.size, self.size + len(reference.q)
-        self.reserve(last)
-        self.q_ref[first:last], self.v_ref[first:last], self.a_ref[first:last] = reference[:3]
-        q, v, tau_cmd, tau = (list(column[first:last]) for column in (self.q, self.v, self.tau_cmd, self.tau))
-        return q, v, tau_cmd, tau
-
-    def part(self, joints: slice) -> Recorder:
-        """The rows of some of the joints.
-
-        Args:
-            joints: Which.
-
-        Returns:
-            A record that shares its rows with this one.
-        """
-        part = Recorder(joints.stop - joints.start, 0)
-        for name in self._COLUMNS:
-            setattr(part, name, getattr(self, name)[:, joints])
-        part.size = self.size
-        return part
+        self._followed.append((self.size, np.stack(reference[: len(_FOLLOWED)])))
 
     def log(
         self,
         arm: Arm,
         *,
+        joints: slice = slice(None),
         controller: str,
         plant: str,
         dt: float,
@@ -103,6 +65,7 @@ class Recorder:
 
         Args:
             arm: The arm.
+            joints: Which of the joints are this arm's.
             controller: As for Log, like all that follow.
             plant: In words.
             dt: s.
@@ -114,7 +77,7 @@ class Recorder:
         Returns:
             The log; its arrays are copies.
         """
-        columns = {name: getattr(self, name)[: self.size].copy() for name in self._COLUMNS}
+        columns = {name: column[:, joints].copy() for name, column in self._columns().items()}
         (tip, rotation), (tip_ref, rotation_ref) = (arm.rigid_body.tips(columns[name]) for name in ("q", "q_ref"))
         return Log(
             robot=arm.name,
@@ -134,6 +97,14 @@ class Recorder:
             tip_ref_quat=quats_from_rotations(rotation_ref),
             **columns,
         )
+
+    def _columns(self) -> dict[str, Array]:
+        """Each (T, n); valid until the next row is added."""
+        recorded = np.frombuffer(bytes(self.tape)).reshape(-1, len(_RECORDED), self.n).swapaxes(0, 1)
+        ends = [first for first, _ in self._followed[1:]] + [self.size]
+        parts = [rows[:, : end - first] for (first, rows), end in zip(self._followed, ends, strict=True)]
+        followed = np.concatenate([np.zeros((len(_FOLLOWED), 0, self.n)), *parts], axis=1)
+        return dict(zip(_RECORDED + _FOLLOWED, [*recorded, *followed], strict=True))
 
 
 def ticks_for(duration: float, dt: float) -> int:

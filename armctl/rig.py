@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -12,7 +14,7 @@ from armctl.arm import Arm
 from armctl.arrays import Array, IntArray, vector
 from armctl.control import Controller, State, controller_name
 from armctl.disturbances import Disturbances
-from armctl.errors import SimulationError
+from armctl.errors import InputError, SimulationError
 from armctl.log import Log
 from armctl.plant import Plant
 from armctl.pose import Pose
@@ -20,7 +22,7 @@ from armctl.recorder import Recorder
 from armctl.trajectory import Setpoint, TickReference, Trajectory
 
 _BRAKED = ("dof_armature", "dof_frictionloss", "jnt_limited", "tendon_limited", "tendon_frictionloss", "eq_active0")
-_RUNAWAY = 1e4**2  # (rad/s)^2: a sum of squared speeds no arm survives
+_RUNAWAY = 1e4  # rad/s: speeds no arm survives
 
 
 class Rig:
@@ -51,7 +53,9 @@ class Rig:
         self.continuous = bool(self.model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4))
         self.dt = arm.dt if plant.timestep is None else float(plant.timestep)
         self._steps = round(self.dt / self.model.opt.timestep)
-        self._qi, self._vi, self._ci = map(_index, (arm.qpos_adr, arm.dof_adr, arm.ctrl_adr))
+        self._motors = _index(arm.ctrl_adr)
+        addresses = (arm.qpos_adr, arm.dof_adr, arm.dof_adr)
+        self._read = list(map(_reader, (self.data.qpos, self.data.qvel, self.data.qfrc_actuator), addresses))
         self.reset(arm.home, np.zeros(arm.n))
 
     @property
@@ -133,34 +137,36 @@ class Rig:
         if self.end:
             raise SimulationError(f"{self.end}; reset() starts afresh")
         model, data, dt, continuous, steps = self.model, self.data, self.dt, self.continuous, self._steps
-        qpos, qvel, ctrl, applied, gear = data.qpos, data.qvel, data.ctrl, data.qfrc_actuator, self.arm.gear
-        qi, vi, ci = self._qi, self._vi, self._ci
-        direct, new = bool((gear == 1.0).all()), tuple.__new__  # a NamedTuple's own constructor takes twice as long
-        torque, step, disturbances = controller.torque, mujoco.mj_step, self._disturbances
-        for reference_row, q, v, command, done in zip(
-            zip(*map(list, reference), strict=True), *recorder.rows(reference), strict=True
-        ):
-            setpoint = new(Setpoint, reference_row)
-            q[:], v[:] = qpos[qi], qvel[vi]
-            if not v.dot(v) < _RUNAWAY:
+        (read_q, read_v, read_tau), ctrl, motors, gear = self._read, data.ctrl, self._motors, self.arm.gear
+        torque, step, disturbances, tape = controller.torque, mujoco.mj_step, self._disturbances, recorder.tape
+        direct = disturbances is None and isinstance(motors, slice) and bool((gear == 1.0).all())
+        command = ctrl[motors] if direct else np.empty(self.arm.n)
+        length = math.hypot  # of a short list, faster than numpy's dot
+        new = tuple.__new__  # a NamedTuple's own constructor takes twice as long
+        recorder.follow(reference)
+        for wanted in zip(*reference, strict=True):
+            q, v = read_q(), read_v()
+            if not length(*v.tolist()) < _RUNAWAY:
                 self.end = self._runaway(v)
                 break
+            row = q.tobytes() + v.tobytes()
             q_seen, v_seen = (q, v) if disturbances is None else disturbances.measured(q, v)
             try:
-                command[:] = tau = torque(new(State, (q_seen, v_seen, data.time, dt, continuous)), setpoint)
-                total = tau.dot(tau)
+                tau = torque(new(State, (q_seen, v_seen, data.time, dt, continuous)), new(Setpoint, wanted))
+                if len(tau) != len(command):
+                    raise InputError(f"torque: {len(tau)} numbers given, {len(command)} wanted")
+                command[:] = tau
             except Exception as error:
                 raise self._failed(controller, error, recorder) from error
-            if not total < math.inf:
+            if not length(*command.tolist()) < math.inf:
                 self.end = f"the controller gave no finite torque at {data.time:.3f} s"
                 break
-            driven = command if disturbances is None else disturbances.driven(command, q)
-            ctrl[ci] = driven if direct else driven / gear
+            if not direct:
+                ctrl[motors] = (command if disturbances is None else disturbances.driven(command, q)) / gear
             step(model, data, steps)
-            done[:] = applied[vi]
-            recorder.size += 1
+            tape += row + command.tobytes() + read_tau().tobytes()
         last = reference.q[-1]
-        self.q_ref = last if np.isfinite(last).all() else np.array(qpos[qi])
+        self.q_ref = last if np.isfinite(last).all() else read_q()
 
     def hold(self, controller: Controller, seconds: float) -> None:
         """Holds the arm where it was last told to be, unrecorded.
@@ -173,7 +179,7 @@ class Rig:
             SimulationError: As for `follow`.
         """
         still = np.zeros((max(1, round(seconds / self.dt)), self.arm.n))
-        self.follow(controller, TickReference(self.q_ref + still, *[still] * 4), Recorder(self.arm.n, len(still)))
+        self.follow(controller, TickReference(self.q_ref + still, *[still] * 4), Recorder(self.arm.n))
 
     def log(self, controller: Controller, recorder: Recorder, motion_duration: float, goal: Array, wall: float) -> Log:
         """What was recorded, as a Log.
@@ -243,3 +249,9 @@ def _index(addresses: IntArray) -> slice | IntArray:
     first = int(addresses[0])
     consecutive = np.array_equal(addresses, np.arange(first, first + len(addresses)))
     return slice(first, first + len(addresses)) if consecutive else addresses
+
+
+def _reader(values: Array, addresses: IntArray) -> Callable[[], Array]:
+    """A function that copies some of MuJoCo's numbers as they are when it is called."""
+    index = _index(addresses)
+    return values[index].copy if isinstance(index, slice) else partial(values.take, index)

@@ -198,8 +198,9 @@ class Team:
         self, recorder: Recorder, trajectories: Mapping[str, Trajectory], goals: Mapping[str, Goal], wall: float
     ) -> dict[str, Log]:
         return {
-            tip: recorder.part(self._slices[tip]).log(
+            tip: recorder.log(
                 arm,
+                joints=self._slices[tip],
                 controller=controller_name(self.controllers[tip]),
                 plant=str(self._rig.plant),
                 dt=self._rig.dt,

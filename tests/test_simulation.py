@@ -159,7 +159,7 @@ def test_a_torque_that_is_no_number_ends_the_run(bundled: Arm, value):
     assert np.isfinite(log.q).all()
 
 
-@pytest.mark.parametrize("value", [np.zeros(2), "torque", None])
+@pytest.mark.parametrize("value", [np.zeros(2), np.zeros(1), np.zeros((3, 2)), 0.0, "torque", None])
 def test_a_torque_of_the_wrong_shape_is_an_error_with_a_log(bundled: Arm, value):
     class Wrong:
         def torque(self, state, setpoint):
@@ -167,6 +167,20 @@ def test_a_torque_of_the_wrong_shape_is_an_error_with_a_log(bundled: Arm, value)
 
     with pytest.raises(SimulationError, match="Wrong failed at"):
         armctl.simulate(bundled, Wrong(), armctl.move_j(bundled, bundled.home, [0.5, 0.5, -1.0]))
+
+
+def test_a_log_holds_the_truth_whatever_a_controller_does_to_what_it_is_given(bundled: Arm):
+    class Careless(ComputedTorque):
+        def torque(self, state, setpoint):
+            tau = super().torque(state, setpoint)
+            for array in (state.q, state.v, setpoint.q, setpoint.v, setpoint.a):
+                array[:] = 99.0
+            return tau
+
+    motion = armctl.move_j(bundled, bundled.home, [0.5, 0.5, -1.0])
+    careful, careless = (armctl.simulate(bundled, law(bundled), motion) for law in (ComputedTorque, Careless))
+    for name in ("q", "v", "q_ref", "v_ref", "a_ref", "tau", "tau_cmd"):
+        assert np.array_equal(getattr(careful, name), getattr(careless, name))
 
 
 def test_torque_is_clipped_at_the_limits_and_the_log_shows_both(bundled: Arm):

@@ -65,7 +65,7 @@ class Session:
         self._rig = Rig(arm, Plant(payload=payload))
         self._ticks = max(1, round(INTERVAL / self._rig.dt))
         self.history, self.pace = History(arm.n, self._ticks * self._rig.dt), Pace()
-        self._guide, self._recorder = Guide(arm, self._rig.dt), Recorder(arm.n)
+        self._guide = Guide(arm, self._rig.dt)
         self._ik = DifferentialIk(arm)
         self._orders: dict[str, Callable[[], None]] = {}
         self._lock, self._stopping, self._thread = threading.Lock(), threading.Event(), None
@@ -221,10 +221,9 @@ class Session:
             return False
         if not self._decided:
             self._follow()
-        self._recorder.size = 0
         reference = self._guide.toward(self._goal, self._ticks)
         try:
-            self._rig.follow(self._law, reference, self._recorder)
+            self._rig.follow(self._law, reference, Recorder(self.arm.n))
         except SimulationError:
             return False
         self._look(self._guide.q)
