@@ -14,7 +14,7 @@ from armctl.arm import Arm
 from armctl.arrays import Array, IntArray, vector
 from armctl.control import Controller, State, controller_name
 from armctl.disturbances import Disturbances
-from armctl.errors import InputError, SimulationError
+from armctl.errors import SimulationError
 from armctl.log import Log
 from armctl.plant import Plant
 from armctl.pose import Pose
@@ -153,9 +153,7 @@ class Rig:
             q_seen, v_seen = (q, v) if disturbances is None else disturbances.measured(q, v)
             try:
                 tau = torque(new(State, (q_seen, v_seen, data.time, dt, continuous)), new(Setpoint, wanted))
-                if len(tau) != len(command):
-                    raise InputError(f"torque: {len(tau)} numbers given, {len(command)} wanted")
-                command[:] = tau
+                command[:] = tau if len(tau) == len(command) else vector("torque", tau, len(command))
             except Exception as error:
                 raise self._failed(controller, error, recorder) from error
             if not length(*command.tolist()) < math.inf:
