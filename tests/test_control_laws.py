@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from arms import arm_of
+from motions import Still
 
 import armctl
 from armctl.comparison import out_and_back
@@ -11,20 +12,6 @@ from armctl.dynamics import Dynamics
 from armctl.trajectory import Setpoint
 
 ROBOTS = ("robot_arm_3dof", "panda", "ur5e", "iiwa14")
-
-
-class Still:
-    """Stands where it is."""
-
-    def __init__(self, q, duration):
-        self.q, self.duration = q, duration
-
-    def __call__(self, t):
-        return Setpoint(self.q, 0 * self.q, 0 * self.q)
-
-    def sample(self, times):
-        q = np.tile(self.q, (len(times), 1))
-        return Setpoint(q, 0 * q, 0 * q)
 
 
 def greatest_error(arm, name, dt, **plant):

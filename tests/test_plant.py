@@ -6,24 +6,10 @@ import mujoco
 import numpy as np
 import pytest
 from arms import arm_of
+from motions import Still
 
 import armctl
 from armctl.dynamics import Dynamics
-from armctl.trajectory import Setpoint
-
-
-class Still:
-    """Stands where it is."""
-
-    def __init__(self, q, duration=0.2):
-        self.q, self.duration = q, duration
-
-    def __call__(self, t):
-        return Setpoint(self.q, 0 * self.q, 0 * self.q)
-
-    def sample(self, times):
-        q = np.tile(self.q, (len(times), 1))
-        return Setpoint(q, 0 * q, 0 * q)
 
 
 class Holding:

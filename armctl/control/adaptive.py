@@ -15,6 +15,7 @@ from armctl.trajectory import Setpoint
 _LITTLE = 0.1  # of what a mass shows: what shows less is learnt more slowly
 _ARM = 0.1  # m, of a payload's centre
 _UNSEEN = 1e-12  # m^2/s^4, of what gravity shows of a payload: round-off
+_PER_TICK = 0.25  # of what a tick bears: leaves room for a delay of two ticks
 
 
 class Adaptive:
@@ -75,8 +76,17 @@ class Adaptive:
             self.payload = np.zeros(4)
         tau = model.torque(self._dynamics, state, a, v_ref, a_ref) + self._dynamics.coriolis(q, v, s) + Y @ self.payload
         if (np.abs(tau) < self._tau_max).all():  # a motor at its limit hides what is being learnt
-            self.payload = self.payload + state.dt * (self._gain @ (Y.T @ s))
+            self.payload = self.payload + state.dt * self._slowdown(q, Y, state.dt) * (self._gain @ (Y.T @ s))
         return tau
+
+    def _slowdown(self, q: Array, Y: Array, dt: float) -> float:
+        """At most 1: less where a fast motion shows so much of a payload that it would be learnt faster than ticks bear.
+
+        Estimate and s are a mass on a spring Y gain Y^T with a damper of the bandwidth; a tick bears spring x dt < bandwidth.
+        """
+        spring = np.trace(self._gain @ Y.T @ np.linalg.solve(self._dynamics.mass_matrix(q), Y))
+        most = _PER_TICK * self.bandwidth
+        return most / max(most, float(spring) * dt, np.finfo(float).tiny)
 
     def _regressor(self, q: Array, v: Array, v_r: Array, a_r: Array) -> Array:
         """(n, 4) Y of M a_r + C(q, v) v_r + g of the payload, C by Christoffel's symbols (polarisation, as in `Dynamics`)."""
