@@ -38,9 +38,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     warnings.showwarning = _show_warning
     try:
         return args.run(args)
-    except ArmctlError as error:
-        print(f"armctl: {error}", file=sys.stderr)
-        return WRONG_CALL
     except BrokenPipeError:
         sys.stderr.close()
         return OK
@@ -167,6 +164,8 @@ def _compare(args: argparse.Namespace) -> int:
         if name not in CONTROLLERS:
             raise UnknownNameError.of("controller", name, CONTROLLERS)
     plants = [plant_by_name(name, arm, timestep) for name in _names(args.plants)]
+    for folder in filter(None, (args.report, args.save)):
+        folder.mkdir(parents=True, exist_ok=True)
     workers = min(
         (os.cpu_count() or 1) if args.workers is None else args.workers, len(plants) * len(controllers) // _RUNS_A_WORKER + 1
     )

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _POINTS = 500  # of a line: more are not seen
+_ROUNDING = 1e-15  # rad: less is shown as this
 _CSS = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 72rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
 table { border-collapse: collapse; font-size: 13px; }
@@ -99,8 +100,8 @@ def _draw(figure: Figure, logs: Sequence[Log]) -> None:
     plane = np.sort(np.argsort(np.ptp(logs[-1].tip_ref, axis=0))[1:])
     for i, log in enumerate(logs):
         every, color = slice(None, None, max(1, len(log) // _POINTS)), COLORS[i % len(COLORS)]
-        worst = np.abs(log.q_ref - log.q).max(axis=1)
-        error.semilogy(log.t[every], np.where(worst > 0.0, worst, np.nan)[every], color=color, label=log.controller)
+        worst = np.maximum(np.abs(log.q_ref - log.q).max(axis=1), _ROUNDING)
+        error.semilogy(log.t[every], worst[every], color=color, label=log.controller)
         torque.plot(log.t[every], log.tau[every, joint], color=color)
         tip.plot(*log.tip[every][:, plane].T, color=color)
     tip.plot(*logs[-1].tip_ref[:, plane].T, color="black", linestyle="--", linewidth=0.8)

@@ -104,6 +104,9 @@ WRONG_CALLS = {
     "no such file": (["reach", "nothing.xml"], "nothing.xml: no such file"),
     "negative time": (["simulate", BUNDLED, "--ctrl", "1", "1", "1", "--seconds", "-1"], "seconds: -1 given"),
     "control out of range": (["simulate", BUNDLED, "--ctrl", "1", "1", "9"], "ctrl: elbow: 9 is outside [-5, 5]"),
+    "no controllers": (["compare", BUNDLED, "--controllers", ""], "a list of at least one of each wanted"),
+    "no plants": (["compare", BUNDLED, "--plants", ","], "a list of at least one of each wanted"),
+    "no folder": (["compare", BUNDLED, "--report", "/dev/null/x"], "/dev/null/x: Not a directory"),
     "unknown tip": (["reach", BUNDLED, "--tip", "end_efector"], "did you mean 'end_effector'?"),
 }
 
