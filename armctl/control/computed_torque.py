@@ -96,9 +96,7 @@ class ComputedTorque:
             if state.dt != self._raise_for:
                 self._raise, self._raise_for = self._raised(state.dt), state.dt
             tau = tau + self._raise * correction
-        friction = None
-        if self._dynamics.has_friction:
-            friction = self._dynamics.friction(state.q, v_ref, a_ref, state.dt)
+        friction = model.friction(self._dynamics, instant, v_ref, a_ref) if self._dynamics.has_friction else None
         if self._observer is not None:
             tau = self._observer.corrected(tau, state, friction)
         return tau if friction is None else tau + friction

@@ -37,7 +37,7 @@ def inverse(dynamics: Dynamics, state: State, a: Array) -> Array:
 
 
 def torque(dynamics: Dynamics, state: State, a: Array, v_ref: Array, a_ref: Array) -> Array:
-    """As `inverse`, and dry friction as the reference meets it, so that measurement noise does not make it chatter.
+    """As `inverse`, and dry friction.
 
     Args:
         dynamics: Of the arm.
@@ -50,4 +50,20 @@ def torque(dynamics: Dynamics, state: State, a: Array, v_ref: Array, a_ref: Arra
         (n,) N m.
     """
     tau = inverse(dynamics, state, a)
-    return tau + dynamics.friction(state.q, v_ref, a_ref, state.dt) if dynamics.has_friction else tau
+    return tau + friction(dynamics, state, v_ref, a_ref) if dynamics.has_friction else tau
+
+
+def friction(dynamics: Dynamics, state: State, v_ref: Array, a_ref: Array) -> Array:
+    """The torque against dry friction as the reference meets it, so that measurement noise does not make it chatter.
+
+    Args:
+        dynamics: Of the arm.
+        state: The measured state at the period's beginning.
+        v_ref: (n,) rad/s.
+        a_ref: (n,) rad/s^2.
+
+    Returns:
+        (n,) N m.
+    """
+    q, _, _, dt, continuous = state
+    return dynamics.friction(q, v_ref + 0.5 * dt * a_ref, a_ref) if continuous else dynamics.friction(q, v_ref, a_ref, dt)
