@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from armctl.arm import Arm
@@ -28,29 +30,9 @@ class PDGravity(PD):
 
     name = "pd-gravity"
 
-    def __init__(
-        self,
-        arm: Arm,
-        *,
-        bandwidth: float = DEFAULT_BANDWIDTH,
-        damping_ratio: float = 1.0,
-        stiffness: Array | None = None,
-        damping: Array | None = None,
-    ):
-        """A PD controller with gravity compensation for an arm.
-
-        Args:
-            arm: The arm whose model tells its weight.
-            bandwidth: rad/s, the natural frequency of each joint's closed loop.
-            damping_ratio: 1 is critically damped.
-            stiffness: (n,) N m/rad, instead of the bandwidth.
-            damping: (n,) N m s/rad, instead of the damping ratio.
-
-        Raises:
-            InputError: A gain is negative, not finite or of the wrong length.
-        """
-        super().__init__(arm, bandwidth=bandwidth, damping_ratio=damping_ratio, stiffness=stiffness, damping=damping)
-        self._dynamics = Dynamics(arm)
+    @cached_property
+    def _dynamics(self) -> Dynamics:
+        return Dynamics(self._arm)
 
     def torque(self, state: State, setpoint: Setpoint) -> Array:
         """The torque for the coming control period.

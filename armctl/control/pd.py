@@ -42,6 +42,7 @@ class PD:
         Raises:
             InputError: A gain is negative, not finite or of the wrong length.
         """
+        self._arm = arm
         self.stiffness, self.damping = pd_gains(arm, bandwidth, damping_ratio, stiffness, damping)
 
     def torque(self, state: State, setpoint: Setpoint) -> Array:
