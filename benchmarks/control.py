@@ -93,7 +93,6 @@ def observed(arms: dict[str, armctl.Arm]) -> str:
             wanted = WANTED.get((plant, robot), WANTED.get((plant, ""), ""))
             if words in ("nominal", "continuous"):
                 wanted = "max 1e-9" if words == "nominal" else "max 5e-7"
-                wanted += " (has dry friction)" if armctl.Plant().model(arm).dof_frictionloss[arm.dof_adr].any() else ""
             figures = f"{report.joint_rms_rad:.1e}", f"{report.joint_max_rad:.1e}", wanted, f"{report.chatter_nm:.1g}"
             rows.append([robot, plant, name, *figures])
     columns = ["robot", "plant", "controller", "joint RMS, rad", "joint max, rad", "wanted (RMS unless said)", "chatter, N m"]
