@@ -38,6 +38,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     warnings.showwarning = _show_warning
     try:
         return args.run(args)
+    except ArmctlError as error:
+        print(f"armctl: {error}", file=sys.stderr)
+        return WRONG_CALL
     except BrokenPipeError:
         sys.stderr.close()
         return OK
