@@ -129,7 +129,7 @@ def chain_to(model: mujoco.MjModel, body: int, base: int = 0) -> Chain:
     """
     name = body_name(model, body)
     if not is_below(model, body, base):
-        raise ModelError(f"{name!r} does not hang on {body_name(model, base)!r}; choose a base further down")
+        raise ModelError(f"{name!r} does not hang on {body_name(model, base)!r}; choose a base on the way to it")
     actuated, joints = joint_actuators(model), joints_above(model, body, base)
     if joints and _is_free(model, joints[0]):
         raise ModelError(_free_base(model, joints[0]))
@@ -170,14 +170,19 @@ def check_apart(model: mujoco.MjModel, chains: Sequence[Chain]) -> None:
         chains: The chains.
 
     Raises:
-        ModelError: Two share a joint, or one stands on another.
+        ModelError: One is part of another, two share a joint, or one stands on another.
     """
     for one, other in permutations(chains, 2):
         tips = [repr(find_tip(model, joints)[0]) for joints in (one, other)]
-        if shared := sorted(set(one) & set(other)):
-            name = joint_name(model, shared[0])
+        shared = sorted(set(one) & set(other))
+        if len(shared) == min(len(one), len(other)):
+            raise ModelError(f"one of the chains to {tips[0]} and {tips[1]} is part of the other; give each chain once")
+        if shared:
+            names = ", ".join(repr(joint_name(model, joint)) for joint in shared)
+            base = body_name(model, int(model.jnt_bodyid[shared[-1]]))
             raise ModelError(
-                f"the chains to {tips[0]} and {tips[1]} share joint {name!r}; base= can be a body behind it, which holds it"
+                f"the chains to {tips[0]} and {tips[1]} share joint{'s' * (len(shared) > 1)} {names}, which only one of them "
+                f"could move; base={base!r} holds what they share"
             )
         if is_below(model, int(model.jnt_bodyid[other[0]]), int(model.jnt_bodyid[one[0]])):
             raise ModelError(f"the chain to {tips[1]} stands on the one to {tips[0]}, which would shake it; move one at a time")

@@ -24,6 +24,13 @@ OK, NOT_REACHED, WRONG_CALL = 0, 1, 2
 _RUNS_A_WORKER = 6  # a process takes as long to start as a few runs
 _PLANTS_HELP = "nominal, payload=1, mass=1.2, friction, delay=2, noise, ripple, continuous, all, or several joined with +"
 
+_CHAIN_OPTIONS = {
+    "--tip": "site, body or geom at the end of the chain",
+    "--base": "body that the chain stands on; joints above it are held",
+    "--tool": "gripper, hand or MJCF file to mount at the tip",
+    "--scene": "MJCF file of what stands and lies around",
+}
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command.
@@ -62,9 +69,8 @@ def _parser() -> argparse.ArgumentParser:
         if robot:
             sub.add_argument("robot", help="bundled name, alias, Menagerie name, or path of an .xml or .urdf file")
         if chain:
-            sub.add_argument("--tip", help="site, body or geom at the end of the chain")
-            sub.add_argument("--base", help="body that the chain stands on; joints above it are held")
-            sub.add_argument("--tool", help="gripper, hand or MJCF file to mount at the tip")
+            for option, meaning in _CHAIN_OPTIONS.items():
+                sub.add_argument(option, help=meaning)
             sub.add_argument("--hold-base", action="store_true", help="hold a robot that floats or walks where its keyframe is")
         return sub
 
@@ -251,7 +257,7 @@ def _view(args: argparse.Namespace) -> int:
 def _load(args: argparse.Namespace) -> Arm:
     from armctl.robots import load
 
-    return load(args.robot, tip=args.tip, base=args.base, tool=args.tool, hold_base=args.hold_base)
+    return load(args.robot, tip=args.tip, base=args.base, tool=args.tool, scene=args.scene, hold_base=args.hold_base)
 
 
 def _target(words: list[str]):

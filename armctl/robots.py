@@ -36,7 +36,7 @@ def load(
     base: str | None = None,
     hold_base: bool = False,
     tool: str | os.PathLike[str] | None = None,
-    scene: Scene | None = None,
+    scene: Scene | str | os.PathLike[str] | None = None,
 ) -> Arm:
     """An arm by name: any serial chain of any robot, its actuators turned into torque motors.
 
@@ -50,7 +50,7 @@ def load(
         base: The body the chain stands on: joints above it are held. Left out, the chain starts at the world.
         hold_base: Whether to hold a robot that floats or walks, such as a quadruped, where its keyframe puts it.
         tool: What to mount at the tip: a gripper or a hand by name, or any MJCF file. The tip is then the tool's.
-        scene: What stands and lies around.
+        scene: What stands and lies around: a Scene, or the path of an MJCF file that holds one.
 
     Returns:
         The arm.
@@ -65,32 +65,30 @@ def load(
     """
     if tip_offset is not None and not isinstance(tip_offset, Pose):
         raise InputError(f"tip_offset: {tip_offset!r} is not a Pose; armctl.Pose([0, 0, 0.1]) is 0.1 m along z")
-    _check_scene(scene)
     source = locate(name)
     spec, notes = _read(source, hold_base)
     if tool is not None:
         model = source.compile(spec)
         _, _, body, T_body_flange = _found(source, model, tip, base)
-        tip = mount(spec, next(b for b in spec.bodies if b.id == body), T_body_flange, locate(tool, scene=False))
-    if scene is not None:
-        scene.build(spec)
-    return _assemble(source, spec, notes, [tip], tip_offset, base)[0]
+        tip = mount(spec, next(b for b in spec.bodies if b.id == body), T_body_flange, locate(tool, tool=True))
+    _set_scene(spec, scene)
+    return _assemble(source, spec, notes, [(tip, base)], tip_offset)[0]
 
 
 def load_arms(
     name: str | os.PathLike[str],
     tips: Sequence[str],
     *,
-    base: str | None = None,
+    base: str | Sequence[str | None] | None = None,
     hold_base: bool = False,
-    scene: Scene | None = None,
+    scene: Scene | str | os.PathLike[str] | None = None,
 ) -> tuple[Arm, ...]:
     """Several chains of one robot, to be moved at once: two arms, four legs, five fingers.
 
     Args:
         name: As for `load`.
         tips: The site, body or geom at the end of each chain.
-        base: The body they all stand on: joints above it are held. Left out, they start at the world.
+        base: The body they all stand on, or one for each: joints above it are held. Left out (None), they start at the world.
         hold_base: As for `load`.
         scene: As for `load`.
 
@@ -98,7 +96,7 @@ def load_arms(
         An arm for each tip; all share one model, in which all of them have torque motors.
 
     Raises:
-        InputError: As for `load`.
+        InputError: As for `load`; or the bases are not as many as the tips.
         UnknownNameError: As for `load`.
         ModelError: As for `load`; or two chains share a joint, or one stands on another, which it would shake.
 
@@ -107,12 +105,13 @@ def load_arms(
     """
     if isinstance(tips, str) or not tips:
         raise InputError(f"tips: {tips!r} given, a list of names wanted, such as ['left/gripper', 'right/gripper']")
-    _check_scene(scene)
+    bases = [base] * len(tips) if base is None or isinstance(base, str) else list(base)
+    if len(bases) != len(tips):
+        raise InputError(f"base: {len(bases)} given for {len(tips)} tips; give one for each, or one for all")
     source = locate(name)
     spec, notes = _read(source, hold_base)
-    if scene is not None:
-        scene.build(spec)
-    return _assemble(source, spec, notes, list(tips), None, base)
+    _set_scene(spec, scene)
+    return _assemble(source, spec, notes, list(zip(tips, bases, strict=True)), None)
 
 
 def chains(name: str | os.PathLike[str]) -> list[SerialChain]:
@@ -148,11 +147,9 @@ class _Part:
     notes: list[str]
 
 
-def _check_scene(scene: object) -> None:
-    if scene is not None and not isinstance(scene, Scene):
-        raise InputError(
-            f"scene: {scene!r} is not a Scene; armctl.Scene().add_box('box', [0.1, 0.1, 0.1], [0.5, 0, 0.05]) is one"
-        )
+def _set_scene(spec: mujoco.MjSpec, scene: Scene | str | os.PathLike[str] | None) -> None:
+    if scene is not None:
+        (scene if isinstance(scene, Scene) else Scene(scene)).build(spec)
 
 
 def _read(source: Source, hold_base: bool) -> tuple[mujoco.MjSpec, list[str]]:
@@ -163,11 +160,15 @@ def _read(source: Source, hold_base: bool) -> tuple[mujoco.MjSpec, list[str]]:
 
 
 def _assemble(
-    source: Source, spec: mujoco.MjSpec, notes: list[str], tips: list[str | None], tip_offset: Pose | None, base: str | None
+    source: Source,
+    spec: mujoco.MjSpec,
+    notes: list[str],
+    ends: Sequence[tuple[str | None, str | None]],
+    tip_offset: Pose | None,
 ) -> tuple[Arm, ...]:
-    """The arms to some tips, in one model."""
+    """The arms to some tips from some bases, in one model."""
     original = source.compile(spec)
-    found = [_found(source, original, tip, base) for tip in tips]
+    found = [_found(source, original, tip, base) for tip, base in ends]
     try:
         check_apart(original, [joints for joints, *_ in found])
         parts = [_with_motors(source, spec, original, *chain, tip_offset) for chain in found]

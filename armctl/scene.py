@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 
 import mujoco
@@ -11,6 +12,7 @@ from numpy.typing import ArrayLike
 from armctl.arrays import Array, number, vector
 from armctl.errors import InputError
 from armctl.pose import Pose
+from armctl.scene_file import SceneFile
 
 _LOOSE, _FIXED = (0.85, 0.45, 0.2, 1.0), (0.6, 0.6, 0.65, 1.0)  # rgba
 _TIMESTEP = 1e-3  # s, at most, where something is loose
@@ -44,12 +46,21 @@ class Scene:
     Without a mass a thing is fixed, such as a table; with one it is loose. Each `add_...` returns the scene itself.
 
     Attributes:
-        items: What is in it, in order.
+        items: What was added to it, in order.
     """
 
-    def __init__(self) -> None:
-        """An empty scene."""
+    def __init__(self, file: str | os.PathLike[str] | None = None):
+        """A scene.
+
+        Args:
+            file: The MJCF file it begins with, whose bodies with a free joint are loose; an empty scene if left out.
+
+        Raises:
+            InputError: The file is no path of an .xml file.
+            ModelError: MuJoCo cannot read it, or it holds a robot.
+        """
         self.items: list[Item] = []
+        self._file = None if file is None else SceneFile(file)
 
     def add_box(self, name: str, size: ArrayLike, at: Pose | ArrayLike, mass: float | None = None) -> Scene:
         """Adds a box.
@@ -113,7 +124,12 @@ class Scene:
         Raises:
             InputError: The model has a body of the same name already.
         """
-        if any(item.mass is not None for item in self.items):
+        names = [*(self._file.bodies if self._file else ()), *(item.name for item in self.items)]
+        taken = {body.name for body in spec.bodies}
+        for name in names:
+            if name in taken or names.count(name) > 1:
+                raise InputError(f"scene: the model has a body {name!r} already; choose another name")
+        if any(item.mass is not None for item in self.items) or (self._file and self._file.is_loose):
             spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
             spec.option.impratio = max(spec.option.impratio, _FRICTION_RATIO)
             spec.option.timestep = min(spec.option.timestep, _TIMESTEP)
@@ -121,10 +137,9 @@ class Scene:
         # bend, which MuJoCo's friction lets it by its centripetal acceleration x time constant / 2. Condim 4: what two fingers
         # hold does not spin between them. Priority: so it is whatever holds it.
         gripped = {"solref": (2 * spec.option.timestep, 1.0), "solimp": _HARD, "condim": 4, "priority": 1}
-        taken = {body.name for body in spec.bodies}
+        if self._file:
+            self._file.build(spec, gripped)
         for item in self.items:
-            if item.name in taken:
-                raise InputError(f"scene: the model has a body {item.name!r} already; choose another name")
             body = spec.worldbody.add_body(name=item.name, pos=item.pose.position, quat=item.pose.quat)
             if item.mass is None:
                 body.add_geom(name=item.name, type=item.shape, size=item.size, rgba=_FIXED)

@@ -75,25 +75,26 @@ class Source:
         return model
 
 
-def locate(name: str | os.PathLike[str], *, scene: bool = True) -> Source:
+def locate(name: str | os.PathLike[str], *, tool: bool = False) -> Source:
     """Where the description of a robot is; downloads a Menagerie robot on first use.
 
     Args:
         name: As for `armctl.load`.
-        scene: Whether a Menagerie robot that was named without an entry point comes in its scene, or bare.
+        tool: Whether it is one to be mounted on an arm: it then comes bare, not in the scene that Menagerie has it in.
 
     Returns:
         The place.
 
     Raises:
         InputError: It is neither a name nor a path.
-        UnknownNameError: No robot has that name.
+        UnknownNameError: No robot, or no tool, has that name.
         ModelError: There is no such file, or the robot could not be downloaded.
     """
     import mujoco_menagerie as menagerie
 
     if not isinstance(name, (str, os.PathLike)) or not os.fspath(name):
-        raise InputError(f"robot: {name!r} is neither a name nor a path; try armctl.load('panda')")
+        example = "tool='robotiq_2f85'" if tool else "armctl.load('panda')"
+        raise InputError(f"{'tool' if tool else 'robot'}: {name!r} is neither a name nor a path; try {example}")
     given = os.fspath(name)
     if given.lower().endswith((".xml", ".mjcf", ".urdf")) or isinstance(name, os.PathLike):
         path = Path(given)
@@ -109,13 +110,15 @@ def locate(name: str | os.PathLike[str], *, scene: bool = True) -> Source:
             raise ModelError(
                 f"{given}: {'a folder' if Path(given).is_dir() else 'its name does not end in .xml or .urdf'}, no model"
             )
-        raise UnknownNameError.of("robot" if scene else "tool", given, [BUNDLED, *ALIASES, *menagerie.names()])
+        if tool:
+            raise UnknownNameError.of("tool", given, [r.name for r in menagerie.robots("end_effector")])
+        raise UnknownNameError.of("robot", given, [BUNDLED, *ALIASES, *menagerie.names()])
     row = menagerie.get(robot)
     if entry and entry not in row.entry_names:
         raise UnknownNameError.of(f"entry point of {robot}", entry, row.entry_names)
     try:
         _check_network(row)
-        path = row.xml(entry or (row.default_scene if scene else row.default_model))
+        path = row.xml(entry or (row.default_model if tool else row.default_scene))
     except (menagerie.MenagerieError, OSError) as error:
         raise ModelError(
             f"{given}: its model is not at hand ({_one_line(error)}); with a network run `mujoco-menagerie prefetch {robot}`, "

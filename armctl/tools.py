@@ -31,7 +31,10 @@ def mount(spec: mujoco.MjSpec, flange: mujoco.MjsBody, T_body_flange: Pose, tool
     for joint in list(child.joints):
         if joint.type == mujoco.mjtJoint.mjJNT_FREE:
             child.delete(joint)
-    _share_options(spec, child)
+    # The better friction of the two: a gripper that holds by it says how it needs it.
+    spec.option.cone = max(spec.option.cone, child.option.cone)
+    spec.option.impratio = max(spec.option.impratio, child.option.impratio)
+    take_options(child, spec)
     prefix = f"{tool.name.replace('/', '_')}/"
     site = flange.add_site(name=_FLANGE, pos=T_body_flange.position, quat=T_body_flange.quat)
     spec.attach(child, site=site, prefix=prefix)
@@ -39,9 +42,12 @@ def mount(spec: mujoco.MjSpec, flange: mujoco.MjsBody, T_body_flange: Pose, tool
     return prefix + tip_on(model, root)[0]
 
 
-def _share_options(spec: mujoco.MjSpec, child: mujoco.MjSpec) -> None:
-    """The robot's options for both, but the better friction of the two: a gripper that holds by it says how it needs it."""
-    ours, theirs = spec.option, child.option
-    ours.cone, ours.impratio = max(ours.cone, theirs.cone), max(ours.impratio, theirs.impratio)
-    for name in ("cone", "impratio", "timestep", "integrator", "solver", "iterations", "noslip_iterations", "tolerance"):
-        setattr(theirs, name, getattr(ours, name))
+def take_options(child: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
+    """Gives a specification the options of the one that it will be attached to, which hold for both, in place.
+
+    Args:
+        child: The one to be attached.
+        spec: The other.
+    """
+    for name in (name for name in dir(spec.option) if not name.startswith("_")):
+        setattr(child.option, name, getattr(spec.option, name))

@@ -196,7 +196,7 @@ def test_a_base_holds_what_is_above_it(load):
 
 
 def test_a_base_must_be_a_body_above_the_tip(load):
-    with pytest.raises(armctl.ModelError, match="'B' does not hang on 'C'; choose a base further down"):
+    with pytest.raises(armctl.ModelError, match="'B' does not hang on 'C'; choose a base on the way to it"):
         load(limb("a b c"), motors("a b c"), base="C", tip="B")
     with pytest.raises(armctl.UnknownNameError, match="unknown body 'BB'; known: world, A, B, BC"):
         load(limb("a b bc"), motors("a b bc"), base="BB")

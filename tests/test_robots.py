@@ -53,6 +53,19 @@ def test_a_wrong_name_says_what_next(name: str):
     assert sentence in str(caught.value)
 
 
+WRONG_TOOLS = {
+    "nothing": "unknown tool 'nothing'; known: leap_hand, robotiq_2f85,",
+    "robotiq": "unknown tool 'robotiq'; did you mean 'robotiq_2f85'?",
+}
+
+
+@pytest.mark.parametrize("tool", WRONG_TOOLS)
+def test_a_wrong_tool_is_not_called_a_robot(bundled: armctl.Arm, tool: str):
+    with pytest.raises(armctl.UnknownNameError) as caught:
+        armctl.load(bundled.name, tool=tool)
+    assert str(caught.value).startswith(WRONG_TOOLS[tool])
+
+
 @pytest.mark.parametrize("name", [None, 3])
 def test_no_name_at_all_is_a_wrong_call(name: object):
     with pytest.raises(armctl.InputError, match="is neither a name nor a path; try"):
@@ -69,7 +82,9 @@ def test_a_tip_offset_is_a_pose(bundled: armctl.Arm):
     [
         ({"tip": 3}, "tip: 3 is no name of a site, body or geom"),
         ({"base": 3}, "base: 3 is no name of a body"),
-        ({"scene": "table"}, "scene: 'table' is not a Scene; armctl.Scene()"),
+        ({"scene": "table"}, "scene: 'table' is neither a Scene nor the path of an .xml file; armctl.Scene()"),
+        ({"scene": 3}, "scene: 3 is neither a Scene nor"),
+        ({"tool": 3}, "tool: 3 is neither a name nor a path; try tool='robotiq_2f85'"),
     ],
 )
 def test_what_is_of_the_wrong_kind_is_said(bundled: armctl.Arm, how: dict, sentence: str):

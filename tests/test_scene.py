@@ -1,5 +1,7 @@
 """Scenes: what stands and lies around a robot, known to the simulation and to inverse kinematics."""
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -69,3 +71,106 @@ def test_a_scene_can_be_used_twice(load):  # noqa: F811
     scene = armctl.Scene().add_box("box", [0.1, 0.1, 0.1], [1, 0, 0])
     models = [load(limb("a b"), motors("a b"), scene=scene).model for _ in range(2)]
     assert [mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_BODY, "box") > 0 for m in models] == [True, True]
+
+
+CELL = """<mujoco model="cell"><compiler angle="degree"/><option timestep="0.01" gravity="0 0 -5"/>
+<default><default class="red"><geom rgba="1 0 0 1"/></default></default>
+<asset><texture name="grid" type="2d" builtin="checker" width="9" height="9"/><material name="grid" texture="grid"/></asset>
+<worldbody><geom name="floor" type="plane" size="1 1 1" material="grid"/>
+<body name="table" pos="0.6 0 0.1"><geom name="top" type="box" size="0.2 0.2 0.1"/></body>
+<body name="cube" pos="0.6 0 0.22" euler="0 0 90"><freejoint/>
+<geom class="red" type="box" size="0.02 0.02 0.02" mass="0.1"/></body>
+<body name="door" pos="2 0 1"><joint name="hinge" range="0 45"/>
+<geom name="panel" type="box" size="0.5 0.02 1"/></body></worldbody>
+<contact><exclude body1="table" body2="door"/><pair geom1="panel" geom2="top"/></contact>
+<equality><joint joint1="hinge"/></equality><sensor><jointpos joint="hinge"/></sensor>
+<keyframe><key name="home" qpos="9 9 9 1 0 0 0 0"/></keyframe></mujoco>"""
+ROOM = '<geom name="floor" type="plane" size="1 1 1" material="grid" pos="0 0 -1"/>' + limb("a b")
+ASSETS = (
+    '<asset><texture name="grid" type="2d" builtin="flat" width="9" height="9"/><material name="grid" texture="grid"/></asset>'
+    '<default><default class="red"><geom rgba="0 1 0 1"/></default></default>'
+)
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> Path:
+    """A table with a cube on it and a door, as a file."""
+    path = tmp_path / "cell.xml"
+    path.write_text(CELL)
+    return path
+
+
+def test_a_scene_can_be_a_file(load, cell: Path):  # noqa: F811
+    model = load(ROOM, ASSETS + motors("a b"), scene=cell).model
+    assert model.body("cube").pos == pytest.approx([0.6, 0, 0.22])
+    assert model.body("cube").quat == pytest.approx([0.5**0.5, 0, 0, 0.5**0.5])
+    assert model.joint("hinge").range == pytest.approx([0, np.pi / 4])
+    assert (model.nexclude, model.npair, model.neq, model.nsensor, model.nkey) == (1, 1, 1, 0, 0)
+    assert model.opt.gravity[2] == -9.81
+    assert model.opt.timestep == 1e-3  # something is loose
+    assert model.geom("floor").pos[2] == -1  # the robot's own keeps its name
+    assert model.geom("cell/floor").pos[2] == 0
+
+
+def test_a_file_and_the_same_things_added_hold_the_same_scene(load, cell: Path):  # noqa: F811
+    added = armctl.Scene().add_box("table", [0.4, 0.4, 0.2], [0.6, 0, 0.1])
+    added.add_box("cube", [0.04] * 3, armctl.Pose([0.6, 0, 0.22], rpy=[0, 0, np.pi / 2]), mass=0.1)
+    mine, theirs = (load(limb("a b"), motors("a b"), scene=scene).model for scene in (added, cell))
+    for body in ("table", "cube"):
+        first, second = mine.body(body), theirs.body(body)
+        assert np.allclose([*first.pos, *first.quat, *first.inertia], [*second.pos, *second.quat, *second.inertia])
+        one, other = (int(m.body_geomadr[m.body(body).id]) for m in (mine, theirs))
+        for what in ("geom_size", "geom_solref", "geom_solimp", "geom_condim", "geom_priority"):
+            assert np.array_equal(getattr(mine, what)[one], getattr(theirs, what)[other]), what
+    assert (mine.opt.cone, mine.opt.impratio) == (theirs.opt.cone, theirs.opt.impratio)
+
+
+def test_more_can_be_added_to_a_file_and_it_can_be_used_twice(load, cell: Path):  # noqa: F811
+    scene = armctl.Scene(cell).add_box("post", [0.1, 0.1, 1], [1, 1, 0.5])
+    for _ in range(2):
+        model = load(limb("a b"), motors("a b"), scene=scene).model
+        assert {"table", "cube", "post"} <= {model.body(i).name for i in range(model.nbody)}
+    with pytest.raises(armctl.InputError, match="scene: the model has a body 'cube' already; choose another name"):
+        load(limb("a b"), motors("a b"), scene=armctl.Scene(cell).add_box("cube", [1, 1, 1], [5, 0, 0]))
+    with pytest.raises(armctl.InputError, match="scene: the model has a body 'table' already; choose another name"):
+        load(limb("a b").replace('name="A"', 'name="table"'), motors("a b"), scene=cell)
+
+
+def test_inverse_kinematics_keeps_clear_of_a_file(bundled: armctl.Arm, tmp_path: Path):
+    target = bundled.fk([0.4, 0.5, -0.6]).position
+    place = " ".join(map(str, target))
+    (tmp_path / "wall.xml").write_text(
+        f'<mujoco><worldbody><body pos="{place}"><geom type="box" size="0.03 0.03 0.03"/></body></worldbody></mujoco>'
+    )
+    arm = armctl.load(bundled.name, scene=tmp_path / "wall.xml")
+    assert armctl.solve_ik(arm, target).ok
+    assert not armctl.solve_ik(arm, target, avoid_collisions=True).ok
+
+
+FILES = {
+    "a robot": (
+        '<mujoco><worldbody><body><joint name="a"/><geom size="1"/></body></worldbody>'
+        '<actuator><motor name="m" joint="a"/></actuator></mujoco>',
+        "a robot.xml has the actuator 'm', as a robot has; a scene is made of bodies, geoms and joints alone",
+    ),
+    "no MJCF": ("not XML at all", r"no MJCF\.xml: MuJoCo cannot read it: XML"),
+    "nonsense": (
+        '<mujoco><worldbody><geom type="blob"/></worldbody></mujoco>',
+        "MuJoCo cannot read it: .*invalid keyword: 'blob'",
+    ),
+    "weightless": (
+        "<mujoco><worldbody><body><freejoint/></body></worldbody></mujoco>",
+        "MuJoCo cannot compile it: .*mass and inertia",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", FILES)
+def test_a_file_that_is_no_scene_says_why(bundled: armctl.Arm, tmp_path: Path, what: str):
+    text, sentence = FILES[what]
+    path = tmp_path / f"{what}.xml"
+    path.write_text(text)
+    with pytest.raises(armctl.ModelError, match=sentence):
+        armctl.load(bundled.name, scene=path)
+    with pytest.raises(armctl.ModelError, match=r"scene: .*nowhere\.xml: no such file"):
+        armctl.load(bundled.name, scene=tmp_path / "nowhere.xml")
