@@ -1,8 +1,8 @@
-"""Pick and place: a 4 cm cube from anywhere on a table, put down within 2 mm."""
+"""Pick and place: a 4 cm cube from anywhere on a table, put down within 2 mm; a stick from one hand to the other."""
 
 import numpy as np
 import pytest
-from arms import at_hand
+from arms import MISSING, at_hand
 
 import armctl
 
@@ -19,7 +19,7 @@ def cell(request: pytest.FixtureRequest) -> tuple[armctl.Arm, np.ndarray]:
     """An arm at a table with a cube, and the corners of where it may lie."""
     how, table, corners = CELLS[request.param]
     if not all(map(at_hand, [request.param, *how.values()])):
-        pytest.skip(f"{request.param}: its model is not at hand")
+        pytest.skip(f"{request.param}: {MISSING}")
     scene = armctl.Scene().add_box("table", *table).add_box("cube", [0.04] * 3, np.append(corners[0], HEIGHT), mass=0.1)
     return armctl.load(request.param, scene=scene, **how), np.array(corners)
 
@@ -40,3 +40,43 @@ def test_a_cube_is_put_down_within_2_mm(cell: tuple[armctl.Arm, np.ndarray], pla
     assert sim.gripper.open()
     assert sim.move_to(armctl.Pose(goal + above, rpy=DOWN))
     assert np.linalg.norm(sim.data.body("cube").xpos - goal) < 2e-3
+
+
+LEFT, RIGHT = "left/gripper", "right/gripper"
+END = np.array([0.12, 0, 0.137])  # where the right hand takes the stick
+
+
+@pytest.fixture(scope="module")
+def pair() -> tuple[armctl.Arm, ...]:
+    """ALOHA's two arms and a stick on the table."""
+    if not at_hand("aloha"):
+        pytest.skip(f"aloha: {MISSING}")
+    stick = armctl.Scene().add_box("stick", [0.02, 0.22, 0.02], at=[-0.12, 0, 0.01], mass=0.05)
+    return armctl.load_arms("aloha", [LEFT, RIGHT], scene=stick)
+
+
+def _down(*position: float) -> armctl.Pose:
+    """A tip that points down, its fingers to either side of the stick."""
+    return armctl.Pose.from_rotation(np.array(position), np.column_stack([[0, 0, -1], [1, 0, 0], [0, -1, 0]]))
+
+
+@pytest.mark.parametrize("place", range(5))
+def test_one_arm_hands_a_stick_to_the_other(pair: tuple[armctl.Arm, ...], place: int):
+    x, y = np.random.default_rng(place).uniform([-0.16, -0.02], [-0.08, 0.02])
+    team = armctl.Team(pair)
+    team.data.joint("stick").qpos[:2] = x, y
+    left, right, stick = team.gripper(LEFT), team.gripper(RIGHT), team.data.body("stick")
+    assert left.open()
+    assert right.open()
+    for z in (0.15, 0.025):
+        assert team.move_to({LEFT: _down(x, y - 0.08, z)})[LEFT]
+    assert left.grasp(10).held == "stick"
+    team.move_to({LEFT: _down(x, y - 0.08, 0.15)})
+    team.move_to({LEFT: _down(0, -0.08, 0.15), RIGHT: _down(0, 0.08, 0.28)})
+    assert team.move_to({RIGHT: _down(0, 0.08, 0.137)})[RIGHT]
+    assert right.grasp(10).held == "stick"
+    assert left.open()
+    assert team.move_to({LEFT: _down(-0.1, -0.08, 0.35)})[LEFT]
+    team.move_to({RIGHT: _down(END[0], 0.08, 0.15)})
+    assert right.width == pytest.approx(0.02, abs=1e-3)
+    assert np.linalg.norm(stick.xpos - END) < 2e-3
