@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from armctl.arrays import Array, IntArray, matrix, number, vector
 from armctl.errors import ModelError
+from armctl.linkage import Linkage
 from armctl.payload import add_point_mass
 from armctl.pose import Pose
 from armctl.rigid_body import RigidBody, build
@@ -31,10 +32,13 @@ class Arm:
         home: (n,) rad, the rest position.
         limits: What the joints can do.
         rigid_body: Its Pinocchio model.
+        linkage: All joints that its n move: their own, and those that follow one of them.
         qpos_adr: (n,) where the joints are in `MjData.qpos`.
         dof_adr: (n,) where they are in `MjData.qvel`.
         ctrl_adr: (n,) where their motors are in `MjData.ctrl`.
         gear: (n,) joint torque a motor makes for each unit of its control.
+        torque_adr: (n,) where the motors' torques are in `MjData.qfrc_actuator`.
+        torque_share: (n,) joint torque for each unit there: not 1 where a motor pulls joints that are tied to each other.
         home_qpos: (nq,) the whole model at home; joints outside the chain are held there.
         home_ctrl: (nctrl,) the controls of the whole model at home; the arm's own are zero.
         tip_body: The body that carries the tip.
@@ -50,10 +54,13 @@ class Arm:
     home: Array
     limits: Limits
     rigid_body: RigidBody
+    linkage: Linkage
     qpos_adr: IntArray
     dof_adr: IntArray
     ctrl_adr: IntArray
     gear: Array
+    torque_adr: IntArray
+    torque_share: Array
     home_qpos: Array
     home_ctrl: Array
     tip_body: int
@@ -123,8 +130,21 @@ class Arm:
             (nq,) for `MjData.qpos`.
         """
         qpos = self.home_qpos.copy()
-        qpos[self.qpos_adr] = q
+        qpos[self.linkage.qpos_adr] = self.linkage.positions(q)
         return qpos
+
+    def qvel(self, v: Array) -> Array:
+        """The whole model's speeds with the arm moving and all else at rest.
+
+        Args:
+            v: (n,) rad/s.
+
+        Returns:
+            (nv,) for `MjData.qvel`.
+        """
+        qvel = np.zeros(self.model.nv)
+        qvel[self.linkage.dof_adr] = self.linkage.speeds(v)
+        return qvel
 
     def with_payload(
         self,
@@ -159,8 +179,8 @@ class Arm:
         if number("mass", mass, 0.0) > 0.0:
             add_point_mass(model, self.tip_body, mass, self.T_body_tip.transform(vector("center", center, 3)))
         mujoco.mj_setConst(model, mujoco.MjData(model))
-        joints = tuple(int(j) for j in model.dof_jntid[self.dof_adr])
-        return replace(self, model=model, rigid_body=build(model, joints, self.home_qpos, self.tip_body, self.T_body_tip))
+        body = build(model, self.linkage, self.home_qpos, self.tip_body, self.T_body_tip)
+        return replace(self, model=model, rigid_body=body)
 
     def __repr__(self) -> str:
         return f"Arm({self.name!r}, {self.n} joints, tip {self.tip!r})"
@@ -189,17 +209,16 @@ def check_parity(arm: Arm, samples: int = 3, seed: int = 0) -> float:
     for k in range(samples + 1):
         q = rng.uniform(low, high) if k else arm.home
         v = rng.uniform(-1, 1, arm.n)
-        data.qpos[:], data.qvel[:] = arm.qpos(q), 0.0
-        data.qvel[arm.dof_adr] = v
+        data.qpos[:], data.qvel[:] = arm.qpos(q), arm.qvel(v)
         mujoco.mj_fwdPosition(arm.model, data)
         mujoco.mj_fwdVelocity(arm.model, data)
         mujoco.mj_fullM(arm.model, data, full)
         T = _mujoco_tip(arm, data)
-        M = pin.crba(body.pin_model, body.data, q)
+        M = pin.crba(body.pin_model, body.pin_model.createData(), q)
         pairs = {
             "tip pose": (np.column_stack(body.tip(q)), np.column_stack([T.position, T.rotation])),
-            "mass matrix": (np.triu(M), np.triu(full[np.ix_(arm.dof_adr, arm.dof_adr)])),
-            "bias": (pin.nonLinearEffects(body.pin_model, body.data, q, v), data.qfrc_bias[arm.dof_adr]),
+            "mass matrix": (np.triu(M), np.triu(arm.linkage.reduced_matrix(full))),
+            "bias": (pin.nonLinearEffects(body.pin_model, body.data, q, v), arm.linkage.reduced(data.qfrc_bias)),
         }
         for what, (ours, theirs) in pairs.items():
             error = float(np.abs(ours - theirs).max() / max(1.0, np.abs(theirs).max()))

@@ -10,8 +10,8 @@ from itertools import permutations
 import mujoco
 
 from armctl.coupling import coupling
+from armctl.drives import Drive, chain_drives, drive_of
 from armctl.elements import (
-    SCALAR,
     Chain,
     actuator_name,
     body_name,
@@ -37,7 +37,7 @@ class SerialChain:
         base: The body it stands on; "world" where nothing moves below it.
         tip: The site or body at its end.
         joint_names: Its joints, from the base to the tip.
-        actuator_names: What moves them; empty for a joint that nothing moves directly.
+        actuator_names: What moves them, the same one for joints that are tied to each other; empty where nothing does.
         reason: Why `armctl.load` refuses it, in words; empty where it does not.
     """
 
@@ -76,11 +76,15 @@ def all_chains(model: mujoco.MjModel) -> list[SerialChain]:
         if reason and not _is_free(model, own[0]):
             refused[parent, own] = reason
     found: set[tuple[int, Chain]] = set()
+    actuators = _actuators(model)
     for start, joints in _longest(runs):
-        end = _end_of_arm(model, joints)
+        end = _end_of_arm(model, joints, actuators)
         found |= {(start, joints[:end]), (int(model.jnt_bodyid[joints[end - 1]]), joints[end:])}
     kept = sorted(_longest({key for key in found if key[1]}))
-    described = [_describe(model, *key, reason) for key, reason in [*((k, "") for k in kept), *refused.items()]]
+    described = [
+        _describe(model, *key, reason, actuators)
+        for key, reason in [*((k, _tied_above(model, *k)) for k in kept), *refused.items()]
+    ]
     return sorted(described, key=lambda chain: (not chain.ok, -len(chain.joint_names)))
 
 
@@ -100,16 +104,17 @@ def find_chain(model: mujoco.MjModel, base: int = 0) -> Chain:
     Raises:
         ModelError: There is none, or several are equally long.
     """
-    runs = {run[: _end_of_arm(model, run)] for run in _runs(model, base)}
+    actuators = _actuators(model)
+    runs = {run[: _end_of_arm(model, run, actuators)] for run in _runs(model, base, actuators)}
     longest = max((len(run) for run in runs), default=0)
     if longest == 0:
-        raise ModelError(_why_no_arm(model, base))
+        raise ModelError(_why_no_arm(model, base, actuators))
     best = sorted(run for run in runs if len(run) == longest)
     if len(best) > 1:
         tips = ", ".join(repr(find_tip(model, run)[0]) for run in best)
         on = f"on {body_name(model, base)!r}" if base else "at the base"
         raise ModelError(f"{len(best)} chains of {longest} joints start {on}; choose one with tip=: {tips}")
-    _check_free(model, best[0])
+    _check_drives(model, base, best[0])
     return best[0]
 
 
@@ -125,23 +130,20 @@ def chain_to(model: mujoco.MjModel, body: int, base: int = 0) -> Chain:
         The joints from the base to the body.
 
     Raises:
-        ModelError: One of them is no hinge or slide joint, has no actuator of its own, or is coupled to others.
+        ModelError: One of them is no hinge or slide joint, or no one actuator moves it.
     """
     name = body_name(model, body)
     if not is_below(model, body, base):
         raise ModelError(f"{name!r} does not hang on {body_name(model, base)!r}; choose a base on the way to it")
-    actuated, joints = joint_actuators(model), joints_above(model, body, base)
+    joints = joints_above(model, body, base)
     if joints and _is_free(model, joints[0]):
         raise ModelError(_free_base(model, joints[0]))
-    for joint in joints:
-        if model.jnt_type[joint] not in SCALAR:
-            raise ModelError(f"joint {joint_name(model, joint)!r} on the way to {name!r} is a ball joint, not a hinge or slide")
-        if joint not in actuated:
-            why = coupling(model, joint) or "base= can be a body behind it, which holds it"
-            raise ModelError(f"joint {joint_name(model, joint)!r} on the way to {name!r} has no actuator of its own; {why}")
     if not joints:
         raise ModelError(f"no joint moves {name!r}, so it is the tip of no arm")
-    _check_free(model, joints)
+    try:
+        _check_drives(model, base, joints)
+    except ModelError as error:
+        raise ModelError(f"on the way to {name!r}: {error}; base= can be a body behind it, which holds it") from None
     return joints
 
 
@@ -157,7 +159,7 @@ def stopped_before(model: mujoco.MjModel, joints: Chain) -> list[str]:
     """
     behind = branches(model, int(model.jnt_bodyid[joints[-1]]))
     following = joints_of(model, behind[0])[0] if len(behind) == 1 else None
-    if following is None or following in joint_actuators(model) or coupling(model, following):
+    if following is None or following in _actuators(model) or coupling(model, following, frozenset([following])):
         return []
     return [f"the arm ends before joint {joint_name(model, following)!r}, which has no actuator of its own and is held"]
 
@@ -174,7 +176,11 @@ def check_apart(model: mujoco.MjModel, chains: Sequence[Chain]) -> None:
     """
     for one, other in permutations(chains, 2):
         tips = [repr(find_tip(model, joints)[0]) for joints in (one, other)]
-        shared = sorted(set(one) & set(other))
+        shared, moved = sorted(set(one) & set(other)), _moved(model, one)
+        if tied := moved & _moved(model, other) - set(shared):
+            raise ModelError(
+                f"the chains to {tips[0]} and {tips[1]} both move joint {joint_name(model, min(tied))!r}; give one of them"
+            )
         if len(shared) == min(len(one), len(other)):
             raise ModelError(f"one of the chains to {tips[0]} and {tips[1]} is part of the other; give each chain once")
         if shared:
@@ -184,30 +190,46 @@ def check_apart(model: mujoco.MjModel, chains: Sequence[Chain]) -> None:
                 f"the chains to {tips[0]} and {tips[1]} share joint{'s' * (len(shared) > 1)} {names}, which only one of them "
                 f"could move; base={base!r} holds what they share"
             )
-        if is_below(model, int(model.jnt_bodyid[other[0]]), int(model.jnt_bodyid[one[0]])):
+        if any(is_below(model, int(model.jnt_bodyid[other[0]]), int(model.jnt_bodyid[joint])) for joint in moved):
             raise ModelError(f"the chain to {tips[1]} stands on the one to {tips[0]}, which would shake it; move one at a time")
 
 
-def _check_free(model: mujoco.MjModel, joints: Chain) -> None:
-    """Makes sure that each joint of a chain moves freely of all others."""
-    for joint in joints:
-        if reason := coupling(model, joint):
-            raise ModelError(reason)
+def _moved(model: mujoco.MjModel, joints: Chain) -> set[int]:
+    """The joints of a chain and those that are tied to them."""
+    return {joint for drive in chain_drives(model, joints) for joint in drive.ties}
+
+
+def _check_drives(model: mujoco.MjModel, base: int, joints: Chain) -> None:
+    """Makes sure that each joint of a chain can be driven, and that its base stands still meanwhile."""
+    chain_drives(model, joints)
+    if reason := _tied_above(model, base, joints):
+        raise ModelError(reason)
+
+
+def _tied_above(model: mujoco.MjModel, base: int, joints: Chain) -> str:
+    """Which joint of a chain is tied to one that carries the chain's base; empty where none is."""
+    above = joints_above(model, base)
+    for drive in chain_drives(model, joints):
+        for other in drive.ties.keys() & set(above):
+            return f"joint {joint_name(model, drive.joint)!r} is tied to {joint_name(model, other)!r}, which carries the base"
+    return ""
 
 
 def _refusal(model: mujoco.MjModel, joint: int) -> str:
     """Why a joint cannot be part of an arm; empty where it can."""
     if _is_free(model, joint):
         return _free_base(model, joint)
-    if model.jnt_type[joint] not in SCALAR:
-        return f"joint {joint_name(model, joint)!r} is a ball joint, not a hinge or slide"
-    if reason := coupling(model, joint):
-        return reason
-    return "" if joint in joint_actuators(model) else f"joint {joint_name(model, joint)!r} has no actuator of its own"
+    drive = drive_of(model, joint)
+    return drive if isinstance(drive, str) else ""
 
 
-def _describe(model: mujoco.MjModel, base: int, joints: Chain, reason: str) -> SerialChain:
-    actuators = joint_actuators(model)
+def _actuators(model: mujoco.MjModel) -> dict[int, int]:
+    """Which actuator moves which joint: directly, or through joints that it is tied to."""
+    drives = [drive_of(model, joint) for joint in range(model.njnt)]
+    return joint_actuators(model) | {drive.joint: drive.actuator for drive in drives if isinstance(drive, Drive)}
+
+
+def _describe(model: mujoco.MjModel, base: int, joints: Chain, reason: str, actuators: dict[int, int]) -> SerialChain:
     return SerialChain(
         base=body_name(model, base),
         tip=find_tip(model, joints)[0],
@@ -223,27 +245,26 @@ def _longest(runs: set[tuple[int, Chain]]) -> set[tuple[int, Chain]]:
     return runs - beginnings
 
 
-def _runs(model: mujoco.MjModel, base: int) -> set[Chain]:
+def _runs(model: mujoco.MjModel, base: int, actuators: dict[int, int]) -> set[Chain]:
     """The runs of actuated joints from a base to every body behind it, as far as nothing interrupts them."""
-    actuated = joint_actuators(model)
     run: dict[int, Chain] = {base: ()}
     for body in range(base + 1, model.nbody):
         parent, own = int(model.body_parentid[body]), joints_of(model, body)
-        if parent in run and all(joint in actuated for joint in own):
+        if parent in run and all(joint in actuators for joint in own):
             run[body] = run[parent] + own
     return {r for r in run.values() if r}
 
 
-def _end_of_arm(model: mujoco.MjModel, run: Chain) -> int:
+def _end_of_arm(model: mujoco.MjModel, run: Chain, actuators: dict[int, int]) -> int:
     """How many joints of a run come before its fingers."""
     for before in range(1, len(run)):
         last, following = int(model.jnt_bodyid[run[before - 1]]), int(model.jnt_bodyid[run[before]])
         if last != following and len(run) - before < before and len(branches(model, last)) > 1:
             return before
-    actuated, end = joint_actuators(model), len(run)
+    end = len(run)
     if not run or branches(model, int(model.jnt_bodyid[run[-1]])):
         return end  # it carries something that moves: a wrist, whatever its name
-    while end > 0 and _is_jaw(model, run[end - 1], actuated[run[end - 1]]):
+    while end > 0 and _is_jaw(model, run[end - 1], actuators[run[end - 1]]):
         end -= 1
     return end or len(run)
 
@@ -262,18 +283,18 @@ def _free_base(model: mujoco.MjModel, joint: int) -> str:
     return f"the base {body!r} is free (joint {joint_name(model, joint)!r}); hold_base=True holds it where its keyframe puts it"
 
 
-def _why_no_arm(model: mujoco.MjModel, base: int) -> str:
+def _why_no_arm(model: mujoco.MjModel, base: int, actuators: dict[int, int]) -> str:
     if model.njnt == 0:
         return "no arm: the model has no joints"
-    if not joint_actuators(model):
+    if not actuators:
         return "no arm: no hinge or slide joint has an actuator; add one, such as <motor joint=...>, for each joint"
     below = [j for j in range(model.njnt) if is_below(model, int(model.jnt_bodyid[j]), base)]
     behind = [j for j in below if model.jnt_bodyid[j] != base]
     if not behind:
         return f"no arm: no joint hangs on {body_name(model, base)!r}"
-    moved = [int(model.jnt_bodyid[j]) for j in joint_actuators(model)]
+    moved = [int(model.jnt_bodyid[j]) for j in actuators]
     for joint in (j for j in behind if _is_free(model, j)):
         if any(is_below(model, body, int(model.jnt_bodyid[joint])) for body in moved):  # else it is a loose object
             return f"no arm: {_free_base(model, joint)}"
-    blocking = next(j for j in sorted(behind, key=lambda j: _is_free(model, j)) if j not in joint_actuators(model))
-    return f"no arm: joint {joint_name(model, blocking)!r}, the first one from the base, has no actuator of its own"
+    blocking = next(j for j in sorted(behind, key=lambda j: _is_free(model, j)) if j not in actuators)
+    return f"no arm: {drive_of(model, blocking)}, and it is the first one from the base"

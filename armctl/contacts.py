@@ -88,8 +88,7 @@ def geom_owners(arm: Arm) -> IntArray:
     Returns:
         (ngeom,) the last joint above it, counted from the base; -1 where none is.
     """
-    joints = tuple(int(joint) for joint in arm.model.dof_jntid[arm.dof_adr])
-    return np.array(joint_above(arm.model, joints), np.int64)[arm.model.geom_bodyid]
+    return np.array(joint_above(arm.model, arm.linkage.joints), np.int64)[arm.model.geom_bodyid]
 
 
 _contacts: WeakKeyDictionary[Arm, Contacts] = WeakKeyDictionary()

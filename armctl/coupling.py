@@ -7,30 +7,39 @@ import numpy as np
 
 from armctl.elements import joint_name, name_of
 
+_TIES = int(mujoco.mjtEq.mjEQ_JOINT)
 _CLOSES_LOOP = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
 
 
-def coupling(model: mujoco.MjModel, joint: int) -> str:
+def coupling(model: mujoco.MjModel, joint: int, tied: frozenset[int] = frozenset()) -> str:
     """Why a joint does not move freely of all others.
 
     Args:
         model: The compiled model.
         joint: Its number.
+        tied: The joints that move as one with it, at fixed ratios: a tendon that only drives these couples nothing else.
 
     Returns:
         The tendon or equality that couples it, in words; empty where none does.
     """
     dof, name = int(model.jnt_dofadr[joint]), joint_name(model, joint)
+    own = {int(model.jnt_dofadr[j]) for j in tied}
     for equality in range(model.neq):
-        if not model.eq_active0[equality] or dof not in dofs_of_equality(model, equality):
+        dofs = dofs_of_equality(model, equality)
+        if not model.eq_active0[equality] or dof not in dofs or (model.eq_type[equality] == _TIES and own.issuperset(dofs)):
             continue
         label = name_of(model, mujoco.mjtObj.mjOBJ_EQUALITY, equality)
         if model.eq_type[equality] in _CLOSES_LOOP:
             return f"the equality {label!r} closes a loop over joint {name!r}"
         return f"joint {name!r} is coupled to another by the equality {label!r}"
     for tendon in range(model.ntendon):
-        if _pulls(model, tendon) and dof in dofs_of_tendon(model, tendon):
-            return f"joint {name!r} is coupled to others by the tendon {name_of(model, mujoco.mjtObj.mjOBJ_TENDON, tendon)!r}"
+        dofs, label = dofs_of_tendon(model, tendon), name_of(model, mujoco.mjtObj.mjOBJ_TENDON, tendon)
+        if dof not in dofs or not (_is_driven(model, tendon) or _pulls(model, tendon)):
+            continue
+        if _pulls(model, tendon) or _bends(model, tendon):
+            return f"joint {name!r} is coupled to others by the tendon {label!r}"
+        if not own.issuperset(dofs):
+            return f"joint {name!r} shares the pull of the tendon {label!r} with other joints, which divide it as they please"
     return ""
 
 
@@ -63,7 +72,7 @@ def dofs_of_equality(model: mujoco.MjModel, equality: int) -> list[int]:
         Their addresses in `MjData.qvel`; all of them for a kind that armctl does not know.
     """
     kind, ends = int(model.eq_type[equality]), (int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality]))
-    if kind == int(mujoco.mjtEq.mjEQ_JOINT):
+    if kind == _TIES:
         return [int(model.jnt_dofadr[j]) for j in ends if j >= 0]
     if kind == int(mujoco.mjtEq.mjEQ_TENDON):
         return [dof for tendon in ends if tendon >= 0 for dof in dofs_of_tendon(model, tendon)]
@@ -74,12 +83,22 @@ def dofs_of_equality(model: mujoco.MjModel, equality: int) -> list[int]:
     return list(range(model.nv))
 
 
-def _pulls(model: mujoco.MjModel, tendon: int) -> bool:
-    """Whether a tendon makes any force; one that is only measured couples nothing."""
+def _is_driven(model: mujoco.MjModel, tendon: int) -> bool:
+    """Whether an actuator pulls at a tendon; one that is only measured couples nothing."""
     on_tendon = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)
-    is_driven = bool(np.any(on_tendon & (model.actuator_trnid[:, 0] == tendon)))
+    return bool(np.any(on_tendon & (model.actuator_trnid[:, 0] == tendon)))
+
+
+def _pulls(model: mujoco.MjModel, tendon: int) -> bool:
+    """Whether a tendon makes any force by itself."""
     passive = model.tendon_stiffness[tendon], model.tendon_damping[tendon], model.tendon_frictionloss[tendon]
-    return is_driven or bool(model.tendon_limited[tendon]) or any(np.any(x) for x in (*passive, model.tendon_armature[tendon]))
+    return bool(model.tendon_limited[tendon]) or any(np.any(x) for x in (*passive, model.tendon_armature[tendon]))
+
+
+def _bends(model: mujoco.MjModel, tendon: int) -> bool:
+    """Whether a tendon is led around something, so that its lever changes with the joints."""
+    first = int(model.tendon_adr[tendon])
+    return bool(np.any(model.wrap_type[first : first + int(model.tendon_num[tendon])] != int(mujoco.mjtWrap.mjWRAP_JOINT)))
 
 
 def _dofs_above(model: mujoco.MjModel, body: int) -> set[int]:

@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from armctl.arm import Arm
 from armctl.arrays import Array, IntArray
+from armctl.errors import ModelError
 
 
 class Dynamics:
@@ -32,30 +33,34 @@ class Dynamics:
         Args:
             arm: The arm.
         """
-        model, dofs = arm.model, arm.dof_adr
+        model, linkage = arm.model, arm.linkage
+        dofs, share = linkage.dof_adr, np.abs(linkage.ratio.T)
         joints = model.dof_jntid[dofs]
-        self.arm = arm
-        self.damping = model.dof_damping[dofs] * _acts(model, mujoco.mjtDisableBit.mjDSBL_DAMPER)
-        constraints = _acts(model, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-        self.friction_loss = model.dof_frictionloss[dofs] * constraints * _acts(model, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
+        self.arm, self._linkage = arm, linkage
+        self.damping = share**2 @ model.dof_damping[dofs] * _acts(model, mujoco.mjtDisableBit.mjDSBL_DAMPER)
+        dry = _acts(model, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT) * _acts(model, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
+        self.friction_loss = share @ model.dof_frictionloss[dofs] * dry
         self._model, self._data = arm.rigid_body.pin_model, arm.rigid_body.pin_model.createData()
+        # In LOCAL, the faster one, Pinocchio adds mimic joints to what an earlier call left behind.
+        self._convention = pin.Convention.LOCAL if linkage.is_plain else pin.Convention.WORLD
         self._support = arm.rigid_body.gravity_support
         self._support_data = self._support.createData() if self._support is not None else None
-        self._damping_poly = model.dof_dampingpoly[dofs] * _acts(model, mujoco.mjtDisableBit.mjDSBL_DAMPER)
+        quadratic, cubic = model.dof_dampingpoly[dofs].T * _acts(model, mujoco.mjtDisableBit.mjDSBL_DAMPER)
+        self._damping_poly = np.column_stack([share**3 @ quadratic, share**4 @ cubic])
         self._stiffness = np.column_stack([model.jnt_stiffness[joints], model.jnt_stiffnesspoly[joints]])
         self._stiffness *= _acts(model, mujoco.mjtDisableBit.mjDSBL_SPRING)
-        self._rest = model.qpos_spring[arm.qpos_adr].copy()
+        self._rest = model.qpos_spring[linkage.qpos_adr].copy()
         self._is_damped = bool(self.damping.any() or self._damping_poly.any())
         self._has_poly_damping = bool(self._damping_poly.any())
         self._has_springs = bool(self._stiffness.any())
         self._has_static = self._has_springs or self._support is not None
         self.has_friction = bool(self.friction_loss.any())
-        self._friction_gain, self._friction_rate = _friction_constants(model, dofs)
+        self._friction_gain, self._friction_rate = _friction_constants(model, arm.dof_adr)
         integrator = mujoco.mjtIntegrator(model.opt.integrator)
         explicit = not _acts(model, mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
         self.is_discrete = integrator != mujoco.mjtIntegrator.mjINT_RK4
         self._damps_at_end = self.is_discrete and not (integrator == mujoco.mjtIntegrator.mjINT_EULER and explicit)
-        self._turns_at_end = integrator == mujoco.mjtIntegrator.mjINT_IMPLICIT
+        self._turns_at_end = integrator == mujoco.mjtIntegrator.mjINT_IMPLICIT and linkage.is_plain
         self._changes_late = self._turns_at_end or (self._damps_at_end and self._is_damped)
         self._curves_late = self._turns_at_end or (self._damps_at_end and self._has_poly_damping)
         self._stepping = self._model.copy()
@@ -71,7 +76,7 @@ class Dynamics:
         Returns:
             (n, n) kg m^2, symmetric.
         """
-        M = pin.crba(self._model, self._data, q)  # promises the upper triangle only
+        M = pin.crba(self._model, self._data, q, self._convention)  # promises the upper triangle only
         return np.triu(M) + np.triu(M, 1).T
 
     def bias(self, q: Array, v: Array) -> Array:
@@ -166,7 +171,12 @@ class Dynamics:
 
         Returns:
             (n, 4), N m per kg and per kg m: `regressor @ [m, m cx, m cy, m cz]` is a torque.
+
+        Raises:
+            ModelError: A joint of the arm follows another: Pinocchio has no regressor for that.
         """
+        if not self._linkage.is_plain:
+            raise ModelError(f"{self.arm.name}: no payload can be identified where one joint follows another")
         regressor = pin.computeJointTorqueRegressor(self._model, self._data, q, v, a)
         return regressor.reshape(len(q), -1)[:, -10:] @ self._payload_basis
 
@@ -194,9 +204,7 @@ class Dynamics:
             late = self._late_damping * a
             if self._curves_late:
                 late = late + dt * self._curvature(q, v, a)
-            pin.crba(self._model, self._data, q)
-            pin.cholesky.decompose(self._model, self._data)
-            a = a + pin.cholesky.solve(self._model, self._data, late)
+            a = a + self._solve_mass(q, late)
         force = self._friction_gain * (a + self._friction_rate * v)
         return np.minimum(np.maximum(force, -self.friction_loss), self.friction_loss)  # faster than clip
 
@@ -205,11 +213,20 @@ class Dynamics:
         self._dt, self._late_damping = dt, dt * self.damping * self._damps_at_end
         self._stepping.armature = self._model.armature + self._late_damping
 
+    def _solve_mass(self, q: Array, tau: Array) -> Array:
+        """M(q)^-1 tau."""
+        if not self._linkage.is_plain:  # Pinocchio does not factorise M with mimic joints
+            return np.linalg.inv(self.mass_matrix(q)) @ tau
+        pin.crba(self._model, self._data, q)
+        pin.cholesky.decompose(self._model, self._data)
+        return pin.cholesky.solve(self._model, self._data, tau)
+
     def _with_static(self, tau: Array, q: Array) -> Array:
         if self._has_springs:
-            x = q - self._rest
+            x = self._linkage.positions(q) - self._rest
             k = self._stiffness
-            tau = tau + x * (k[:, 0] + x * k[:, 1] + x * x * k[:, 2])
+            force = x * (k[:, 0] + x * k[:, 1] + x * x * k[:, 2])
+            tau = tau + (force if self._linkage.is_plain else force @ self._linkage.ratio)
         if self._support is not None:
             tau = tau - pin.computeGeneralizedGravity(self._support, self._support_data, q)
         return tau

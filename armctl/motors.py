@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
 from armctl.arrays import Array
 from armctl.datasheets import Row
-from armctl.elements import Chain, is_on_joint, joint_actuators, joint_name
+from armctl.drives import Drive, moments_of
+from armctl.elements import joint_name
 from armctl.errors import ModelError
 from armctl.trajectory import Limits
 
@@ -37,32 +39,34 @@ class JointData:
     tau_max: Array | None = None
 
 
-def from_row(row: Row | None, joints: Chain) -> JointData | None:
+def from_row(row: Row | None, count: int) -> JointData | None:
     """A data-sheet row as limits of a chain.
 
     Args:
         row: The row, or None.
-        joints: The chain.
+        count: How many joints the arm has.
 
     Returns:
         The limits; None without a row, or where the chain is not the one the row describes.
     """
     values = {} if row is None else {k: getattr(row, k) for k in ("v_max", "a_max", "j_max", "tau_max")}
     given = {k: np.array(v) for k, v in values.items() if v is not None}
-    if row is None or not given or any(len(v) != len(joints) for v in given.values()):
+    if row is None or not given or any(len(v) != count for v in given.values()):
         return None
     return JointData(row.source, **given)
 
 
-def torque_limits(model: mujoco.MjModel, joints: Chain, sheet: JointData | None) -> tuple[Array, dict[str, str], list[str]]:
-    """What torque each joint of a chain can be given.
+def torque_limits(
+    model: mujoco.MjModel, drives: Sequence[Drive], sheet: JointData | None
+) -> tuple[Array, dict[str, str], list[str]]:
+    """What torque each joint of an arm can be given.
 
     The least of what the model says, by the actuator's forcerange x gear, the joint's actfrcrange and, for an actuator that was
     a motor, ctrlrange x gear; else the data sheet's; else an assumption, which is said aloud.
 
     Args:
         model: The model as compiled from its file, with its own actuators.
-        joints: The chain.
+        drives: What moves the joints.
         sheet: Its data-sheet limits, or None.
 
     Returns:
@@ -71,12 +75,14 @@ def torque_limits(model: mujoco.MjModel, joints: Chain, sheet: JointData | None)
     Raises:
         ModelError: A range holds no torque of one sign.
     """
-    actuators, tau, sources, notes = joint_actuators(model), np.full(len(joints), np.inf), set(), []
-    for i, joint in enumerate(joints):
-        for source, (low, high) in _torque_ranges(model, joint, actuators[joint]).items():
+    tau, sources, notes = np.full(len(drives), np.inf), set(), []
+    for i, drive in enumerate(drives):
+        for source, (low, high) in _torque_ranges(model, drive):
             bound = min(-low, high)
             if bound <= 0:
-                raise ModelError(f"joint {joint_name(model, joint)!r}: its {source} [{low:g}, {high:g}] lacks one direction")
+                raise ModelError(
+                    f"joint {joint_name(model, drive.joint)!r}: its {source} [{low:g}, {high:g}] lacks one direction"
+                )
             if bound <= tau[i]:
                 tau[i] = bound
                 sources.add(source)
@@ -85,18 +91,20 @@ def torque_limits(model: mujoco.MjModel, joints: Chain, sheet: JointData | None)
         tau[unknown] = sheet.tau_max[unknown]
         sources.add(sheet.source)
     elif unknown.any():
-        tau[unknown] = _assumed_torque(model, joints)[unknown]
+        tau[unknown] = _assumed_torque(model, drives)[unknown]
         sources.add("assumed")
-        names = ", ".join(joint_name(model, j) for j, u in zip(joints, unknown, strict=True) if u)
+        names = ", ".join(joint_name(model, drive.joint) for drive, u in zip(drives, unknown, strict=True) if u)
         values = ", ".join(f"{x:.3g}" for x in tau[unknown])
         notes.append(f"no torque limit given for {names}: assumed {values} N m (twice gravity at rest plus 10 rad/s^2)")
     return tau, {"tau_max": ", ".join(sorted(sources))}, notes
 
 
 def joint_limits(
-    model: mujoco.MjModel, joints: Chain, home_qpos: Array, tau_max: Array, sheet: JointData | None
+    model: mujoco.MjModel, drives: Sequence[Drive], home_qpos: Array, tau_max: Array, sheet: JointData | None
 ) -> tuple[Limits, dict[str, str]]:
-    """The limits of a chain: positions from the model, the rest from the data sheet or a documented default.
+    """The limits of an arm: positions from the model, the rest from the data sheet or a documented default.
+
+    Where other joints follow one, it goes only as far as all of them can.
 
     Speed defaults to 2 rad/s (0.5 m/s). Acceleration defaults to half of what the torque beyond gravity gives the joint at home
     when all joints accelerate together (a row sum of the mass matrix), at most ten times the speed per second. Jerk defaults to
@@ -104,7 +112,7 @@ def joint_limits(
 
     Args:
         model: The model.
-        joints: The chain.
+        drives: What moves the joints.
         home_qpos: (nq,) the model at home.
         tau_max: (n,) N m.
         sheet: Data-sheet limits, or None.
@@ -112,16 +120,13 @@ def joint_limits(
     Returns:
         The limits, and where each kind comes from.
     """
-    index = list(joints)
-    limited = model.jnt_limited[index].astype(bool)
-    q_min = np.where(limited, model.jnt_range[index, 0], -np.inf)
-    q_max = np.where(limited, model.jnt_range[index, 1], np.inf)
+    q_min, q_max = np.transpose([_range(model, drive) for drive in drives])
     given = JointData("default") if sheet is None else sheet
     v_max, a_max, j_max = given.v_max, given.a_max, given.j_max
     if v_max is None:
-        v_max = np.array([DEFAULT_SPEED[mujoco.mjtJoint(int(model.jnt_type[j]))] for j in joints])
+        v_max = np.array([min(default_speed(model, j) / abs(t.ratio) for j, t in drive.ties.items()) for drive in drives])
     if a_max is None:
-        M, gravity = _inertia_and_gravity(model, joints, home_qpos)
+        M, gravity = _inertia_and_gravity(model, drives, home_qpos)
         headroom = np.maximum(tau_max - np.abs(gravity), 0.1 * tau_max)
         a_max = np.minimum(0.5 * headroom / np.abs(M).sum(axis=1), 10.0 * v_max)
     if j_max is None:
@@ -130,37 +135,38 @@ def joint_limits(
     return Limits(q_min, q_max, v_max, a_max, j_max, tau_max), {"q_min": "model", "q_max": "model", **sources}
 
 
-def make_motors(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Chain, tau_max: Array) -> list[str]:
-    """Turns the actuators of a chain into torque motors, in place; gears, names, armature and damping stay.
+def make_motors(spec: mujoco.MjSpec, model: mujoco.MjModel, drives: Sequence[Drive], tau_max: Array) -> list[str]:
+    """Turns the actuators of an arm into torque motors, in place; gears, names, armature and damping stay.
 
     Args:
         spec: The specification that `model` was compiled from.
         model: The compiled model.
-        joints: The chain.
+        drives: What moves the joints.
         tau_max: (n,) N m, which become the motors' ranges.
 
     Returns:
         What had to be changed besides, one sentence each.
     """
-    chosen = joint_actuators(model)
     hinges, motors = {j.id: j for j in spec.joints}, {a.id: a for a in spec.actuators}
     states: set[int] = set()
-    for i, joint in enumerate(joints):
-        hinges[joint].actgravcomp = False  # a lift from outside: as a motor's it would count as torque
+    for drive, torque in zip(drives, tau_max, strict=True):
+        for joint in drive.ties:
+            hinges[joint].actgravcomp = False  # a lift from outside: as a motor's it would count as torque
         for actuator in range(model.nu):
-            if model.actuator_trnid[actuator, 0] != joint or not is_on_joint(model, actuator):
+            moments = moments_of(model, actuator)
+            if not moments or not moments.keys() <= drive.ties.keys():
                 continue
-            motor, gear = motors[actuator], abs(float(model.actuator_gear[actuator, 0])) or 1.0
+            motor, gear = motors[actuator], abs(replace(drive, moments=moments).gear) or 1.0
             states |= {int(model.actuator_actadr[actuator]) + k for k in range(int(model.actuator_actnum[actuator]))}
-            _move_reflected(motor, hinges[joint], gear)
+            _move_reflected(motor, hinges[drive.joint], gear)
             motor.set_to_motor()
             motor.actlimited, motor.actrange = mujoco.mjtLimited.mjLIMITED_FALSE, (0.0, 0.0)
-            bound = tau_max[i] / gear if actuator == chosen[joint] else 1e-12
+            bound = torque / gear if actuator == drive.actuator else 1e-12
             motor.ctrllimited = motor.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
             motor.ctrlrange = motor.forcerange = (-bound, bound)
     for key in spec.keys:
         key.act = [x for k, x in enumerate(key.act) if k not in states]
-    return _switch_on(spec, {motors[chosen[joint]].group for joint in joints})
+    return _switch_on(spec, {motors[drive.actuator].group for drive in drives})
 
 
 def _switch_on(spec: mujoco.MjSpec, groups: set[int]) -> list[str]:
@@ -179,25 +185,52 @@ def _move_reflected(motor: mujoco.MjsActuator, joint: mujoco.MjsJoint, gear: flo
     motor.armature, motor.damping = 0.0, np.zeros_like(motor.damping)
 
 
-def _torque_ranges(model: mujoco.MjModel, joint: int, actuator: int) -> dict[str, tuple[float, float]]:
-    """What the model says about a joint's torque, by where it says it: (low, high) N m."""
-    gear = float(model.actuator_gear[actuator, 0])
+def _torque_ranges(model: mujoco.MjModel, drive: Drive) -> Iterator[tuple[str, tuple[float, float]]]:
+    """What the model says about a joint's torque: where it says it, (low, high) N m."""
+    actuator, gear, name = drive.actuator, drive.gear, joint_name(model, drive.joint)
     if model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_MUSCLE:
-        raise ModelError(
-            f"joint {joint_name(model, joint)!r} is moved by a muscle, which pulls one way only; an arm needs motors"
-        )
+        raise ModelError(f"joint {name!r} is moved by a muscle, which pulls one way only; an arm needs motors")
     if gear == 0:
-        raise ModelError(f"joint {joint_name(model, joint)!r}: its actuator has a gear of 0 and cannot move it")
-    ranges = {}
+        raise ModelError(f"joint {name!r}: its actuator has a gear of 0 and cannot move it")
     if model.actuator_forcelimited[actuator]:
-        ranges["forcerange"] = sorted(gear * model.actuator_forcerange[actuator])
-    if model.jnt_actfrclimited[joint]:
-        ranges["actfrcrange"] = model.jnt_actfrcrange[joint]
+        yield "forcerange", _scaled(gear, model.actuator_forcerange[actuator])
+    for joint, moment in drive.moments.items():
+        if model.jnt_actfrclimited[joint]:
+            yield "actfrcrange", _scaled(gear / moment, model.jnt_actfrcrange[joint])
     control = model.actuator_ctrladr[actuator]
     if _is_motor(model, actuator) and model.actuator_ctrllimited[control]:
-        gain = gear * float(model.actuator_gainprm[actuator, 0])
-        ranges["ctrlrange"] = sorted(gain * model.actuator_ctrlrange[control])
-    return {source: (float(low), float(high)) for source, (low, high) in ranges.items()}
+        yield "ctrlrange", _scaled(gear * float(model.actuator_gainprm[actuator, 0]), model.actuator_ctrlrange[control])
+
+
+def _scaled(factor: float, bounds: Array) -> tuple[float, float]:
+    low, high = sorted((factor * bounds).tolist())
+    return low, high
+
+
+def _range(model: mujoco.MjModel, drive: Drive) -> tuple[float, float]:
+    """How far a joint can go before it, or one that follows it, is at its limit."""
+    low, high = -np.inf, np.inf
+    for joint, tie in drive.ties.items():
+        if model.jnt_limited[joint]:
+            one, other = sorted(((model.jnt_range[joint] - tie.offset) / tie.ratio).tolist())
+            low, high = max(low, one), min(high, other)
+    if low > high:
+        name = joint_name(model, drive.joint)
+        raise ModelError(f"joint {name!r} and those that follow it have no position inside the limits of all")
+    return low, high
+
+
+def default_speed(model: mujoco.MjModel, joint: int) -> float:
+    """The speed of a joint that nobody gives one.
+
+    Args:
+        model: The model.
+        joint: Its number.
+
+    Returns:
+        rad/s, m/s.
+    """
+    return DEFAULT_SPEED[mujoco.mjtJoint(int(model.jnt_type[joint]))]
 
 
 def _is_motor(model: mujoco.MjModel, actuator: int) -> bool:
@@ -205,24 +238,29 @@ def _is_motor(model: mujoco.MjModel, actuator: int) -> bool:
     return fixed and model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE and not model.actuator_dyntype[actuator]
 
 
-def _assumed_torque(model: mujoco.MjModel, joints: Chain) -> Array:
-    worst, M = np.zeros(len(joints)), np.zeros((len(joints), len(joints)))
-    rng, index = np.random.default_rng(0), list(joints)
-    low, high = np.where(model.jnt_limited[index, None], model.jnt_range[index], (-np.pi, np.pi)).T
+def _assumed_torque(model: mujoco.MjModel, drives: Sequence[Drive]) -> Array:
+    n = len(drives)
+    worst, M = np.zeros(n), np.zeros((n, n))
+    rng, index = np.random.default_rng(0), [drive.joint for drive in drives]
+    low, high = np.transpose([_range(model, drive) for drive in drives])
+    low, high = np.where(np.isfinite(low), low, -np.pi), np.where(np.isfinite(high), high, np.pi)
     for _ in range(50):
         qpos = model.qpos0.copy()
         qpos[model.jnt_qposadr[index]] = rng.uniform(low, high)
-        M, gravity = _inertia_and_gravity(model, joints, qpos)
+        M, gravity = _inertia_and_gravity(model, drives, qpos)
         worst = np.maximum(worst, 2 * np.abs(gravity) + _DEFAULT_TAU_ACCELERATION * np.diag(M))
     return worst
 
 
-def _inertia_and_gravity(model: mujoco.MjModel, joints: Chain, qpos: Array) -> tuple[Array, Array]:
-    """(n, n) mass matrix and (n,) gravity torque of a chain, by MuJoCo."""
-    data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+def _inertia_and_gravity(model: mujoco.MjModel, drives: Sequence[Drive], qpos: Array) -> tuple[Array, Array]:
+    """(n, n) mass matrix and (n,) gravity torque of an arm, by MuJoCo, all that follows its joints included."""
+    data, full, ratio = mujoco.MjData(model), np.zeros((model.nv, model.nv)), np.zeros((model.nv, len(drives)))
     data.qpos[:] = qpos
+    for i, drive in enumerate(drives):
+        for joint, tie in drive.ties.items():
+            ratio[model.jnt_dofadr[joint], i] = tie.ratio
+            data.qpos[model.jnt_qposadr[joint]] = tie.ratio * qpos[model.jnt_qposadr[drive.joint]] + tie.offset
     mujoco.mj_fwdPosition(model, data)
     mujoco.mj_fwdVelocity(model, data)
     mujoco.mj_fullM(model, data, full)
-    dofs = model.jnt_dofadr[list(joints)]
-    return full[np.ix_(dofs, dofs)], data.qfrc_bias[dofs] - data.qfrc_gravcomp[dofs]
+    return ratio.T @ full @ ratio, ratio.T @ (data.qfrc_bias - data.qfrc_gravcomp)

@@ -181,11 +181,12 @@ def held_dofs(arm: Arm) -> IntArray:
     model = arm.model
     free = model.jnt_type[model.dof_jntid] == int(mujoco.mjtJoint.mjJNT_FREE)
     has_motor = np.zeros(model.nbody, bool)
+    has_motor[model.body_rootid[arm.tip_body]] = True
     for actuator in range(model.nu):
         if model.actuator_trntype[actuator] in (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)):
             has_motor[model.body_rootid[model.jnt_bodyid[model.actuator_trnid[actuator, 0]]]] = True
     of_robot = has_motor[model.body_rootid[model.dof_bodyid]]
-    return np.setdiff1d(np.flatnonzero(of_robot & ~free), arm.dof_adr)
+    return np.setdiff1d(np.flatnonzero(of_robot & ~free), arm.linkage.dof_adr)
 
 
 def brake(model: mujoco.MjModel, dofs: IntArray) -> None:

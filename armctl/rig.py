@@ -54,7 +54,7 @@ class Rig:
         self.dt = arm.dt if plant.timestep is None else float(plant.timestep)
         self._steps = round(self.dt / self.model.opt.timestep)
         self._motors = _index(arm.ctrl_adr)
-        addresses = (arm.qpos_adr, arm.dof_adr, arm.dof_adr)
+        addresses = (arm.qpos_adr, arm.dof_adr, arm.torque_adr)
         self._read = list(map(_reader, (self.data.qpos, self.data.qvel, self.data.qfrc_actuator), addresses))
         self.reset(arm.home, np.zeros(arm.n))
 
@@ -87,7 +87,7 @@ class Rig:
             self._set_loose(self._loose[:0])
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = self.arm.qpos(q)
-        self.data.qvel[self.arm.dof_adr] = v
+        self.data.qvel[:] = self.arm.qvel(v)
         self.data.ctrl[:] = self.arm.home_ctrl
         mujoco.mj_forward(self.model, self.data)
         self.q_ref, self.end = q, ""
@@ -139,6 +139,8 @@ class Rig:
         model, data, dt, continuous, steps = self.model, self.data, self.dt, self.continuous, self._steps
         (read_q, read_v, read_tau), ctrl, motors, gear = self._read, data.ctrl, self._motors, self.arm.gear
         torque, step, disturbances, tape = controller.torque, mujoco.mj_step, self._disturbances, recorder.tape
+        share = self.arm.torque_share
+        is_whole = bool((share == 1.0).all())
         direct = disturbances is None and isinstance(motors, slice) and bool((gear == 1.0).all())
         command = ctrl[motors] if direct else np.empty(self.arm.n)
         length = math.hypot  # of a short list, faster than numpy's dot
@@ -162,7 +164,8 @@ class Rig:
             if not direct:
                 ctrl[motors] = (command if disturbances is None else disturbances.driven(command, q)) / gear
             step(model, data, steps)
-            tape += row + command.tobytes() + read_tau().tobytes()
+            done = read_tau() if is_whole else read_tau() * share
+            tape += row + command.tobytes() + done.tobytes()
         last = reference.q[-1]
         self.q_ref = last if np.isfinite(last).all() else read_q()
 

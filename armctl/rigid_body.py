@@ -1,7 +1,8 @@
 """The Pinocchio model of one serial chain, built from the compiled MuJoCo model, body by body.
 
 Every joint frame is laid so that its joint turns about, or slides along, its own z axis. Joints outside the chain are held
-where they are, so whatever hangs on them is one rigid body with the link it hangs on.
+where they are, so whatever hangs on them is one rigid body with the link it hangs on; those that follow a joint of the chain
+are Pinocchio's mimic joints.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from armctl.arrays import Array, BoolArray, frozen
+from armctl.linkage import Linkage
 from armctl.pose import Pose
 
 WORLD_AXES_AT_TIP = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
@@ -20,19 +22,21 @@ WORLD_AXES_AT_TIP = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 @dataclass(frozen=True, eq=False)
 class RigidBody:
-    """Kinematics and inertia of n joints in series, and the tip behind the last of them.
+    """Kinematics and inertia of a chain of k joints, moved by an arm's n, and the tip behind the last of them.
 
     Attributes:
+        linkage: How the n move the chain's joints, and what else; k = n where no joint follows another.
         pin_model: The Pinocchio model; its frame `tip_frame` is the tip.
         data: Scratch memory of `pin_model`: one thread at a time.
         tip_frame: Index of the tip's frame.
-        placements: (n, 4, 4), each joint's frame at zero in the frame of the joint before it (the first one's in the world).
-        is_slide: (n,) bool, True where the joint slides along its z axis instead of turning about it.
+        placements: (k, 4, 4), each joint's frame at zero in the frame of the joint before it (the first one's in the world).
+        is_slide: (k,) bool, True where the joint slides along its z axis instead of turning about it.
         T_last_tip: (4, 4), the tip in the last joint's frame.
         gravity_support: A second Pinocchio model that carries only what gravity compensation in the MuJoCo model lifts
             (`gravcomp`), or None where nothing is lifted.
     """
 
+    linkage: Linkage
     pin_model: pin.Model
     data: pin.Data
     tip_frame: int
@@ -77,7 +81,8 @@ class RigidBody:
         """
         R = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(q)))  # time last: whole columns of R turn at once
         p = np.zeros((3, len(q)))
-        for qi, X, slides in zip(q.T, self.placements, self.is_slide, strict=True):
+        chain = q if self.linkage.is_plain else self.linkage.positions(q)[:, : self.linkage.length]
+        for qi, X, slides in zip(chain.T, self.placements, self.is_slide, strict=True):
             p = p + X[:3, 3] @ R
             R = X[:3, :3].T @ R
             if slides:
@@ -90,27 +95,28 @@ class RigidBody:
         return np.ascontiguousarray(p.T), np.ascontiguousarray(R.transpose(2, 0, 1))
 
     def __reduce__(self):
-        fields = (self.pin_model, self.tip_frame, self.placements, self.is_slide, self.T_last_tip, self.gravity_support)
-        return _unpickled, fields
+        rest = (self.tip_frame, self.placements, self.is_slide, self.T_last_tip, self.gravity_support)
+        return _unpickled, (self.linkage, self.pin_model, *rest)
 
 
-def _unpickled(pin_model: pin.Model, *rest) -> RigidBody:
-    return RigidBody(pin_model, pin_model.createData(), *rest)
+def _unpickled(linkage: Linkage, pin_model: pin.Model, *rest) -> RigidBody:
+    return RigidBody(linkage, pin_model, pin_model.createData(), *rest)
 
 
-def build(model: mujoco.MjModel, joints: tuple[int, ...], qpos: Array, tip_body: int, T_body_tip: Pose) -> RigidBody:
+def build(model: mujoco.MjModel, linkage: Linkage, qpos: Array, tip_body: int, T_body_tip: Pose) -> RigidBody:
     """The rigid-body model of a chain.
 
     Args:
         model: The compiled model.
-        joints: The chain's hinge and slide joints, from the base to the tip.
-        qpos: (nq,) where the joints outside the chain are held.
+        linkage: The chain's hinge and slide joints, from the base to the tip, and those outside it that follow one of them.
+        qpos: (nq,) where all other joints are held.
         tip_body: The body that carries the tip.
         T_body_tip: The tip in that body.
 
     Returns:
         The model, its joints in the order given.
     """
+    joints = linkage.joints
     data = mujoco.MjData(model)
     zero = model.qpos0[model.jnt_qposadr[list(joints)]]
     data.qpos[:] = qpos
@@ -121,16 +127,18 @@ def build(model: mujoco.MjModel, joints: tuple[int, ...], qpos: Array, tip_body:
     is_slide = np.array([model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE for j in joints])
     pin_model = pin.Model()
     pin_model.gravity.linear = model.opt.gravity if _has_gravity(model) else np.zeros(3)
-    previous, placements = pin.SE3.Identity(), []
-    for i, joint in enumerate(joints):
+    placements = []
+    for i, (joint, above) in enumerate(zip(joints, _joints_behind(model, joints), strict=True)):
+        previous = frames[above] if above >= 0 else pin.SE3.Identity()
         back_to_zero = _along_z(-zero[i]) if is_slide[i] else _about_z(-zero[i])
         placement = previous.actInv(frames[i]) * back_to_zero
         kind = pin.JointModelPZ() if is_slide[i] else pin.JointModelRZ()
-        pin_model.addJoint(i, kind, placement, mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or f"joint{joint}")
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or f"joint{joint}"
+        pin_model.addJoint(above + 1, kind, placement, name)
         placements.append(placement.homogeneous)
-        previous = frames[i]
+    pin_model = _with_followers(pin_model, linkage)
     support = pin_model.copy() if _is_lifted(model) else None
-    pin_model.armature = model.dof_armature[model.jnt_dofadr[list(joints)]].copy()
+    pin_model.armature = linkage.ratio.T**2 @ model.dof_armature[linkage.dof_adr]
 
     for body, owner in enumerate(joint_above(model, joints)):
         if owner < 0 or not (model.body_mass[body] or model.body_inertia[body].any()):
@@ -143,25 +151,26 @@ def build(model: mujoco.MjModel, joints: tuple[int, ...], qpos: Array, tip_body:
             support.appendBodyToJoint(owner + 1, lifted, T_joint_inertia)
 
     T_world_tip = _se3(data.xpos[tip_body], data.xmat[tip_body]) * pin.SE3(T_body_tip.rotation, T_body_tip.position)
-    T_last_tip = frames[-1].actInv(T_world_tip)
-    tip_frame = pin_model.addFrame(pin.Frame("tip", len(joints), 0, T_last_tip, pin.FrameType.OP_FRAME))
+    T_last_tip = frames[linkage.length - 1].actInv(T_world_tip)
+    tip_frame = pin_model.addFrame(pin.Frame("tip", linkage.length, 0, T_last_tip, pin.FrameType.OP_FRAME))
     return RigidBody(
+        linkage,
         pin_model,
         pin_model.createData(),
         tip_frame,
-        frozen(np.array(placements)),
-        frozen(is_slide),
+        frozen(np.array(placements[: linkage.length])),
+        frozen(is_slide[: linkage.length]),
         frozen(T_last_tip.homogeneous),
         support,
     )
 
 
 def joint_above(model: mujoco.MjModel, joints: tuple[int, ...]) -> list[int]:
-    """For every body, which joint of the chain moves it.
+    """For every body, which joint of an arm moves it.
 
     Args:
         model: The compiled model.
-        joints: The chain's joints, from the base to the tip.
+        joints: The joints; of several on one body the last one carries it.
 
     Returns:
         (nbody,) positions in `joints` of the last joint above each body, -1 where none is.
@@ -171,6 +180,25 @@ def joint_above(model: mujoco.MjModel, joints: tuple[int, ...]) -> list[int]:
     for body in range(1, model.nbody):
         owner[body] = last_on_body.get(body, owner[model.body_parentid[body]])
     return owner
+
+
+def _joints_behind(model: mujoco.MjModel, joints: tuple[int, ...]) -> list[int]:
+    """For every joint, the position in `joints` of the one it hangs on, -1 where it hangs on none."""
+    carried, behind = joint_above(model, joints), []
+    for i, joint in enumerate(joints):
+        body = int(model.jnt_bodyid[joint])
+        before = [k for k, other in enumerate(joints[:i]) if model.jnt_bodyid[other] == body]
+        behind.append(before[-1] if before else carried[int(model.body_parentid[body])])
+    return behind
+
+
+def _with_followers(pin_model: pin.Model, linkage: Linkage) -> pin.Model:
+    """The model with every joint that follows another as Pinocchio's mimic joint."""
+    for k, (ratio, offset) in enumerate(zip(linkage.ratio, linkage.offset, strict=True)):
+        if k not in linkage.leaders:
+            leader = int(linkage.leaders[np.flatnonzero(ratio)[0]])
+            pin_model = pin.transformJointIntoMimic(pin_model, leader + 1, k + 1, float(ratio.sum()), float(offset))
+    return pin_model
 
 
 def _is_lifted(model: mujoco.MjModel) -> bool:

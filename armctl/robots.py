@@ -13,8 +13,10 @@ import numpy as np
 from armctl.arm import Arm, check_parity
 from armctl.arrays import Array, frozen
 from armctl.chain import SerialChain, all_chains, chain_to, check_apart, find_chain, stopped_before
-from armctl.elements import Chain, joint_actuators, joint_name
+from armctl.drives import Drive, chain_drives
+from armctl.elements import Chain, joint_name
 from armctl.errors import ArmctlWarning, InputError, ModelError, UnknownNameError
+from armctl.linkage import linkage_of
 from armctl.motors import JointData, from_row, joint_limits, make_motors, torque_limits
 from armctl.pose import Pose
 from armctl.rigid_body import build
@@ -138,6 +140,7 @@ class _Part:
     """One chain on its way to become an arm; what it holds is explained at Arm."""
 
     joints: Chain
+    drives: list[Drive]
     tip: str
     tip_body: int
     T_body_tip: Pose
@@ -200,30 +203,39 @@ def _with_motors(
     tip_offset: Pose | None,
 ) -> _Part:
     """A chain with its torque limits, its actuators turned into motors in the specification."""
-    sheet = speed_limits(source.path, model, joints) or from_row(source.row, joints)
-    tau_max, sources, notes = torque_limits(model, joints, sheet)
-    notes += make_motors(spec, model, joints, tau_max) + stopped_before(model, joints)
+    drives = chain_drives(model, joints)
+    sheet = speed_limits(source.path, model, drives) or from_row(source.row, len(drives))
+    tau_max, sources, notes = torque_limits(model, drives, sheet)
+    notes += make_motors(spec, model, drives, tau_max) + stopped_before(model, joints)
     T_body_tip = T_body_tip if tip_offset is None else T_body_tip @ tip_offset
-    return _Part(joints, tip, tip_body, T_body_tip, sheet, tau_max, sources, notes)
+    return _Part(joints, drives, tip, tip_body, T_body_tip, sheet, tau_max, sources, notes)
 
 
 def _arm(source: Source, model: mujoco.MjModel, original: mujoco.MjModel, part: _Part, qpos: Array, notes: list[str]) -> Arm:
-    joints, index = part.joints, list(part.joints)
-    limits, sources = joint_limits(model, joints, qpos, part.tau_max, part.sheet)
-    actuators = [joint_actuators(original)[j] for j in joints]
+    drives, linkage = part.drives, linkage_of(original, part.joints)
+    limits, sources = joint_limits(model, drives, qpos, part.tau_max, part.sheet)
+    leaders, actuators = [drive.joint for drive in drives], [drive.actuator for drive in drives]
+    home = limits.clamp(qpos[model.jnt_qposadr[leaders]])
+    qpos = qpos.copy()
+    qpos[linkage.qpos_adr] = linkage.positions(home)
+    felt = [max(drive.moments, key=lambda joint: abs(drive.moments[joint])) for drive in drives]
+    share = np.array([drive.gear / drive.moments[joint] for drive, joint in zip(drives, felt, strict=True)])
     return Arm(
         name=source.name,
         model=model,
-        joint_names=tuple(joint_name(model, j) for j in joints),
+        joint_names=tuple(joint_name(model, j) for j in leaders),
         tip=part.tip,
-        home=frozen(qpos[model.jnt_qposadr[index]]),
+        home=frozen(home),
         limits=limits,
-        rigid_body=build(model, joints, qpos, part.tip_body, part.T_body_tip),
-        qpos_adr=frozen(model.jnt_qposadr[index].astype(int)),
-        dof_adr=frozen(model.jnt_dofadr[index].astype(int)),
+        rigid_body=build(model, linkage, qpos, part.tip_body, part.T_body_tip),
+        linkage=linkage,
+        qpos_adr=frozen(model.jnt_qposadr[leaders].astype(int)),
+        dof_adr=frozen(model.jnt_dofadr[leaders].astype(int)),
         ctrl_adr=frozen(model.actuator_ctrladr[actuators].astype(int)),
-        gear=frozen(model.actuator_gear[actuators, 0].copy()),
-        home_qpos=qpos,
+        gear=frozen(np.array([drive.gear for drive in drives])),
+        torque_adr=frozen(model.jnt_dofadr[felt].astype(int)),
+        torque_share=frozen(share),
+        home_qpos=frozen(qpos),
         home_ctrl=qpos[:0],
         tip_body=part.tip_body,
         T_body_tip=part.T_body_tip,

@@ -18,6 +18,7 @@ from armctl.errors import InputError, UnknownNameError
 from armctl.goal import Goal
 from armctl.gripper import Gripper
 from armctl.ik import solve_ik
+from armctl.linkage import joined
 from armctl.log import Log
 from armctl.motion import move_j
 from armctl.move_result import MoveResult
@@ -245,7 +246,7 @@ def _joined(arms: Sequence[Arm]) -> Arm:
     limits = Limits(*(np.concatenate([getattr(arm.limits, f.name) for arm in arms]) for f in fields(Limits)))
     together = {
         name: np.concatenate([getattr(arm, name) for arm in arms])
-        for name in ("home", "qpos_adr", "dof_adr", "ctrl_adr", "gear")
+        for name in ("home", "qpos_adr", "dof_adr", "ctrl_adr", "gear", "torque_adr", "torque_share")
     }
     names = tuple(name for arm in arms for name in arm.joint_names)
-    return replace(arms[0], joint_names=names, limits=limits, **together)
+    return replace(arms[0], joint_names=names, limits=limits, linkage=joined([arm.linkage for arm in arms]), **together)

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from armctl.elements import Chain, joint_name
+from armctl.drives import Drive
+from armctl.elements import joint_name
 from armctl.errors import ModelError
-from armctl.motors import DEFAULT_SPEED, JointData
+from armctl.motors import JointData, default_speed
 from armctl.urdf_mass import mend_masses
 
+_RIGID = (0.9999, 0.9999, 0.001, 0.5, 2.0)  # MuJoCo's solimp
 _READABLE = (".stl", ".obj", ".msh")
 
 
@@ -38,6 +41,8 @@ def read_urdf(path: Path) -> tuple[mujoco.MjSpec, list[str]]:
     root = _parsed(path)
     notes = _find_meshes(spec, path, root) + mend_masses(spec)
     followers = {joint.get("name") for joint in root.findall("joint") if joint.find("mimic") is not None}
+    for mimic in spec.equalities:  # as rigid as MuJoCo can: a URDF knows no give
+        mimic.solref, mimic.solimp = (2 * spec.option.timestep, 1.0), _RIGID
     for joint in spec.joints:
         is_scalar = joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
         if is_scalar and joint.name not in followers:
@@ -47,13 +52,13 @@ def read_urdf(path: Path) -> tuple[mujoco.MjSpec, list[str]]:
     return spec, notes
 
 
-def speed_limits(path: Path, model: mujoco.MjModel, joints: Chain) -> JointData | None:
+def speed_limits(path: Path, model: mujoco.MjModel, drives: Sequence[Drive]) -> JointData | None:
     """The speed limits of a URDF, which MuJoCo does not keep; the default for a joint that has none.
 
     Args:
         path: The file.
         model: The model compiled from it.
-        joints: The chain.
+        drives: What moves the joints.
 
     Returns:
         The limits; None where no joint has one, or the file is no URDF.
@@ -64,13 +69,14 @@ def speed_limits(path: Path, model: mujoco.MjModel, joints: Chain) -> JointData 
     if path.suffix.lower() != ".urdf":
         return None
     given = {joint.get("name"): joint.find("limit") for joint in _parsed(path).findall("joint")}  # transmissions name them too
-    names = [joint_name(model, joint) for joint in joints]
-    speeds = np.array([_speed(name, given.get(name)) for name in names])
-    if not (speeds > 0).any():
+    names = {joint: joint_name(model, joint) for drive in drives for joint in drive.ties}
+    speeds = {joint: _speed(name, given.get(name)) for joint, name in names.items()}
+    if not any(speed > 0 for speed in speeds.values()):
         return None
-    missing = [name for name, speed in zip(names, speeds, strict=True) if speed <= 0]
-    default = [DEFAULT_SPEED[mujoco.mjtJoint(int(model.jnt_type[joint]))] for joint in joints]
-    return JointData("URDF" + f"; default for {', '.join(missing)}" * bool(missing), np.where(speeds > 0, speeds, default))
+    missing = [names[joint] for joint, speed in speeds.items() if speed <= 0]
+    speeds = {joint: speed if speed > 0 else default_speed(model, joint) for joint, speed in speeds.items()}
+    v_max = np.array([min(speeds[joint] / abs(tie.ratio) for joint, tie in drive.ties.items()) for drive in drives])
+    return JointData("URDF" + f"; default for {', '.join(missing)}" * bool(missing), v_max)
 
 
 def _parsed(path: Path) -> ElementTree.Element:

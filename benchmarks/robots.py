@@ -23,6 +23,7 @@ from armctl.ik import solve_ik_batch
 from armctl.source import BUNDLED
 
 PAGE = Path(__file__).parent.parent / "docs" / "robots.md"
+RIGID = 0.999  # of 1, the impedance of an equality that counts as rigid
 STEP = 0.2  # rad, m: how far the joints move from home in the tracking runs
 HEAD = """# Robots
 
@@ -73,7 +74,7 @@ def chains_of(robot: str) -> Iterator[tuple[str, armctl.Arm]]:
         first = waiting[0]
         together = [first]
         for chain in waiting[1:]:
-            apart = all(not set(chain.joint_names) & set(other.joint_names) for other in together)
+            apart = all(not set(chain.actuator_names) & set(other.actuator_names) for other in together)
             if apart and chain.base == first.base:
                 together.append(chain)
         waiting = [chain for chain in waiting if chain not in together]
@@ -92,10 +93,17 @@ def measure(arm: armctl.Arm, base: str, poses: int) -> Row:
     there = armctl.move_j(arm, arm.home, goal)
     logs = [armctl.simulate(arm, name, there, settle=0.0) for name in ("pd", "computed-torque")]
     errors = [log.q - log.q_ref for log in logs]
+    if not reason and not arm.linkage.is_plain and not _is_rigid(arm):
+        reason = "an equality of the model ties joints to each other, and gives way"
     if not reason and (np.abs(logs[1].tau_cmd) > logs[1].tau_max).any():
         reason = "a motor saturates"
     rms = float(np.sqrt(np.mean(errors[0] ** 2)))
     return Row(arm, base, parity, float(found * solved.ok.mean()), rms, float(np.abs(errors[1]).max()), reason)
+
+
+def _is_rigid(arm: armctl.Arm) -> bool:
+    """Whether the equalities of a model leave their joints no give: MuJoCo's impedance is nearly 1 from the start."""
+    return bool((arm.model.eq_solimp[:, 0] >= RIGID).all())
 
 
 def _is_answer(arm: armctl.Arm, q: np.ndarray, target: armctl.Pose) -> bool:

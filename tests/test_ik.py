@@ -288,7 +288,7 @@ def test_a_wrong_batch_is_one_sentence(targets, more, sentence):
 @every_arm
 def test_the_kernel_is_pinocchio(name: str):
     arm = arm_of(name)
-    chain, work = chain_of(arm), kernel.scratch(arm.n)
+    chain, work = chain_of(arm), kernel.scratch(arm.n, arm.n)
     for q in positions(arm, 20):
         kernel.forward(chain.rows, q / chain.unit, work)
         kernel.jacobian(chain.rows, work)

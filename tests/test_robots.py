@@ -323,12 +323,16 @@ def test_a_urdf_brings_its_limits_and_its_tool_frame(tmp_path: Path):
     assert arm.fk([0, 0]).position == pytest.approx([0, 0, 1.2])
 
 
-def test_a_joint_that_mimics_another_has_no_motor_and_is_refused_by_name(tmp_path: Path):
+def test_a_joint_that_mimics_another_goes_along_with_it(tmp_path: Path):
     path = tmp_path / "r.urdf"
-    mimic = JOINT.format("j2", "revolute", "one", "two", LIMIT + '<mimic joint="j1" multiplier="2"/>')
+    mimic = JOINT.format("j2", "revolute", "one", "two", LIMIT + '<mimic joint="j1" multiplier="2" offset="0.1"/>')
     path.write_text(urdf(FIRST, mimic, THIRD, TOOL))
-    with pytest.raises(armctl.ModelError, match="joint 'j1' is coupled to another by the equality"):
-        armctl.load(path)
+    arm = armctl.load(path)
+    assert arm.joint_names == ("j1",)
+    assert arm.qpos(np.array([0.3])) == pytest.approx([0.3, 0.7])
+    plain = tmp_path / "plain.urdf"
+    plain.write_text(urdf(FIRST, SECOND, THIRD, TOOL))
+    assert np.allclose(arm.fk([0.3]).matrix, armctl.load(plain).fk([0.3, 0.7]).matrix)
 
 
 def test_an_endless_joint_has_no_limits_and_an_unknown_effort_is_assumed(tmp_path: Path):

@@ -79,7 +79,6 @@ class DifferentialIk:
         rest = arm.home if posture is None else arm.limits.check("posture", posture, arm.joint_names)
         self.arm, self.status, self._solver = arm, "solved", solver
         self.configuration = mink.Configuration(arm.model, arm.home_qpos.copy())
-        self._block = np.ix_(arm.dof_adr, arm.dof_adr)
         self._posture_gain = number("posture_gain", posture_gain, 0.0)
         self.tip = TipTask(arm, rest)
         self._tasks, self._constraints = [self.tip, *tasks], list(constraints)
@@ -121,7 +120,8 @@ class DifferentialIk:
         self.tip.asked, self.tip.target = asked, numbers
         self.tip.posture_share = min(1.0, self._posture_gain * dt)
         low, high = self.tip.bounds = self._bounds(q, dt)
-        self.configuration.data.qpos[self.arm.qpos_adr] = q
+        linkage = self.arm.linkage
+        self.configuration.data.qpos[linkage.qpos_adr] = linkage.positions(q)
         if self._needs_kinematics:
             self.configuration.update()
         return self._solve(q, low, high, dt) / dt
@@ -140,10 +140,10 @@ class DifferentialIk:
 
         limits = [*self._limits, self._clearance] if self._clearance is not None else self._limits
         problem = mink.build_ik(self.configuration, self._tasks, dt, DAMPING, limits, self._constraints)
-        dofs = self.arm.dof_adr  # the others stand still
-        problem.P, problem.q = problem.P[self._block], problem.q[dofs]
-        problem.G = problem.G[:, dofs] if problem.G is not None else None
-        problem.A = problem.A[:, dofs] if problem.A is not None else None
+        reduced = self.arm.linkage.reduced  # all other joints stand still
+        problem.P, problem.q = self.arm.linkage.reduced_matrix(np.asarray(problem.P)), reduced(problem.q)
+        problem.G = reduced(np.asarray(problem.G)) if problem.G is not None else None
+        problem.A = reduced(np.asarray(problem.A)) if problem.A is not None else None
         problem.lb, problem.ub = low, high
         dq, self.status = _solution(problem, self._solver), "solved"
         if dq is None and self._clearance is not None and problem.h is not None:

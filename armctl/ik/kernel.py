@@ -15,13 +15,14 @@ import numpy as np
 from armctl.arrays import Array
 from armctl.compiled import njit
 
-# A packed chain (n + 1, 15): one row a joint and a last row for the tip: rotation 0-8, translation 9-11, and
-SLIDE, LOW, HIGH = 12, 13, 14
+# A packed chain (k + 1, 18): one row a joint and a last row for the tip: rotation 0-8, translation 9-11, and of a joint whether
+# it slides, which of the n unknowns moves it, and by how much. The first n rows also hold the unknowns' bounds and periods.
+SLIDE, LOW, HIGH, LEADER, RATIO, TURN = 12, 13, 14, 15, 16, 17
 
 # What of the tip is asked for.
 POSE, POSITION, FREE_X = 0, 1, 2  # the next two are free about y and about z
 
-# Scratch memory (n + 2, 18 + 2 n). One row a joint:
+# Scratch memory (k + 2, 18 + 2 n). One row a joint, the first n also one an unknown:
 ORIGIN, AXIS, JACOBIAN = 0, 3, 6  # (3,), (3,), (6,)
 GRADIENT, STEP, HELD, BEST = 12, 13, 14, 15
 RHS, PIVOT = 16, 17  # of the joints that are free, packed
@@ -44,22 +45,29 @@ NULL_PASSES, NO_ROOM, NULL_DAMPING = 4, 0.01, 1e-10
 FARTHEST = 1e3  # reaches, up to where the solver sees the difference a step makes
 
 
-def scratch(n: int) -> Array:
+def scratch(joints: int, unknowns: int) -> Array:
     """The memory of one search.
 
     Args:
-        n: How many joints.
+        joints: How many joints k the chain has.
+        unknowns: How many unknowns n move them: fewer where joints follow others.
 
     Returns:
-        (n + 2, 18 + 2 n), not initialised.
+        (k + 2, 18 + 2 n), not initialised.
     """
-    return np.empty((n + 2, NORMAL + 2 * n))
+    return np.empty((joints + 2, NORMAL + 2 * unknowns))
+
+
+@njit
+def _unknowns(work):
+    """How many unknowns a scratch memory is for."""
+    return (work.shape[1] - NORMAL) // 2
 
 
 @njit
 def forward(chain, q, work):
     """Forward kinematics: fills the joints' origins and axes, and the tip's rotation and translation."""
-    n = len(q)
+    n = len(chain) - 1
     a, b, c, d, e, f, g, h, i = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
     x, y, z = 0.0, 0.0, 0.0
     for k in range(n + 1):
@@ -77,12 +85,13 @@ def forward(chain, q, work):
         r, s, t = g * xx + h * yx + i * zx, g * xy + h * yy + i * zy, g * xz + h * yz + i * zz
         g, h, i = r, s, t
         if k < n:
+            moved = chain[k, RATIO] * q[int(chain[k, LEADER])]
             if chain[k, SLIDE] > 0:
-                x += c * q[k]
-                y += f * q[k]
-                z += i * q[k]
+                x += c * moved
+                y += f * moved
+                z += i * moved
             else:
-                cos, sin = np.cos(q[k]), np.sin(q[k])
+                cos, sin = np.cos(moved), np.sin(moved)
                 r, s, t = a * cos + b * sin, d * cos + e * sin, g * cos + h * sin
                 b, e, h = b * cos - a * sin, e * cos - d * sin, h * cos - g * sin
                 a, d, g = r, s, t
@@ -96,7 +105,7 @@ def forward(chain, q, work):
 
 @njit
 def jacobian(chain, work):
-    """The tip's Jacobian from what `forward` filled: a row of six for each joint, linear first, world axes."""
+    """The tip's Jacobian from what `forward` filled: a row of six for each unknown, linear first, world axes."""
     n = len(work) - 2
     for k in range(n):
         u, v, w = work[k, AXIS], work[k, AXIS + 1], work[k, AXIS + 2]
@@ -107,6 +116,14 @@ def jacobian(chain, work):
             x, y, z = work[n, 9] - work[k, ORIGIN], work[n, 10] - work[k, ORIGIN + 1], work[n, 11] - work[k, ORIGIN + 2]
             work[k, JACOBIAN], work[k, JACOBIAN + 1], work[k, JACOBIAN + 2] = v * z - w * y, w * x - u * z, u * y - v * x
             work[k, JACOBIAN + 3], work[k, JACOBIAN + 4], work[k, JACOBIAN + 5] = u, v, w
+    if n > _unknowns(work):  # joints follow others: an unknown's row is the sum of those of its joints
+        begun = 0
+        for k in range(n):
+            leader = int(chain[k, LEADER])
+            begins = leader == begun
+            begun += 1 if begins else 0
+            for r in range(JACOBIAN, JACOBIAN + 6):
+                work[leader, r] = chain[k, RATIO] * work[k, r] + (0.0 if begins else work[leader, r])
 
 
 @njit
@@ -145,37 +162,37 @@ def _linearise(chain, target, asked, yields, q, work):
 
     A rotation counts by its weight, divided by 1 + `yields` times the position's error (up to one reach).
     """
-    n = len(q)
+    n, tip = len(q), len(work) - 2
     forward(chain, q, work)
     jacobian(chain, work)
     rows = 6
     if asked == POSITION:
         rows = 3
-        work[n, ERROR + 3], work[n, ERROR + 4], work[n, ERROR + 5] = 0.0, 0.0, 0.0
+        work[tip, ERROR + 3], work[tip, ERROR + 4], work[tip, ERROR + 5] = 0.0, 0.0, 0.0
     else:
         rotation_error(target, asked, work)
     off, turned = 0.0, 0.0
     for r in range(3):
-        work[n, ERROR + r] = target[9 + r] - work[n, 9 + r]
-        off += work[n, ERROR + r] * work[n, ERROR + r]
-        turned += work[n, ERROR + 3 + r] * work[n, ERROR + 3 + r]
+        work[tip, ERROR + r] = target[9 + r] - work[tip, 9 + r]
+        off += work[tip, ERROR + r] * work[tip, ERROR + r]
+        turned += work[tip, ERROR + 3 + r] * work[tip, ERROR + 3 + r]
     off, turned = np.sqrt(off), np.sqrt(turned)
     weight = ROTATION_WEIGHT / (1.0 + yields * min(1.0, off))
     for r in range(3, 6):
-        work[n, ERROR + r] *= weight
+        work[tip, ERROR + r] *= weight
     for i in range(n):
         if asked >= FREE_X:  # a turn about the free axis costs nothing
             k = asked - FREE_X
             along = 0.0
             for r in range(3):
-                along += work[n, 3 * r + k] * work[i, JACOBIAN + 3 + r]
+                along += work[tip, 3 * r + k] * work[i, JACOBIAN + 3 + r]
             for r in range(3):
-                work[i, JACOBIAN + 3 + r] -= along * work[n, 3 * r + k]
+                work[i, JACOBIAN + 3 + r] -= along * work[tip, 3 * r + k]
         total = 0.0
         for r in range(rows):
             if r >= 3:
                 work[i, JACOBIAN + r] *= weight
-            total += work[i, JACOBIAN + r] * work[n, ERROR + r]
+            total += work[i, JACOBIAN + r] * work[tip, ERROR + r]
         work[i, GRADIENT] = total
         for j in range(i + 1):
             total = 0.0
@@ -189,9 +206,12 @@ def _linearise(chain, target, asked, yields, q, work):
 def _bend(chain, asked, work):
     """Takes the chain's own curvature off J^T J: error . d^2 tip / dq_i dq_j, with z_i x dp/dq_j as the derivative for i <= j.
 
-    What is left is the Hessian of half the squared error, for a rotation up to the error's third order.
+    What is left is the Hessian of half the squared error, for a rotation up to the error's third order. Where joints follow
+    others, nothing is taken off.
     """
     n = len(work) - 2
+    if n > _unknowns(work):
+        return
     for i in range(n):
         if chain[i, SLIDE] > 0:
             continue
@@ -211,7 +231,7 @@ def _solve_free(damping, work):
 
     Pivots below the damping, which only a curvature that was added can make, are raised to it: every step leads downhill.
     """
-    n = len(work) - 2
+    n = _unknowns(work)
     factor, count = NORMAL + n, 0
     for i in range(n):
         if work[i, HELD] > 0:
@@ -290,7 +310,7 @@ def _descend(chain, target, asked, off_max, turned_max, q, work):
         off, turned = _linearise(chain, target, asked, 0.0, q, work)
         size = off * off + ROTATION_WEIGHT * ROTATION_WEIGHT * turned * turned
         if steps == 1:
-            work[n + 1, FIRST] = size
+            work[len(work) - 1, FIRST] = size
         ok = off <= off_max and turned <= turned_max
         if ok or size < best:
             best = size
@@ -332,9 +352,9 @@ def _random_start(chain, q0, start, seed, q):
 @njit
 def _unwind(chain, q0, q):
     """Takes whole turns off the hinges, or adds them, where that comes nearer to q0 and stays inside the bounds."""
-    turn = 2 * np.pi
     for i in range(len(q)):
-        if chain[i, SLIDE] == 0:
+        turn = chain[i, TURN]
+        if turn > 0:
             turns = np.round((q0[i] - q[i]) / turn)
             while turns != 0 and not chain[i, LOW] <= q[i] + turns * turn <= chain[i, HIGH]:
                 turns -= np.sign(turns)
@@ -362,7 +382,8 @@ def _beyond(chain, target, off_max):
     """Whether the target is farther from the first joint than the arm stretched out, which is one reach."""
     n = len(chain) - 1
     for i in range(n):
-        if chain[i, SLIDE] > 0 and not chain[i, HIGH] - chain[i, LOW] < np.inf:
+        leader = int(chain[i, LEADER])
+        if chain[i, SLIDE] > 0 and not chain[leader, HIGH] - chain[leader, LOW] < np.inf:
             return False
     distance = 0.0
     for k in range(9, 12):
@@ -378,7 +399,7 @@ def search(chain, reach, targets, asked, off_max, turned_max, q0, begin, first, 
     best positions met, and `tally` (N, 4) with 1 for a solution, the start after the last one used, how many steps it took, and
     1 if q is far from q0 although the tip began near the target.
     """
-    n = len(chain) - 1
+    n = q.shape[1]
     trial = np.empty(n)
     for t in range(len(targets)):
         target = _aim(chain, reach, targets[t], work)
@@ -392,7 +413,7 @@ def search(chain, reach, targets, asked, off_max, turned_max, q0, begin, first, 
                 _random_start(chain, q0[t], start, seed, trial)
             ok, size, more = _descend(chain, target, asked, off_max / reach, turned_max, trial, work)
             steps += more
-            near = near or (start == 0 and work[n + 1, FIRST] < NEAR * NEAR)
+            near = near or (start == 0 and work[len(work) - 1, FIRST] < NEAR * NEAR)
             start += 1
             if ok or size < best:
                 best = size
@@ -412,7 +433,7 @@ def settle(chain, reach, targets, asked, q0, pull, q, sizes, work):
 
     Without a pull it ends at the nearest the tip can come to a target it cannot reach. Fills `sizes` (N,) with what is left.
     """
-    n = len(chain) - 1
+    n = q.shape[1]
     for t in range(len(targets)):
         target, here = _aim(chain, reach, targets[t], work), q[t]
         best, damping, moved, steps = np.inf, 0.0, np.inf, 0
@@ -455,7 +476,7 @@ def objective(chain, reach, target, asked, yields, bends, q, H, gradient, J, wor
         _bend(chain, asked, work)
     size = 0.0
     for r in range(6):
-        size += work[n, ERROR + r] ** 2
+        size += work[len(work) - 2, ERROR + r] ** 2
     for i in range(n):
         gradient[i] = work[i, GRADIENT]
         for r in range(6):

@@ -42,7 +42,7 @@ def search(problem: Problem, first: int, last: int, begin: Array | None = None) 
         problem.seed,
         q,
         tally,
-        kernel.scratch(q.shape[1]),
+        kernel.scratch(len(chain.rows) - 1, q.shape[1]),
     )
     return chain.joints(q), tally
 
@@ -69,7 +69,7 @@ def settle(problem: Problem, q: Array, pull: float = 0.0) -> tuple[Array, Array]
         pull,
         q,
         sizes,
-        kernel.scratch(q.shape[1]),
+        kernel.scratch(len(chain.rows) - 1, q.shape[1]),
     )
     return chain.joints(q), sizes
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
-from armctl.arrays import Array, IntArray, frozen, matrix, number, vector
+from armctl.arrays import Array, BoolArray, IntArray, frozen, matrix, number, vector
 from armctl.errors import InputError
 from armctl.pose import Pose
 from armctl.trajectory import Limits
@@ -28,10 +28,11 @@ class Chain:
     """A serial chain as the compiled solver takes it, its lengths in units of the reach.
 
     Attributes:
-        rows: (n + 1, 15): rotation, translation, 1 for a slide joint, bounds; the last row is the tip.
+        rows: (k + 1, 18): for each of its k joints rotation, translation, 1 for a slide joint, bounds, leader, ratio, period,
+            as the kernels explain; the last row is the tip.
         reach: m, the arm stretched out: the unit of length.
-        unit: (n,) what one unit of each joint is: 1 rad, or the reach for a slide joint.
-        slides: Whether any joint slides.
+        unit: (n,) what one unit of each of the arm's joints is: 1 rad, or the reach for a slide joint.
+        slides: Whether any of them slides.
         limits: The arm's.
     """
 
@@ -260,14 +261,28 @@ def chain_of(arm: Arm) -> Chain:
 
 
 def _pack(arm: Arm) -> Chain:
-    body, limits = arm.rigid_body, arm.limits
-    links = np.concatenate([body.placements, body.T_last_tip[None]])
-    travel = np.where(body.is_slide, np.maximum(np.abs(limits.q_min), np.abs(limits.q_max)), 0.0)
-    reach = float(np.linalg.norm(links[1:, :3, 3], axis=1).sum() + travel[np.isfinite(travel)].sum()) or 1.0
-    unit = np.where(body.is_slide, reach, 1.0)
-    rows = np.zeros((arm.n + 1, 15))
+    body, limits, linkage = arm.rigid_body, arm.limits, arm.linkage
+    k, n = linkage.length, arm.n
+    ratio, slides = linkage.ratio[:k], body.is_slide[linkage.leaders]
+    links = np.concatenate([body.placements @ _moved(linkage.offset[:k], body.is_slide), body.T_last_tip[None]])
+    farthest = np.maximum(np.abs(limits.q_min), np.abs(limits.q_max))
+    travel = np.where(body.is_slide, np.abs(ratio) @ np.where(np.isfinite(farthest), farthest, 0.0), 0.0)
+    reach = float(np.linalg.norm(links[1:, :3, 3], axis=1).sum() + travel.sum()) or 1.0
+    unit = np.where(slides, reach, 1.0)
+    rows = np.zeros((k + 1, 18))
     rows[:, :9] = links[:, :3, :3].reshape(-1, 9)
     rows[:, 9:12] = links[:, :3, 3] / reach
     rows[:-1, 12] = body.is_slide
-    rows[:-1, 13], rows[:-1, 14] = limits.q_min / unit, limits.q_max / unit
-    return Chain(frozen(rows), reach, frozen(unit), bool(body.is_slide.any()), limits)
+    rows[:n, 13], rows[:n, 14] = limits.q_min / unit, limits.q_max / unit
+    rows[:-1, 15] = np.abs(ratio).argmax(axis=1)
+    rows[:-1, 16] = (ratio @ unit) / np.where(body.is_slide, reach, 1.0)
+    rows[:n, 17] = np.where(slides | (np.count_nonzero(ratio, axis=0) > 1), 0.0, 2 * np.pi)
+    return Chain(frozen(rows), reach, frozen(unit), bool(slides.any()), limits)
+
+
+def _moved(offset: Array, is_slide: BoolArray) -> Array:
+    """(k, 4, 4) what joints do when they move by their offsets, about z or along it."""
+    T = np.tile(np.eye(4), (len(offset), 1, 1))
+    c, s = np.where(is_slide, 1.0, np.cos(offset)), np.where(is_slide, 0.0, np.sin(offset))
+    T[:, 0, 0], T[:, 0, 1], T[:, 1, 0], T[:, 1, 1], T[:, 2, 3] = c, -s, s, c, np.where(is_slide, offset, 0.0)
+    return T

@@ -289,7 +289,7 @@ class Session:
         self._to_target = goal.distance(tip)[0]
         self._still = bool(np.abs(rig.state.v).max() < _STILL)
         self._arrived = bool(np.abs(q_ref - self._goal).max() < 1e-6)
-        shares = rig.data.qfrc_actuator[self.arm.dof_adr] / self.arm.limits.tau_max
+        shares = rig.data.qfrc_actuator[self.arm.torque_adr] * self.arm.torque_share / self.arm.limits.tau_max
         self.history.add(self._to_target, float(np.linalg.norm(tip.position - reference.position)), shares)
         self.shown = rig.data.qpos.copy()
         self.q = rig.state.q.copy()
