@@ -108,8 +108,8 @@ BY_CATEGORY: dict[str, str] = {
 
 # Where a robot differs from its category, by its own MJCF.
 BY_ROBOT: dict[str, str] = {
-    "hello_robot_stretch": "lift and wrist: load with hold_base=True, base= and tip=; a tendon couples the arm's four slides",
-    "hello_robot_stretch_3": "lift and wrist: load with hold_base=True, base= and tip=; a tendon couples the arm's four slides",
+    "hello_robot_stretch": "an arm: load with hold_base=True; its four slides, tied to each other, count as one joint",
+    "hello_robot_stretch_3": "an arm: load with hold_base=True; its four slides, tied to each other, count as one joint",
     "google_robot": "an arm: load",
     "robotiq_2f85": "a tool: load(ARM, tool=...), then sim.gripper",
     "robotiq_2f85_v4": "a tool: load(ARM, tool=...), then sim.gripper",

@@ -33,6 +33,7 @@ Every serial chain of the robots that were at hand when this page was made, by `
 - Parity: the largest difference between armctl's model and MuJoCo's in tip pose, mass matrix and bias, over 20 states.
 - IK: of {poses} poses, each of some position inside the limits, the share that `solve_ik` finds again, within 1e-5 m.
 - PD, computed torque: the joint errors on a motion of up to {step} rad from home, RMS for PD, the largest for computed torque.
+- Joints in brackets follow the one before them: an equality ties them to it.
 
 """
 COLUMNS = (
@@ -55,9 +56,19 @@ class Row:
     reason: str
 
     def __str__(self) -> str:
-        arm, joints = self.arm, ", ".join(self.arm.joint_names)
+        arm, joints = self.arm, joints_of(self.arm)
         figures = f"{self.parity:.0e} | {100 * self.solved:.1f} % | {self.pd:.1e} | {self.computed_torque:.0e} | {self.reason}"
         return f"| {self.base} to {arm.tip} | {joints} | {arm.sources['tau_max']} | {arm.sources['v_max']} | {figures} |"
+
+
+def joints_of(arm: armctl.Arm) -> str:
+    """The joints of an arm, each with those that follow it in brackets."""
+    names, ratio = [arm.model.joint(joint).name for joint in arm.linkage.joints], arm.linkage.ratio
+    texts = []
+    for i, leader in enumerate(arm.joint_names):
+        others = [name for name, share in zip(names, ratio[:, i], strict=True) if share and name != leader]
+        texts.append(f"{leader} ({', '.join(others)})" if others else leader)
+    return ", ".join(texts)
 
 
 def robots_at_hand() -> list[str]:
