@@ -36,8 +36,9 @@ class SerialChain:
     Attributes:
         base: The body it stands on; "world" where nothing moves below it.
         tip: The site or body at its end.
-        joint_names: Its joints, from the base to the tip.
-        actuator_names: What moves them, the same one for joints that are tied to each other; empty where nothing does.
+        joint_names: Its joints, from the base to the tip, as an arm's; of joints tied to each other the first one.
+        actuator_names: What moves them; empty where nothing does.
+        followers: The joints, in the chain or beside it, that are tied to one of these and go along.
         reason: Why `armctl.load` refuses it, in words; empty where it does not.
     """
 
@@ -45,6 +46,7 @@ class SerialChain:
     tip: str
     joint_names: tuple[str, ...]
     actuator_names: tuple[str, ...]
+    followers: tuple[str, ...] = ()
     reason: str = ""
 
     @property
@@ -230,11 +232,14 @@ def _actuators(model: mujoco.MjModel) -> dict[int, int]:
 
 
 def _describe(model: mujoco.MjModel, base: int, joints: Chain, reason: str, actuators: dict[int, int]) -> SerialChain:
+    drives = [] if reason else chain_drives(model, joints)
+    own = tuple(drive.joint for drive in drives) or joints
     return SerialChain(
         base=body_name(model, base),
         tip=find_tip(model, joints)[0],
-        joint_names=tuple(joint_name(model, joint) for joint in joints),
-        actuator_names=tuple(actuator_name(model, actuators[j]) if j in actuators else "" for j in joints),
+        joint_names=tuple(joint_name(model, joint) for joint in own),
+        actuator_names=tuple(actuator_name(model, actuators[j]) if j in actuators else "" for j in own),
+        followers=tuple(joint_name(model, joint) for drive in drives for joint in drive.ties if joint not in own),
         reason=reason,
     )
 

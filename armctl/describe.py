@@ -77,5 +77,6 @@ def describe_chains(robot: str, chains: list[SerialChain]) -> str:
     ]
     for chain in chains:
         said = f"refused: {chain.reason}" if chain.reason else f"{len(chain.joint_names)}: {' '.join(chain.joint_names)}"
+        said += f", with {' '.join(chain.followers)}" if chain.followers else ""
         lines.append(f"{chain.base:{width['base']}} {chain.tip:{width['tip']}} {said}")
     return "\n".join(lines)

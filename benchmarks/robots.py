@@ -127,6 +127,8 @@ def _goal(arm: armctl.Arm) -> tuple[np.ndarray, str]:
     for sign in (1.0, -1.0):
         for share in (1.0, 0.1):
             goal = arm.limits.clamp(arm.home + sign * share * STEP)
+            if np.array_equal(goal, arm.home):
+                continue
             touching = contacts.along(arm.home + np.linspace(0, 1, 12)[:, None] * (goal - arm.home))
             if not touching:
                 return goal, ""

@@ -101,6 +101,12 @@ def test_computed_torque_is_exact_where_the_tie_is_rigid(tied: armctl.Arm):
     assert np.allclose(sim.data.qpos[linkage.qpos_adr], linkage.positions(goal), atol=1e-5)
 
 
+def test_chains_name_what_goes_along(load, tmp_path):  # noqa: F811
+    load(limb("a b c d", FINGERS), ties("c b 0 0.5", "right left 0 -1") + motors("a b d left"))
+    found = [(chain.tip, chain.joint_names, chain.followers) for chain in armctl.chains(tmp_path / "trap.xml")]
+    assert found == [("D", ("a", "b", "d"), ("c",)), ("LEFT", ("left",), ("right",)), ("RIGHT", ("right",), ("left",))]
+
+
 def test_limits_are_those_of_all_that_go_along(load):  # noqa: F811
     arm = load(limb("a b c"), ties("c b 0.5 -2") + motors("a b"))  # all in -2 .. 2: c is at its limits first
     assert arm.limits.q_min[1] == pytest.approx(-0.75)
