@@ -17,7 +17,8 @@ def coupling(model: mujoco.MjModel, joint: int, tied: frozenset[int] = frozenset
     Args:
         model: The compiled model.
         joint: Its number.
-        tied: The joints that move as one with it, at fixed ratios: a tendon that only drives these couples nothing else.
+        tied: The joints that move as one with it, at fixed ratios: a tendon that only drives or limits these couples nothing
+            else.
 
     Returns:
         The tendon or equality that couples it, in words; empty where none does.
@@ -34,12 +35,16 @@ def coupling(model: mujoco.MjModel, joint: int, tied: frozenset[int] = frozenset
         return f"joint {name!r} is coupled to another by the equality {label!r}"
     for tendon in range(model.ntendon):
         dofs, label = dofs_of_tendon(model, tendon), name_of(model, mujoco.mjtObj.mjOBJ_TENDON, tendon)
-        if dof not in dofs or not (_is_driven(model, tendon) or _pulls(model, tendon)):
+        is_limited, resists = bool(model.tendon_limited[tendon]), _resists(model, tendon)
+        if dof not in dofs or not (_is_driven(model, tendon) or is_limited or resists):
             continue
-        if _pulls(model, tendon) or _bends(model, tendon):
+        if own.issuperset(dofs) and (resists or _bends(model, tendon)):
+            return f"joint {name!r} is pulled by the tendon {label!r}, whose spring, friction or bends armctl does not know"
+        if own.issuperset(dofs):
+            continue
+        if is_limited or resists or _bends(model, tendon):
             return f"joint {name!r} is coupled to others by the tendon {label!r}"
-        if not own.issuperset(dofs):
-            return f"joint {name!r} shares the pull of the tendon {label!r} with other joints, which divide it as they please"
+        return f"joint {name!r} shares the pull of the tendon {label!r} with other joints, which divide it as they please"
     return ""
 
 
@@ -89,10 +94,10 @@ def _is_driven(model: mujoco.MjModel, tendon: int) -> bool:
     return bool(np.any(on_tendon & (model.actuator_trnid[:, 0] == tendon)))
 
 
-def _pulls(model: mujoco.MjModel, tendon: int) -> bool:
-    """Whether a tendon makes any force by itself."""
+def _resists(model: mujoco.MjModel, tendon: int) -> bool:
+    """Whether a tendon makes any force by itself, its limits aside."""
     passive = model.tendon_stiffness[tendon], model.tendon_damping[tendon], model.tendon_frictionloss[tendon]
-    return bool(model.tendon_limited[tendon]) or any(np.any(x) for x in (*passive, model.tendon_armature[tendon]))
+    return any(np.any(x) for x in (*passive, model.tendon_armature[tendon]))
 
 
 def _bends(model: mujoco.MjModel, tendon: int) -> bool:

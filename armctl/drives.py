@@ -101,10 +101,23 @@ def moments_of(model: mujoco.MjModel, actuator: int) -> dict[int, float]:
         return {target: gear} if model.jnt_type[target] in SCALAR else {}
     if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_TENDON:
         return {}
-    wraps = range(int(model.tendon_adr[target]), int(model.tendon_adr[target]) + int(model.tendon_num[target]))
+    return {joint: gear * coefficient for joint, coefficient in tendon_coefficients(model, target).items()}
+
+
+def tendon_coefficients(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
+    """What each joint adds to the length of a tendon, as far as that is the same everywhere.
+
+    Args:
+        model: The compiled model.
+        tendon: Its number.
+
+    Returns:
+        Joint to m/rad; empty for a tendon that is led around something.
+    """
+    wraps = range(int(model.tendon_adr[tendon]), int(model.tendon_adr[tendon]) + int(model.tendon_num[tendon]))
     if any(model.wrap_type[wrap] != mujoco.mjtWrap.mjWRAP_JOINT for wrap in wraps):
         return {}
-    return {int(model.wrap_objid[wrap]): gear * float(model.wrap_prm[wrap]) for wrap in wraps}
+    return {int(model.wrap_objid[wrap]): float(model.wrap_prm[wrap]) for wrap in wraps}
 
 
 def _ties(model: mujoco.MjModel, joint: int) -> dict[int, Tie] | str:

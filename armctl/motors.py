@@ -10,7 +10,7 @@ import numpy as np
 
 from armctl.arrays import Array
 from armctl.datasheets import Row
-from armctl.drives import Drive, moments_of
+from armctl.drives import Drive, Tie, moments_of, tendon_coefficients
 from armctl.elements import joint_name
 from armctl.errors import ModelError
 from armctl.trajectory import Limits
@@ -209,11 +209,15 @@ def _scaled(factor: float, bounds: Array) -> tuple[float, float]:
 
 def _range(model: mujoco.MjModel, drive: Drive) -> tuple[float, float]:
     """How far a joint can go before it, or one that follows it, is at its limit."""
-    low, high = -np.inf, np.inf
-    for joint, tie in drive.ties.items():
-        if model.jnt_limited[joint]:
-            one, other = sorted(((model.jnt_range[joint] - tie.offset) / tie.ratio).tolist())
-            low, high = max(low, one), min(high, other)
+    ranges = [(tie, model.jnt_range[joint]) for joint, tie in drive.ties.items() if model.jnt_limited[joint]]
+    for tendon in np.flatnonzero(model.tendon_limited):
+        parts = {joint: c for joint, c in tendon_coefficients(model, tendon).items() if c != 0}
+        if parts and parts.keys() <= drive.ties.keys():
+            ties = [(c, drive.ties[joint]) for joint, c in parts.items()]
+            whole = Tie(sum(c * tie.ratio for c, tie in ties), sum(c * tie.offset for c, tie in ties))
+            ranges += [(whole, model.tendon_range[tendon])] if whole.ratio else []
+    ends = [sorted(((bounds - tie.offset) / tie.ratio).tolist()) for tie, bounds in ranges] or [[-np.inf, np.inf]]
+    low, high = max(end[0] for end in ends), min(end[1] for end in ends)
     if low > high:
         name = joint_name(model, drive.joint)
         raise ModelError(f"joint {name!r} and those that follow it have no position inside the limits of all")

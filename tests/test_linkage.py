@@ -114,6 +114,8 @@ def test_limits_are_those_of_all_that_go_along(load):  # noqa: F811
     assert arm.limits.v_max[1] == pytest.approx(1.0)  # half of the default, for c turns twice as fast
     far = load(limb("a b c"), ties("b c 0.5 -2") + motors("a b"))
     assert far.limits.q_max[1] == pytest.approx(2.0)
+    rope = tendon(b=0.5).replace('name="cable"', 'name="cable" limited="true" range="-0.3 0.4"')
+    assert load(limb("a b"), rope + motors("a b")).limits.q_max == pytest.approx([2, 0.8])
     with pytest.raises(armctl.ModelError, match="joint 'b' and those that follow it have no position inside the limits of all"):
         load(limb("a b c"), ties("c b 5 0.1") + motors("a b"))
 
@@ -177,6 +179,10 @@ REFUSED = {
     "a limited tendon": (
         tendon(c=1, b=-1).replace('name="cable"', 'name="cable" limited="true" range="0 1"'),
         "joint 'b' is coupled to others by the tendon 'cable'",
+    ),
+    "a springy tendon": (
+        tendon(c=1).replace('name="cable"', 'name="cable" stiffness="3"') + CABLE,
+        "joint 'c' is pulled by the tendon 'cable', whose spring, friction or bends armctl does not know",
     ),
     "a tie outside": (ties("c x 0 1") + tendon(x=1, y=1) + CABLE, "joint 'x' shares the pull of the tendon"),
 }
