@@ -11,7 +11,7 @@ _TIES = int(mujoco.mjtEq.mjEQ_JOINT)
 _CLOSES_LOOP = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
 
 
-def coupling(model: mujoco.MjModel, joint: int, tied: frozenset[int] = frozenset()) -> str:
+def coupling(model: mujoco.MjModel, joint: int, tied: frozenset[int]) -> str:
     """Why a joint does not move freely of all others.
 
     Args:
@@ -35,16 +35,20 @@ def coupling(model: mujoco.MjModel, joint: int, tied: frozenset[int] = frozenset
         return f"joint {name!r} is coupled to another by the equality {label!r}"
     for tendon in range(model.ntendon):
         dofs, label = dofs_of_tendon(model, tendon), name_of(model, mujoco.mjtObj.mjOBJ_TENDON, tendon)
-        is_limited, resists = bool(model.tendon_limited[tendon]), _resists(model, tendon)
+        is_limited, resists, bends = (
+            model.tendon_limited[tendon],
+            _resists(model, tendon),
+            not tendon_coefficients(model, tendon),
+        )
         if dof not in dofs or not (_is_driven(model, tendon) or is_limited or resists):
             continue
-        if own.issuperset(dofs) and (resists or _bends(model, tendon)):
-            return f"joint {name!r} is pulled by the tendon {label!r}, whose spring, friction or bends armctl does not know"
         if own.issuperset(dofs):
-            continue
-        if is_limited or resists or _bends(model, tendon):
+            if resists or bends:
+                return f"joint {name!r} is pulled by the tendon {label!r}, whose spring, friction or bends armctl does not know"
+        elif is_limited or resists or bends:
             return f"joint {name!r} is coupled to others by the tendon {label!r}"
-        return f"joint {name!r} shares the pull of the tendon {label!r} with other joints, which divide it as they please"
+        else:
+            return f"joint {name!r} shares the pull of the tendon {label!r} with other joints, which divide it as they please"
     return ""
 
 
@@ -88,6 +92,22 @@ def dofs_of_equality(model: mujoco.MjModel, equality: int) -> list[int]:
     return list(range(model.nv))
 
 
+def tendon_coefficients(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
+    """What each joint adds to the length of a tendon, as far as that is the same everywhere.
+
+    Args:
+        model: The compiled model.
+        tendon: Its number.
+
+    Returns:
+        Joint to m/rad; empty for a tendon that is led around something.
+    """
+    wraps = range(int(model.tendon_adr[tendon]), int(model.tendon_adr[tendon]) + int(model.tendon_num[tendon]))
+    if any(model.wrap_type[wrap] != mujoco.mjtWrap.mjWRAP_JOINT for wrap in wraps):
+        return {}
+    return {int(model.wrap_objid[wrap]): float(model.wrap_prm[wrap]) for wrap in wraps}
+
+
 def _is_driven(model: mujoco.MjModel, tendon: int) -> bool:
     """Whether an actuator pulls at a tendon; one that is only measured couples nothing."""
     on_tendon = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)
@@ -98,12 +118,6 @@ def _resists(model: mujoco.MjModel, tendon: int) -> bool:
     """Whether a tendon makes any force by itself, its limits aside."""
     passive = model.tendon_stiffness[tendon], model.tendon_damping[tendon], model.tendon_frictionloss[tendon]
     return any(np.any(x) for x in (*passive, model.tendon_armature[tendon]))
-
-
-def _bends(model: mujoco.MjModel, tendon: int) -> bool:
-    """Whether a tendon is led around something, so that its lever changes with the joints."""
-    first = int(model.tendon_adr[tendon])
-    return bool(np.any(model.wrap_type[first : first + int(model.tendon_num[tendon])] != int(mujoco.mjtWrap.mjWRAP_JOINT)))
 
 
 def _dofs_above(model: mujoco.MjModel, body: int) -> set[int]:

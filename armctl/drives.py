@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from armctl.coupling import coupling
+from armctl.coupling import coupling, tendon_coefficients
 from armctl.elements import SCALAR, Chain, actuator_name, is_damper, is_on_joint, joint_name, name_of
 from armctl.errors import ModelError
 
@@ -102,22 +102,6 @@ def moments_of(model: mujoco.MjModel, actuator: int) -> dict[int, float]:
     if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_TENDON:
         return {}
     return {joint: gear * coefficient for joint, coefficient in tendon_coefficients(model, target).items()}
-
-
-def tendon_coefficients(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
-    """What each joint adds to the length of a tendon, as far as that is the same everywhere.
-
-    Args:
-        model: The compiled model.
-        tendon: Its number.
-
-    Returns:
-        Joint to m/rad; empty for a tendon that is led around something.
-    """
-    wraps = range(int(model.tendon_adr[tendon]), int(model.tendon_adr[tendon]) + int(model.tendon_num[tendon]))
-    if any(model.wrap_type[wrap] != mujoco.mjtWrap.mjWRAP_JOINT for wrap in wraps):
-        return {}
-    return {int(model.wrap_objid[wrap]): float(model.wrap_prm[wrap]) for wrap in wraps}
 
 
 def _ties(model: mujoco.MjModel, joint: int) -> dict[int, Tie] | str:

@@ -9,8 +9,9 @@ import mujoco
 import numpy as np
 
 from armctl.arrays import Array
+from armctl.coupling import tendon_coefficients
 from armctl.datasheets import Row
-from armctl.drives import Drive, Tie, moments_of, tendon_coefficients
+from armctl.drives import Drive, Tie, moments_of
 from armctl.elements import joint_name
 from armctl.errors import ModelError
 from armctl.trajectory import Limits
@@ -210,7 +211,7 @@ def _scaled(factor: float, bounds: Array) -> tuple[float, float]:
 def _range(model: mujoco.MjModel, drive: Drive) -> tuple[float, float]:
     """How far a joint can go before it, or one that follows it, is at its limit."""
     ranges = [(tie, model.jnt_range[joint]) for joint, tie in drive.ties.items() if model.jnt_limited[joint]]
-    for tendon in np.flatnonzero(model.tendon_limited):
+    for tendon in np.flatnonzero(model.tendon_limited).tolist():
         parts = {joint: c for joint, c in tendon_coefficients(model, tendon).items() if c != 0}
         if parts and parts.keys() <= drive.ties.keys():
             ties = [(c, drive.ties[joint]) for joint, c in parts.items()]

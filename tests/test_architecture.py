@@ -23,7 +23,7 @@ FLOORS = [
         "drives > coupling elements",
         "linkage > drives elements",
         "chain > coupling drives elements tip",
-        "motors > datasheets drives elements",
+        "motors > coupling datasheets drives elements",
         "urdf_mass",
         "urdf > drives elements motors urdf_mass",
         "source > datasheets urdf",
