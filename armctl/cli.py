@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from armctl.errors import ArmctlError, UnknownNameError
+from armctl.errors import ArmctlError, InputError, UnknownNameError
 
 if TYPE_CHECKING:
     from armctl.arm import Arm
@@ -240,7 +240,6 @@ def _simulate(args: argparse.Namespace) -> int:
 
 
 def _view(args: argparse.Namespace) -> int:
-    from armctl.errors import InputError
     from armctl.live import view, view_natively
 
     if args.host and not args.token:
@@ -261,27 +260,23 @@ def _load(args: argparse.Namespace) -> Arm:
 
 
 def _target(words: list[str]):
-    from armctl.errors import InputError
     from armctl.pose import Pose
 
     numbers = _numbers("target", words)
-    if len(numbers) == 6:
-        return Pose(numbers[:3], rpy=numbers[3:])
-    if len(numbers) != 3:
+    if len(numbers) not in (3, 6):
         raise InputError(f"target: {len(numbers)} numbers given, x y z or x y z roll pitch yaw wanted")
-    return numbers
+    return Pose(numbers[:3], rpy=numbers[3:]) if len(numbers) == 6 else numbers
 
 
 def _numbers(what: str, words: list[str]) -> list[float]:
     from armctl.arrays import vector
-    from armctl.errors import InputError
 
     try:
         return vector(what, [float(word) for word in words]).tolist()
-    except ValueError as error:
-        raise (
-            error if isinstance(error, InputError) else InputError(f"{what}: {' '.join(words)} is no list of numbers")
-        ) from None
+    except InputError:
+        raise
+    except ValueError:
+        raise InputError(f"{what}: {' '.join(words)} is no list of numbers") from None
 
 
 def _print(args: argparse.Namespace, text: str, figures: object) -> None:

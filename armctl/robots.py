@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
+from armctl.apart import check_apart
 from armctl.arm import Arm, check_parity
 from armctl.arrays import Array, frozen
-from armctl.chain import SerialChain, all_chains, chain_to, check_apart, find_chain, stopped_before
+from armctl.chain import SerialChain, all_chains, chain_to, find_chain, stopped_before
 from armctl.drives import Drive, chain_drives
 from armctl.elements import Chain, joint_name
 from armctl.errors import ArmctlWarning, InputError, ModelError, UnknownNameError

@@ -23,6 +23,7 @@ FLOORS = [
         "drives > coupling elements",
         "linkage > drives elements",
         "chain > coupling drives elements tip",
+        "apart > drives elements tip",
         "motors > coupling datasheets drives elements",
         "urdf_mass",
         "urdf > drives elements motors urdf_mass",
