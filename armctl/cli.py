@@ -228,9 +228,8 @@ def _simulate(args: argparse.Namespace) -> int:
     tip = log.tip[-1].round(6).tolist()
     lines = [f"{'joint':20} {'q, rad':>10} {'v, rad/s':>10} {'torque, N m':>12}"]
     lines += [f"{n:20} {q[n]:10.4f} {v[n]:10.4f} {tau[n]:12.3f}" for n in names]
-    lines += [
-        f"after {log.t[-1]:.3f} s the tip is at [{tip[0]:.4f}, {tip[1]:.4f}, {tip[2]:.4f}] m" + (log.end and f"; {log.end}")
-    ]
+    place = ", ".join(f"{x:.4f}" for x in tip[:3])
+    lines.append(f"after {log.t[-1]:.3f} s the tip is at [{place}] m" + (log.end and f"; {log.end}"))
     _print(args, "\n".join(lines), {"ok": not log.end, "t": log.t[-1], "q": q, "v": v, "tau": tau, "tip": tip, "end": log.end})
     if args.plot:
         picture = args.plot / f"{args.robot.replace('/', '_')}.png"
