@@ -25,6 +25,7 @@ from armctl.live.page import Page
 from armctl.pose import Pose
 from armctl.view import Renderer
 from armctl.view.camera import frame
+from armctl.view.stage import Stage
 
 SOFTWARE_GL = "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --ignore-gpu-blocklist"
 
@@ -63,7 +64,7 @@ def real_time(robot: str, seconds: float) -> tuple[float, float]:
     """The real-time factor over some seconds with the page open in a browser, and the least over two of them."""
     from playwright.sync_api import sync_playwright
 
-    page = Page(armctl.load(robot), port=0)
+    page = Page(armctl.load(robot), Stage(0))
     threading.Thread(target=page.serve, daemon=True).start()
     session, least = page.session, np.inf
     with sync_playwright() as playwright:

@@ -21,6 +21,7 @@ sync_api = pytest.importorskip("playwright.sync_api", reason="pip install playwr
 
 from armctl.live.gate import Gate  # noqa: E402
 from armctl.live.page import Page  # noqa: E402
+from armctl.view.stage import Stage  # noqa: E402
 
 SOFTWARE_GL = [
     "--no-sandbox",
@@ -43,7 +44,7 @@ def browser() -> Iterator:
 @pytest.fixture(scope="module")
 def page() -> Iterator[Page]:
     """The bundled arm on a page: its scene is light, so that software draws it fast."""
-    page = Page(arm_of(BUNDLED), port=0)
+    page = Page(arm_of(BUNDLED), Stage(0))
     thread = threading.Thread(target=page.serve, daemon=True)
     thread.start()
     yield page

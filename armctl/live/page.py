@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import threading
 import time
+from collections.abc import Callable
 
 import numpy as np
 
@@ -18,6 +20,7 @@ from armctl.view.stage import INTERVAL, PORT, Stage
 _GIZMO = 0.15  # m
 _ABOVE = np.array([0.0, 0.0, 0.1])  # m, where the words are, from the target
 _WORDS = 0.15  # s between words and charts
+_NEEDED_SOON = ("mjviser", "armctl.ik.kernel")  # slow to import: read while MuJoCo compiles the model
 
 
 class Page:
@@ -29,30 +32,27 @@ class Page:
         port: Its port.
     """
 
-    def __init__(self, arm: Arm, controller: str = "computed-torque", port: int = PORT):
-        """Opens a page; `serve` then runs it.
+    def __init__(self, arm: Arm, stage: Stage, controller: str = "computed-torque"):
+        """Puts an arm and its controls on a page; `serve` then runs it.
 
         Args:
             arm: The arm.
+            stage: The page, still empty.
             controller: The name of the controller to begin with.
-            port: Where to serve; the next free one if it is taken, any if 0.
 
         Raises:
-            NotInstalledError: viser or mjviser is missing.
             UnknownNameError: There is no such controller.
-            InputError: The port is no port.
         """
+        self._stage, self.url, self.port, scene = stage, stage.url, stage.port, stage.server.scene
+        stage.set(arm)
         self.session = Session(arm, controller)
-        self._stage = Stage(arm, port)
-        self.url, self.port, scene = self._stage.url, self._stage.port, self._stage.server.scene
         target = self._drawn = self.session.target
         self._gizmo = scene.add_transform_controls(
             "/goal", scale=_GIZMO, depth_test=False, position=target.position, wxyz=target.quat
         )
         self._label = scene.add_label("/status", self.session.status, position=target.position + _ABOVE, anchor="bottom-center")
         self._gizmo.on_update(self._dragged)
-        self._panel = Panel(self._stage.server, self.session)
-        self._stage.server.gui.main_panel.dock_right()
+        self._panel = Panel(stage.server, stage.words, self.session)
         self._held, self._closing = threading.Event(), threading.Event()
 
     async def _dragged(self, event) -> None:
@@ -95,12 +95,17 @@ class Page:
 
 
 def view(
-    arm: Arm, controller: str = "computed-torque", *, port: int = PORT, host: str | None = None, token: str | None = None
+    load: Callable[[], Arm],
+    controller: str = "computed-torque",
+    *,
+    port: int = PORT,
+    host: str | None = None,
+    token: str | None = None,
 ) -> None:
     """Serves a page with an arm that follows a target, until Ctrl-C.
 
     Args:
-        arm: The arm.
+        load: What gives the arm; the browser gets ready meanwhile.
         controller: The name of the controller to begin with.
         port: Where to serve; the next free one if it is taken, any if 0.
         host: An address of this machine, to serve other machines too; this machine alone if left out.
@@ -112,13 +117,19 @@ def view(
         UnknownNameError: There is no such controller.
     """
     with contextlib.ExitStack() as stack:
-        page = Page(arm, controller, port if host is None else 0)
-        stack.callback(page.close)
-        url = page.url
+        stage = Stage(port if host is None else 0)
+        stack.callback(stage.close)
+        url = stage.url
         if host is not None:
-            gate = Gate(host, token or "", page.port, port)
+            gate = Gate(host, token or "", stage.port, port)
             stack.callback(gate.close)
             url = gate.url
-        print(f"{arm.name} is at {url}; Ctrl-C ends it", flush=True)
+        for module in _NEEDED_SOON:
+            threading.Thread(target=importlib.import_module, args=(module,), daemon=True).start()
+        arm = load()
         with contextlib.suppress(KeyboardInterrupt):
+            print(f"{arm.name} is at {url}; Ctrl-C ends it", flush=True)
+            stage.open_browser()
+            page = Page(arm, stage, controller)
+            stack.callback(page.close)
             page.serve()

@@ -26,15 +26,16 @@ _HANDS_OFF = 0.5  # s after which sliders that nobody moves show where the joint
 class Panel:
     """The controls of a session. What one page changes, all pages show."""
 
-    def __init__(self, server: viser.ViserServer, session: Session):
+    def __init__(self, server: viser.ViserServer, words: viser.GuiMarkdownHandle, session: Session):
         """Adds the controls to the page.
 
         Args:
             server: The page's server.
+            words: Where it says how things stand.
             session: What they control.
         """
         self._gui, self._session, self._told, self._touched = server.gui, session, session.target, 0.0
-        self._words = server.gui.add_markdown("")
+        self._words = words
         self._charts = Charts(server, session.arm.joint_names, session.history.read())
         self._add_plant()
         self._add_clock()

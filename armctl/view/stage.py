@@ -4,29 +4,33 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import copy
+import importlib.util
 import io
+import os
+import sys
 import threading
+import webbrowser
 from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from armctl.arm import Arm
 from armctl.arrays import Array
 from armctl.errors import InputError, NotInstalledError
 from armctl.staging import TARGET
 from armctl.view.camera import axes, frame
+from armctl.view.lighten import lightened
 
 if TYPE_CHECKING:
-    pass
+    import viser
 
 LOCAL = "127.0.0.1"
 PORT = 8080
 INTERVAL = 1 / 30  # s between drawings
 _SAME = 1e-6  # rad, m: what moves less is not drawn again
 _FIELD_OF_VIEW = 45.0  # degrees, vertical
+_LAMPS = (((2.0, -1.5, 4.0), 3.0), ((-3.0, 2.0, 1.5), 1.5), ((-1.0, -2.0, -3.0), 0.8))  # where each shines from, and how bright
 
 
 class Stage:
@@ -34,15 +38,15 @@ class Stage:
 
     Attributes:
         server: viser's server, to put more on the page.
+        words: What the page says first.
         port: Where it serves.
         url: Where the page is.
     """
 
-    def __init__(self, arm: Arm, port: int = PORT):
-        """A page with an arm at home.
+    def __init__(self, port: int = PORT):
+        """An empty page. It is served at once: a browser takes as long to get ready for it as an arm to load.
 
         Args:
-            arm: The arm.
             port: Where to serve; the next free one if it is taken, any if 0.
 
         Raises:
@@ -51,29 +55,54 @@ class Stage:
         """
         if not 0 <= port <= 65535:
             raise InputError(f"port: {port} given, a number in [0, 65535] wanted")
+        if importlib.util.find_spec("mjviser") is None:
+            raise _missing("mjviser")
         try:
-            import mjviser
             import viser
         except ImportError as error:
-            raise NotInstalledError(f"the page in the browser needs {error.name}: pip install 'armctl[view]'") from None
-        self._arm, self._model, self._data = arm, _drawn(arm.model), mujoco.MjData(arm.model)
+            raise _missing(error.name) from None
         with contextlib.redirect_stdout(io.StringIO()):  # it announces itself with a table
             self.server = viser.ViserServer(host=LOCAL, port=port, verbose=False)
+        atexit.register(self.close)
         self.port = self.server.get_port()
         self.url = f"http://{LOCAL}:{self.port}"
-        atexit.register(self.close)
         self.server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
-        self.server.scene.set_background_image(_sky())
-        self._scene = mjviser.ViserMujocoScene(self.server, self._model, 1)
-        self._scene.camera_tracking_enabled = False
+        self.server.gui.main_panel.dock_right()
+        self.words = self.server.gui.add_markdown("loading")
+        _light(self.server.scene)
         self._latest: tuple[Array, Array, Array] | None = None
         self._drawn: tuple[Array, Array, Array] | None = None
-        self._looking = threading.Event()
-        self._closing = threading.Event()
-        self._look_at_arm()
-        self.show(arm.home_qpos)
+        self._looking, self._closing = threading.Event(), threading.Event()
         self.server.on_client_connect(lambda client: self._looking.set())
         self._thread = threading.Thread(target=self._draw, name="armctl drawing", daemon=True)
+
+    def open_browser(self) -> bool:
+        """Opens a browser at the page, where there is a screen.
+
+        Returns:
+            Whether one is on its way.
+        """
+        screen = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+        return bool(screen) and webbrowser.open(self.url)
+
+    def set(self, arm: Arm) -> None:
+        """Puts an arm on the page, at home.
+
+        Args:
+            arm: The arm.
+
+        Raises:
+            NotInstalledError: mjviser is missing.
+        """
+        import mjviser
+
+        self._model = lightened(arm.model)
+        self._data = mujoco.MjData(self._model)
+        self._look_at(arm)
+        self._scene = mjviser.ViserMujocoScene(self.server, self._model, 1)
+        self._scene.camera_tracking_enabled = False
+        self.server.scene.configure_environment_map(None)
+        self.show(arm.home_qpos)
         self._thread.start()
 
     def show(self, qpos: Array, mocap_pos: Array | None = None, mocap_quat: Array | None = None) -> None:
@@ -100,10 +129,13 @@ class Stage:
         return self._looking.wait(seconds)
 
     def close(self) -> None:
-        """Takes the page away."""
+        """Takes the page away. Once is enough, twice does no harm."""
+        if self._closing.is_set():
+            return
         atexit.unregister(self.close)
         self._closing.set()
-        self._thread.join(timeout=2.0)
+        if self._thread.is_alive():
+            self._thread.join(timeout=2.0)
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
 
@@ -123,12 +155,11 @@ class Stage:
             self._scene.update_from_mjdata(data)
         self.server.flush()
 
-    def _look_at_arm(self) -> None:
-        self._data.qpos[:] = self._arm.home_qpos
+    def _look_at(self, arm: Arm) -> None:
+        self._data.qpos[:] = arm.home_qpos
         mujoco.mj_kinematics(self._model, self._data)
         target = self._data.xpos[self._model.body(TARGET).id]
-        tip = self._arm.fk(self._arm.home).position
-        view = frame(self._arm, [self._data], np.array([tip, target]), 0.8)
+        view = frame(arm, [self._data], np.array([arm.fk(arm.home).position, target]), 0.8)
         forward, _, _ = axes(*np.radians([view.azimuth, view.elevation]))
         ratio = np.tan(np.radians(self._model.vis.global_.fovy) / 2) / np.tan(np.radians(_FIELD_OF_VIEW) / 2)
         camera = self.server.initial_camera
@@ -137,20 +168,22 @@ class Stage:
         camera.fov = np.radians(_FIELD_OF_VIEW)
 
 
-def _drawn(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy without what MuJoCo does not draw by default: collision shapes and sites would only make the page heavy."""
-    model = copy.copy(model)
-    model.geom_rgba[model.geom_group > 2, 3] = 0.0
-    model.site_group[:] = 5
-    return model
+def _missing(module: str | None) -> NotInstalledError:
+    return NotInstalledError(f"the page in the browser needs {module}: pip install 'armctl[view]'")
+
+
+def _light(scene: viser.SceneApi) -> None:
+    """A sky that white arms and black ones stand out from, and lamps all round.
+
+    No shadows and no mirrored surroundings: a browser without a graphics card would draw three pictures a second.
+    """
+    top, bottom = np.array([72.0, 93.0, 115.0]), np.array([172.0, 186.0, 199.0])
+    share = np.linspace(0.0, 1.0, 256)[:, None, None]
+    scene.set_background_image(np.broadcast_to(top + share * (bottom - top), (256, 16, 3)).astype(np.uint8))
+    scene.configure_default_lights(False, cast_shadow=False)
+    for k, (direction, intensity) in enumerate(_LAMPS):
+        scene.add_light_directional(f"/lamps/{k}", intensity=intensity, position=direction)
 
 
 def _same(one: tuple[Array, ...], other: tuple[Array, ...]) -> bool:
     return all(np.abs(a - b).max(initial=0.0) < _SAME for a, b in zip(one, other, strict=True))
-
-
-def _sky() -> NDArray[np.uint8]:
-    """A background that white arms and black ones stand out from."""
-    top, bottom = np.array([72.0, 93.0, 115.0]), np.array([172.0, 186.0, 199.0])
-    share = np.linspace(0.0, 1.0, 256)[:, None, None]
-    return np.broadcast_to(top + share * (bottom - top), (256, 16, 3)).astype(np.uint8)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import threading
 import time
-import webbrowser
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,13 +41,13 @@ class Viewer:
         Raises:
             NotInstalledError: viser or mjviser is missing.
         """
-        self._stage, self.pace = Stage(arm, port), Pace()
+        self._stage, self.pace = Stage(port), Pace()
         self.url, self._name, self._spoken = self._stage.url, arm.name, 0.0
-        self._words = self._stage.server.gui.add_markdown("waiting for a move")
-        self._stage.server.gui.main_panel.dock_right()
+        coming = self._stage.open_browser()
+        self._stage.set(arm)
+        self._stage.words.content = "waiting for a move"
         print(f"armctl: {arm.name} is at {self.url}", file=sys.stderr)
-        screen = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-        if screen and webbrowser.open(self.url):
+        if coming:
             self._stage.wait_for_someone(_PATIENCE)
 
     @property
@@ -78,7 +76,7 @@ class Viewer:
         self._stage.show(data.qpos, data.mocap_pos, data.mocap_quat)
         if time.monotonic() - self._spoken > _WORDS:
             self._spoken = time.monotonic()
-            self._words.content = f"**{self._name}**\n\nt = {data.time:.1f} s, real time x {self.real_time_factor:.2f}"
+            self._stage.words.content = f"**{self._name}**\n\nt = {data.time:.1f} s, real time x {self.real_time_factor:.2f}"
 
 
 class WatchedRig(Rig):

@@ -76,8 +76,9 @@ def page() -> None:
 
     from armctl.live.page import Page
     from armctl.pose import Pose
+    from armctl.view.stage import Stage
 
-    page = Page(armctl.load("panda"), port=0)
+    page = Page(armctl.load("panda"), Stage(0))
     threading.Thread(target=page.serve, daemon=True).start()
     software = "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --ignore-gpu-blocklist"
     with sync_playwright() as playwright:
