@@ -6,7 +6,7 @@ import csv
 import json
 import os
 import zipfile
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +42,7 @@ class Log:
         tip_ref: (T, 3) m.
         tip_ref_quat: (T, 4) wxyz.
         plant: How reality differed from the model, in words.
+        qpos: (T, nq) the whole model's positions as in MjData.qpos: grippers and loose objects too, for films.
     """
 
     robot: str
@@ -66,10 +67,11 @@ class Log:
     tip_ref: Array
     tip_ref_quat: Array
     plant: str = "nominal"
+    qpos: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
+        for each in fields(self):
+            value = getattr(self, each.name)
             if isinstance(value, np.ndarray):
                 frozen(value)
 

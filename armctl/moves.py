@@ -199,7 +199,7 @@ class Moves:
             SimulationError: The controller failed; `error.log` holds what there was until then.
         """
         where = _body_position(self.model, self.data, target) if isinstance(target, str) else target
-        recorder, started, begin = Recorder(self.arm.n), time.perf_counter(), self.data.time
+        recorder, started, begin = Recorder(self.arm), time.perf_counter(), self.data.time
         motion, before = OnlineMotion(self.arm, self._start), self._start
         ticks = ticks_for(_FOLLOW_PERIOD, self.dt) - 1
         while not self._rig.end and self.data.time - begin < number("seconds", seconds, 0.0) - 1e-9:
@@ -234,7 +234,7 @@ class Moves:
 
     def _move(self, trajectory: Trajectory, goal: Goal, settle: float) -> MoveResult:
         """Follows a motion, then holds its end until the tip has come to rest, at most `settle` seconds."""
-        rig, recorder, started, begin = self._rig, Recorder(self.arm.n), time.perf_counter(), self.data.time
+        rig, recorder, started, begin = self._rig, Recorder(self.arm), time.perf_counter(), self.data.time
         ticks = ticks_for(trajectory.duration, self.dt)
         rig.follow(self.controller, rig.reference(trajectory, ticks), recorder)
         still = np.zeros((ticks_for(_SETTLE_CHUNK, self.dt), self.arm.n))

@@ -14,31 +14,36 @@ from armctl.pose import quats_from_rotations
 from armctl.trajectory import TickReference
 
 MOST_TICKS = 10_000_000  # 2.8 hours at 1 ms, and 4 GB for seven joints
-_RECORDED, _FOLLOWED = ("q", "v", "tau_cmd", "tau"), ("q_ref", "v_ref", "a_ref")
+_RECORDED, _FOLLOWED = ("v", "tau_cmd", "tau"), ("q_ref", "v_ref", "a_ref")
 
 
 class Recorder:
     """Rows of a run while it lasts. What was recorded stays readable whatever ends the run.
 
     Attributes:
-        n: How many joints.
-        tape: The rows one after the other as bytes, which grows faster than rows of arrays fill: in each, q, v, the torque
-            commanded and the torque done, n float64 each. Only whole rows are added.
+        arm: Whose runs.
+        tape: The rows one after the other as bytes, which grows faster than rows of arrays fill: in each, the whole model's nq
+            positions, then v, the torque commanded and the torque done of the n joints, all float64. Only whole rows are added.
     """
 
-    def __init__(self, n: int):
+    def __init__(self, arm: Arm):
         """An empty record.
 
         Args:
-            n: How many joints.
+            arm: Whose runs.
         """
-        self.n, self.tape = n, bytearray()
+        self.arm, self.tape = arm, bytearray()
         self._followed: list[tuple[int, Array]] = []
 
     @property
     def size(self) -> int:
         """How many rows there are."""
-        return len(self.tape) // (8 * len(_RECORDED) * self.n)
+        return len(self.tape) // (8 * self._width)
+
+    @property
+    def _width(self) -> int:
+        """How many numbers a row has."""
+        return self.arm.model.nq + len(_RECORDED) * self.arm.n
 
     def follow(self, reference: TickReference) -> None:
         """Notes what the coming rows follow.
@@ -77,7 +82,8 @@ class Recorder:
         Returns:
             The log; its arrays are copies.
         """
-        columns = {name: column[:, joints].copy() for name, column in self._columns().items()}
+        qpos, columns = self._columns()
+        columns = {name: column[:, joints].copy() for name, column in columns.items()}
         (tip, rotation), (tip_ref, rotation_ref) = (arm.rigid_body.tips(columns[name]) for name in ("q", "q_ref"))
         return Log(
             robot=arm.name,
@@ -95,16 +101,20 @@ class Recorder:
             tip_quat=quats_from_rotations(rotation),
             tip_ref=tip_ref,
             tip_ref_quat=quats_from_rotations(rotation_ref),
+            qpos=qpos.copy(),
             **columns,
         )
 
-    def _columns(self) -> dict[str, Array]:
-        """Each (T, n); valid until the next row is added."""
-        recorded = np.frombuffer(bytes(self.tape)).reshape(-1, len(_RECORDED), self.n).swapaxes(0, 1)
+    def _columns(self) -> tuple[Array, dict[str, Array]]:
+        """The whole model's positions, (T, nq), and what is known of the joints, each (T, n)."""
+        n, nq = self.arm.n, self.arm.model.nq
+        qpos, recorded = np.split(np.frombuffer(bytes(self.tape)).reshape(-1, self._width), [nq], axis=1)
+        recorded = recorded.reshape(-1, len(_RECORDED), n).swapaxes(0, 1)
         ends = [first for first, _ in self._followed[1:]] + [self.size]
         parts = [rows[:, : end - first] for (first, rows), end in zip(self._followed, ends, strict=True)]
-        followed = np.concatenate([np.zeros((len(_FOLLOWED), 0, self.n)), *parts], axis=1)
-        return dict(zip(_RECORDED + _FOLLOWED, [*recorded, *followed], strict=True))
+        followed = np.concatenate([np.zeros((len(_FOLLOWED), 0, n)), *parts], axis=1)
+        joints = dict(zip(_RECORDED + _FOLLOWED, [*recorded, *followed], strict=True))
+        return qpos, joints | {"q": qpos[:, self.arm.qpos_adr]}
 
 
 def ticks_for(duration: float, dt: float) -> int:

@@ -137,7 +137,7 @@ class Rig:
         if self.end:
             raise SimulationError(f"{self.end}; reset() starts afresh")
         model, data, dt, continuous, steps = self.model, self.data, self.dt, self.continuous, self._steps
-        (read_q, read_v, read_tau), ctrl, motors, gear = self._read, data.ctrl, self._motors, self.arm.gear
+        (read_q, read_v, read_tau), motors, gear, qpos, ctrl = self._read, self._motors, self.arm.gear, data.qpos, data.ctrl
         torque, step, disturbances, tape = controller.torque, mujoco.mj_step, self._disturbances, recorder.tape
         share = self.arm.torque_share
         is_whole = bool((share == 1.0).all())
@@ -151,7 +151,7 @@ class Rig:
             if not length(*v.tolist()) < _RUNAWAY:
                 self.end = self._runaway(v)
                 break
-            row = q.tobytes() + v.tobytes()
+            row = qpos.tobytes() + v.tobytes()
             q_seen, v_seen = (q, v) if disturbances is None else disturbances.measured(q, v)
             try:
                 tau = torque(new(State, (q_seen, v_seen, data.time, dt, continuous)), new(Setpoint, wanted))
@@ -180,7 +180,7 @@ class Rig:
             SimulationError: As for `follow`.
         """
         still = np.zeros((max(1, round(seconds / self.dt)), self.arm.n))
-        self.follow(controller, TickReference(self.q_ref + still, *[still] * 4), Recorder(self.arm.n))
+        self.follow(controller, TickReference(self.q_ref + still, *[still] * 4), Recorder(self.arm))
 
     def log(self, controller: Controller, recorder: Recorder, motion_duration: float, goal: Array, wall: float) -> Log:
         """What was recorded, as a Log.

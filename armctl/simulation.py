@@ -146,7 +146,7 @@ class Simulation(Moves):
             i = int(outside.argmax())
             raise LimitError(f"ctrl: {self.arm.joint_names[i]}: {ctrl[i]:g} is outside [{-bound[i]:g}, {bound[i]:g}]")
         nothing = np.full((ticks_for(number("seconds", seconds, 0.0), self.dt), self.arm.n), np.nan)
-        recorder, started, constant = Recorder(self.arm.n), time.perf_counter(), ConstantTorque(ctrl * self.arm.gear)
+        recorder, started, constant = Recorder(self.arm), time.perf_counter(), ConstantTorque(ctrl * self.arm.gear)
         self._rig.follow(constant, TickReference(*[nothing] * 5), recorder)
         return self._logged(recorder, seconds, np.full(7, np.nan), started, constant)
 
@@ -214,7 +214,7 @@ def _rig_for(arm: Arm, plant: Plant) -> Rig:
 
 
 def _run(rig: Rig, controller: Controller, trajectory: Trajectory, settle: float) -> Log:
-    recorder, started = Recorder(rig.arm.n), time.perf_counter()
+    recorder, started = Recorder(rig.arm), time.perf_counter()
     ticks = ticks_for(trajectory.duration + number("settle", settle, 0.0), rig.dt)
     rig.follow(controller, rig.reference(trajectory, ticks), recorder)
     return rig.log(controller, recorder, trajectory.duration, np.full(7, np.nan), time.perf_counter() - started)

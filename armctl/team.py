@@ -127,7 +127,7 @@ class Team:
             SimulationError: A controller failed.
         """
         self._known(trajectories)
-        recorder, started = Recorder(self._rig.arm.n), time.perf_counter()
+        recorder, started = Recorder(self._rig.arm), time.perf_counter()
         duration = max((trajectory.duration for trajectory in trajectories.values()), default=0.0)
         self._follow(trajectories, duration + number("settle", settle, 0.0), recorder)
         return self._logs(recorder, trajectories, {}, time.perf_counter() - started)
@@ -159,7 +159,7 @@ class Team:
             else:
                 short = 1e3 * ik.position_error
                 refused[tip] = f"out of reach by {short:.1f} mm" if short >= 0.1 else ik.reason
-        recorder, started, begin = Recorder(self._rig.arm.n), time.perf_counter(), self.data.time
+        recorder, started, begin = Recorder(self._rig.arm), time.perf_counter(), self.data.time
         self._follow(trajectories, max((t.duration for t in trajectories.values()), default=0.0), recorder)
         deadline = self.data.time + settle
         while not self._rig.end and self.data.time < deadline and not all(self._arrived(t, goals[t]) for t in trajectories):

@@ -1,11 +1,12 @@
 """Films and pictures: decoded again, to see that they show what they should."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
-from arms import BUNDLED, arm_of
+from arms import BUNDLED, arm_of, at_hand
 from PIL import Image, ImageSequence
 
 import armctl
@@ -87,6 +88,41 @@ def test_the_trace_of_the_tip_is_in_the_picture(sim: Simulation):
         without = renderer.image(data, camera)
     changed = (with_trace != without).any(axis=2)
     assert 50 < changed.sum() < 5000
+
+
+@pytest.mark.skipif(not at_hand("panda"), reason="panda: its model is not at hand")
+def test_a_film_shows_what_the_gripper_carries(tmp_path: Path):
+    start, down = np.array([0.5, 0.1, 0.02]), [np.pi, 0, 0]
+    arm = armctl.load("panda", scene=armctl.Scene().add_box("cube", [0.04] * 3, start, mass=0.05))
+    sim, cube = Simulation(arm), arm.model.joint("cube").qposadr[0]
+    assert sim.gripper.open()
+    assert sim.move_to(armctl.Pose(start, rpy=down))
+    reached = sim.log
+    assert sim.gripper.close()
+    sim.move_to(armctl.Pose(start + np.array([0.0, 0.0, 0.3]), rpy=down))
+    log = sim.log
+    assert reached is not None
+    assert log is not None
+    assert log.qpos.shape == (len(log), arm.model.nq)
+    np.testing.assert_array_equal(log.qpos[:, arm.qpos_adr], log.q)
+    assert log.qpos[-1, cube + 2] - log.qpos[0, cube + 2] == pytest.approx(0.3, abs=5e-3)
+    again = armctl.Log.load(log.save(tmp_path / "log.npz"))
+    np.testing.assert_array_equal(again.qpos, log.qpos)
+    if not _can_draw():
+        return
+    frames = decoded(record([reached, again], arm, tmp_path / "carried.gif", width=160, height=120))
+    assert len(frames) == int((len(reached) + len(log) - 1) * log.dt * 25) + 1
+    at_home = replace(log, qpos=np.array([arm.qpos(q) for q in log.q]))
+    ends = [np.array(Image.open(still(run, arm, tmp_path / "end.png", width=320, height=240))) for run in (log, at_home)]
+    assert (np.abs(ends[0].astype(int) - ends[1]).max(axis=2) > 30).sum() > 20  # the cube, and the fingers around it
+
+
+def test_a_log_of_another_scene_is_refused(tmp_path: Path, sim: Simulation):
+    assert sim.log is not None
+    with pytest.raises(InputError, match="it is of a model with 2 positions"):
+        record(replace(sim.log, qpos=sim.log.qpos[:, :2]), sim.arm, tmp_path / "out.gif")
+    with pytest.raises(InputError, match="different ticks"):
+        record([sim.log, replace(sim.log, dt=1.0)], sim.arm, tmp_path / "out.gif")
 
 
 @draws

@@ -48,7 +48,7 @@ def test_it_says_where_it_is_and_how_fast_it_goes(watched: Simulation):
     assert watched.viewer.url.startswith("http://127.0.0.1:")
     watched.viewer._spoken = 0.0
     watched.viewer.show(watched._rig)
-    assert "real time x" in watched.viewer._words.content
+    assert "real time x" in watched.viewer._stage.words.content
 
 
 def test_without_a_viewer_there_is_none():

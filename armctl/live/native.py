@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import time
@@ -18,7 +19,7 @@ _INTERVAL = 1 / 60  # s between drawings
 
 
 def view_natively(arm: Arm, controller: str) -> None:
-    """Runs a session in a window until that is closed.
+    """Runs a session in a window until that is closed, or Ctrl-C.
 
     Args:
         arm: The arm.
@@ -38,7 +39,10 @@ def view_natively(arm: Arm, controller: str) -> None:
     data.mocap_pos[mocap], data.mocap_quat[mocap] = session.target.position, session.target.quat
     session.start()
     try:
-        with mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False) as window:
+        with (
+            contextlib.suppress(KeyboardInterrupt),
+            mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False) as window,
+        ):
             window.perturb.select = model.body(TARGET).id
             while window.is_running():
                 with window.lock():

@@ -223,7 +223,7 @@ class Session:
             self._follow()
         reference = self._guide.toward(self._goal, self._ticks)
         try:
-            self._rig.follow(self._law, reference, Recorder(self.arm.n))
+            self._rig.follow(self._law, reference, Recorder(self.arm))
         except SimulationError:
             return False
         self._look(self._guide.q)

@@ -6,7 +6,7 @@ import copy
 import os
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import mujoco
@@ -27,7 +27,7 @@ _PATIENCE = 2.0  # s until a progress bar is worth its line
 
 
 def record(
-    log: Log,
+    log: Log | Sequence[Log],
     arm: Arm,
     path: str | os.PathLike[str],
     *,
@@ -36,10 +36,10 @@ def record(
     quality: str = "fast",
     speed: float = 1.0,
 ) -> Path:
-    """Films a run: the arm, the target, and the way of the tip.
+    """Films a run, or several one after the other: the arm and all that moves, the target, and the way of the tip.
 
     Args:
-        log: The run.
+        log: The run, or the runs.
         arm: The arm that ran.
         path: The film, .mp4 or .gif; its folder is made.
         width: Pixels, even.
@@ -58,9 +58,12 @@ def record(
     if width % 2 or height % 2:
         raise InputError(f"size: {width} x {height} pixels given, even numbers wanted")
     per_second = _FRAMES_PER_SECOND[path.suffix]
-    times = np.arange(0.0, log.t[-1] + 1e-9, number("speed", speed, 0.01, 100.0) / per_second) if len(log) else np.zeros(0)
+    logs = [log] if isinstance(log, Log) else list(log)
+    _check(logs, arm)
+    end = (sum(map(len, logs)) - 1) * logs[0].dt
+    times = np.arange(0.0, end + 1e-9, number("speed", speed, 0.01, 100.0) / per_second)
     path.parent.mkdir(parents=True, exist_ok=True)
-    frames = _progress(path, images(log, arm, times, width=width, height=height, quality=quality), len(times))
+    frames = _progress(path, images(logs, arm, times, width=width, height=height, quality=quality), len(times))
     if path.suffix == ".gif":
         _write_gif(path, frames, per_second)
     else:
@@ -102,7 +105,7 @@ def still(
     from PIL import Image as Picture
 
     when = log.t[-1] if at is None and len(log) else number("at", 0.0 if at is None else at)
-    (image,) = images(log, arm, np.array([when]), width=width, height=height, quality=quality)
+    (image,) = images([log], arm, np.array([when]), width=width, height=height, quality=quality)
     path.parent.mkdir(parents=True, exist_ok=True)
     Picture.fromarray(image).save(path, optimize=True)
     return path
@@ -132,13 +135,13 @@ def film_path(path: str | os.PathLike[str]) -> Path:
     return path
 
 
-def images(log: Log, arm: Arm, times: Array, *, width: int, height: int, quality: str) -> Iterator[Image]:
-    """A run as images, one after the other.
+def images(logs: Sequence[Log], arm: Arm, times: Array, *, width: int, height: int, quality: str) -> Iterator[Image]:
+    """Runs as images, one after the other.
 
     Args:
-        log: The run.
+        logs: The runs, of one tick.
         arm: The arm that ran.
-        times: (k,) s, clamped to the run's.
+        times: (k,) s since the first began, clamped to theirs.
         width: Pixels.
         height: Pixels.
         quality: "fast" or "full".
@@ -147,24 +150,33 @@ def images(log: Log, arm: Arm, times: Array, *, width: int, height: int, quality
         (height, width, 3), red, green and blue.
 
     Raises:
-        InputError: The log is empty or of another arm.
+        InputError: A log is empty or of another arm or model, or there is none.
     """
-    if len(log) == 0:
-        raise InputError("log: it has no tick, so there is nothing to film")
-    if log.joint_names != arm.joint_names:
-        raise InputError(f"log: it is of {log.robot} with {len(log.joint_names)} joints, not of {arm!r}")
-    model, target = copy.copy(arm.model), _target(log, arm)
+    _check(logs, arm)
+    model, qpos, tip = copy.copy(arm.model), np.concatenate([x.qpos for x in logs]), np.concatenate([x.tip for x in logs])
     model.geom_size[model.geom_bodyid == model.body(TARGET).id] *= 1.15  # to be seen around a tip as thick as itself
-    shown = [_state(arm, log.q[k], target) for k in np.linspace(0, len(log) - 1, _FRAMED).astype(int)]
-    seen = np.concatenate([log.tip, target[None, :3]])
-    camera, data = frame(arm, shown, seen, width / height), shown[-1]
+    targets = np.repeat([_target(log) for log in logs], [len(log) for log in logs], axis=0)
+    shown = [_state(arm, qpos[k], targets[k]) for k in np.linspace(0, len(qpos) - 1, _FRAMED).astype(int)]
+    camera, data = frame(arm, shown, np.concatenate([tip, targets[-1:, :3]]), width / height), shown[-1]
     with Renderer(model, width, height, quality) as renderer:
-        for k in np.clip(np.rint(times / log.dt).astype(int), 0, len(log) - 1):
-            _pose(arm, data, log.q[k])
-            yield renderer.image(data, camera, log.tip[: k + 1])
+        for k in np.clip(np.rint(times / logs[0].dt).astype(int), 0, len(qpos) - 1):
+            _pose(arm, data, qpos[k], targets[k])
+            yield renderer.image(data, camera, tip[: k + 1])
 
 
-def _target(log: Log, arm: Arm) -> Array:
+def _check(logs: Sequence[Log], arm: Arm) -> None:
+    if not logs or min(map(len, logs)) == 0:
+        raise InputError("log: it has no tick, so there is nothing to film")
+    if len({log.dt for log in logs}) > 1:
+        raise InputError("log: runs with different ticks make no one film")
+    for log in logs:
+        if log.joint_names != arm.joint_names:
+            raise InputError(f"log: it is of {log.robot} with {len(log.joint_names)} joints, not of {arm!r}")
+        if log.qpos.shape[1] != arm.model.nq:
+            raise InputError(f"log: it is of a model with {log.qpos.shape[1]} positions, {arm!r} has {arm.model.nq}")
+
+
+def _target(log: Log) -> Array:
     """(7,) where the green target stands: at the run's goal, or at the end of its reference."""
     asked = not np.isnan(log.target[:3]).any()
     end = log.tip_ref[-1] if not log.is_open_loop else log.tip[-1]
@@ -172,18 +184,18 @@ def _target(log: Log, arm: Arm) -> Array:
     return np.concatenate([log.target[:3] if asked else end, quat])
 
 
-def _state(arm: Arm, q: Array, target: Array) -> mujoco.MjData:
-    """The model with the arm at q and the green target in its place."""
+def _state(arm: Arm, qpos: Array, target: Array) -> mujoco.MjData:
+    """The model in some positions, the green target in its place."""
     data = mujoco.MjData(arm.model)
-    mocap = arm.model.body_mocapid[arm.model.body(TARGET).id]
-    if mocap >= 0:
-        data.mocap_pos[mocap], data.mocap_quat[mocap] = target[:3], target[3:]
-    _pose(arm, data, q)
+    _pose(arm, data, qpos, target)
     return data
 
 
-def _pose(arm: Arm, data: mujoco.MjData, q: Array) -> None:
-    data.qpos[:] = arm.qpos(q)
+def _pose(arm: Arm, data: mujoco.MjData, qpos: Array, target: Array) -> None:
+    mocap = arm.model.body_mocapid[arm.model.body(TARGET).id]
+    if mocap >= 0:
+        data.mocap_pos[mocap], data.mocap_quat[mocap] = target[:3], target[3:]
+    data.qpos[:] = qpos
     mujoco.mj_kinematics(arm.model, data)
     mujoco.mj_comPos(arm.model, data)
     mujoco.mj_camlight(arm.model, data)

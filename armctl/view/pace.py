@@ -6,6 +6,7 @@ import time
 from collections import deque
 
 _HOPELESS = 0.5  # s behind: what is lost by then is not caught up
+_IDLE = 0.05  # s without a wait: nothing was going on
 _WINDOW = 2.0  # s that the real-time factor is taken over
 
 
@@ -31,8 +32,8 @@ class Pace:
         self._marks = deque([(self._due, 0.0)])
 
     def resume(self) -> None:
-        """Starts afresh if nothing has gone on for a while."""
-        if time.perf_counter() - self._marks[-1][0] > _HOPELESS:
+        """Starts afresh if nothing has gone on for a while: time spent planning is not caught up."""
+        if time.perf_counter() - self._marks[-1][0] > _IDLE:
             self.restart()
 
     def wait(self, seconds: float) -> None:
