@@ -1,24 +1,28 @@
-"""Seeing, on this machine: rendered frames a second, the real-time factor with the page open, time until the page is there.
+"""Seeing, on this machine: rendered frames a second, the real-time factor with the page open, time until the page is usable.
 
     python benchmarks/view.py [--robot panda] [--seconds 20] [--out benchmarks/results/view.md]
 
-A headless Chromium, drawing in software, looks at the page meanwhile, on the same cores; the target goes round.
+A headless Chromium, drawing in software, looks at the page meanwhile, on the same cores; the target goes round. Until the page
+is usable: from the command until a browser, that runs already and keeps asking for the page, shows the arm and answers a click.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
 import os
 import shutil
+import socket
 import subprocess
 import sys
 import threading
 import time
-import urllib.request
 from pathlib import Path
 
 import mujoco
 import numpy as np
+from PIL import Image
 
 import armctl
 from armctl.live.page import Page
@@ -47,17 +51,42 @@ def frames_a_second(robot: str, quality: str, frames: int) -> float:
         return frames / (time.perf_counter() - started)
 
 
-def seconds_until_served(robot: str) -> float:
-    """From the command to the page's first byte."""
-    command = [sys.executable, "-m", "armctl", "view", robot, "--port", "0"]
-    started = time.perf_counter()
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        url = process.stdout.readline().split(" is at ")[1].split(";")[0]
-        urllib.request.urlopen(url).read(1)
-        took = time.perf_counter() - started
-        process.terminate()
-    return took
+def seconds_until_usable(robot: str) -> tuple[float, float, float]:
+    """From the command until the page is served, its panel is there and the arm is drawn, and a click is answered."""
+    from playwright.sync_api import Error, sync_playwright
+
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=SOFTWARE_GL.split())
+        tab = browser.new_page(viewport={"width": 1280, "height": 800})
+        started, times = time.perf_counter(), []
+        with subprocess.Popen(
+            [sys.executable, "-m", "armctl", "view", robot, "--port", str(port)], stdout=subprocess.PIPE
+        ) as view:
+            while not times:
+                with contextlib.suppress(Error):
+                    tab.goto(f"http://127.0.0.1:{port}", wait_until="commit")
+                    times.append(time.perf_counter() - started)
+            tab.get_by_text("real time").wait_for(timeout=60e3)
+            while not _shows_something(tab.screenshot(timeout=60e3)):
+                pass
+            times.append(time.perf_counter() - started)
+            tab.get_by_text("pause", exact=True).click(timeout=60e3)
+            tab.get_by_text("paused").first.wait_for(timeout=60e3)
+            times.append(time.perf_counter() - started)
+            view.terminate()
+        browser.close()
+    served, shown, answered = times
+    return served, shown, answered
+
+
+def _shows_something(png: bytes) -> bool:
+    """Whether the scene is more than sky and ground, whose rows have one colour each."""
+    scene = np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)[150:, :880]
+    things = np.abs(scene - np.median(scene, axis=1, keepdims=True)).max(axis=2) > 40
+    return bool(things.mean() > 0.05)
 
 
 def real_time(robot: str, seconds: float) -> tuple[float, float]:
@@ -91,12 +120,13 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "view.md")
     args = parser.parse_args()
+    usable = seconds_until_usable(args.robot)
     factor, least = real_time(args.robot, args.seconds)
     rows = [
         ("real-time factor, page open", "at least 0.98", f"{factor:.3f} over {args.seconds:g} s; least over 2 s {least:.3f}"),
         ("frames a second, 640 x 480, fast", "at least 30", f"{frames_a_second(args.robot, 'fast', 100):.0f}"),
         ("frames a second, 640 x 480, full", "", f"{frames_a_second(args.robot, 'full', 10):.1f}"),
-        ("page served after", "at most 5 s", f"{seconds_until_served(args.robot):.1f} s"),
+        ("page served, arm drawn, click answered after", "at most 5 s", " / ".join(f"{t:.1f}" for t in usable) + " s"),
     ]
     table = [
         f"| {args.robot}, software OpenGL, {os.cpu_count()} cores | wanted | measured |",

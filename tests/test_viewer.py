@@ -4,9 +4,11 @@ import time
 
 import numpy as np
 import pytest
-from arms import BUNDLED, arm_of
+from arms import BUNDLED, arm_of, at_hand
+from scipy.spatial import KDTree
 
 from armctl import Simulation
+from armctl.view.lighten import lightened
 
 pytest.importorskip("mjviser", reason="pip install 'armctl[view]'")
 
@@ -49,6 +51,20 @@ def test_it_says_where_it_is_and_how_fast_it_goes(watched: Simulation):
     watched.viewer._spoken = 0.0
     watched.viewer.show(watched._rig)
     assert "real time x" in watched.viewer._stage.words.content
+
+
+def test_a_simplified_model_looks_the_same():
+    """Every vertex kept is one of the mesh's, none that is left out was further from one kept than a cell is wide."""
+    model = next(arm_of(name).model for name in ("panda", "ur5e", BUNDLED) if at_hand(name))
+    light, cell = lightened(model), 5e-4 * model.stat.extent
+    for mesh in range(model.nmesh):
+        start, kept, count = model.mesh_vertadr[mesh], light.mesh_vertnum[mesh], model.mesh_vertnum[mesh]
+        before, after = model.mesh_vert[start : start + count], light.mesh_vert[start : start + kept]
+        assert kept <= count
+        assert KDTree(after).query(before[::50])[0].max() <= np.sqrt(3) * cell * 1.001
+        first, faces = light.mesh_faceadr[mesh], light.mesh_facenum[mesh]
+        assert 0 < faces <= model.mesh_facenum[mesh]
+        assert light.mesh_face[first : first + faces].max() < kept
 
 
 def test_without_a_viewer_there_is_none():
