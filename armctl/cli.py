@@ -169,7 +169,9 @@ def _compare(args: argparse.Namespace) -> int:
 
     arm, timestep = _load(args), _numbers("timestep", [args.timestep])[0] if args.timestep else None
     controllers = list(CONTROLLERS) if args.controllers == "all" else _names(args.controllers)
-    _check_controllers(controllers)
+    for name in controllers:
+        if name not in CONTROLLERS:
+            raise UnknownNameError.of("controller", name, CONTROLLERS)
     plants = [plant_by_name(name, arm, timestep) for name in _names(args.plants)]
     for folder in filter(None, (args.report, args.save)):
         folder.mkdir(parents=True, exist_ok=True)
@@ -184,14 +186,6 @@ def _compare(args: argparse.Namespace) -> int:
     for path in write_comparison(reports, args.report, "All joints out and back") if args.report else []:
         _say(path)
     return OK
-
-
-def _check_controllers(names: list[str]) -> None:
-    from armctl.control import CONTROLLERS
-
-    for name in names:
-        if name not in CONTROLLERS:
-            raise UnknownNameError.of("controller", name, CONTROLLERS)
 
 
 def _bar(done: int, total: int) -> None:
@@ -251,7 +245,6 @@ def _view(args: argparse.Namespace) -> int:
         raise InputError("host: whoever finds the page could drive the arm; choose a --token for those who may")
     if args.token and not args.host:
         raise InputError("token: without --host only this machine can reach the page, and it wants no token")
-    _check_controllers([args.controller])
     if args.native:
         view_natively(_load(args), args.controller)
     else:

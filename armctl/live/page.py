@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from armctl.arm import Arm
+from armctl.control import controller_by_name
 from armctl.live.gate import Gate
 from armctl.live.panel import Panel
 from armctl.live.session import Session
@@ -127,6 +128,7 @@ def view(
         for module in _NEEDED_SOON:
             threading.Thread(target=importlib.import_module, args=(module,), daemon=True).start()
         arm = load()
+        controller_by_name(controller, arm)  # a wrong name is said before anything opens
         with contextlib.suppress(KeyboardInterrupt):
             print(f"{arm.name} is at {url}; Ctrl-C ends it", flush=True)
             stage.open_browser()
