@@ -19,6 +19,7 @@ from armctl.elements import Chain, joint_name
 from armctl.errors import ArmctlWarning, InputError, ModelError, UnknownNameError
 from armctl.linkage import linkage_of
 from armctl.motors import JointData, from_row, joint_limits, make_motors, torque_limits
+from armctl.payload import add_bearers
 from armctl.pose import Pose
 from armctl.rigid_body import build
 from armctl.scene import Scene
@@ -172,6 +173,7 @@ def _assemble(
 ) -> tuple[Arm, ...]:
     """The arms to some tips from some bases, in one model."""
     original = source.compile(spec)
+    bodies = {body.id: body for body in spec.bodies}
     found = [_found(source, original, tip, base) for tip, base in ends]
     try:
         check_apart(original, [joints for joints, *_ in found])
@@ -182,7 +184,9 @@ def _assemble(
         warnings.warn(f"{source.name}: {sentence}", ArmctlWarning, stacklevel=3)
     notes += [note for part in parts for note in exclude_overlaps(spec, original, part.joints)]
     add_target(spec, original)
+    add_bearers(spec, original, {part.tip_body: bodies[part.tip_body] for part in parts})
     model = source.compile(spec)
+    parts = [replace(part, tip_body=bodies[part.tip_body].id) for part in parts]
     qpos = rest_qpos(model, tuple(joint for part in parts for joint in part.joints))
     arms = tuple(_arm(source, model, original, part, qpos, notes) for part in parts)
     place_target(model, arms[0].fk(arms[0].limits.clamp(arms[0].home + _TARGET_OFFSET)).position)

@@ -33,7 +33,7 @@ FLOORS = [
         "scene > scene_file",
         "rigid_body > linkage",
         "staging > elements rigid_body",
-        "payload",
+        "payload > elements",
         "arm > linkage payload rigid_body",
         "contacts > arm elements rigid_body",
     ],

@@ -1,5 +1,6 @@
 """Models that are unlike the usual ones: one joint, physics switched off by a flag, joints that nothing drives, odd names."""
 
+import re
 from pathlib import Path
 
 import mujoco
@@ -10,6 +11,7 @@ from test_chain import limb, load, mjcf, motors  # noqa: F401
 import armctl
 from armctl.arm import PARITY_TOLERANCE, check_parity
 from armctl.control import CONTROLLERS
+from armctl.dynamics import Dynamics
 from armctl.tip import tip_on
 
 PASSIVE = 'stiffness="2" damping="0.5" frictionloss="0.3" armature="0.05"'
@@ -142,3 +144,46 @@ def test_what_the_motors_lift_of_themselves_is_not_taken_for_a_payload(load):  #
     arm = load(lifted.replace("</body></body>", '<site name="tip" pos="0.1 0 0"/></body></body>'), motors("a b"))
     log = armctl.simulate(arm, "computed-torque-observer", armctl.excitation(arm), armctl.Plant(payload=0.5))
     assert armctl.identify_payload(arm, log).mass == pytest.approx(0.5, rel=0.02)
+
+
+# --- a body that MuJoCo lifts ------------------------------------------------------------------------------------------------
+
+LIFTED = limb("a b c", '<body name="hand" euler="1 2 3"><geom size="0.01"/><site name="tip" pos="0.1 0 0"/></body>')
+LIFTED = LIFTED.replace("<body", '<body gravcomp="1"')
+
+
+@pytest.fixture(params=["unlifted behind", "fused", "apart"])
+def lifted(request: pytest.FixtureRequest, load) -> armctl.Arm:  # noqa: F811
+    """An arm that MuJoCo lifts, hand included; what is behind the hand may weigh, or be fused with it by the compiler."""
+    tool = '<site name="tip" pos="0.1 0 0"/><body pos="0.1 0 0" euler="3 1 2"><geom size="0.01"/></body>'
+    bodies = LIFTED.replace('<site name="tip" pos="0.1 0 0"/>', tool) if request.param == "unlifted behind" else LIFTED
+    return load(bodies, motors("a b c") + f'<compiler fusestatic="{str(request.param == "fused").lower()}"/>', tip="tip")
+
+
+def test_a_payload_of_a_lifted_body_weighs_what_it_weighs(lifted: armctl.Arm):
+    center, mass, q = np.array([0.05, -0.02, 0.1]), 1.5, np.array([0.4, 0.9, -0.7])
+    model = armctl.Plant(payload=mass, payload_center=center).model(lifted)
+    data = mujoco.MjData(model)
+    data.qpos[lifted.qpos_adr] = q
+    mujoco.mj_forward(model, data)
+    force = -mass * model.opt.gravity
+    wrench = np.concatenate([force, np.cross(lifted.fk(q).rotation @ center, force)])
+    expected = Dynamics(lifted).gravity(q) + lifted.jacobian(q).T @ wrench
+    assert np.abs(lifted.jacobian(q).T @ wrench).max() > 1.0
+    assert data.qfrc_bias - data.qfrc_passive == pytest.approx(expected, abs=1e-10)
+    assert Dynamics(lifted.with_payload(mass, center)).gravity(q) == pytest.approx(expected, abs=1e-10)
+
+
+def test_a_payload_of_a_lifted_body_is_identified(lifted: armctl.Arm):
+    log = armctl.simulate(lifted, "computed-torque-observer", armctl.excitation(lifted), armctl.Plant(payload=0.5))
+    assert armctl.identify_payload(lifted, log).mass == pytest.approx(0.5, rel=0.02)
+
+
+def test_each_of_several_lifted_arms_bears_its_own_payload(tmp_path: Path):
+    path, other = tmp_path / "two.xml", re.sub(r'name="(\w+)"', r'name="\1_2"', LIFTED)
+    path.write_text(mjcf(LIFTED + other, motors("a b c a_2 b_2 c_2")))
+    arms = armctl.load_arms(path, ["tip", "tip_2"])
+    q = np.array([0.4, 0.9, -0.7])
+    first, second = (Dynamics(arm.with_payload(1.0)).gravity(q) for arm in arms)
+    assert np.abs(first).max() > 1.0
+    assert first == pytest.approx(second, abs=1e-10)
