@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arrays import Array, IntArray, matrix, number, vector
-from armctl.errors import ModelError
+from armctl.errors import LimitError, ModelError
 from armctl.linkage import Linkage
 from armctl.payload import add_point_mass
 from armctl.pose import Pose
@@ -77,6 +77,36 @@ class Arm:
     def dt(self) -> float:
         """The model's time step, s."""
         return float(self.model.opt.timestep)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """What each joint is measured in: "rad", or "m" where it slides."""
+        return tuple("m" if slides else "rad" for slides in self.rigid_body.is_slide)
+
+    def checked(self, what: str, q: ArrayLike, tolerance: float = 1e-9) -> Array:
+        """Joint positions from a caller, checked.
+
+        Args:
+            what: The name of the argument, for the error.
+            q: (n,) rad.
+            tolerance: rad by which they may be outside; such positions are clamped.
+
+        Returns:
+            (n,) rad, inside the limits.
+
+        Raises:
+            InputError: A wrong length or a number that is not finite.
+            LimitError: A position outside its limits.
+        """
+        given, low, high = vector(what, q, self.n), self.limits.q_min, self.limits.q_max
+        if ((given >= low) & (given <= high)).all():
+            return given
+        outside = (given < low - tolerance) | (given > high + tolerance)
+        if outside.any():
+            i = int(outside.argmax())
+            name, unit = self.joint_names[i], self.units[i]
+            raise LimitError(f"{what}: {name}: {given[i]:g} {unit} is outside [{low[i]:.3f}, {high[i]:.3f}] {unit}")
+        return self.limits.clamp(given)
 
     def fk(self, q: ArrayLike) -> Pose:
         """Forward kinematics.

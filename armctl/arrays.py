@@ -91,8 +91,11 @@ def array(what: str, value: ArrayLike, ndim: int, *, finite: bool = True) -> Arr
         InputError: The value has another shape, is no number, or is not finite.
     """
     try:
-        out = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+        given = np.asarray(value)
+        if np.iscomplexobj(given):  # NumPy would drop the imaginary part
+            raise TypeError
+        out = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{what}: {value!r} is not an array of numbers") from None
     if out.ndim != ndim:
         kind = {1: "a list of numbers", 2: "a list of rows"}.get(ndim, f"{ndim} dimensions")
@@ -119,8 +122,10 @@ def number(what: str, value: float, low: float = -np.inf, high: float = np.inf) 
         InputError: It is no number, not finite, or out of its bounds.
     """
     try:
+        if isinstance(value, np.complexfloating):  # float() would drop the imaginary part
+            raise TypeError
         out = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{what}: {value!r} is not a number") from None
     if not math.isfinite(out):
         raise InputError(f"{what}: {out} given, a finite number wanted")

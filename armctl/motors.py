@@ -95,8 +95,10 @@ def torque_limits(
         tau[unknown] = _assumed_torque(model, drives)[unknown]
         sources.add("assumed")
         names = ", ".join(joint_name(model, drive.joint) for drive, u in zip(drives, unknown, strict=True) if u)
-        values = ", ".join(f"{x:.3g}" for x in tau[unknown])
-        notes.append(f"no torque limit given for {names}: assumed {values} N m (twice gravity at rest plus 10 rad/s^2)")
+        slides = model.jnt_type[[drive.joint for drive in drives]] == mujoco.mjtJoint.mjJNT_SLIDE
+        values = ", ".join(f"{x:.3g} {'N' if slide else 'N m'}" for x, slide in zip(tau[unknown], slides[unknown], strict=True))
+        per = " or ".join(unit for unit, some in (("rad", ~slides), ("m", slides)) if (unknown & some).any())
+        notes.append(f"no torque limit given for {names}: assumed {values} (twice gravity at rest plus 10 {per}/s^2)")
     return tau, {"tau_max": ", ".join(sorted(sources))}, notes
 
 

@@ -104,7 +104,7 @@ class Moves:
             LimitError: A position outside the limits.
             SimulationError: The controller failed; `error.log` holds what there was until then.
         """
-        goal = Goal.read(self.arm.fk(self.arm.limits.check("q", q, self.arm.joint_names)))
+        goal = Goal.read(self.arm.fk(self.arm.checked("q", q)))
         return self._planned(lambda: move_j(self.arm, self._start, q), goal, settle)
 
     def move_l(self, target: Pose | ArrayLike, *, settle: float = 1.0, **caps: float) -> MoveResult:

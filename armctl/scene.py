@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arrays import Array, number, vector
+from armctl.arrays import Array, instance, number, vector
 from armctl.errors import InputError
 from armctl.pose import Pose
 from armctl.scene_file import SceneFile
@@ -148,6 +148,7 @@ class Scene:
             body.add_geom(name=item.name, type=item.shape, size=item.size, rgba=_LOOSE, mass=item.mass, **gripped)
 
     def _add(self, name: str, shape: mujoco.mjtGeom, size: Array, at: Pose | ArrayLike, mass: float | None) -> Scene:
+        instance("name", name, str, "such as 'table'")
         if not name or any(name == item.name for item in self.items):
             raise InputError(f"name: {name!r} is empty or in the scene already; choose another")
         if mass is not None:

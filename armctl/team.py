@@ -59,7 +59,8 @@ class Team:
             InputError: No arms, arms of different models, or a plant with a payload or pushes.
             UnknownNameError: There is no such tip or controller.
         """
-        if not arms or any(arm.model is not arms[0].model for arm in arms):
+        known = isinstance(arms, Sequence) and all(isinstance(arm, Arm) and arm.model is arms[0].model for arm in arms)
+        if not known or not arms:
             raise InputError("arms: arms of one model wanted; armctl.load_arms gives them")
         if plant is not None and (plant.payload or plant.pushes):
             raise InputError("plant: a team has no single tip for a payload or pushes; leave them out")

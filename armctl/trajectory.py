@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arrays import Array, vector
-from armctl.errors import InputError, LimitError
+from armctl.errors import InputError
 
 
 class Setpoint(NamedTuple):
@@ -103,33 +103,6 @@ class Limits:
         low = np.where(bounded, self.q_min, np.maximum(self.q_min, around - np.pi))
         high = np.where(bounded, self.q_max, np.minimum(self.q_max, around + np.pi))
         return rng.uniform(low, high, (count, len(around)))
-
-    def check(self, what: str, q: ArrayLike, joint_names: tuple[str, ...], tolerance: float = 1e-9) -> Array:
-        """Joint positions from a caller, checked.
-
-        Args:
-            what: The name of the argument, for the error.
-            q: (n,) rad.
-            joint_names: The n joints, for the error.
-            tolerance: rad by which they may be outside; such positions are clamped.
-
-        Returns:
-            (n,) rad, inside the limits.
-
-        Raises:
-            InputError: A wrong length or a number that is not finite.
-            LimitError: A position outside its limits.
-        """
-        checked = vector(what, q, len(joint_names))
-        if ((checked >= self.q_min) & (checked <= self.q_max)).all():
-            return checked
-        outside = (checked < self.q_min - tolerance) | (checked > self.q_max + tolerance)
-        if outside.any():
-            i = int(outside.argmax())
-            raise LimitError(
-                f"{what}: {joint_names[i]}: {checked[i]:g} rad is outside [{self.q_min[i]:.3f}, {self.q_max[i]:.3f}] rad"
-            )
-        return self.clamp(checked)
 
 
 @runtime_checkable

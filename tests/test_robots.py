@@ -214,6 +214,18 @@ def test_a_torque_limit_that_nobody_gives_is_assumed_aloud(one):
     assert arm.limits.tau_max[0] > 2 * 9.81 * 0.2  # it can at least hold itself
 
 
+def test_a_slide_joint_is_spoken_of_in_newtons_and_metres(tmp_path: Path):
+    path, joint = tmp_path / "one.xml", '<joint name="a" type="slide" axis="0 0 1" range="0 1"/>'
+    actuator = '<actuator><position joint="a" kp="50"/></actuator>'
+    path.write_text(mjcf(f'<body name="A">{joint}<geom size="0.05" mass="2"/></body>', actuator))
+    with pytest.warns(armctl.ArmctlWarning, match=r"assumed [\d.]+ N \(twice gravity at rest plus 10 m/s\^2\)"):
+        arm = armctl.load(path)
+    with pytest.raises(armctl.LimitError, match=r"q: a: 2 m is outside \[0\.000, 1\.000\] m"):
+        armctl.Simulation(arm).move_j([2.0])
+    with pytest.raises(armctl.LimitError, match=r"v_start: a: 9 m/s is outside \+-0\.5 m/s"):
+        armctl.move_j(arm, [0.1], [0.2], v_start=[9.0])
+
+
 def test_keyframes_survive_whatever_the_actuators_were(one):
     key = '<keyframe><key name="home" qpos="0.4" act="0.4" ctrl="7"/></keyframe>'
     arm = one('<intvelocity joint="a" kp="50" actrange="-1 1" forcerange="-5 5"/>', rest=key)

@@ -30,6 +30,11 @@ CALLS: dict[str, tuple[Callable[[], object], str]] = {
     "nothing to compare": (lambda: armctl.compare(ARM, [], MOTION), "a list of at least one of each"),
     "one name to compare": (lambda: armctl.compare(ARM, "pd", MOTION), "a list of at least one of each"),
     "a pose for a path": (lambda: move_path(ARM, ARM.home, armctl.Pose([0, 0, 1])), "path: Pose.* given, a list of"),  # type: ignore
+    "a team's name": (lambda: armctl.Team("x"), "arms of one model wanted; armctl.load_arms gives them"),  # type: ignore
+    "a team of one": (lambda: armctl.Team(ARM), "arms of one model wanted; armctl.load_arms gives them"),  # type: ignore
+    "a number for a name": (lambda: armctl.Scene().add_box(3, [1, 1, 1], [0, 0, 0]), "name: 3 is no str"),  # type: ignore
+    "complex joints": (lambda: ARM.fk(ARM.home + 1j), "q: array.* is not an array of numbers"),
+    "a huge integer": (lambda: ARM.fk([0, 0, 10**400]), "q: .* is not an array of numbers"),
     "no path": (lambda: move_path(ARM, ARM.home, None), "path: None given, a list of"),  # type: ignore
 }
 

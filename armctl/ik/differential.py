@@ -76,7 +76,7 @@ class DifferentialIk:
         check_arm(arm)
         if solver not in qpsolvers.available_solvers:
             raise UnknownNameError.of("QP solver", str(solver), qpsolvers.available_solvers)
-        rest = arm.home if posture is None else arm.limits.check("posture", posture, arm.joint_names)
+        rest = arm.home if posture is None else arm.checked("posture", posture)
         self.arm, self.status, self._solver = arm, "solved", solver
         self.configuration = mink.Configuration(arm.model, arm.home_qpos.copy())
         self._posture_gain = number("posture_gain", posture_gain, 0.0)

@@ -220,7 +220,7 @@ def read_problem(
         raise InputError(f"rng: {rng!r} given, the seed of the random starts wanted: an integer of at least 0")
     count = len(targets)
     if q0 is None or np.ndim(q0) == 1 or count == 1:
-        start = arm.home if q0 is None else arm.limits.check("q0", np.reshape(q0, -1) if count == 1 else q0, arm.joint_names)
+        start = arm.home if q0 is None else arm.checked("q0", np.reshape(q0, -1) if count == 1 else q0)
         starts = start[None] if count == 1 else np.broadcast_to(start, (count, arm.n))
     else:
         rows = matrix("q0", q0, arm.n)
@@ -228,7 +228,7 @@ def read_problem(
             raise InputError(f"q0: {len(rows)} rows given for {count} targets")
         outside = ~((rows >= arm.limits.q_min - 1e-9) & (rows <= arm.limits.q_max + 1e-9)).all(axis=1)
         for row in rows[outside]:
-            arm.limits.check("q0", row, arm.joint_names)
+            arm.checked("q0", row)
         starts = arm.limits.clamp(rows)
     return Problem(
         arm,

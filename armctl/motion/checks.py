@@ -48,5 +48,6 @@ def start_velocity(arm: Arm, v_start: ArrayLike | None) -> Array:
     too_fast = np.abs(v) > arm.limits.v_max
     if too_fast.any():
         i = int(too_fast.argmax())
-        raise LimitError(f"v_start: {arm.joint_names[i]}: {v[i]:g} rad/s is outside +-{arm.limits.v_max[i]:g} rad/s")
+        name, unit = arm.joint_names[i], arm.units[i]
+        raise LimitError(f"v_start: {name}: {v[i]:g} {unit}/s is outside +-{arm.limits.v_max[i]:g} {unit}/s")
     return v

@@ -161,7 +161,7 @@ def _planned(
     tip_turn_speed: float | None,
 ) -> JointTrajectory:
     require_bounds(arm)
-    q = arm.limits.check("q_start", q_start, arm.joint_names)
+    q = arm.checked("q_start", q_start)
     if not parts:
         raise InputError("path: it is empty; give at least one line or arc")
     oriented = isinstance(parts[0].target, Pose)

@@ -49,7 +49,7 @@ class OnlineMotion:
         self._q_min, self._q_max = (limits.q_min - _ROUNDING).tolist(), (limits.q_max + _ROUNDING).tolist()
         self._q_low, self._q_high, self._rest = limits.q_min.tolist(), limits.q_max.tolist(), [0.0] * arm.n
         self._profiles = Profiles.of(limits)
-        q = limits.check("q_start", q_start, arm.joint_names)
+        q = arm.checked("q_start", q_start)
         v = start_velocity(arm, v_start)
         a = np.zeros(arm.n) if a_start is None else vector("a_start", a_start, arm.n)
         self._require_feasible(v, a)
@@ -120,18 +120,18 @@ class OnlineMotion:
 
     def _require_feasible(self, v: Array, a: Array) -> None:
         """Refuses a start from which a joint would have to exceed its speed or acceleration."""
-        limits, names = self._arm.limits, self._arm.joint_names
+        limits, names, units = self._arm.limits, self._arm.joint_names, self._arm.units
         over = np.abs(a) > limits.a_max * (1 + _SHARE)
         if over.any():
             i = int(over.argmax())
-            raise LimitError(f"a_start: {names[i]}: {a[i]:g} rad/s^2 is outside +-{limits.a_max[i]:g} rad/s^2")
+            raise LimitError(f"a_start: {names[i]}: {a[i]:g} {units[i]}/s^2 is outside +-{limits.a_max[i]:g} {units[i]}/s^2")
         later = np.abs(v + a * np.abs(a) / (2 * limits.j_max))
         over = later > limits.v_max * (1 + _SHARE)
         if over.any():
             i = int(over.argmax())
             raise LimitError(
-                f"v_start: {names[i]}: with this acceleration its speed comes to {later[i]:g} rad/s, "
-                f"more than its limit {limits.v_max[i]:g} rad/s; start slower"
+                f"v_start: {names[i]}: with this acceleration its speed comes to {later[i]:g} {units[i]}/s, "
+                f"more than its limit {limits.v_max[i]:g} {units[i]}/s; start slower"
             )
 
     def _checked(self, q: ArrayLike) -> Array:
@@ -140,7 +140,7 @@ class OnlineMotion:
             inside = [low <= x <= high for low, x, high in zip(self._q_low, q.tolist(), self._q_high, strict=True)]
             if all(inside):
                 return q.copy()
-        return self._arm.limits.check("q", q, self._arm.joint_names)
+        return self._arm.checked("q", q)
 
     def _stays_inside(self) -> bool:
         return self._profiles.stays_inside(self._q_min, self._q_max)

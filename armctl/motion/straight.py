@@ -43,8 +43,8 @@ def move_j(
         PlanError: A motor cannot hold the arm on the way, however slowly it moves.
     """
     require_bounds(arm)
-    start = arm.limits.check("q_start", q_start, arm.joint_names)
-    goal = arm.limits.check("q_goal", q_goal, arm.joint_names)
+    start = arm.checked("q_start", q_start)
+    goal = arm.checked("q_goal", q_goal)
     v = start_velocity(arm, v_start)
     if straight:
         pieces = _line(arm, start, goal, v)

@@ -42,7 +42,7 @@ def move_through(arm: Arm, waypoints: ArrayLike) -> JointTrajectory:
     rows = matrix("waypoints", waypoints, arm.n)
     if len(rows) < 2:
         raise InputError(f"waypoints: {len(rows)} given, at least 2 wanted (the first one is where the arm is)")
-    points = np.array([arm.limits.check(f"waypoints[{i}]", row, arm.joint_names) for i, row in enumerate(rows)])
+    points = np.array([arm.checked(f"waypoints[{i}]", row) for i, row in enumerate(rows)])
     apart = np.abs(np.diff(points, axis=0)).max(axis=1) > _SAME
     points = points[np.concatenate([[True], apart])]
     if len(points) == 1:
