@@ -26,6 +26,7 @@ _SETS, _SIZES, _POSITIONS = 120, 4, 5  # sets of positions that an excitation is
 _REACH = 1.5  # rad (m) from home
 _OFF_LIMIT = 0.05  # of a joint's range
 _LITTLE = 1e-6  # what a determinant of the information gets added
+_SHOWN, _APART = 20, 1e-6  # states at which a mass is looked for, and the share of what they show that is not round-off
 _TORQUE_SHARE = 0.9  # of the limits, for the controller to have some left
 
 
@@ -39,7 +40,7 @@ class PayloadEstimate:
         mass: kg; NaN, like all numbers here, where nothing could be fitted.
         mass_error: kg, its standard error.
         center: (3,) m, in the tip's frame.
-        center_error: (3,) m, standard errors.
+        center_error: (3,) m, standard errors; infinite where the run does not show the centre.
         coulomb_friction: (n,) N m of dry friction.
         coulomb_error: (n,) N m, standard errors.
         viscous_friction: (n,) N m s/rad of damping.
@@ -63,7 +64,8 @@ class PayloadEstimate:
     def __str__(self) -> str:
         if not self.ok:
             return f"not identified: {self.reason}"
-        x, y, z = (f"{1e3 * c:.1f}+-{1e3 * e:.1f}" for c, e in zip(self.center, self.center_error, strict=True))
+        known = zip(self.center, self.center_error, strict=True)
+        x, y, z = (f"{1e3 * c:.1f}+-{1e3 * e:.1f}" if math.isfinite(e) else "not shown" for c, e in known)
         return f"{self.mass:.4f}+-{self.mass_error:.4f} kg at [{x}, {y}, {z}] mm from the tip"
 
     def applied_to(self, arm: Arm) -> Arm:
@@ -247,18 +249,31 @@ def _judged(fit: _Fit) -> PayloadEstimate:
     mass, error = float(fit.theta[0]), float(fit.error[0])
     reason = ""
     if error > _UNCERTAIN * max(mass, 0.5):
-        reason = (
-            f"the mass is known to {error:.2g} kg only, the joints that carry it hardly move; follow armctl.excitation(arm)"
-        )
+        why = "the joints that carry it hardly move or rub too much; armctl.excitation(arm) shows what this arm can"
+        if not _can_show_mass(fit.arm):
+            why = "and no motion of this arm tells it from the payload's centre"
+        reason = f"the mass is known to {error:.2g} kg only, {why}"
     elif mass < -2 * error:
         reason = f"the torques ask for a payload of {mass:.3g} kg: the arm's model has too much mass already"
     return _estimate(fit.arm, reason, fit.theta, fit.error)
 
 
+def _can_show_mass(arm: Arm) -> bool:
+    """Whether a payload's mass shows otherwise than its centre does: not where all joints turn about one vertical line."""
+    rng, dynamics, limits = np.random.default_rng(0), Dynamics(arm), arm.limits
+    positions = limits.random(limits.clamp(arm.home), _SHOWN, rng)
+    rates = rng.uniform(-1, 1, (_SHOWN, 2, arm.n))
+    Y = np.vstack([dynamics.payload_regressor(q, *rows) for q, rows in zip(positions, rates, strict=True)])
+    explained = Y[:, 1:] @ np.linalg.lstsq(Y[:, 1:], Y[:, 0])[0]
+    return bool(np.linalg.norm(Y[:, 0] - explained) > _APART * np.linalg.norm(Y))
+
+
 def _estimate(arm: Arm, reason: str, theta: Array, error: Array) -> PayloadEstimate:
     known = abs(theta[0]) > _UNCERTAIN * 0.5
     center = theta[1:_PAYLOAD] / theta[0] if known else np.zeros(3)
-    center_error = error[1:_PAYLOAD] / abs(theta[0]) if known else np.full(3, np.inf)
+    shown = known & (error[1:_PAYLOAD] < 0.5 * np.array(_PRIOR[1:]))  # beyond that it is the prior's
+    center_error = np.full(3, np.inf)
+    center_error[shown] = error[1:_PAYLOAD][shown] / abs(theta[0])
     coulomb, viscous = theta[_PAYLOAD:].reshape(2, arm.n)
     coulomb_error, viscous_error = error[_PAYLOAD:].reshape(2, arm.n)
     arrays = (frozen(x.copy()) for x in (center, center_error, coulomb, coulomb_error, viscous, viscous_error))

@@ -119,6 +119,39 @@ def test_a_poor_excitation_is_refused_with_its_reason(motion, reason):
         found.applied_to(arm)
 
 
+def scara(tmp_path, joints="zzp"):
+    """Hinges about the vertical and a slide along it: no motion shows how high a payload is."""
+    kinds = {
+        "z": 'axis="0 0 1" range="-2 2"',
+        "p": 'type="slide" axis="0 0 1" range="-0.2 0"',
+        "y": 'axis="0 1 0" range="-2 2"',
+    }
+    geom = '<geom type="capsule" size="0.03" fromto="0 0 0 0.25 0 0" mass="1" contype="0" conaffinity="0"/>'
+    bodies = "".join(f'<body pos="0.25 0 0.05"><joint name="j{i}" {kinds[kind]}/>{geom}' for i, kind in enumerate(joints))
+    motors = "".join(f'<motor joint="j{i}" ctrlrange="-50 50"/>' for i in range(len(joints)))
+    world = f'<worldbody>{bodies}<site name="tip" pos="0.25 0 0"/>{"</body>" * len(joints)}</worldbody>'
+    path = tmp_path / "scara.xml"
+    path.write_text(f'<mujoco><compiler angle="radian" autolimits="true"/>{world}<actuator>{motors}</actuator></mujoco>')
+    return armctl.load(path)
+
+
+def test_a_height_that_no_motion_shows_is_said_to_be_unknown(tmp_path):
+    arm = scara(tmp_path)
+    found = armctl.identify_payload(arm, run(arm, armctl.excitation(arm), payload=0.5, payload_center=CENTER))
+    assert found.ok
+    assert found.mass == pytest.approx(0.5, rel=0.01)
+    assert found.center[:2] == pytest.approx(CENTER[:2], abs=1e-3)
+    assert np.isfinite(found.center_error).tolist() == [True, True, False]
+    assert "not shown] mm" in str(found)
+
+
+def test_a_mass_that_no_motion_shows_is_refused_for_that(tmp_path):
+    arm = scara(tmp_path, "z")
+    found = armctl.identify_payload(arm, run(arm, armctl.excitation(arm), payload=0.5, payload_center=CENTER))
+    assert not found
+    assert "no motion of this arm tells it from the payload's centre" in found.reason
+
+
 def test_a_log_of_other_joints_is_refused():
     log = run(arm_of("ur5e"), armctl.move_j(arm_of("ur5e"), arm_of("ur5e").home, arm_of("ur5e").home + 0.1))
     with pytest.raises(armctl.InputError, match="log: of the joints"):
