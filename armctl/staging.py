@@ -114,6 +114,23 @@ def exclude_overlaps(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Chain) 
     return notes
 
 
+def drag(spec: mujoco.MjSpec) -> list[str]:
+    """What to say where a model simulates the drag of air or water, which an arm's dynamics leave out.
+
+    Args:
+        spec: The specification.
+
+    Returns:
+        One sentence, or none.
+    """
+    option = spec.option
+    if not (option.density or option.viscosity):
+        return []
+    wind = ", ".join(f"{x:g}" for x in option.wind)
+    medium = f"density {option.density:g} kg/m^3, viscosity {option.viscosity:g} Pa s, wind [{wind}] m/s"
+    return [f"drag ({medium}) acts in simulation, but no controller's model has it; density=0 viscosity=0 takes it off"]
+
+
 def add_target(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
     """Adds a green target that can be moved about, where the model has none of its own.
 

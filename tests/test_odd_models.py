@@ -67,6 +67,20 @@ def test_motors_that_the_model_switches_off_are_switched_on_aloud(load, option: 
     assert armctl.Simulation(arm).move_j(arm.home + 0.3).reached
 
 
+@pytest.mark.parametrize("option", ['viscosity="0.1"', 'density="1.2" wind="3 0 0"'])
+def test_drag_is_said_to_be_in_no_model(load, option: str):  # noqa: F811
+    with pytest.warns(
+        armctl.ArmctlWarning, match=r"drag \(density .* viscosity .* wind .*no controller's model has it"
+    ) as said:
+        arm = load(limb("a b"), motors("a b") + f"<option {option}/>")
+    assert len(said) == 1
+    assert any("0.1 Pa s" in note or ("density 1.2 kg/m^3" in note and "[3, 0, 0] m/s" in note) for note in arm.notes)
+
+
+def test_wind_alone_drags_nothing(load):  # noqa: F811
+    assert not load(limb("a b"), motors("a b") + '<option wind="3 0 0"/>').notes
+
+
 def test_only_the_groups_of_the_arms_motors_are_switched_on(load):  # noqa: F811
     servo = '<position joint="a" kp="9" group="3"/><position joint="left" kp="9" group="3" forcerange="-1 1"/>'
     actuators = motors("a b").replace("</actuator>", f"{servo}</actuator>")
