@@ -23,6 +23,8 @@ _UNCERTAIN = 0.1  # of the mass (of half a kilogram where it is less): with a st
 _PRIOR = (50.0, 0.5, 0.5, 0.5)  # kg and kg m: what is not shown stays within them
 _ROUNDS = 4  # of the fit: inertia is not linear in a payload's centre, and joints differ in noise
 _SETS, _SIZES, _POSITIONS = 120, 4, 5  # sets of positions that an excitation is chosen from
+_PLANS = 2  # motions that may fail for each size: what then is wrong is wrong with the arm
+_TOUCHES = "it touches something on every way that was tried"
 _REACH = 1.5  # rad (m) from home
 _OFF_LIMIT = 0.05  # of a joint's range
 _LITTLE = 1e-6  # what a determinant of the information gets added
@@ -108,22 +110,28 @@ def excitation(arm: Arm, payload: float = 1.0, *, pace: float = 0.6, rng: int | 
     number("pace", pace, 1e-3, 1.0)
     loaded, contacts = arm.with_payload(number("payload", payload, 0.0)), contacts_of(arm)
     held = Dynamics(loaded)
-    why = "it touches something on every way that was tried"
-    for waypoints in _candidates(arm, np.random.default_rng(rng)):
-        if any((np.abs(held.gravity(q)) > _TORQUE_SHARE * arm.limits.tau_max).any() for q in waypoints):
+    why, failed = _TOUCHES, [0] * _SIZES
+    for size, waypoints in _candidates(arm, np.random.default_rng(rng)):
+        straight = np.linspace(waypoints[:-1], waypoints[1:], 10).reshape(-1, arm.n)
+        if failed[size] == _PLANS:
+            continue
+        if any((np.abs(held.gravity(q)) > _TORQUE_SHARE * arm.limits.tau_max).any() for q in straight):
             why = "its weight there is more than the motors hold"
             continue
-        straight = np.linspace(waypoints[:-1], waypoints[1:], 10).reshape(-1, arm.n)
         if contacts.along(straight):
             continue
         try:
             motion = move_through(loaded, waypoints).scaled(pace)
+            path = motion.sample(np.arange(0.0, motion.duration, 0.02))
+            if contacts.along(path.q):
+                why = _TOUCHES
+            elif max(check_torque(x, motion).ratio for x in (arm, loaded)) < _TORQUE_SHARE:
+                return motion
+            else:
+                why = f"it takes more than {100 * _TORQUE_SHARE:g} % of the torque limits on every way that was tried"
         except (PlanError, LimitError) as error:
             why = str(error)
-            continue
-        path = motion.sample(np.arange(0.0, motion.duration, 0.02))
-        if not contacts.along(path.q) and max(check_torque(x, motion).ratio for x in (arm, loaded)) < _TORQUE_SHARE:
-            return motion
+        failed[size] += 1
     raise PlanError(f"{arm.name}: no motion from home shows a payload of {payload:g} kg safely: {why}")
 
 
@@ -230,18 +238,22 @@ def _window(dt: float) -> Array:
     return window / window.sum()
 
 
-def _candidates(arm: Arm, rng: np.random.Generator) -> list[Array]:
-    """Sets of positions (k, n), from home to home, those first whose weights tell a payload's four numbers apart best."""
+def _candidates(arm: Arm, rng: np.random.Generator) -> list[tuple[int, Array]]:
+    """Sets of positions (k, n), from home to home, those first whose weights tell a payload's four numbers apart best.
+
+    With each goes how close to home it keeps: 0 is far.
+    """
     low, high = (np.clip(x, arm.home - _REACH, arm.home + _REACH) for x in (arm.limits.q_min, arm.limits.q_max))
     low, high = low + _OFF_LIMIT * (high - low), high - _OFF_LIMIT * (high - low)
     home, still, dynamics = arm.limits.clamp(arm.home), np.zeros(arm.n), Dynamics(arm)
     sets = []
     for k in range(_SETS):
-        share = 0.5 ** (k % _SIZES)  # some keep closer to home, where little is in the way
+        size = k % _SIZES
+        share = 0.5**size  # some keep closer to home, where little is in the way
         between = home + share * (rng.uniform(low, high, (_POSITIONS, arm.n)) - home)
         Y = np.vstack([dynamics.payload_regressor(q, still, still) / arm.limits.tau_max[:, None] for q in between])
-        sets.append((np.linalg.slogdet(Y.T @ Y + _LITTLE * np.eye(_PAYLOAD))[1], np.vstack([home, between, home])))
-    return [waypoints for _, waypoints in sorted(sets, key=lambda scored: -scored[0])]
+        sets.append((np.linalg.slogdet(Y.T @ Y + _LITTLE * np.eye(_PAYLOAD))[1], size, np.vstack([home, between, home])))
+    return [(size, waypoints) for _, size, waypoints in sorted(sets, key=lambda scored: -scored[0])]
 
 
 def _judged(fit: _Fit) -> PayloadEstimate:

@@ -163,6 +163,20 @@ def test_what_an_arm_cannot_carry_it_does_not_excite():
         armctl.excitation(arm_of("robot_arm_3dof"), payload=500.0)
 
 
+def test_an_excitation_that_fails_is_given_up_after_few_plans(bundled, monkeypatch):
+    planned = []
+
+    def fails(arm, waypoints):
+        planned.append(np.abs(waypoints - arm.home).max())
+        raise armctl.PlanError("it cannot be")
+
+    monkeypatch.setattr("armctl.identification.move_through", fails)
+    with pytest.raises(armctl.PlanError, match="shows a payload of 1 kg safely: it cannot be"):
+        armctl.excitation(bundled)
+    assert len(planned) <= 8
+    assert min(planned) < 0.5 * max(planned)  # sets near home had their turn as well
+
+
 @pytest.mark.parametrize("arguments", [{"payload": -1.0}, {"pace": 0.0}, {"pace": 2.0}])
 def test_wrong_arguments_are_refused(bundled, arguments):
     with pytest.raises(armctl.InputError, match=r"payload: -1|pace: [02] given"):
