@@ -145,6 +145,16 @@ def test_a_height_that_no_motion_shows_is_said_to_be_unknown(tmp_path):
     assert "not shown] mm" in str(found)
 
 
+@pytest.mark.parametrize("mass", [0.0, 1.0])
+def test_adaptive_control_is_stable_where_only_a_slide_feels_gravity(tmp_path, mass):
+    arm = scara(tmp_path)
+    log = armctl.simulate(
+        arm, "adaptive", armctl.move_j(arm, [-1.0, 1.0, -0.15], [1.0, -1.0, -0.05]), armctl.Plant(payload=mass)
+    )
+    assert np.abs(log.q - log.q_ref).max() < 0.05
+    assert np.abs(log.tau).max() < 0.9 * 50.0
+
+
 def test_a_mass_that_no_motion_shows_is_refused_for_that(tmp_path):
     arm = scara(tmp_path, "z")
     found = armctl.identify_payload(arm, run(arm, armctl.excitation(arm), payload=0.5, payload_center=CENTER))
