@@ -81,7 +81,7 @@ class Arm:
     @property
     def units(self) -> tuple[str, ...]:
         """What each joint is measured in: "rad", or "m" where it slides."""
-        return tuple("m" if slides else "rad" for slides in self.rigid_body.is_slide)
+        return tuple("m" if slides else "rad" for slides in self.rigid_body.is_slide[self.linkage.leaders])
 
     def checked(self, what: str, q: ArrayLike, tolerance: float = 1e-9) -> Array:
         """Joint positions from a caller, checked.
