@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from viser import uplot
 
 _LEAST_MM = 1e-2  # what is below it is drawn there: the scale is logarithmic
+_MOST_MM = 3e3  # room above the last label, 1000
 _EVERY = 4  # a row of the history in so many is drawn
 
 
@@ -34,7 +35,7 @@ class Charts:
             _errors(past),
             (_TIME, _line("to the target", COLORS[2]), _line("to its reference", COLORS[0]), _bound("tolerance")),
             title=f"tip error, mm; grey: {1e3 * TOLERANCE:g} mm",
-            scales={"x": _SPAN, "y": {"distr": 3, "range": (_LEAST_MM, 1e3)}},
+            scales={"x": _SPAN, "y": {"distr": 3, "range": (_LEAST_MM, _MOST_MM)}},
             axes=({}, {"grid": {"show": False}, "ticks": {"show": False}}),
             height=150,
         )

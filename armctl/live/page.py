@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import signal
 import threading
 import time
 from collections.abc import Callable
@@ -118,6 +119,7 @@ def view(
         UnknownNameError: There is no such controller.
     """
     with contextlib.ExitStack() as stack:
+        stack.callback(signal.signal, signal.SIGINT, signal.getsignal(signal.SIGINT))
         stage = Stage(port if host is None else 0)
         stack.callback(stage.close)
         url = stage.url
@@ -135,3 +137,4 @@ def view(
             page = Page(arm, stage, controller)
             stack.callback(page.close)
             page.serve()
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C would tear apart what is being closed
