@@ -77,7 +77,7 @@ def four_panels(log: Log, path: str | os.PathLike[str] | None = None) -> Path | 
             ax.set_xlabel("time, s")
         handles = axes[0, 0].get_lines()[: len(log.joint_names)]
         figure.legend(handles, log.joint_names, loc="outside lower center", ncols=min(len(handles), 8))
-        axes[1, 1].legend(loc="center right", bbox_to_anchor=(1.0, 0.5))
+        axes[1, 1].legend(loc="best")
         figure.suptitle(
             f"{log.robot}, {log.controller}" + (f": {log.end}" if log.end else ""), fontweight="bold", x=0.01, ha="left"
         )

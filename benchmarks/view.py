@@ -51,8 +51,8 @@ def frames_a_second(robot: str, quality: str, frames: int) -> float:
         return frames / (time.perf_counter() - started)
 
 
-def seconds_until_usable(robot: str) -> tuple[float, float, float]:
-    """From the command until the page is served, its panel is there and the arm is drawn, and a click is answered."""
+def seconds_until_usable(robot: str) -> list[float]:
+    """From the command until the page is served, its panel is live, the arm is drawn, and a click is answered."""
     from playwright.sync_api import Error, sync_playwright
 
     with socket.socket() as free:
@@ -70,6 +70,7 @@ def seconds_until_usable(robot: str) -> tuple[float, float, float]:
                     tab.goto(f"http://127.0.0.1:{port}", wait_until="commit")
                     times.append(time.perf_counter() - started)
             tab.get_by_text("real time").wait_for(timeout=60e3)
+            times.append(time.perf_counter() - started)
             while not _shows_something(tab.screenshot(timeout=60e3)):
                 pass
             times.append(time.perf_counter() - started)
@@ -78,8 +79,7 @@ def seconds_until_usable(robot: str) -> tuple[float, float, float]:
             times.append(time.perf_counter() - started)
             view.terminate()
         browser.close()
-    served, shown, answered = times
-    return served, shown, answered
+    return times
 
 
 def _shows_something(png: bytes) -> bool:
@@ -126,7 +126,11 @@ def main() -> None:
         ("real-time factor, page open", "at least 0.98", f"{factor:.3f} over {args.seconds:g} s; least over 2 s {least:.3f}"),
         ("frames a second, 640 x 480, fast", "at least 30", f"{frames_a_second(args.robot, 'fast', 100):.0f}"),
         ("frames a second, 640 x 480, full", "", f"{frames_a_second(args.robot, 'full', 10):.1f}"),
-        ("page served, arm drawn, click answered after", "at most 5 s", " / ".join(f"{t:.1f}" for t in usable) + " s"),
+        (
+            "page served, panel live, arm drawn, click answered after",
+            "at most 5 s",
+            " / ".join(f"{t:.1f}" for t in usable) + " s",
+        ),
     ]
     table = [
         f"| {args.robot}, software OpenGL, {os.cpu_count()} cores | wanted | measured |",
