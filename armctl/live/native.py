@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import threading
 import time
 
 import mujoco
@@ -16,6 +17,7 @@ from armctl.pose import Pose
 from armctl.staging import TARGET
 
 _INTERVAL = 1 / 60  # s between drawings
+_PATIENCE = 5.0  # s for the window to close
 
 
 def view_natively(arm: Arm, controller: str) -> None:
@@ -38,6 +40,7 @@ def view_natively(arm: Arm, controller: str) -> None:
     _show(session, model, data)
     data.mocap_pos[mocap], data.mocap_quat[mocap] = session.target.position, session.target.quat
     session.start()
+    others = set(threading.enumerate())
     try:
         with (
             contextlib.suppress(KeyboardInterrupt),
@@ -54,6 +57,8 @@ def view_natively(arm: Arm, controller: str) -> None:
                 window.sync()
                 time.sleep(_INTERVAL)
     finally:
+        for thread in set(threading.enumerate()) - others:  # the window's: it must not draw on while Python ends
+            thread.join(timeout=_PATIENCE)
         session.stop()
 
 
