@@ -1,6 +1,6 @@
 """Motions against their peers: waypoints (ruckig stopping, toppra), lines (toppra), limits kept, new goals online.
 
-    python benchmarks/motion.py [--only waypoints lines online limits] [--moves 10000] [--sets 200] [--lines 20] [--out FILE]
+    python benchmarks/motion.py [--only waypoints lines online limits] [--moves 10000] [--sets 500] [--lines 20] [--out FILE]
 
 With `--only`, what else the file says stays as it is.
 toppra is an extra, `pip install -e .[benchmark]`. Speed, acceleration and jerk limits are the Panda's; torque limits are lifted
@@ -31,7 +31,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--only", nargs="+", choices=list(PARTS), default=list(PARTS))
     parser.add_argument("--moves", type=int, default=10_000)
-    parser.add_argument("--sets", type=int, default=200)
+    parser.add_argument("--sets", type=int, default=500)
     parser.add_argument("--lines", type=int, default=20)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "motion.md")
     args = parser.parse_args()
