@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 import armctl
 from armctl import Arm, InputError, LimitError, Pose, UnknownNameError, solve_ik
 from armctl.contacts import contacts_of
-from armctl.ik import kernel, solve_ik_batch
-from armctl.ik.problem import chain_of
+from armctl.ik import kernel, lm, solve_ik_batch
+from armctl.ik.problem import POSITION, chain_of, read_problem
 
 METHODS = ["lm", "mink"]
 COUNT = {"lm": 40, "mink": 4}
@@ -62,6 +62,29 @@ def test_reaches_what_can_be_reached_also_at_the_joint_limits(name: str, method:
         assert (off, turned) == pytest.approx((result.position_error, result.orientation_error), abs=1e-8)
         assert arm.limits.contains(result.q)
         assert result.reason == ""
+
+
+@every_arm
+def test_a_point_out_of_reach_is_approached_as_near_as_any_position_comes(name: str):
+    arm, rng = arm_of(name), np.random.default_rng(4)
+    middle, reach = arm.rigid_body.placements[0, :3, 3], chain_of(arm).reach
+    points = middle + 1.3 * reach * rng.uniform(-1, 1, (60, 3))
+    found = solve_ik_batch(arm, points)
+    tips = arm.fk_many(arm.limits.random(arm.home, 20_000, rng))[0]
+    for point, error in zip(points, found.position_error, strict=True):
+        assert error <= np.linalg.norm(tips - point, axis=1).min() + 1e-5
+
+
+@every_arm
+def test_settling_ends_finite_and_inside_the_limits_from_anywhere(name: str):
+    arm, rng = arm_of(name), np.random.default_rng(5)
+    targets = np.zeros((2000, 12))
+    targets[:, 9:] = chain_of(arm).reach * rng.uniform(-1.5, 1.5, (2000, 3))
+    problem = read_problem(arm, POSITION, targets, arm.limits.random(arm.home, 2000, rng), 1e-5, 1e-4, 0)
+    q, sizes = lm.settle(problem, problem.q0)
+    assert np.isfinite(q).all()
+    assert np.isfinite(sizes).all()
+    assert arm.limits.contains(q)
 
 
 @every_arm

@@ -34,7 +34,7 @@ FIRST = 12  # in the target's row: the squared error at the start of a descent
 NEAR, JUMP = 0.5, 0.3  # more than 0.3 rad of a joint for a target within half a reach is suspicious
 ROTATION_WEIGHT = 1 / 3  # of a radian, beside an error of one reach
 DESCENT_STEPS = 60
-SETTLE_STEPS, SETTLE_DAMPING, SETTLED = 200, 0.1, 1e-7
+SETTLE_STEPS, SETTLE_DAMPING, SETTLE_CONVEX, SETTLED = 200, 0.1, 1e-2, 1e-7
 STALL_STEPS, STALL_GAIN = 3, 0.7  # give a descent up after so many steps whose error stays above this share
 HOPELESS_STARTS, HOPELESS = 150, 0.03  # give a target up after so many starts if all ended farther off than this
 DAMPING, DAMPING_FLOOR = 2e-2, 1e-12
@@ -229,10 +229,10 @@ def _bend(chain, asked, work):
 def _solve_free(damping, work):
     """(J^T J + damping I) step = gradient for the joints that are not held, by L D L^T; the held ones keep their step.
 
-    Pivots below the damping, which only a curvature that was added can make, are raised to it: every step leads downhill.
+    Returns whether the matrix is positive definite, which J^T J always is, but not with the chain's own curvature.
     """
     n = _unknowns(work)
-    factor, count = NORMAL + n, 0
+    factor, count, definite = NORMAL + n, 0, True
     for i in range(n):
         if work[i, HELD] > 0:
             continue
@@ -252,7 +252,8 @@ def _solve_free(damping, work):
             work[count, factor + c] = share
             pivot -= share * value
             total -= share * work[c, RHS]
-        work[count, PIVOT] = 1.0 / max(pivot, damping)
+        definite = definite and pivot > 0.5 * damping
+        work[count, PIVOT] = 1.0 / max(pivot, 0.5 * damping)
         work[count, RHS] = total
         count += 1
     row = count
@@ -264,13 +265,14 @@ def _solve_free(damping, work):
                 total -= work[k, factor + row] * work[k, RHS]
             work[row, RHS] = total
             work[i, STEP] = total
+    return definite
 
 
 @njit
 def _bounded_step(chain, damping, q, work):
     """A damped step of q inside the joint bounds: joints pushed out of theirs are held there and the others solved again.
 
-    Returns the largest move of a joint.
+    Returns the largest move of a joint, or -1 where the damping is too small for a step that leads downhill; then none is made.
     """
     n = len(q)
     for i in range(n):
@@ -279,7 +281,8 @@ def _bounded_step(chain, damping, q, work):
         work[i, HELD] = 1.0 if at_bound else 0.0
         work[i, STEP] = 0.0
     for _ in range(BOUND_PASSES):
-        _solve_free(damping, work)
+        if not _solve_free(damping, work):
+            return -1.0
         inside = True
         for i in range(n):
             wanted = q[i] + work[i, STEP]
@@ -443,7 +446,7 @@ def settle(chain, reach, targets, asked, q0, pull, q, sizes, work):
             size = off * off + ROTATION_WEIGHT * ROTATION_WEIGHT * turned * turned
             for i in range(n):
                 size += pull * (q0[t, i] - here[i]) ** 2
-            if size > best:
+            if not size <= best:
                 damping *= 4.0
                 for i in range(n):
                     here[i] = work[i, BEST]
@@ -459,6 +462,9 @@ def settle(chain, reach, targets, asked, q0, pull, q, sizes, work):
                 work[i, NORMAL + i] += pull
             _bend(chain, asked, work)
             moved = _bounded_step(chain, damping + DAMPING_FLOOR, here, work)
+            while moved < 0.0:
+                damping = max(4.0 * damping, SETTLE_CONVEX * np.sqrt(size))
+                moved = _bounded_step(chain, damping + DAMPING_FLOOR, here, work)
         for i in range(n):
             here[i] = work[i, BEST]
         sizes[t] = best

@@ -9,7 +9,7 @@ from armctl.ik.problem import POSITION, Problem, compiled
 
 MARGIN = 0.999  # of the tolerance, so that rounding decides nothing when the answer is measured
 NEAR_TRIES, NEAR_NOISE = 4, 0.2
-REACH_STARTS = 6
+REACH_STARTS = 12
 
 
 def search(problem: Problem, first: int, last: int, begin: Array | None = None) -> tuple[Array, IntArray]:
@@ -115,9 +115,9 @@ def best_effort(problem: Problem, q: Array) -> tuple[Array, BoolArray]:
     points = problem._replace(asked=POSITION)
     limit = (problem.position_tolerance / problem.chain.reach) ** 2
     least, nearest = np.full(len(q), np.inf), q.copy()
-    for start in range(REACH_STARTS):
-        trial = q if start == 0 else search(points, start, start + 1)[0]
-        trial, sizes = settle(points, trial)
+    others = problem.arm.limits.random(problem.arm.home, REACH_STARTS, np.random.default_rng(problem.seed))
+    for begin in (q, *others):
+        trial, sizes = settle(points, np.broadcast_to(begin, q.shape))
         better = sizes < least * (1 - 1e-6)
         nearest[better], least[better] = trial[better], sizes[better]
         if (least <= limit).all():
