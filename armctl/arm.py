@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl import units
 from armctl.arrays import Array, IntArray, matrix, number, vector
 from armctl.errors import LimitError, ModelError
 from armctl.linkage import Linkage
@@ -81,7 +82,13 @@ class Arm:
     @property
     def units(self) -> tuple[str, ...]:
         """What each joint is measured in: "rad", or "m" where it slides."""
-        return tuple("m" if slides else "rad" for slides in self.rigid_body.is_slide[self.linkage.leaders])
+        kinds = self.model.jnt_type[self.model.dof_jntid[self.dof_adr]]
+        return tuple("m" if kind == int(mujoco.mjtJoint.mjJNT_SLIDE) else "rad" for kind in kinds)
+
+    @property
+    def torque_units(self) -> tuple[str, ...]:
+        """What each joint's torque is measured in: "N m", or "N" where it slides."""
+        return units.of_torque(self.units)
 
     def checked(self, what: str, q: ArrayLike, tolerance: float = 1e-9) -> Array:
         """Joint positions from a caller, checked.

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from armctl import units
 from armctl.comparison import remarks
 from armctl.log import Log
 from armctl.plot import COLORS, STYLE
@@ -107,7 +108,8 @@ def _draw(figure: Figure, logs: Sequence[Log]) -> None:
     tip.plot(*logs[-1].tip_ref[:, plane].T, color="black", linestyle="--", linewidth=0.8)
     for bound in (-1, 1):
         torque.axhline(bound * logs[-1].tau_max[joint], color="black", linestyle=":")
-    error.set(xlabel="time, s", ylabel="greatest joint error, rad")
-    torque.set(xlabel="time, s", ylabel=f"torque of {logs[-1].joint_names[joint]}, N m (dotted: its limits)")
+    error.set(xlabel="time, s", ylabel=f"greatest joint error, {units.label(logs[-1].units)}")
+    unit = units.of_torque(logs[-1].units)[joint]
+    torque.set(xlabel="time, s", ylabel=f"torque of {logs[-1].joint_names[joint]}, {unit} (dotted: its limits)")
     tip.set(xlabel=f"tip {'xyz'[plane[0]]}, m", ylabel=f"tip {'xyz'[plane[1]]}, m (dashed: wanted)", aspect="equal")
     error.legend(fontsize=7, ncols=2)

@@ -43,6 +43,7 @@ class Log:
         tip_ref_quat: (T, 4) wxyz.
         plant: How reality differed from the model, in words.
         qpos: (T, nq) the whole model's positions as in MjData.qpos: grippers and loose objects too, for films.
+        units: What each joint is measured in, "rad" or "m"; all in rad if left out.
     """
 
     robot: str
@@ -68,8 +69,10 @@ class Log:
     tip_ref_quat: Array
     plant: str = "nominal"
     qpos: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    units: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "units", tuple(self.units) or ("rad",) * len(self.joint_names))
         for each in fields(self):
             value = getattr(self, each.name)
             if isinstance(value, np.ndarray):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl import units
 from armctl.arrays import Array
 from armctl.errors import InputError, NotInstalledError
 from armctl.goal import TOLERANCE
@@ -70,7 +71,12 @@ def four_panels(log: Log, path: str | os.PathLike[str] | None = None) -> Path | 
         _lines(axes[1, 1], log.t, log.tip, log.tip_ref, names=("x", "y", "z"))
         _target(axes[1, 1], log)
         dashed = "" if log.is_open_loop else "; dashed: wanted"
-        titles = f"joint angle, rad{dashed}", f"joint velocity, rad/s{dashed}", "motor torque, N m", f"tip position, m{dashed}"
+        titles = (
+            f"joint {'position' if 'm' in log.units else 'angle'}, {units.label(log.units)}{dashed}",
+            f"joint velocity, {units.label(log.units, '/s')}{dashed}",
+            f"motor torque, {units.label(units.of_torque(log.units))}",
+            f"tip position, m{dashed}",
+        )
         for ax, title in zip(axes.flat, titles, strict=True):
             ax.set_title(title)
         for ax in axes[1]:

@@ -102,6 +102,7 @@ class Recorder:
             tip_ref=tip_ref,
             tip_ref_quat=quats_from_rotations(rotation_ref),
             qpos=qpos.copy(),
+            units=arm.units,
             **columns,
         )
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from armctl import units
 from armctl.arrays import Array, BoolArray, instance
 from armctl.errors import InputError
 from armctl.goal import ANGLE_TOLERANCE, TOLERANCE
@@ -133,16 +134,17 @@ class Report:
     def __str__(self) -> str:
         settled = f"{self.settling_time_s:.3f} s" if math.isfinite(self.settling_time_s) else "never"
         degrees = math.degrees(self.final_orientation_error_rad)
+        unit, torque_unit = units.label(self.log.units), units.label(units.of_torque(self.log.units))
         lines = [
             self.verdict,
             f"  run          {self.robot}, {self.controller}, {self.duration_s:.3f} s in ticks of {1e3 * self.log.dt:g} ms,"
             f" {self.real_time_factor:.0f} times real time",
             f"  tip error    final {_mm(self.final_tip_error_m)}, {degrees:.3g} deg; while moving RMS {_mm(self.tip_rms_m)},"
             f" max {_mm(self.tip_max_m)}",
-            f"  joint error  while moving RMS {_rad(self.joint_rms_rad)} rad, max {_rad(self.joint_max_rad)} rad",
+            f"  joint error  while moving RMS {_rad(self.joint_rms_rad)} {unit}, max {_rad(self.joint_max_rad)} {unit}",
             f"  at the goal  settled after {settled}, overshoot {_mm(self.overshoot_m)}",
             f"  torque       peak {100 * self.peak_torque_ratio:.0f} % of the limit, saturated"
-            f" {100 * self.saturated_fraction:.1f} % of the time, chatter {self.chatter_nm:.2g} N m",
+            f" {100 * self.saturated_fraction:.1f} % of the time, chatter {self.chatter_nm:.2g} {torque_unit}",
         ]
         return "\n".join(lines)
 
@@ -156,16 +158,17 @@ def table(reports: list[Report]) -> str:
     Returns:
         The table.
     """
+    joints = [unit for r in reports for unit in r.log.units]
     header = [
         "controller",
         "plant",
-        "joint RMS, rad",
-        "joint max, rad",
+        f"joint RMS, {units.label(joints)}",
+        f"joint max, {units.label(joints)}",
         "tip RMS",
         "tip max",
         "final tip error",
         "peak torque",
-        "chatter, N m",
+        f"chatter, {units.label(units.of_torque(joints))}",
         "verdict",
     ]
     rows = [

@@ -212,7 +212,8 @@ class Rig:
 
     def _runaway(self, v: Array) -> str:
         worst = int(np.argmax(np.abs(np.nan_to_num(v, nan=np.inf))))
-        return f"diverged at {self.data.time:.3f} s: {self.arm.joint_names[worst]} moves at {v[worst]:.3g} rad/s"
+        joint, unit = self.arm.joint_names[worst], self.arm.units[worst]
+        return f"diverged at {self.data.time:.3f} s: {joint} moves at {v[worst]:.3g} {unit}/s"
 
 
 class ConstantTorque:

@@ -142,12 +142,12 @@ def speed(arms: dict[str, armctl.Arm]) -> str:
     bundled = armctl.load("robot_arm_3dof")
     rows = [speed_of(name, arm) for name, arm in {**arms, "robot_arm_3dof": bundled}.items()]
     columns = ["robot", "rnea, us", "tick of computed torque, us", "ratio (wanted 8)"]
-    columns += ["bare mj_step loop, us", "simulate, us", "ratio (wanted 2.0)"]
+    columns += ["bare mj_step loop, us", "simulate, computed torque, us", "ratio (wanted 2.0)", "simulate, PD, us", "ratio"]
     return table("What a tick costs: the best of interleaved rounds", columns, rows)
 
 
 def speed_of(name: str, arm: armctl.Arm) -> list:
-    controller, motion, plant = armctl.ComputedTorque(arm), quintic(arm), armctl.Plant(timestep=TICK)
+    controller, pd, motion, plant = armctl.ComputedTorque(arm), armctl.PD(arm), quintic(arm), armctl.Plant(timestep=TICK)
     ticks = len(armctl.simulate(arm, controller, motion, plant))
     model = plant.model(arm)
     data, step = mujoco.MjData(model), mujoco.mj_step
@@ -165,6 +165,9 @@ def speed_of(name: str, arm: armctl.Arm) -> list:
     def simulated() -> None:
         armctl.simulate(arm, controller, motion, plant)
 
+    def simulated_pd() -> None:
+        armctl.simulate(arm, pd, motion, plant)
+
     def rnea() -> None:
         for _ in range(1000):
             pin.rnea(pin_model, pin_data, setpoint.q, setpoint.v, setpoint.a)
@@ -173,13 +176,13 @@ def speed_of(name: str, arm: armctl.Arm) -> list:
         for _ in range(1000):
             controller.torque(state, setpoint)
 
-    best = dict.fromkeys((bare, simulated, rnea, tick), np.inf)
+    best = dict.fromkeys((bare, simulated, simulated_pd, rnea, tick), np.inf)
     for _ in range(15):
         for what in best:
             best[what] = min(best[what], seconds(what))
     rnea_us, tick_us = 1e3 * best[rnea], 1e3 * best[tick]
-    bare_us, simulated_us = 1e6 * best[bare] / ticks, 1e6 * best[simulated] / ticks
-    figures = [rnea_us, tick_us, tick_us / rnea_us, bare_us, simulated_us, simulated_us / bare_us]
+    bare_us, simulated_us, pd_us = (1e6 * best[what] / ticks for what in (bare, simulated, simulated_pd))
+    figures = [rnea_us, tick_us, tick_us / rnea_us, bare_us, simulated_us, simulated_us / bare_us, pd_us, pd_us / bare_us]
     return [name, *(f"{x:.2f}" for x in figures)]
 
 

@@ -1,5 +1,6 @@
 """Loading robots: names, files that cannot be read, URDFs, torque limits from wherever they are, keyframes, held bases."""
 
+import re
 import time
 from pathlib import Path
 
@@ -224,6 +225,20 @@ def test_a_slide_joint_is_spoken_of_in_newtons_and_metres(tmp_path: Path):
         armctl.Simulation(arm).move_j([2.0])
     with pytest.raises(armctl.LimitError, match=r"v_start: a: 9 m/s is outside \+-0\.5 m/s"):
         armctl.move_j(arm, [0.1], [0.2], v_start=[9.0])
+    motion = armctl.move_j(arm, [0.1], [0.2])
+    assert motion.then(armctl.move_j(arm, [0.2], [0.3])).check_limits().worst.unit.startswith("m/s")
+    assert " N of " in str(armctl.check_torque(arm, motion))
+    log = armctl.simulate(arm, armctl.ComputedTorque(arm), motion)
+    assert log.units == armctl.Log.load(log.save(tmp_path / "log.npz")).units == ("m",)
+    assert type(motion).load(motion.save(tmp_path / "motion.npz")).units == ("m",)
+    report = armctl.Report.from_log(log)
+    assert re.search(r"RMS \S+ m, max \S+ m\n", str(report))
+    assert re.search(r"chatter \S+ N$", str(report))
+    assert "joint RMS, m |" in armctl.report.table([report]).replace("  ", "")
+    report.plot(tmp_path / "log.svg")
+    assert {"joint position, m; dashed: wanted", "motor torque, N"} <= set(
+        re.findall(r"<!-- (.*?) -->", (tmp_path / "log.svg").read_text())
+    )
 
 
 def test_keyframes_survive_whatever_the_actuators_were(one):

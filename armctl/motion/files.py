@@ -10,6 +10,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from armctl import units
 from armctl.arrays import Array, number
 from armctl.errors import InputError
 from armctl.motion.joint_trajectory import JointTrajectory
@@ -40,6 +41,7 @@ def save(trajectory: JointTrajectory, path: str | os.PathLike[str]) -> Path:
         knots=trajectory.knots,
         coefficients=trajectory.coefficients,
         joint_names=np.array(trajectory.joint_names, dtype=str),
+        units=np.array(trajectory.units, dtype=str),
         slowed=np.array([] if slowed is None else [str(value) for value in asdict(slowed).values()], dtype=str),
         **{field.name: getattr(trajectory.limits, field.name) for field in fields(Limits)},
     )
@@ -76,6 +78,7 @@ def load(path: str | os.PathLike[str]) -> JointTrajectory:
                 tuple(str(name) for name in data["joint_names"]),
                 limits,
                 Slowdown(float(slowed[0]), slowed[1], float(slowed[2])) if slowed else None,
+                tuple(str(unit) for unit in data.get("units", [])),
             )
     except (OSError, BadZipFile, KeyError, ValueError, EOFError) as error:
         raise InputError(f"{os.fspath(path)}: it holds no trajectory ({error}); give a file that save() wrote") from None
@@ -136,7 +139,7 @@ def plot(trajectory: JointTrajectory, path: str | os.PathLike[str] | None = None
     q, v, a = trajectory.sample(times)[:3]
     limits = trajectory.limits
     rows = (
-        ("position, rad", q),
+        (f"position, {units.label(trajectory.units)}", q),
         ("velocity / limit", v / limits.v_max),
         ("acceleration / limit", a / limits.a_max),
         ("jerk / limit", trajectory.jerk(times) / limits.j_max),

@@ -35,6 +35,7 @@ class JointTrajectory:
         joint_names: The n joints.
         limits: The limits it was planned for.
         slowed: Where the motors made it slower than speed, acceleration and jerk allow: by how much, for which joint.
+        units: What each joint is measured in, "rad" or "m"; all in rad if left out.
     """
 
     knots: Array
@@ -42,8 +43,10 @@ class JointTrajectory:
     joint_names: tuple[str, ...]
     limits: Limits
     slowed: Slowdown | None = None
+    units: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "units", self.units or ("rad",) * len(self.joint_names))
         frozen(self.knots)
         frozen(self.coefficients)
 
@@ -126,7 +129,7 @@ class JointTrajectory:
         Returns:
             The check: whether it is inside, and each joint's extremes with their times.
         """
-        return check_limits(self.knots, self.coefficients, limits or self.limits, self.joint_names)
+        return check_limits(self.knots, self.coefficients, limits or self.limits, self.joint_names, self.units)
 
     def stopped_at(self, t: float) -> JointTrajectory:
         """The motion with a stop on its path, as soon as the limits allow once it is asked for.
@@ -276,12 +279,13 @@ class JointTrajectory:
         return replace(parts[0], knots=np.concatenate(knots), coefficients=coefficients, slowed=slowest)
 
     @classmethod
-    def standing(cls, joint_names: tuple[str, ...], limits: Limits, q: Array) -> JointTrajectory:
+    def standing(cls, joint_names: tuple[str, ...], limits: Limits, units: tuple[str, ...], q: Array) -> JointTrajectory:
         """No motion: it stands at a position and takes no time.
 
         Args:
             joint_names: The n joints.
             limits: Their limits.
+            units: What each is measured in, "rad" or "m".
             q: (n,) rad.
 
         Returns:
@@ -289,10 +293,10 @@ class JointTrajectory:
         """
         coefficients = np.zeros((1, DEGREE + 1, len(q)))
         coefficients[0, 0] = q
-        return cls(np.zeros(2), coefficients, joint_names, limits)
+        return cls(np.zeros(2), coefficients, joint_names, limits, units=units)
 
     def __reduce__(self):
-        return JointTrajectory, (self.knots, self.coefficients, self.joint_names, self.limits, self.slowed)
+        return JointTrajectory, (self.knots, self.coefficients, self.joint_names, self.limits, self.slowed, self.units)
 
     def __repr__(self) -> str:
         return f"JointTrajectory({self.n} joints, {self.duration:.3f} s)"

@@ -172,9 +172,9 @@ def _planned(
     for path in _chains(legs):
         joint_path = track(arm, what, path, q, oriented)
         pieces = fastest(joint_path, arm.limits, _caps(path, tip_speed, tip_turn_speed))
-        motions.append(within_torque(arm, JointTrajectory(*pieces, arm.joint_names, arm.limits)))
+        motions.append(within_torque(arm, JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)))
         q = motions[-1](motions[-1].duration).q
-    return JointTrajectory.joined(motions) if motions else JointTrajectory.standing(arm.joint_names, arm.limits, q)
+    return JointTrajectory.joined(motions) if motions else JointTrajectory.standing(arm.joint_names, arm.limits, arm.units, q)
 
 
 def _shapes(start: Pose, parts: list[Line | Arc], oriented: bool) -> list[Shape]:

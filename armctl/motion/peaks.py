@@ -12,7 +12,7 @@ from armctl.trajectory import Limits
 
 RATIO_TOLERANCE = 1e-6
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
-_UNITS = ("rad", "rad/s", "rad/s^2", "rad/s^3")
+_PER_TIME = ("", "/s", "/s^2", "/s^3")
 
 
 def piece_extremes(coefficients: Array, steps: Array, order: int) -> tuple[Array, Array]:
@@ -44,8 +44,9 @@ class Peak:
         quantity: "position", "velocity", "acceleration" or "jerk".
         joint: Which joint.
         time: s, when.
-        value: rad, rad/s, rad/s^2 or rad/s^3.
+        value: In the unit.
         bound: The limit it is held against.
+        unit: Such as "rad/s^2", or "m/s^2" for a slide joint.
         ratio: How much of the limit it uses; more than 1 is outside. For a position 1 is at a limit and 0 midway between them.
     """
 
@@ -54,13 +55,13 @@ class Peak:
     time: float
     value: float
     bound: float
+    unit: str
     ratio: float
 
     def __str__(self) -> str:
-        unit = _UNITS[QUANTITIES.index(self.quantity)]
         return (
-            f"{self.joint}: {self.quantity} {self.value:.6g} {unit} at {self.time:.4f} s, limit {self.bound:.6g} {unit} "
-            f"({100 * self.ratio:.4g} %)"
+            f"{self.joint}: {self.quantity} {self.value:.6g} {self.unit} at {self.time:.4f} s, "
+            f"limit {self.bound:.6g} {self.unit} ({100 * self.ratio:.4g} %)"
         )
 
 
@@ -93,7 +94,9 @@ class LimitCheck:
         return "outside the limits: " + "; ".join(map(str, self.violations))
 
 
-def check_limits(knots: Array, coefficients: Array, limits: Limits, joint_names: tuple[str, ...]) -> LimitCheck:
+def check_limits(
+    knots: Array, coefficients: Array, limits: Limits, joint_names: tuple[str, ...], units: tuple[str, ...]
+) -> LimitCheck:
     """The extremes of piecewise polynomials held against limits.
 
     Args:
@@ -101,6 +104,7 @@ def check_limits(knots: Array, coefficients: Array, limits: Limits, joint_names:
         coefficients: (m, 6, n).
         limits: What the joints can do.
         joint_names: Their names.
+        units: What each is measured in, "rad" or "m".
 
     Returns:
         The check.
@@ -119,8 +123,8 @@ def check_limits(knots: Array, coefficients: Array, limits: Limits, joint_names:
         for i in np.flatnonzero(np.isfinite(half) & (half > 0)):
             k = int(ratios[i].argmax())
             bound = high[i] if values[i, k] > middle[i] else low[i]
-            at = float(times[i, k]), float(values[i, k]), float(bound), float(ratios[i, k])
-            peaks.append(Peak(quantity, joint_names[i], *at))
+            at = float(times[i, k]), float(values[i, k]), float(bound)
+            peaks.append(Peak(quantity, joint_names[i], *at, units[i] + _PER_TIME[order], float(ratios[i, k])))
     return LimitCheck(all(peak.ratio <= 1 + RATIO_TOLERANCE for peak in peaks), tuple(peaks))
 
 

@@ -50,7 +50,7 @@ def move_j(
         pieces = _line(arm, start, goal, v)
     else:
         pieces = Profiles.of(arm.limits).solve(Moving(start, v, np.zeros(arm.n)), at_rest(goal))
-    motion = JointTrajectory(*pieces, arm.joint_names, arm.limits)
+    motion = JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)
     if v.any() and not (check := motion.check_limits()).ok:
         raise LimitError(f"v_start: {check.violations[0]}; start slower, or let it stop before")
     return within_torque(arm, motion)

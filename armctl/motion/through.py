@@ -46,7 +46,7 @@ def move_through(arm: Arm, waypoints: ArrayLike) -> JointTrajectory:
     apart = np.abs(np.diff(points, axis=0)).max(axis=1) > _SAME
     points = points[np.concatenate([[True], apart])]
     if len(points) == 1:
-        return JointTrajectory.standing(arm.joint_names, arm.limits, points[0])
+        return JointTrajectory.standing(arm.joint_names, arm.limits, arm.units, points[0])
     search = WaypointSearch(points, arm.limits)
     stopping = search.at_rest()
     motion = within_torque(arm, _motion(arm, points, search.fastest(stopping)))
@@ -60,5 +60,5 @@ def _motion(arm: Arm, points: Array, found: Candidate) -> JointTrajectory:
     profiles = Profiles.of(arm.limits)
     states = [Moving(*state) for state in zip(points, found.v, found.a, strict=True)]
     return JointTrajectory.joined(
-        [JointTrajectory(*profiles.solve(a, b), arm.joint_names, arm.limits) for a, b in pairwise(states)]
+        [JointTrajectory(*profiles.solve(a, b), arm.joint_names, arm.limits, units=arm.units) for a, b in pairwise(states)]
     )

@@ -33,8 +33,9 @@ class TorqueCheck:
         ok: Whether no joint needs more than its motor gives.
         joint: The joint that uses most of its limit.
         time: s, when.
-        torque: N m, how much it needs then.
+        torque: N m (N for a slide joint), how much it needs then.
         bound: N m, its limit.
+        unit: "N m" or "N".
         ratio: How much of it that is.
         ratios: (n,) the most that each joint uses of its limit.
     """
@@ -44,13 +45,14 @@ class TorqueCheck:
     time: float
     torque: float
     bound: float
+    unit: str
     ratio: float
     ratios: tuple[float, ...]
 
     def __str__(self) -> str:
         verdict = "inside" if self.ok else "outside"
         return (
-            f"{verdict} the torque limits: {self.joint} needs {self.torque:.4g} N m of {self.bound:.4g} N m "
+            f"{verdict} the torque limits: {self.joint} needs {self.torque:.4g} {self.unit} of {self.bound:.4g} {self.unit} "
             f"({100 * self.ratio:.1f} %) at {self.time:.3f} s"
         )
 
@@ -75,8 +77,8 @@ def check_torque(arm: Arm, trajectory: Trajectory) -> TorqueCheck:
     shares = np.abs(torques) / arm.limits.tau_max
     k, i = np.unravel_index(int(shares.argmax()), shares.shape)
     ratios = tuple(shares.max(axis=0).tolist())
-    at = float(times[k]), float(torques[k, i]), float(arm.limits.tau_max[i]), float(shares[k, i])
-    return TorqueCheck(at[3] <= 1.0, arm.joint_names[i], *at, ratios)
+    at, share = (float(times[k]), float(torques[k, i]), float(arm.limits.tau_max[i])), float(shares[k, i])
+    return TorqueCheck(share <= 1.0, arm.joint_names[i], *at, arm.torque_units[i], share, ratios)
 
 
 def within_torque(arm: Arm, trajectory: JointTrajectory) -> JointTrajectory:
@@ -138,9 +140,10 @@ class _Torques:
         low, high = -self._most - still - friction, self._most - still - friction
         if (low >= 0).any() or (high <= 0).any():
             k, i = np.argwhere((low >= 0) | (high <= 0))[0]
+            unit = self._arm.torque_units[i]
             raise PlanError(
-                f"{self._arm.joint_names[i]}: holding still takes {still[k, i] + friction[k, i]:.4g} N m at "
-                f"{100 * k / (len(q) - 1):.0f} % of the motion, and its motor gives {self._arm.limits.tau_max[i]:.4g} N m; "
+                f"{self._arm.joint_names[i]}: holding still takes {still[k, i] + friction[k, i]:.4g} {unit} at "
+                f"{100 * k / (len(q) - 1):.0f} % of the motion, and its motor gives {self._arm.limits.tau_max[i]:.4g} {unit}; "
                 "take a lighter payload or another path"
             )
         return TorqueRows(alpha, beta, moving - still - turning, low, high)

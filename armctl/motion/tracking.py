@@ -163,7 +163,8 @@ class _Tracker:
             i = int(outside.argmax())
             raise PlanError(
                 f"{self._where(s)} {self.arm.joint_names[i]} would leave its limits "
-                f"[{limits.q_min[i]:.3f}, {limits.q_max[i]:.3f}] rad; start from another joint position for the same tip pose"
+                f"[{limits.q_min[i]:.3f}, {limits.q_max[i]:.3f}] {self.arm.units[i]}; "
+                "start from another joint position for the same tip pose"
                 f"{', or let the orientation be free with target=[x, y, z]' if self.rows == 6 else ''}"
             )
 
