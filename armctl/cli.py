@@ -218,22 +218,15 @@ def _iso9283(args: argparse.Namespace) -> int:
 
 
 def _simulate(args: argparse.Namespace) -> int:
-    from armctl import units
+    from armctl.describe import describe_end
     from armctl.plot import four_panels
     from armctl.simulation import Simulation
 
-    simulation = Simulation(_load(args))
-    log = simulation.apply_ctrl(_numbers("ctrl", args.ctrl), _numbers("seconds", [args.seconds])[0])
-    names = simulation.arm.joint_names
-    q, v, tau = (dict(zip(names, column[-1].round(6).tolist(), strict=True)) for column in (log.q, log.v, log.tau))
-    tip = log.tip[-1].round(6).tolist()
-    angle, rate, torque = units.label(log.units), units.label(log.units, "/s"), units.label(units.of_torque(log.units))
-    heads = f"q, {angle}".rjust(10), f"v, {rate}".rjust(10), f"torque, {torque}".rjust(12)
-    a, b, c = map(len, heads)
-    lines = [f"{'joint':20} {' '.join(heads)}", *(f"{n:20} {q[n]:{a}.4f} {v[n]:{b}.4f} {tau[n]:{c}.3f}" for n in names)]
-    place = ", ".join(f"{x:.4f}" for x in tip[:3])
-    lines.append(f"after {log.t[-1]:.3f} s the tip is at [{place}] m" + (log.end and f"; {log.end}"))
-    _print(args, "\n".join(lines), {"ok": not log.end, "t": log.t[-1], "q": q, "v": v, "tau": tau, "tip": tip, "end": log.end})
+    log = Simulation(_load(args)).apply_ctrl(_numbers("ctrl", args.ctrl), _numbers("seconds", [args.seconds])[0])
+    columns = {"q": log.q, "v": log.v, "tau": log.tau}
+    joints = {k: dict(zip(log.joint_names, column[-1].round(6).tolist(), strict=True)) for k, column in columns.items()}
+    last = {"t": log.t[-1], **joints, "tip": log.tip[-1].round(6).tolist()}
+    _print(args, describe_end(log), {"ok": not log.end, **last, "end": log.end})
     if args.plot:
         picture = args.plot / f"{args.robot.replace('/', '_')}.png"
         four_panels(log, picture)

@@ -1,12 +1,14 @@
-"""What an arm is, in words and as plain data."""
+"""What an arm is and where a run ended, in words and as plain data."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import fields
 
+from armctl import units
 from armctl.arm import Arm
 from armctl.chain import SerialChain
+from armctl.log import Log
 
 
 def facts(arm: Arm) -> dict[str, object]:
@@ -24,6 +26,7 @@ def facts(arm: Arm) -> dict[str, object]:
     return {
         "name": arm.name,
         "joint_names": list(arm.joint_names),
+        "units": list(arm.units),
         "tip": arm.tip,
         "tip_at_home": arm.fk(arm.home).position.tolist(),
         "home": arm.home.tolist(),
@@ -57,6 +60,25 @@ def describe(arm: Arm) -> str:
     lines.append("units: rad, rad/s, rad/s^2, rad/s^3, N m (m and N for a slide joint)")
     lines += [f"{name} from: {source}" for name, source in arm.sources.items() if name != "q_min"]
     return "\n".join(lines + [f"note: {note}" for note in arm.notes])
+
+
+def describe_end(log: Log) -> str:
+    """Where a run ended: a table of its joints, and the tip.
+
+    Args:
+        log: The run.
+
+    Returns:
+        Several lines.
+    """
+    kinds = units.label(log.units), units.label(log.units, "/s"), units.label(units.of_torque(log.units))
+    heads = [f"{f'{what}, {unit}':>10}" for what, unit in zip(("q", "v", "torque"), kinds, strict=True)]
+    lines = [f"{'joint':20} {' '.join(heads)}"]
+    for i, name in enumerate(log.joint_names):
+        cells = zip((log.q, log.v, log.tau), (4, 4, 3), heads, strict=True)
+        lines.append(f"{name:20} " + " ".join(f"{column[-1, i]:{len(head)}.{digits}f}" for column, digits, head in cells))
+    place = ", ".join(f"{x:.4f}" for x in log.tip[-1])
+    return "\n".join([*lines, f"after {log.t[-1]:.3f} s the tip is at [{place}] m" + (log.end and f"; {log.end}")])
 
 
 def describe_chains(robot: str, chains: list[SerialChain]) -> str:

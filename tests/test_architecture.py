@@ -13,7 +13,7 @@ PACKAGE = Path(armctl.__file__).parent
 
 # One line a floor; a room is a module or a folder. Rooms on one floor do not know each other, but `a > b` may import b.
 FLOORS = [
-    ["errors", "arrays > errors", "compiled"],
+    ["errors", "arrays > errors", "units", "compiled"],
     ["pose", "trajectory", "log", "goal > pose", "move_result > log"],
     [
         "datasheets",

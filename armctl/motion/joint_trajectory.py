@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from armctl.arrays import Array, IntArray, frozen, number, vector
 from armctl.errors import InputError, LimitError
-from armctl.motion.peaks import LimitCheck, check_limits
+from armctl.motion.peaks import QUANTITIES, LimitCheck, check_limits
 from armctl.motion.pieces import DEGREE, basis, basis_many
 from armctl.motion.slowdown import Slowdown
 from armctl.trajectory import Limits, Setpoint
@@ -249,9 +249,7 @@ class JointTrajectory:
             raise InputError(f"then: {other!r} is no JointTrajectory")
         if other.joint_names != self.joint_names:
             raise InputError(f"then: a motion of {list(other.joint_names)} cannot follow one of {list(self.joint_names)}")
-        for what, end, start in zip(
-            ("position", "velocity", "acceleration"), self(self.duration)[:3], other(0.0)[:3], strict=True
-        ):
+        for what, end, start in zip(QUANTITIES[:3], self(self.duration)[:3], other(0.0)[:3], strict=True):
             gap = np.abs(end - start)
             if (gap > _JOIN_TOLERANCE * np.maximum(1.0, np.abs(end))).any():
                 i = int(gap.argmax())
