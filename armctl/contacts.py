@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from weakref import WeakKeyDictionary
 
 import mujoco
@@ -28,7 +29,8 @@ class Contacts:
         Args:
             arm: The arm.
         """
-        self._arm, self._data = arm, mujoco.MjData(arm.model)
+        self._arm = replace(arm)  # a copy: what is remembered by an arm must not keep it alive
+        self._data = mujoco.MjData(arm.model)
         self.owner = geom_owners(arm)
         self.ignored = np.empty(0, np.int64)
         at_home = self._pairs(arm.home)

@@ -1,8 +1,10 @@
 """IK, each method on each arm: solutions are solutions, failures are honest, limits hold, the same call gives the same bits."""
 
+import gc
 import os
 import subprocess
 import sys
+import weakref
 
 import mujoco
 import numpy as np
@@ -184,6 +186,16 @@ def test_nearest_is_at_least_as_near(name: str, method: str):
         assert near.ok
         assert np.linalg.norm(near.q - q0) <= np.linalg.norm(plain.q - q0) + 1e-4
         assert np.linalg.norm(near.q - q0) <= np.linalg.norm(q - q0) + 1e-4
+
+
+def test_an_arm_that_nobody_needs_any_more_is_forgotten():
+    arm = armctl.load("robot_arm_3dof")
+    solve_ik(arm, arm.fk(arm.home), avoid_collisions=True)
+    armctl.DifferentialIk(arm, avoid_collisions=True).step(arm.home, arm.fk(arm.home), 0.01)
+    alive = weakref.ref(arm)
+    del arm
+    gc.collect()
+    assert alive() is None
 
 
 @every_arm
