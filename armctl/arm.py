@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl import units
-from armctl.arrays import Array, IntArray, matrix, number, vector
+from armctl.arrays import Array, IntArray, instance, matrix, number, vector
 from armctl.errors import LimitError, ModelError
 from armctl.linkage import Linkage
 from armctl.payload import add_point_mass
@@ -270,3 +270,15 @@ def check_parity(arm: Arm, samples: int = 3, seed: int = 0) -> float:
 def _mujoco_tip(arm: Arm, data: mujoco.MjData) -> Pose:
     T_world_body = Pose.from_rotation(data.xpos[arm.tip_body], data.xmat[arm.tip_body].reshape(3, 3))
     return T_world_body @ arm.T_body_tip
+
+
+def check_arm(arm: object) -> None:
+    """Makes sure that an argument is an arm.
+
+    Args:
+        arm: The argument.
+
+    Raises:
+        InputError: It is something else, such as a name.
+    """
+    instance("arm", arm, Arm, f"armctl.load({arm if isinstance(arm, str) else 'panda'!r}) gives one")

@@ -99,7 +99,8 @@ def array(what: str, value: ArrayLike, ndim: int, *, finite: bool = True) -> Arr
         raise InputError(f"{what}: {value!r} is not an array of numbers") from None
     if out.ndim != ndim:
         kind = {1: "a list of numbers", 2: "a list of rows"}.get(ndim, f"{ndim} dimensions")
-        raise InputError(f"{what}: an array of shape {out.shape} given, {kind} wanted")
+        given = f"an array of shape {out.shape}" if out.ndim else "a single number"
+        raise InputError(f"{what}: {given} given, {kind} wanted")
     if finite and not np.isfinite(out).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(out))[0])
         raise InputError(f"{what}: element {list(where)} is {out[where]}, a finite number wanted")

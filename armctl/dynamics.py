@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from armctl.arm import Arm
+from armctl.arm import Arm, check_arm
 from armctl.arrays import Array, IntArray
 from armctl.errors import ModelError
 
@@ -32,7 +32,11 @@ class Dynamics:
 
         Args:
             arm: The arm.
+
+        Raises:
+            InputError: It is no arm.
         """
+        check_arm(arm)
         model, linkage = arm.model, arm.linkage
         dofs, share = linkage.dof_adr, np.abs(linkage.ratio.T)
         joints = model.dof_jntid[dofs]

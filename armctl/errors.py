@@ -30,13 +30,14 @@ class UnknownNameError(ArmctlError, LookupError):
     """A name that stands for nothing here; the message suggests a near one."""
 
     @classmethod
-    def of(cls, kind: str, name: str, known: Iterable[str]) -> UnknownNameError:
+    def of(cls, kind: str, name: str, known: Iterable[str], lister: str = "") -> UnknownNameError:
         """The error for `name`, which is no `kind` among `known`.
 
         Args:
             kind: What the name should stand for, such as "robot".
             name: The name that was given.
             known: The names that would have been right.
+            lister: A command that lists them.
 
         Returns:
             The error, to be raised by the caller.
@@ -50,7 +51,7 @@ class UnknownNameError(ArmctlError, LookupError):
         elif len(known) <= 12:
             hint = f"known: {', '.join(known)}"
         else:
-            hint = f"there are {len(known)} known names"
+            hint = f"there are {len(known)} known names" + (f"; {lister} lists them" if lister else "")
         return cls(f"unknown {kind} {name!r}; {hint}")
 
 

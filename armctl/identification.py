@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armctl.arm import Arm
+from armctl.arm import Arm, check_arm
 from armctl.arrays import Array, frozen, instance, number
 from armctl.contacts import contacts_of
 from armctl.dynamics import Dynamics
@@ -104,9 +104,10 @@ def excitation(arm: Arm, payload: float = 1.0, *, pace: float = 0.6, rng: int | 
         The motion, a few seconds long, at rest at both ends.
 
     Raises:
-        InputError: The payload or the pace is out of its bounds.
+        InputError: It is no arm, or the payload or the pace is out of its bounds.
         PlanError: There is no such motion from home.
     """
+    check_arm(arm)
     number("pace", pace, 1e-3, 1.0)
     loaded, contacts = arm.with_payload(number("payload", payload, 0.0)), contacts_of(arm)
     held = Dynamics(loaded)
@@ -153,7 +154,7 @@ def identify_payload(arm: Arm, log: Log) -> PayloadEstimate:
     Raises:
         InputError: The log is of an arm with other joints.
     """
-    instance("log", log, Log, "armctl.simulate gives one")
+    instance("log", log, Log, "armctl.simulate and every move of a Simulation give one")
     if log.joint_names != arm.joint_names:
         raise InputError(f"log: of the joints {list(log.joint_names)}, {list(arm.joint_names)} wanted")
     window = _window(log.dt)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl import view
-from armctl.arm import Arm
+from armctl.arm import Arm, check_arm
 from armctl.arrays import Array, instance, number, vector
 from armctl.control import ComputedTorque, Controller, State, controller_by_name
 from armctl.errors import InputError, LimitError
@@ -120,9 +120,10 @@ class Simulation(Moves):
             Every tick of it. A run that diverges ends early, and `log.end` says why.
 
         Raises:
-            InputError: The settling time is negative.
+            InputError: It is no motion, or the settling time is negative.
             SimulationError: The controller failed; `error.log` holds what there was until then.
         """
+        _check_motion(trajectory)
         self.log = _run(self._rig, self.controller, trajectory, settle)
         return self.log
 
@@ -188,11 +189,10 @@ def simulate(
         UnknownNameError: There is no such controller.
         SimulationError: The controller failed; `error.log` holds what there was until then.
     """
-    instance("arm", arm, Arm, "armctl.load('panda') gives one")
+    check_arm(arm)
     controller = controller_by_name(controller, arm) if isinstance(controller, str) else controller
     plant = _checked(controller, plant)
-    if not callable(trajectory) or not hasattr(trajectory, "duration"):
-        raise InputError(f"trajectory: {trajectory!r:.80} is no motion; armctl.move_j(arm, arm.home, q) is one")
+    _check_motion(trajectory)
     rig, start = _rig_for(arm, plant), trajectory(0.0)
     rig.reset(start.q, start.v)
     return _run(rig, controller, trajectory, settle)
@@ -205,6 +205,12 @@ def _checked(controller: object, plant: Plant | None) -> Plant:
     plant = NOMINAL if plant is None else plant
     instance("plant", plant, Plant, "armctl.Plant(payload=1.0) is one")
     return plant
+
+
+def _check_motion(trajectory: object) -> None:
+    """Refuses what cannot be followed, such as a joint position."""
+    if not callable(trajectory) or not hasattr(trajectory, "duration"):
+        raise InputError(f"trajectory: {trajectory!r:.80} is no motion; armctl.move_j(arm, arm.home, q) is one")
 
 
 @lru_cache(maxsize=4)

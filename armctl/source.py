@@ -112,7 +112,7 @@ def locate(name: str | os.PathLike[str], *, tool: bool = False) -> Source:
             )
         if tool:
             raise UnknownNameError.of("tool", given, [r.name for r in menagerie.robots("end_effector")])
-        raise UnknownNameError.of("robot", given, [BUNDLED, *ALIASES, *menagerie.names()])
+        raise UnknownNameError.of("robot", given, [BUNDLED, *ALIASES, *menagerie.names()], "`armctl robots`")
     row = menagerie.get(robot)
     if entry and entry not in row.entry_names:
         raise UnknownNameError.of(f"entry point of {robot}", entry, row.entry_names)

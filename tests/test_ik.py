@@ -300,7 +300,7 @@ def test_a_wrong_call_is_one_sentence(arguments, error, sentence):
 
 def test_a_name_is_not_an_arm():
     for call in (solve_ik, solve_ik_batch):
-        with pytest.raises(InputError, match=r"^arm: 'panda' is not an Arm; armctl.load\('panda'\) gives one$"):
+        with pytest.raises(InputError, match=r"^arm: 'panda' is no Arm; armctl.load\('panda'\) gives one$"):
             call("panda", [[0.3, 0.2, 0.3]] if call is solve_ik_batch else [0.3, 0.2, 0.3])
 
 

@@ -35,6 +35,17 @@ CALLS: dict[str, tuple[Callable[[], object], str]] = {
     "a number for a name": (lambda: armctl.Scene().add_box(3, [1, 1, 1], [0, 0, 0]), "name: 3 is no str"),  # type: ignore
     "complex joints": (lambda: ARM.fk(ARM.home + 1j), "q: array.* is not an array of numbers"),
     "a huge integer": (lambda: ARM.fk([0, 0, 10**400]), "q: .* is not an array of numbers"),
+    "an arm's name to a controller": (
+        lambda: armctl.PD(ARM.name),
+        "arm: 'robot_arm_3dof' is no Arm; armctl.load.'robot_arm_3dof'",
+    ),  # type: ignore
+    "an arm's name to computed torque": (lambda: armctl.ComputedTorque(ARM.name), "arm: .* is no Arm; armctl.load"),  # type: ignore
+    "an arm's name to a motion": (lambda: armctl.move_j(ARM.name, [0, 0, 0], [0, 0, 0]), "arm: .* is no Arm"),  # type: ignore
+    "an arm's name to a line": (lambda: armctl.move_l(ARM.name, [0, 0, 0], [0, 0, 0]), "arm: .* is no Arm"),  # type: ignore
+    "an arm's name to excite": (lambda: armctl.excitation(ARM.name), "arm: .* is no Arm"),  # type: ignore
+    "a position to run": (lambda: armctl.Simulation(ARM).run([0, 0, 0]), "trajectory: .* is no motion; armctl.move_j"),  # type: ignore
+    "a report before any move": (lambda: armctl.Report.from_log(armctl.Simulation(ARM).log), "None .* every move of a Sim"),  # type: ignore
+    "one gain for all joints": (lambda: armctl.PD(ARM, stiffness=100.0), "stiffness: a single number given, a list"),  # type: ignore
     "no path": (lambda: move_path(ARM, ARM.home, None), "path: None given, a list of"),  # type: ignore
 }
 
@@ -77,6 +88,7 @@ LINES = {
     "compare robot_arm_3dof --workers 0": "workers: 0 given, a number at least 1 wanted",
     "info FILE": "FILE: its name does not end in .xml or .urdf, no model",
     "info FOLDER": "FOLDER: a folder, no model",
+    "info ./nothing": "known names; `armctl robots` lists them",
     "info robot_arm_3dof --tool nothing": "unknown tool 'nothing'",
 }
 

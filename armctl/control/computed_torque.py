@@ -68,9 +68,9 @@ class ComputedTorque:
             raise InputError("observer_bandwidth: the observer compares ticks, so it needs form='discrete'")
         self.form = form
         self.name = "computed-torque" + ("-textbook" if form == "textbook" else "-observer" if observer_bandwidth else "")
+        self._dynamics = Dynamics(arm)
         self._kp = np.full(arm.n, self.bandwidth**2)  # arrays times arrays are faster than floats times arrays
         self._kd = np.full(arm.n, 2 * self.damping_ratio * self.bandwidth)
-        self._dynamics = Dynamics(arm)
         self._observer = DisturbanceObserver(arm, self.observer_bandwidth) if self.observer_bandwidth else None
         self._arm, self._inertia = arm, joint_inertia(arm).min(axis=0)
         self._is_raised = bool(self._raised(0.0).any())

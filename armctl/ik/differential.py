@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arm import Arm
+from armctl.arm import Arm, check_arm
 from armctl.arrays import Array, frozen, number, vector
 from armctl.errors import UnknownNameError
-from armctl.ik.problem import PoseOrPoint, check_arm, read_target
+from armctl.ik.problem import PoseOrPoint, read_target
 
 if TYPE_CHECKING:
     import mink

@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arm import Arm
+from armctl.arm import Arm, check_arm
 from armctl.arrays import Array, BoolArray, IntArray, frozen, matrix, number, vector
 from armctl.errors import InputError
 from armctl.pose import Pose
@@ -122,19 +122,6 @@ class Problem(NamedTuple):
         off, turned = np.empty(len(q)), np.empty(len(q))
         compiled().residuals(self.asked, self.targets, *self.arm.rigid_body.tips(q), off, turned)
         return off, turned
-
-
-def check_arm(arm: Arm) -> None:
-    """Makes sure that an argument is an arm.
-
-    Args:
-        arm: The argument.
-
-    Raises:
-        InputError: It is something else, such as a name.
-    """
-    if not isinstance(arm, Arm):
-        raise InputError(f"arm: {arm!r} is not an Arm; armctl.load('panda') gives one")
 
 
 @cache

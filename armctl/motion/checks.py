@@ -5,20 +5,21 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arm import Arm
+from armctl.arm import Arm, check_arm
 from armctl.arrays import Array, vector
 from armctl.errors import InputError, LimitError
 
 
 def require_bounds(arm: Arm) -> None:
-    """Refuses an arm without finite speed, acceleration and jerk limits.
+    """Refuses what is no arm, and an arm without finite speed, acceleration and jerk limits.
 
     Args:
         arm: The arm.
 
     Raises:
-        InputError: A limit is infinite, so a time-optimal motion does not exist.
+        InputError: It is no arm, or a limit is infinite, so a time-optimal motion does not exist.
     """
+    check_arm(arm)
     for name in ("v_max", "a_max", "j_max"):
         bound = getattr(arm.limits, name)
         if not np.isfinite(bound).all():
