@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import sys
 import warnings
@@ -14,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from armctl.errors import ArmctlError, InputError, UnknownNameError
+from armctl.errors import ArmctlError, InputError, LimitError, UnknownNameError
 
 if TYPE_CHECKING:
     from armctl.arm import Arm
@@ -175,9 +176,8 @@ def _compare(args: argparse.Namespace) -> int:
     plants = [plant_by_name(name, arm, timestep) for name in _names(args.plants)]
     for folder in filter(None, (args.report, args.save)):
         folder.mkdir(parents=True, exist_ok=True)
-    workers = min(
-        (os.cpu_count() or 1) if args.workers is None else args.workers, len(plants) * len(controllers) // _RUNS_A_WORKER + 1
-    )
+    most = (os.cpu_count() or 1) if args.workers is None else args.workers
+    workers = min(most, len(plants) * len(controllers) // _RUNS_A_WORKER + 1)
     reports = compare(arm, controllers, out_and_back(arm), plants, workers=workers, progress=_bar)
     _print(args, "\n".join([*remarks(reports), table(reports)]), [r.to_dict() for r in reports])
     if args.save:
@@ -260,6 +260,8 @@ def _target(words: list[str]):
     numbers = _numbers("target", words)
     if len(numbers) not in (3, 6):
         raise InputError(f"target: {len(numbers)} numbers given, x y z or x y z roll pitch yaw wanted")
+    if abs(angle := max(numbers[3:], key=abs, default=0.0)) > math.tau:
+        raise LimitError(f"target: {angle:g} rad is more than a turn; {angle:g} degrees are {math.radians(angle):.4f} rad")
     return Pose(numbers[:3], rpy=numbers[3:]) if len(numbers) == 6 else numbers
 
 
@@ -267,11 +269,10 @@ def _numbers(what: str, words: list[str]) -> list[float]:
     from armctl.arrays import vector
 
     try:
-        return vector(what, [float(word) for word in words]).tolist()
-    except InputError:
-        raise
+        numbers = [float(word) for word in words]
     except ValueError:
-        raise InputError(f"{what}: {' '.join(words)} is no list of numbers") from None
+        raise InputError(f"{what}: {' '.join(words)} is no list of numbers; write them with spaces between") from None
+    return vector(what, numbers).tolist()
 
 
 def _print(args: argparse.Namespace, text: str, figures: object) -> None:

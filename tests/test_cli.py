@@ -39,6 +39,12 @@ def test_a_pose_is_six_numbers(capsys):
     assert "not reached" in out
 
 
+def test_angles_in_degrees_are_refused_and_turned_into_radians(capsys):
+    status, _, err = run(capsys, "reach", BUNDLED, "--target", "0.3", "0.2", "0.3", "0", "-180", "90")
+    assert status == 2
+    assert err == "armctl: target: -180 rad is more than a turn; -180 degrees are -3.1416 rad\n"
+
+
 def test_out_of_reach_exits_1_and_says_by_how_many_millimetres(capsys):
     status, out, _ = run(capsys, "reach", BUNDLED, "--target", "2", "0", "0.35")
     assert status == 1
@@ -99,7 +105,10 @@ WRONG_CALLS = {
     "unknown robot": (["reach", "pandaa"], "unknown robot 'pandaa'; did you mean 'panda'?"),
     "short target": (["reach", BUNDLED, "--target", "0.3", "0.2"], "target: 2 numbers given"),
     "NaN target": (["reach", BUNDLED, "--target", "nan", "0", "0"], "target: element [0] is nan"),
-    "word as target": (["reach", BUNDLED, "--target", "here", "0", "0"], "target: here 0 0 is no list of numbers"),
+    "word as target": (
+        ["reach", BUNDLED, "--target", "here", "0", "0"],
+        "target: here 0 0 is no list of numbers; write them with spaces",
+    ),
     "unknown controller": (["reach", BUNDLED, "--controller", "pdd"], "unknown controller 'pdd'; did you mean 'pd'?"),
     "no such file": (["reach", "nothing.xml"], "nothing.xml: no such file"),
     "negative time": (["simulate", BUNDLED, "--ctrl", "1", "1", "1", "--seconds", "-1"], "seconds: -1 given"),
