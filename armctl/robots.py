@@ -24,7 +24,7 @@ from armctl.pose import Pose
 from armctl.rigid_body import build
 from armctl.scene import Scene
 from armctl.source import Source, locate
-from armctl.staging import add_target, drag, exclude_overlaps, hold_bases, place_target, rest_ctrl, rest_qpos
+from armctl.staging import add_target, backward, drag, exclude_overlaps, hold_bases, place_target, rest_ctrl, rest_qpos
 from armctl.tip import find_tip, named_body, named_tip
 from armctl.tools import mount
 from armctl.urdf import speed_limits
@@ -161,7 +161,7 @@ def _read(source: Source, hold_base: bool) -> tuple[mujoco.MjSpec, list[str]]:
     spec, notes = source.read()
     if hold_base:
         hold_bases(spec, source.compile(spec))
-    return spec, notes + drag(spec)
+    return spec, notes + drag(spec) + backward(spec)
 
 
 def _assemble(

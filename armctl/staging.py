@@ -114,6 +114,19 @@ def exclude_overlaps(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Chain) 
     return notes
 
 
+def backward(spec: mujoco.MjSpec) -> list[str]:
+    """What to say of joints whose range MuJoCo takes for none.
+
+    Args:
+        spec: The specification.
+
+    Returns:
+        One sentence, or none.
+    """
+    names = ", ".join(joint.name for joint in spec.joints if joint.range[0] > joint.range[1])
+    return [f"the range of {names} ends below its start, so it counts as unlimited"] if names else []
+
+
 def drag(spec: mujoco.MjSpec) -> list[str]:
     """What to say where a model simulates the drag of air or water, which an arm's dynamics leave out.
 

@@ -47,8 +47,6 @@ def read_urdf(path: Path) -> tuple[mujoco.MjSpec, list[str]]:
         is_scalar = joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
         if is_scalar and joint.name not in followers:
             spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    if backward := [joint.name for joint in spec.joints if joint.range[0] > joint.range[1]]:
-        notes.append(f"the range of {', '.join(backward)} ends below its start, so it counts as unlimited")
     return spec, notes
 
 

@@ -114,6 +114,12 @@ def test_a_loose_object_is_not_blamed_for_an_arm_without_motors(load):  # noqa: 
         load(cube + limb("a b"), motors("b"))
 
 
+def test_a_range_that_ends_below_its_start_counts_as_unlimited_aloud(load):  # noqa: F811
+    with pytest.warns(armctl.ArmctlWarning, match="the range of a ends below its start, so it counts as unlimited"):
+        arm = load(limb("a b").replace('range="-2 2"', 'range="2 -2"', 1), motors("a b"))
+    assert np.isinf(arm.limits.q_max).tolist() == [True, False]
+
+
 # --- names -------------------------------------------------------------------------------------------------------------------
 
 
