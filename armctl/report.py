@@ -78,9 +78,11 @@ class Report:
         Raises:
             InputError: The log is empty or of an open-loop run.
         """
-        instance("log", log, Log, "armctl.simulate gives one")
+        instance("log", log, Log, "armctl.simulate and every move of a Simulation give one")
         if len(log) == 0 or log.is_open_loop:
-            raise InputError("log: it has no tick with a reference, so there is nothing to report on")
+            raise InputError(
+                "log: it has no tick with a reference, so there is nothing to report on; armctl.plot.four_panels draws it"
+            )
         moving = log.t <= log.motion_duration + 0.5 * log.dt
         joint_error = (log.q_ref - log.q)[moving]
         tip_error = np.linalg.norm(log.tip - log.tip_ref, axis=1)[moving]
@@ -132,17 +134,17 @@ class Report:
         return four_panels(self.log, path)
 
     def __str__(self) -> str:
-        settled = f"{self.settling_time_s:.3f} s" if math.isfinite(self.settling_time_s) else "never"
-        degrees = math.degrees(self.final_orientation_error_rad)
         unit, torque_unit = units.label(self.log.units), units.label(units.of_torque(self.log.units))
+        settled = f"settled after {self.settling_time_s:.3f} s" if math.isfinite(self.settling_time_s) else "never settled"
+        turned = "" if np.isnan(_goal(self.log)[1]).any() else f", {_deg(self.final_orientation_error_rad)}"
         lines = [
             self.verdict,
             f"  run          {self.robot}, {self.controller}, {self.duration_s:.3f} s in ticks of {1e3 * self.log.dt:g} ms,"
             f" {self.real_time_factor:.0f} times real time",
-            f"  tip error    final {_mm(self.final_tip_error_m)}, {degrees:.3g} deg; while moving RMS {_mm(self.tip_rms_m)},"
+            f"  tip error    final {_mm(self.final_tip_error_m)}{turned}; while moving RMS {_mm(self.tip_rms_m)},"
             f" max {_mm(self.tip_max_m)}",
             f"  joint error  while moving RMS {_rad(self.joint_rms_rad)} {unit}, max {_rad(self.joint_max_rad)} {unit}",
-            f"  at the goal  settled after {settled}, overshoot {_mm(self.overshoot_m)}",
+            f"  at the goal  {settled}, overshoot {_mm(self.overshoot_m)}",
             f"  torque       peak {100 * self.peak_torque_ratio:.0f} % of the limit, saturated"
             f" {100 * self.saturated_fraction:.1f} % of the time, chatter {self.chatter_nm:.2g} {torque_unit}",
         ]
@@ -242,3 +244,8 @@ def _mm(metres: float) -> str:
 
 def _rad(angle: float) -> str:
     return f"{angle:.1e}" if angle >= 1e-15 else "<1e-15"
+
+
+def _deg(angle: float) -> str:
+    degrees = math.degrees(angle)
+    return f"{degrees:.3g} deg" if degrees >= 1e-6 else "<1e-06 deg"

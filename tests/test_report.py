@@ -75,6 +75,14 @@ def test_the_goal_is_the_target_where_there_is_one():
     assert "0.5 rad from its orientation" in report.verdict
 
 
+def test_in_words_only_what_was_asked_for_is_told():
+    assert "final 2 mm, <1e-06 deg; while" in str(Report.from_log(made_log()))
+    assert "at the goal  never settled, overshoot 2 mm" in str(Report.from_log(made_log()))
+    point = str(Report.from_log(made_log(target=np.array([0.102, 0, 0, *[np.nan] * 4]))))
+    assert "final <1 nm; while" in point
+    assert "at the goal  settled after 0.00" in point
+
+
 def test_settling_is_counted_from_the_end_of_the_motion():
     log = made_log()
     tip = np.array(log.tip_ref)
