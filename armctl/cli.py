@@ -87,7 +87,7 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{_PLANTS_HELP} (default nominal)")
     compare.add_argument("--report", type=Path, metavar="DIR", help="write JSON, Markdown and an HTML page into this folder")
     compare.add_argument("--timestep", help="the tick, s (default the model's)")
-    compare.add_argument("--workers", type=int, help="processes that share the work (default one a core)")
+    compare.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes at work (default one a core)")
     iso = command("iso9283", _iso9283, "pose and path accuracy by the standard's cycles")
     iso.add_argument("--controller", default="computed-torque-observer", help="its name (default computed-torque-observer)")
     iso.add_argument("--plant", default="noise", metavar="A+B", help=f"{_PLANTS_HELP} (default noise)")
@@ -176,8 +176,7 @@ def _compare(args: argparse.Namespace) -> int:
     plants = [plant_by_name(name, arm, timestep) for name in _names(args.plants)]
     for folder in filter(None, (args.report, args.save)):
         folder.mkdir(parents=True, exist_ok=True)
-    most = (os.cpu_count() or 1) if args.workers is None else args.workers
-    workers = min(most, len(plants) * len(controllers) // _RUNS_A_WORKER + 1)
+    workers = min(args.workers, len(plants) * len(controllers) // _RUNS_A_WORKER + 1)
     reports = compare(arm, controllers, out_and_back(arm), plants, workers=workers, progress=_bar)
     _print(args, "\n".join([*remarks(reports), table(reports)]), [r.to_dict() for r in reports])
     if args.save:
