@@ -26,6 +26,9 @@ COMMANDS = sorted(
         if line.startswith("armctl ")
     }
 )
+FILES = [
+    (page, file) for page, text in TEXTS.items() for file in re.findall(r"(?:^|`)python (\S+\.py)", text, flags=re.MULTILINE)
+]
 PROGRAMS = [(page, block) for page, text in TEXTS.items() for block in blocks(text, "python")]
 LINKS = [(page, link) for page, text in TEXTS.items() for link in re.findall(r"\]\(([^)#:\s]+)\)", text)]
 
@@ -33,6 +36,11 @@ LINKS = [(page, link) for page, text in TEXTS.items() for link in re.findall(r"\
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_in_the_pages_is_one_that_armctl_takes(command: str):
     assert _parser().parse_args(shlex.split(command, comments=True)[1:]).run
+
+
+@pytest.mark.parametrize(("page", "file"), FILES)
+def test_a_file_that_the_pages_run_is_there(page: Path, file: str):
+    assert (ROOT / file).is_file()
 
 
 @pytest.mark.parametrize(("page", "program"), PROGRAMS)
