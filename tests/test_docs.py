@@ -43,6 +43,11 @@ def test_a_file_that_the_pages_run_is_there(page: Path, file: str):
     assert (ROOT / file).is_file()
 
 
+@pytest.mark.parametrize("output", sorted((ROOT / "docs" / "outputs").glob("*.txt")), ids=lambda path: path.stem)
+def test_what_the_commands_print_is_on_a_page(output: Path):
+    assert any(f"{{literalinclude}} outputs/{output.name}\n" in text for text in TEXTS.values())
+
+
 @pytest.mark.parametrize(("page", "program"), PROGRAMS)
 def test_a_program_in_the_pages_is_python(page: Path, program: str):
     compile(program, str(page), "exec")
