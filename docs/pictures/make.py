@@ -71,7 +71,7 @@ def waypoints() -> None:
 
 
 def page() -> None:
-    """`armctl view panda` in a browser, the target a little ahead of the arm."""
+    """`armctl view panda` in a browser, after the target was dragged about."""
     from playwright.sync_api import sync_playwright
 
     from armctl.live.page import Page
@@ -95,6 +95,9 @@ def page() -> None:
             time.sleep(0.01)
         session.pause(True)  # until the browser, which draws in software, has caught up
         time.sleep(12)
+        session.pause(False)
+        tab.get_by_text("at the target").first.wait_for(timeout=60e3)
+        time.sleep(2)
         tab.screenshot(path=HERE / "page.png")
         browser.close()
     page.close()
