@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from armctl import __version__
 from armctl.errors import ArmctlError, InputError, LimitError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -62,6 +63,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="armctl", description="Command robot arms in MuJoCo.")
+    parser.add_argument("--version", action="version", version=f"armctl {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     def command(name: str, run, text: str, robot: bool = True, chain: bool = True) -> argparse.ArgumentParser:
@@ -97,7 +99,7 @@ def _parser() -> argparse.ArgumentParser:
     simulate = command("simulate", _simulate, "hold the motors at constant controls")
     simulate.add_argument("--ctrl", nargs="+", required=True, metavar="N", help="one control a motor; torque = gear x control")
     simulate.add_argument("--seconds", default="2", help="how long, s (default 2)")
-    simulate.add_argument("--plot", type=Path, metavar="DIR", help="draw the run into this folder")
+    simulate.add_argument("--plot", type=Path, metavar="PATH", help="draw the run: a picture, or a folder for it")
     view = command("view", _view, "drag the target in the browser, and the arm follows")
     view.add_argument("--controller", default="computed-torque", help="the one to begin with (default computed-torque)")
     view.add_argument("--port", type=int, default=8080, help="where to serve; the next free one if taken (default 8080)")
@@ -218,7 +220,7 @@ def _iso9283(args: argparse.Namespace) -> int:
 
 def _simulate(args: argparse.Namespace) -> int:
     from armctl.describe import describe_end
-    from armctl.plot import four_panels
+    from armctl.plot import ENDINGS, four_panels
     from armctl.simulation import Simulation
 
     log = Simulation(_load(args)).apply_ctrl(_numbers("ctrl", args.ctrl), _numbers("seconds", [args.seconds])[0])
@@ -227,7 +229,7 @@ def _simulate(args: argparse.Namespace) -> int:
     last = {"t": log.t[-1], **joints, "tip": log.tip[-1].round(6).tolist()}
     _print(args, describe_end(log), {"ok": not log.end, **last, "end": log.end})
     if args.plot:
-        picture = args.plot / f"{args.robot.replace('/', '_')}.png"
+        picture = args.plot if args.plot.suffix in ENDINGS else args.plot / f"{args.robot.replace('/', '_')}.png"
         four_panels(log, picture)
         _say(picture)
     return NOT_REACHED if log.end else OK

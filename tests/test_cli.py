@@ -7,6 +7,7 @@ import sys
 import pytest
 from arms import BUNDLED, MISSING, at_hand
 
+import armctl
 from armctl.cli import main
 
 
@@ -76,6 +77,14 @@ def test_simulate_holds_the_controls_and_plots(capsys, tmp_path):
     assert "shoulder_yaw" in out
     assert "after 2.000 s the tip is at" in out
     assert (tmp_path / f"{BUNDLED}.png").is_file()
+    run(capsys, "simulate", BUNDLED, "--ctrl", "0", "0", "0", "--seconds", "0.1", "--plot", str(tmp_path / "mine.svg"))
+    assert (tmp_path / "mine.svg").is_file()
+
+
+def test_the_version_is_the_packages(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        run(capsys, "--version")
+    assert capsys.readouterr().out == f"armctl {armctl.__version__}\n"
 
 
 def test_info_names_joints_limits_and_sources(capsys):
