@@ -20,13 +20,15 @@ class Pose:
         position: (3,) m.
         quat: (4,) unit quaternion, wxyz, with w >= 0.
         rotation: (3, 3) rotation matrix.
+        rows: (4, 3) the rows of the rotation and, last, the position: one block of memory.
     """
 
-    __slots__ = ("position", "quat", "rotation")
+    __slots__ = ("position", "quat", "rotation", "rows")
 
     position: Array
     quat: Array
     rotation: Array
+    rows: Array
 
     def __init__(self, position: ArrayLike, quat: ArrayLike | None = None, *, rpy: ArrayLike | None = None):
         """A pose from a position and, if given, one orientation.
@@ -51,10 +53,13 @@ class Pose:
         wxyz = _canonical(wxyz / norm)
         self._fill(vector("position", position, 3), wxyz, _matrix_from_quat(wxyz))
 
-    def _fill(self, position: Array, quat: Array, rotation: Array) -> None:
-        object.__setattr__(self, "position", frozen(position))
+    def _fill(self, position: ArrayLike, quat: Array, rotation: Array) -> None:
+        rows = np.empty((4, 3))
+        rows[:3], rows[3] = rotation, position
+        object.__setattr__(self, "rows", frozen(rows))
+        object.__setattr__(self, "rotation", rows[:3])
+        object.__setattr__(self, "position", rows[3])
         object.__setattr__(self, "quat", frozen(quat))
-        object.__setattr__(self, "rotation", frozen(rotation))
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(f"a Pose is frozen; make a new one instead of setting {name!r}")
@@ -100,9 +105,9 @@ class Pose:
         Returns:
             The pose.
         """
-        R = np.array(rotation, dtype=np.float64)
         pose = cls.__new__(cls)
-        pose._fill(np.array(position, dtype=np.float64), _quat_from_matrix(R), R)
+        R = np.asarray(rotation, dtype=np.float64)
+        pose._fill(position, _quat_from_matrix(R), R)
         return pose
 
     @property

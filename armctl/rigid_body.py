@@ -8,6 +8,7 @@ are Pinocchio's mimic joints.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -54,8 +55,13 @@ class RigidBody:
         Returns:
             Position and rotation matrix.
         """
-        pin.forwardKinematics(self.pin_model, self.data, q)
-        T = pin.updateFramePlacement(self.pin_model, self.data, self.tip_frame)
+        pin.framesForwardKinematics(self.pin_model, self.data, q)
+        return self._tip
+
+    @cached_property
+    def _tip(self) -> tuple[Array, Array]:
+        """Views of where `data` holds the tip."""
+        T = self.data.oMf[self.tip_frame]
         return T.translation, T.rotation
 
     def jacobian(self, q: Array) -> Array:

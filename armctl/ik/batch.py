@@ -102,7 +102,7 @@ def _read_targets(targets: Sequence[Pose] | ArrayLike, free_axis: str | None) ->
         poses = [target for target in targets if isinstance(target, Pose)]
         if len(poses) < len(targets):
             raise InputError(f"targets: {len(poses)} of {len(targets)} are Poses; all or none wanted")
-        return asked_for(True, free_axis), np.array([np.concatenate([T.rotation.ravel(), T.position]) for T in poses])
+        return asked_for(True, free_axis), np.array([T.rows for T in poses]).reshape(-1, 12)
     numbers = cast(ArrayLike, targets)
     if np.ndim(numbers) == 3:
         T = array("targets", numbers, 3)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from armctl.arrays import Array
 from armctl.compiled import njit
 
 # A packed chain (k + 1, 18): one row a joint and a last row for the tip: rotation 0-8, translation 9-11, and of a joint whether
@@ -45,16 +44,9 @@ NULL_PASSES, NO_ROOM, NULL_DAMPING = 4, 0.01, 1e-10
 FARTHEST = 1e3  # reaches, up to where the solver sees the difference a step makes
 
 
-def scratch(joints: int, unknowns: int) -> Array:
-    """The memory of one search.
-
-    Args:
-        joints: How many joints k the chain has.
-        unknowns: How many unknowns n move them: fewer where joints follow others.
-
-    Returns:
-        (k + 2, 18 + 2 n), not initialised.
-    """
+@njit
+def scratch(joints, unknowns):
+    """The memory of one search, not initialised; a chain has fewer unknowns than joints where joints follow others."""
     return np.empty((joints + 2, NORMAL + 2 * unknowns))
 
 
@@ -395,7 +387,7 @@ def _beyond(chain, target, off_max):
 
 
 @njit
-def search(chain, reach, targets, asked, off_max, turned_max, q0, begin, first, last, seed, q, tally, work):
+def search(chain, reach, targets, asked, off_max, turned_max, q0, begin, first, last, seed, q, tally):
     """For each target descents from the starts `first` to `last` until one is inside the tolerance; beyond reach one is enough.
 
     Start 0 is `begin`, the others are random; whole turns are counted from q0. Fills q (N, n) with the solutions, or else the
@@ -403,7 +395,7 @@ def search(chain, reach, targets, asked, off_max, turned_max, q0, begin, first, 
     1 if q is far from q0 although the tip began near the target.
     """
     n = q.shape[1]
-    trial = np.empty(n)
+    work, trial = scratch(len(chain) - 1, n), np.empty(n)
     for t in range(len(targets)):
         target = _aim(chain, reach, targets[t], work)
         best, steps, start, ok, near = np.inf, 0, first, False, False
@@ -431,12 +423,13 @@ def search(chain, reach, targets, asked, off_max, turned_max, q0, begin, first, 
 
 
 @njit
-def settle(chain, reach, targets, asked, q0, pull, q, sizes, work):
+def settle(chain, reach, targets, asked, q0, pull, q, sizes):
     """Moves each q to the least squared error plus `pull` times its squared distance from q0; every step makes that smaller.
 
     Without a pull it ends at the nearest the tip can come to a target it cannot reach. Fills `sizes` (N,) with what is left.
     """
     n = q.shape[1]
+    work = scratch(len(chain) - 1, n)
     for t in range(len(targets)):
         target, here = _aim(chain, reach, targets[t], work), q[t]
         best, damping, moved, steps = np.inf, 0.0, np.inf, 0

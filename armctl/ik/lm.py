@@ -25,10 +25,9 @@ def search(problem: Problem, first: int, last: int, begin: Array | None = None) 
         (N, n) rad inside the joint limits, the solutions or the best positions met, and (N, 4): 1 for a solution, the start
         after the last one used, steps, 1 for a suspicious jump.
     """
-    kernel, chain, count = compiled(), problem.chain, len(problem.targets)
-    q, tally = np.empty_like(problem.q0), np.empty((count, 4), np.int64)
-    q0 = chain.units(problem.q0)
-    kernel.search(
+    chain, q0 = problem.chain, problem.chain.units(problem.q0)
+    q, tally = np.empty(q0.shape), np.empty((len(q0), 4), np.int64)
+    compiled().search(
         chain.rows,
         chain.reach,
         problem.targets,
@@ -42,7 +41,6 @@ def search(problem: Problem, first: int, last: int, begin: Array | None = None) 
         problem.seed,
         q,
         tally,
-        kernel.scratch(len(chain.rows) - 1, q.shape[1]),
     )
     return chain.joints(q), tally
 
@@ -58,9 +56,9 @@ def settle(problem: Problem, q: Array, pull: float = 0.0) -> tuple[Array, Array]
     Returns:
         (N, n) rad inside the joint limits, and (N,) the squared error that is left, in squared reaches.
     """
-    kernel, chain, sizes = compiled(), problem.chain, np.empty(len(q))
+    chain, sizes = problem.chain, np.empty(len(q))
     q = chain.units(q) + 0.0
-    kernel.settle(
+    compiled().settle(
         chain.rows,
         chain.reach,
         problem.targets,
@@ -69,7 +67,6 @@ def settle(problem: Problem, q: Array, pull: float = 0.0) -> tuple[Array, Array]
         pull,
         q,
         sizes,
-        kernel.scratch(len(chain.rows) - 1, q.shape[1]),
     )
     return chain.joints(q), sizes
 

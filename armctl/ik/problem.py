@@ -145,12 +145,11 @@ def read_target(target: PoseOrPoint, free_axis: str | None) -> tuple[int, Array]
     Raises:
         InputError: Neither a Pose nor three finite numbers, or no such axis.
     """
-    asked, numbers = asked_for(isinstance(target, Pose), free_axis), np.zeros(12)
     if isinstance(target, Pose):
-        numbers[:9], numbers[9:] = target.rotation.ravel(), target.position
-    else:
-        numbers[9:] = vector("target", target, 3)
-    return asked, numbers
+        return asked_for(True, free_axis), target.rows.reshape(12)
+    asked, numbers = asked_for(False, free_axis), np.zeros(12)
+    numbers[9:] = vector("target", target, 3)
+    return asked, frozen(numbers)
 
 
 def asked_for(is_pose: bool, free_axis: str | None) -> int:

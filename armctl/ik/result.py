@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from armctl.arrays import Array, BoolArray, IntArray, TextArray
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class IkResult:
+class IkResult(NamedTuple):
     """The outcome of one IK problem. `q` is finite and inside the joint limits, also where `ok` is False.
 
     Attributes:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -65,21 +64,24 @@ def solve_ik(
     problem = read_problem(arm, asked, numbers[None], q0, position_tolerance, orientation_tolerance, rng)
     search, most = _search(method)
     touched_at = contacts_of(arm).at if avoid_collisions else _nothing
-    one_by_one = _one_by_one(problem, search, most, stay_near=q0 is not None)
-    q, starts, steps, kept, touched = problem.q0, 0, 0, None, ""
-    for q, starts, steps in chain(_nearest_first(problem, search), one_by_one) if nearest else one_by_one:
-        off, turned = problem.residual(q[0])
+    found = _one_by_one(problem, search, most, stay_near=q0 is not None)
+    if nearest:
+        found = chain(_nearest_first(problem, search), found)
+    q, starts, steps, kept, touched = problem.q0[0], 0, 0, None, ""
+    for q, starts, steps in found:
+        off, turned = problem.residual(q)
         if off > problem.position_tolerance or turned > problem.orientation_tolerance:
             break
-        touched = touched_at(q[0])
-        kept = IkResult(not touched, frozen(q[0]), off, turned, "", steps, starts)
+        touched = touched_at(q)
+        kept = IkResult(not touched, frozen(q), off, turned, "", steps, starts)
         if not touched:
             return kept
     if kept is not None:
-        return replace(kept, reason=f"no solution without contact found in {starts} starts: {touched}")
-    q, out_of_reach = lm.best_effort(problem, q)
-    off, turned = problem.residual(q[0])
-    return IkResult(False, frozen(q[0]), off, turned, why_not(bool(out_of_reach[0]), off, starts), steps, starts)
+        return kept._replace(reason=f"no solution without contact found in {starts} starts: {touched}")
+    best, out_of_reach = lm.best_effort(problem, q[None])
+    q = frozen(best[0])
+    off, turned = problem.residual(q)
+    return IkResult(False, q, off, turned, why_not(bool(out_of_reach[0]), off, starts), steps, starts)
 
 
 def _nothing(q: Array) -> str:
@@ -97,15 +99,15 @@ def _search(method: str) -> tuple[Search, int]:
 
 
 def _one_by_one(problem: Problem, search: Search, most: int, stay_near: bool) -> Iterator[tuple[Array, int, int]]:
-    """Solutions (1, n) in the order they are found, each with the starts and steps so far; the last may be a best effort."""
+    """Solutions (n,) in the order they are found, each with the starts and steps so far; the last may be a best effort."""
     start, steps = 0, 0
     while start < most:
         q, tally = search(problem, start, most, None)
         if start == 0 and stay_near:
             q = lm.stay_near(problem, q, tally)
-        _, start, more, _ = tally[0].tolist()
+        [(_, start, more, _)] = tally.tolist()
         steps += more
-        yield q, start, steps
+        yield q[0], start, steps
 
 
 def _nearest_first(problem: Problem, search: Search) -> Iterator[tuple[Array, int, int]]:
@@ -118,4 +120,4 @@ def _nearest_first(problem: Problem, search: Search) -> Iterator[tuple[Array, in
     q = np.concatenate([found[first[:, 0] == 1], drawn[second[:, 0] == 1]])
     steps = int(first[:, 2].sum() + second[:, 2].sum())
     for k in np.argsort(np.linalg.norm(q - problem.q0, axis=1), kind="stable"):
-        yield q[k : k + 1], NEAREST_STARTS, steps
+        yield q[k], NEAREST_STARTS, steps
