@@ -309,6 +309,10 @@ def test_a_name_is_not_an_arm():
     [
         (Pose([0.0, 0.0, 0.0]), {}, "targets: one Pose given, a list of them wanted; solve_ik takes one"),
         (np.zeros((2, 4, 4)), {}, "targets: element 0 is no rigid transform"),
+        (np.stack([np.eye(4), np.diag([0.0, 0, 0, 1])]), {}, "targets: element 1 is no rigid transform"),
+        (np.stack([np.eye(4), np.diag([1.0, 1, -1, 1])]), {}, "targets: element 1 is no rigid transform"),
+        (np.stack([np.eye(4), np.eye(4) + np.eye(4, k=1) * 1e-5]), {}, "targets: element 1 is no rigid transform"),
+        (np.stack([np.eye(4), np.eye(4) + np.eye(4, k=-3)]), {}, "targets: element 1 is no rigid transform"),
         (np.zeros((2, 3)), {"threads": 0}, "threads: 0 given, an integer of at least 1 wanted"),
         (np.zeros((2, 3)), {"q0": np.zeros((3, 3))}, "q0: 3 rows given for 2 targets"),
         (np.zeros((2, 5)), {}, "targets: rows of 5 numbers given, 3 wanted"),

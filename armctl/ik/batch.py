@@ -16,7 +16,7 @@ from armctl.arm import Arm
 from armctl.arrays import Array, IntArray, array, frozen, matrix
 from armctl.errors import InputError
 from armctl.ik import lm
-from armctl.ik.problem import Problem, asked_for, read_problem
+from armctl.ik.problem import Problem, asked_for, compiled, read_problem
 from armctl.ik.result import IkBatch, why_not
 from armctl.ik.solve import STARTS
 from armctl.pose import Pose
@@ -108,12 +108,11 @@ def _read_targets(targets: Sequence[Pose] | ArrayLike, free_axis: str | None) ->
         T = array("targets", numbers, 3)
         if T.shape[1:] != (4, 4):
             raise InputError(f"targets: shape {T.shape} given, (N, 4, 4) or (N, 3) wanted")
-        R = T[:, :3, :3]
-        error = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
-        bad = (error > 1e-6) | (np.linalg.det(R) < 0) | (np.abs(T[:, 3] - (0, 0, 0, 1)).max(axis=1, initial=0.0) > 1e-9)
-        if bad.any():
-            raise InputError(f"targets: element {int(bad.argmax())} is no rigid transform")
-        return asked_for(True, free_axis), np.concatenate([R.reshape(-1, 9), T[:, :3, 3]], axis=1)
+        rows = np.empty((len(T), 12))
+        read = compiled().read_transforms(T, rows)
+        if read < len(T):
+            raise InputError(f"targets: element {read} is no rigid transform")
+        return asked_for(True, free_axis), rows
     points = matrix("targets", numbers, 3) if np.size(numbers) else np.empty((0, 3))
     return asked_for(False, free_axis), np.concatenate([np.zeros((len(points), 9)), points], axis=1)
 

@@ -41,6 +41,7 @@ BOUND_PASSES = 3
 STEP_MAX = 1.0  # rad, or reaches
 STRETCH = 0.2  # every other random start lies beyond the bounds by up to this share of their range: then it is at them
 NULL_PASSES, NO_ROOM, NULL_DAMPING = 4, 0.01, 1e-10
+SKEW, BOTTOM = 1e-6, 1e-9  # how far a matrix may be from a rotation, and the row below it from 0 0 0 1
 FARTHEST = 1e3  # reaches, up to where the solver sees the difference a step makes
 
 
@@ -535,3 +536,22 @@ def residuals(asked, targets, positions, rotations, off, turned):
     """`residual` of N tips (N, 3), (N, 3, 3): fills (N,) and (N,)."""
     for t in range(len(targets)):
         off[t], turned[t] = residual(asked, targets[t], positions[t], rotations[t])
+
+
+@njit
+def read_transforms(T, targets):
+    """Fills targets (N, 12) from homogeneous transforms (N, 4, 4). Returns how many it read before the first that is not rigid."""
+    for t in range(len(T)):
+        skew, bottom = 0.0, abs(T[t, 3, 3] - 1.0)
+        for i in range(3):
+            for k in range(3):
+                targets[t, 3 * i + k] = T[t, i, k]
+                dot = T[t, i, 0] * T[t, k, 0] + T[t, i, 1] * T[t, k, 1] + T[t, i, 2] * T[t, k, 2]
+                skew = max(skew, abs(dot - (1.0 if i == k else 0.0)))
+            targets[t, 9 + i] = T[t, i, 3]
+            bottom = max(bottom, abs(T[t, 3, i]))
+        x, y, z = T[t, 0, 0], T[t, 0, 1], T[t, 0, 2]
+        a, b, c, d, e, f = T[t, 1, 0], T[t, 1, 1], T[t, 1, 2], T[t, 2, 0], T[t, 2, 1], T[t, 2, 2]
+        if skew > SKEW or bottom > BOTTOM or x * (b * f - c * e) + y * (c * d - a * f) + z * (a * e - b * d) < 0:
+            return t
+    return len(T)
