@@ -388,11 +388,11 @@ def _beyond(chain, target, off_max):
 
 
 @njit
-def search(chain, reach, targets, asked, off_max, turned_max, q0, begin, first, last, seed, q, tally):
+def search(chain, reach, targets, asked, off_max, turned_max, q0, first, last, seed, q, tally):
     """For each target descents from the starts `first` to `last` until one is inside the tolerance; beyond reach one is enough.
 
-    Start 0 is `begin`, the others are random; whole turns are counted from q0. Fills q (N, n) with the solutions, or else the
-    best positions met, and `tally` (N, 4) with 1 for a solution, the start after the last one used, how many steps it took, and
+    Start 0 is q (N, n), the others are random; whole turns are counted from q0. Fills q with the solutions, or else the best
+    positions met, and `tally` (N, 4) with 1 for a solution, the start after the last one used, how many steps it took, and
     1 if q is far from q0 although the tip began near the target.
     """
     n = q.shape[1]
@@ -404,7 +404,7 @@ def search(chain, reach, targets, asked, off_max, turned_max, q0, begin, first, 
         while start < end and not ok and not (first < start == HOPELESS_STARTS and best > HOPELESS * HOPELESS):
             if start == 0:
                 for i in range(n):
-                    trial[i] = begin[t, i]
+                    trial[i] = q[t, i]
             else:
                 _random_start(chain, q0[t], start, seed, trial)
             ok, size, more = _descend(chain, target, asked, off_max / reach, turned_max, trial, work)
@@ -540,7 +540,7 @@ def residuals(asked, targets, positions, rotations, off, turned):
 
 @njit
 def read_transforms(T, targets):
-    """Fills targets (N, 12) from homogeneous transforms (N, 4, 4). Returns how many it read before the first that is not rigid."""
+    """Fills targets (N, 12) from homogeneous transforms (N, 4, 4). Returns how many come before the first that is not rigid."""
     for t in range(len(T)):
         skew, bottom = 0.0, abs(T[t, 3, 3] - 1.0)
         for i in range(3):

@@ -26,7 +26,7 @@ def search(problem: Problem, first: int, last: int, begin: Array | None = None) 
         after the last one used, steps, 1 for a suspicious jump.
     """
     chain, q0 = problem.chain, problem.chain.units(problem.q0)
-    q, tally = np.empty(q0.shape), np.empty((len(q0), 4), np.int64)
+    q, tally = (q0 if begin is None else chain.units(begin)).copy(), np.empty((len(q0), 4), np.int64)
     compiled().search(
         chain.rows,
         chain.reach,
@@ -35,7 +35,6 @@ def search(problem: Problem, first: int, last: int, begin: Array | None = None) 
         problem.position_tolerance * MARGIN,
         problem.orientation_tolerance * MARGIN,
         q0,
-        q0 if begin is None else chain.units(begin),
         first,
         last,
         problem.seed,
