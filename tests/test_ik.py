@@ -143,6 +143,17 @@ def test_a_free_axis_leaves_the_turn_about_it_open(name: str, method: str):
         )
 
 
+def test_a_result_is_read_only_and_equal_to_itself_alone():
+    first, second = (solve_ik(arm_of("robot_arm_3dof"), [0.3, 0.2, 0.3]) for _ in range(2))
+    assert first == first
+    assert first != second
+    assert len({first, second}) == 2
+    with pytest.raises(AttributeError):
+        first.ok = False  # type: ignore[misc]
+    with pytest.raises(ValueError, match="read-only"):
+        first.q[0] = 0.0
+
+
 @every_method
 def test_the_same_call_gives_the_same_bits(method: str):
     arm = arm_of("robot_arm_3dof")

@@ -29,6 +29,8 @@ class IkResult(NamedTuple):
     iterations: int
     starts: int
 
+    __eq__, __ne__, __hash__ = object.__eq__, object.__ne__, object.__hash__  # each is itself alone: arrays have no one answer
+
     def __str__(self) -> str:
         if self.ok:
             return f"solved within {1e3 * self.position_error:.2g} mm and {self.orientation_error:.2g} rad"
