@@ -255,7 +255,10 @@ def check_parity(arm: Arm, samples: int = 3, seed: int = 0) -> float:
         pairs = {
             "tip pose": (np.column_stack(body.tip(q)), np.column_stack([T.position, T.rotation])),
             "mass matrix": (np.triu(M), np.triu(arm.linkage.reduced_matrix(full))),
-            "bias": (pin.nonLinearEffects(body.pin_model, body.data, q, v), arm.linkage.reduced(data.qfrc_bias)),
+            "bias": (
+                pin.nonLinearEffects(body.pin_model, body.pin_model.createData(), q, v),
+                arm.linkage.reduced(data.qfrc_bias),
+            ),
         }
         for what, (ours, theirs) in pairs.items():
             error = float(np.abs(ours - theirs).max() / max(1.0, np.abs(theirs).max()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 from weakref import WeakKeyDictionary
 
@@ -14,6 +15,13 @@ from armctl.elements import body_name, name_of
 from armctl.rigid_body import joint_above
 
 SAMPLES = 64
+
+
+class _Memory(threading.local):
+    """MuJoCo's memory, one for each thread that asks."""
+
+    def __init__(self, model: mujoco.MjModel):
+        self.data = mujoco.MjData(model)
 
 
 class Contacts:
@@ -30,7 +38,7 @@ class Contacts:
             arm: The arm.
         """
         self._arm = replace(arm)  # a copy: what is remembered by an arm must not keep it alive
-        self._data = mujoco.MjData(arm.model)
+        self._memory = _Memory(arm.model)
         self.owner = geom_owners(arm)
         self.ignored = np.empty(0, np.int64)
         at_home = self._pairs(arm.home)
@@ -72,7 +80,7 @@ class Contacts:
 
     def _pairs(self, q: Array) -> IntArray:
         """The geoms of each contact that counts, the lesser first, as one number."""
-        model, data = self._arm.model, self._data
+        model, data = self._arm.model, self._memory.data
         data.qpos[:] = self._arm.qpos(q)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)

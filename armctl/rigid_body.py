@@ -7,7 +7,8 @@ are Pinocchio's mimic joints.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import threading
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import mujoco
@@ -21,6 +22,15 @@ from armctl.pose import Pose
 WORLD_AXES_AT_TIP = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 
+class _Memory(threading.local):
+    """Pinocchio's scratch memory, and where in it the tip is: one for each thread that asks."""
+
+    def __init__(self, pin_model: pin.Model, tip_frame: int):
+        self.data = pin_model.createData()
+        T = self.data.oMf[tip_frame]
+        self.tip = T.translation, T.rotation
+
+
 @dataclass(frozen=True, eq=False)
 class RigidBody:
     """Kinematics and inertia of a chain of k joints, moved by an arm's n, and the tip behind the last of them.
@@ -28,7 +38,6 @@ class RigidBody:
     Attributes:
         linkage: How the n move the chain's joints, and what else; k = n where no joint follows another.
         pin_model: The Pinocchio model; its frame `tip_frame` is the tip.
-        data: Scratch memory of `pin_model`: one thread at a time.
         tip_frame: Index of the tip's frame.
         placements: (k, 4, 4), each joint's frame at zero in the frame of the joint before it (the first one's in the world).
         is_slide: (k,) bool, True where the joint slides along its z axis instead of turning about it.
@@ -39,7 +48,6 @@ class RigidBody:
 
     linkage: Linkage
     pin_model: pin.Model
-    data: pin.Data
     tip_frame: int
     placements: Array
     is_slide: BoolArray
@@ -47,7 +55,7 @@ class RigidBody:
     gravity_support: pin.Model | None
 
     def tip(self, q: Array) -> tuple[Array, Array]:
-        """Where the tip is: (3,) m and (3, 3), in the world; valid until the next call.
+        """Where the tip is: (3,) m and (3, 3), in the world; valid until this thread's next call.
 
         Args:
             q: (n,) rad.
@@ -55,14 +63,13 @@ class RigidBody:
         Returns:
             Position and rotation matrix.
         """
-        pin.framesForwardKinematics(self.pin_model, self.data, q)
-        return self._tip
+        memory = self._memory
+        pin.framesForwardKinematics(self.pin_model, memory.data, q)
+        return memory.tip
 
     @cached_property
-    def _tip(self) -> tuple[Array, Array]:
-        """Views of where `data` holds the tip."""
-        T = self.data.oMf[self.tip_frame]
-        return T.translation, T.rotation
+    def _memory(self) -> _Memory:
+        return _Memory(self.pin_model, self.tip_frame)
 
     def jacobian(self, q: Array) -> Array:
         """The tip's Jacobian, linear first, world axes.
@@ -73,7 +80,7 @@ class RigidBody:
         Returns:
             (6, n), m/rad and rad/rad.
         """
-        J = pin.computeFrameJacobian(self.pin_model, self.data, q, self.tip_frame, WORLD_AXES_AT_TIP)
+        J = pin.computeFrameJacobian(self.pin_model, self._memory.data, q, self.tip_frame, WORLD_AXES_AT_TIP)
         return J.reshape(6, -1)  # Pinocchio drops the column of a single joint
 
     def tips(self, q: Array) -> tuple[Array, Array]:
@@ -101,12 +108,7 @@ class RigidBody:
         return np.ascontiguousarray(p.T), np.ascontiguousarray(R.transpose(2, 0, 1))
 
     def __reduce__(self):
-        rest = (self.tip_frame, self.placements, self.is_slide, self.T_last_tip, self.gravity_support)
-        return _unpickled, (self.linkage, self.pin_model, *rest)
-
-
-def _unpickled(linkage: Linkage, pin_model: pin.Model, *rest) -> RigidBody:
-    return RigidBody(linkage, pin_model, pin_model.createData(), *rest)
+        return RigidBody, tuple(getattr(self, field.name) for field in fields(self))
 
 
 def build(model: mujoco.MjModel, linkage: Linkage, qpos: Array, tip_body: int, T_body_tip: Pose) -> RigidBody:
@@ -162,7 +164,6 @@ def build(model: mujoco.MjModel, linkage: Linkage, qpos: Array, tip_body: int, T
     return RigidBody(
         linkage,
         pin_model,
-        pin_model.createData(),
         tip_frame,
         frozen(np.array(placements[: linkage.length])),
         frozen(is_slide[: linkage.length]),

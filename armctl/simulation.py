@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import time
-from functools import lru_cache
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,8 @@ from armctl.robots import load
 from armctl.staging import TARGET
 from armctl.trajectory import TickReference, Trajectory
 from armctl.view.viewer import WatchedRig
+
+_IDLE = 4  # rigs kept for the next run
 
 
 class Simulation(Moves):
@@ -193,9 +196,10 @@ def simulate(
     controller = controller_by_name(controller, arm) if isinstance(controller, str) else controller
     plant = _checked(controller, plant)
     _check_motion(trajectory)
-    rig, start = _rig_for(arm, plant), trajectory(0.0)
-    rig.reset(start.q, start.v)
-    return _run(rig, controller, trajectory, settle)
+    with _rig_for(arm, plant) as rig:
+        start = trajectory(0.0)
+        rig.reset(start.q, start.v)
+        return _run(rig, controller, trajectory, settle)
 
 
 def _checked(controller: object, plant: Plant | None) -> Plant:
@@ -213,10 +217,19 @@ def _check_motion(trajectory: object) -> None:
         raise InputError(f"trajectory: {trajectory!r:.80} is no motion; armctl.move_j(arm, arm.home, q) is one")
 
 
-@lru_cache(maxsize=4)
-def _rig_for(arm: Arm, plant: Plant) -> Rig:
-    """The rig of an arm and a plant, kept for the next run: to copy a model with its meshes takes as long as a second of it."""
-    return Rig(arm, plant)
+_idle: dict[tuple[Arm, Plant], Rig] = {}
+
+
+@contextmanager
+def _rig_for(arm: Arm, plant: Plant) -> Iterator[Rig]:
+    """A rig of an arm and a plant for one run. The last ones are kept: to copy a model takes as long as a second of it."""
+    rig = _idle.pop((arm, plant), None) or Rig(arm, plant)
+    try:
+        yield rig
+    finally:
+        _idle[arm, plant] = rig
+        for oldest in list(_idle)[:-_IDLE]:
+            _idle.pop(oldest, None)
 
 
 def _run(rig: Rig, controller: Controller, trajectory: Trajectory, settle: float) -> Log:
