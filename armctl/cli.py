@@ -236,16 +236,17 @@ def _simulate(args: argparse.Namespace) -> int:
 
 
 def _view(args: argparse.Namespace) -> int:
-    from armctl.live import view, view_natively
+    from armctl import live, source
 
     if args.host and not args.token:
         raise InputError("host: whoever finds the page could drive the arm; choose a --token for those who may")
     if args.token and not args.host:
         raise InputError("token: without --host only this machine can reach the page, and it wants no token")
     if args.native:
-        view_natively(_load(args), args.controller)
+        live.view_natively(_load(args), args.controller)
     else:
-        view(lambda: _load(args), args.controller, port=args.port, host=args.host, token=args.token)
+        source.locate(args.robot)  # a wrong name is said before a browser opens
+        live.view(lambda: _load(args), args.controller, port=args.port, host=args.host, token=args.token)
     return OK
 
 

@@ -3,17 +3,15 @@
     python benchmarks/view.py [--robot panda] [--seconds 20] [--out benchmarks/results/view.md]
 
 A headless Chromium, drawing in software, looks at the page meanwhile, on the same cores; the target goes round. Until the page
-is usable: from the command until a browser, that runs already and keeps asking for the page, shows the arm and answers a click.
+is usable: from the command until the page that it opens, in a browser that runs already, shows the arm and answers a click.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import io
 import os
 import shutil
-import socket
 import subprocess
 import sys
 import threading
@@ -31,6 +29,7 @@ from armctl.view import Renderer
 from armctl.view.camera import frame
 from armctl.view.stage import Stage
 
+STARTS = 5
 SOFTWARE_GL = "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --ignore-gpu-blocklist"
 
 
@@ -52,23 +51,20 @@ def frames_a_second(robot: str, quality: str, frames: int) -> float:
 
 
 def seconds_until_usable(robot: str) -> list[float]:
-    """From the command until the page is served, its panel is live, the arm is drawn, and a click is answered."""
-    from playwright.sync_api import Error, sync_playwright
+    """From the command until it opens the page, the panel is live, the arm is drawn, and a click is answered."""
+    from playwright.sync_api import sync_playwright
 
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=SOFTWARE_GL.split())
         tab = browser.new_page(viewport={"width": 1280, "height": 800})
+        opening = {**os.environ, "DISPLAY": "any", "BROWSER": "echo %s"}  # what would open the page says which one
+        command = [sys.executable, "-m", "armctl", "view", robot, "--port", "0"]
         started, times = time.perf_counter(), []
-        with subprocess.Popen(
-            [sys.executable, "-m", "armctl", "view", robot, "--port", str(port)], stdout=subprocess.PIPE
-        ) as view:
-            while not times:
-                with contextlib.suppress(Error):
-                    tab.goto(f"http://127.0.0.1:{port}", wait_until="commit")
-                    times.append(time.perf_counter() - started)
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=opening) as view:
+            assert view.stdout is not None
+            url = view.stdout.readline().strip()
+            times.append(time.perf_counter() - started)
+            tab.goto(url, wait_until="commit")
             tab.get_by_text("real time").wait_for(timeout=60e3)
             times.append(time.perf_counter() - started)
             while not _shows_something(tab.screenshot(timeout=60e3)):
@@ -101,6 +97,8 @@ def real_time(robot: str, seconds: float) -> tuple[float, float]:
         tab = browser.new_page(viewport={"width": 1280, "height": 800})
         tab.goto(page.url)
         tab.get_by_text("real time").wait_for(timeout=60e3)
+        while session.elapsed == 0.0:
+            time.sleep(0.1)
         center, started, begin = session.target, time.perf_counter(), session.elapsed
         while time.perf_counter() - started < seconds:
             angle = 2 * np.pi * (time.perf_counter() - started) / 4
@@ -120,14 +118,14 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "view.md")
     args = parser.parse_args()
-    usable = seconds_until_usable(args.robot)
+    usable = np.median([seconds_until_usable(args.robot) for _ in range(STARTS)], axis=0)
     factor, least = real_time(args.robot, args.seconds)
     rows = [
         ("real-time factor, page open", "at least 0.98", f"{factor:.3f} over {args.seconds:g} s; least over 2 s {least:.3f}"),
         ("frames a second, 640 x 480, fast", "at least 30", f"{frames_a_second(args.robot, 'fast', 100):.0f}"),
         ("frames a second, 640 x 480, full", "", f"{frames_a_second(args.robot, 'full', 10):.1f}"),
         (
-            "page served, panel live, arm drawn, click answered after",
+            f"page opened, panel live, arm drawn, click answered after (medians of {STARTS} starts)",
             "at most 5 s",
             " / ".join(f"{t:.1f}" for t in usable) + " s",
         ),

@@ -30,6 +30,7 @@ class Charts:
             joint_names: The n joints.
             past: What is to be seen at first.
         """
+        self._until = past.t[-1]
         joints = [_line(name, COLORS[i % len(COLORS)]) for i, name in enumerate(joint_names)]
         self._error = server.gui.add_uplot(
             _errors(past),
@@ -53,6 +54,9 @@ class Charts:
         Args:
             past: The last seconds.
         """
+        if past.t[-1] == self._until:
+            return
+        self._until = past.t[-1]
         self._error.data, self._torque.data = _errors(past), _torques(past)
 
 

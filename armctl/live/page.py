@@ -12,7 +12,8 @@ from collections.abc import Callable
 import numpy as np
 
 from armctl.arm import Arm
-from armctl.control import controller_by_name
+from armctl.control import CONTROLLERS
+from armctl.errors import UnknownNameError
 from armctl.live.gate import Gate
 from armctl.live.panel import Panel
 from armctl.live.session import Session
@@ -22,6 +23,7 @@ from armctl.view.stage import INTERVAL, PORT, Stage
 _GIZMO = 0.15  # m
 _ABOVE = np.array([0.0, 0.0, 0.1])  # m, where the words are, from the target
 _WORDS = 0.15  # s between words and charts
+_MOMENT = 1.0  # s for a page to be drawn before the arm sets out
 _NEEDED_SOON = ("mjviser", "armctl.ik.kernel")  # slow to import: read while MuJoCo compiles the model
 
 
@@ -66,8 +68,8 @@ class Page:
         self.session.aim(Pose(event.target.position, quat=event.target.wxyz))
 
     def serve(self) -> None:
-        """Runs the session and keeps the page up to date until `close`."""
-        self.session.start()
+        """Keeps the page up to date until `close`; the session runs from a moment after somebody looks on."""
+        threading.Thread(target=self._begin, name="armctl start", daemon=True).start()
         written = 0.0
         while not self._closing.wait(INTERVAL):
             self._draw()
@@ -80,6 +82,13 @@ class Page:
         self._closing.set()
         self.session.stop()
         self._stage.close()
+
+    def _begin(self) -> None:
+        while not self._stage.wait_for_someone(INTERVAL):
+            if self._closing.is_set():
+                return
+        if not self._closing.wait(_MOMENT):
+            self.session.start()
 
     def _draw(self) -> None:
         session, target = self.session, self.session.target
@@ -118,6 +127,8 @@ def view(
         NotInstalledError: viser or mjviser is missing.
         UnknownNameError: There is no such controller.
     """
+    if controller not in CONTROLLERS:  # a wrong name is said before anything opens
+        raise UnknownNameError.of("controller", controller, CONTROLLERS)
     with contextlib.ExitStack() as stack:
         stack.callback(signal.signal, signal.SIGINT, signal.getsignal(signal.SIGINT))
         stage = Stage(port if host is None else 0)
@@ -127,13 +138,12 @@ def view(
             gate = Gate(host, token or "", stage.port, port)
             stack.callback(gate.close)
             url = gate.url
+        threading.Thread(target=stage.open_browser, daemon=True).start()  # some browsers let one wait until they are open
         for module in _NEEDED_SOON:
             threading.Thread(target=importlib.import_module, args=(module,), daemon=True).start()
         arm = load()
-        controller_by_name(controller, arm)  # a wrong name is said before anything opens
         with contextlib.suppress(KeyboardInterrupt):
             print(f"{arm.name} is at {url}; Ctrl-C ends it", flush=True)
-            stage.open_browser()
             page = Page(arm, stage, controller)
             stack.callback(page.close)
             page.serve()
