@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from itertools import pairwise
 from typing import cast
 
 import numpy as np
@@ -21,7 +22,7 @@ from armctl.ik.result import IkBatch, why_not
 from armctl.ik.solve import STARTS
 from armctl.pose import Pose
 
-CHUNK = 1024
+CHUNK, LAST_CHUNK = 1024, 128
 QUIET_SECONDS = 2.0
 
 
@@ -61,11 +62,11 @@ def solve_ik_batch(
     problem = read_problem(arm, asked, numbers, q0, position_tolerance, orientation_tolerance, rng)
     if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int) or threads < 1):
         raise InputError(f"threads: {threads!r} given, an integer of at least 1 wanted")
-    count = len(numbers)
-    chunks = np.array_split(np.arange(count), max(1, -(-count // CHUNK)))
+    count, workers = len(numbers), threads or os.cpu_count() or 1
+    chunks = _chunks(count, workers)
     parts: dict[int, IkBatch] = {}
     progress = _Progress(count)
-    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(workers) as pool:
         jobs = {pool.submit(_solve, problem, rows, q0 is not None): i for i, rows in enumerate(chunks)}
         try:
             for job in as_completed(jobs):
@@ -76,6 +77,15 @@ def solve_ik_batch(
             progress.close()
     columns = ([getattr(parts[i], field) for i in range(len(chunks))] for field in IkBatch.__slots__)
     return IkBatch(*(frozen(np.concatenate(column)) for column in columns))
+
+
+def _chunks(count: int, workers: int) -> list[IntArray]:
+    """The targets' numbers in parts, smaller towards the end: nobody waits long for the one who is last."""
+    ends = [0]
+    while len(ends) == 1 or ends[-1] < count:
+        left = count - ends[-1]
+        ends.append(ends[-1] + min(left, CHUNK, max(LAST_CHUNK, left // (2 * workers))))
+    return [np.arange(*part) for part in pairwise(ends)]
 
 
 def _solve(problem: Problem, rows: IntArray, stay_near: bool) -> IkBatch:
