@@ -30,6 +30,7 @@ _OFF_LIMIT = 0.05  # of a joint's range
 _LITTLE = 1e-6  # what a determinant of the information gets added
 _SHOWN, _APART = 20, 1e-6  # states at which a mass is looked for, and the share of what they show that is not round-off
 _TORQUE_SHARE = 0.9  # of the limits, for the controller to have some left
+_SLOWER = (1.0, 0.7, 0.5)  # of the pace, for what takes more
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,19 +117,20 @@ def excitation(arm: Arm, payload: float = 1.0, *, pace: float = 0.6, rng: int | 
         straight = np.linspace(waypoints[:-1], waypoints[1:], 10).reshape(-1, arm.n)
         if failed[size] == _PLANS:
             continue
-        if any((np.abs(held.gravity(q)) > _TORQUE_SHARE * arm.limits.tau_max).any() for q in straight):
+        if any((np.abs(held.gravity(q)) + held.friction_loss > _TORQUE_SHARE * arm.limits.tau_max).any() for q in straight):
             why = "its weight there is more than the motors hold"
             continue
         if contacts.along(straight):
             continue
         try:
-            motion = move_through(loaded, waypoints).scaled(pace)
-            path = motion.sample(np.arange(0.0, motion.duration, 0.02))
+            fastest = move_through(loaded, waypoints)
+            path = fastest.sample(np.arange(0.0, fastest.duration, 0.02 * pace))
             if contacts.along(path.q):
                 why = _TOUCHES
-            elif max(check_torque(x, motion).ratio for x in (arm, loaded)) < _TORQUE_SHARE:
-                return motion
             else:
+                for motion in (fastest.scaled(share * pace) for share in _SLOWER):
+                    if max(check_torque(x, motion).ratio for x in (arm, loaded)) < _TORQUE_SHARE:
+                        return motion
                 why = f"it takes more than {100 * _TORQUE_SHARE:g} % of the torque limits on every way that was tried"
         except (PlanError, LimitError) as error:
             why = str(error)

@@ -45,6 +45,14 @@ def test_an_excitation_is_safe(robot, motions):
     assert np.abs(path.v[[0]]).max() == 0.0
 
 
+@pytest.mark.parametrize("robot", [*ROBOTS, "xarm7"])
+def test_what_takes_much_torque_is_shown_more_slowly(robot):
+    arm = arm_of(robot)
+    motion = armctl.excitation(arm, payload=2.0)
+    assert check_torque(arm.with_payload(2.0), motion).ratio < 0.9
+    assert check_torque(arm, motion).ratio < 0.9
+
+
 @pytest.mark.parametrize("mass", [0.5, 2.0])
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_a_payload_is_found_within_one_percent(robot, mass, motions):
