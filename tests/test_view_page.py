@@ -1,6 +1,10 @@
 """The page in a real browser: the target is dragged with the mouse, numbers are typed, switches are turned."""
 
+import re
 import shutil
+import signal
+import subprocess
+import sys
 import threading
 import time
 import urllib.error
@@ -218,3 +222,22 @@ def test_from_other_machines_a_wrong_token_gets_nothing_and_the_right_one_everyt
         friend.close()
     finally:
         gate.close()
+
+
+@pytest.mark.parametrize("who", ["nobody", "somebody"])
+def test_ctrl_c_ends_the_command_without_a_word(browser, who: str):
+    command = [sys.executable, "-m", "armctl", "view", BUNDLED, "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as view:
+        assert view.stdout is not None
+        url = re.search(r"http://\S+:\d+", view.stdout.readline())
+        assert url is not None
+        if who == "somebody":
+            tab = opened(browser, url[0])
+            tab.get_by_text("at the target").first.wait_for(timeout=1e3 * PATIENCE)
+        else:
+            time.sleep(3.0)  # until the page is there, and waits for somebody
+        view.send_signal(signal.SIGINT)
+        out, said = view.communicate(timeout=30)
+    if who == "somebody":
+        tab.close()
+    assert (view.returncode, out, said) == (0, "", "")

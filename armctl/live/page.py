@@ -58,6 +58,7 @@ class Page:
         self._gizmo.on_update(self._dragged)
         self._panel = Panel(stage.server, stage.words, self.session)
         self._held, self._closing = threading.Event(), threading.Event()
+        self._starter = threading.Thread(target=self._begin, name="armctl start", daemon=True)
 
     async def _dragged(self, event) -> None:
         """A target moved by hand. Asynchronous, so that it runs at once and in order."""
@@ -69,7 +70,7 @@ class Page:
 
     def serve(self) -> None:
         """Keeps the page up to date until `close`; the session runs from a moment after somebody looks on."""
-        threading.Thread(target=self._begin, name="armctl start", daemon=True).start()
+        self._starter.start()
         written = 0.0
         while not self._closing.wait(INTERVAL):
             self._draw()
@@ -80,6 +81,8 @@ class Page:
     def close(self) -> None:
         """Ends the session and takes the page away. Once is enough, twice does no harm."""
         self._closing.set()
+        if self._starter.is_alive():
+            self._starter.join(timeout=2.0)
         self.session.stop()
         self._stage.close()
 
