@@ -9,6 +9,7 @@ from scipy.spatial import KDTree
 
 from armctl import Simulation
 from armctl.view.lighten import lightened
+from armctl.view.pace import Pace
 
 pytest.importorskip("mjviser", reason="pip install 'armctl[view]'")
 
@@ -32,6 +33,13 @@ def test_a_watched_move_takes_its_time_and_computes_the_same(watched: Simulation
         np.testing.assert_array_equal(getattr(result.log, name), getattr(other.log, name))
     assert result.log.real_time_factor < 1.05 < other.log.real_time_factor
     assert took >= 0.95 * result.duration
+
+
+def test_time_before_the_first_move_is_not_caught_up():
+    pace = Pace()
+    begun = time.perf_counter()
+    pace.resume()
+    assert pace._due >= begun
 
 
 def test_the_page_draws_what_the_simulation_ended_with(watched: Simulation):

@@ -32,8 +32,8 @@ class Pace:
         self._marks = deque([(self._due, 0.0)])
 
     def resume(self) -> None:
-        """Starts afresh if nothing has gone on for a while: time spent planning is not caught up."""
-        if time.perf_counter() - self._marks[-1][0] > _IDLE:
+        """Starts afresh if nothing has gone on yet, or not for a while: time spent planning is not caught up."""
+        if len(self._marks) == 1 or time.perf_counter() - self._marks[-1][0] > _IDLE:
             self.restart()
 
     def wait(self, seconds: float) -> None:
