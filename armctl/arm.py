@@ -82,8 +82,7 @@ class Arm:
     @property
     def units(self) -> tuple[str, ...]:
         """What each joint is measured in: "rad", or "m" where it slides."""
-        kinds = self.model.jnt_type[self.model.dof_jntid[self.dof_adr]]
-        return tuple("m" if kind == int(mujoco.mjtJoint.mjJNT_SLIDE) else "rad" for kind in kinds)
+        return units.of_joints(self.model.jnt_type[self.model.dof_jntid[self.dof_adr]] == int(mujoco.mjtJoint.mjJNT_SLIDE))
 
     @property
     def torque_units(self) -> tuple[str, ...]:

@@ -124,8 +124,7 @@ def excitation(arm: Arm, payload: float = 1.0, *, pace: float = 0.6, rng: int | 
             continue
         try:
             fastest = move_through(loaded, waypoints)
-            path = fastest.sample(np.arange(0.0, fastest.duration, 0.02 * pace))
-            if contacts.along(path.q):
+            if contacts.along(fastest.sample(np.arange(0.0, fastest.duration, 0.02 * pace)).q):
                 why = _TOUCHES
             else:
                 for motion in (fastest.scaled(share * pace) for share in _SLOWER):
@@ -154,8 +153,9 @@ def identify_payload(arm: Arm, log: Log) -> PayloadEstimate:
         The estimate; where the run shows too little, `ok` is False and `reason` says why.
 
     Raises:
-        InputError: The log is of an arm with other joints.
+        InputError: It is no arm, no log, or the log is of an arm with other joints.
     """
+    check_arm(arm)
     instance("log", log, Log, "armctl.simulate and every move of a Simulation give one")
     if log.joint_names != arm.joint_names:
         raise InputError(f"log: of the joints {list(log.joint_names)}, {list(arm.joint_names)} wanted")

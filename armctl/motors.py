@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
+from armctl import units
 from armctl.arrays import Array
 from armctl.coupling import tendon_coefficients
 from armctl.datasheets import Row
@@ -95,10 +96,11 @@ def torque_limits(
         tau[unknown] = _assumed_torque(model, drives)[unknown]
         sources.add("assumed")
         names = ", ".join(joint_name(model, drive.joint) for drive, u in zip(drives, unknown, strict=True) if u)
-        slides = model.jnt_type[[drive.joint for drive in drives]] == mujoco.mjtJoint.mjJNT_SLIDE
-        values = ", ".join(f"{x:.3g} {'N' if slide else 'N m'}" for x, slide in zip(tau[unknown], slides[unknown], strict=True))
-        per = " or ".join(unit for unit, some in (("rad", ~slides), ("m", slides)) if (unknown & some).any())
-        notes.append(f"no torque limit given for {names}: assumed {values} (twice gravity at rest plus 10 {per}/s^2)")
+        slides = model.jnt_type[[drive.joint for drive in drives]] == int(mujoco.mjtJoint.mjJNT_SLIDE)
+        joints = units.of_joints(slides[unknown])
+        values = ", ".join(f"{x:.3g} {unit}" for x, unit in zip(tau[unknown], units.of_torque(joints), strict=True))
+        rates = units.label(joints, "/s^2")
+        notes.append(f"no torque limit given for {names}: assumed {values} (twice gravity at rest plus 10 {rates})")
     return tau, {"tau_max": ", ".join(sorted(sources))}, notes
 
 

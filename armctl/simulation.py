@@ -27,7 +27,7 @@ from armctl.recorder import Recorder, ticks_for
 from armctl.rig import ConstantTorque, Rig
 from armctl.robots import load
 from armctl.staging import TARGET
-from armctl.trajectory import TickReference, Trajectory
+from armctl.trajectory import TickReference, Trajectory, check_motion
 from armctl.view.viewer import WatchedRig
 
 _IDLE = 4  # rigs kept for the next run
@@ -126,7 +126,7 @@ class Simulation(Moves):
             InputError: It is no motion, or the settling time is negative.
             SimulationError: The controller failed; `error.log` holds what there was until then.
         """
-        _check_motion(trajectory)
+        check_motion(trajectory)
         self.log = _run(self._rig, self.controller, trajectory, settle)
         return self.log
 
@@ -195,7 +195,7 @@ def simulate(
     check_arm(arm)
     controller = controller_by_name(controller, arm) if isinstance(controller, str) else controller
     plant = _checked(controller, plant)
-    _check_motion(trajectory)
+    check_motion(trajectory)
     with _rig_for(arm, plant) as rig:
         start = trajectory(0.0)
         rig.reset(start.q, start.v)
@@ -209,12 +209,6 @@ def _checked(controller: object, plant: Plant | None) -> Plant:
     plant = NOMINAL if plant is None else plant
     instance("plant", plant, Plant, "armctl.Plant(payload=1.0) is one")
     return plant
-
-
-def _check_motion(trajectory: object) -> None:
-    """Refuses what cannot be followed, such as a joint position."""
-    if not callable(trajectory) or not hasattr(trajectory, "duration"):
-        raise InputError(f"trajectory: {trajectory!r:.80} is no motion; armctl.move_j(arm, arm.home, q) is one")
 
 
 _idle: dict[tuple[Arm, Plant], Rig] = {}

@@ -172,3 +172,16 @@ class TickReference(NamedTuple):
         q[0] = q[1] - dt * v[1]
         v_tick = v[1:] if continuous else np.diff(q, axis=0) / dt
         return cls(q[1:-1], v[1:-1], a[1:-1], v_tick[:-1], np.diff(v_tick, axis=0) / dt)
+
+
+def check_motion(trajectory: object) -> None:
+    """Makes sure that an argument is a motion.
+
+    Args:
+        trajectory: The argument.
+
+    Raises:
+        InputError: It cannot be followed, such as a joint position.
+    """
+    if not callable(trajectory) or not hasattr(trajectory, "duration"):
+        raise InputError(f"trajectory: {trajectory!r:.80} is no motion; armctl.move_j(arm, arm.home, q) is one")

@@ -5,6 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 
+def of_joints(slides: Iterable[bool]) -> tuple[str, ...]:
+    """What joints are measured in.
+
+    Args:
+        slides: For each whether it slides.
+
+    Returns:
+        For each "rad" or "m".
+    """
+    return tuple("m" if each else "rad" for each in slides)
+
+
 def of_torque(units: Iterable[str]) -> tuple[str, ...]:
     """What the torques of joints are measured in.
 

@@ -42,6 +42,8 @@ CALLS: dict[str, tuple[Callable[[], object], str]] = {
     "an arm's name to computed torque": (lambda: armctl.ComputedTorque(ARM.name), "arm: .* is no Arm; armctl.load"),  # type: ignore
     "an arm's name to a motion": (lambda: armctl.move_j(ARM.name, [0, 0, 0], [0, 0, 0]), "arm: .* is no Arm"),  # type: ignore
     "an arm's name to a line": (lambda: armctl.move_l(ARM.name, [0, 0, 0], [0, 0, 0]), "arm: .* is no Arm"),  # type: ignore
+    "a position to check": (lambda: armctl.check_torque(ARM, ARM.home), "trajectory: .* is no motion"),  # type: ignore
+    "an arm's name to identify": (lambda: armctl.identify_payload(ARM.name, None), "arm: .* is no Arm"),  # type: ignore
     "an arm's name to excite": (lambda: armctl.excitation(ARM.name), "arm: .* is no Arm"),  # type: ignore
     "a position to run": (lambda: armctl.Simulation(ARM).run([0, 0, 0]), "trajectory: .* is no motion; armctl.move_j"),  # type: ignore
     "a report before any move": (lambda: armctl.Report.from_log(armctl.Simulation(ARM).log), "None .* every move of a Sim"),  # type: ignore

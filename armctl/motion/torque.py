@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armctl.arm import Arm
+from armctl.arm import Arm, check_arm
 from armctl.arrays import Array
 from armctl.dynamics import Dynamics
 from armctl.errors import InputError, PlanError
 from armctl.motion.joint_trajectory import JointTrajectory
 from armctl.motion.pace import TorqueRows, slower
 from armctl.motion.slowdown import Slowdown
-from armctl.trajectory import Trajectory
+from armctl.trajectory import Trajectory, check_motion
 
 _SAMPLE = 0.004  # s
 _MARGIN = 1e-3  # of the limits
@@ -68,8 +68,10 @@ def check_torque(arm: Arm, trajectory: Trajectory) -> TorqueCheck:
         The check, from samples at most 4 ms apart.
 
     Raises:
-        InputError: A motion of another number of joints.
+        InputError: It is no arm, no motion, or a motion of another number of joints.
     """
+    check_arm(arm)
+    check_motion(trajectory)
     if len(trajectory(0.0).q) != arm.n:
         raise InputError(f"trajectory: it moves {len(trajectory(0.0).q)} joints, and {arm.name} has {arm.n}")
     times = _times(trajectory)
