@@ -12,8 +12,8 @@ __version__ = "0.1.0"
 _MODULES = {
     "Adaptive": "armctl.control",
     "Arm": "armctl.arm",
-    "ArmctlError": "armctl.errors",
-    "ArmctlWarning": "armctl.errors",
+    "ArmctlError": "armctl.core.errors",
+    "ArmctlWarning": "armctl.core.errors",
     "ComputedTorque": "armctl.control",
     "Controller": "armctl.control",
     "DifferentialIk": "armctl.ik",
@@ -22,33 +22,33 @@ _MODULES = {
     "Gripper": "armctl.gripper",
     "IkResult": "armctl.ik",
     "Impedance": "armctl.control",
-    "InputError": "armctl.errors",
-    "LimitError": "armctl.errors",
-    "Limits": "armctl.trajectory",
-    "Log": "armctl.log",
-    "ModelError": "armctl.errors",
-    "MoveResult": "armctl.move_result",
-    "NotInstalledError": "armctl.errors",
+    "InputError": "armctl.core.errors",
+    "LimitError": "armctl.core.errors",
+    "Limits": "armctl.core.trajectory",
+    "Log": "armctl.core.log",
+    "ModelError": "armctl.core.errors",
+    "MoveResult": "armctl.core.result",
+    "NotInstalledError": "armctl.core.errors",
     "OnlineMotion": "armctl.motion",
     "OperationalSpace": "armctl.control",
     "PD": "armctl.control",
     "PDGravity": "armctl.control",
     "PIDGravity": "armctl.control",
     "PayloadEstimate": "armctl.identification",
-    "PlanError": "armctl.errors",
+    "PlanError": "armctl.core.errors",
     "Plant": "armctl.plant",
-    "Pose": "armctl.pose",
+    "Pose": "armctl.core.pose",
     "Push": "armctl.plant",
     "Report": "armctl.report",
     "Scene": "armctl.scene",
     "SerialChain": "armctl.chain",
-    "Setpoint": "armctl.trajectory",
+    "Setpoint": "armctl.core.trajectory",
     "Simulation": "armctl.simulation",
-    "SimulationError": "armctl.errors",
+    "SimulationError": "armctl.core.log",
     "State": "armctl.control",
     "Team": "armctl.team",
-    "Trajectory": "armctl.trajectory",
-    "UnknownNameError": "armctl.errors",
+    "Trajectory": "armctl.core.trajectory",
+    "UnknownNameError": "armctl.core.errors",
     "chains": "armctl.robots",
     "check_torque": "armctl.motion",
     "compare": "armctl.comparison",
@@ -79,15 +79,21 @@ if TYPE_CHECKING:
     from armctl.control import PDGravity as PDGravity
     from armctl.control import PIDGravity as PIDGravity
     from armctl.control import State as State
-    from armctl.errors import ArmctlError as ArmctlError
-    from armctl.errors import ArmctlWarning as ArmctlWarning
-    from armctl.errors import InputError as InputError
-    from armctl.errors import LimitError as LimitError
-    from armctl.errors import ModelError as ModelError
-    from armctl.errors import NotInstalledError as NotInstalledError
-    from armctl.errors import PlanError as PlanError
-    from armctl.errors import SimulationError as SimulationError
-    from armctl.errors import UnknownNameError as UnknownNameError
+    from armctl.core.errors import ArmctlError as ArmctlError
+    from armctl.core.errors import ArmctlWarning as ArmctlWarning
+    from armctl.core.errors import InputError as InputError
+    from armctl.core.errors import LimitError as LimitError
+    from armctl.core.errors import ModelError as ModelError
+    from armctl.core.errors import NotInstalledError as NotInstalledError
+    from armctl.core.errors import PlanError as PlanError
+    from armctl.core.errors import UnknownNameError as UnknownNameError
+    from armctl.core.log import Log as Log
+    from armctl.core.log import SimulationError as SimulationError
+    from armctl.core.pose import Pose as Pose
+    from armctl.core.result import MoveResult as MoveResult
+    from armctl.core.trajectory import Limits as Limits
+    from armctl.core.trajectory import Setpoint as Setpoint
+    from armctl.core.trajectory import Trajectory as Trajectory
     from armctl.gripper import Gripper as Gripper
     from armctl.gripper import GripResult as GripResult
     from armctl.identification import PayloadEstimate as PayloadEstimate
@@ -98,7 +104,6 @@ if TYPE_CHECKING:
     from armctl.ik import IkResult as IkResult
     from armctl.ik import solve_ik as solve_ik
     from armctl.ik import solve_ik_batch as solve_ik_batch
-    from armctl.log import Log as Log
     from armctl.motion import OnlineMotion as OnlineMotion
     from armctl.motion import check_torque as check_torque
     from armctl.motion import move_c as move_c
@@ -106,10 +111,8 @@ if TYPE_CHECKING:
     from armctl.motion import move_l as move_l
     from armctl.motion import move_path as move_path
     from armctl.motion import move_through as move_through
-    from armctl.move_result import MoveResult as MoveResult
     from armctl.plant import Plant as Plant
     from armctl.plant import Push as Push
-    from armctl.pose import Pose as Pose
     from armctl.report import Report as Report
     from armctl.robots import chains as chains
     from armctl.robots import load as load
@@ -118,9 +121,6 @@ if TYPE_CHECKING:
     from armctl.simulation import Simulation as Simulation
     from armctl.simulation import simulate as simulate
     from armctl.team import Team as Team
-    from armctl.trajectory import Limits as Limits
-    from armctl.trajectory import Setpoint as Setpoint
-    from armctl.trajectory import Trajectory as Trajectory
 
 __all__ = list(_MODULES)  # pyright: ignore[reportUnsupportedDunderAll]
 

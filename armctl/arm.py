@@ -9,14 +9,14 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl import units
-from armctl.arrays import Array, IntArray, instance, matrix, number, vector
-from armctl.errors import LimitError, ModelError
+from armctl.core import units
+from armctl.core.errors import LimitError, ModelError
+from armctl.core.pose import Pose
+from armctl.core.trajectory import Limits
+from armctl.core.validation import Array, IntArray, instance, matrix, number, vector
 from armctl.linkage import Linkage
 from armctl.payload import add_point_mass
-from armctl.pose import Pose
 from armctl.rigid_body import RigidBody, build
-from armctl.trajectory import Limits
 
 PARITY_TOLERANCE = 1e-9
 

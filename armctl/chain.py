@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import mujoco
 
+from armctl.core.errors import ModelError
 from armctl.coupling import coupling
 from armctl.drives import Drive, chain_drives, drive_of
 from armctl.elements import (
@@ -20,7 +21,6 @@ from armctl.elements import (
     joints_above,
     joints_of,
 )
-from armctl.errors import ModelError
 from armctl.tip import find_tip
 
 _JAW = re.compile(r"jaw|grip|finger|claw|knuckle", re.IGNORECASE)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armctl import __version__
-from armctl.errors import ArmctlError, InputError, LimitError, UnknownNameError
+from armctl.core.errors import ArmctlError, InputError, LimitError, UnknownNameError
 
 if TYPE_CHECKING:
     from armctl.arm import Arm
@@ -257,7 +257,7 @@ def _load(args: argparse.Namespace) -> Arm:
 
 
 def _target(words: list[str]):
-    from armctl.pose import Pose
+    from armctl.core.pose import Pose
 
     numbers = _numbers("target", words)
     if len(numbers) not in (3, 6):
@@ -268,7 +268,7 @@ def _target(words: list[str]):
 
 
 def _numbers(what: str, words: list[str]) -> list[float]:
-    from armctl.arrays import vector
+    from armctl.core.validation import vector
 
     try:
         numbers = [float(word) for word in words]

@@ -9,15 +9,16 @@ from functools import partial
 import numpy as np
 
 from armctl.arm import Arm
-from armctl.arrays import number
 from armctl.contacts import contacts_of
 from armctl.control import Controller
-from armctl.errors import InputError, PlanError, SimulationError
+from armctl.core.errors import InputError, PlanError
+from armctl.core.log import SimulationError
+from armctl.core.trajectory import Trajectory
+from armctl.core.validation import number
 from armctl.motion import move_j
 from armctl.plant import NOMINAL, Plant
 from armctl.report import Report
 from armctl.simulation import simulate
-from armctl.trajectory import Trajectory
 
 
 def compare(

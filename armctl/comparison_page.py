@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armctl import units
 from armctl.comparison import remarks
-from armctl.log import Log
+from armctl.core import units
+from armctl.core.log import Log
 from armctl.plot import COLORS, STYLE
 from armctl.report import Report, table
 

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from armctl.arm import Arm
-from armctl.arrays import Array, IntArray
+from armctl.core.validation import Array, IntArray
 from armctl.elements import body_name, name_of
 from armctl.rigid_body import joint_above
 

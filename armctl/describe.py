@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import fields
 
-from armctl import units
 from armctl.arm import Arm
 from armctl.chain import SerialChain
-from armctl.log import Log
+from armctl.core import units
+from armctl.core.log import Log
 
 
 def facts(arm: Arm) -> dict[str, object]:

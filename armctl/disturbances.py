@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from armctl.arm import Arm
-from armctl.arrays import Array
+from armctl.core.validation import Array
 from armctl.plant import Plant
 
 _RIPPLES = 12.0  # per radian; 75 a turn, as of a motor's torque behind a gear

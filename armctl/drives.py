@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from armctl.core.errors import ModelError
 from armctl.coupling import coupling, tendon_coefficients
 from armctl.elements import SCALAR, Chain, actuator_name, is_damper, is_on_joint, joint_name, name_of
-from armctl.errors import ModelError
 
 _TIES = int(mujoco.mjtEq.mjEQ_JOINT)
 

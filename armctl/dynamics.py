@@ -12,8 +12,8 @@ import numpy as np
 import pinocchio as pin
 
 from armctl.arm import Arm, check_arm
-from armctl.arrays import Array, IntArray
-from armctl.errors import ModelError
+from armctl.core.errors import ModelError
+from armctl.core.validation import Array, IntArray
 
 
 class Dynamics:

@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 
 from armctl.arm import Arm
-from armctl.arrays import number
+from armctl.core.errors import InputError
+from armctl.core.validation import number
 from armctl.elements import body_name
-from armctl.errors import InputError
 from armctl.jaws import find_jaws, make_servos, pad_distance
 from armctl.rig import Rig
 

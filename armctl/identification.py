@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from armctl.arm import Arm, check_arm
-from armctl.arrays import Array, frozen, instance, number
 from armctl.contacts import contacts_of
+from armctl.core.errors import InputError, LimitError, PlanError
+from armctl.core.log import Log
+from armctl.core.validation import Array, frozen, instance, number
 from armctl.dynamics import Dynamics
-from armctl.errors import InputError, LimitError, PlanError
-from armctl.log import Log
 from armctl.motion import JointTrajectory, check_torque, move_through
 
 _PAYLOAD = 4  # mass and first moment, of as many numbers as friction has besides

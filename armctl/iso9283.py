@@ -12,15 +12,15 @@ from itertools import pairwise
 import numpy as np
 
 from armctl.arm import Arm
-from armctl.arrays import Array, number
 from armctl.contacts import contacts_of
 from armctl.control import Controller, controller_by_name, controller_name
-from armctl.errors import PlanError
+from armctl.core.errors import PlanError
+from armctl.core.log import Log
+from armctl.core.pose import Pose
+from armctl.core.validation import Array, number
 from armctl.ik import solve_ik
-from armctl.log import Log
 from armctl.motion import JointTrajectory, move_j, move_l
 from armctl.plant import NOMINAL, Plant
-from armctl.pose import Pose
 from armctl.simulation import Simulation
 
 _EDGES = 0.4 * 0.8 ** np.arange(12)  # m, of the test cube: the largest that the arm can work in

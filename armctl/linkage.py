@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from armctl.arrays import Array, IntArray, frozen
+from armctl.core.validation import Array, IntArray, frozen
 from armctl.drives import chain_drives
 from armctl.elements import Chain
 

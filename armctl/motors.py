@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from armctl import units
-from armctl.arrays import Array
+from armctl.core import units
+from armctl.core.errors import ModelError
+from armctl.core.trajectory import Limits
+from armctl.core.validation import Array
 from armctl.coupling import tendon_coefficients
 from armctl.datasheets import Row
 from armctl.drives import Drive, Tie, moments_of
 from armctl.elements import joint_name
-from armctl.errors import ModelError
-from armctl.trajectory import Limits
 
 DEFAULT_SPEED = {mujoco.mjtJoint.mjJNT_HINGE: 2.0, mujoco.mjtJoint.mjJNT_SLIDE: 0.5}  # rad/s, m/s
 DEFAULT_RISE_TIME = 0.05  # s, from no acceleration to the greatest

@@ -11,20 +11,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
-from armctl.arrays import Array, number
 from armctl.contacts import contacts_of
 from armctl.control import Controller, State
-from armctl.errors import InputError, PlanError, UnknownNameError
-from armctl.goal import ANGLE_TOLERANCE, TOLERANCE, Goal
+from armctl.core.errors import InputError, PlanError, UnknownNameError
+from armctl.core.log import Log
+from armctl.core.pose import Pose
+from armctl.core.result import MoveResult
+from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE, Goal
+from armctl.core.trajectory import TickReference, Trajectory
+from armctl.core.validation import Array, number
 from armctl.ik import solve_ik
-from armctl.log import Log
 from armctl.motion import Arc, JointTrajectory, Line, OnlineMotion, move_c, move_j, move_l, move_path
-from armctl.move_result import MoveResult
-from armctl.pose import Pose
 from armctl.recorder import Recorder, ticks_for
 from armctl.rig import Rig
 from armctl.staging import TARGET
-from armctl.trajectory import TickReference, Trajectory
 
 _SETTLED_SPEED = 1e-3  # rad/s
 _SETTLE_CHUNK = 0.02  # s

@@ -5,9 +5,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from armctl.arrays import Array
+from armctl.core.pose import Pose
+from armctl.core.validation import Array
 from armctl.elements import welded_behind
-from armctl.pose import Pose
 
 
 def add_bearers(spec: mujoco.MjSpec, model: mujoco.MjModel, bodies: dict[int, mujoco.MjsBody]) -> None:

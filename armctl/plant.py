@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
-from armctl.arrays import Array, IntArray, number, vector
+from armctl.core.errors import InputError
+from armctl.core.validation import Array, IntArray, number, vector
 from armctl.coupling import dofs_of_equality, dofs_of_tendon
-from armctl.errors import InputError
 from armctl.payload import add_point_mass
 
 _CONTINUOUS_STEP = 2e-4  # s, less where damping stops a joint faster: Runge-Kutta bears 2.8 times of that

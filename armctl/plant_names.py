@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from armctl.arm import Arm
-from armctl.arrays import number
-from armctl.errors import InputError, UnknownNameError
+from armctl.core.errors import InputError, UnknownNameError
+from armctl.core.validation import number
 from armctl.plant import NOMINAL, Plant
 
 _ENCODER_NOISE, _VELOCITY_NOISE = 1e-5, 1e-3  # rad, rad/s

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl import units
-from armctl.arrays import Array
-from armctl.errors import InputError, NotInstalledError
-from armctl.goal import TOLERANCE
-from armctl.log import Log
+from armctl.core import units
+from armctl.core.errors import InputError, NotInstalledError
+from armctl.core.log import Log
+from armctl.core.target import TOLERANCE
+from armctl.core.validation import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from armctl import units
-from armctl.arrays import Array, BoolArray, instance
-from armctl.errors import InputError
-from armctl.goal import ANGLE_TOLERANCE, TOLERANCE
-from armctl.log import Log
+from armctl.core import units
+from armctl.core.errors import InputError
+from armctl.core.log import Log
+from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE
+from armctl.core.validation import Array, BoolArray, instance
 from armctl.plot import four_panels
 
 

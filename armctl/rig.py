@@ -11,15 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
-from armctl.arrays import Array, IntArray, vector
 from armctl.control import Controller, State, controller_name
+from armctl.core.log import Log, SimulationError
+from armctl.core.pose import Pose
+from armctl.core.trajectory import Setpoint, TickReference, Trajectory
+from armctl.core.validation import Array, IntArray, vector
 from armctl.disturbances import Disturbances
-from armctl.errors import SimulationError
-from armctl.log import Log
 from armctl.plant import Plant
-from armctl.pose import Pose
 from armctl.recorder import Recorder
-from armctl.trajectory import Setpoint, TickReference, Trajectory
 
 _BRAKED = ("dof_armature", "dof_frictionloss", "jnt_limited", "tendon_limited", "tendon_frictionloss", "eq_active0")
 _RUNAWAY = 1e4  # rad/s: speeds no arm survives

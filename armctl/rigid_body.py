@@ -15,9 +15,9 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from armctl.arrays import Array, BoolArray, frozen
+from armctl.core.pose import Pose
+from armctl.core.validation import Array, BoolArray, frozen
 from armctl.linkage import Linkage
-from armctl.pose import Pose
 
 WORLD_AXES_AT_TIP = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 

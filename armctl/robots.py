@@ -12,15 +12,15 @@ import numpy as np
 
 from armctl.apart import check_apart
 from armctl.arm import Arm, check_parity
-from armctl.arrays import Array, frozen
 from armctl.chain import SerialChain, all_chains, chain_to, find_chain, stopped_before
+from armctl.core.errors import ArmctlWarning, InputError, ModelError, UnknownNameError
+from armctl.core.pose import Pose
+from armctl.core.validation import Array, frozen
 from armctl.drives import Drive, chain_drives
 from armctl.elements import Chain, joint_name
-from armctl.errors import ArmctlWarning, InputError, ModelError, UnknownNameError
 from armctl.linkage import linkage_of
 from armctl.motors import JointData, from_row, joint_limits, make_motors, torque_limits
 from armctl.payload import add_bearers
-from armctl.pose import Pose
 from armctl.rigid_body import build
 from armctl.scene import Scene
 from armctl.source import Source, locate

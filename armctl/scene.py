@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arrays import Array, instance, number, vector
-from armctl.errors import InputError
-from armctl.pose import Pose
+from armctl.core.errors import InputError
+from armctl.core.pose import Pose
+from armctl.core.validation import Array, instance, number, vector
 from armctl.scene_file import SceneFile
 
 _LOOSE, _FIXED = (0.85, 0.45, 0.2, 1.0), (0.6, 0.6, 0.65, 1.0)  # rgba

@@ -10,8 +10,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from armctl.core.errors import InputError, ModelError
 from armctl.elements import actuator_name
-from armctl.errors import InputError, ModelError
 from armctl.source import Source
 from armctl.tools import take_options
 

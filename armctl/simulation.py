@@ -15,19 +15,19 @@ from numpy.typing import ArrayLike
 
 from armctl import view
 from armctl.arm import Arm, check_arm
-from armctl.arrays import Array, instance, number, vector
 from armctl.control import ComputedTorque, Controller, State, controller_by_name
-from armctl.errors import InputError, LimitError
+from armctl.core.errors import InputError, LimitError
+from armctl.core.log import Log
+from armctl.core.pose import Pose
+from armctl.core.trajectory import TickReference, Trajectory, check_motion
+from armctl.core.validation import Array, instance, number, vector
 from armctl.gripper import Gripper
-from armctl.log import Log
 from armctl.moves import Moves
 from armctl.plant import NOMINAL, Plant
-from armctl.pose import Pose
 from armctl.recorder import Recorder, ticks_for
 from armctl.rig import ConstantTorque, Rig
 from armctl.robots import load
 from armctl.staging import TARGET
-from armctl.trajectory import TickReference, Trajectory, check_motion
 from armctl.view.viewer import WatchedRig
 
 _IDLE = 4  # rigs kept for the next run

@@ -12,8 +12,8 @@ from urllib.request import getproxies
 
 import mujoco
 
+from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.datasheets import ALIASES, BY_CATEGORY, BY_ROBOT, ROWS, Row
-from armctl.errors import InputError, ModelError, UnknownNameError
 from armctl.urdf import read_urdf
 
 if TYPE_CHECKING:

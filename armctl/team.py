@@ -11,22 +11,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
-from armctl.arrays import Array, number
 from armctl.contacts import contacts_of
 from armctl.control import ComputedTorque, Controller, State, controller_by_name, controller_name
-from armctl.errors import InputError, UnknownNameError
-from armctl.goal import Goal
+from armctl.core.errors import InputError, UnknownNameError
+from armctl.core.log import Log
+from armctl.core.pose import Pose
+from armctl.core.result import MoveResult
+from armctl.core.target import Goal
+from armctl.core.trajectory import Limits, Setpoint, TickReference, Trajectory
+from armctl.core.validation import Array, number
 from armctl.gripper import Gripper
 from armctl.ik import solve_ik
 from armctl.linkage import joined
-from armctl.log import Log
 from armctl.motion import move_j
-from armctl.move_result import MoveResult
 from armctl.plant import Plant
-from armctl.pose import Pose
 from armctl.recorder import Recorder
 from armctl.rig import Rig
-from armctl.trajectory import Limits, Setpoint, TickReference, Trajectory
 
 _SETTLED_SPEED = 1e-3  # rad/s
 _SETTLE_CHUNK = 0.02  # s

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mujoco
 
-from armctl.pose import Pose
+from armctl.core.pose import Pose
 from armctl.source import Source
 from armctl.tip import tip_on
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from armctl.core.errors import ModelError
 from armctl.drives import Drive
 from armctl.elements import joint_name
-from armctl.errors import ModelError
 from armctl.motors import JointData, default_speed
 from armctl.urdf_mass import mend_masses
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from armctl.arrays import Array
+from armctl.core.validation import Array
 
 LEAST_MASS, LEAST_INERTIA = 1e-3, 1e-6  # kg and kg m^2, of a moving link without any: a ball of 1 g and 5 cm
 _ROUND_OFF = 1e-9  # of the greatest moment, by which an inertia is kept off the edge of what MuJoCo takes

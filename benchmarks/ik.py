@@ -18,7 +18,7 @@ import numpy as np
 
 import armctl
 from armctl import Arm, Pose
-from armctl.compiled import njit
+from armctl.core.jit import njit
 from armctl.ik import DifferentialIk, solve_ik, solve_ik_batch
 
 ARMS = ["panda", "ur5e", "iiwa14", "xarm7", "gen3"]

@@ -23,8 +23,8 @@ import numpy as np
 from PIL import Image
 
 import armctl
+from armctl.core.pose import Pose
 from armctl.live.page import Page
-from armctl.pose import Pose
 from armctl.view import Renderer
 from armctl.view.camera import frame
 from armctl.view.stage import Stage

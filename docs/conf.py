@@ -35,8 +35,8 @@ CHAPTERS = {
     "armctl.chain": "Chains",
     "armctl.scene": "Scenes",
     "armctl.arm": "The arm",
-    "armctl.pose": "Poses",
-    "armctl.trajectory": "Limits, setpoints, trajectories",
+    "armctl.core.pose": "Poses",
+    "armctl.core.trajectory": "Limits, setpoints, trajectories",
     "armctl.ik": "Inverse kinematics",
     "armctl.motion": "Motion",
     "armctl.control": "Control",
@@ -44,10 +44,10 @@ CHAPTERS = {
     "armctl.simulation": "Simulation",
     "armctl.gripper": "Grippers",
     "armctl.team": "Teams",
-    "armctl.log": "The log",
+    "armctl.core.log": "The log",
     "armctl.report": "Reports",
     "armctl.comparison": "Comparison",
-    "armctl.errors": "Errors",
+    "armctl.core.errors": "Errors",
 }
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from armctl.trajectory import Setpoint
+from armctl.core.trajectory import Setpoint
 
 
 class Still:

@@ -8,7 +8,7 @@ from motions import Still, Sway
 import armctl
 from armctl.control import CONTROLLERS, controller_by_name
 from armctl.control.gains import joint_inertia, pd_gains
-from armctl.trajectory import Setpoint, TickReference
+from armctl.core.trajectory import Setpoint, TickReference
 
 TICKS = (0.001, 0.002, 0.004)
 EXACT = ("computed-torque", "computed-torque-observer", "operational-space", "impedance", "adaptive")

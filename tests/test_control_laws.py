@@ -8,8 +8,8 @@ from motions import Still
 import armctl
 from armctl.comparison import out_and_back
 from armctl.control import pd
+from armctl.core.trajectory import Setpoint
 from armctl.dynamics import Dynamics
-from armctl.trajectory import Setpoint
 
 ROBOTS = ("robot_arm_3dof", "panda", "ur5e", "iiwa14")
 

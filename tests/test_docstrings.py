@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import armctl
-from armctl import errors
+from armctl.core import errors
 
 PACKAGE = Path(armctl.__file__).parent
 SECTIONS = ["Args", "Attributes", "Returns", "Yields", "Raises", "Warns"]
@@ -65,7 +65,7 @@ def decorators(node: ast.AST) -> set[str]:
 
 def is_compiled(tree: ast.Module) -> bool:
     """A module of kernels says what their arguments are once, at its head: nobody else calls them."""
-    return any(isinstance(node, ast.ImportFrom) and node.module == "armctl.compiled" for node in tree.body)
+    return any(isinstance(node, ast.ImportFrom) and node.module == "armctl.core.jit" for node in tree.body)
 
 
 TREES = {

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from armctl import InputError, Pose
-from armctl.pose import quats_from_rotations, rotation_from_vector, rotation_vector
+from armctl.core.pose import quats_from_rotations, rotation_from_vector, rotation_vector
 
 coordinates = st.lists(st.floats(-10, 10), min_size=3, max_size=3)
 turns = st.lists(st.floats(-np.pi, np.pi), min_size=3, max_size=3)

@@ -9,7 +9,7 @@ from arms import arm_of
 
 import armctl
 from armctl.cli import main
-from armctl.log import Log
+from armctl.core.log import Log
 from armctl.motion import move_path
 from armctl.recorder import MOST_TICKS
 

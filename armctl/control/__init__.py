@@ -11,7 +11,7 @@ from armctl.control.gravity import PDGravity, PIDGravity
 from armctl.control.impedance import Impedance
 from armctl.control.operational_space import OperationalSpace
 from armctl.control.pd import PD
-from armctl.errors import UnknownNameError
+from armctl.core.errors import UnknownNameError
 
 OBSERVED = {"bandwidth": 30.0, "observer_bandwidth": 200.0}  # rad/s; what an observer leaves is forgotten faster
 

@@ -7,14 +7,14 @@ import math
 import numpy as np
 
 from armctl.arm import Arm
-from armctl.arrays import Array, number
 from armctl.control import model
 from armctl.control.contract import State
 from armctl.control.gains import DEFAULT_BANDWIDTH, joint_inertia, raised
 from armctl.control.observer import DisturbanceObserver
+from armctl.core.errors import InputError
+from armctl.core.trajectory import Setpoint
+from armctl.core.validation import Array, number
 from armctl.dynamics import Dynamics
-from armctl.errors import InputError
-from armctl.trajectory import Setpoint
 
 FORMS = ("discrete", "textbook")
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple, Protocol, runtime_checkable
 
-from armctl.arrays import Array
-from armctl.trajectory import Setpoint
+from armctl.core.trajectory import Setpoint
+from armctl.core.validation import Array
 
 
 class State(NamedTuple):

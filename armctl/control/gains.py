@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
-from armctl.arrays import Array, number, vector
+from armctl.core.validation import Array, number, vector
 from armctl.dynamics import Dynamics
 
 DEFAULT_BANDWIDTH = 20.0  # rad/s

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
-from armctl.arrays import Array, frozen, number
 from armctl.control import model
 from armctl.control.contract import State
 from armctl.control.gains import DEFAULT_BANDWIDTH, gain, poses
 from armctl.control.task import consistent_inverse, tip_error
+from armctl.core.trajectory import Setpoint
+from armctl.core.validation import Array, frozen, number
 from armctl.dynamics import Dynamics
-from armctl.trajectory import Setpoint
 
 
 class Impedance:

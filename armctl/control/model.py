@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from armctl.arrays import Array
 from armctl.control.contract import State
+from armctl.core.trajectory import Setpoint
+from armctl.core.validation import Array
 from armctl.dynamics import Dynamics
-from armctl.trajectory import Setpoint
 
 
 def sampled(setpoint: Setpoint) -> tuple[Array, Array]:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from armctl.arm import Arm
-from armctl.arrays import Array
 from armctl.control.contract import State
 from armctl.control.gains import DEFAULT_BANDWIDTH, pd_gains
-from armctl.trajectory import Setpoint
+from armctl.core.trajectory import Setpoint
+from armctl.core.validation import Array
 
 
 class PD:

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from armctl.arm import Arm
-from armctl.arrays import Array
+from armctl.core.validation import Array
 
 _DAMPING = 1e-3  # of the greatest mobility of the tip: less than that counts as singular
 

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
-from armctl.arrays import Array, IntArray, array, frozen, matrix
-from armctl.errors import InputError
+from armctl.core.errors import InputError
+from armctl.core.pose import Pose
+from armctl.core.validation import Array, IntArray, array, frozen, matrix
 from armctl.ik import lm
 from armctl.ik.problem import Problem, asked_for, compiled, read_problem
 from armctl.ik.result import IkBatch, why_not
 from armctl.ik.solve import STARTS
-from armctl.pose import Pose
 
 CHUNK, LAST_CHUNK = 1024, 128
 QUIET_SECONDS = 2.0

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arm import Arm, check_arm
-from armctl.arrays import Array, frozen, number, vector
-from armctl.errors import UnknownNameError
+from armctl.core.errors import UnknownNameError
+from armctl.core.validation import Array, frozen, number, vector
 from armctl.ik.problem import PoseOrPoint, read_target
 
 if TYPE_CHECKING:

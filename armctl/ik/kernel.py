@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armctl.compiled import njit
+from armctl.core.jit import njit
 
 # A packed chain (k + 1, 18): one row a joint and a last row for the tip: rotation 0-8, translation 9-11, and of a joint whether
 # it slides, which of the n unknowns moves it, and by how much. The first n rows also hold the unknowns' bounds and periods.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armctl.arrays import Array, BoolArray, IntArray
+from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.ik.problem import POSITION, Problem, compiled
 
 MARGIN = 0.999  # of the tolerance, so that rounding decides nothing when the answer is measured

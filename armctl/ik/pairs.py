@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 
 from armctl.arm import Arm
-from armctl.arrays import IntArray
 from armctl.contacts import geom_owners
+from armctl.core.validation import IntArray
 
 CLEARANCE_SAMPLES = 16
 

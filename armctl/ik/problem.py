@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arm import Arm, check_arm
-from armctl.arrays import Array, BoolArray, IntArray, frozen, matrix, number, vector
-from armctl.errors import InputError
-from armctl.pose import Pose
-from armctl.trajectory import Limits
+from armctl.core.errors import InputError
+from armctl.core.pose import Pose
+from armctl.core.trajectory import Limits
+from armctl.core.validation import Array, BoolArray, IntArray, frozen, matrix, number, vector
 
 PoseOrPoint: TypeAlias = Pose | ArrayLike
 

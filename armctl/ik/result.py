@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from armctl.arrays import Array, BoolArray, IntArray, TextArray
+from armctl.core.validation import Array, BoolArray, IntArray, TextArray
 
 
 class IkResult(NamedTuple):

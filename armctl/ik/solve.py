@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
-from armctl.arrays import Array, IntArray, frozen
 from armctl.contacts import contacts_of
-from armctl.errors import UnknownNameError
+from armctl.core.errors import UnknownNameError
+from armctl.core.validation import Array, IntArray, frozen
 from armctl.ik import lm
 from armctl.ik.problem import PoseOrPoint, Problem, read_problem, read_target
 from armctl.ik.result import IkResult, why_not

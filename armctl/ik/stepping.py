@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armctl.arrays import Array, IntArray
+from armctl.core.validation import Array, IntArray
 from armctl.ik.differential import DifferentialIk
 from armctl.ik.problem import Problem
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armctl.goal import TOLERANCE
+from armctl.core.target import TOLERANCE
 from armctl.live.history import SECONDS, Past
 from armctl.plot import COLORS
 

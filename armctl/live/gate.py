@@ -10,7 +10,7 @@ import threading
 from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qs, quote, urlsplit
 
-from armctl.errors import InputError
+from armctl.core.errors import InputError
 from armctl.view.stage import LOCAL
 
 TOKEN_LENGTH = 8  # characters at least

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armctl.arrays import Array
+from armctl.core.validation import Array
 
 SECONDS = 10.0
 

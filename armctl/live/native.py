@@ -11,9 +11,9 @@ import time
 import mujoco
 
 from armctl.arm import Arm
-from armctl.errors import NotInstalledError
+from armctl.core.errors import NotInstalledError
+from armctl.core.pose import Pose
 from armctl.live.session import Session
-from armctl.pose import Pose
 from armctl.staging import TARGET
 
 _INTERVAL = 1 / 60  # s between drawings

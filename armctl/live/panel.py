@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armctl.arrays import Array
 from armctl.control import CONTROLLERS
+from armctl.core.pose import Pose
+from armctl.core.validation import Array
 from armctl.gripper import Gripper
 from armctl.live.charts import Charts
 from armctl.live.contest import Contest
 from armctl.live.session import Session
-from armctl.pose import Pose
 
 if TYPE_CHECKING:
     import viser

@@ -9,16 +9,17 @@ from collections.abc import Callable
 import numpy as np
 
 from armctl.arm import Arm
-from armctl.arrays import Array
 from armctl.control import controller_by_name
-from armctl.errors import ModelError, SimulationError
-from armctl.goal import TOLERANCE, Goal
+from armctl.core.errors import ModelError
+from armctl.core.log import SimulationError
+from armctl.core.pose import Pose
+from armctl.core.target import TOLERANCE, Goal
+from armctl.core.validation import Array
 from armctl.gripper import Gripper
 from armctl.ik import DifferentialIk, solve_ik
 from armctl.live.guide import Guide
 from armctl.live.history import History
 from armctl.plant import Plant
-from armctl.pose import Pose
 from armctl.recorder import Recorder
 from armctl.rig import Rig
 from armctl.staging import TARGET

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arm import Arm, check_arm
-from armctl.arrays import Array, vector
-from armctl.errors import InputError, LimitError
+from armctl.core.errors import InputError, LimitError
+from armctl.core.validation import Array, vector
 
 
 def require_bounds(arm: Arm) -> None:

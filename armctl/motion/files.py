@@ -10,13 +10,13 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from armctl import units
-from armctl.arrays import Array, number
-from armctl.errors import InputError
+from armctl.core import units
+from armctl.core.errors import InputError
+from armctl.core.trajectory import Limits
+from armctl.core.validation import Array, number
 from armctl.motion.joint_trajectory import JointTrajectory
 from armctl.motion.pieces import DEGREE
 from armctl.motion.slowdown import Slowdown
-from armctl.trajectory import Limits
 
 _FORMAT = 1
 

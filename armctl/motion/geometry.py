@@ -12,9 +12,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from armctl.arrays import Array
-from armctl.errors import InputError
-from armctl.pose import rotation_from_vector, rotation_vector
+from armctl.core.errors import InputError
+from armctl.core.pose import rotation_from_vector, rotation_vector
+from armctl.core.validation import Array
 
 TURN_RADIUS = 0.2  # m: what a radian of turning counts as
 

@@ -6,8 +6,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from armctl.arrays import Array
-from armctl.trajectory import Limits
+from armctl.core.trajectory import Limits
+from armctl.core.validation import Array
 
 _INTERVALS = 120  # of a first guide
 

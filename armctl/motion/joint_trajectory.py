@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arrays import Array, IntArray, frozen, number, vector
-from armctl.errors import InputError, LimitError
+from armctl.core.errors import InputError, LimitError
+from armctl.core.trajectory import Limits, Setpoint
+from armctl.core.validation import Array, IntArray, frozen, number, vector
 from armctl.motion.peaks import QUANTITIES, LimitCheck, check_limits
 from armctl.motion.pieces import DEGREE, basis, basis_many
 from armctl.motion.slowdown import Slowdown
-from armctl.trajectory import Limits, Setpoint
 
 _JOIN_TOLERANCE = 1e-6
 

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
-from armctl.arrays import Array, number, vector
-from armctl.errors import InputError
+from armctl.core.errors import InputError
+from armctl.core.pose import Pose
+from armctl.core.validation import Array, number, vector
 from armctl.motion.blending import Blend, Chained, Stretch
 from armctl.motion.checks import require_bounds
 from armctl.motion.geometry import Circle, Shape, Straight, Turn
@@ -18,7 +19,6 @@ from armctl.motion.joint_trajectory import JointTrajectory
 from armctl.motion.pace import fastest
 from armctl.motion.torque import within_torque
 from armctl.motion.tracking import track
-from armctl.pose import Pose
 
 _COINCIDE = 1e-9  # m
 

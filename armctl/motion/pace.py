@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
-from armctl.arrays import Array
+from armctl.core.trajectory import Limits
+from armctl.core.validation import Array
 from armctl.motion.guide import Guide, Path, first_guide, smooth
 from armctl.motion.peaks import piece_extremes
 from armctl.motion.pieces import DEGREE, Pieces, basis_many, hermite
-from armctl.trajectory import Limits
 
 if TYPE_CHECKING:
     from armctl.motion import pace_kernel

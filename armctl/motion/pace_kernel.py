@@ -20,8 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armctl.arrays import Array
-from armctl.compiled import njit
+from armctl.core.jit import njit
+from armctl.core.validation import Array
 
 COLD, WARM, BARRIER_LAST, BARRIER_SHARE = 1e-4, 1e-6, 1e-9, 0.2  # of the motion's time, and from one to the next
 NEWTON_STEPS = 12

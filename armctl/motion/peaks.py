@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armctl.arrays import Array
+from armctl.core.trajectory import Limits
+from armctl.core.validation import Array
 from armctl.motion import polynomials
-from armctl.trajectory import Limits
 
 RATIO_TOLERANCE = 1e-6
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armctl.arrays import Array
+from armctl.core.validation import Array
 
 DEGREE = 5
 

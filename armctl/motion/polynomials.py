@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armctl.arrays import Array
+from armctl.core.validation import Array
 
 _BISECTIONS = 46
 

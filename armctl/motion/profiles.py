@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 import ruckig
 
-from armctl.arrays import Array
-from armctl.errors import PlanError
+from armctl.core.errors import PlanError
+from armctl.core.trajectory import Limits
+from armctl.core.validation import Array
 from armctl.motion.pieces import Pieces
-from armctl.trajectory import Limits
 
 _WORKING = {ruckig.Result.Working, ruckig.Result.Finished}
 _TOGETHER, _ALONE = ruckig.Synchronization.Time, ruckig.Synchronization.No

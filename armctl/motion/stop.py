@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from armctl.arrays import Array
-from armctl.errors import PlanError
+from armctl.core.errors import PlanError
+from armctl.core.validation import Array
 from armctl.motion.joint_trajectory import JointTrajectory
 from armctl.motion.pieces import hermite
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
-from armctl.arrays import Array
-from armctl.errors import InputError, LimitError
+from armctl.core.errors import InputError, LimitError
+from armctl.core.validation import Array
 from armctl.motion.checks import require_bounds, start_velocity
 from armctl.motion.joint_trajectory import JointTrajectory
 from armctl.motion.pieces import Pieces

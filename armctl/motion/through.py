@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
-from armctl.arrays import Array, matrix
-from armctl.errors import InputError
+from armctl.core.errors import InputError
+from armctl.core.validation import Array, matrix
 from armctl.motion.checks import require_bounds
 from armctl.motion.joint_trajectory import JointTrajectory
 from armctl.motion.profiles import Moving, Profiles

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armctl.arm import Arm, check_arm
-from armctl.arrays import Array
+from armctl.core.errors import InputError, PlanError
+from armctl.core.trajectory import Trajectory, check_motion
+from armctl.core.validation import Array
 from armctl.dynamics import Dynamics
-from armctl.errors import InputError, PlanError
 from armctl.motion.joint_trajectory import JointTrajectory
 from armctl.motion.pace import TorqueRows, slower
 from armctl.motion.slowdown import Slowdown
-from armctl.trajectory import Trajectory, check_motion
 
 _SAMPLE = 0.004  # s
 _MARGIN = 1e-3  # of the limits

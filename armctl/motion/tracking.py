@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from armctl.arm import Arm
-from armctl.arrays import Array
-from armctl.errors import PlanError
+from armctl.core.errors import PlanError
+from armctl.core.pose import rotation_vector
+from armctl.core.validation import Array
 from armctl.motion.geometry import Shape, TipState
-from armctl.pose import rotation_vector
 
 _JOINT_STEP = 0.02  # rad (m), the longest step of a joint
 _STEPS = 60  # of a path, at least

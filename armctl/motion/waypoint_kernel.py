@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armctl.arrays import Array
-from armctl.compiled import njit
+from armctl.core.jit import njit
+from armctl.core.validation import Array
 
 BARRIER_FIRST, BARRIER_LAST, BARRIER_SHARE = 10.0, 3e-4, 0.2  # all barriers together, of the time; from one to the next
 NEWTON_STEPS = 30

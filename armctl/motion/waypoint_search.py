@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armctl.arrays import Array
+from armctl.core.trajectory import Limits
+from armctl.core.validation import Array
 from armctl.motion import polynomials
 from armctl.motion.profiles import Moving, Profiles, phase_nodes, phase_polynomials
-from armctl.trajectory import Limits
 
 _LOOSE = 2.0  # times the time with stops, where the search starts
 _AT_LIMIT = 1e-7  # rad

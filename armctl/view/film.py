@@ -13,9 +13,9 @@ import mujoco
 import numpy as np
 
 from armctl.arm import Arm
-from armctl.arrays import Array, number
-from armctl.errors import InputError, NotInstalledError
-from armctl.log import Log
+from armctl.core.errors import InputError, NotInstalledError
+from armctl.core.log import Log
+from armctl.core.validation import Array, number
 from armctl.staging import TARGET
 from armctl.view.camera import frame
 from armctl.view.renderer import Image, Renderer

@@ -8,7 +8,7 @@ import os
 import sys
 from typing import Protocol
 
-from armctl.errors import NotInstalledError
+from armctl.core.errors import NotInstalledError
 
 INSTALL = "apt-get install -y libegl1 libegl-mesa0 libgl1-mesa-dri"
 _LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}  # in the order of preference

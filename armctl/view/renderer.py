@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.arrays import Array
-from armctl.errors import InputError
+from armctl.core.errors import InputError
+from armctl.core.validation import Array
 from armctl.view.gl import gl_context
 
 Image = NDArray[np.uint8]

@@ -16,8 +16,8 @@ import mujoco
 import numpy as np
 
 from armctl.arm import Arm
-from armctl.arrays import Array
-from armctl.errors import InputError, NotInstalledError
+from armctl.core.errors import InputError, NotInstalledError
+from armctl.core.validation import Array
 from armctl.staging import TARGET
 from armctl.view.camera import axes, frame
 from armctl.view.lighten import lightened

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 
 from armctl.arm import Arm
 from armctl.control import Controller
+from armctl.core.trajectory import TickReference
 from armctl.plant import Plant
 from armctl.recorder import Recorder
 from armctl.rig import Rig
-from armctl.trajectory import TickReference
 from armctl.view.pace import Pace
 from armctl.view.stage import PORT, Stage
 

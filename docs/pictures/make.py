@@ -74,8 +74,8 @@ def page() -> None:
     """`armctl view panda` in a browser, after the target was dragged about."""
     from playwright.sync_api import sync_playwright
 
+    from armctl.core.pose import Pose
     from armctl.live.page import Page
-    from armctl.pose import Pose
     from armctl.view.stage import Stage
 
     page = Page(armctl.load("panda"), Stage(0))

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from armctl.arrays import Array, frozen
-from armctl.errors import InputError
+from armctl.core.errors import ArmctlError, InputError
+from armctl.core.validation import Array, frozen
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,3 +147,21 @@ class Log:
             writer = csv.writer(file)
             writer.writerow(header)
             writer.writerows(np.hstack(columns).tolist())
+
+
+class SimulationError(ArmctlError):
+    """A simulation that cannot go on.
+
+    Attributes:
+        log: What was recorded before it, or None.
+    """
+
+    def __init__(self, message: str, log: Log | None = None):
+        """An error with what was recorded before it.
+
+        Args:
+            message: One sentence.
+            log: The ticks until then, or None.
+        """
+        super().__init__(message)
+        self.log = log

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from armctl.log import Log
+from armctl.core.log import Log
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.errors import InputError
+from armctl.core.errors import InputError
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arrays import Array, array, frozen, vector
-from armctl.errors import InputError
+from armctl.core.errors import InputError
+from armctl.core.validation import Array, array, frozen, vector
 
 
 class Pose:

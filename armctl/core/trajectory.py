@@ -8,8 +8,8 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arrays import Array, vector
-from armctl.errors import InputError
+from armctl.core.errors import InputError
+from armctl.core.validation import Array, vector
 
 
 class Setpoint(NamedTuple):

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arrays import Array, frozen, number, vector
-from armctl.pose import Pose, rotation_angle
+from armctl.core.pose import Pose, rotation_angle
+from armctl.core.validation import Array, frozen, number, vector
 
 TOLERANCE = 1e-3  # m: within it a goal counts as reached
 ANGLE_TOLERANCE = 1e-2  # rad

@@ -8,10 +8,6 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from armctl.log import Log
 
 
 class ArmctlError(Exception):
@@ -65,24 +61,6 @@ class NotInstalledError(ArmctlError):
 
 class PlanError(ArmctlError):
     """A motion that cannot be planned."""
-
-
-class SimulationError(ArmctlError):
-    """A simulation that cannot go on.
-
-    Attributes:
-        log: What was recorded before it, or None.
-    """
-
-    def __init__(self, message: str, log: Log | None = None):
-        """An error with what was recorded before it.
-
-        Args:
-            message: One sentence.
-            log: The ticks until then, or None.
-        """
-        super().__init__(message)
-        self.log = log
 
 
 class ArmctlWarning(UserWarning):
