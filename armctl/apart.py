@@ -8,8 +8,8 @@ from itertools import permutations
 import mujoco
 
 from armctl.core.errors import ModelError
-from armctl.drives import chain_drives
-from armctl.elements import Chain, body_name, is_below, joint_name
+from armctl.mjmodel.queries import Chain, body_name, is_below, joint_name
+from armctl.mjmodel.transmissions import chain_drives
 from armctl.tip import find_tip
 
 

@@ -15,7 +15,7 @@ from armctl.core.pose import Pose
 from armctl.core.trajectory import Limits
 from armctl.core.validation import Array, IntArray, instance, matrix, number, vector
 from armctl.linkage import Linkage
-from armctl.payload import add_point_mass
+from armctl.mjmodel.edit import add_point_mass
 from armctl.rigid_body import RigidBody, build
 
 PARITY_TOLERANCE = 1e-9

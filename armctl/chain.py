@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import mujoco
 
 from armctl.core.errors import ModelError
-from armctl.coupling import coupling
-from armctl.drives import Drive, chain_drives, drive_of
-from armctl.elements import (
+from armctl.mjmodel.couplings import coupling
+from armctl.mjmodel.queries import (
     Chain,
     actuator_name,
     body_name,
@@ -21,6 +20,7 @@ from armctl.elements import (
     joints_above,
     joints_of,
 )
+from armctl.mjmodel.transmissions import Drive, chain_drives, drive_of
 from armctl.tip import find_tip
 
 _JAW = re.compile(r"jaw|grip|finger|claw|knuckle", re.IGNORECASE)

@@ -11,7 +11,7 @@ import numpy as np
 
 from armctl.arm import Arm
 from armctl.core.validation import Array, IntArray
-from armctl.elements import body_name, name_of
+from armctl.mjmodel.queries import body_name, name_of
 from armctl.rigid_body import joint_above
 
 SAMPLES = 64

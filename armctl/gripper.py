@@ -11,8 +11,8 @@ import numpy as np
 from armctl.arm import Arm
 from armctl.core.errors import InputError
 from armctl.core.validation import number
-from armctl.elements import body_name
 from armctl.jaws import find_jaws, make_servos, pad_distance
+from armctl.mjmodel.queries import body_name
 from armctl.rig import Rig
 
 _DEFAULT_FORCE = 10.0  # N

@@ -12,8 +12,8 @@ import numpy as np
 from armctl.arm import Arm
 from armctl.core.errors import ModelError
 from armctl.core.validation import Array, IntArray, frozen
-from armctl.coupling import dofs_of_tendon
-from armctl.elements import actuator_name, branches, is_below, is_on_joint, welded_behind
+from armctl.mjmodel.couplings import dofs_of_tendon
+from armctl.mjmodel.queries import actuator_name, branches, is_below, is_on_joint, welded_behind
 from armctl.plant import brake
 
 _STEPS = 12  # widths in the table

@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from armctl.core.validation import Array, IntArray, frozen
-from armctl.drives import chain_drives
-from armctl.elements import Chain
+from armctl.mjmodel.queries import Chain
+from armctl.mjmodel.transmissions import chain_drives
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,10 +12,10 @@ from armctl.core import units
 from armctl.core.errors import ModelError
 from armctl.core.trajectory import Limits
 from armctl.core.validation import Array
-from armctl.coupling import tendon_coefficients
 from armctl.datasheets import Row
-from armctl.drives import Drive, Tie, moments_of
-from armctl.elements import joint_name
+from armctl.mjmodel.couplings import tendon_coefficients
+from armctl.mjmodel.queries import joint_name
+from armctl.mjmodel.transmissions import Drive, Tie, moments_of
 
 DEFAULT_SPEED = {mujoco.mjtJoint.mjJNT_HINGE: 2.0, mujoco.mjtJoint.mjJNT_SLIDE: 0.5}  # rad/s, m/s
 DEFAULT_RISE_TIME = 0.05  # s, from no acceleration to the greatest

@@ -16,11 +16,11 @@ from armctl.chain import SerialChain, all_chains, chain_to, find_chain, stopped_
 from armctl.core.errors import ArmctlWarning, InputError, ModelError, UnknownNameError
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, frozen
-from armctl.drives import Drive, chain_drives
-from armctl.elements import Chain, joint_name
 from armctl.linkage import linkage_of
+from armctl.mjmodel.edit import add_bearers
+from armctl.mjmodel.queries import Chain, joint_name
+from armctl.mjmodel.transmissions import Drive, chain_drives
 from armctl.motors import JointData, from_row, joint_limits, make_motors, torque_limits
-from armctl.payload import add_bearers
 from armctl.rigid_body import build
 from armctl.scene import Scene
 from armctl.source import Source, locate

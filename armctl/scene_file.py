@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from armctl.core.errors import InputError, ModelError
-from armctl.elements import actuator_name
+from armctl.mjmodel.queries import actuator_name
 from armctl.source import Source
 from armctl.tools import take_options
 

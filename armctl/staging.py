@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from armctl.core.validation import Array, IntArray, frozen
-from armctl.elements import Chain, is_below, joint_actuators
+from armctl.mjmodel.queries import Chain, is_below, joint_actuators
 from armctl.rigid_body import joint_above
 
 TARGET = "target"

@@ -8,7 +8,7 @@ import mujoco
 
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.pose import Pose
-from armctl.elements import Chain, body_name, is_below, name_of, welded_behind
+from armctl.mjmodel.queries import Chain, body_name, is_below, name_of, welded_behind
 
 _TIP_NAMES = ("pinch", "grasp", "tcp", "attachment", "tool", "effector", "eef", "ee", "tip", "flange", "gripper")
 _NO_TIP = re.compile(r"imu|cam|force|torque|sensor", re.IGNORECASE)

@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 
 from armctl.core.errors import ModelError
-from armctl.drives import Drive
-from armctl.elements import joint_name
+from armctl.mjmodel.queries import joint_name
+from armctl.mjmodel.transmissions import Drive
 from armctl.motors import JointData, default_speed
 from armctl.urdf_mass import mend_masses
 

@@ -9,7 +9,7 @@ import pytest
 
 import armctl
 from armctl.chain import all_chains, chain_to, find_chain
-from armctl.elements import joint_name
+from armctl.mjmodel.queries import joint_name
 
 Model = Callable[..., mujoco.MjModel]
 

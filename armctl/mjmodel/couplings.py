@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from armctl.elements import joint_name, name_of
+from armctl.mjmodel.queries import joint_name, name_of
 
 _TIES = int(mujoco.mjtEq.mjEQ_JOINT)
 _CLOSES_LOOP = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))

@@ -7,7 +7,7 @@ import numpy as np
 
 from armctl.core.pose import Pose
 from armctl.core.validation import Array
-from armctl.elements import welded_behind
+from armctl.mjmodel.queries import welded_behind
 
 
 def add_bearers(spec: mujoco.MjSpec, model: mujoco.MjModel, bodies: dict[int, mujoco.MjsBody]) -> None:

@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 
 from armctl.core.errors import ModelError
-from armctl.coupling import coupling, tendon_coefficients
-from armctl.elements import SCALAR, Chain, actuator_name, is_damper, is_on_joint, joint_name, name_of
+from armctl.mjmodel.couplings import coupling, tendon_coefficients
+from armctl.mjmodel.queries import SCALAR, Chain, actuator_name, is_damper, is_on_joint, joint_name, name_of
 
 _TIES = int(mujoco.mjtEq.mjEQ_JOINT)
 

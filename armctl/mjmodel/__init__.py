@@ -1,0 +1,1 @@
+"""Queries and edits of MuJoCo models. Knows no robot."""
