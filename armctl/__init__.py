@@ -11,7 +11,7 @@ __version__ = "0.1.0"
 
 _MODULES = {
     "Adaptive": "armctl.control",
-    "Arm": "armctl.arm",
+    "Arm": "armctl.robot.arm",
     "ArmctlError": "armctl.core.errors",
     "ArmctlWarning": "armctl.core.errors",
     "ComputedTorque": "armctl.control",
@@ -67,7 +67,6 @@ _MODULES = {
 }
 
 if TYPE_CHECKING:
-    from armctl.arm import Arm as Arm
     from armctl.chain import SerialChain as SerialChain
     from armctl.comparison import compare as compare
     from armctl.control import PD as PD
@@ -114,6 +113,7 @@ if TYPE_CHECKING:
     from armctl.plant import Plant as Plant
     from armctl.plant import Push as Push
     from armctl.report import Report as Report
+    from armctl.robot.arm import Arm as Arm
     from armctl.robots import chains as chains
     from armctl.robots import load as load
     from armctl.robots import load_arms as load_arms

@@ -19,8 +19,8 @@ from armctl import __version__
 from armctl.core.errors import ArmctlError, InputError, LimitError, UnknownNameError
 
 if TYPE_CHECKING:
-    from armctl.arm import Arm
     from armctl.report import Report
+    from armctl.robot.arm import Arm
 
 OK, NOT_REACHED, WRONG_CALL = 0, 1, 2
 _RUNS_A_WORKER = 6  # a process takes as long to start as a few runs

@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 
-from armctl.arm import Arm
 from armctl.contacts import contacts_of
 from armctl.control import Controller
 from armctl.core.errors import InputError, PlanError
@@ -18,6 +17,7 @@ from armctl.core.validation import number
 from armctl.motion import move_j
 from armctl.plant import NOMINAL, Plant
 from armctl.report import Report
+from armctl.robot.arm import Arm
 from armctl.simulation import simulate
 
 

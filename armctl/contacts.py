@@ -9,10 +9,10 @@ from weakref import WeakKeyDictionary
 import mujoco
 import numpy as np
 
-from armctl.arm import Arm
 from armctl.core.validation import Array, IntArray
 from armctl.mjmodel.queries import body_name, name_of
-from armctl.rigid_body import joint_above
+from armctl.robot.arm import Arm
+from armctl.robot.pinocchio_model import joint_above
 
 SAMPLES = 64
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import fields
 
-from armctl.arm import Arm
 from armctl.chain import SerialChain
 from armctl.core import units
 from armctl.core.log import Log
+from armctl.robot.arm import Arm
 
 
 def facts(arm: Arm) -> dict[str, object]:

@@ -7,9 +7,9 @@ from collections import deque
 import mujoco
 import numpy as np
 
-from armctl.arm import Arm
 from armctl.core.validation import Array
 from armctl.plant import Plant
+from armctl.robot.arm import Arm
 
 _RIPPLES = 12.0  # per radian; 75 a turn, as of a motor's torque behind a gear
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from armctl.arm import Arm
 from armctl.core.errors import InputError
 from armctl.core.validation import number
 from armctl.jaws import find_jaws, make_servos, pad_distance
 from armctl.mjmodel.queries import body_name
 from armctl.rig import Rig
+from armctl.robot.arm import Arm
 
 _DEFAULT_FORCE = 10.0  # N
 _SPEED = 0.1  # m/s between the pads

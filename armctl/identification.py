@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armctl.arm import Arm, check_arm
 from armctl.contacts import contacts_of
 from armctl.core.errors import InputError, LimitError, PlanError
 from armctl.core.log import Log
 from armctl.core.validation import Array, frozen, instance, number
-from armctl.dynamics import Dynamics
 from armctl.motion import JointTrajectory, check_torque, move_through
+from armctl.robot.arm import Arm, check_arm
+from armctl.robot.dynamics import Dynamics
 
 _PAYLOAD = 4  # mass and first moment, of as many numbers as friction has besides
 _CUTOFF = 10.0  # Hz, of the filter that both sides of the fit go through

@@ -11,7 +11,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from armctl.arm import Arm
 from armctl.contacts import contacts_of
 from armctl.control import Controller, controller_by_name, controller_name
 from armctl.core.errors import PlanError
@@ -21,6 +20,7 @@ from armctl.core.validation import Array, number
 from armctl.ik import solve_ik
 from armctl.motion import JointTrajectory, move_j, move_l
 from armctl.plant import NOMINAL, Plant
+from armctl.robot.arm import Arm
 from armctl.simulation import Simulation
 
 _EDGES = 0.4 * 0.8 ** np.arange(12)  # m, of the test cube: the largest that the arm can work in

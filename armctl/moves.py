@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arm import Arm
 from armctl.contacts import contacts_of
 from armctl.control import Controller, State
 from armctl.core.errors import InputError, PlanError, UnknownNameError
@@ -24,6 +23,7 @@ from armctl.ik import solve_ik
 from armctl.motion import Arc, JointTrajectory, Line, OnlineMotion, move_c, move_j, move_l, move_path
 from armctl.recorder import Recorder, ticks_for
 from armctl.rig import Rig
+from armctl.robot.arm import Arm
 from armctl.staging import TARGET
 
 _SETTLED_SPEED = 1e-3  # rad/s

@@ -10,11 +10,11 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arm import Arm
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, IntArray, number, vector
 from armctl.mjmodel.couplings import dofs_of_equality, dofs_of_tendon
 from armctl.mjmodel.edit import add_point_mass
+from armctl.robot.arm import Arm
 
 _CONTINUOUS_STEP = 2e-4  # s, less where damping stops a joint faster: Runge-Kutta bears 2.8 times of that
 _BRAKE = 1e8  # kg m^2 (kg): the armature of a joint that is held; it then moves less than rounding does

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from armctl.arm import Arm
 from armctl.core.errors import InputError
 from armctl.core.log import Log
 from armctl.core.pose import quats_from_rotations
 from armctl.core.trajectory import TickReference
 from armctl.core.validation import Array
+from armctl.robot.arm import Arm
 
 MOST_TICKS = 10_000_000  # 2.8 hours at 1 ms, and 4 GB for seven joints
 _RECORDED, _FOLLOWED = ("v", "tau_cmd", "tau"), ("q_ref", "v_ref", "a_ref")

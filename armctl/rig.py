@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arm import Arm
 from armctl.control import Controller, State, controller_name
 from armctl.core.log import Log, SimulationError
 from armctl.core.pose import Pose
@@ -19,6 +18,7 @@ from armctl.core.validation import Array, IntArray, vector
 from armctl.disturbances import Disturbances
 from armctl.plant import Plant
 from armctl.recorder import Recorder
+from armctl.robot.arm import Arm
 
 _BRAKED = ("dof_armature", "dof_frictionloss", "jnt_limited", "tendon_limited", "tendon_frictionloss", "eq_active0")
 _RUNAWAY = 1e4  # rad/s: speeds no arm survives

@@ -11,17 +11,17 @@ import mujoco
 import numpy as np
 
 from armctl.apart import check_apart
-from armctl.arm import Arm, check_parity
 from armctl.chain import SerialChain, all_chains, chain_to, find_chain, stopped_before
 from armctl.core.errors import ArmctlWarning, InputError, ModelError, UnknownNameError
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, frozen
-from armctl.linkage import linkage_of
 from armctl.mjmodel.edit import add_bearers
 from armctl.mjmodel.queries import Chain, joint_name
 from armctl.mjmodel.transmissions import Drive, chain_drives
 from armctl.motors import JointData, from_row, joint_limits, make_motors, torque_limits
-from armctl.rigid_body import build
+from armctl.robot.arm import Arm, check_parity
+from armctl.robot.joint_map import linkage_of
+from armctl.robot.pinocchio_model import build
 from armctl.scene import Scene
 from armctl.source import Source, locate
 from armctl.staging import add_target, backward, drag, exclude_overlaps, hold_bases, place_target, rest_ctrl, rest_qpos

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl import view
-from armctl.arm import Arm, check_arm
 from armctl.control import ComputedTorque, Controller, State, controller_by_name
 from armctl.core.errors import InputError, LimitError
 from armctl.core.log import Log
@@ -26,6 +25,7 @@ from armctl.moves import Moves
 from armctl.plant import NOMINAL, Plant
 from armctl.recorder import Recorder, ticks_for
 from armctl.rig import ConstantTorque, Rig
+from armctl.robot.arm import Arm, check_arm
 from armctl.robots import load
 from armctl.staging import TARGET
 from armctl.view.viewer import WatchedRig

@@ -6,7 +6,7 @@ import mujoco
 
 from armctl.core.validation import Array, IntArray, frozen
 from armctl.mjmodel.queries import Chain, is_below, joint_actuators
-from armctl.rigid_body import joint_above
+from armctl.robot.pinocchio_model import joint_above
 
 TARGET = "target"
 _GREEN = (0.0, 1.0, 0.0, 0.5)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arm import Arm
 from armctl.contacts import contacts_of
 from armctl.control import ComputedTorque, Controller, State, controller_by_name, controller_name
 from armctl.core.errors import InputError, UnknownNameError
@@ -22,11 +21,12 @@ from armctl.core.trajectory import Limits, Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array, number
 from armctl.gripper import Gripper
 from armctl.ik import solve_ik
-from armctl.linkage import joined
 from armctl.motion import move_j
 from armctl.plant import Plant
 from armctl.recorder import Recorder
 from armctl.rig import Rig
+from armctl.robot.arm import Arm
+from armctl.robot.joint_map import joined
 
 _SETTLED_SPEED = 1e-3  # rad/s
 _SETTLE_CHUNK = 0.02  # s

@@ -17,9 +17,9 @@ import mujoco_menagerie as menagerie
 import numpy as np
 
 import armctl
-from armctl.arm import check_parity
 from armctl.contacts import contacts_of
 from armctl.ik import solve_ik_batch
+from armctl.robot.arm import check_parity
 from armctl.source import BUNDLED
 
 PAGE = Path(__file__).parent.parent / "docs" / "robots.md"

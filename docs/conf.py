@@ -34,7 +34,7 @@ CHAPTERS = {
     "armctl.robots": "Robots by name",
     "armctl.chain": "Chains",
     "armctl.scene": "Scenes",
-    "armctl.arm": "The arm",
+    "armctl.robot.arm": "The arm",
     "armctl.core.pose": "Poses",
     "armctl.core.trajectory": "Limits, setpoints, trajectories",
     "armctl.ik": "Inverse kinematics",

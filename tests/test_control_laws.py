@@ -9,7 +9,7 @@ import armctl
 from armctl.comparison import out_and_back
 from armctl.control import pd
 from armctl.core.trajectory import Setpoint
-from armctl.dynamics import Dynamics
+from armctl.robot.dynamics import Dynamics
 
 ROBOTS = ("robot_arm_3dof", "panda", "ur5e", "iiwa14")
 

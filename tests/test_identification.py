@@ -8,8 +8,8 @@ from arms import arm_of
 
 import armctl
 from armctl.contacts import contacts_of
-from armctl.dynamics import Dynamics
 from armctl.motion import check_torque
+from armctl.robot.dynamics import Dynamics
 
 ROBOTS = ("robot_arm_3dof", "panda", "ur5e", "iiwa14", "so_arm100", "gantry")
 CENTER = np.array([0.02, 0.01, 0.05])

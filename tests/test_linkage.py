@@ -6,10 +6,10 @@ import pytest
 from test_chain import limb, load, mjcf, motors  # noqa: F401
 
 import armctl
-from armctl.arm import check_parity
-from armctl.dynamics import Dynamics
 from armctl.ik import solve_ik_batch
 from armctl.mjmodel.transmissions import Drive, drive_of
+from armctl.robot.arm import check_parity
+from armctl.robot.dynamics import Dynamics
 
 RIGID = 'solref="0.002 1" solimp="0.9999 0.9999 0.001 0.5 2"'
 FAST = '<option timestep="0.001" integrator="implicitfast"/>'

@@ -9,9 +9,9 @@ import pytest
 from test_chain import limb, load, mjcf, motors  # noqa: F401
 
 import armctl
-from armctl.arm import PARITY_TOLERANCE, check_parity
 from armctl.control import CONTROLLERS
-from armctl.dynamics import Dynamics
+from armctl.robot.arm import PARITY_TOLERANCE, check_parity
+from armctl.robot.dynamics import Dynamics
 from armctl.tip import tip_on
 
 PASSIVE = 'stiffness="2" damping="0.5" frictionloss="0.3" armature="0.05"'

@@ -9,7 +9,7 @@ from arms import arm_of
 from motions import Still
 
 import armctl
-from armctl.dynamics import Dynamics
+from armctl.robot.dynamics import Dynamics
 
 
 class Holding:

@@ -11,8 +11,8 @@ import pytest
 from test_chain import limb, load, mjcf, motors  # noqa: F401
 
 import armctl
-from armctl.arm import PARITY_TOLERANCE, check_parity
 from armctl.datasheets import ALIASES, BY_ROBOT
+from armctl.robot.arm import PARITY_TOLERANCE, check_parity
 from armctl.source import robots
 from armctl.staging import TARGET
 

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from functools import partial
 
-from armctl.arm import Arm
 from armctl.control.adaptive import Adaptive
 from armctl.control.computed_torque import ComputedTorque
 from armctl.control.contract import Controller, State, controller_name
@@ -12,6 +11,7 @@ from armctl.control.impedance import Impedance
 from armctl.control.operational_space import OperationalSpace
 from armctl.control.pd import PD
 from armctl.core.errors import UnknownNameError
+from armctl.robot.arm import Arm
 
 OBSERVED = {"bandwidth": 30.0, "observer_bandwidth": 200.0}  # rad/s; what an observer leaves is forgotten faster
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from armctl.arm import Arm
 from armctl.control import model
 from armctl.control.contract import Clock, State
 from armctl.control.gains import DEFAULT_BANDWIDTH, poses
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number
-from armctl.dynamics import Dynamics
+from armctl.robot.arm import Arm
+from armctl.robot.dynamics import Dynamics
 
 _LITTLE = 0.1  # of what a mass shows: what shows less is learnt more slowly
 _ARM = 0.1  # m, of a payload's centre

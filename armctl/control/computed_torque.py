@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from armctl.arm import Arm
 from armctl.control import model
 from armctl.control.contract import State
 from armctl.control.gains import DEFAULT_BANDWIDTH, joint_inertia, raised
@@ -14,7 +13,8 @@ from armctl.control.observer import DisturbanceObserver
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number
-from armctl.dynamics import Dynamics
+from armctl.robot.arm import Arm
+from armctl.robot.dynamics import Dynamics
 
 FORMS = ("discrete", "textbook")
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arm import Arm
 from armctl.core.validation import Array, number, vector
-from armctl.dynamics import Dynamics
+from armctl.robot.arm import Arm
+from armctl.robot.dynamics import Dynamics
 
 DEFAULT_BANDWIDTH = 20.0  # rad/s
 GAIN_TICK = 2e-3  # s: gains that do not know the control period are made for it, and stable at twice of it

@@ -6,13 +6,13 @@ from functools import cached_property
 
 import numpy as np
 
-from armctl.arm import Arm
 from armctl.control.contract import Clock, State
 from armctl.control.gains import DEFAULT_BANDWIDTH, gain, locked_inertia
 from armctl.control.pd import PD
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array
-from armctl.dynamics import Dynamics
+from armctl.robot.arm import Arm
+from armctl.robot.dynamics import Dynamics
 
 _INTEGRAL_SHARE = 0.25  # of the fastest integral that a joint bears: a spring, a damper and a mass bear Kp Kd / m
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arm import Arm
 from armctl.control import model
 from armctl.control.contract import State
 from armctl.control.gains import DEFAULT_BANDWIDTH, gain, poses
 from armctl.control.task import consistent_inverse, tip_error
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, frozen, number
-from armctl.dynamics import Dynamics
+from armctl.robot.arm import Arm
+from armctl.robot.dynamics import Dynamics
 
 
 class Impedance:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from armctl.control.contract import State
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array
-from armctl.dynamics import Dynamics
+from armctl.robot.dynamics import Dynamics
 
 
 def sampled(setpoint: Setpoint) -> tuple[Array, Array]:

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from armctl.arm import Arm
 from armctl.control import model
 from armctl.control.contract import Clock, State
 from armctl.core.validation import Array
-from armctl.dynamics import Dynamics
+from armctl.robot.arm import Arm
+from armctl.robot.dynamics import Dynamics
 
 _PER_TICK = 0.3  # rad, the most that bandwidth x dt may be
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from armctl.arm import Arm
 from armctl.control import model
 from armctl.control.contract import State
 from armctl.control.gains import DEFAULT_BANDWIDTH
 from armctl.control.task import consistent_inverse, tip_error
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number
-from armctl.dynamics import Dynamics
+from armctl.robot.arm import Arm
+from armctl.robot.dynamics import Dynamics
 
 
 class OperationalSpace:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from armctl.arm import Arm
 from armctl.control.contract import State
 from armctl.control.gains import DEFAULT_BANDWIDTH, pd_gains
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array
+from armctl.robot.arm import Arm
 
 
 class PD:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from armctl.arm import Arm
 from armctl.core.validation import Array
+from armctl.robot.arm import Arm
 
 _DAMPING = 1e-3  # of the greatest mobility of the tip: less than that counts as singular
 

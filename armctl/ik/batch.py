@@ -13,7 +13,6 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arm import Arm
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, IntArray, array, frozen, matrix
@@ -21,6 +20,7 @@ from armctl.ik import lm
 from armctl.ik.problem import Problem, asked_for, compiled, read_problem
 from armctl.ik.result import IkBatch, why_not
 from armctl.ik.solve import STARTS
+from armctl.robot.arm import Arm
 
 CHUNK, LAST_CHUNK = 1024, 128
 QUIET_SECONDS = 2.0

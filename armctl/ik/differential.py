@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arm import Arm, check_arm
 from armctl.core.errors import UnknownNameError
 from armctl.core.validation import Array, frozen, number, vector
 from armctl.ik.problem import PoseOrPoint, read_target
+from armctl.robot.arm import Arm, check_arm
 
 if TYPE_CHECKING:
     import mink

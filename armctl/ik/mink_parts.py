@@ -9,10 +9,10 @@ import mujoco
 import numpy as np
 from mink.tasks import BaseTask
 
-from armctl.arm import Arm
 from armctl.core.validation import Array
 from armctl.ik.pairs import avoidable_pairs
 from armctl.ik.problem import POSITION, chain_of, compiled
+from armctl.robot.arm import Arm
 
 YIELD = 10.0  # a rotation yields to a position error: at a target out of reach the position comes first
 DAMPING, ERROR_DAMPING = 1e-5, 0.05

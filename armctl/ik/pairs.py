@@ -5,9 +5,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from armctl.arm import Arm
 from armctl.contacts import geom_owners
 from armctl.core.validation import IntArray
+from armctl.robot.arm import Arm
 
 CLEARANCE_SAMPLES = 16
 

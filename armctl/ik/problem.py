@@ -11,11 +11,11 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arm import Arm, check_arm
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose
 from armctl.core.trajectory import Limits
 from armctl.core.validation import Array, BoolArray, IntArray, frozen, matrix, number, vector
+from armctl.robot.arm import Arm, check_arm
 
 PoseOrPoint: TypeAlias = Pose | ArrayLike
 

@@ -8,13 +8,13 @@ from itertools import chain
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arm import Arm
 from armctl.contacts import contacts_of
 from armctl.core.errors import UnknownNameError
 from armctl.core.validation import Array, IntArray, frozen
 from armctl.ik import lm
 from armctl.ik.problem import PoseOrPoint, Problem, read_problem, read_target
 from armctl.ik.result import IkResult, why_not
+from armctl.robot.arm import Arm
 
 STARTS, MINK_STARTS = 300, 60
 NEAREST_STARTS = 64

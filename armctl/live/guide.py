@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from armctl.arm import Arm
 from armctl.core.errors import PlanError
 from armctl.core.trajectory import TickReference
 from armctl.core.validation import Array
 from armctl.motion import OnlineMotion
+from armctl.robot.arm import Arm
 
 _EASE = 0.3  # share of the acceleration that a hand's jerky target is followed with; its square for the jerk
 

@@ -10,10 +10,10 @@ import time
 
 import mujoco
 
-from armctl.arm import Arm
 from armctl.core.errors import NotInstalledError
 from armctl.core.pose import Pose
 from armctl.live.session import Session
+from armctl.robot.arm import Arm
 from armctl.staging import TARGET
 
 _INTERVAL = 1 / 60  # s between drawings

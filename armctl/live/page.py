@@ -11,13 +11,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from armctl.arm import Arm
 from armctl.control import CONTROLLERS
 from armctl.core.errors import UnknownNameError
 from armctl.core.pose import Pose
 from armctl.live.gate import Gate
 from armctl.live.panel import Panel
 from armctl.live.session import Session
+from armctl.robot.arm import Arm
 from armctl.view.stage import INTERVAL, PORT, Stage
 
 _GIZMO = 0.15  # m

@@ -8,7 +8,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from armctl.arm import Arm
 from armctl.control import controller_by_name
 from armctl.core.errors import ModelError
 from armctl.core.log import SimulationError
@@ -22,6 +21,7 @@ from armctl.live.history import History
 from armctl.plant import Plant
 from armctl.recorder import Recorder
 from armctl.rig import Rig
+from armctl.robot.arm import Arm
 from armctl.staging import TARGET
 from armctl.view.pace import Pace
 

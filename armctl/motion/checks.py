@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arm import Arm, check_arm
 from armctl.core.errors import InputError, LimitError
 from armctl.core.validation import Array, vector
+from armctl.robot.arm import Arm, check_arm
 
 
 def require_bounds(arm: Arm) -> None:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arm import Arm
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, number, vector
@@ -19,6 +18,7 @@ from armctl.motion.joint_trajectory import JointTrajectory
 from armctl.motion.pace import fastest
 from armctl.motion.torque import within_torque
 from armctl.motion.tracking import track
+from armctl.robot.arm import Arm
 
 _COINCIDE = 1e-9  # m
 

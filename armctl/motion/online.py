@@ -7,12 +7,12 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arm import Arm
 from armctl.core.errors import InputError, LimitError, PlanError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, vector
 from armctl.motion.checks import require_bounds, start_velocity
 from armctl.motion.profiles import Moving, Profiles
+from armctl.robot.arm import Arm
 
 _ROUNDING = 1e-9  # rad
 _SHARE = 1e-9  # of a limit

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arm import Arm
 from armctl.core.errors import InputError, LimitError
 from armctl.core.validation import Array
 from armctl.motion.checks import require_bounds, start_velocity
@@ -13,6 +12,7 @@ from armctl.motion.joint_trajectory import JointTrajectory
 from armctl.motion.pieces import Pieces
 from armctl.motion.profiles import Moving, Profiles, at_rest
 from armctl.motion.torque import within_torque
+from armctl.robot.arm import Arm
 
 _PARALLEL = 1e-6
 

@@ -7,7 +7,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arm import Arm
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, matrix
 from armctl.motion.checks import require_bounds
@@ -15,6 +14,7 @@ from armctl.motion.joint_trajectory import JointTrajectory
 from armctl.motion.profiles import Moving, Profiles
 from armctl.motion.torque import within_torque
 from armctl.motion.waypoint_search import Candidate, WaypointSearch
+from armctl.robot.arm import Arm
 
 _SAME = 1e-9  # rad, between two waypoints that are met as one
 

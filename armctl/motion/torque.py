@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armctl.arm import Arm, check_arm
 from armctl.core.errors import InputError, PlanError
 from armctl.core.trajectory import Trajectory, check_motion
 from armctl.core.validation import Array
-from armctl.dynamics import Dynamics
 from armctl.motion.joint_trajectory import JointTrajectory
 from armctl.motion.pace import TorqueRows, slower
 from armctl.motion.slowdown import Slowdown
+from armctl.robot.arm import Arm, check_arm
+from armctl.robot.dynamics import Dynamics
 
 _SAMPLE = 0.004  # s
 _MARGIN = 1e-3  # of the limits

@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armctl.arm import Arm
 from armctl.core.errors import PlanError
 from armctl.core.pose import rotation_vector
 from armctl.core.validation import Array
 from armctl.motion.geometry import Shape, TipState
+from armctl.robot.arm import Arm
 
 _JOINT_STEP = 0.02  # rad (m), the longest step of a joint
 _STEPS = 60  # of a path, at least

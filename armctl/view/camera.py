@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from armctl.arm import Arm
 from armctl.core.validation import Array, IntArray
+from armctl.robot.arm import Arm
 
 _MARGIN = 1.08  # how much wider than what it shows
 _TURNS = np.radians([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])  # from the model's own azimuth

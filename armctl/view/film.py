@@ -12,10 +12,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from armctl.arm import Arm
 from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.log import Log
 from armctl.core.validation import Array, number
+from armctl.robot.arm import Arm
 from armctl.staging import TARGET
 from armctl.view.camera import frame
 from armctl.view.renderer import Image, Renderer

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from armctl.arm import Arm
 from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.validation import Array
+from armctl.robot.arm import Arm
 from armctl.staging import TARGET
 from armctl.view.camera import axes, frame
 from armctl.view.lighten import lightened

@@ -9,12 +9,12 @@ import time
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.arm import Arm
 from armctl.control import Controller
 from armctl.core.trajectory import TickReference
 from armctl.plant import Plant
 from armctl.recorder import Recorder
 from armctl.rig import Rig
+from armctl.robot.arm import Arm
 from armctl.view.pace import Pace
 from armctl.view.stage import PORT, Stage
 

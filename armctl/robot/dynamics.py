@@ -11,9 +11,9 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from armctl.arm import Arm, check_arm
 from armctl.core.errors import ModelError
 from armctl.core.validation import Array, IntArray
+from armctl.robot.arm import Arm, check_arm
 
 
 class Dynamics:

@@ -17,7 +17,7 @@ import pinocchio as pin
 
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, BoolArray, frozen
-from armctl.linkage import Linkage
+from armctl.robot.joint_map import Linkage
 
 WORLD_AXES_AT_TIP = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 

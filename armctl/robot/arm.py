@@ -14,9 +14,9 @@ from armctl.core.errors import LimitError, ModelError
 from armctl.core.pose import Pose
 from armctl.core.trajectory import Limits
 from armctl.core.validation import Array, IntArray, instance, matrix, number, vector
-from armctl.linkage import Linkage
 from armctl.mjmodel.edit import add_point_mass
-from armctl.rigid_body import RigidBody, build
+from armctl.robot.joint_map import Linkage
+from armctl.robot.pinocchio_model import RigidBody, build
 
 PARITY_TOLERANCE = 1e-9
 

@@ -1,0 +1,1 @@
+"""The arm: joints, kinematics, dynamics, and their parity with MuJoCo."""
