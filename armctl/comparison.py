@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from armctl.contacts import contacts_of
+from armctl.collision.checker import contacts_of
 from armctl.control import Controller
 from armctl.core.errors import InputError, PlanError
 from armctl.core.log import SimulationError

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armctl.contacts import contacts_of
+from armctl.collision.checker import contacts_of
 from armctl.core.errors import InputError, LimitError, PlanError
 from armctl.core.log import Log
 from armctl.core.validation import Array, frozen, instance, number

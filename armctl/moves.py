@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.contacts import contacts_of
+from armctl.collision.checker import contacts_of
 from armctl.control import Controller, State
 from armctl.core.errors import InputError, PlanError, UnknownNameError
 from armctl.core.log import Log

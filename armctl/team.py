@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.contacts import contacts_of
+from armctl.collision.checker import contacts_of
 from armctl.control import ComputedTorque, Controller, State, controller_by_name, controller_name
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.log import Log

@@ -17,7 +17,7 @@ import mujoco_menagerie as menagerie
 import numpy as np
 
 import armctl
-from armctl.contacts import contacts_of
+from armctl.collision.checker import contacts_of
 from armctl.ik import solve_ik_batch
 from armctl.robot.arm import check_parity
 from armctl.source import BUNDLED

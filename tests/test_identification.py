@@ -7,7 +7,7 @@ import pytest
 from arms import arm_of
 
 import armctl
-from armctl.contacts import contacts_of
+from armctl.collision.checker import contacts_of
 from armctl.motion import check_torque
 from armctl.robot.dynamics import Dynamics
 

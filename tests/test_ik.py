@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import armctl
 from armctl import Arm, InputError, LimitError, Pose, UnknownNameError, solve_ik
-from armctl.contacts import contacts_of
+from armctl.collision.checker import contacts_of
 from armctl.ik import kernel, lm, solve_ik_batch
 from armctl.ik.problem import POSITION, chain_of, read_problem
 

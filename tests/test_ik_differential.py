@@ -13,7 +13,7 @@ from arms import ARMS, MENAGERIE_ARMS, arm_of
 
 import armctl
 from armctl import Arm, DifferentialIk, InputError, LimitError, Pose, UnknownNameError
-from armctl.contacts import contacts_of, geom_owners
+from armctl.collision.checker import contacts_of, geom_owners
 from armctl.source import BUNDLED
 
 every_arm = pytest.mark.parametrize("name", ARMS)

@@ -8,7 +8,7 @@ from itertools import chain
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.contacts import contacts_of
+from armctl.collision.checker import contacts_of
 from armctl.core.errors import UnknownNameError
 from armctl.core.validation import Array, IntArray, frozen
 from armctl.ik import lm
