@@ -40,8 +40,8 @@ _MODULES = {
     "Pose": "armctl.core.pose",
     "Push": "armctl.plant",
     "Report": "armctl.report",
-    "Scene": "armctl.scene",
-    "SerialChain": "armctl.chain",
+    "Scene": "armctl.loading.scene",
+    "SerialChain": "armctl.loading.chain",
     "Setpoint": "armctl.core.trajectory",
     "Simulation": "armctl.simulation",
     "SimulationError": "armctl.core.log",
@@ -49,13 +49,13 @@ _MODULES = {
     "Team": "armctl.team",
     "Trajectory": "armctl.core.trajectory",
     "UnknownNameError": "armctl.core.errors",
-    "chains": "armctl.robots",
+    "chains": "armctl.loading.load",
     "check_torque": "armctl.motion",
     "compare": "armctl.comparison",
     "excitation": "armctl.identification",
     "identify_payload": "armctl.identification",
-    "load": "armctl.robots",
-    "load_arms": "armctl.robots",
+    "load": "armctl.loading.load",
+    "load_arms": "armctl.loading.load",
     "move_c": "armctl.motion",
     "move_j": "armctl.motion",
     "move_l": "armctl.motion",
@@ -67,7 +67,6 @@ _MODULES = {
 }
 
 if TYPE_CHECKING:
-    from armctl.chain import SerialChain as SerialChain
     from armctl.comparison import compare as compare
     from armctl.control import PD as PD
     from armctl.control import Adaptive as Adaptive
@@ -103,6 +102,11 @@ if TYPE_CHECKING:
     from armctl.ik import IkResult as IkResult
     from armctl.ik import solve_ik as solve_ik
     from armctl.ik import solve_ik_batch as solve_ik_batch
+    from armctl.loading.chain import SerialChain as SerialChain
+    from armctl.loading.load import chains as chains
+    from armctl.loading.load import load as load
+    from armctl.loading.load import load_arms as load_arms
+    from armctl.loading.scene import Scene as Scene
     from armctl.motion import OnlineMotion as OnlineMotion
     from armctl.motion import check_torque as check_torque
     from armctl.motion import move_c as move_c
@@ -114,10 +118,6 @@ if TYPE_CHECKING:
     from armctl.plant import Push as Push
     from armctl.report import Report as Report
     from armctl.robot.arm import Arm as Arm
-    from armctl.robots import chains as chains
-    from armctl.robots import load as load
-    from armctl.robots import load_arms as load_arms
-    from armctl.scene import Scene as Scene
     from armctl.simulation import Simulation as Simulation
     from armctl.simulation import simulate as simulate
     from armctl.team import Team as Team

@@ -114,7 +114,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _robots(args: argparse.Namespace) -> int:
-    from armctl.source import robots
+    from armctl.loading.catalog import robots
 
     known = robots()
     width = max(map(len, known))
@@ -127,7 +127,7 @@ def _chains(args: argparse.Namespace) -> int:
     from dataclasses import asdict
 
     from armctl.describe import describe_chains
-    from armctl.robots import chains
+    from armctl.loading.load import chains
 
     found = chains(args.robot)
     _print(args, describe_chains(args.robot, found), [asdict(chain) for chain in found])
@@ -236,7 +236,8 @@ def _simulate(args: argparse.Namespace) -> int:
 
 
 def _view(args: argparse.Namespace) -> int:
-    from armctl import live, source
+    from armctl import live
+    from armctl.loading import catalog as source
 
     if args.host and not args.token:
         raise InputError("host: whoever finds the page could drive the arm; choose a --token for those who may")
@@ -251,7 +252,7 @@ def _view(args: argparse.Namespace) -> int:
 
 
 def _load(args: argparse.Namespace) -> Arm:
-    from armctl.robots import load
+    from armctl.loading.load import load
 
     return load(args.robot, tip=args.tip, base=args.base, tool=args.tool, scene=args.scene, hold_base=args.hold_base)
 

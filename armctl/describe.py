@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import fields
 
-from armctl.chain import SerialChain
 from armctl.core import units
 from armctl.core.log import Log
+from armctl.loading.chain import SerialChain
 from armctl.robot.arm import Arm
 
 

@@ -21,13 +21,13 @@ from armctl.core.pose import Pose
 from armctl.core.trajectory import TickReference, Trajectory, check_motion
 from armctl.core.validation import Array, instance, number, vector
 from armctl.gripper import Gripper
+from armctl.loading.load import load
+from armctl.loading.prepare import TARGET
 from armctl.moves import Moves
 from armctl.plant import NOMINAL, Plant
 from armctl.recorder import Recorder, ticks_for
 from armctl.rig import ConstantTorque, Rig
 from armctl.robot.arm import Arm, check_arm
-from armctl.robots import load
-from armctl.staging import TARGET
 from armctl.view.viewer import WatchedRig
 
 _IDLE = 4  # rigs kept for the next run

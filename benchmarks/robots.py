@@ -19,8 +19,8 @@ import numpy as np
 import armctl
 from armctl.collision.checker import contacts_of
 from armctl.ik import solve_ik_batch
+from armctl.loading.catalog import BUNDLED
 from armctl.robot.arm import check_parity
-from armctl.source import BUNDLED
 
 PAGE = Path(__file__).parent.parent / "docs" / "robots.md"
 EXACT = 1e-6  # rad, m: below it, tracking counts as exact

@@ -31,9 +31,9 @@ html_title = "armctl"
 html_show_copyright = False
 
 CHAPTERS = {
-    "armctl.robots": "Robots by name",
-    "armctl.chain": "Chains",
-    "armctl.scene": "Scenes",
+    "armctl.loading.load": "Robots by name",
+    "armctl.loading.chain": "Chains",
+    "armctl.loading.scene": "Scenes",
     "armctl.robot.arm": "The arm",
     "armctl.core.pose": "Poses",
     "armctl.core.trajectory": "Limits, setpoints, trajectories",

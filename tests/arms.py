@@ -14,8 +14,8 @@ import mujoco_menagerie as menagerie
 import pytest
 
 import armctl
-from armctl.datasheets import ALIASES
-from armctl.source import BUNDLED
+from armctl.loading.catalog import BUNDLED
+from armctl.loading.datasheets import ALIASES
 
 MODELS = Path(__file__).parent / "models"
 MISSING = "its model is not at hand"

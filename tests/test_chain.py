@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import armctl
-from armctl.chain import all_chains, chain_to, find_chain
+from armctl.loading.chain import all_chains, chain_to, find_chain
 from armctl.mjmodel.queries import joint_name
 
 Model = Callable[..., mujoco.MjModel]

@@ -14,7 +14,7 @@ from arms import ARMS, MENAGERIE_ARMS, arm_of
 import armctl
 from armctl import Arm, DifferentialIk, InputError, LimitError, Pose, UnknownNameError
 from armctl.collision.checker import contacts_of, geom_owners
-from armctl.source import BUNDLED
+from armctl.loading.catalog import BUNDLED
 
 every_arm = pytest.mark.parametrize("name", ARMS)
 DT = 0.01
@@ -195,10 +195,10 @@ class Depth:
 
 def with_wall(arm: Arm, name: str, folder: Path) -> Arm:
     """The same arm before a wall half its reach away."""
-    spec = mujoco.MjSpec.from_file(str(armctl.source.locate(name).path))
+    spec = mujoco.MjSpec.from_file(str(armctl.loading.catalog.locate(name).path))
     where = 0.5 * float(np.linalg.norm(arm.fk(arm.home).position)) + 0.1
     spec.worldbody.add_geom(name="wall", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.02, 1.0, 1.0], pos=[where, 0.0, 0.5])
-    source = armctl.source.locate(name).path
+    source = armctl.loading.catalog.locate(name).path
     shutil.copytree(source.parent, folder, dirs_exist_ok=True)
     (folder / "walled.xml").write_text(spec.to_xml())
     return armctl.load(folder / "walled.xml")

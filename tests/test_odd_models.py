@@ -10,9 +10,9 @@ from test_chain import limb, load, mjcf, motors  # noqa: F401
 
 import armctl
 from armctl.control import CONTROLLERS
+from armctl.loading.tip import tip_on
 from armctl.robot.arm import PARITY_TOLERANCE, check_parity
 from armctl.robot.dynamics import Dynamics
-from armctl.tip import tip_on
 
 PASSIVE = 'stiffness="2" damping="0.5" frictionloss="0.3" armature="0.05"'
 

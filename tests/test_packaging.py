@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import armctl
-from armctl.source import bundled_models
+from armctl.loading.catalog import bundled_models
 
 ROOT = Path(__file__).parent.parent
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
@@ -53,7 +53,8 @@ def test_a_wheel_holds_the_models_the_license_and_the_types(wheel: Path):
 
 
 def test_an_installed_wheel_loads_the_bundled_arm(installed: Path):
-    code = "import armctl, armctl.source as r; print(r.bundled_models(), armctl.__version__, armctl.load('robot_arm_3dof').n)"
+    code = "import armctl, armctl.loading.catalog as c; "
+    code += "print(c.bundled_models(), armctl.__version__, armctl.load('robot_arm_3dof').n)"
     models, version, joints = run(installed / "bin" / "python", "-c", code, cwd=installed).split()
     assert Path(models).is_relative_to(installed)
     assert version == armctl.__version__

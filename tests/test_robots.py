@@ -11,10 +11,10 @@ import pytest
 from test_chain import limb, load, mjcf, motors  # noqa: F401
 
 import armctl
-from armctl.datasheets import ALIASES, BY_ROBOT
+from armctl.loading.catalog import robots
+from armctl.loading.datasheets import ALIASES, BY_ROBOT
+from armctl.loading.prepare import TARGET
 from armctl.robot.arm import PARITY_TOLERANCE, check_parity
-from armctl.source import robots
-from armctl.staging import TARGET
 
 HINGE = '<joint name="a" axis="0 1 0" range="-1 1" {}/>'
 SERVO = '<position name="s" joint="a" kp="50" {}/>'

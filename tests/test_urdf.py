@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from test_robots import FIRST, INERTIA, JOINT, LIMIT, LINK, MESH, SECOND, THIRD, TOOL, urdf
 
 import armctl
+from armctl.loading.urdf_inertia import LEAST_INERTIA, LEAST_MASS, nearest_inertia
 from armctl.robot.arm import PARITY_TOLERANCE, check_parity
-from armctl.urdf_mass import LEAST_INERTIA, LEAST_MASS, nearest_inertia
 
 TRANSMISSIONS = "".join(f'<transmission name="t{j}"><joint name="{j}"/></transmission>' for j in ("j1", "j2"))
 

@@ -12,7 +12,7 @@ from PIL import Image, ImageSequence
 import armctl
 from armctl import InputError, NotInstalledError, Simulation
 from armctl.cli import main
-from armctl.staging import TARGET
+from armctl.loading.prepare import TARGET
 from armctl.view import Renderer, record, still
 from armctl.view.camera import axes, box_corners, frame
 from armctl.view.gl import INSTALL, gl_context

@@ -18,11 +18,11 @@ from armctl.gripper import Gripper
 from armctl.ik import DifferentialIk, solve_ik
 from armctl.live.guide import Guide
 from armctl.live.history import History
+from armctl.loading.prepare import TARGET
 from armctl.plant import Plant
 from armctl.recorder import Recorder
 from armctl.rig import Rig
 from armctl.robot.arm import Arm
-from armctl.staging import TARGET
 from armctl.view.pace import Pace
 
 INTERVAL = 0.01  # s between looks at the target

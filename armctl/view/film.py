@@ -15,8 +15,8 @@ import numpy as np
 from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.log import Log
 from armctl.core.validation import Array, number
+from armctl.loading.prepare import TARGET
 from armctl.robot.arm import Arm
-from armctl.staging import TARGET
 from armctl.view.camera import frame
 from armctl.view.renderer import Image, Renderer
 

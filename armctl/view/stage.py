@@ -17,8 +17,8 @@ import numpy as np
 
 from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.validation import Array
+from armctl.loading.prepare import TARGET
 from armctl.robot.arm import Arm
-from armctl.staging import TARGET
 from armctl.view.camera import axes, frame
 from armctl.view.lighten import lightened
 

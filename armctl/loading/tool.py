@@ -5,8 +5,8 @@ from __future__ import annotations
 import mujoco
 
 from armctl.core.pose import Pose
-from armctl.source import Source
-from armctl.tip import tip_on
+from armctl.loading.catalog import Source
+from armctl.loading.tip import tip_on
 
 _FLANGE = "armctl_flange"
 

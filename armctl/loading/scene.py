@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, instance, number, vector
-from armctl.scene_file import SceneFile
+from armctl.loading.scene_file import SceneFile
 
 _LOOSE, _FIXED = (0.85, 0.45, 0.2, 1.0), (0.6, 0.6, 0.65, 1.0)  # rgba
 _TIMESTEP = 1e-3  # s, at most, where something is loose

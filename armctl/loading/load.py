@@ -10,24 +10,24 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from armctl.apart import check_apart
-from armctl.chain import SerialChain, all_chains, chain_to, find_chain, stopped_before
 from armctl.core.errors import ArmctlWarning, InputError, ModelError, UnknownNameError
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, frozen
+from armctl.loading.catalog import Source, locate
+from armctl.loading.chain import SerialChain, all_chains, chain_to, find_chain, stopped_before
+from armctl.loading.independence import check_apart
+from armctl.loading.motors import JointData, from_row, joint_limits, make_motors, torque_limits
+from armctl.loading.prepare import add_target, backward, drag, exclude_overlaps, hold_bases, place_target, rest_ctrl, rest_qpos
+from armctl.loading.scene import Scene
+from armctl.loading.tip import find_tip, named_body, named_tip
+from armctl.loading.tool import mount
+from armctl.loading.urdf import speed_limits
 from armctl.mjmodel.edit import add_bearers
 from armctl.mjmodel.queries import Chain, joint_name
 from armctl.mjmodel.transmissions import Drive, chain_drives
-from armctl.motors import JointData, from_row, joint_limits, make_motors, torque_limits
 from armctl.robot.arm import Arm, check_parity
 from armctl.robot.joint_map import linkage_of
 from armctl.robot.pinocchio_model import build
-from armctl.scene import Scene
-from armctl.source import Source, locate
-from armctl.staging import add_target, backward, drag, exclude_overlaps, hold_bases, place_target, rest_ctrl, rest_qpos
-from armctl.tip import find_tip, named_body, named_tip
-from armctl.tools import mount
-from armctl.urdf import speed_limits
 
 _TARGET_OFFSET = 0.3  # rad (m) from home at every joint: where a target that armctl adds is reached
 

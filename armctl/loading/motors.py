@@ -12,7 +12,7 @@ from armctl.core import units
 from armctl.core.errors import ModelError
 from armctl.core.trajectory import Limits
 from armctl.core.validation import Array
-from armctl.datasheets import Row
+from armctl.loading.datasheets import Row
 from armctl.mjmodel.couplings import tendon_coefficients
 from armctl.mjmodel.queries import joint_name
 from armctl.mjmodel.transmissions import Drive, Tie, moments_of

@@ -11,10 +11,10 @@ import mujoco
 import numpy as np
 
 from armctl.core.errors import ModelError
+from armctl.loading.motors import JointData, default_speed
+from armctl.loading.urdf_inertia import mend_masses
 from armctl.mjmodel.queries import joint_name
 from armctl.mjmodel.transmissions import Drive
-from armctl.motors import JointData, default_speed
-from armctl.urdf_mass import mend_masses
 
 _RIGID = (0.9999, 0.9999, 0.001, 0.5, 2.0)  # MuJoCo's solimp
 _READABLE = (".stl", ".obj", ".msh")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 
 from armctl.core.errors import ModelError
+from armctl.loading.tip import find_tip
 from armctl.mjmodel.couplings import coupling
 from armctl.mjmodel.queries import (
     Chain,
@@ -21,7 +22,6 @@ from armctl.mjmodel.queries import (
     joints_of,
 )
 from armctl.mjmodel.transmissions import Drive, chain_drives, drive_of
-from armctl.tip import find_tip
 
 _JAW = re.compile(r"jaw|grip|finger|claw|knuckle", re.IGNORECASE)
 _JAW_BODY = re.compile(r"^(?!.*(fix|static|base)).*(jaw|finger|fngr|claw|moving)", re.IGNORECASE)

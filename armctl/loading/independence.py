@@ -8,9 +8,9 @@ from itertools import permutations
 import mujoco
 
 from armctl.core.errors import ModelError
+from armctl.loading.tip import find_tip
 from armctl.mjmodel.queries import Chain, body_name, is_below, joint_name
 from armctl.mjmodel.transmissions import chain_drives
-from armctl.tip import find_tip
 
 
 def check_apart(model: mujoco.MjModel, chains: Sequence[Chain]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import socket
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
@@ -13,8 +14,8 @@ from urllib.request import getproxies
 import mujoco
 
 from armctl.core.errors import InputError, ModelError, UnknownNameError
-from armctl.datasheets import ALIASES, BY_CATEGORY, BY_ROBOT, ROWS, Row
-from armctl.urdf import read_urdf
+from armctl.loading.datasheets import ALIASES, BY_CATEGORY, BY_ROBOT, ROWS, Row
+from armctl.loading.urdf import read_urdf
 
 if TYPE_CHECKING:
     import mujoco_menagerie as menagerie
@@ -131,8 +132,9 @@ def locate(name: str | os.PathLike[str], *, tool: bool = False) -> Source:
 
 def bundled_models() -> Path:
     """The folder of the models that come with armctl, in a checkout as in an installed package."""
-    installed = Path(__file__).parent / "models"
-    return installed if installed.is_dir() else Path(__file__).parent.parent / "models"
+    package = Path(str(files("armctl")))
+    installed = package / "models"
+    return installed if installed.is_dir() else package.parent / "models"
 
 
 def robots() -> dict[str, str]:

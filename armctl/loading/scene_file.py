@@ -11,9 +11,9 @@ import mujoco
 import numpy as np
 
 from armctl.core.errors import InputError, ModelError
+from armctl.loading.catalog import Source
+from armctl.loading.tool import take_options
 from armctl.mjmodel.queries import actuator_name
-from armctl.source import Source
-from armctl.tools import take_options
 
 # What refers to what by name.
 _REFERENCES = (
