@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import qpsolvers
     from mink.tasks import BaseTask
 
-    from armctl.ik.mink_parts import Clearance
+    from armctl.ik.tasks import Clearance
 
 DAMPING = 1e-9
 CUTS, HALVINGS = 4, 4
@@ -71,7 +71,7 @@ class DifferentialIk:
         import mink
         import qpsolvers
 
-        from armctl.ik.mink_parts import Clearance, TipTask
+        from armctl.ik.tasks import Clearance, TipTask
 
         check_arm(arm)
         if solver not in qpsolvers.available_solvers:

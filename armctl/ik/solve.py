@@ -92,7 +92,7 @@ def _search(method: str) -> tuple[Search, int]:
     if method == "lm":
         return lm.search, STARTS
     if method == "mink":
-        from armctl.ik import stepping
+        from armctl.ik import mink_solver as stepping
 
         return stepping.search, MINK_STARTS
     raise UnknownNameError.of("method", str(method), ["lm", "mink"])

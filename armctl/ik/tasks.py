@@ -10,7 +10,7 @@ import numpy as np
 from mink.tasks import BaseTask
 
 from armctl.core.validation import Array
-from armctl.ik.pairs import avoidable_pairs
+from armctl.ik.collision_pairs import avoidable_pairs
 from armctl.ik.problem import POSITION, chain_of, compiled
 from armctl.robot.arm import Arm
 
