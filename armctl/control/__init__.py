@@ -5,11 +5,11 @@ from functools import partial
 
 from armctl.control.adaptive import Adaptive
 from armctl.control.computed_torque import ComputedTorque
-from armctl.control.contract import Controller, State, controller_name
-from armctl.control.gravity import PDGravity, PIDGravity
 from armctl.control.impedance import Impedance
+from armctl.control.interface import Controller, State, controller_name
 from armctl.control.operational_space import OperationalSpace
 from armctl.control.pd import PD
+from armctl.control.pd_gravity import PDGravity, PIDGravity
 from armctl.core.errors import UnknownNameError
 from armctl.robot.arm import Arm
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from armctl.control import model
-from armctl.control.contract import Clock, State
+from armctl.control import feedforward as model
 from armctl.control.gains import DEFAULT_BANDWIDTH, poses
+from armctl.control.interface import Clock, State
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number
 from armctl.robot.arm import Arm

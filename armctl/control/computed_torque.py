@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from armctl.control import model
-from armctl.control.contract import State
+from armctl.control import feedforward as model
 from armctl.control.gains import DEFAULT_BANDWIDTH, joint_inertia, raised
+from armctl.control.interface import State
 from armctl.control.observer import DisturbanceObserver
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Setpoint

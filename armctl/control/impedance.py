@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control import model
-from armctl.control.contract import State
+from armctl.control import feedforward as model
 from armctl.control.gains import DEFAULT_BANDWIDTH, gain, poses
-from armctl.control.task import consistent_inverse, tip_error
+from armctl.control.interface import State
+from armctl.control.task_space import consistent_inverse, tip_error
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, frozen, number
 from armctl.robot.arm import Arm

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from armctl.control import model
-from armctl.control.contract import Clock, State
+from armctl.control import feedforward as model
+from armctl.control.interface import Clock, State
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 from armctl.robot.dynamics import Dynamics

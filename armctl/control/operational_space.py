@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from armctl.control import model
-from armctl.control.contract import State
+from armctl.control import feedforward as model
 from armctl.control.gains import DEFAULT_BANDWIDTH
-from armctl.control.task import consistent_inverse, tip_error
+from armctl.control.interface import State
+from armctl.control.task_space import consistent_inverse, tip_error
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number
 from armctl.robot.arm import Arm

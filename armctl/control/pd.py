@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from armctl.control.contract import State
 from armctl.control.gains import DEFAULT_BANDWIDTH, pd_gains
+from armctl.control.interface import State
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm

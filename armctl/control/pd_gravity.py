@@ -6,8 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
-from armctl.control.contract import Clock, State
 from armctl.control.gains import DEFAULT_BANDWIDTH, gain, locked_inertia
+from armctl.control.interface import Clock, State
 from armctl.control.pd import PD
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array

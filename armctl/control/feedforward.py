@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armctl.control.contract import State
+from armctl.control.interface import State
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array
 from armctl.robot.dynamics import Dynamics
