@@ -22,7 +22,7 @@ from scipy.interpolate import make_interp_spline
 
 import armctl
 from armctl.motion import JointTrajectory, move_path
-from armctl.motion.waypoint_search import WaypointSearch
+from armctl.motion.timing.waypoint_timing import WaypointSearch
 
 Array = np.ndarray
 

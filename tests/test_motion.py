@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 import armctl
 from armctl.motion import JointTrajectory, polynomials
-from armctl.motion.peaks import piece_extremes
-from armctl.motion.profiles import Moving, Profiles
-from armctl.motion.waypoint_kernel import farthest
+from armctl.motion.timing.otg import Moving, Profiles
+from armctl.motion.timing.waypoint_timing_kernel import farthest
+from armctl.motion.trajectory.limit_check import piece_extremes
 
 
 def anywhere(arm: armctl.Arm, rng: np.random.Generator, share: float = 1.0) -> np.ndarray:

@@ -1,11 +1,11 @@
 """Motion: from joint positions, tip lines and waypoints to jerk-limited trajectories within every joint's limits."""
 
-from armctl.motion.joint_trajectory import JointTrajectory
-from armctl.motion.lines import Arc, Line, move_c, move_l, move_path
+from armctl.motion.move_cartesian import Arc, Line, move_c, move_l, move_path
+from armctl.motion.move_j import move_j
+from armctl.motion.move_through import move_through
 from armctl.motion.online import OnlineMotion
-from armctl.motion.straight import move_j
-from armctl.motion.through import move_through
-from armctl.motion.torque import TorqueCheck, check_torque
+from armctl.motion.torque_limits import TorqueCheck, check_torque
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 
 __all__ = [
     "Arc",

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError, LimitError, PlanError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, vector
-from armctl.motion.checks import require_bounds, start_velocity
-from armctl.motion.profiles import Moving, Profiles
+from armctl.motion.timing.otg import Moving, Profiles
+from armctl.motion.trajectory.checks import require_bounds, start_velocity
 from armctl.robot.arm import Arm
 
 _ROUNDING = 1e-9  # rad

@@ -14,12 +14,12 @@ import numpy as np
 
 from armctl.core.trajectory import Limits
 from armctl.core.validation import Array
-from armctl.motion.guide import Guide, Path, first_guide, smooth
-from armctl.motion.peaks import piece_extremes
-from armctl.motion.pieces import DEGREE, Pieces, basis_many, hermite
+from armctl.motion.timing.initial_timing import Guide, Path, first_guide, smooth
+from armctl.motion.trajectory.limit_check import piece_extremes
+from armctl.motion.trajectory.piecewise import DEGREE, Pieces, basis_many, hermite
 
 if TYPE_CHECKING:
-    from armctl.motion import pace_kernel
+    from armctl.motion.timing import path_timing_kernel as pace_kernel
 
 _INTERVAL, _FEWEST, _MOST = 0.004, 60, 500  # s, and how many of them
 _TIGHTENINGS, _TORQUE_TIGHTENINGS = 3, 6
@@ -166,7 +166,7 @@ class _Problem:
 
     def timed(self, guide: Guide, nodes: Array, slack: Array | None = None) -> _Timed:
         """The best pace of a guide, at nodes that include its edges; `slack` (4, m + 1) are factors on its bounds."""
-        from armctl.motion import pace_kernel
+        from armctl.motion.timing import path_timing_kernel as pace_kernel
 
         problem = self._bounds(guide, np.ones((4, guide.intervals + 1)) if slack is None else slack)
         c, barrier = np.full(guide.intervals + 2, 0.5 * float(problem.b_max.min())), pace_kernel.COLD
@@ -209,7 +209,7 @@ class _Problem:
 
     def _bounds(self, guide: Guide, slack: Array) -> pace_kernel.Problem:
         """What bounds the pace at the guide's edges."""
-        from armctl.motion import pace_kernel
+        from armctl.motion.timing import path_timing_kernel as pace_kernel
 
         s, s1, s2, s3 = guide.at(guide.edges)
         q, d1, d2, d3 = self.path.derivatives(s)

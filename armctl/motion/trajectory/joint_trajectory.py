@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError, LimitError
 from armctl.core.trajectory import Limits, Setpoint
 from armctl.core.validation import Array, IntArray, frozen, number, vector
-from armctl.motion.peaks import QUANTITIES, LimitCheck, check_limits
-from armctl.motion.pieces import DEGREE, basis, basis_many
 from armctl.motion.slowdown import Slowdown
+from armctl.motion.trajectory.limit_check import QUANTITIES, LimitCheck, check_limits
+from armctl.motion.trajectory.piecewise import DEGREE, basis, basis_many
 
 _JOIN_TOLERANCE = 1e-6
 
@@ -144,7 +144,7 @@ class JointTrajectory:
             InputError: The time is outside the motion.
             PlanError: The motion does not end at rest, and what is left of it is too short to stop.
         """
-        from armctl.motion.stop import stopped
+        from armctl.motion.trajectory.path_stop import stopped
 
         return stopped(self, number("t", t, 0.0, self.duration))
 
@@ -157,7 +157,7 @@ class JointTrajectory:
         Returns:
             The file.
         """
-        from armctl.motion import files
+        from armctl.motion.trajectory import files
 
         return files.save(self, path)
 
@@ -174,7 +174,7 @@ class JointTrajectory:
         Raises:
             InputError: There is no such file, or it holds no motion.
         """
-        from armctl.motion import files
+        from armctl.motion.trajectory import files
 
         return files.load(path)
 
@@ -191,7 +191,7 @@ class JointTrajectory:
         Raises:
             InputError: dt is not greater than 0.
         """
-        from armctl.motion import files
+        from armctl.motion.trajectory import files
 
         return files.to_csv(self, path, dt)
 
@@ -204,7 +204,7 @@ class JointTrajectory:
         Returns:
             Matplotlib's figure.
         """
-        from armctl.motion import files
+        from armctl.motion.trajectory import files
 
         return files.plot(self, path)
 

@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, number, vector
-from armctl.motion.blending import Blend, Chained, Stretch
-from armctl.motion.checks import require_bounds
-from armctl.motion.geometry import Circle, Shape, Straight, Turn
-from armctl.motion.joint_trajectory import JointTrajectory
-from armctl.motion.pace import fastest
-from armctl.motion.torque import within_torque
-from armctl.motion.tracking import track
+from armctl.motion.path.blending import Blend, Chained, Stretch
+from armctl.motion.path.geometry import Circle, Shape, Straight, Turn
+from armctl.motion.path.joint_path import track
+from armctl.motion.timing.path_timing import fastest
+from armctl.motion.torque_limits import within_torque
+from armctl.motion.trajectory.checks import require_bounds
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.arm import Arm
 
 _COINCIDE = 1e-9  # m

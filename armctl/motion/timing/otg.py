@@ -11,7 +11,7 @@ import ruckig
 from armctl.core.errors import PlanError
 from armctl.core.trajectory import Limits
 from armctl.core.validation import Array
-from armctl.motion.pieces import Pieces
+from armctl.motion.trajectory.piecewise import Pieces
 
 _WORKING = {ruckig.Result.Working, ruckig.Result.Finished}
 _TOGETHER, _ALONE = ruckig.Synchronization.Time, ruckig.Synchronization.No

@@ -13,8 +13,8 @@ import numpy as np
 
 from armctl.core.trajectory import Limits
 from armctl.core.validation import Array
-from armctl.motion import polynomials
-from armctl.motion.profiles import Moving, Profiles, phase_nodes, phase_polynomials
+from armctl.motion.timing.otg import Moving, Profiles, phase_nodes, phase_polynomials
+from armctl.motion.trajectory import polynomials
 
 _LOOSE = 2.0  # times the time with stops, where the search starts
 _AT_LIMIT = 1e-7  # rad
@@ -72,7 +72,7 @@ class WaypointSearch:
         Returns:
             One inside all limits, never slower than that.
         """
-        from armctl.motion import waypoint_kernel
+        from armctl.motion.timing import waypoint_timing_kernel as waypoint_kernel
 
         limits, most = self.limits, np.stack([self._v_most, self._a_most], axis=-1)
         for _ in range(_REPAIRS):

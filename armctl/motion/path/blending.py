@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armctl.motion.geometry import Shape, TipState
+from armctl.motion.path.geometry import Shape, TipState
 
 _COINCIDE = 1e-9  # m
 

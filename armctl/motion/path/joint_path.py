@@ -14,7 +14,7 @@ import numpy as np
 from armctl.core.errors import PlanError
 from armctl.core.pose import rotation_vector
 from armctl.core.validation import Array
-from armctl.motion.geometry import Shape, TipState
+from armctl.motion.path.geometry import Shape, TipState
 from armctl.robot.arm import Arm
 
 _JOINT_STEP = 0.02  # rad (m), the longest step of a joint

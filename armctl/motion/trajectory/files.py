@@ -14,9 +14,9 @@ from armctl.core import units
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Limits
 from armctl.core.validation import Array, number
-from armctl.motion.joint_trajectory import JointTrajectory
-from armctl.motion.pieces import DEGREE
 from armctl.motion.slowdown import Slowdown
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
+from armctl.motion.trajectory.piecewise import DEGREE
 
 _FORMAT = 1
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from armctl.core.trajectory import Limits
 from armctl.core.validation import Array
-from armctl.motion import polynomials
+from armctl.motion.trajectory import polynomials
 
 RATIO_TOLERANCE = 1e-6
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")

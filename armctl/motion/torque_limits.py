@@ -14,9 +14,9 @@ import numpy as np
 from armctl.core.errors import InputError, PlanError
 from armctl.core.trajectory import Trajectory, check_motion
 from armctl.core.validation import Array
-from armctl.motion.joint_trajectory import JointTrajectory
-from armctl.motion.pace import TorqueRows, slower
 from armctl.motion.slowdown import Slowdown
+from armctl.motion.timing.path_timing import TorqueRows, slower
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.arm import Arm, check_arm
 from armctl.robot.dynamics import Dynamics
 

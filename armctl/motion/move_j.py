@@ -7,11 +7,11 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, LimitError
 from armctl.core.validation import Array
-from armctl.motion.checks import require_bounds, start_velocity
-from armctl.motion.joint_trajectory import JointTrajectory
-from armctl.motion.pieces import Pieces
-from armctl.motion.profiles import Moving, Profiles, at_rest
-from armctl.motion.torque import within_torque
+from armctl.motion.timing.otg import Moving, Profiles, at_rest
+from armctl.motion.torque_limits import within_torque
+from armctl.motion.trajectory.checks import require_bounds, start_velocity
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
+from armctl.motion.trajectory.piecewise import Pieces
 from armctl.robot.arm import Arm
 
 _PARALLEL = 1e-6

@@ -12,8 +12,8 @@ import numpy as np
 
 from armctl.core.errors import PlanError
 from armctl.core.validation import Array
-from armctl.motion.joint_trajectory import JointTrajectory
-from armctl.motion.pieces import hermite
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
+from armctl.motion.trajectory.piecewise import hermite
 
 _DELAYS = 12
 _SHORTEST, _GROWTH = 0.01, 1.15  # s, and from one length of a fall to the next

@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, matrix
-from armctl.motion.checks import require_bounds
-from armctl.motion.joint_trajectory import JointTrajectory
-from armctl.motion.profiles import Moving, Profiles
-from armctl.motion.torque import within_torque
-from armctl.motion.waypoint_search import Candidate, WaypointSearch
+from armctl.motion.timing.otg import Moving, Profiles
+from armctl.motion.timing.waypoint_timing import Candidate, WaypointSearch
+from armctl.motion.torque_limits import within_torque
+from armctl.motion.trajectory.checks import require_bounds
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.arm import Arm
 
 _SAME = 1e-9  # rad, between two waypoints that are met as one

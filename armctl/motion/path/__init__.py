@@ -1,0 +1,1 @@
+"""Geometric paths of the tip, and the joint paths that realize them."""

@@ -1,0 +1,1 @@
+"""How fast along a path: time-optimal timing under joint limits."""

@@ -1,0 +1,1 @@
+"""Trajectories as piecewise polynomials: evaluation, limits, stopping, files."""
