@@ -5,7 +5,9 @@ the same for type checkers.
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from armctl.core import hooks
 
 __version__ = "0.1.0"
 
@@ -18,8 +20,8 @@ _MODULES = {
     "Controller": "armctl.control",
     "DifferentialIk": "armctl.ik",
     "IkBatch": "armctl.ik",
-    "GripResult": "armctl.gripper",
-    "Gripper": "armctl.gripper",
+    "GripResult": "armctl.sim.gripper",
+    "Gripper": "armctl.sim.gripper",
     "IkResult": "armctl.ik",
     "Impedance": "armctl.control",
     "InputError": "armctl.core.errors",
@@ -36,17 +38,17 @@ _MODULES = {
     "PIDGravity": "armctl.control",
     "PayloadEstimate": "armctl.identification",
     "PlanError": "armctl.core.errors",
-    "Plant": "armctl.plant",
+    "Plant": "armctl.sim.plant",
     "Pose": "armctl.core.pose",
-    "Push": "armctl.plant",
+    "Push": "armctl.sim.plant",
     "Report": "armctl.report",
     "Scene": "armctl.loading.scene",
     "SerialChain": "armctl.loading.chain",
     "Setpoint": "armctl.core.trajectory",
-    "Simulation": "armctl.simulation",
+    "Simulation": "armctl.sim.simulation",
     "SimulationError": "armctl.core.log",
     "State": "armctl.control",
-    "Team": "armctl.team",
+    "Team": "armctl.sim.multi_arm",
     "Trajectory": "armctl.core.trajectory",
     "UnknownNameError": "armctl.core.errors",
     "chains": "armctl.loading.load",
@@ -61,7 +63,7 @@ _MODULES = {
     "move_l": "armctl.motion",
     "move_path": "armctl.motion",
     "move_through": "armctl.motion",
-    "simulate": "armctl.simulation",
+    "simulate": "armctl.sim.simulation",
     "solve_ik": "armctl.ik",
     "solve_ik_batch": "armctl.ik",
 }
@@ -92,8 +94,6 @@ if TYPE_CHECKING:
     from armctl.core.trajectory import Limits as Limits
     from armctl.core.trajectory import Setpoint as Setpoint
     from armctl.core.trajectory import Trajectory as Trajectory
-    from armctl.gripper import Gripper as Gripper
-    from armctl.gripper import GripResult as GripResult
     from armctl.identification import PayloadEstimate as PayloadEstimate
     from armctl.identification import excitation as excitation
     from armctl.identification import identify_payload as identify_payload
@@ -114,13 +114,15 @@ if TYPE_CHECKING:
     from armctl.motion import move_l as move_l
     from armctl.motion import move_path as move_path
     from armctl.motion import move_through as move_through
-    from armctl.plant import Plant as Plant
-    from armctl.plant import Push as Push
     from armctl.report import Report as Report
     from armctl.robot.arm import Arm as Arm
-    from armctl.simulation import Simulation as Simulation
-    from armctl.simulation import simulate as simulate
-    from armctl.team import Team as Team
+    from armctl.sim.gripper import Gripper as Gripper
+    from armctl.sim.gripper import GripResult as GripResult
+    from armctl.sim.multi_arm import Team as Team
+    from armctl.sim.plant import Plant as Plant
+    from armctl.sim.plant import Push as Push
+    from armctl.sim.simulation import Simulation as Simulation
+    from armctl.sim.simulation import simulate as simulate
 
 __all__ = list(_MODULES)  # pyright: ignore[reportUnsupportedDunderAll]
 
@@ -135,3 +137,13 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *_MODULES})
+
+
+def _open_viewer(arm: Any) -> Any:
+    """The page behind `Simulation(viewer=True)`."""
+    from armctl.viewer.viewer import Viewer
+
+    return Viewer(arm)
+
+
+hooks.open_viewer = _open_viewer

@@ -143,9 +143,9 @@ def _info(args: argparse.Namespace) -> int:
 
 
 def _reach(args: argparse.Namespace) -> int:
+    from armctl.render import film_path
     from armctl.report import Report
-    from armctl.simulation import Simulation
-    from armctl.view import film_path
+    from armctl.sim.simulation import Simulation
 
     if args.video:
         film_path(args.video)
@@ -205,7 +205,7 @@ def _iso9283(args: argparse.Namespace) -> int:
     from armctl.identification import excitation, identify_payload
     from armctl.iso9283 import iso9283_cycles
     from armctl.plant_names import plant_by_name
-    from armctl.simulation import simulate
+    from armctl.sim.simulation import simulate
 
     arm, known = (_load(args),) * 2
     plant = plant_by_name(args.plant, arm, _numbers("timestep", [args.timestep])[0] if args.timestep else None)
@@ -221,7 +221,7 @@ def _iso9283(args: argparse.Namespace) -> int:
 def _simulate(args: argparse.Namespace) -> int:
     from armctl.describe import describe_end
     from armctl.plot import ENDINGS, four_panels
-    from armctl.simulation import Simulation
+    from armctl.sim.simulation import Simulation
 
     log = Simulation(_load(args)).apply_ctrl(_numbers("ctrl", args.ctrl), _numbers("seconds", [args.seconds])[0])
     columns = {"q": log.q, "v": log.v, "tau": log.tau}
@@ -236,7 +236,7 @@ def _simulate(args: argparse.Namespace) -> int:
 
 
 def _view(args: argparse.Namespace) -> int:
-    from armctl import live
+    from armctl import viewer as live
     from armctl.loading import catalog as source
 
     if args.host and not args.token:

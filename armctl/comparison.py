@@ -15,10 +15,10 @@ from armctl.core.log import SimulationError
 from armctl.core.trajectory import Trajectory
 from armctl.core.validation import number
 from armctl.motion import move_j
-from armctl.plant import NOMINAL, Plant
 from armctl.report import Report
 from armctl.robot.arm import Arm
-from armctl.simulation import simulate
+from armctl.sim.plant import NOMINAL, Plant
+from armctl.sim.simulation import simulate
 
 
 def compare(

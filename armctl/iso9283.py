@@ -19,9 +19,9 @@ from armctl.core.pose import Pose
 from armctl.core.validation import Array, number
 from armctl.ik import solve_ik
 from armctl.motion import JointTrajectory, move_j, move_l
-from armctl.plant import NOMINAL, Plant
 from armctl.robot.arm import Arm
-from armctl.simulation import Simulation
+from armctl.sim.plant import NOMINAL, Plant
+from armctl.sim.simulation import Simulation
 
 _EDGES = 0.4 * 0.8 ** np.arange(12)  # m, of the test cube: the largest that the arm can work in
 _CORNERS = np.array([[1, 1, 1], [1, -1, -1], [-1, -1, -1], [-1, 1, 1]])  # of the cube's inclined plane C1-C2-C7-C8

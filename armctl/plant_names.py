@@ -6,8 +6,8 @@ from dataclasses import replace
 
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.validation import number
-from armctl.plant import NOMINAL, Plant
 from armctl.robot.arm import Arm
+from armctl.sim.plant import NOMINAL, Plant
 
 _ENCODER_NOISE, _VELOCITY_NOISE = 1e-5, 1e-3  # rad, rad/s
 _FRICTION = 0.02  # of the torque limit, dry; and half of that for each rad/s

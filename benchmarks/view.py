@@ -24,10 +24,10 @@ from PIL import Image
 
 import armctl
 from armctl.core.pose import Pose
-from armctl.live.page import Page
-from armctl.view import Renderer
-from armctl.view.camera import frame
-from armctl.view.stage import Stage
+from armctl.render import Renderer
+from armctl.render.camera import frame
+from armctl.viewer.page import Page
+from armctl.viewer.web_scene import Stage
 
 STARTS = 5
 SOFTWARE_GL = "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --ignore-gpu-blocklist"

@@ -8,8 +8,8 @@ from arms import arm_of, at_hand
 from test_chain import limb, mjcf, motors
 
 import armctl
-from armctl.gripper import Gripper
-from armctl.jaws import find_jaws
+from armctl.sim.gripper import Gripper
+from armctl.sim.gripper_model import find_jaws
 
 PAD = '<geom name="{0}" type="box" size="0.01 0.004 0.02" pos="0 {1} 0.06" mass="0.02" solref="0.004 1"/>'
 

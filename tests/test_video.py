@@ -13,10 +13,10 @@ import armctl
 from armctl import InputError, NotInstalledError, Simulation
 from armctl.cli import main
 from armctl.loading.prepare import TARGET
-from armctl.view import Renderer, record, still
-from armctl.view.camera import axes, box_corners, frame
-from armctl.view.gl import INSTALL, gl_context
-from armctl.view.renderer import thinned
+from armctl.render import Renderer, record, still
+from armctl.render.camera import axes, box_corners, frame
+from armctl.render.gl import INSTALL, gl_context
+from armctl.render.renderer import thinned
 
 
 def _can_draw() -> bool:

@@ -23,9 +23,9 @@ pytestmark = [
 pytest.importorskip("mjviser", reason="pip install 'armctl[view]'")
 sync_api = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
 
-from armctl.live.gate import Gate  # noqa: E402
-from armctl.live.page import Page  # noqa: E402
-from armctl.view.stage import Stage  # noqa: E402
+from armctl.viewer.auth_proxy import Gate  # noqa: E402
+from armctl.viewer.page import Page  # noqa: E402
+from armctl.viewer.web_scene import Stage  # noqa: E402
 
 SOFTWARE_GL = [
     "--no-sandbox",

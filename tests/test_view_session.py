@@ -9,11 +9,11 @@ from arms import BUNDLED, arm_of
 
 from armctl import InputError, Pose, UnknownNameError
 from armctl.cli import main
-from armctl.live.gate import Gate
-from armctl.live.guide import Guide
-from armctl.live.history import SECONDS
-from armctl.live.session import INTERVAL, Session
-from armctl.view.pace import Pace
+from armctl.sim.clock import Pace
+from armctl.sim.history import SECONDS
+from armctl.sim.online_reference import Guide
+from armctl.sim.realtime import INTERVAL, Session
+from armctl.viewer.auth_proxy import Gate
 
 SOME = ["robot_arm_3dof", "panda", "ur5e", "xarm7", "so_arm100", "endless", "gantry"]
 

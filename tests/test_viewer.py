@@ -8,8 +8,8 @@ from arms import BUNDLED, arm_of, at_hand
 from scipy.spatial import KDTree
 
 from armctl import Simulation
-from armctl.view.lighten import lightened
-from armctl.view.pace import Pace
+from armctl.sim.clock import Pace
+from armctl.viewer.mesh_decimation import lightened
 
 pytest.importorskip("mjviser", reason="pip install 'armctl[view]'")
 
@@ -57,7 +57,7 @@ def test_the_page_draws_what_the_simulation_ended_with(watched: Simulation):
 def test_it_says_where_it_is_and_how_fast_it_goes(watched: Simulation):
     assert watched.viewer.url.startswith("http://127.0.0.1:")
     watched.viewer._spoken = 0.0
-    watched.viewer.show(watched._rig)
+    watched.viewer.after_reset(watched.data)
     assert "real time x" in watched.viewer._stage.words.content
 
 

@@ -11,7 +11,7 @@ import armctl
 from armctl.cli import main
 from armctl.core.log import Log
 from armctl.motion import move_path
-from armctl.recorder import MOST_TICKS
+from armctl.sim.recorder import MOST_TICKS
 
 ARM = arm_of("robot_arm_3dof")
 MOTION = armctl.move_j(ARM, ARM.home, ARM.home + 0.1)

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 import armctl
 from armctl.comparison import compare, out_and_back
 from armctl.plot import COLORS, STYLE, overlay
-from armctl.view import record, still
+from armctl.render import record, still
 
 HERE = Path(__file__).parent
 
@@ -75,8 +75,8 @@ def page() -> None:
     from playwright.sync_api import sync_playwright
 
     from armctl.core.pose import Pose
-    from armctl.live.page import Page
-    from armctl.view.stage import Stage
+    from armctl.viewer.page import Page
+    from armctl.viewer.web_scene import Stage
 
     page = Page(armctl.load("panda"), Stage(0))
     threading.Thread(target=page.serve, daemon=True).start()

@@ -18,9 +18,9 @@ import numpy as np
 from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.validation import Array
 from armctl.loading.prepare import TARGET
+from armctl.render.camera import axes, frame
 from armctl.robot.arm import Arm
-from armctl.view.camera import axes, frame
-from armctl.view.lighten import lightened
+from armctl.viewer.mesh_decimation import lightened
 
 if TYPE_CHECKING:
     import viser

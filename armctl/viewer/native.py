@@ -12,9 +12,9 @@ import mujoco
 
 from armctl.core.errors import NotInstalledError
 from armctl.core.pose import Pose
-from armctl.live.session import Session
 from armctl.loading.prepare import TARGET
 from armctl.robot.arm import Arm
+from armctl.sim.realtime import Session
 
 _INTERVAL = 1 / 60  # s between drawings
 _PATIENCE = 5.0  # s for the window to close

@@ -10,10 +10,10 @@ import numpy as np
 
 from armctl.core.errors import InputError
 from armctl.core.validation import number
-from armctl.jaws import find_jaws, make_servos, pad_distance
 from armctl.mjmodel.queries import body_name
-from armctl.rig import Rig
 from armctl.robot.arm import Arm
+from armctl.sim.gripper_model import find_jaws, make_servos, pad_distance
+from armctl.sim.stepper import Rig
 
 _DEFAULT_FORCE = 10.0  # N
 _SPEED = 0.1  # m/s between the pads

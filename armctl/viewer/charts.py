@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from armctl.core.target import TOLERANCE
-from armctl.live.history import SECONDS, Past
 from armctl.plot import COLORS
+from armctl.sim.history import SECONDS, Past
 
 if TYPE_CHECKING:
     import viser

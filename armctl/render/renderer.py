@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armctl.core.errors import InputError
 from armctl.core.validation import Array
-from armctl.view.gl import gl_context
+from armctl.render.gl import gl_context
 
 Image = NDArray[np.uint8]
 QUALITIES = ("fast", "full")

@@ -16,9 +16,9 @@ from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.log import Log
 from armctl.core.validation import Array, number
 from armctl.loading.prepare import TARGET
+from armctl.render.camera import frame
+from armctl.render.renderer import Image, Renderer
 from armctl.robot.arm import Arm
-from armctl.view.camera import frame
-from armctl.view.renderer import Image, Renderer
 
 ENDINGS = (".mp4", ".gif")
 _FRAMES_PER_SECOND = {".mp4": 30, ".gif": 25}  # a GIF counts hundredths of a second

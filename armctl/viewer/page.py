@@ -14,11 +14,11 @@ import numpy as np
 from armctl.control import CONTROLLERS
 from armctl.core.errors import UnknownNameError
 from armctl.core.pose import Pose
-from armctl.live.gate import Gate
-from armctl.live.panel import Panel
-from armctl.live.session import Session
 from armctl.robot.arm import Arm
-from armctl.view.stage import INTERVAL, PORT, Stage
+from armctl.sim.realtime import Session
+from armctl.viewer.auth_proxy import Gate
+from armctl.viewer.panel import Panel
+from armctl.viewer.web_scene import INTERVAL, PORT, Stage
 
 _GIZMO = 0.15  # m
 _ABOVE = np.array([0.0, 0.0, 0.1])  # m, where the words are, from the target

@@ -19,14 +19,14 @@ from armctl.core.result import MoveResult
 from armctl.core.target import Goal
 from armctl.core.trajectory import Limits, Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array, number
-from armctl.gripper import Gripper
 from armctl.ik import solve_ik
 from armctl.motion import move_j
-from armctl.plant import Plant
-from armctl.recorder import Recorder
-from armctl.rig import Rig
 from armctl.robot.arm import Arm
 from armctl.robot.joint_map import joined
+from armctl.sim.gripper import Gripper
+from armctl.sim.plant import Plant
+from armctl.sim.recorder import Recorder
+from armctl.sim.stepper import Rig
 
 _SETTLED_SPEED = 1e-3  # rad/s
 _SETTLE_CHUNK = 0.02  # s

@@ -1,6 +1,6 @@
 """Seeing: offscreen pictures and films of runs."""
 
-from armctl.view.film import film_path, record, still
-from armctl.view.renderer import Renderer
+from armctl.render.renderer import Renderer
+from armctl.render.video import film_path, record, still
 
 __all__ = ["Renderer", "film_path", "record", "still"]

@@ -14,16 +14,16 @@ from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
 from armctl.core.target import TOLERANCE, Goal
 from armctl.core.validation import Array
-from armctl.gripper import Gripper
 from armctl.ik import DifferentialIk, solve_ik
-from armctl.live.guide import Guide
-from armctl.live.history import History
 from armctl.loading.prepare import TARGET
-from armctl.plant import Plant
-from armctl.recorder import Recorder
-from armctl.rig import Rig
 from armctl.robot.arm import Arm
-from armctl.view.pace import Pace
+from armctl.sim.clock import Pace
+from armctl.sim.gripper import Gripper
+from armctl.sim.history import History
+from armctl.sim.online_reference import Guide
+from armctl.sim.plant import Plant
+from armctl.sim.recorder import Recorder
+from armctl.sim.stepper import Rig
 
 INTERVAL = 0.01  # s between looks at the target
 _STILL = 1e-3  # rad/s

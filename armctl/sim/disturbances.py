@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from armctl.core.validation import Array
-from armctl.plant import Plant
 from armctl.robot.arm import Arm
+from armctl.sim.plant import Plant
 
 _RIPPLES = 12.0  # per radian; 75 a turn, as of a motor's torque behind a gear
 

@@ -11,10 +11,10 @@ import numpy as np
 from armctl.control import CONTROLLERS
 from armctl.core.pose import Pose
 from armctl.core.validation import Array
-from armctl.gripper import Gripper
-from armctl.live.charts import Charts
-from armctl.live.contest import Contest
-from armctl.live.session import Session
+from armctl.sim.gripper import Gripper
+from armctl.sim.realtime import Session
+from armctl.viewer.charts import Charts
+from armctl.viewer.comparison_panel import Contest
 
 if TYPE_CHECKING:
     import viser

@@ -13,8 +13,8 @@ from armctl.core.errors import ModelError
 from armctl.core.validation import Array, IntArray, frozen
 from armctl.mjmodel.couplings import dofs_of_tendon
 from armctl.mjmodel.queries import actuator_name, branches, is_below, is_on_joint, welded_behind
-from armctl.plant import brake
 from armctl.robot.arm import Arm
+from armctl.sim.plant import brake
 
 _STEPS = 12  # widths in the table
 _SETTLE = 1.0  # s for the jaws to come to rest at each

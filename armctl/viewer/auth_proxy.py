@@ -11,7 +11,7 @@ from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qs, quote, urlsplit
 
 from armctl.core.errors import InputError
-from armctl.view.stage import LOCAL
+from armctl.viewer.web_scene import LOCAL
 
 TOKEN_LENGTH = 8  # characters at least
 _HEAD_MAX = 16384  # bytes

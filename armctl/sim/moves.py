@@ -22,9 +22,9 @@ from armctl.core.validation import Array, number
 from armctl.ik import solve_ik
 from armctl.loading.prepare import TARGET
 from armctl.motion import Arc, JointTrajectory, Line, OnlineMotion, move_c, move_j, move_l, move_path
-from armctl.recorder import Recorder, ticks_for
-from armctl.rig import Rig
 from armctl.robot.arm import Arm
+from armctl.sim.recorder import Recorder, ticks_for
+from armctl.sim.stepper import Rig
 
 _SETTLED_SPEED = 1e-3  # rad/s
 _SETTLE_CHUNK = 0.02  # s

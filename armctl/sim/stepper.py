@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -15,13 +16,44 @@ from armctl.core.log import Log, SimulationError
 from armctl.core.pose import Pose
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array, IntArray, vector
-from armctl.disturbances import Disturbances
-from armctl.plant import Plant
-from armctl.recorder import Recorder
 from armctl.robot.arm import Arm
+from armctl.sim.disturbances import Disturbances
+from armctl.sim.plant import Plant
+from armctl.sim.recorder import Recorder
 
 _BRAKED = ("dof_armature", "dof_frictionloss", "jnt_limited", "tendon_limited", "tendon_frictionloss", "eq_active0")
 _RUNAWAY = 1e4  # rad/s: speeds no arm survives
+
+
+class Observer(Protocol):
+    """Something that watches the tick loop, such as a viewer. It must not change the state; it may take its time.
+
+    Attributes:
+        interval: s of simulated time between two calls of `after_ticks`.
+    """
+
+    interval: float
+
+    def after_reset(self, data: mujoco.MjData) -> None:
+        """The state was set anew.
+
+        Args:
+            data: The plant's state.
+        """
+        ...
+
+    def before_run(self) -> None:
+        """A run begins."""
+        ...
+
+    def after_ticks(self, data: mujoco.MjData, seconds: float) -> None:
+        """A few ticks of a run are over.
+
+        Args:
+            data: The plant's state.
+            seconds: Simulated time since the last call, s.
+        """
+        ...
 
 
 class Rig:
@@ -38,14 +70,15 @@ class Rig:
         end: Why nothing more can be run, in words; empty while all is well.
     """
 
-    def __init__(self, arm: Arm, plant: Plant):
+    def __init__(self, arm: Arm, plant: Plant, observer: Observer | None = None):
         """A rig with the arm at home, at rest.
 
         Args:
             arm: The arm.
             plant: How reality differs from it.
+            observer: What watches the tick loop, or None.
         """
-        self.arm, self.plant = arm, plant
+        self.arm, self.plant, self._observer = arm, plant, observer
         self._loose = np.zeros(0, dtype=np.int64)
         self.model = plant.model(arm)
         self.data = mujoco.MjData(self.model)
@@ -91,6 +124,8 @@ class Rig:
         mujoco.mj_forward(self.model, self.data)
         self.q_ref, self.end = q, ""
         self._disturbances = Disturbances(self.plant, self.arm, self.data) if self.plant.disturbs else None
+        if self._observer is not None:
+            self._observer.after_reset(self.data)
 
     def loosen(self, dofs: IntArray) -> None:
         """Takes the brake off joints outside the arm, such as a gripper's; `reset` puts it on again.
@@ -135,6 +170,19 @@ class Rig:
         """
         if self.end:
             raise SimulationError(f"{self.end}; reset() starts afresh")
+        if self._observer is None:
+            self._run_ticks(controller, reference, recorder)
+            return
+        ticks = max(1, round(self._observer.interval / self.dt))
+        self._observer.before_run()
+        for first in range(0, len(reference.q), ticks):
+            part = TickReference(*(np.asarray(column)[first : first + ticks] for column in reference))
+            self._run_ticks(controller, part, recorder)
+            self._observer.after_ticks(self.data, len(part.q) * self.dt)
+            if self.end:
+                return
+
+    def _run_ticks(self, controller: Controller, reference: TickReference, recorder: Recorder) -> None:
         model, data, dt, continuous, steps = self.model, self.data, self.dt, self.continuous, self._steps
         (read_q, read_v, read_tau), motors, gear, qpos, ctrl = self._read, self._motors, self.arm.gear, data.qpos, data.ctrl
         torque, step, disturbances, tape = controller.torque, mujoco.mj_step, self._disturbances, recorder.tape

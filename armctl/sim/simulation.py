@@ -13,22 +13,21 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl import view
 from armctl.control import ComputedTorque, Controller, State, controller_by_name
+from armctl.core import hooks
 from armctl.core.errors import InputError, LimitError
 from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.trajectory import TickReference, Trajectory, check_motion
 from armctl.core.validation import Array, instance, number, vector
-from armctl.gripper import Gripper
 from armctl.loading.load import load
 from armctl.loading.prepare import TARGET
-from armctl.moves import Moves
-from armctl.plant import NOMINAL, Plant
-from armctl.recorder import Recorder, ticks_for
-from armctl.rig import ConstantTorque, Rig
 from armctl.robot.arm import Arm, check_arm
-from armctl.view.viewer import WatchedRig
+from armctl.sim.gripper import Gripper
+from armctl.sim.moves import Moves
+from armctl.sim.plant import NOMINAL, Plant
+from armctl.sim.recorder import Recorder, ticks_for
+from armctl.sim.stepper import ConstantTorque, Rig
 
 _IDLE = 4  # rigs kept for the next run
 
@@ -68,8 +67,9 @@ class Simulation(Moves):
         self.controller = ComputedTorque(self.arm) if controller is None else controller
         self.plant = _checked(self.controller, plant)
         self.log: Log | None = None
-        self._rig, self._gripper = WatchedRig(self.arm, self.plant) if viewer else Rig(self.arm, self.plant), None
-        self.viewer = self._rig.viewer if isinstance(self._rig, WatchedRig) else None
+        self.viewer = hooks.open_viewer(self.arm) if viewer and hooks.open_viewer is not None else None
+        self._rig = Rig(self.arm, self.plant, self.viewer)
+        self._gripper: Gripper | None = None
         self.model, self.data = self._rig.model, self._rig.data
 
     @property
@@ -159,7 +159,7 @@ class Simulation(Moves):
 
         Args:
             path: The film, .mp4 or .gif; its folder is made.
-            **options: width, height, quality and speed, as for `armctl.view.record`.
+            **options: width, height, quality and speed, as for `armctl.render.record`.
 
         Returns:
             The path.
@@ -169,7 +169,9 @@ class Simulation(Moves):
         """
         if self.log is None:
             raise InputError("log: nothing has run yet, so there is nothing to film; move first")
-        return view.record(self.log, self.arm, path, **options)
+        from armctl.render.video import record  # cameras and encoders are loaded when a film is made
+
+        return record(self.log, self.arm, path, **options)
 
 
 def simulate(

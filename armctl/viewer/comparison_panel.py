@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 from armctl.comparison import compare, out_and_back
 from armctl.control import CONTROLLERS
-from armctl.live.session import Session
-from armctl.plant import Plant
 from armctl.plot import overlay_image
 from armctl.report import Report
+from armctl.sim.plant import Plant
+from armctl.sim.realtime import Session
 
 if TYPE_CHECKING:
     import viser

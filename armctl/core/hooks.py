@@ -1,0 +1,9 @@
+"""What the top-level package lends to lower layers, so that these import nothing from above them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+# Opens the browser page that observes a simulation; takes an Arm and returns a `sim.stepper.Observer`.
+open_viewer: Callable[[Any], Any] | None = None
