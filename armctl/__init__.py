@@ -36,7 +36,7 @@ _MODULES = {
     "PD": "armctl.control",
     "PDGravity": "armctl.control",
     "PIDGravity": "armctl.control",
-    "PayloadEstimate": "armctl.identification",
+    "PayloadEstimate": "armctl.design.identification",
     "PlanError": "armctl.core.errors",
     "Plant": "armctl.sim.plant",
     "Pose": "armctl.core.pose",
@@ -54,8 +54,8 @@ _MODULES = {
     "chains": "armctl.loading.load",
     "check_torque": "armctl.motion",
     "compare": "armctl.comparison",
-    "excitation": "armctl.identification",
-    "identify_payload": "armctl.identification",
+    "excitation": "armctl.design.identification",
+    "identify_payload": "armctl.design.identification",
     "load": "armctl.loading.load",
     "load_arms": "armctl.loading.load",
     "move_c": "armctl.motion",
@@ -94,9 +94,9 @@ if TYPE_CHECKING:
     from armctl.core.trajectory import Limits as Limits
     from armctl.core.trajectory import Setpoint as Setpoint
     from armctl.core.trajectory import Trajectory as Trajectory
-    from armctl.identification import PayloadEstimate as PayloadEstimate
-    from armctl.identification import excitation as excitation
-    from armctl.identification import identify_payload as identify_payload
+    from armctl.design.identification import PayloadEstimate as PayloadEstimate
+    from armctl.design.identification import excitation as excitation
+    from armctl.design.identification import identify_payload as identify_payload
     from armctl.ik import DifferentialIk as DifferentialIk
     from armctl.ik import IkBatch as IkBatch
     from armctl.ik import IkResult as IkResult

@@ -202,7 +202,7 @@ def _names(text: str | None) -> list[str]:
 
 def _iso9283(args: argparse.Namespace) -> int:
     from armctl.control import controller_by_name
-    from armctl.identification import excitation, identify_payload
+    from armctl.design.identification import excitation, identify_payload
     from armctl.iso9283 import iso9283_cycles
     from armctl.plant_names import plant_by_name
     from armctl.sim.simulation import simulate

@@ -188,7 +188,7 @@ def test_an_excitation_that_fails_is_given_up_after_few_plans(bundled, monkeypat
         planned.append(np.abs(waypoints - arm.home).max())
         raise armctl.PlanError("it cannot be")
 
-    monkeypatch.setattr("armctl.identification.move_through", fails)
+    monkeypatch.setattr("armctl.design.identification.move_through", fails)
     with pytest.raises(armctl.PlanError, match="shows a payload of 1 kg safely: it cannot be"):
         armctl.excitation(bundled)
     assert len(planned) <= 8

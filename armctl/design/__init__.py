@@ -1,0 +1,1 @@
+"""Models and controllers improved from data: excitation and identification."""
