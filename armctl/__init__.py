@@ -41,7 +41,7 @@ _MODULES = {
     "Plant": "armctl.sim.plant",
     "Pose": "armctl.core.pose",
     "Push": "armctl.sim.plant",
-    "Report": "armctl.report",
+    "Report": "armctl.analysis.report",
     "Scene": "armctl.loading.scene",
     "SerialChain": "armctl.loading.chain",
     "Setpoint": "armctl.core.trajectory",
@@ -53,7 +53,7 @@ _MODULES = {
     "UnknownNameError": "armctl.core.errors",
     "chains": "armctl.loading.load",
     "check_torque": "armctl.motion",
-    "compare": "armctl.comparison",
+    "compare": "armctl.analysis.comparison",
     "excitation": "armctl.design.identification",
     "identify_payload": "armctl.design.identification",
     "load": "armctl.loading.load",
@@ -69,7 +69,8 @@ _MODULES = {
 }
 
 if TYPE_CHECKING:
-    from armctl.comparison import compare as compare
+    from armctl.analysis.comparison import compare as compare
+    from armctl.analysis.report import Report as Report
     from armctl.control import PD as PD
     from armctl.control import Adaptive as Adaptive
     from armctl.control import ComputedTorque as ComputedTorque
@@ -114,7 +115,6 @@ if TYPE_CHECKING:
     from armctl.motion import move_l as move_l
     from armctl.motion import move_path as move_path
     from armctl.motion import move_through as move_through
-    from armctl.report import Report as Report
     from armctl.robot.arm import Arm as Arm
     from armctl.sim.gripper import Gripper as Gripper
     from armctl.sim.gripper import GripResult as GripResult

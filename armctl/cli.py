@@ -19,7 +19,7 @@ from armctl import __version__
 from armctl.core.errors import ArmctlError, InputError, LimitError, UnknownNameError
 
 if TYPE_CHECKING:
-    from armctl.report import Report
+    from armctl.analysis.report import Report
     from armctl.robot.arm import Arm
 
 OK, NOT_REACHED, WRONG_CALL = 0, 1, 2
@@ -126,7 +126,7 @@ def _robots(args: argparse.Namespace) -> int:
 def _chains(args: argparse.Namespace) -> int:
     from dataclasses import asdict
 
-    from armctl.describe import describe_chains
+    from armctl.analysis.describe import describe_chains
     from armctl.loading.load import chains
 
     found = chains(args.robot)
@@ -135,7 +135,7 @@ def _chains(args: argparse.Namespace) -> int:
 
 
 def _info(args: argparse.Namespace) -> int:
-    from armctl.describe import describe, facts
+    from armctl.analysis.describe import describe, facts
 
     arm = _load(args)
     print(json.dumps(facts(arm), indent=2) if args.json else describe(arm))
@@ -143,8 +143,8 @@ def _info(args: argparse.Namespace) -> int:
 
 
 def _reach(args: argparse.Namespace) -> int:
+    from armctl.analysis.report import Report
     from armctl.render import film_path
-    from armctl.report import Report
     from armctl.sim.simulation import Simulation
 
     if args.video:
@@ -164,11 +164,11 @@ def _reach(args: argparse.Namespace) -> int:
 
 
 def _compare(args: argparse.Namespace) -> int:
-    from armctl.comparison import compare, out_and_back, remarks
-    from armctl.comparison_page import write_comparison
+    from armctl.analysis.comparison import compare, out_and_back, remarks
+    from armctl.analysis.comparison_html import write_comparison
+    from armctl.analysis.report import table
     from armctl.control import CONTROLLERS
     from armctl.plant_names import plant_by_name
-    from armctl.report import table
 
     arm, timestep = _load(args), _numbers("timestep", [args.timestep])[0] if args.timestep else None
     controllers = list(CONTROLLERS) if args.controllers == "all" else _names(args.controllers)
@@ -201,9 +201,9 @@ def _names(text: str | None) -> list[str]:
 
 
 def _iso9283(args: argparse.Namespace) -> int:
+    from armctl.analysis.iso9283 import iso9283_cycles
     from armctl.control import controller_by_name
     from armctl.design.identification import excitation, identify_payload
-    from armctl.iso9283 import iso9283_cycles
     from armctl.plant_names import plant_by_name
     from armctl.sim.simulation import simulate
 
@@ -219,8 +219,8 @@ def _iso9283(args: argparse.Namespace) -> int:
 
 
 def _simulate(args: argparse.Namespace) -> int:
-    from armctl.describe import describe_end
-    from armctl.plot import ENDINGS, four_panels
+    from armctl.analysis.describe import describe_end
+    from armctl.analysis.plot import ENDINGS, four_panels
     from armctl.sim.simulation import Simulation
 
     log = Simulation(_load(args)).apply_ctrl(_numbers("ctrl", args.ctrl), _numbers("seconds", [args.seconds])[0])

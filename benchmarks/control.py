@@ -19,10 +19,10 @@ import numpy as np
 import pinocchio as pin
 
 import armctl
-from armctl.comparison import out_and_back
+from armctl.analysis.comparison import out_and_back
+from armctl.analysis.iso9283 import iso9283_cycles
 from armctl.control import CONTROLLERS, controller_by_name
 from armctl.core.trajectory import TickReference
-from armctl.iso9283 import iso9283_cycles
 from armctl.motion import JointTrajectory
 from armctl.plant_names import plant_by_name
 

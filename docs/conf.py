@@ -45,8 +45,8 @@ CHAPTERS = {
     "armctl.sim.gripper": "Grippers",
     "armctl.sim.multi_arm": "Teams",
     "armctl.core.log": "The log",
-    "armctl.report": "Reports",
-    "armctl.comparison": "Comparison",
+    "armctl.analysis.report": "Reports",
+    "armctl.analysis.comparison": "Comparison",
     "armctl.core.errors": "Errors",
 }
 

@@ -1,7 +1,7 @@
 """The same motion under PD and under computed torque: one table, and what a model of the arm is worth."""
 
 import armctl
-from armctl.report import table
+from armctl.analysis.report import table
 
 arm = armctl.load("robot_arm_3dof")
 motion = armctl.move_through(arm, [[0.0, -0.5, -1.0], [1.0, -0.3, -0.5], [-1.0, -0.3, -0.5], [0.0, 0.0, 0.0]])

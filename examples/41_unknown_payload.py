@@ -1,8 +1,8 @@
 """An arm holds something that its model does not know: what that costs, an observer's help, and the payload identified."""
 
 import armctl
-from armctl.comparison import out_and_back
-from armctl.report import table
+from armctl.analysis.comparison import out_and_back
+from armctl.analysis.report import table
 
 arm = armctl.load("robot_arm_3dof")
 plant = armctl.Plant(payload=1.5, encoder_noise=1e-5, timestep=0.001)  # what the controllers are not told

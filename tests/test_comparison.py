@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import armctl
-from armctl.comparison import out_and_back, remarks
-from armctl.comparison_page import write_comparison
+from armctl.analysis.comparison import out_and_back, remarks
+from armctl.analysis.comparison_html import write_comparison
+from armctl.analysis.report import table
 from armctl.plant_names import PLANTS, plant_by_name
-from armctl.report import table
 
 
 class Explodes:

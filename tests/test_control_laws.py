@@ -6,7 +6,7 @@ from arms import arm_of
 from motions import Still
 
 import armctl
-from armctl.comparison import out_and_back
+from armctl.analysis.comparison import out_and_back
 from armctl.control import pd
 from armctl.core.trajectory import Setpoint
 from armctl.robot.dynamics import Dynamics

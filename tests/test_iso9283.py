@@ -5,7 +5,7 @@ import pytest
 from arms import arm_of
 
 import armctl
-from armctl.iso9283 import _accuracy, _stabilisation, iso9283_cycles
+from armctl.analysis.iso9283 import _accuracy, _stabilisation, iso9283_cycles
 
 
 class FakeLog:

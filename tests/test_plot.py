@@ -8,7 +8,7 @@ from arms import BUNDLED, arm_of
 from PIL import Image
 
 from armctl import InputError, Log, NotInstalledError, Simulation
-from armctl.plot import COLORS, four_panels, overlay, overlay_image
+from armctl.analysis.plot import COLORS, four_panels, overlay, overlay_image
 
 
 @pytest.fixture(scope="module")

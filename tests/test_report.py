@@ -8,7 +8,7 @@ import pytest
 
 import armctl
 from armctl import InputError, Log, Report
-from armctl.report import table
+from armctl.analysis.report import table
 
 
 def made_log(**changes) -> Log:

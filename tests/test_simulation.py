@@ -9,7 +9,7 @@ from arms import arm_of
 
 import armctl
 from armctl import PD, Arm, ComputedTorque, InputError, Plant, Pose, Report, Simulation, SimulationError
-from armctl.comparison import out_and_back
+from armctl.analysis.comparison import out_and_back
 from armctl.sim.plant import held_dofs
 
 NAMED = ["robot_arm_3dof", "panda", "ur5e", "iiwa14", "xarm7", "gen3", "so_arm100"]

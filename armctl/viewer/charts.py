@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from armctl.analysis.plot import COLORS
 from armctl.core.target import TOLERANCE
-from armctl.plot import COLORS
 from armctl.sim.history import SECONDS, Past
 
 if TYPE_CHECKING:

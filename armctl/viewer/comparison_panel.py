@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from armctl.comparison import compare, out_and_back
+from armctl.analysis.comparison import compare, out_and_back
+from armctl.analysis.plot import overlay_image
+from armctl.analysis.report import Report
 from armctl.control import CONTROLLERS
-from armctl.plot import overlay_image
-from armctl.report import Report
 from armctl.sim.plant import Plant
 from armctl.sim.realtime import Session
 

@@ -13,8 +13,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import armctl
-from armctl.comparison import compare, out_and_back
-from armctl.plot import COLORS, STYLE, overlay
+from armctl.analysis.comparison import compare, out_and_back
+from armctl.analysis.plot import COLORS, STYLE, overlay
 from armctl.render import record, still
 
 HERE = Path(__file__).parent

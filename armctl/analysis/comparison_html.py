@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armctl.comparison import remarks
+from armctl.analysis.comparison import remarks
+from armctl.analysis.plot import COLORS, STYLE
+from armctl.analysis.report import Report, table
 from armctl.core import units
 from armctl.core.log import Log
-from armctl.plot import COLORS, STYLE
-from armctl.report import Report, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
+from armctl.analysis.plot import four_panels
 from armctl.core import units
 from armctl.core.errors import InputError
 from armctl.core.log import Log
 from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE
 from armctl.core.validation import Array, BoolArray, instance
-from armctl.plot import four_panels
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Report:
         instance("log", log, Log, "armctl.simulate and every move of a Simulation give one")
         if len(log) == 0 or log.is_open_loop:
             raise InputError(
-                "log: it has no tick with a reference, so there is nothing to report on; armctl.plot.four_panels draws it"
+                "log: it has no tick with a reference, so there is nothing to report on; armctl.four_panels draws it"
             )
         moving = log.t <= log.motion_duration + 0.5 * log.dt
         joint_error = (log.q_ref - log.q)[moving]

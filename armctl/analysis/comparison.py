@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from armctl.analysis.report import Report
 from armctl.collision.checker import contacts_of
 from armctl.control import Controller
 from armctl.core.errors import InputError, PlanError
@@ -15,7 +16,6 @@ from armctl.core.log import SimulationError
 from armctl.core.trajectory import Trajectory
 from armctl.core.validation import number
 from armctl.motion import move_j
-from armctl.report import Report
 from armctl.robot.arm import Arm
 from armctl.sim.plant import NOMINAL, Plant
 from armctl.sim.simulation import simulate
