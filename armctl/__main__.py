@@ -2,7 +2,7 @@
 
 import sys
 
-from armctl.cli import main
+from armctl.cli.main import main
 
 if __name__ == "__main__":
     sys.exit(main())

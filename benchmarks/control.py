@@ -21,10 +21,10 @@ import pinocchio as pin
 import armctl
 from armctl.analysis.comparison import out_and_back
 from armctl.analysis.iso9283 import iso9283_cycles
+from armctl.cli.plants import plant_by_name
 from armctl.control import CONTROLLERS, controller_by_name
 from armctl.core.trajectory import TickReference
 from armctl.motion import JointTrajectory
-from armctl.plant_names import plant_by_name
 
 ROBOTS = ("panda", "ur5e", "iiwa14", "xarm7")
 TICK = 0.001  # s

@@ -8,7 +8,7 @@ import pytest
 from arms import BUNDLED, MISSING, at_hand
 
 import armctl
-from armctl.cli import main
+from armctl.cli.main import main
 
 
 def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
@@ -160,7 +160,7 @@ def test_a_model_that_is_no_arm_exits_2_with_one_sentence(capsys, tmp_path, text
 
 
 def test_no_network_and_no_models_says_what_to_set_or_run(tmp_path):
-    code = "import sys; from armctl.cli import main; sys.exit(main(['info', 'panda']))"
+    code = "import sys; from armctl.cli.main import main; sys.exit(main(['info', 'panda']))"
     env = {"PATH": "/usr/bin", "MENAGERIE_CACHE_DIR": str(tmp_path), "MENAGERIE_BASE_URL": "file:///nowhere"}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env | _paths())
     assert done.returncode == 2
@@ -171,7 +171,7 @@ def test_no_network_and_no_models_says_what_to_set_or_run(tmp_path):
 
 def test_help_is_there_without_heavy_imports():
     code = (
-        "import sys\nfrom armctl.cli import main\ntry: main(['--help'])\n"
+        "import sys\nfrom armctl.cli.main import main\ntry: main(['--help'])\n"
         "finally: assert not {'numpy', 'mujoco', 'pinocchio'} & set(sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=_paths())

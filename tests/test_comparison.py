@@ -11,7 +11,7 @@ import armctl
 from armctl.analysis.comparison import out_and_back, remarks
 from armctl.analysis.comparison_html import write_comparison
 from armctl.analysis.report import table
-from armctl.plant_names import PLANTS, plant_by_name
+from armctl.cli.plants import PLANTS, plant_by_name
 
 
 class Explodes:

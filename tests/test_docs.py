@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from armctl.cli import _parser
+from armctl.cli.main import _parser
 
 ROOT = Path(__file__).parent.parent
 PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]

@@ -11,7 +11,7 @@ from PIL import Image, ImageSequence
 
 import armctl
 from armctl import InputError, NotInstalledError, Simulation
-from armctl.cli import main
+from armctl.cli.main import main
 from armctl.loading.prepare import TARGET
 from armctl.render import Renderer, record, still
 from armctl.render.camera import axes, box_corners, frame

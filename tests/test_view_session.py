@@ -8,7 +8,7 @@ import pytest
 from arms import BUNDLED, arm_of
 
 from armctl import InputError, Pose, UnknownNameError
-from armctl.cli import main
+from armctl.cli.main import main
 from armctl.sim.clock import Pace
 from armctl.sim.history import SECONDS
 from armctl.sim.online_reference import Guide

@@ -8,7 +8,7 @@ import pytest
 from arms import arm_of
 
 import armctl
-from armctl.cli import main
+from armctl.cli.main import main
 from armctl.core.log import Log
 from armctl.motion import move_path
 from armctl.sim.recorder import MOST_TICKS

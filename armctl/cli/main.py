@@ -167,8 +167,8 @@ def _compare(args: argparse.Namespace) -> int:
     from armctl.analysis.comparison import compare, out_and_back, remarks
     from armctl.analysis.comparison_html import write_comparison
     from armctl.analysis.report import table
+    from armctl.cli.plants import plant_by_name
     from armctl.control import CONTROLLERS
-    from armctl.plant_names import plant_by_name
 
     arm, timestep = _load(args), _numbers("timestep", [args.timestep])[0] if args.timestep else None
     controllers = list(CONTROLLERS) if args.controllers == "all" else _names(args.controllers)
@@ -202,9 +202,9 @@ def _names(text: str | None) -> list[str]:
 
 def _iso9283(args: argparse.Namespace) -> int:
     from armctl.analysis.iso9283 import iso9283_cycles
+    from armctl.cli.plants import plant_by_name
     from armctl.control import controller_by_name
     from armctl.design.identification import excitation, identify_payload
-    from armctl.plant_names import plant_by_name
     from armctl.sim.simulation import simulate
 
     arm, known = (_load(args),) * 2
