@@ -49,6 +49,7 @@ test: lint types docs pytest
 
 lint: $(VENV)/dev.stamp
 	@$(BIN)/ruff check . || { echo "ruff found the above; make format mends what it can"; exit 1; }
+	@$(BIN)/lint-imports --no-logo || { echo "an import runs against the layers in pyproject.toml"; exit 1; }
 	@$(BIN)/ruff format --check . || { echo "some files are not in ruff's format; make format mends that"; exit 1; }
 
 format: $(VENV)/dev.stamp

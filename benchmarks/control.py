@@ -80,7 +80,7 @@ def tracking(arms: dict[str, armctl.Arm]) -> str:
 
 
 def shown(report: armctl.Report) -> str:
-    return "diverged" if report.log.end else f"{report.joint_rms_rad:.1e}"
+    return "diverged" if report.log.failure else f"{report.joint_rms_rad:.1e}"
 
 
 def observed(arms: dict[str, armctl.Arm]) -> str:
@@ -154,7 +154,7 @@ def speed_of(name: str, arm: armctl.Arm) -> list:
     reference = TickReference.of(motion, TICK, 1000)
     setpoint = armctl.Setpoint(*(column[500].copy() for column in reference))
     state = armctl.State(setpoint.q, setpoint.v, 0.5, TICK)
-    pin_model, pin_data = arm.rigid_body.pin_model, arm.rigid_body.pin_model.createData()
+    pin_model, pin_data = arm.pinocchio_model.pin_model, arm.pinocchio_model.pin_model.createData()
 
     def bare() -> None:
         mujoco.mj_resetData(model, data)

@@ -58,10 +58,10 @@ def toolbox_solver(arm: Arm) -> Solver | None:
     except ImportError:
         return None
     ets = rtb.ETS()
-    for k, X in enumerate(arm.rigid_body.placements):
+    for k, X in enumerate(arm.pinocchio_model.placements):
         bounds = [max(arm.limits.q_min[k], -np.pi), min(arm.limits.q_max[k], np.pi)]
         ets *= rtb.ETS(rtb.ET.SE3(X)) * rtb.ETS(rtb.ET.Rz(jindex=k, qlim=bounds))
-    ets *= rtb.ETS(rtb.ET.SE3(arm.rigid_body.T_last_tip))
+    ets *= rtb.ETS(rtb.ET.SE3(arm.pinocchio_model.T_last_tip))
     return lambda T: ets.ik_LM(T.matrix, tol=0.5 * POSITION_TOLERANCE**2).q
 
 
@@ -92,7 +92,7 @@ def urdf(arm: Arm) -> str:
 
     names = ["base", *(f"link{k}" for k in range(arm.n)), "tip"]
     parts = [f'<link name="{name}"/>' for name in names]
-    for k, X in enumerate([*arm.rigid_body.placements, arm.rigid_body.T_last_tip]):
+    for k, X in enumerate([*arm.pinocchio_model.placements, arm.pinocchio_model.T_last_tip]):
         ends = f'<parent link="{names[k]}"/><child link="{names[k + 1]}"/>{origin(X)}'
         if k == arm.n:
             parts.append(f'<joint name="joint{k}" type="fixed">{ends}</joint>')
@@ -184,7 +184,7 @@ def mink_steps(arm: Arm, targets: list[Pose]) -> list[float]:
 
 def unreachable(arm: Arm, targets: list[Pose], rng: np.random.Generator) -> list[Pose]:
     """Poses with no solution whose point is about as far as the tip can come, or nearer."""
-    middle = arm.rigid_body.placements[0, :3, 3]
+    middle = arm.pinocchio_model.placements[0, :3, 3]
     reach = max(float(np.linalg.norm(target.position - middle)) for target in targets)
     ways, turns = rng.normal(size=(200, 3)), rng.normal(size=(200, 4))
     far = rng.uniform(0.9, 1.1, (200, 1)) * reach / np.linalg.norm(ways, axis=1, keepdims=True)

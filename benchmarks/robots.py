@@ -17,7 +17,7 @@ import mujoco_menagerie as menagerie
 import numpy as np
 
 import armctl
-from armctl.collision.checker import contacts_of
+from armctl.collision.checker import collision_checker
 from armctl.ik import solve_ik_batch
 from armctl.loading.catalog import BUNDLED
 from armctl.robot.arm import check_parity
@@ -64,7 +64,7 @@ class Row:
 
 def joints_of(arm: armctl.Arm) -> str:
     """The joints of an arm, each with those that follow it in brackets."""
-    names, ratio = [arm.model.joint(joint).name for joint in arm.linkage.joints], arm.linkage.ratio
+    names, ratio = [arm.model.joint(joint).name for joint in arm.joint_map.joints], arm.joint_map.ratio
     texts = []
     for i, leader in enumerate(arm.joint_names):
         others = [name for name, share in zip(names, ratio[:, i], strict=True) if share and name != leader]
@@ -105,7 +105,7 @@ def measure(arm: armctl.Arm, base: str, poses: int) -> Row:
     there = armctl.move_j(arm, arm.home, goal)
     logs = [armctl.simulate(arm, name, there, settle=0.0) for name in ("pd", "computed-torque")]
     errors = [log.q - log.q_ref for log in logs]
-    if not reason and np.abs(errors[1]).max() > EXACT and not arm.linkage.is_plain and not _is_rigid(arm):
+    if not reason and np.abs(errors[1]).max() > EXACT and not arm.joint_map.is_plain and not _is_rigid(arm):
         reason = "an equality of the model ties joints to each other, and gives way"
     if not reason and (np.abs(logs[1].tau_cmd) > logs[1].tau_max).any():
         reason = "a motor saturates"
@@ -124,7 +124,7 @@ def _is_answer(arm: armctl.Arm, q: np.ndarray, target: armctl.Pose) -> bool:
 
 def _goal(arm: armctl.Arm) -> tuple[np.ndarray, str]:
     """A position near home that the arm reaches without touching anything, or why there is none."""
-    contacts, touching = contacts_of(arm), ""
+    contacts, touching = collision_checker(arm), ""
     for sign in (1.0, -1.0):
         for share in (1.0, 0.1):
             goal = arm.limits.clamp(arm.home + sign * share * STEP)

@@ -27,7 +27,7 @@ from armctl.core.pose import Pose
 from armctl.render import Renderer
 from armctl.render.camera import frame
 from armctl.viewer.page import Page
-from armctl.viewer.web_scene import Stage
+from armctl.viewer.web_scene import WebScene
 
 STARTS = 5
 SOFTWARE_GL = "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --ignore-gpu-blocklist"
@@ -89,7 +89,7 @@ def real_time(robot: str, seconds: float) -> tuple[float, float]:
     """The real-time factor over some seconds with the page open in a browser, and the least over two of them."""
     from playwright.sync_api import sync_playwright
 
-    page = Page(armctl.load(robot), Stage(0))
+    page = Page(armctl.load(robot), WebScene(0))
     threading.Thread(target=page.serve, daemon=True).start()
     session, least = page.session, np.inf
     with sync_playwright() as playwright:

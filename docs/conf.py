@@ -31,42 +31,43 @@ html_title = "armctl"
 html_show_copyright = False
 
 CHAPTERS = {
-    "armctl.loading.load": "Robots by name",
-    "armctl.loading.chain": "Chains",
-    "armctl.loading.scene": "Scenes",
-    "armctl.robot.arm": "The arm",
-    "armctl.core.pose": "Poses",
-    "armctl.core.trajectory": "Limits, setpoints, trajectories",
-    "armctl.ik": "Inverse kinematics",
-    "armctl.motion": "Motion",
-    "armctl.control": "Control",
-    "armctl.sim.plant": "The plant",
-    "armctl.sim.simulation": "Simulation",
-    "armctl.sim.gripper": "Grippers",
-    "armctl.sim.multi_arm": "Teams",
-    "armctl.core.log": "The log",
-    "armctl.analysis.report": "Reports",
-    "armctl.analysis.comparison": "Comparison",
-    "armctl.core.errors": "Errors",
+    "core": "Values: poses, limits, setpoints, logs, errors",
+    "robot": "The arm",
+    "loading": "Loading robots",
+    "ik": "Inverse kinematics",
+    "motion": "Motion",
+    "control": "Control",
+    "sim": "Simulation",
+    "render": "Pictures and films",
+    "design": "Identification",
+    "analysis": "Reports, plots, comparisons",
 }
 
 
 def reference() -> str:
-    """The reference: every public name, by the module it is in; modules without a chapter of their own come last."""
-    modules = {module: [name for name in armctl.__all__ if armctl._MODULES[name] == module] for module in CHAPTERS}
-    for name, module in armctl._MODULES.items():
-        if module not in CHAPTERS:
-            modules.setdefault(module, []).append(name)
+    """The reference: every public name, by the subpackage it is in."""
+    subpackage_of = {name: getattr(armctl, name).__module__.split(".")[1] for name in armctl.__all__ if name != "__version__"}
+    without_chapter = set(subpackage_of.values()) - set(CHAPTERS)
+    if without_chapter:
+        raise ValueError(f"CHAPTERS: give {', '.join(sorted(without_chapter))} a chapter")
     lines = ["# Reference", "", "Every public name; each is `armctl.NAME`.", ""]
-    for module, names in modules.items():
-        lines += [f"## {CHAPTERS.get(module, module)}", "", (import_module(module).__doc__ or "").split("\n")[0], ""]
-        for name in names:
-            value, options = getattr(armctl, name), []
-            if inspect.isclass(value):
-                options = ["   :members:"] + ["   :show-inheritance:"] * issubclass(value, Exception)
-            kind = "autoclass" if inspect.isclass(value) else "autofunction"
-            lines += ["```{eval-rst}", f".. {kind}:: armctl.{name}", *options, "```", ""]
+    for subpackage, title in CHAPTERS.items():
+        introduction = (import_module(f"armctl.{subpackage}").__doc__ or "").split("\n")[0]
+        lines += [f"## {title}", "", introduction, ""]
+        for name, home in subpackage_of.items():
+            if home == subpackage:
+                lines += ["```{eval-rst}", *directive(name), "```", ""]
     return "\n".join(lines)
+
+
+def directive(name: str) -> list[str]:
+    """What documents one public name."""
+    value = getattr(armctl, name)
+    if not inspect.isclass(value):
+        return [f".. autofunction:: armctl.{name}"]
+    if issubclass(value, Exception):
+        return [f".. autoclass:: armctl.{name}", "   :members:", "   :show-inheritance:"]
+    return [f".. autoclass:: armctl.{name}", "   :members:", "   :inherited-members: tuple, object"]
 
 
 def leave_out(app, what, name, obj, skip, options):

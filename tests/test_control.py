@@ -23,7 +23,7 @@ every_tick = pytest.mark.parametrize("dt", TICKS)
 def test_follows_a_motion_without_chatter(arm, name, dt):
     log = armctl.simulate(arm, name, Sway(arm), armctl.Plant(timestep=dt), settle=0.1)
     error = np.abs(log.q - log.q_ref).max()
-    assert not log.end
+    assert not log.failure
     assert np.isfinite(log.tau_cmd).all()
     assert error < (1e-8 if name in EXACT else 2e-2 if name == "computed-torque-textbook" else 0.3), error
     jitter = np.abs(np.diff(log.v[-10:], axis=0)).max() / dt
@@ -45,7 +45,7 @@ def test_comes_back_after_a_kick(arm, name):
     kick = np.minimum(0.2, 0.05 * arm.limits.v_max)
     simulation.reset(arm.home, kick)
     log = simulation.run(motion)
-    assert not log.end
+    assert not log.failure
     assert np.abs(log.v[-1]).max() < 0.5 * kick.max()
 
 
@@ -56,7 +56,7 @@ def test_an_observer_bears_a_delay_of_two_ticks(robot, dt):
     plant = armctl.Plant(timestep=dt, delay=2, mass_scale=1.2, encoder_noise=1e-5, velocity_noise=1e-3)
     log = armctl.simulate(arm, "computed-torque-observer", Sway(arm), plant, settle=1.0)
     end = log.t > log.t[-1] - 0.2
-    assert not log.end
+    assert not log.failure
     assert np.abs(log.q - log.q_ref)[end].max() < 2e-3
     assert np.abs(log.v[end]).max() < 0.1
 

@@ -53,7 +53,7 @@ def test_default_gains_hold_on_extreme_arms(tmp_path, shape, dt, integrator):
         kicked = armctl.Simulation(arm, name, plant)
         kicked.reset(arm.home, np.minimum(0.2, 0.05 * arm.limits.v_max))
         after = kicked.run(Still(arm.home, 0.5))
-        assert not log.end + after.end, name
+        assert not log.failure + after.failure, name
         if name in EXACT and not continuous:
             assert np.abs(log.q - log.q_ref).max() < 1e-8, name
         if name != "pd":  # which lets go of a light arm, so that it falls as fast as it can
@@ -66,5 +66,5 @@ def test_a_payload_that_shows_at_once_is_not_learnt_faster_than_ticks_bear(tmp_p
     """The tip of a heavy arm is thrown about at eight times gravity, so a wrong payload shows 64 times as much as at rest."""
     arm = arm_of(tmp_path, "heavy", "Euler")
     log = armctl.simulate(arm, "adaptive", Sway(arm), armctl.Plant(timestep=dt, delay=1), settle=0.5)
-    assert not log.end
+    assert not log.failure
     assert np.abs(log.q - log.q_ref).max() < 0.02

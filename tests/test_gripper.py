@@ -9,7 +9,7 @@ from test_chain import limb, mjcf, motors
 
 import armctl
 from armctl.sim.gripper import Gripper
-from armctl.sim.gripper_model import find_jaws
+from armctl.sim.gripper_model import find_gripper_model
 
 PAD = '<geom name="{0}" type="box" size="0.01 0.004 0.02" pos="0 {1} 0.06" mass="0.02" solref="0.004 1"/>'
 
@@ -115,7 +115,7 @@ def test_a_grasp_presses_as_asked_and_holds(gripper_arm, kind: str):
     assert result.held == "block"
     assert result.width == pytest.approx(0.03, abs=1.5e-3)
     assert result.force == pytest.approx(8.0, rel=0.25)
-    assert sim.run(armctl.move_j(arm, arm.home, arm.home + 0.4)).end == ""
+    assert sim.run(armctl.move_j(arm, arm.home, arm.home + 0.4)).failure == ""
     assert np.linalg.norm(sim.data.body("block").xpos - sim.tip.position) < 5e-3
     released = sim.gripper.open()
     assert released.ok
@@ -159,7 +159,7 @@ def test_no_gripper_says_why(tmp_path: Path, what: str):
     path = tmp_path / "arm.xml"
     path.write_text(mjcf(limb("a b c d" if inside else "a b", inside), rest))
     with pytest.raises(armctl.ModelError, match=sentence):
-        find_jaws(armctl.load(path))
+        find_gripper_model(armctl.load(path))
 
 
 # Widths by the makers' data: Franka hand 80 mm, Robotiq 2F-85 85 mm, xArm gripper 84 mm.
@@ -189,7 +189,7 @@ def test_grippers_at_hand(robot: str):
 def test_the_controller_knows_the_mass_of_a_tool():
     bare, arm = armctl.load("ur5e"), armctl.load("ur5e", tool="robotiq_2f85")
     assert arm.tip == "robotiq_2f85/pinch"
-    added = [sum(i.mass for i in a.rigid_body.pin_model.inertias) for a in (bare, arm)]
+    added = [sum(i.mass for i in a.pinocchio_model.pin_model.inertias) for a in (bare, arm)]
     assert 0.8 < added[1] - added[0] < 1.2  # the data sheet says 0.9 kg, the model has 1.05
     log = armctl.simulate(arm, "computed-torque", armctl.move_j(arm, arm.home, arm.home + 0.3))
     assert np.abs(log.q - log.q_ref).max() < 1e-9

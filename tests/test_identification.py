@@ -7,7 +7,7 @@ import pytest
 from arms import arm_of
 
 import armctl
-from armctl.collision.checker import contacts_of
+from armctl.collision.checker import collision_checker
 from armctl.motion import check_torque
 from armctl.robot.dynamics import Dynamics
 
@@ -40,7 +40,7 @@ def test_an_excitation_is_safe(robot, motions):
     assert (np.abs(path.a) <= arm.limits.a_max * (1 + 1e-6)).all()
     assert check_torque(arm, motion).ok
     assert check_torque(arm.with_payload(1.0), motion).ok
-    assert not contacts_of(arm).along(path.q)
+    assert not collision_checker(arm).along(path.q)
     assert np.allclose(path.q[0], arm.home)
     assert np.abs(path.v[[0]]).max() == 0.0
 

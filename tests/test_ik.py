@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import armctl
 from armctl import Arm, InputError, LimitError, Pose, UnknownNameError, solve_ik
-from armctl.collision.checker import contacts_of
+from armctl.collision.checker import collision_checker
 from armctl.ik import kernel, lm, solve_ik_batch
 from armctl.ik.problem import POSITION, chain_of, read_problem
 
@@ -69,7 +69,7 @@ def test_reaches_what_can_be_reached_also_at_the_joint_limits(name: str, method:
 @every_arm
 def test_a_point_out_of_reach_is_approached_as_near_as_any_position_comes(name: str):
     arm, rng = arm_of(name), np.random.default_rng(4)
-    middle, reach = arm.rigid_body.placements[0, :3, 3], chain_of(arm).reach
+    middle, reach = arm.pinocchio_model.placements[0, :3, 3], chain_of(arm).reach
     points = middle + 1.3 * reach * rng.uniform(-1, 1, (60, 3))
     found = solve_ik_batch(arm, points)
     tips = arm.fk_many(arm.limits.random(arm.home, 20_000, rng))[0]
@@ -93,7 +93,7 @@ def test_settling_ends_finite_and_inside_the_limits_from_anywhere(name: str):
 @every_method
 def test_out_of_reach_is_a_best_effort_with_a_reason(name: str, method: str):
     arm = arm_of(name)
-    reach, base = chain_of(arm).reach, arm.rigid_body.placements[0, :3, 3]
+    reach, base = chain_of(arm).reach, arm.pinocchio_model.placements[0, :3, 3]
     for far in (1.5, 10.0, 1e6):
         target = base + far * reach * np.array([0.6, 0.0, 0.8])
         result = solve_ik(arm, target, method=method)
@@ -121,7 +121,7 @@ def test_an_orientation_that_five_joints_cannot_take_is_a_best_effort(method: st
 @every_method
 def test_the_base_itself_is_a_target_like_any_other(name: str, method: str):
     arm = arm_of(name)
-    result = solve_ik(arm, arm.rigid_body.placements[0, :3, 3], method=method)
+    result = solve_ik(arm, arm.pinocchio_model.placements[0, :3, 3], method=method)
     assert np.isfinite(result.q).all()
     assert arm.limits.contains(result.q)
     assert result.ok == (result.position_error <= 1e-5)
@@ -171,7 +171,7 @@ def test_the_same_call_gives_the_same_bits(method: str):
 def test_a_near_target_is_reached_nearby(name: str):
     arm, rng = arm_of(name), np.random.default_rng(2)
     for q0 in positions(arm, 150, seed=3):
-        q = arm.limits.clamp(q0 + rng.uniform(-0.05, 0.05, arm.n) * np.where(arm.rigid_body.is_slide, 0.2, 1.0))
+        q = arm.limits.clamp(q0 + rng.uniform(-0.05, 0.05, arm.n) * np.where(arm.pinocchio_model.is_slide, 0.2, 1.0))
         result = solve_ik(arm, target_of(arm, q), q0)
         assert result.ok
         assert np.abs(result.q - q0).max() < 0.5
@@ -180,7 +180,7 @@ def test_a_near_target_is_reached_nearby(name: str):
 @every_arm
 def test_a_joint_turns_no_further_than_it_must(name: str):
     arm = arm_of(name)
-    endless = ~np.isfinite(arm.limits.q_max - arm.limits.q_min) & ~arm.rigid_body.is_slide
+    endless = ~np.isfinite(arm.limits.q_max - arm.limits.q_min) & ~arm.pinocchio_model.is_slide
     q0 = np.where(endless, 40.0, arm.home)
     result = solve_ik(arm, target_of(arm, positions(arm, 1)[0]), q0)
     assert result.ok
@@ -212,7 +212,7 @@ def test_an_arm_that_nobody_needs_any_more_is_forgotten():
 @every_arm
 def test_avoiding_collisions_is_what_mujoco_says(name: str):
     arm = arm_of(name)
-    contacts = contacts_of(arm)
+    contacts = collision_checker(arm)
     free = [q for q in positions(arm, 12) if not contacts.at(q)]
     for q in free:
         result = solve_ik(arm, target_of(arm, q), avoid_collisions=True)
@@ -236,7 +236,7 @@ def test_contacts_between_links_that_always_touch_do_not_count(tmp_path):
         <actuator><motor joint="a" ctrlrange="-9 9"/><motor joint="b" ctrlrange="-9 9"/></actuator></mujoco>"""
     )
     arm = armctl.load(model)
-    contacts = contacts_of(arm)
+    contacts = collision_checker(arm)
     assert contacts.at(np.zeros(2)) == ""
     assert contacts.at(np.array([2.5, 0.0])) == "floor touches upper"
     below = arm.fk(np.array([2.5, 0.0])).position
@@ -342,7 +342,7 @@ def test_the_kernel_is_pinocchio(name: str):
     for q in positions(arm, 20):
         kernel.forward(chain.rows, q / chain.unit, work)
         kernel.jacobian(chain.rows, work)
-        position, R = arm.rigid_body.tip(q)
+        position, R = arm.pinocchio_model.tip(q)
         scale = max(1.0, chain.reach)
         assert np.abs(work[arm.n, :9] - R.ravel()).max() < 1e-12
         assert np.abs(work[arm.n, 9:12] * chain.reach - position).max() < 1e-12 * scale

@@ -13,7 +13,7 @@ from arms import ARMS, MENAGERIE_ARMS, arm_of
 
 import armctl
 from armctl import Arm, DifferentialIk, InputError, LimitError, Pose, UnknownNameError
-from armctl.collision.checker import contacts_of, geom_owners
+from armctl.collision.checker import collision_checker, geom_owners
 from armctl.loading.catalog import BUNDLED
 
 every_arm = pytest.mark.parametrize("name", ARMS)
@@ -45,7 +45,7 @@ def reachable(arm: Arm, q: np.ndarray) -> Pose | np.ndarray:
 def test_arrives_at_a_near_target_and_stays(name: str):
     arm, rng = arm_of(name), np.random.default_rng(1)
     ik = DifferentialIk(arm)
-    scale = np.where(arm.rigid_body.is_slide, 0.05, 0.2)
+    scale = np.where(arm.pinocchio_model.is_slide, 0.05, 0.2)
     for q in positions(arm, 3):
         goal = arm.limits.clamp(q + scale * rng.uniform(-1, 1, arm.n))
         target = reachable(arm, goal)
@@ -181,7 +181,7 @@ class Depth:
 
     def __init__(self, arm: Arm):
         self.arm, self.data = arm, mujoco.MjData(arm.model)
-        self.owner, self.ignored = geom_owners(arm), contacts_of(arm).ignored
+        self.owner, self.ignored = geom_owners(arm), collision_checker(arm).ignored
 
     def at(self, q: np.ndarray) -> float:
         self.data.qpos[:] = self.arm.qpos(q)
@@ -211,11 +211,11 @@ def test_runs_into_nothing(name: str, walled: bool, tmp_path: Path):
     arm = arm_of(name)
     if walled:
         arm = with_wall(arm, name, tmp_path)
-    ik, contacts, depth = DifferentialIk(arm, avoid_collisions=True), contacts_of(arm), Depth(arm)
+    ik, contacts, depth = DifferentialIk(arm, avoid_collisions=True), collision_checker(arm), Depth(arm)
     starts = [q for q in positions(arm, 800) if not contacts.at(q)][:200]
     assert len(starts) == 200
     for q in starts:
-        target = beside(arm, q, [1.0, 0.0, 0.0]) if walled else arm.rigid_body.placements[0, :3, 3] + [0.0, 0.0, 0.1]
+        target = beside(arm, q, [1.0, 0.0, 0.0]) if walled else arm.pinocchio_model.placements[0, :3, 3] + [0.0, 0.0, 0.1]
         for _ in range(40):
             q = q + 2 * DT * ik.step(q, target, 2 * DT)
             assert depth.at(q) < 1e-3

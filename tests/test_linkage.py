@@ -7,7 +7,7 @@ from test_chain import limb, load, mjcf, motors  # noqa: F401
 
 import armctl
 from armctl.ik import solve_ik_batch
-from armctl.mjmodel.transmissions import Drive, drive_of
+from armctl.mjmodel.transmissions import Transmission, transmission_of
 from armctl.robot.arm import check_parity
 from armctl.robot.dynamics import Dynamics
 
@@ -97,8 +97,8 @@ def test_computed_torque_is_exact_where_the_tie_is_rigid(tied: armctl.Arm):
     log = sim.run(armctl.move_j(tied, tied.home, goal), settle=0.1)
     assert np.abs(log.q - log.q_ref).max() < 1e-6
     assert np.allclose(log.tau, log.tau_cmd, atol=1e-9), "what the motors make, they make at the arm's joints"
-    linkage = tied.linkage
-    assert np.allclose(sim.data.qpos[linkage.qpos_adr], linkage.positions(goal), atol=1e-5)
+    joint_map = tied.joint_map
+    assert np.allclose(sim.data.qpos[joint_map.qpos_adr], joint_map.positions(goal), atol=1e-5)
 
 
 def test_chains_name_what_goes_along(load, tmp_path):  # noqa: F811
@@ -216,9 +216,9 @@ def test_a_soft_tie_gives_way_and_a_rigid_one_does_not(load):  # noqa: F811
 def test_ratios_go_both_ways_and_count_from_where_the_joints_are_drawn():
     bodies = limb("a b").replace('name="b"', 'name="b" ref="0.4"')
     model = mujoco.MjModel.from_xml_string(mjcf(bodies, ties("b a 0.1 2") + motors("a")))
-    first, second = drive_of(model, 0), drive_of(model, 1)
-    assert isinstance(first, Drive)
-    assert isinstance(second, Drive)
+    first, second = transmission_of(model, 0), transmission_of(model, 1)
+    assert isinstance(first, Transmission)
+    assert isinstance(second, Transmission)
     assert (first.ties[1].ratio, first.ties[1].offset) == pytest.approx((2, 0.5))  # 0.4 + 0.1 + 2 a
     assert (second.ties[0].ratio, second.ties[0].offset) == pytest.approx((0.5, -0.25))
     assert (first.gear, second.gear) == pytest.approx((1, 0.5))

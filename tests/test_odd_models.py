@@ -36,7 +36,7 @@ def test_the_jacobian_of_one_joint_has_a_column(single: armctl.Arm):
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_every_controller_drives_one_joint(single: armctl.Arm, name: str):
     log = armctl.simulate(single, name, armctl.move_j(single, [0.0], [0.3]))
-    assert not log.end
+    assert not log.failure
     assert np.abs(log.q - log.q_ref).max() < 0.3
 
 
@@ -64,7 +64,7 @@ def test_what_a_flag_switches_off_is_off_for_the_controller_too(load, flag: str)
 def test_motors_that_the_model_switches_off_are_switched_on_aloud(load, option: str):  # noqa: F811
     with pytest.warns(armctl.ArmctlWarning, match="switch its actuators off: they are switched on"):
         arm = load(limb("a b"), motors("a b") + option)
-    assert armctl.Simulation(arm).move_j(arm.home + 0.3).reached
+    assert armctl.Simulation(arm).move_j(arm.home + 0.3).ok
 
 
 @pytest.mark.parametrize("option", ['viscosity="0.1"', 'density="1.2" wind="3 0 0"'])

@@ -29,7 +29,7 @@ def made_log(**changes) -> Log:
         "motion_duration": 0.5,
         "target": np.full(7, np.nan),
         "real_time_factor": 10.0,
-        "end": "",
+        "failure": "",
         "t": t,
         "q": q_ref - 0.01,
         "v": np.gradient(q_ref[:, 0], t)[:, None],
@@ -101,7 +101,7 @@ def test_chatter_is_what_alternates():
 
 
 def test_a_run_that_ended_early_fails_first():
-    report = Report.from_log(made_log(end="diverged at 0.5 s: j moves at 1e+05 rad/s"))
+    report = Report.from_log(made_log(failure="diverged at 0.5 s: j moves at 1e+05 rad/s"))
     assert not report.ok
     assert str(report).startswith("failed: diverged at 0.5 s")
 
@@ -130,7 +130,7 @@ def test_plots_are_drawn(tmp_path, suffix: str):
 
 
 def test_a_log_comes_back_from_its_file(tmp_path):
-    log = made_log(end="diverged", target=np.arange(7.0))
+    log = made_log(failure="diverged", target=np.arange(7.0))
     back = Log.load(log.save(tmp_path / "new" / "run.npz"))
     for name, value in vars(log).items():
         if isinstance(value, np.ndarray):

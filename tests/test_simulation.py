@@ -29,7 +29,7 @@ def test_the_tip_reaches_the_green_target(name: str):
     arm = arm_of(name)
     sim = Simulation(arm)
     result = sim.move_to(sim.target)
-    assert result.reached, result
+    assert result.ok, result
     assert result.position_error <= 1e-4
     assert np.linalg.norm(tip_by_mujoco(arm, sim.state.q) - sim.target) <= 1e-4
     assert result.log is not None
@@ -57,7 +57,7 @@ def test_a_full_pose_is_reached(arm: Arm):
     result = sim.move_to(target)
     if result.log is not None and sim.data.ncon:
         pytest.skip(f"{arm.name}: the way to this pose is through a contact")
-    assert result.reached, result
+    assert result.ok, result
     position_error, orientation_error = sim.tip.distance(target)
     assert position_error <= 1e-4
     assert orientation_error <= 1e-3
@@ -66,7 +66,7 @@ def test_a_full_pose_is_reached(arm: Arm):
 def test_moves_follow_on_each_other(bundled: Arm):
     sim = Simulation(bundled)
     for target in ([0.3, 0.2, 0.3], [0.4, -0.1, 0.3], [0.3, 0.2, 0.3]):
-        assert sim.move_to(target).reached
+        assert sim.move_to(target).ok
         assert np.linalg.norm(sim.tip.position - target) <= 1e-4
         assert np.allclose(sim.target, target)
 
@@ -86,7 +86,7 @@ def test_out_of_reach_is_a_result_that_says_by_how_much(bundled: Arm, distance: 
 
 def test_a_controller_that_sags_does_not_reach_and_says_so(bundled: Arm):
     result = Simulation(bundled, PD(bundled, bandwidth=2.0)).move_to([0.4, 0.1, 0.3])
-    assert not result.reached
+    assert not result.ok
     assert "mm" in result.reason
     assert result.log is not None
     assert not Report.from_log(result.log).ok
@@ -116,14 +116,14 @@ def test_a_run_that_diverges_ends_in_a_verdict_with_its_log(tmp_path):
     arm = light_arm(tmp_path)
     sim = Simulation(arm, Runaway())
     log = sim.run(armctl.move_j(arm, arm.home, arm.home + 1.0))
-    assert "diverged" in log.end
+    assert "diverged" in log.failure
     assert np.isfinite(log.q).all()
     assert np.isfinite(log.tau).all()
     report = Report.from_log(log)
     assert not report.ok
     assert str(report).startswith("failed: diverged")
     again = sim.move_to([0.1, 0.0, 0.0])
-    assert not again.reached
+    assert not again.ok
     assert "reset()" in again.reason
     with pytest.raises(SimulationError, match="reset"):
         sim.run(armctl.move_j(arm, arm.home, arm.home + 1.0))
@@ -155,7 +155,7 @@ def test_a_controller_that_fails_loses_no_tick(bundled: Arm):
 @pytest.mark.parametrize("value", [np.array([0.0, np.nan, 0.0]), np.full(3, np.inf)])
 def test_a_torque_that_is_no_number_ends_the_run(bundled: Arm, value):
     log = armctl.simulate(bundled, Failing(0.1, value), armctl.move_j(bundled, bundled.home, [0.5, 0.5, -1.0]))
-    assert "no finite torque" in log.end
+    assert "no finite torque" in log.failure
     assert np.isfinite(log.q).all()
 
 
@@ -286,7 +286,7 @@ def test_a_wrong_call_is_one_sentence(bundled: Arm, call, sentence: str):
 
 def test_a_pose_with_an_orientation_that_cannot_be_is_refused(bundled: Arm):
     result = Simulation(bundled).move_to(Pose([0.4, 0.0, 0.3], rpy=[1.0, 0.0, 0.0]))
-    assert not result.reached
+    assert not result.ok
     assert result.reason
 
 

@@ -46,8 +46,8 @@ def test_verdicts_apiece(pair):
     first, second = pair()
     team = armctl.Team([first, second], controllers={"F": "pd"})
     results = team.move_to({"C": first.fk(first.home + 0.3).position, "F": [9, 9, 9]})
-    assert results["C"].reached
-    assert not results["F"].reached
+    assert results["C"].ok
+    assert not results["F"].ok
     assert results["F"].reason.startswith("out of reach by ")
     assert armctl.Report.from_log(results["C"].log).to_dict()["controller"] == "computed-torque"
     team.reset()
@@ -117,7 +117,7 @@ def limbs(request: pytest.FixtureRequest) -> tuple[armctl.Arm, ...]:
 def test_two_arms_four_legs_five_fingers_move_at_once(limbs: tuple[armctl.Arm, ...]):
     logs = armctl.Team(limbs).run({arm.tip: _small_motion(arm) for arm in limbs})
     for tip, log in logs.items():
-        assert log.end == ""
+        assert log.failure == ""
         assert np.abs(log.q - log.q_ref).max() < 1e-6, tip
 
 
@@ -133,7 +133,7 @@ def test_limbs_at_rest_feel_nothing_of_one_that_moves(limbs: tuple[armctl.Arm, .
 def test_each_limb_gets_a_verdict_of_its_own(limbs: tuple[armctl.Arm, ...]):
     targets = {arm.tip: arm.fk(_bent(arm)).position for arm in limbs[:-1]} | {limbs[-1].tip: [9, 9, 9]}
     results = armctl.Team(limbs).move_to(targets)
-    assert [result.reached for result in results.values()] == [True] * (len(limbs) - 1) + [False]
+    assert [result.ok for result in results.values()] == [True] * (len(limbs) - 1) + [False]
     assert results[limbs[-1].tip].reason.startswith("out of reach by")
 
 

@@ -23,9 +23,9 @@ pytestmark = [
 pytest.importorskip("mjviser", reason="pip install 'armctl[view]'")
 sync_api = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
 
-from armctl.viewer.auth_proxy import Gate  # noqa: E402
+from armctl.viewer.auth_proxy import AuthProxy  # noqa: E402
 from armctl.viewer.page import Page  # noqa: E402
-from armctl.viewer.web_scene import Stage  # noqa: E402
+from armctl.viewer.web_scene import WebScene  # noqa: E402
 
 SOFTWARE_GL = [
     "--no-sandbox",
@@ -48,7 +48,7 @@ def browser() -> Iterator:
 @pytest.fixture(scope="module")
 def page() -> Iterator[Page]:
     """The bundled arm on a page: its scene is light, so that software draws it fast."""
-    page = Page(arm_of(BUNDLED), Stage(0))
+    page = Page(arm_of(BUNDLED), WebScene(0))
     thread = threading.Thread(target=page.serve, daemon=True)
     thread.start()
     yield page
@@ -206,7 +206,7 @@ def test_the_comparison_runs_on_the_page(page: Page, tab):
 
 
 def test_from_other_machines_a_wrong_token_gets_nothing_and_the_right_one_everything(browser, page: Page):
-    gate = Gate("127.0.0.1", "open sesame", page.port, 0)
+    gate = AuthProxy("127.0.0.1", "open sesame", page.port, 0)
     root = gate.url.split("?")[0]
     try:
         with pytest.raises(urllib.error.HTTPError, match="403"):

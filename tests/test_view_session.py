@@ -9,27 +9,27 @@ from arms import BUNDLED, arm_of
 
 from armctl import InputError, Pose, UnknownNameError
 from armctl.cli.main import main
-from armctl.sim.clock import Pace
+from armctl.sim.clock import RealTimeClock
 from armctl.sim.history import SECONDS
-from armctl.sim.online_reference import Guide
-from armctl.sim.realtime import INTERVAL, Session
-from armctl.viewer.auth_proxy import Gate
+from armctl.sim.online_reference import OnlineReference
+from armctl.sim.realtime import INTERVAL, RealTimeSession
+from armctl.viewer.auth_proxy import AuthProxy
 
 SOME = ["robot_arm_3dof", "panda", "ur5e", "xarm7", "so_arm100", "endless", "gantry"]
 
 
-def go(session: Session, seconds: float) -> None:
+def go(session: RealTimeSession, seconds: float) -> None:
     for _ in range(round(seconds / INTERVAL)):
         session.advance()
 
 
-def tip_error(session: Session) -> float:
+def tip_error(session: RealTimeSession) -> float:
     return float(np.linalg.norm(session.arm.fk(session.q).position - session.target.position))
 
 
 @pytest.mark.parametrize("name", SOME)
 def test_the_arm_goes_to_the_target_and_follows_it(name: str):
-    session = Session(arm_of(name))
+    session = RealTimeSession(arm_of(name))
     go(session, 4.0)
     assert session.status.startswith("at the target")
     away = session.arm.fk(session.arm.limits.clamp(session.q + 0.15))
@@ -41,7 +41,7 @@ def test_the_arm_goes_to_the_target_and_follows_it(name: str):
 
 @pytest.mark.parametrize("name", SOME)
 def test_what_is_out_of_reach_is_said_and_the_arm_comes_to_rest(name: str):
-    session = Session(arm_of(name))
+    session = RealTimeSession(arm_of(name))
     far = session.target.position + np.array([50.0, 0.0, 0.0])
     session.aim(Pose(far, quat=session.target.quat))
     go(session, 20.0 if name == "gantry" else 8.0)
@@ -54,7 +54,7 @@ def test_what_is_out_of_reach_is_said_and_the_arm_comes_to_rest(name: str):
 
 
 def test_a_target_that_keeps_moving_is_followed():
-    session = Session(arm_of("panda"))
+    session = RealTimeSession(arm_of("panda"))
     go(session, 2.0)
     center, errors = session.target, []
     for k in range(400):
@@ -68,7 +68,7 @@ def test_a_target_that_keeps_moving_is_followed():
 
 def test_a_wild_target_never_breaks_the_limits_of_the_joints():
     arm, rng = arm_of("panda"), np.random.default_rng(0)
-    guide, dt = Guide(arm, arm.dt), arm.dt
+    guide, dt = OnlineReference(arm, arm.dt), arm.dt
     rows = [guide.toward(rng.uniform(arm.limits.q_min, arm.limits.q_max), 5) for _ in range(400)]
     q = np.concatenate([row.q for row in rows])
     assert arm.limits.contains(q, 1e-9)
@@ -84,7 +84,7 @@ def test_a_wild_target_never_breaks_the_limits_of_the_joints():
 
 
 def test_switching_the_controller_and_the_payload_shows_in_the_error():
-    session = Session(arm_of("panda"))
+    session = RealTimeSession(arm_of("panda"))
     go(session, 2.0)
     exact = session.history.read().to_reference[-1]
     session.carry(2.0)
@@ -102,7 +102,7 @@ def test_switching_the_controller_and_the_payload_shows_in_the_error():
 
 
 def test_the_joints_can_be_steered_and_the_target_follows():
-    session = Session(arm_of("panda"))
+    session = RealTimeSession(arm_of("panda"))
     goal = session.arm.home + 0.2
     session.steer(goal)
     go(session, 2.0)
@@ -112,10 +112,10 @@ def test_the_joints_can_be_steered_and_the_target_follows():
 
 
 def test_the_gripper_moves_while_the_arm_holds_its_place():
-    session = Session(arm_of("panda"))
+    session = RealTimeSession(arm_of("panda"))
     go(session, 2.0)
     assert session.gripper is not None
-    assert Session(arm_of(BUNDLED)).gripper is None
+    assert RealTimeSession(arm_of(BUNDLED)).gripper is None
     for width in (0.02, 0.06):
         session.grip(width)
         go(session, 0.1)
@@ -130,7 +130,7 @@ def test_the_gripper_moves_while_the_arm_holds_its_place():
 
 
 def test_pause_holds_time_and_reset_starts_afresh():
-    session = Session(arm_of(BUNDLED))
+    session = RealTimeSession(arm_of(BUNDLED))
     go(session, 0.1)
     session.pause(True)
     before = session.q
@@ -138,7 +138,7 @@ def test_pause_holds_time_and_reset_starts_afresh():
     assert session.status == "paused"
     np.testing.assert_array_equal(session.q, before)
     session.pause(False)
-    first = Session(arm_of(BUNDLED)).target
+    first = RealTimeSession(arm_of(BUNDLED)).target
     session.aim(Pose([0.2, -0.2, 0.4]))
     go(session, 1.0)
     session.reset()
@@ -148,7 +148,7 @@ def test_pause_holds_time_and_reset_starts_afresh():
 
 
 def test_an_arm_that_runs_away_says_so_and_reset_brings_it_back():
-    session = Session(arm_of(BUNDLED))
+    session = RealTimeSession(arm_of(BUNDLED))
     session._law = type("Wild", (), {"torque": lambda self, state, setpoint: np.full(3, np.nan)})()
     go(session, 0.1)
     assert "no finite torque" in session.status
@@ -160,9 +160,9 @@ def test_an_arm_that_runs_away_says_so_and_reset_brings_it_back():
 
 
 def test_orientation_counts_only_where_it_is_said_to():
-    session = Session(arm_of("panda"))
+    session = RealTimeSession(arm_of("panda"))
     assert session.oriented
-    assert not Session(arm_of(BUNDLED)).oriented
+    assert not RealTimeSession(arm_of(BUNDLED)).oriented
     upside_down = Pose(session.target.position, rpy=[0.0, 0.0, 0.0])
     session.aim(upside_down)
     session.orient(False)
@@ -171,7 +171,7 @@ def test_orientation_counts_only_where_it_is_said_to():
 
 
 def test_the_history_is_the_last_ten_seconds():
-    session = Session(arm_of(BUNDLED))
+    session = RealTimeSession(arm_of(BUNDLED))
     go(session, SECONDS + 1.0)
     past = session.history.read()
     assert np.isfinite(past.to_target).all()
@@ -183,13 +183,13 @@ def test_the_history_is_the_last_ten_seconds():
     ("call", "error"), [(lambda s: s.control_by("pdd"), UnknownNameError), (lambda s: s.carry(-1.0), InputError)]
 )
 def test_a_wrong_order_is_refused_at_once(call, error):
-    session = Session(arm_of(BUNDLED))
+    session = RealTimeSession(arm_of(BUNDLED))
     with pytest.raises(error):
         call(session)
 
 
 def test_pace_keeps_abreast_of_the_clock_and_catches_up():
-    pace, started = Pace(), time.perf_counter()
+    pace, started = RealTimeClock(), time.perf_counter()
     time.sleep(0.03)
     for _ in range(20):
         pace.wait(0.01)
@@ -204,13 +204,13 @@ def test_pace_keeps_abreast_of_the_clock_and_catches_up():
 def gate():
     """A gate before a page that says only 'inside'."""
     inner = socket.create_server(("127.0.0.1", 0))
-    gate = Gate("127.0.0.1", "open sesame", inner.getsockname()[1], 0)
+    gate = AuthProxy("127.0.0.1", "open sesame", inner.getsockname()[1], 0)
     yield gate, inner
     gate.close()
     inner.close()
 
 
-def request(gate: Gate, text: bytes) -> bytes:
+def request(gate: AuthProxy, text: bytes) -> bytes:
     port = int(gate.url.split(":")[2].split("/")[0])
     with socket.create_connection(("127.0.0.1", port), timeout=5) as connection:
         connection.sendall(text)
@@ -260,9 +260,9 @@ def test_the_token_gets_a_cookie_and_the_cookie_gets_through(gate):
 
 def test_a_short_token_and_a_taken_port_are_refused(gate):
     with pytest.raises(InputError, match="token: 5 characters given, at least 8 wanted"):
-        Gate("127.0.0.1", "short", 1, 0)
+        AuthProxy("127.0.0.1", "short", 1, 0)
     with pytest.raises(InputError, match="nobody can listen at"):
-        Gate("127.0.0.1", "long enough", 1, gate[1].getsockname()[1])
+        AuthProxy("127.0.0.1", "long enough", 1, gate[1].getsockname()[1])
 
 
 @pytest.mark.parametrize(

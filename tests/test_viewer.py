@@ -8,8 +8,8 @@ from arms import BUNDLED, arm_of, at_hand
 from scipy.spatial import KDTree
 
 from armctl import Simulation
-from armctl.sim.clock import Pace
-from armctl.viewer.mesh_decimation import lightened
+from armctl.sim.clock import RealTimeClock
+from armctl.viewer.mesh_decimation import decimated
 
 pytest.importorskip("mjviser", reason="pip install 'armctl[view]'")
 
@@ -36,7 +36,7 @@ def test_a_watched_move_takes_its_time_and_computes_the_same(watched: Simulation
 
 
 def test_time_before_the_first_move_is_not_caught_up():
-    pace = Pace()
+    pace = RealTimeClock()
     begun = time.perf_counter()
     pace.resume()
     assert pace._due >= begun
@@ -64,7 +64,7 @@ def test_it_says_where_it_is_and_how_fast_it_goes(watched: Simulation):
 def test_a_simplified_model_looks_the_same():
     """Every vertex kept is one of the mesh's, none that is left out was further from one kept than a cell is wide."""
     model = next(arm_of(name).model for name in ("panda", "ur5e", BUNDLED) if at_hand(name))
-    light, cell = lightened(model), 5e-4 * model.stat.extent
+    light, cell = decimated(model), 5e-4 * model.stat.extent
     for mesh in range(model.nmesh):
         start, kept, count = model.mesh_vertadr[mesh], light.mesh_vertnum[mesh], model.mesh_vertnum[mesh]
         before, after = model.mesh_vert[start : start + count], light.mesh_vert[start : start + kept]

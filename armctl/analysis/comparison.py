@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from armctl.analysis.report import Report
-from armctl.collision.checker import contacts_of
+from armctl.collision.checker import collision_checker
 from armctl.control import Controller
 from armctl.core.errors import InputError, PlanError
 from armctl.core.log import SimulationError
@@ -71,11 +71,11 @@ def remarks(reports: Sequence[Report]) -> list[str]:
     Returns:
         One sentence a run, the failed ones first.
     """
-    failed = [f"{r.controller} on {r.plant}: {r.log.end}" for r in reports if r.log.end]
+    failed = [f"{r.controller} on {r.plant}: {r.log.failure}" for r in reports if r.log.failure]
     saturated = [
         f"{r.controller} on {r.plant}: asks the motors for more than they give {100 * r.saturated_fraction:.1f} % of the time"
         for r in reports
-        if r.saturated_fraction > 0.0 and not r.log.end
+        if r.saturated_fraction > 0.0 and not r.log.failure
     ]
     return failed + saturated
 
@@ -115,7 +115,7 @@ def out_and_back(arm: Arm, distance: float = 0.6) -> Trajectory:
     Raises:
         PlanError: The arm touches something however little it moves.
     """
-    contacts, share = contacts_of(arm), np.linspace(0.0, 1.0, 50)[:, None]
+    contacts, share = collision_checker(arm), np.linspace(0.0, 1.0, 50)[:, None]
     for step in (distance * sign * 0.5**k for k in range(5) for sign in (1, -1)):
         there = 0.98 * (arm.limits.clamp(arm.home + step) - arm.home) + arm.home
         if not contacts.along(arm.home + share * (there - arm.home)):

@@ -32,7 +32,7 @@ def facts(arm: Arm) -> dict[str, object]:
         "home": arm.home.tolist(),
         "limits": limits,
         "sources": dict(arm.sources),
-        "mass_kg": float(sum(inertia.mass for inertia in arm.rigid_body.pin_model.inertias)),
+        "mass_kg": float(sum(inertia.mass for inertia in arm.pinocchio_model.pin_model.inertias)),
         "timestep_s": arm.dt,
         "notes": list(arm.notes),
     }
@@ -78,7 +78,7 @@ def describe_end(log: Log) -> str:
         cells = zip((log.q, log.v, log.tau), (4, 4, 3), heads, strict=True)
         lines.append(f"{name:20} " + " ".join(f"{column[-1, i]:{len(head)}.{digits}f}" for column, digits, head in cells))
     place = ", ".join(f"{x:.4f}" for x in log.tip[-1])
-    return "\n".join([*lines, f"after {log.t[-1]:.3f} s the tip is at [{place}] m" + (log.end and f"; {log.end}")])
+    return "\n".join([*lines, f"after {log.t[-1]:.3f} s the tip is at [{place}] m" + (log.failure and f"; {log.failure}")])
 
 
 def describe_chains(robot: str, chains: list[SerialChain]) -> str:

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from armctl.collision.checker import contacts_of
+from armctl.collision.checker import collision_checker
 from armctl.control import Controller, controller_by_name, controller_name
 from armctl.core.errors import PlanError
 from armctl.core.log import Log
@@ -149,7 +149,7 @@ def iso9283_cycles(
     simulation = Simulation(arm, controller, plant)
     stops = _runs(simulation, q[0], legs * cycles, dwell)
     paths = _runs(simulation, q[1], [line, back] * path_cycles, dwell)[::2]
-    reason = next((log.end for log in [*stops, *paths] if log.end), "")
+    reason = next((log.failure for log in [*stops, *paths] if log.failure), "")
     figures = dict.fromkeys(_FIGURES, float("nan")) if reason else _figures(stops, paths, points, line.duration, band)
     return Iso9283(
         ok=not reason,
@@ -193,7 +193,7 @@ def _poses(arm: Arm) -> tuple[float, Array, Array]:
 def _is_free(arm: Arm, q: list[Array]) -> bool:
     """Whether nothing touches on the ways between the poses."""
     ways = [a + share * (b - a) for a, b in pairwise([q[k] for k in _ORDER]) for share in np.linspace(0, 1, 20)]
-    return not contacts_of(arm).along(np.array(ways))
+    return not collision_checker(arm).along(np.array(ways))
 
 
 def _target(arm: Arm, point: Array) -> Pose | Array:
@@ -208,7 +208,7 @@ def _runs(simulation: Simulation, q: Array, motions: list[JointTrajectory], dwel
     logs: list[Log] = []
     for motion in motions:
         logs.append(simulation.run(motion, dwell))
-        if logs[-1].end:
+        if logs[-1].failure:
             break
     return logs
 

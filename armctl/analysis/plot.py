@@ -85,7 +85,7 @@ def four_panels(log: Log, path: str | os.PathLike[str] | None = None) -> Path | 
         figure.legend(handles, log.joint_names, loc="outside lower center", ncols=min(len(handles), 8))
         axes[1, 1].legend(loc="best")
         figure.suptitle(
-            f"{log.robot}, {log.controller}" + (f": {log.end}" if log.end else ""), fontweight="bold", x=0.01, ha="left"
+            f"{log.robot}, {log.controller}" + (f": {log.failure}" if log.failure else ""), fontweight="bold", x=0.01, ha="left"
         )
 
     return _finish(draw, (10, 7), path)

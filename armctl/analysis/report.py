@@ -92,7 +92,7 @@ class Report:
         angle = _angle(log.tip_quat[-1], goal_quat)
         settling = _settling_time(log, distance <= tolerance)
         return cls(
-            ok=not log.end and final <= tolerance and angle <= angle_tolerance,
+            ok=not log.failure and final <= tolerance and angle <= angle_tolerance,
             verdict=_verdict(log, final, angle, tolerance, angle_tolerance),
             robot=log.robot,
             controller=log.controller,
@@ -202,8 +202,8 @@ def _goal(log: Log) -> tuple[Array, Array]:
 
 
 def _verdict(log: Log, final: float, angle: float, tolerance: float, angle_tolerance: float) -> str:
-    if log.end:
-        return f"failed: {log.end}"
+    if log.failure:
+        return f"failed: {log.failure}"
     if final > tolerance:
         return f"not reached: the tip ended {_mm(final)} from its goal ({_mm(tolerance)} allowed)"
     if angle > angle_tolerance:

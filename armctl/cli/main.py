@@ -160,7 +160,7 @@ def _reach(args: argparse.Namespace) -> int:
         _save(report, args.save, "")
     if args.video:
         _say(simulation.record(args.video))
-    return OK if result.reached and report.ok else NOT_REACHED
+    return OK if result.ok and report.ok else NOT_REACHED
 
 
 def _compare(args: argparse.Namespace) -> int:
@@ -227,12 +227,12 @@ def _simulate(args: argparse.Namespace) -> int:
     columns = {"q": log.q, "v": log.v, "tau": log.tau}
     joints = {k: dict(zip(log.joint_names, column[-1].round(6).tolist(), strict=True)) for k, column in columns.items()}
     last = {"t": log.t[-1], **joints, "tip": log.tip[-1].round(6).tolist()}
-    _print(args, describe_end(log), {"ok": not log.end, **last, "end": log.end})
+    _print(args, describe_end(log), {"ok": not log.failure, **last, "failure": log.failure})
     if args.plot:
         picture = args.plot if args.plot.suffix in ENDINGS else args.plot / f"{args.robot.replace('/', '_')}.png"
         four_panels(log, picture)
         _say(picture)
-    return NOT_REACHED if log.end else OK
+    return NOT_REACHED if log.failure else OK
 
 
 def _view(args: argparse.Namespace) -> int:

@@ -1,1 +1,1 @@
-"""Contacts and distances of an arm at a configuration."""
+"""CollisionChecker and distances of an arm at a configuration."""

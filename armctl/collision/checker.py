@@ -24,8 +24,8 @@ class _Memory(threading.local):
         self.data = mujoco.MjData(model)
 
 
-class Contacts:
-    """Contacts of an arm with itself and with the scene, everything outside its chain at home.
+class CollisionChecker:
+    """CollisionChecker of an arm with itself and with the scene, everything outside its chain at home.
 
     Left out are contacts that no motion of the arm changes, pairs that touch in every one of many random positions, and
     neighbouring links that touch at home: their geoms overlap by design.
@@ -98,13 +98,13 @@ def geom_owners(arm: Arm) -> IntArray:
     Returns:
         (ngeom,) the last joint above it, counted from the base; -1 where none is.
     """
-    return np.array(joint_above(arm.model, arm.linkage.joints), np.int64)[arm.model.geom_bodyid]
+    return np.array(joint_above(arm.model, arm.joint_map.joints), np.int64)[arm.model.geom_bodyid]
 
 
-_contacts: WeakKeyDictionary[Arm, Contacts] = WeakKeyDictionary()
+_contacts: WeakKeyDictionary[Arm, CollisionChecker] = WeakKeyDictionary()
 
 
-def contacts_of(arm: Arm) -> Contacts:
+def collision_checker(arm: Arm) -> CollisionChecker:
     """The contacts of an arm, learned once.
 
     Args:
@@ -115,5 +115,5 @@ def contacts_of(arm: Arm) -> Contacts:
     """
     contacts = _contacts.get(arm)
     if contacts is None:
-        contacts = _contacts[arm] = Contacts(arm)
+        contacts = _contacts[arm] = CollisionChecker(arm)
     return contacts

@@ -97,7 +97,7 @@ def _least_inertia(arm: Arm, dynamics: Dynamics) -> tuple[Array, Array]:
     """The least inertia in any direction at any pose: (6,) kg and kg m^2 at the tip, (n,) kg m^2 at the joints."""
     mobility, joints = np.zeros(2), np.zeros(arm.n)
     for q in poses(arm):
-        M_inv, J = np.linalg.inv(dynamics.mass_matrix(q)), arm.rigid_body.jacobian(q)
+        M_inv, J = np.linalg.inv(dynamics.mass_matrix(q)), arm.pinocchio_model.jacobian(q)
         felt = [np.linalg.eigvalsh(part @ M_inv @ part.T).max() for part in (J[:3], J[3:])]
         mobility, joints = np.maximum(mobility, felt), np.maximum(joints, np.diag(M_inv))
     with np.errstate(divide="ignore"):

@@ -22,7 +22,7 @@ def tip_error(arm: Arm, q: Array, q_ref: Array) -> tuple[Array, Array, Array]:
     Returns:
         (6,) m and rad (a rotation vector in world axes), and the Jacobians (6, n) at q_ref and at q.
     """
-    body = arm.rigid_body
+    body = arm.pinocchio_model
     J_ref = body.jacobian(q_ref)
     position, rotation = (np.array(x) for x in body.tip(q_ref))
     J = body.jacobian(q)

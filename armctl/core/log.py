@@ -28,7 +28,7 @@ class Log:
         motion_duration: s, when the reference comes to rest; the log may go on.
         target: (7,) where the tip should end, m and wxyz; NaN for what was not asked for.
         real_time_factor: Simulated time over the time it took.
-        end: Why the run ended early, in words; empty if it did not.
+        failure: Why the run ended early, in words; empty if it did not.
         t: (T,) s.
         q: (T, n) rad.
         v: (T, n) rad/s.
@@ -54,7 +54,7 @@ class Log:
     motion_duration: float
     target: Array
     real_time_factor: float
-    end: str
+    failure: str
     t: Array
     q: Array
     v: Array

@@ -12,7 +12,7 @@ class MoveResult:
     """How a move ended.
 
     Attributes:
-        reached: Whether the tip is at the target and at rest.
+        ok: Whether the tip is at the target and at rest.
         position_error: m, measured in the simulation.
         orientation_error: rad, measured likewise; 0 where no orientation was asked for.
         duration: s of simulated time.
@@ -20,7 +20,7 @@ class MoveResult:
         log: Every tick of it; None where nothing moved.
     """
 
-    reached: bool
+    ok: bool
     position_error: float
     orientation_error: float
     duration: float
@@ -28,9 +28,9 @@ class MoveResult:
     log: Log | None
 
     def __bool__(self) -> bool:
-        return self.reached
+        return self.ok
 
     def __str__(self) -> str:
-        if self.reached:
+        if self.ok:
             return f"reached within {max(1e3 * self.position_error, 0.01):.2g} mm in {self.duration:.2f} s"
         return f"not reached: {self.reason}"

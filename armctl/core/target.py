@@ -1,4 +1,4 @@
-"""Goal: where a tip should end, and how far from it a tip is."""
+"""Target: where a tip should end, and how far from it a tip is."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ANGLE_TOLERANCE = 1e-2  # rad
 
 
 @dataclass(frozen=True, eq=False)
-class Goal:
+class Target:
     """A point, or a pose, for the tip.
 
     Attributes:
@@ -31,7 +31,7 @@ class Goal:
     angle_tolerance: float = ANGLE_TOLERANCE
 
     @classmethod
-    def read(cls, target: Pose | ArrayLike, tolerance: float = TOLERANCE, angle_tolerance: float = ANGLE_TOLERANCE) -> Goal:
+    def read(cls, target: Pose | ArrayLike, tolerance: float = TOLERANCE, angle_tolerance: float = ANGLE_TOLERANCE) -> Target:
         """A goal from what a caller gave.
 
         Args:

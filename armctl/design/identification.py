@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armctl.collision.checker import contacts_of
+from armctl.collision.checker import collision_checker
 from armctl.core.errors import InputError, LimitError, PlanError
 from armctl.core.log import Log
 from armctl.core.validation import Array, frozen, instance, number
@@ -110,7 +110,7 @@ def excitation(arm: Arm, payload: float = 1.0, *, pace: float = 0.6, rng: int | 
     """
     check_arm(arm)
     number("pace", pace, 1e-3, 1.0)
-    loaded, contacts = arm.with_payload(number("payload", payload, 0.0)), contacts_of(arm)
+    loaded, contacts = arm.with_payload(number("payload", payload, 0.0)), collision_checker(arm)
     held = Dynamics(loaded)
     why, failed = _TOUCHES, [0] * _SIZES
     for size, waypoints in _candidates(arm, np.random.default_rng(rng)):

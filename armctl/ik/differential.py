@@ -120,8 +120,8 @@ class DifferentialIk:
         self.tip.asked, self.tip.target = asked, numbers
         self.tip.posture_share = min(1.0, self._posture_gain * dt)
         low, high = self.tip.bounds = self._bounds(q, dt)
-        linkage = self.arm.linkage
-        self.configuration.data.qpos[linkage.qpos_adr] = linkage.positions(q)
+        joint_map = self.arm.joint_map
+        self.configuration.data.qpos[joint_map.qpos_adr] = joint_map.positions(q)
         if self._needs_kinematics:
             self.configuration.update()
         return self._solve(q, low, high, dt) / dt
@@ -140,8 +140,8 @@ class DifferentialIk:
 
         limits = [*self._limits, self._clearance] if self._clearance is not None else self._limits
         problem = mink.build_ik(self.configuration, self._tasks, dt, DAMPING, limits, self._constraints)
-        reduced = self.arm.linkage.reduced  # all other joints stand still
-        problem.P, problem.q = self.arm.linkage.reduced_matrix(np.asarray(problem.P)), reduced(problem.q)
+        reduced = self.arm.joint_map.reduced  # all other joints stand still
+        problem.P, problem.q = self.arm.joint_map.reduced_matrix(np.asarray(problem.P)), reduced(problem.q)
         problem.G = reduced(np.asarray(problem.G)) if problem.G is not None else None
         problem.A = reduced(np.asarray(problem.A)) if problem.A is not None else None
         problem.lb, problem.ub = low, high

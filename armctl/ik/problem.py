@@ -108,7 +108,7 @@ class Problem(NamedTuple):
         Returns:
             m, and rad of what of the orientation is asked for.
         """
-        return compiled().residual(self.asked, self.targets[0], *self.arm.rigid_body.tip(q))
+        return compiled().residual(self.asked, self.targets[0], *self.arm.pinocchio_model.tip(q))
 
     def residuals(self, q: Array) -> tuple[Array, Array]:
         """How far the tip is from each target.
@@ -120,7 +120,7 @@ class Problem(NamedTuple):
             (N,) m, and (N,) rad of what of the orientation is asked for.
         """
         off, turned = np.empty(len(q)), np.empty(len(q))
-        compiled().residuals(self.asked, self.targets, *self.arm.rigid_body.tips(q), off, turned)
+        compiled().residuals(self.asked, self.targets, *self.arm.pinocchio_model.tips(q), off, turned)
         return off, turned
 
 
@@ -247,10 +247,10 @@ def chain_of(arm: Arm) -> Chain:
 
 
 def _pack(arm: Arm) -> Chain:
-    body, limits, linkage = arm.rigid_body, arm.limits, arm.linkage
-    k, n = linkage.length, arm.n
-    ratio, slides = linkage.ratio[:k], body.is_slide[linkage.leaders]
-    links = np.concatenate([body.placements @ _moved(linkage.offset[:k], body.is_slide), body.T_last_tip[None]])
+    body, limits, joint_map = arm.pinocchio_model, arm.limits, arm.joint_map
+    k, n = joint_map.length, arm.n
+    ratio, slides = joint_map.ratio[:k], body.is_slide[joint_map.leaders]
+    links = np.concatenate([body.placements @ _moved(joint_map.offset[:k], body.is_slide), body.T_last_tip[None]])
     farthest = np.maximum(np.abs(limits.q_min), np.abs(limits.q_max))
     travel = np.where(body.is_slide, np.abs(ratio) @ np.where(np.isfinite(farthest), farthest, 0.0), 0.0)
     reach = float(np.linalg.norm(links[1:, :3, 3], axis=1).sum() + travel.sum()) or 1.0

@@ -8,7 +8,7 @@ from itertools import chain
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.collision.checker import contacts_of
+from armctl.collision.checker import collision_checker
 from armctl.core.errors import UnknownNameError
 from armctl.core.validation import Array, IntArray, frozen
 from armctl.ik import lm
@@ -63,7 +63,7 @@ def solve_ik(
     asked, numbers = read_target(target, free_axis)
     problem = read_problem(arm, asked, numbers[None], q0, position_tolerance, orientation_tolerance, rng)
     search, most = _search(method)
-    touched_at = contacts_of(arm).at if avoid_collisions else _nothing
+    touched_at = collision_checker(arm).at if avoid_collisions else _nothing
     found = _one_by_one(problem, search, most, stay_near=q0 is not None)
     if nearest:
         found = chain(_nearest_first(problem, search), found)

@@ -45,7 +45,7 @@ class TipTask(BaseTask):
         self._arm, self._posture, self._chain = arm, posture, chain_of(arm)
         self._block = np.ix_(arm.dof_adr, arm.dof_adr)
         self._hessian, self._pull, self._jacobian = np.empty((arm.n, arm.n)), np.empty(arm.n), np.empty((6, arm.n))
-        self._scratch = compiled().scratch(arm.linkage.length, arm.n)
+        self._scratch = compiled().scratch(arm.joint_map.length, arm.n)
         self._gain: Array | None = None  # (n,) reaches nearer for a joint's step, at a target far off
         self.bounds = (np.full(arm.n, -np.inf), np.full(arm.n, np.inf))  # of the step
         self.settles = True  # at a target out of reach; a search that starts again elsewhere gets there faster without
@@ -129,7 +129,9 @@ class Clearance(mink.Limit):
         self._arm, self._model, self._clearance = arm, arm.model, clearance
         self._pairs = avoidable_pairs(arm, clearance)
         self._floor = np.full(len(self._pairs), 0.5 * clearance)
-        lever = np.where(arm.rigid_body.is_slide, 1.0, chain_of(arm).reach) @ np.abs(arm.linkage.ratio[: arm.linkage.length])
+        lever = np.where(arm.pinocchio_model.is_slide, 1.0, chain_of(arm).reach) @ np.abs(
+            arm.joint_map.ratio[: arm.joint_map.length]
+        )
         self._speed = float(lever @ np.where(np.isfinite(arm.limits.v_max), arm.limits.v_max, 0.0))
 
     def compute_qp_inequalities(self, configuration: mink.Configuration, dt: float) -> mink.Constraint:
@@ -164,13 +166,13 @@ class Clearance(mink.Limit):
         Returns:
             G (k, n) and h (k,), none if the step is clear.
         """
-        linkage = self._arm.linkage
-        configuration.data.qpos[linkage.qpos_adr] = linkage.positions(q + dq)
+        joint_map = self._arm.joint_map
+        configuration.data.qpos[joint_map.qpos_adr] = joint_map.positions(q + dq)
         configuration.update()
         rows, bounds = [], []
         for pair, distance, gradient in self._distances(configuration.data, 0.5 * self._clearance + 1e-6):
             if distance < self._floor[pair] - 1e-9:
-                gradient = linkage.reduced(gradient)
+                gradient = joint_map.reduced(gradient)
                 rows.append(-gradient)
                 bounds.append(distance - self._floor[pair] - gradient @ dq)
         return mink.Constraint(np.array(rows), np.array(bounds)) if rows else mink.Constraint()

@@ -21,7 +21,7 @@ from armctl.mjmodel.queries import (
     joints_above,
     joints_of,
 )
-from armctl.mjmodel.transmissions import Drive, chain_drives, drive_of
+from armctl.mjmodel.transmissions import Transmission, chain_transmissions, transmission_of
 
 _JAW = re.compile(r"jaw|grip|finger|claw|knuckle", re.IGNORECASE)
 _JAW_BODY = re.compile(r"^(?!.*(fix|static|base)).*(jaw|finger|fngr|claw|moving)", re.IGNORECASE)
@@ -166,7 +166,7 @@ def stopped_before(model: mujoco.MjModel, joints: Chain) -> list[str]:
 
 def _check_drives(model: mujoco.MjModel, base: int, joints: Chain) -> None:
     """Makes sure that each joint of a chain can be driven, and that its base stands still meanwhile."""
-    chain_drives(model, joints)
+    chain_transmissions(model, joints)
     if reason := _tied_above(model, base, joints):
         raise ModelError(reason)
 
@@ -174,7 +174,7 @@ def _check_drives(model: mujoco.MjModel, base: int, joints: Chain) -> None:
 def _tied_above(model: mujoco.MjModel, base: int, joints: Chain) -> str:
     """Which joint of a chain is tied to one that carries the chain's base; empty where none is."""
     above = joints_above(model, base)
-    for drive in chain_drives(model, joints):
+    for drive in chain_transmissions(model, joints):
         for other in drive.ties.keys() & set(above):
             return f"joint {joint_name(model, drive.joint)!r} is tied to {joint_name(model, other)!r}, which carries the base"
     return ""
@@ -184,18 +184,18 @@ def _refusal(model: mujoco.MjModel, joint: int) -> str:
     """Why a joint cannot be part of an arm; empty where it can."""
     if _is_free(model, joint):
         return _free_base(model, joint)
-    drive = drive_of(model, joint)
+    drive = transmission_of(model, joint)
     return drive if isinstance(drive, str) else ""
 
 
 def _actuators(model: mujoco.MjModel) -> dict[int, int]:
     """Which actuator moves which joint: directly, or through joints that it is tied to."""
-    drives = [drive_of(model, joint) for joint in range(model.njnt)]
-    return joint_actuators(model) | {drive.joint: drive.actuator for drive in drives if isinstance(drive, Drive)}
+    drives = [transmission_of(model, joint) for joint in range(model.njnt)]
+    return joint_actuators(model) | {drive.joint: drive.actuator for drive in drives if isinstance(drive, Transmission)}
 
 
 def _describe(model: mujoco.MjModel, base: int, joints: Chain, reason: str, actuators: dict[int, int]) -> SerialChain:
-    drives = [] if reason else chain_drives(model, joints)
+    drives = [] if reason else chain_transmissions(model, joints)
     own = tuple(drive.joint for drive in drives) or joints
     return SerialChain(
         base=body_name(model, base),
@@ -265,4 +265,4 @@ def _why_no_arm(model: mujoco.MjModel, base: int, actuators: dict[int, int]) -> 
         if any(is_below(model, body, int(model.jnt_bodyid[joint])) for body in moved):  # else it is a loose object
             return f"no arm: {_free_base(model, joint)}"
     blocking = next(j for j in sorted(behind, key=lambda j: _is_free(model, j)) if j not in actuators)
-    return f"no arm: {drive_of(model, blocking)}, and it is the first one from the base"
+    return f"no arm: {transmission_of(model, blocking)}, and it is the first one from the base"

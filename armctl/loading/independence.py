@@ -10,7 +10,7 @@ import mujoco
 from armctl.core.errors import ModelError
 from armctl.loading.tip import find_tip
 from armctl.mjmodel.queries import Chain, body_name, is_below, joint_name
-from armctl.mjmodel.transmissions import chain_drives
+from armctl.mjmodel.transmissions import chain_transmissions
 
 
 def check_apart(model: mujoco.MjModel, chains: Sequence[Chain]) -> None:
@@ -45,4 +45,4 @@ def check_apart(model: mujoco.MjModel, chains: Sequence[Chain]) -> None:
 
 def _moved(model: mujoco.MjModel, joints: Chain) -> set[int]:
     """The joints of a chain and those that are tied to them."""
-    return {joint for drive in chain_drives(model, joints) for joint in drive.ties}
+    return {joint for drive in chain_transmissions(model, joints) for joint in drive.ties}

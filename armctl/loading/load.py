@@ -24,9 +24,9 @@ from armctl.loading.tool import mount
 from armctl.loading.urdf import speed_limits
 from armctl.mjmodel.edit import add_bearers
 from armctl.mjmodel.queries import Chain, joint_name
-from armctl.mjmodel.transmissions import Drive, chain_drives
+from armctl.mjmodel.transmissions import Transmission, chain_transmissions
 from armctl.robot.arm import Arm, check_parity
-from armctl.robot.joint_map import linkage_of
+from armctl.robot.joint_map import joint_map_of
 from armctl.robot.pinocchio_model import build
 
 _TARGET_OFFSET = 0.3  # rad (m) from home at every joint: where a target that armctl adds is reached
@@ -142,7 +142,7 @@ class _Part:
     """One chain on its way to become an arm; what it holds is explained at Arm."""
 
     joints: Chain
-    drives: list[Drive]
+    drives: list[Transmission]
     tip: str
     tip_body: int
     T_body_tip: Pose
@@ -208,7 +208,7 @@ def _with_motors(
     tip_offset: Pose | None,
 ) -> _Part:
     """A chain with its torque limits, its actuators turned into motors in the specification."""
-    drives = chain_drives(model, joints)
+    drives = chain_transmissions(model, joints)
     sheet = speed_limits(source.path, model, drives) or from_row(source.row, len(drives))
     tau_max, sources, notes = torque_limits(model, drives, sheet)
     notes += make_motors(spec, model, drives, tau_max) + stopped_before(model, joints)
@@ -217,12 +217,12 @@ def _with_motors(
 
 
 def _arm(source: Source, model: mujoco.MjModel, original: mujoco.MjModel, part: _Part, qpos: Array, notes: list[str]) -> Arm:
-    drives, linkage = part.drives, linkage_of(original, part.joints)
+    drives, joint_map = part.drives, joint_map_of(original, part.joints)
     limits, sources = joint_limits(model, drives, qpos, part.tau_max, part.sheet)
     leaders, actuators = [drive.joint for drive in drives], [drive.actuator for drive in drives]
     home = limits.clamp(qpos[model.jnt_qposadr[leaders]])
     qpos = qpos.copy()
-    qpos[linkage.qpos_adr] = linkage.positions(home)
+    qpos[joint_map.qpos_adr] = joint_map.positions(home)
     felt = [max(drive.moments, key=lambda joint: abs(drive.moments[joint])) for drive in drives]
     share = np.array([drive.gear / drive.moments[joint] for drive, joint in zip(drives, felt, strict=True)])
     return Arm(
@@ -232,8 +232,8 @@ def _arm(source: Source, model: mujoco.MjModel, original: mujoco.MjModel, part: 
         tip=part.tip,
         home=frozen(home),
         limits=limits,
-        rigid_body=build(model, linkage, qpos, part.tip_body, part.T_body_tip),
-        linkage=linkage,
+        pinocchio_model=build(model, joint_map, qpos, part.tip_body, part.T_body_tip),
+        joint_map=joint_map,
         qpos_adr=frozen(model.jnt_qposadr[leaders].astype(int)),
         dof_adr=frozen(model.jnt_dofadr[leaders].astype(int)),
         ctrl_adr=frozen(model.actuator_ctrladr[actuators].astype(int)),

@@ -15,7 +15,7 @@ from armctl.core.validation import Array
 from armctl.loading.datasheets import Row
 from armctl.mjmodel.couplings import tendon_coefficients
 from armctl.mjmodel.queries import joint_name
-from armctl.mjmodel.transmissions import Drive, Tie, moments_of
+from armctl.mjmodel.transmissions import Tie, Transmission, moments_of
 
 DEFAULT_SPEED = {mujoco.mjtJoint.mjJNT_HINGE: 2.0, mujoco.mjtJoint.mjJNT_SLIDE: 0.5}  # rad/s, m/s
 DEFAULT_RISE_TIME = 0.05  # s, from no acceleration to the greatest
@@ -59,7 +59,7 @@ def from_row(row: Row | None, count: int) -> JointData | None:
 
 
 def torque_limits(
-    model: mujoco.MjModel, drives: Sequence[Drive], sheet: JointData | None
+    model: mujoco.MjModel, drives: Sequence[Transmission], sheet: JointData | None
 ) -> tuple[Array, dict[str, str], list[str]]:
     """What torque each joint of an arm can be given.
 
@@ -105,7 +105,7 @@ def torque_limits(
 
 
 def joint_limits(
-    model: mujoco.MjModel, drives: Sequence[Drive], home_qpos: Array, tau_max: Array, sheet: JointData | None
+    model: mujoco.MjModel, drives: Sequence[Transmission], home_qpos: Array, tau_max: Array, sheet: JointData | None
 ) -> tuple[Limits, dict[str, str]]:
     """The limits of an arm: positions from the model, the rest from the data sheet or a documented default.
 
@@ -140,7 +140,7 @@ def joint_limits(
     return Limits(q_min, q_max, v_max, a_max, j_max, tau_max), {"q_min": "model", "q_max": "model", **sources}
 
 
-def make_motors(spec: mujoco.MjSpec, model: mujoco.MjModel, drives: Sequence[Drive], tau_max: Array) -> list[str]:
+def make_motors(spec: mujoco.MjSpec, model: mujoco.MjModel, drives: Sequence[Transmission], tau_max: Array) -> list[str]:
     """Turns the actuators of an arm into torque motors, in place; gears, names, armature and damping stay.
 
     Args:
@@ -190,7 +190,7 @@ def _move_reflected(motor: mujoco.MjsActuator, joint: mujoco.MjsJoint, gear: flo
     motor.armature, motor.damping = 0.0, np.zeros_like(motor.damping)
 
 
-def _torque_ranges(model: mujoco.MjModel, drive: Drive) -> Iterator[tuple[str, tuple[float, float]]]:
+def _torque_ranges(model: mujoco.MjModel, drive: Transmission) -> Iterator[tuple[str, tuple[float, float]]]:
     """What the model says about a joint's torque: where it says it, (low, high) N m."""
     actuator, gear, name = drive.actuator, drive.gear, joint_name(model, drive.joint)
     if model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_MUSCLE:
@@ -212,7 +212,7 @@ def _scaled(factor: float, bounds: Array) -> tuple[float, float]:
     return low, high
 
 
-def _range(model: mujoco.MjModel, drive: Drive) -> tuple[float, float]:
+def _range(model: mujoco.MjModel, drive: Transmission) -> tuple[float, float]:
     """How far a joint can go before it, or one that follows it, is at its limit."""
     ranges = [(tie, model.jnt_range[joint]) for joint, tie in drive.ties.items() if model.jnt_limited[joint]]
     for tendon in np.flatnonzero(model.tendon_limited).tolist():
@@ -247,7 +247,7 @@ def _is_motor(model: mujoco.MjModel, actuator: int) -> bool:
     return fixed and model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE and not model.actuator_dyntype[actuator]
 
 
-def _assumed_torque(model: mujoco.MjModel, drives: Sequence[Drive]) -> Array:
+def _assumed_torque(model: mujoco.MjModel, drives: Sequence[Transmission]) -> Array:
     n = len(drives)
     worst, M = np.zeros(n), np.zeros((n, n))
     rng, index = np.random.default_rng(0), [drive.joint for drive in drives]
@@ -261,7 +261,7 @@ def _assumed_torque(model: mujoco.MjModel, drives: Sequence[Drive]) -> Array:
     return worst
 
 
-def _inertia_and_gravity(model: mujoco.MjModel, drives: Sequence[Drive], qpos: Array) -> tuple[Array, Array]:
+def _inertia_and_gravity(model: mujoco.MjModel, drives: Sequence[Transmission], qpos: Array) -> tuple[Array, Array]:
     """(n, n) mass matrix and (n,) gravity torque of an arm, by MuJoCo, all that follows its joints included."""
     data, full, ratio = mujoco.MjData(model), np.zeros((model.nv, model.nv)), np.zeros((model.nv, len(drives)))
     data.qpos[:] = qpos

@@ -14,7 +14,7 @@ from armctl.core.errors import ModelError
 from armctl.loading.motors import JointData, default_speed
 from armctl.loading.urdf_inertia import mend_masses
 from armctl.mjmodel.queries import joint_name
-from armctl.mjmodel.transmissions import Drive
+from armctl.mjmodel.transmissions import Transmission
 
 _RIGID = (0.9999, 0.9999, 0.001, 0.5, 2.0)  # MuJoCo's solimp
 _READABLE = (".stl", ".obj", ".msh")
@@ -50,7 +50,7 @@ def read_urdf(path: Path) -> tuple[mujoco.MjSpec, list[str]]:
     return spec, notes
 
 
-def speed_limits(path: Path, model: mujoco.MjModel, drives: Sequence[Drive]) -> JointData | None:
+def speed_limits(path: Path, model: mujoco.MjModel, drives: Sequence[Transmission]) -> JointData | None:
     """The speed limits of a URDF, which MuJoCo does not keep; the default for a joint that has none.
 
     Args:

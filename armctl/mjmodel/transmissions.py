@@ -32,7 +32,7 @@ class Tie:
 
 
 @dataclass(frozen=True)
-class Drive:
+class Transmission:
     """What moves a joint.
 
     Attributes:
@@ -53,7 +53,7 @@ class Drive:
         return sum(moment * self.ties[joint].ratio for joint, moment in self.moments.items())
 
 
-def drive_of(model: mujoco.MjModel, joint: int) -> Drive | str:
+def transmission_of(model: mujoco.MjModel, joint: int) -> Transmission | str:
     """What moves a joint.
 
     Args:
@@ -72,11 +72,11 @@ def drive_of(model: mujoco.MjModel, joint: int) -> Drive | str:
     reason = next(filter(None, (coupling(model, j, frozenset(ties)) for j in ties)), "")
     if reason:
         return reason
-    drives: dict[tuple[int, ...], Drive] = {}
+    drives: dict[tuple[int, ...], Transmission] = {}
     for actuator in range(model.nu):
         moments = moments_of(model, actuator)
         if moments and moments.keys() <= ties.keys() and not is_damper(model, actuator):
-            drives.setdefault(tuple(moments), Drive(joint, actuator, moments, ties))
+            drives.setdefault(tuple(moments), Transmission(joint, actuator, moments, ties))
     others = ", ".join(repr(joint_name(model, j)) for j in ties if j != joint)
     if len(drives) == 1:
         return drives.popitem()[1]
@@ -135,7 +135,7 @@ def _ties(model: mujoco.MjModel, joint: int) -> dict[int, Tie] | str:
     return ties
 
 
-def chain_drives(model: mujoco.MjModel, joints: Chain) -> list[Drive]:
+def chain_transmissions(model: mujoco.MjModel, joints: Chain) -> list[Transmission]:
     """The drives of a chain, from the base to the tip: a joint that follows another has none of its own.
 
     Args:
@@ -148,10 +148,10 @@ def chain_drives(model: mujoco.MjModel, joints: Chain) -> list[Drive]:
     Raises:
         ModelError: A joint cannot be driven by one actuator.
     """
-    drives: list[Drive] = []
+    drives: list[Transmission] = []
     for joint in joints:
         if not any(joint in drive.ties for drive in drives):
-            drive = drive_of(model, joint)
+            drive = transmission_of(model, joint)
             if isinstance(drive, str):
                 raise ModelError(drive)
             drives.append(drive)

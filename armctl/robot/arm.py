@@ -15,8 +15,8 @@ from armctl.core.pose import Pose
 from armctl.core.trajectory import Limits
 from armctl.core.validation import Array, IntArray, instance, matrix, number, vector
 from armctl.mjmodel.edit import add_point_mass
-from armctl.robot.joint_map import Linkage
-from armctl.robot.pinocchio_model import RigidBody, build
+from armctl.robot.joint_map import JointMap
+from armctl.robot.pinocchio_model import PinocchioModel, build
 
 PARITY_TOLERANCE = 1e-9
 
@@ -32,8 +32,8 @@ class Arm:
         tip: The name of the site, body or geom at the end.
         home: (n,) rad, the rest position.
         limits: What the joints can do.
-        rigid_body: Its Pinocchio model.
-        linkage: All joints that its n move: their own, and those that follow one of them.
+        pinocchio_model: Its Pinocchio model.
+        joint_map: All joints that its n move: their own, and those that follow one of them.
         qpos_adr: (n,) where the joints are in `MjData.qpos`.
         dof_adr: (n,) where they are in `MjData.qvel`.
         ctrl_adr: (n,) where their motors are in `MjData.ctrl`.
@@ -54,8 +54,8 @@ class Arm:
     tip: str
     home: Array
     limits: Limits
-    rigid_body: RigidBody
-    linkage: Linkage
+    pinocchio_model: PinocchioModel
+    joint_map: JointMap
     qpos_adr: IntArray
     dof_adr: IntArray
     ctrl_adr: IntArray
@@ -126,7 +126,7 @@ class Arm:
         Raises:
             InputError: A wrong length or a number that is not finite.
         """
-        return Pose.from_rotation(*self.rigid_body.tip(vector("q", q, self.n)))
+        return Pose.from_rotation(*self.pinocchio_model.tip(vector("q", q, self.n)))
 
     def fk_many(self, q: ArrayLike) -> tuple[Array, Array]:
         """Forward kinematics of many positions at once.
@@ -140,7 +140,7 @@ class Arm:
         Raises:
             InputError: A wrong shape or a number that is not finite.
         """
-        return self.rigid_body.tips(matrix("q", q, self.n))
+        return self.pinocchio_model.tips(matrix("q", q, self.n))
 
     def jacobian(self, q: ArrayLike) -> Array:
         """The Jacobian of the tip: its twist is J(q) v.
@@ -154,7 +154,7 @@ class Arm:
         Raises:
             InputError: A wrong length or a number that is not finite.
         """
-        return self.rigid_body.jacobian(vector("q", q, self.n))
+        return self.pinocchio_model.jacobian(vector("q", q, self.n))
 
     def qpos(self, q: Array) -> Array:
         """The whole model's positions with the arm at q and all else at home.
@@ -166,7 +166,7 @@ class Arm:
             (nq,) for `MjData.qpos`.
         """
         qpos = self.home_qpos.copy()
-        qpos[self.linkage.qpos_adr] = self.linkage.positions(q)
+        qpos[self.joint_map.qpos_adr] = self.joint_map.positions(q)
         return qpos
 
     def qvel(self, v: Array) -> Array:
@@ -179,7 +179,7 @@ class Arm:
             (nv,) for `MjData.qvel`.
         """
         qvel = np.zeros(self.model.nv)
-        qvel[self.linkage.dof_adr] = self.linkage.speeds(v)
+        qvel[self.joint_map.dof_adr] = self.joint_map.speeds(v)
         return qvel
 
     def with_payload(
@@ -215,8 +215,8 @@ class Arm:
         if number("mass", mass, 0.0) > 0.0:
             add_point_mass(model, self.tip_body, mass, self.T_body_tip.transform(vector("center", center, 3)))
         mujoco.mj_setConst(model, mujoco.MjData(model))
-        body = build(model, self.linkage, self.home_qpos, self.tip_body, self.T_body_tip)
-        return replace(self, model=model, rigid_body=body)
+        body = build(model, self.joint_map, self.home_qpos, self.tip_body, self.T_body_tip)
+        return replace(self, model=model, pinocchio_model=body)
 
     def __repr__(self) -> str:
         return f"Arm({self.name!r}, {self.n} joints, tip {self.tip!r})"
@@ -240,7 +240,7 @@ def check_parity(arm: Arm, samples: int = 3, seed: int = 0) -> float:
 
     rng = np.random.default_rng(seed)
     low, high = np.maximum(arm.limits.q_min, -np.pi), np.minimum(arm.limits.q_max, np.pi)
-    body, data, full = arm.rigid_body, mujoco.MjData(arm.model), np.zeros((arm.model.nv, arm.model.nv))
+    body, data, full = arm.pinocchio_model, mujoco.MjData(arm.model), np.zeros((arm.model.nv, arm.model.nv))
     worst = 0.0
     for k in range(samples + 1):
         q = rng.uniform(low, high) if k else arm.home
@@ -253,10 +253,10 @@ def check_parity(arm: Arm, samples: int = 3, seed: int = 0) -> float:
         M = pin.crba(body.pin_model, body.pin_model.createData(), q)
         pairs = {
             "tip pose": (np.column_stack(body.tip(q)), np.column_stack([T.position, T.rotation])),
-            "mass matrix": (np.triu(M), np.triu(arm.linkage.reduced_matrix(full))),
+            "mass matrix": (np.triu(M), np.triu(arm.joint_map.reduced_matrix(full))),
             "bias": (
                 pin.nonLinearEffects(body.pin_model, body.pin_model.createData(), q, v),
-                arm.linkage.reduced(data.qfrc_bias),
+                arm.joint_map.reduced(data.qfrc_bias),
             ),
         }
         for what, (ours, theirs) in pairs.items():

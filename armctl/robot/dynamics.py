@@ -37,23 +37,23 @@ class Dynamics:
             InputError: It is no arm.
         """
         check_arm(arm)
-        model, linkage = arm.model, arm.linkage
-        dofs, share = linkage.dof_adr, np.abs(linkage.ratio.T)
+        model, joint_map = arm.model, arm.joint_map
+        dofs, share = joint_map.dof_adr, np.abs(joint_map.ratio.T)
         joints = model.dof_jntid[dofs]
-        self.arm, self._linkage = arm, linkage
+        self.arm, self._joint_map = arm, joint_map
         self.damping = share**2 @ model.dof_damping[dofs] * _acts(model, mujoco.mjtDisableBit.mjDSBL_DAMPER)
         dry = _acts(model, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT) * _acts(model, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
         self.friction_loss = share @ model.dof_frictionloss[dofs] * dry
-        self._model, self._data = arm.rigid_body.pin_model, arm.rigid_body.pin_model.createData()
+        self._model, self._data = arm.pinocchio_model.pin_model, arm.pinocchio_model.pin_model.createData()
         # In LOCAL, the faster one, Pinocchio adds mimic joints to what an earlier call left behind.
-        self._convention = pin.Convention.LOCAL if linkage.is_plain else pin.Convention.WORLD
-        self._support = arm.rigid_body.gravity_support
+        self._convention = pin.Convention.LOCAL if joint_map.is_plain else pin.Convention.WORLD
+        self._support = arm.pinocchio_model.gravity_support
         self._support_data = self._support.createData() if self._support is not None else None
         quadratic, cubic = model.dof_dampingpoly[dofs].T * _acts(model, mujoco.mjtDisableBit.mjDSBL_DAMPER)
         self._damping_poly = np.column_stack([share**3 @ quadratic, share**4 @ cubic])
         self._stiffness = np.column_stack([model.jnt_stiffness[joints], model.jnt_stiffnesspoly[joints]])
         self._stiffness *= _acts(model, mujoco.mjtDisableBit.mjDSBL_SPRING)
-        self._rest = model.qpos_spring[linkage.qpos_adr].copy()
+        self._rest = model.qpos_spring[joint_map.qpos_adr].copy()
         self._is_damped = bool(self.damping.any() or self._damping_poly.any())
         self._has_poly_damping = bool(self._damping_poly.any())
         self._has_springs = bool(self._stiffness.any())
@@ -64,12 +64,12 @@ class Dynamics:
         explicit = not _acts(model, mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
         self.is_discrete = integrator != mujoco.mjtIntegrator.mjINT_RK4
         self._damps_at_end = self.is_discrete and not (integrator == mujoco.mjtIntegrator.mjINT_EULER and explicit)
-        self._turns_at_end = integrator == mujoco.mjtIntegrator.mjINT_IMPLICIT and linkage.is_plain
+        self._turns_at_end = integrator == mujoco.mjtIntegrator.mjINT_IMPLICIT and joint_map.is_plain
         self._changes_late = self._turns_at_end or (self._damps_at_end and self._is_damped)
         self._curves_late = self._turns_at_end or (self._damps_at_end and self._has_poly_damping)
         self._stepping = self._model.copy()
         self._set_step(0.0)
-        self._payload_basis = _payload_basis(arm.rigid_body.T_last_tip)
+        self._payload_basis = _payload_basis(arm.pinocchio_model.T_last_tip)
 
     def mass_matrix(self, q: Array) -> Array:
         """M(q), armature included.
@@ -179,7 +179,7 @@ class Dynamics:
         Raises:
             ModelError: A joint of the arm follows another: Pinocchio has no regressor for that.
         """
-        if not self._linkage.is_plain:
+        if not self._joint_map.is_plain:
             raise ModelError(f"{self.arm.name}: no payload can be identified where one joint follows another")
         regressor = pin.computeJointTorqueRegressor(self._model, self._data, q, v, a)
         return regressor.reshape(len(q), -1)[:, -10:] @ self._payload_basis
@@ -219,7 +219,7 @@ class Dynamics:
 
     def _solve_mass(self, q: Array, tau: Array) -> Array:
         """M(q)^-1 tau."""
-        if not self._linkage.is_plain:  # Pinocchio does not factorise M with mimic joints
+        if not self._joint_map.is_plain:  # Pinocchio does not factorise M with mimic joints
             return np.linalg.inv(self.mass_matrix(q)) @ tau
         pin.crba(self._model, self._data, q)
         pin.cholesky.decompose(self._model, self._data)
@@ -227,10 +227,10 @@ class Dynamics:
 
     def _with_static(self, tau: Array, q: Array) -> Array:
         if self._has_springs:
-            x = self._linkage.positions(q) - self._rest
+            x = self._joint_map.positions(q) - self._rest
             k = self._stiffness
             force = x * (k[:, 0] + x * k[:, 1] + x * x * k[:, 2])
-            tau = tau + (force if self._linkage.is_plain else force @ self._linkage.ratio)
+            tau = tau + (force if self._joint_map.is_plain else force @ self._joint_map.ratio)
         if self._support is not None:
             tau = tau - pin.computeGeneralizedGravity(self._support, self._support_data, q)
         return tau

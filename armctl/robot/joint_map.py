@@ -1,4 +1,4 @@
-"""Linkage: the joints of an arm, and those that go along with them because they are tied to them."""
+"""JointMap: the joints of an arm, and those that go along with them because they are tied to them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 
 from armctl.core.validation import Array, IntArray, frozen
 from armctl.mjmodel.queries import Chain
-from armctl.mjmodel.transmissions import chain_drives
+from armctl.mjmodel.transmissions import chain_transmissions
 
 
 @dataclass(frozen=True, eq=False)
-class Linkage:
+class JointMap:
     """All m joints that an arm moves: the chain's, from the base to the tip, then those outside it that follow one of these.
 
     Their positions are `ratio @ q + offset`, of the arm's n. In a plain chain no joint follows another, and m = n.
@@ -89,20 +89,20 @@ class Linkage:
         return X if self.is_plain else self.ratio.T @ X @ self.ratio
 
 
-def linkage_of(model: mujoco.MjModel, chain: Chain) -> Linkage:
-    """The linkage of a chain.
+def joint_map_of(model: mujoco.MjModel, chain: Chain) -> JointMap:
+    """The joint_map of a chain.
 
     Args:
         model: The compiled model, with whatever drives the chain.
         chain: Its joints, from the base to the tip.
 
     Returns:
-        The linkage.
+        The joint_map.
 
     Raises:
         ModelError: A joint of it cannot be driven by one actuator.
     """
-    drives = chain_drives(model, chain)
+    drives = chain_transmissions(model, chain)
     tied = sorted({joint for drive in drives for joint in drive.ties} - set(chain))
     joints = (*chain, *tied)
     ratio, offset = np.zeros((len(joints), len(drives))), np.zeros(len(joints))
@@ -110,7 +110,7 @@ def linkage_of(model: mujoco.MjModel, chain: Chain) -> Linkage:
         for joint, tie in drive.ties.items():
             ratio[joints.index(joint), i], offset[joints.index(joint)] = tie.ratio, tie.offset
     index = list(joints)
-    return Linkage(
+    return JointMap(
         joints,
         len(chain),
         frozen(np.array([joints.index(drive.joint) for drive in drives])),
@@ -121,7 +121,7 @@ def linkage_of(model: mujoco.MjModel, chain: Chain) -> Linkage:
     )
 
 
-def joined(linkages: Sequence[Linkage]) -> Linkage:
+def joined(linkages: Sequence[JointMap]) -> JointMap:
     """Several linkages as one, none of which moves a joint of another.
 
     Args:
@@ -141,4 +141,4 @@ def joined(linkages: Sequence[Linkage]) -> Linkage:
         name: frozen(np.concatenate([getattr(one, name) for one in linkages])) for name in ("offset", "qpos_adr", "dof_adr")
     }
     joints = tuple(joint for one in linkages for joint in one.joints)
-    return Linkage(joints, linkages[0].length, frozen(np.concatenate(leaders)), frozen(ratio), **parts)
+    return JointMap(joints, linkages[0].length, frozen(np.concatenate(leaders)), frozen(ratio), **parts)

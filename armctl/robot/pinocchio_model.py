@@ -17,7 +17,7 @@ import pinocchio as pin
 
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, BoolArray, frozen
-from armctl.robot.joint_map import Linkage
+from armctl.robot.joint_map import JointMap
 
 WORLD_AXES_AT_TIP = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
@@ -32,11 +32,11 @@ class _Memory(threading.local):
 
 
 @dataclass(frozen=True, eq=False)
-class RigidBody:
+class PinocchioModel:
     """Kinematics and inertia of a chain of k joints, moved by an arm's n, and the tip behind the last of them.
 
     Attributes:
-        linkage: How the n move the chain's joints, and what else; k = n where no joint follows another.
+        joint_map: How the n move the chain's joints, and what else; k = n where no joint follows another.
         pin_model: The Pinocchio model; its frame `tip_frame` is the tip.
         tip_frame: Index of the tip's frame.
         placements: (k, 4, 4), each joint's frame at zero in the frame of the joint before it (the first one's in the world).
@@ -46,7 +46,7 @@ class RigidBody:
             (`gravcomp`), or None where nothing is lifted.
     """
 
-    linkage: Linkage
+    joint_map: JointMap
     pin_model: pin.Model
     tip_frame: int
     placements: Array
@@ -94,7 +94,7 @@ class RigidBody:
         """
         R = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(q)))  # time last: whole columns of R turn at once
         p = np.zeros((3, len(q)))
-        chain = q if self.linkage.is_plain else self.linkage.positions(q)[:, : self.linkage.length]
+        chain = q if self.joint_map.is_plain else self.joint_map.positions(q)[:, : self.joint_map.length]
         for qi, X, slides in zip(chain.T, self.placements, self.is_slide, strict=True):
             p = p + X[:3, 3] @ R
             R = X[:3, :3].T @ R
@@ -108,15 +108,15 @@ class RigidBody:
         return np.ascontiguousarray(p.T), np.ascontiguousarray(R.transpose(2, 0, 1))
 
     def __reduce__(self):
-        return RigidBody, tuple(getattr(self, field.name) for field in fields(self))
+        return PinocchioModel, tuple(getattr(self, field.name) for field in fields(self))
 
 
-def build(model: mujoco.MjModel, linkage: Linkage, qpos: Array, tip_body: int, T_body_tip: Pose) -> RigidBody:
+def build(model: mujoco.MjModel, joint_map: JointMap, qpos: Array, tip_body: int, T_body_tip: Pose) -> PinocchioModel:
     """The rigid-body model of a chain.
 
     Args:
         model: The compiled model.
-        linkage: The chain's hinge and slide joints, from the base to the tip, and those outside it that follow one of them.
+        joint_map: The chain's hinge and slide joints, from the base to the tip, and those outside it that follow one of them.
         qpos: (nq,) where all other joints are held.
         tip_body: The body that carries the tip.
         T_body_tip: The tip in that body.
@@ -124,7 +124,7 @@ def build(model: mujoco.MjModel, linkage: Linkage, qpos: Array, tip_body: int, T
     Returns:
         The model, its joints in the order given.
     """
-    joints = linkage.joints
+    joints = joint_map.joints
     data = mujoco.MjData(model)
     zero = model.qpos0[model.jnt_qposadr[list(joints)]]
     data.qpos[:] = qpos
@@ -144,9 +144,9 @@ def build(model: mujoco.MjModel, linkage: Linkage, qpos: Array, tip_body: int, T
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or f"joint{joint}"
         pin_model.addJoint(above + 1, kind, placement, name)
         placements.append(placement.homogeneous)
-    pin_model = _with_followers(pin_model, linkage)
+    pin_model = _with_followers(pin_model, joint_map)
     support = pin_model.copy() if _is_lifted(model) else None
-    pin_model.armature = linkage.ratio.T**2 @ model.dof_armature[linkage.dof_adr]
+    pin_model.armature = joint_map.ratio.T**2 @ model.dof_armature[joint_map.dof_adr]
 
     for body, owner in enumerate(joint_above(model, joints)):
         if owner < 0 or not (model.body_mass[body] or model.body_inertia[body].any()):
@@ -159,14 +159,14 @@ def build(model: mujoco.MjModel, linkage: Linkage, qpos: Array, tip_body: int, T
             support.appendBodyToJoint(owner + 1, lifted, T_joint_inertia)
 
     T_world_tip = _se3(data.xpos[tip_body], data.xmat[tip_body]) * pin.SE3(T_body_tip.rotation, T_body_tip.position)
-    T_last_tip = frames[linkage.length - 1].actInv(T_world_tip)
-    tip_frame = pin_model.addFrame(pin.Frame("tip", linkage.length, 0, T_last_tip, pin.FrameType.OP_FRAME))
-    return RigidBody(
-        linkage,
+    T_last_tip = frames[joint_map.length - 1].actInv(T_world_tip)
+    tip_frame = pin_model.addFrame(pin.Frame("tip", joint_map.length, 0, T_last_tip, pin.FrameType.OP_FRAME))
+    return PinocchioModel(
+        joint_map,
         pin_model,
         tip_frame,
-        frozen(np.array(placements[: linkage.length])),
-        frozen(is_slide[: linkage.length]),
+        frozen(np.array(placements[: joint_map.length])),
+        frozen(is_slide[: joint_map.length]),
         frozen(T_last_tip.homogeneous),
         support,
     )
@@ -199,11 +199,11 @@ def _joints_behind(model: mujoco.MjModel, joints: tuple[int, ...]) -> list[int]:
     return behind
 
 
-def _with_followers(pin_model: pin.Model, linkage: Linkage) -> pin.Model:
+def _with_followers(pin_model: pin.Model, joint_map: JointMap) -> pin.Model:
     """The model with every joint that follows another as Pinocchio's mimic joint."""
-    for k, (ratio, offset) in enumerate(zip(linkage.ratio, linkage.offset, strict=True)):
-        if k not in linkage.leaders:
-            leader = int(linkage.leaders[np.flatnonzero(ratio)[0]])
+    for k, (ratio, offset) in enumerate(zip(joint_map.ratio, joint_map.offset, strict=True)):
+        if k not in joint_map.leaders:
+            leader = int(joint_map.leaders[np.flatnonzero(ratio)[0]])
             pin_model = pin.transformJointIntoMimic(pin_model, leader + 1, k + 1, float(ratio.sum()), float(offset))
     return pin_model
 

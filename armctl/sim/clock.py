@@ -1,4 +1,4 @@
-"""Pace: simulated time kept abreast of the clock on the wall."""
+"""RealTimeClock: simulated time kept abreast of the clock on the wall."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _IDLE = 0.05  # s without a wait: nothing was going on
 _WINDOW = 2.0  # s that the real-time factor is taken over
 
 
-class Pace:
+class RealTimeClock:
     """Waits so that simulated time goes by as fast as time does; behind, it catches up.
 
     Attributes:

@@ -54,6 +54,6 @@ class Disturbances:
         """
         if self._plant.pushes:
             wrench = sum((p.wrench for p in self._plant.pushes if p.acts(self._data.time)), np.zeros(6))
-            self._data.qfrc_applied[self._arm.dof_adr] = self._arm.rigid_body.jacobian(q).T @ wrench
+            self._data.qfrc_applied[self._arm.dof_adr] = self._arm.pinocchio_model.jacobian(q).T @ wrench
         self._commands.append(tau.copy())
         return self._commands[0] * (1.0 + self._plant.torque_ripple * np.sin(_RIPPLES * q))

@@ -12,8 +12,8 @@ from armctl.core.errors import InputError
 from armctl.core.validation import number
 from armctl.mjmodel.queries import body_name
 from armctl.robot.arm import Arm
-from armctl.sim.gripper_model import find_jaws, make_servos, pad_distance
-from armctl.sim.stepper import Rig
+from armctl.sim.gripper_model import find_gripper_model, make_servos, pad_distance
+from armctl.sim.stepper import Stepper
 
 _DEFAULT_FORCE = 10.0  # N
 _SPEED = 0.1  # m/s between the pads
@@ -69,28 +69,28 @@ class Gripper:
         jaws: What was found in the model.
     """
 
-    def __init__(self, rig: Rig, hold: Callable[[float], None], arm: Arm | None = None):
+    def __init__(self, stepper: Stepper, hold: Callable[[float], None], arm: Arm | None = None):
         """The gripper of a simulated arm.
 
         Args:
-            rig: The simulated arm.
+            stepper: The simulated arm.
             hold: Runs the simulation for some seconds with the arm held in its place.
-            arm: The arm, where the rig moves several; the rig's if left out.
+            arm: The arm, where the stepper moves several; the stepper's if left out.
 
         Raises:
             ModelError: Nothing moves behind the arm's tip, or it is a hand of many actuators.
         """
-        self.jaws = find_jaws(rig.arm if arm is None else arm)
-        self._rig, self._hold = rig, hold
+        self.jaws = find_gripper_model(stepper.arm if arm is None else arm)
+        self._stepper, self._hold = stepper, hold
         self._actuators = list(self.jaws.actuators)
-        self._ctrl = rig.model.actuator_ctrladr[self._actuators]
-        self._servo = {name: getattr(rig.model, name).copy() for name in (*_SERVO, *_SERVO_RANGES)}
+        self._ctrl = stepper.model.actuator_ctrladr[self._actuators]
+        self._servo = {name: getattr(stepper.model, name).copy() for name in (*_SERVO, *_SERVO_RANGES)}
 
     @property
     def width(self) -> float:
         """How far the pads are apart now, m."""
-        mujoco.mj_kinematics(self._rig.model, self._rig.data)
-        return pad_distance(self._rig.model, self._rig.data, self.jaws.pads)
+        mujoco.mj_kinematics(self._stepper.model, self._stepper.data)
+        return pad_distance(self._stepper.model, self._stepper.data, self.jaws.pads)
 
     @property
     def width_max(self) -> float:
@@ -167,19 +167,19 @@ class Gripper:
 
     def _begin(self) -> float:
         """Takes off the brake and gives the gripper back its servo; the time now."""
-        self._rig.loosen(self.jaws.dofs)
+        self._stepper.loosen(self.jaws.dofs)
         self._set_servo()
-        make_servos(self._rig.model, self.jaws.actuators)
-        return float(self._rig.data.time)
+        make_servos(self._stepper.model, self.jaws.actuators)
+        return float(self._stepper.data.time)
 
     def _set_servo(self) -> None:
         for name, values in self._servo.items():
             index = self._ctrl if name.startswith("actuator_ctrl") else self._actuators
-            getattr(self._rig.model, name)[index] = values[index]
+            getattr(self._stepper.model, name)[index] = values[index]
 
     def _press(self, force: float) -> None:
         """Makes the servo a motor of constant force; its damping stays."""
-        model = self._rig.model
+        model = self._stepper.model
         for actuator, push in zip(self._actuators, self.jaws.actuator_force(force), strict=True):
             model.actuator_gainprm[actuator] = 0.0
             model.actuator_biasprm[actuator, :2] = push, 0.0
@@ -189,9 +189,9 @@ class Gripper:
         start = self.width
         steps = max(1, round(abs(goal - start) / (_SPEED * _CHUNK)))
         for width in np.linspace(start, goal, steps + 1)[1:]:
-            self._rig.data.ctrl[self._ctrl] = self.jaws.ctrl_at(float(width))
+            self._stepper.data.ctrl[self._ctrl] = self.jaws.ctrl_at(float(width))
             self._hold(_CHUNK)
-            if self._rig.end or (until_touch and self._touching()[0]):
+            if self._stepper.failure or (until_touch and self._touching()[0]):
                 return
 
     def _trim(self, goal: float) -> None:
@@ -199,10 +199,10 @@ class Gripper:
         wanted = goal
         for _ in range(_TRIMS):
             error = goal - self.width
-            if abs(error) < _TRIMMED or self._rig.end or self._touching()[0]:
+            if abs(error) < _TRIMMED or self._stepper.failure or self._touching()[0]:
                 return
             wanted = float(np.clip(wanted + error, 0.0, self.width_max))
-            self._rig.data.ctrl[self._ctrl] = self.jaws.ctrl_at(wanted)
+            self._stepper.data.ctrl[self._ctrl] = self.jaws.ctrl_at(wanted)
             self._hold(_LEAST_WAIT)
 
     def _trim_force(self, goal: float) -> None:
@@ -210,7 +210,7 @@ class Gripper:
         push = goal
         for _ in range(_TRIMS):
             held, pressed = self._touching()
-            if self._rig.end or (held and abs(pressed - goal) < _TRIMMED_FORCE * goal):
+            if self._stepper.failure or (held and abs(pressed - goal) < _TRIMMED_FORCE * goal):
                 return
             if not held:  # it slips between jaws that are not parallel: close in on it again
                 self._press(goal)
@@ -222,8 +222,8 @@ class Gripper:
     def _settle(self) -> None:
         """Waits until the pads are at rest."""
         self._hold(_LEAST_WAIT)
-        deadline, before = self._rig.data.time + _SETTLE, self.width
-        while not self._rig.end and self._rig.data.time < deadline:
+        deadline, before = self._stepper.data.time + _SETTLE, self.width
+        while not self._stepper.failure and self._stepper.data.time < deadline:
             self._hold(_CHUNK)
             now = self.width
             if abs(now - before) < _STILL * _CHUNK:
@@ -232,7 +232,7 @@ class Gripper:
 
     def _touching(self) -> tuple[str, float]:
         """What both sides touch, and the force of the side that presses less."""
-        model, data, wrench = self._rig.model, self._rig.data, np.zeros(6)
+        model, data, wrench = self._stepper.model, self._stepper.data, np.zeros(6)
         pressed: list[dict[int, float]] = [{}, {}]
         own = self.jaws.sides[0] | self.jaws.sides[1]
         for index, contact in enumerate(data.contact):
@@ -249,13 +249,13 @@ class Gripper:
         return body_name(model, body), both[body]
 
     def _result(self, ok: bool, held: str, force: float, begin: float, reason: str) -> GripResult:
-        ended = self._rig.end
+        ended = self._stepper.failure
         return GripResult(
             ok and not ended,
             bool(held),
             held,
             self.width,
             force if held else 0.0,
-            float(self._rig.data.time) - begin,
+            float(self._stepper.data.time) - begin,
             ended or reason,
         )

@@ -1,4 +1,4 @@
-"""Jaws: what grips behind an arm's tip, found in the model: its actuators, its pads, and which control makes which width."""
+"""GripperModel: what grips behind the tip of an arm, found in the model: actuators, pads, and the control for each width."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _FAR = 1.0  # m: as far as distances are looked for
 
 
 @dataclass(frozen=True, eq=False)
-class Jaws:
+class GripperModel:
     """A gripper of one actuator, or of two that move together.
 
     Attributes:
@@ -73,7 +73,7 @@ class Jaws:
         return -force * slope / len(self.actuators)
 
 
-def find_jaws(arm: Arm) -> Jaws:
+def find_gripper_model(arm: Arm) -> GripperModel:
     """The gripper behind an arm's tip.
 
     The model is closed and opened alone, without gravity, to see which of its geoms meet and how wide each control opens it.
@@ -111,7 +111,7 @@ def find_jaws(arm: Arm) -> Jaws:
     width[:] = np.maximum.accumulate(width) + 1e-12 * np.arange(_STEPS)
     if np.ptp(width) < _LEAST_OPENING:
         raise ModelError(f"{arm.name}: no gripper: what is behind the tip {arm.tip!r} neither opens nor closes")
-    jaws = Jaws(actuators, dofs, pads, sides, frozen(width), frozen(np.array(table)), frozen(length), np.inf)
+    jaws = GripperModel(actuators, dofs, pads, sides, frozen(width), frozen(np.array(table)), frozen(length), np.inf)
     strongest = np.array([_force_limit(model, a) for a in actuators])
     return replace(jaws, force_max=float(np.min(strongest / np.abs(jaws.actuator_force(1.0)))))
 

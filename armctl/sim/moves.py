@@ -10,13 +10,13 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.collision.checker import contacts_of
+from armctl.collision.checker import collision_checker
 from armctl.control import Controller, State
 from armctl.core.errors import InputError, PlanError, UnknownNameError
 from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
-from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE, Goal
+from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE, Target
 from armctl.core.trajectory import TickReference, Trajectory
 from armctl.core.validation import Array, number
 from armctl.ik import solve_ik
@@ -24,7 +24,7 @@ from armctl.loading.prepare import TARGET
 from armctl.motion import Arc, JointTrajectory, Line, OnlineMotion, move_c, move_j, move_l, move_path
 from armctl.robot.arm import Arm
 from armctl.sim.recorder import Recorder, ticks_for
-from armctl.sim.stepper import Rig
+from armctl.sim.stepper import Stepper
 
 _SETTLED_SPEED = 1e-3  # rad/s
 _SETTLE_CHUNK = 0.02  # s
@@ -39,7 +39,7 @@ class Moves:
     model: mujoco.MjModel
     data: mujoco.MjData
     log: Log | None
-    _rig: Rig
+    _stepper: Stepper
 
     if TYPE_CHECKING:
 
@@ -75,12 +75,12 @@ class Moves:
             InputError: The target has a wrong length or a number that is not finite, or a tolerance is negative.
             SimulationError: The controller failed; `error.log` holds what there was until then.
         """
-        goal = Goal.read(target, tolerance, angle_tolerance)
+        goal = Target.read(target, tolerance, angle_tolerance)
         number("settle", settle, 0.0)
         self._show(goal)
-        if self._rig.end:
-            return self._refused(goal, f"{self._rig.end}; reset() starts afresh")
-        start = self.arm.limits.clamp(self._rig.q_ref)
+        if self._stepper.failure:
+            return self._refused(goal, f"{self._stepper.failure}; reset() starts afresh")
+        start = self.arm.limits.clamp(self._stepper.q_ref)
         ik = solve_ik(self.arm, target, start, avoid_collisions=True)
         if not ik.ok:  # a target that cannot be had without touching something may be meant to be touched
             ik = solve_ik(self.arm, target, start)
@@ -104,7 +104,7 @@ class Moves:
             LimitError: A position outside the limits.
             SimulationError: The controller failed; `error.log` holds what there was until then.
         """
-        goal = Goal.read(self.arm.fk(self.arm.checked("q", q)))
+        goal = Target.read(self.arm.fk(self.arm.checked("q", q)))
         return self._planned(lambda: move_j(self.arm, self._start, q), goal, settle)
 
     def move_l(self, target: Pose | ArrayLike, *, settle: float = 1.0, **caps: float) -> MoveResult:
@@ -122,7 +122,7 @@ class Moves:
             InputError: The target has a wrong length or a number that is not finite.
             SimulationError: The controller failed; `error.log` holds what there was until then.
         """
-        return self._planned(lambda: move_l(self.arm, self._start, target, **caps), Goal.read(target), settle)
+        return self._planned(lambda: move_l(self.arm, self._start, target, **caps), Target.read(target), settle)
 
     def move_c(
         self,
@@ -149,7 +149,7 @@ class Moves:
             InputError: An argument has a wrong length or a number that is not finite, or the points are on one line.
             SimulationError: The controller failed; `error.log` holds what there was until then.
         """
-        goal = Goal.read(target)
+        goal = Target.read(target)
         return self._planned(
             lambda: move_c(self.arm, self._start, via, target, angle=angle, **caps), goal, settle, angle is not None
         )
@@ -178,7 +178,7 @@ class Moves:
         target = last.target if isinstance(last, (Line, Arc)) else last
         turned = isinstance(last, Arc) and last.angle is not None
         plan = lambda: move_path(self.arm, self._start, path, blend=blend, **caps)  # noqa: E731
-        return self._planned(plan, Goal.read(target), settle, turned)
+        return self._planned(plan, Target.read(target), settle, turned)
 
     def follow(self, target: str | Callable[[float], Pose | ArrayLike] = TARGET, *, seconds: float = 10.0) -> Log:
         """Follows something that moves: fifty times a second a new goal, every limit kept on the way to it.
@@ -202,52 +202,52 @@ class Moves:
         recorder, started, begin = Recorder(self.arm), time.perf_counter(), self.data.time
         motion, before = OnlineMotion(self.arm, self._start), self._start
         ticks = ticks_for(_FOLLOW_PERIOD, self.dt) - 1
-        while not self._rig.end and self.data.time - begin < number("seconds", seconds, 0.0) - 1e-9:
+        while not self._stepper.failure and self.data.time - begin < number("seconds", seconds, 0.0) - 1e-9:
             wanted = solve_ik(self.arm, where(self.data.time - begin), motion.setpoint.q)
             motion.go_to(wanted.q)
             rows = [motion.setpoint[:3], *(motion.step(self.dt)[:3] for _ in range(ticks))]
             q, v, a = (np.array(row) for row in zip(*rows, strict=True))
-            v_tick = v if self._rig.continuous else np.diff(np.vstack([before, q]), axis=0) / self.dt
+            v_tick = v if self._stepper.continuous else np.diff(np.vstack([before, q]), axis=0) / self.dt
             rates = np.diff(v_tick, axis=0) / self.dt
-            self._rig.follow(self.controller, TickReference(q[:-1], v[:-1], a[:-1], v_tick[:-1], rates), recorder)
+            self._stepper.follow(self.controller, TickReference(q[:-1], v[:-1], a[:-1], v_tick[:-1], rates), recorder)
             before = q[-2]
         return self._logged(recorder, seconds, np.full(7, np.nan), started)
 
     @property
     def _start(self) -> Array:
         """Where the next motion starts: where the last one ended."""
-        return self.arm.limits.clamp(self._rig.q_ref)
+        return self.arm.limits.clamp(self._stepper.q_ref)
 
-    def _planned(self, plan: Callable[[], JointTrajectory], goal: Goal, settle: float, elsewhere: bool = False) -> MoveResult:
+    def _planned(self, plan: Callable[[], JointTrajectory], goal: Target, settle: float, elsewhere: bool = False) -> MoveResult:
         """Plans, and moves if there is a plan; `elsewhere` is a motion that does not end at the goal's point."""
         number("settle", settle, 0.0)
         self._show(goal)
-        if self._rig.end:
-            return self._refused(goal, f"{self._rig.end}; reset() starts afresh")
+        if self._stepper.failure:
+            return self._refused(goal, f"{self._stepper.failure}; reset() starts afresh")
         try:
             trajectory = plan()
         except PlanError as error:
             return self._refused(goal, str(error))
         if elsewhere:
-            goal = Goal.read(self.arm.fk(trajectory(trajectory.duration).q))
+            goal = Target.read(self.arm.fk(trajectory(trajectory.duration).q))
         return self._move(trajectory, goal, settle)
 
-    def _move(self, trajectory: Trajectory, goal: Goal, settle: float) -> MoveResult:
+    def _move(self, trajectory: Trajectory, goal: Target, settle: float) -> MoveResult:
         """Follows a motion, then holds its end until the tip has come to rest, at most `settle` seconds."""
-        rig, recorder, started, begin = self._rig, Recorder(self.arm), time.perf_counter(), self.data.time
+        stepper, recorder, started, begin = self._stepper, Recorder(self.arm), time.perf_counter(), self.data.time
         ticks = ticks_for(trajectory.duration, self.dt)
-        rig.follow(self.controller, rig.reference(trajectory, ticks), recorder)
+        stepper.follow(self.controller, stepper.reference(trajectory, ticks), recorder)
         still = np.zeros((ticks_for(_SETTLE_CHUNK, self.dt), self.arm.n))
         hold = TickReference(trajectory(trajectory.duration).q + still, still, still, still, still)
         deadline = self.data.time + settle
-        while not rig.end and self.data.time < deadline and not (self._is_still() and goal.is_reached(self.tip)):
-            rig.follow(self.controller, hold, recorder)
+        while not stepper.failure and self.data.time < deadline and not (self._is_still() and goal.is_reached(self.tip)):
+            stepper.follow(self.controller, hold, recorder)
         log = self._logged(recorder, trajectory.duration, goal.numbers, started)
         position_error, orientation_error = goal.distance(self.tip)
-        reason = rig.end
+        reason = stepper.failure
         if not reason and not goal.is_reached(self.tip):
             reason = f"the tip is {1e3 * position_error:.3g} mm and {orientation_error:.3g} rad from the target"
-            if touching := contacts_of(self.arm).at(self.state.q):
+            if touching := collision_checker(self.arm).at(self.state.q):
                 reason += f"; {touching}"
         elif not reason and not self._is_still():
             reason = f"the arm has not come to rest within {settle:g} s"
@@ -257,16 +257,16 @@ class Moves:
         self, recorder: Recorder, motion_duration: float, goal: Array, started: float, controller: Controller | None = None
     ) -> Log:
         wall = time.perf_counter() - started
-        self.log = self._rig.log(controller or self.controller, recorder, motion_duration, goal, wall)
+        self.log = self._stepper.log(controller or self.controller, recorder, motion_duration, goal, wall)
         return self.log
 
-    def _refused(self, goal: Goal, reason: str) -> MoveResult:
+    def _refused(self, goal: Target, reason: str) -> MoveResult:
         return MoveResult(False, *goal.distance(self.tip), 0.0, reason, None)
 
     def _is_still(self) -> bool:
         return bool(np.abs(self.state.v).max() < _SETTLED_SPEED)
 
-    def _show(self, goal: Goal) -> None:
+    def _show(self, goal: Target) -> None:
         """Puts the green target at a goal."""
         mocap = self.model.body_mocapid[mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, TARGET)]
         if mocap >= 0:

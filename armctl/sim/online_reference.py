@@ -1,4 +1,4 @@
-"""Guide: the reference of an arm that is told where to go while it moves."""
+"""OnlineReference: the reference of an arm that is told where to go while it moves."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from armctl.robot.arm import Arm
 _EASE = 0.3  # share of the acceleration that a hand's jerky target is followed with; its square for the jerk
 
 
-class Guide:
+class OnlineReference:
     """An online motion as rows for the tick loop, a few at a time; its goal may change between them.
 
     Attributes:

@@ -186,7 +186,7 @@ def held_dofs(arm: Arm) -> IntArray:
         if model.actuator_trntype[actuator] in (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)):
             has_motor[model.body_rootid[model.jnt_bodyid[model.actuator_trnid[actuator, 0]]]] = True
     of_robot = has_motor[model.body_rootid[model.dof_bodyid]]
-    return np.setdiff1d(np.flatnonzero(of_robot & ~free), arm.linkage.dof_adr)
+    return np.setdiff1d(np.flatnonzero(of_robot & ~free), arm.joint_map.dof_adr)
 
 
 def brake(model: mujoco.MjModel, dofs: IntArray) -> None:

@@ -1,4 +1,4 @@
-"""Session: an arm that follows a target in real time, in a thread of its own, while others watch and interfere."""
+"""RealTimeSession: an arm that follows a target in real time, in a thread of its own, while others watch and interfere."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from armctl.control import controller_by_name
 from armctl.core.errors import ModelError
 from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
-from armctl.core.target import TOLERANCE, Goal
+from armctl.core.target import TOLERANCE, Target
 from armctl.core.validation import Array
 from armctl.ik import DifferentialIk, solve_ik
 from armctl.loading.prepare import TARGET
 from armctl.robot.arm import Arm
-from armctl.sim.clock import Pace
+from armctl.sim.clock import RealTimeClock
 from armctl.sim.gripper import Gripper
 from armctl.sim.history import History
-from armctl.sim.online_reference import Guide
+from armctl.sim.online_reference import OnlineReference
 from armctl.sim.plant import Plant
 from armctl.sim.recorder import Recorder
-from armctl.sim.stepper import Rig
+from armctl.sim.stepper import Stepper
 
 INTERVAL = 0.01  # s between looks at the target
 _STILL = 1e-3  # rad/s
@@ -31,7 +31,7 @@ _SETTLED = 1e-2  # rad/s: the goal of the joints has arrived
 _WORTH_IT = 0.01  # m by which another posture must be nearer to a target out of reach, to be taken
 
 
-class Session:
+class RealTimeSession:
     """An arm in real time. What others order is done between two looks at the target; the latest of its kind wins.
 
     Attributes:
@@ -63,15 +63,15 @@ class Session:
         """
         self.arm, self.payload, self.controller = arm, payload, controller
         self._law = controller_by_name(controller, arm)
-        self._rig = Rig(arm, Plant(payload=payload))
-        self._ticks = max(1, round(INTERVAL / self._rig.dt))
-        self.history, self.pace = History(arm.n, self._ticks * self._rig.dt), Pace()
-        self._guide = Guide(arm, self._rig.dt)
+        self._stepper = Stepper(arm, Plant(payload=payload))
+        self._ticks = max(1, round(INTERVAL / self._stepper.dt))
+        self.history, self.pace = History(arm.n, self._ticks * self._stepper.dt), RealTimeClock()
+        self._guide = OnlineReference(arm, self._stepper.dt)
         self._ik = DifferentialIk(arm)
         self._orders: dict[str, Callable[[], None]] = {}
         self._lock, self._stopping, self._thread = threading.Lock(), threading.Event(), None
         self.paused, self.oriented, self.elapsed = False, arm.n >= 6, 0.0
-        self.gripper = self._gripper_of(self._rig)
+        self.gripper = self._gripper_of(self._stepper)
         self._restart()
 
     def aim(self, target: Pose) -> None:
@@ -128,12 +128,12 @@ class Session:
         Raises:
             InputError: It is negative or not finite.
         """
-        rig = Rig(self.arm, Plant(payload=payload))
+        stepper = Stepper(self.arm, Plant(payload=payload))
 
         def change() -> None:
-            rig.reset(self._rig.state.q, self._rig.state.v)
-            rig.data.qpos[:] = self._rig.data.qpos
-            self._rig, self.payload, self.gripper = rig, payload, self._gripper_of(rig)
+            stepper.reset(self._stepper.state.q, self._stepper.state.v)
+            stepper.data.qpos[:] = self._stepper.data.qpos
+            self._stepper, self.payload, self.gripper = stepper, payload, self._gripper_of(stepper)
 
         self._order("payload", change)
 
@@ -165,8 +165,8 @@ class Session:
     @property
     def status(self) -> str:
         """What the arm does, in words."""
-        if self._rig.end:
-            return f"{self._rig.end}: reset"
+        if self._stepper.failure:
+            return f"{self._stepper.failure}: reset"
         if self.paused:
             return "paused"
         millimetres = 1e3 * self._to_target
@@ -200,7 +200,7 @@ class Session:
         self.pace.restart()
         while not self._stopping.is_set():
             if self.advance():
-                self.pace.wait(self._ticks * self._rig.dt)
+                self.pace.wait(self._ticks * self._stepper.dt)
             else:
                 time.sleep(INTERVAL)
                 self.pace.restart()
@@ -218,17 +218,17 @@ class Session:
                 order()
         except SimulationError:
             return False
-        if self.paused or self._rig.end:
+        if self.paused or self._stepper.failure:
             return False
         if not self._decided:
             self._follow()
         reference = self._guide.toward(self._goal, self._ticks)
         try:
-            self._rig.follow(self._law, reference, Recorder(self.arm))
+            self._stepper.follow(self._law, reference, Recorder(self.arm))
         except SimulationError:
             return False
         self._look(self._guide.q)
-        self.elapsed += self._ticks * self._rig.dt
+        self.elapsed += self._ticks * self._stepper.dt
         return True
 
     def _order(self, kind: str, order: Callable[[], None]) -> None:
@@ -236,16 +236,16 @@ class Session:
             self._orders.pop(kind, None)
             self._orders[kind] = order
 
-    def _gripper_of(self, rig: Rig) -> Gripper | None:
+    def _gripper_of(self, stepper: Stepper) -> Gripper | None:
         try:
-            return Gripper(rig, self._hold)
+            return Gripper(stepper, self._hold)
         except ModelError:
             return None
 
     def _hold(self, seconds: float) -> None:
         """Holds the arm while the gripper moves."""
-        self._rig.hold(self._law, seconds)
-        self._look(self._rig.q_ref)
+        self._stepper.hold(self._law, seconds)
+        self._look(self._stepper.q_ref)
         if self._thread is threading.current_thread():
             self.pace.wait(seconds)
 
@@ -253,9 +253,9 @@ class Session:
         arm = self.arm
         if self.gripper is not None:
             self.gripper.reset()
-        self._rig.reset(arm.home, np.zeros(arm.n))
+        self._stepper.reset(arm.home, np.zeros(arm.n))
         self._guide.stand(arm.home)
-        start = self._rig.data.xpos[self._rig.model.body(TARGET).id]
+        start = self._stepper.data.xpos[self._stepper.model.body(TARGET).id]
         self._steer(solve_ik(arm, start, arm.home).q)
         self.steered = False
         self._look(arm.home)
@@ -265,7 +265,7 @@ class Session:
 
     def _follow(self) -> None:
         """Moves the joints' goal after the target by differential IK; where that comes to rest, IK has the last word."""
-        wanted, interval = self.target if self.oriented else self.target.position, self._ticks * self._rig.dt
+        wanted, interval = self.target if self.oriented else self.target.position, self._ticks * self._stepper.dt
         rate = self._ik.step(self._goal, wanted, interval)
         self._goal = self.arm.limits.clamp(self._goal + interval * rate)
         if np.abs(rate).max() > _SETTLED:
@@ -273,7 +273,7 @@ class Session:
         self._decided = True
         answer = solve_ik(self.arm, wanted, self._goal)
         short = answer.position_error
-        nearest = Goal.read(wanted).distance(self.arm.fk(self._goal))[0]
+        nearest = Target.read(wanted).distance(self.arm.fk(self._goal))[0]
         if answer.ok or short < nearest - _WORTH_IT:
             self._goal = answer.q
         if not answer.ok:
@@ -285,12 +285,12 @@ class Session:
 
     def _look(self, q_ref: Array) -> None:
         """Notes where things are now."""
-        tip, reference, rig = self._rig.tip, self.arm.fk(q_ref), self._rig
-        goal = Goal(self.target.position, self.target if self.oriented else None)
+        tip, reference, stepper = self._stepper.tip, self.arm.fk(q_ref), self._stepper
+        goal = Target(self.target.position, self.target if self.oriented else None)
         self._to_target = goal.distance(tip)[0]
-        self._still = bool(np.abs(rig.state.v).max() < _STILL)
+        self._still = bool(np.abs(stepper.state.v).max() < _STILL)
         self._arrived = bool(np.abs(q_ref - self._goal).max() < 1e-6)
-        shares = rig.data.qfrc_actuator[self.arm.torque_adr] * self.arm.torque_share / self.arm.limits.tau_max
+        shares = stepper.data.qfrc_actuator[self.arm.torque_adr] * self.arm.torque_share / self.arm.limits.tau_max
         self.history.add(self._to_target, float(np.linalg.norm(tip.position - reference.position)), shares)
-        self.shown = rig.data.qpos.copy()
-        self.q = rig.state.q.copy()
+        self.shown = stepper.data.qpos.copy()
+        self.q = stepper.state.q.copy()

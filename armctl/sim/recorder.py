@@ -64,7 +64,7 @@ class Recorder:
         motion_duration: float,
         target: Array,
         real_time_factor: float,
-        end: str,
+        failure: str,
     ) -> Log:
         """The recorded rows as a Log, with the tips by the arm's forward kinematics, which is MuJoCo's to 1e-9.
 
@@ -77,14 +77,14 @@ class Recorder:
             motion_duration: s.
             target: (7,).
             real_time_factor: 1 is real time.
-            end: Why the run ended early.
+            failure: Why the run ended early.
 
         Returns:
             The log; its arrays are copies.
         """
         qpos, columns = self._columns()
         columns = {name: column[:, joints].copy() for name, column in columns.items()}
-        (tip, rotation), (tip_ref, rotation_ref) = (arm.rigid_body.tips(columns[name]) for name in ("q", "q_ref"))
+        (tip, rotation), (tip_ref, rotation_ref) = (arm.pinocchio_model.tips(columns[name]) for name in ("q", "q_ref"))
         return Log(
             robot=arm.name,
             joint_names=arm.joint_names,
@@ -95,7 +95,7 @@ class Recorder:
             motion_duration=motion_duration,
             target=np.array(target),
             real_time_factor=real_time_factor,
-            end=end,
+            failure=failure,
             t=dt * np.arange(self.size, dtype=np.float64),
             tip=tip,
             tip_quat=quats_from_rotations(rotation),

@@ -27,9 +27,9 @@ from armctl.sim.gripper import Gripper
 from armctl.sim.moves import Moves
 from armctl.sim.plant import NOMINAL, Plant
 from armctl.sim.recorder import Recorder, ticks_for
-from armctl.sim.stepper import ConstantTorque, Rig
+from armctl.sim.stepper import ConstantTorque, Stepper
 
-_IDLE = 4  # rigs kept for the next run
+_IDLE = 4  # steppers kept for the next run
 
 
 class Simulation(Moves):
@@ -68,24 +68,24 @@ class Simulation(Moves):
         self.plant = _checked(self.controller, plant)
         self.log: Log | None = None
         self.viewer = hooks.open_viewer(self.arm) if viewer and hooks.open_viewer is not None else None
-        self._rig = Rig(self.arm, self.plant, self.viewer)
+        self._stepper = Stepper(self.arm, self.plant, self.viewer)
         self._gripper: Gripper | None = None
-        self.model, self.data = self._rig.model, self._rig.data
+        self.model, self.data = self._stepper.model, self._stepper.data
 
     @property
     def dt(self) -> float:
         """The tick, s: the plant's step and the control period."""
-        return self._rig.dt
+        return self._stepper.dt
 
     @property
     def state(self) -> State:
         """The arm's state now."""
-        return self._rig.state
+        return self._stepper.state
 
     @property
     def tip(self) -> Pose:
         """Where the simulated tip is now, T_world_tip."""
-        return self._rig.tip
+        return self._stepper.tip
 
     @property
     def target(self) -> Array:
@@ -95,7 +95,7 @@ class Simulation(Moves):
     @property
     def gripper(self) -> Gripper:
         """The gripper behind the arm's tip, found when it is first asked for."""
-        self._gripper = self._gripper or Gripper(self._rig, lambda seconds: self._rig.hold(self.controller, seconds))
+        self._gripper = self._gripper or Gripper(self._stepper, lambda seconds: self._stepper.hold(self.controller, seconds))
         return self._gripper
 
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
@@ -110,7 +110,7 @@ class Simulation(Moves):
         """
         if self._gripper is not None:
             self._gripper.reset()
-        self._rig.reset(self.arm.home if q is None else q, np.zeros(self.arm.n) if v is None else v)
+        self._stepper.reset(self.arm.home if q is None else q, np.zeros(self.arm.n) if v is None else v)
 
     def run(self, trajectory: Trajectory, settle: float = 0.0) -> Log:
         """Follows a trajectory, starting now.
@@ -120,14 +120,14 @@ class Simulation(Moves):
             settle: s to go on holding its end.
 
         Returns:
-            Every tick of it. A run that diverges ends early, and `log.end` says why.
+            Every tick of it. A run that diverges ends early, and `log.failure` says why.
 
         Raises:
             InputError: It is no motion, or the settling time is negative.
             SimulationError: The controller failed; `error.log` holds what there was until then.
         """
         check_motion(trajectory)
-        self.log = _run(self._rig, self.controller, trajectory, settle)
+        self.log = _run(self._stepper, self.controller, trajectory, settle)
         return self.log
 
     def apply_ctrl(self, ctrl: ArrayLike, seconds: float) -> Log:
@@ -151,7 +151,7 @@ class Simulation(Moves):
             raise LimitError(f"ctrl: {self.arm.joint_names[i]}: {ctrl[i]:g} is outside [{-bound[i]:g}, {bound[i]:g}]")
         nothing = np.full((ticks_for(number("seconds", seconds, 0.0), self.dt), self.arm.n), np.nan)
         recorder, started, constant = Recorder(self.arm), time.perf_counter(), ConstantTorque(ctrl * self.arm.gear)
-        self._rig.follow(constant, TickReference(*[nothing] * 5), recorder)
+        self._stepper.follow(constant, TickReference(*[nothing] * 5), recorder)
         return self._logged(recorder, seconds, np.full(7, np.nan), started, constant)
 
     def record(self, path: str | os.PathLike[str], **options: Any) -> Path:
@@ -187,7 +187,7 @@ def simulate(
         settle: s to go on holding its end.
 
     Returns:
-        Every tick of it. A run that diverges ends early, and `log.end` says why.
+        Every tick of it. A run that diverges ends early, and `log.failure` says why.
 
     Raises:
         InputError: An argument of the wrong kind.
@@ -198,10 +198,10 @@ def simulate(
     controller = controller_by_name(controller, arm) if isinstance(controller, str) else controller
     plant = _checked(controller, plant)
     check_motion(trajectory)
-    with _rig_for(arm, plant) as rig:
+    with _rig_for(arm, plant) as stepper:
         start = trajectory(0.0)
-        rig.reset(start.q, start.v)
-        return _run(rig, controller, trajectory, settle)
+        stepper.reset(start.q, start.v)
+        return _run(stepper, controller, trajectory, settle)
 
 
 def _checked(controller: object, plant: Plant | None) -> Plant:
@@ -213,23 +213,23 @@ def _checked(controller: object, plant: Plant | None) -> Plant:
     return plant
 
 
-_idle: dict[tuple[Arm, Plant], Rig] = {}
+_idle: dict[tuple[Arm, Plant], Stepper] = {}
 
 
 @contextmanager
-def _rig_for(arm: Arm, plant: Plant) -> Iterator[Rig]:
-    """A rig of an arm and a plant for one run. The last ones are kept: to copy a model takes as long as a second of it."""
-    rig = _idle.pop((arm, plant), None) or Rig(arm, plant)
+def _rig_for(arm: Arm, plant: Plant) -> Iterator[Stepper]:
+    """A stepper of an arm and a plant for one run. The last ones are kept: to copy a model takes as long as a second of it."""
+    stepper = _idle.pop((arm, plant), None) or Stepper(arm, plant)
     try:
-        yield rig
+        yield stepper
     finally:
-        _idle[arm, plant] = rig
+        _idle[arm, plant] = stepper
         for oldest in list(_idle)[:-_IDLE]:
             _idle.pop(oldest, None)
 
 
-def _run(rig: Rig, controller: Controller, trajectory: Trajectory, settle: float) -> Log:
-    recorder, started = Recorder(rig.arm), time.perf_counter()
-    ticks = ticks_for(trajectory.duration + number("settle", settle, 0.0), rig.dt)
-    rig.follow(controller, rig.reference(trajectory, ticks), recorder)
-    return rig.log(controller, recorder, trajectory.duration, np.full(7, np.nan), time.perf_counter() - started)
+def _run(stepper: Stepper, controller: Controller, trajectory: Trajectory, settle: float) -> Log:
+    recorder, started = Recorder(stepper.arm), time.perf_counter()
+    ticks = ticks_for(trajectory.duration + number("settle", settle, 0.0), stepper.dt)
+    stepper.follow(controller, stepper.reference(trajectory, ticks), recorder)
+    return stepper.log(controller, recorder, trajectory.duration, np.full(7, np.nan), time.perf_counter() - started)

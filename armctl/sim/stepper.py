@@ -1,4 +1,4 @@
-"""Rig: a simulated arm under a controller, and the tick loop that all runs go through."""
+"""Stepper: a simulated arm under a controller, and the tick loop that all runs go through."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Observer(Protocol):
         ...
 
 
-class Rig:
+class Stepper:
     """The plant and its state in time.
 
     Attributes:
@@ -67,11 +67,11 @@ class Rig:
         dt: s, the tick: the control period.
         continuous: Whether the arm moves on continuously between ticks.
         q_ref: (n,) rad, where the arm was last told to be.
-        end: Why nothing more can be run, in words; empty while all is well.
+        failure: Why nothing more can be run, in words; empty while all is well.
     """
 
     def __init__(self, arm: Arm, plant: Plant, observer: Observer | None = None):
-        """A rig with the arm at home, at rest.
+        """A stepper with the arm at home, at rest.
 
         Args:
             arm: The arm.
@@ -122,7 +122,7 @@ class Rig:
         self.data.qvel[:] = self.arm.qvel(v)
         self.data.ctrl[:] = self.arm.home_ctrl
         mujoco.mj_forward(self.model, self.data)
-        self.q_ref, self.end = q, ""
+        self.q_ref, self.failure = q, ""
         self._disturbances = Disturbances(self.plant, self.arm, self.data) if self.plant.disturbs else None
         if self._observer is not None:
             self._observer.after_reset(self.data)
@@ -144,7 +144,7 @@ class Rig:
         self.model.opt.tolerance = source.opt.tolerance
 
     def reference(self, trajectory: Trajectory, ticks: int) -> TickReference:
-        """A trajectory on this rig's ticks.
+        """A trajectory on this stepper's ticks.
 
         Args:
             trajectory: The motion.
@@ -168,8 +168,8 @@ class Rig:
         Raises:
             SimulationError: The controller failed, or an earlier run ended early; `error.log` holds what there was until then.
         """
-        if self.end:
-            raise SimulationError(f"{self.end}; reset() starts afresh")
+        if self.failure:
+            raise SimulationError(f"{self.failure}; reset() starts afresh")
         if self._observer is None:
             self._run_ticks(controller, reference, recorder)
             return
@@ -179,7 +179,7 @@ class Rig:
             part = TickReference(*(np.asarray(column)[first : first + ticks] for column in reference))
             self._run_ticks(controller, part, recorder)
             self._observer.after_ticks(self.data, len(part.q) * self.dt)
-            if self.end:
+            if self.failure:
                 return
 
     def _run_ticks(self, controller: Controller, reference: TickReference, recorder: Recorder) -> None:
@@ -196,7 +196,7 @@ class Rig:
         for wanted in zip(*reference, strict=True):
             q, v = read_q(), read_v()
             if not length(*v.tolist()) < _RUNAWAY:
-                self.end = self._runaway(v)
+                self.failure = self._runaway(v)
                 break
             row = qpos.tobytes() + v.tobytes()
             q_seen, v_seen = (q, v) if disturbances is None else disturbances.measured(q, v)
@@ -206,7 +206,7 @@ class Rig:
             except Exception as error:
                 raise self._failed(controller, error, recorder) from error
             if not length(*command.tolist()) < math.inf:
-                self.end = f"the controller gave no finite torque at {data.time:.3f} s"
+                self.failure = f"the controller gave no finite torque at {data.time:.3f} s"
                 break
             if not direct:
                 ctrl[motors] = (command if disturbances is None else disturbances.driven(command, q)) / gear
@@ -250,12 +250,12 @@ class Rig:
             motion_duration=float(motion_duration),
             target=goal,
             real_time_factor=recorder.size * self.dt / max(wall, 1e-9),
-            end=self.end,
+            failure=self.failure,
         )
 
     def _failed(self, controller: Controller, error: Exception, recorder: Recorder) -> SimulationError:
-        self.end = f"the controller {controller_name(controller)} failed at {self.data.time:.3f} s: {error}"
-        return SimulationError(self.end, self.log(controller, recorder, 0.0, np.full(7, np.nan), math.inf))
+        self.failure = f"the controller {controller_name(controller)} failed at {self.data.time:.3f} s: {error}"
+        return SimulationError(self.failure, self.log(controller, recorder, 0.0, np.full(7, np.nan), math.inf))
 
     def _runaway(self, v: Array) -> str:
         worst = int(np.argmax(np.abs(np.nan_to_num(v, nan=np.inf))))

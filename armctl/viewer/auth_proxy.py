@@ -1,4 +1,4 @@
-"""Gate: lets those through to the page who know the token, and nobody else, when it is served to other machines."""
+"""AuthProxy: lets those through to the page who know the token, and nobody else, when it is served to other machines."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _END = b"Content-Length: 0\r\nConnection: close\r\n\r\n"
 _REFUSAL = b"HTTP/1.1 403 This page wants its token\r\n" + _END
 
 
-class Gate:
+class AuthProxy:
     """A reverse proxy on an outer address, in a thread of its own. Whatever comes without the token gets nothing behind it.
 
     The page's address carries the token once; the answer is a cookie, which the browser shows for all that follows, WebSocket

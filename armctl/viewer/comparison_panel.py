@@ -1,4 +1,4 @@
-"""Contest: the same motion under every controller with the payload of the moment, at the push of a button."""
+"""ComparisonPanel: the same motion under every controller with the payload of the moment, at the push of a button."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from armctl.analysis.plot import overlay_image
 from armctl.analysis.report import Report
 from armctl.control import CONTROLLERS
 from armctl.sim.plant import Plant
-from armctl.sim.realtime import Session
+from armctl.sim.realtime import RealTimeSession
 
 if TYPE_CHECKING:
     import viser
 
 
-class Contest:
+class ComparisonPanel:
     """A button, and below it what came out."""
 
-    def __init__(self, server: viser.ViserServer, session: Session):
+    def __init__(self, server: viser.ViserServer, session: RealTimeSession):
         """Adds the button to the page.
 
         Args:

@@ -10,7 +10,7 @@ import numpy as np
 _GRID = 5e-4  # of the model's extent: corners of triangles nearer than this become one
 
 
-def lightened(model: mujoco.MjModel) -> mujoco.MjModel:
+def decimated(model: mujoco.MjModel) -> mujoco.MjModel:
     """A copy to draw: without collision shapes and sites, which MuJoCo does not draw by default either, its meshes simplified.
 
     Meshes are simplified by clustering their vertices on a grid (Rossignac and Borrel, 1993).

@@ -14,7 +14,7 @@ from armctl.core.errors import NotInstalledError
 from armctl.core.pose import Pose
 from armctl.loading.prepare import TARGET
 from armctl.robot.arm import Arm
-from armctl.sim.realtime import Session
+from armctl.sim.realtime import RealTimeSession
 
 _INTERVAL = 1 / 60  # s between drawings
 _PATIENCE = 5.0  # s for the window to close
@@ -35,7 +35,7 @@ def view_natively(arm: Arm, controller: str) -> None:
         raise NotInstalledError("there is no screen for MuJoCo's own viewer here; without --native a browser will do")
     import mujoco.viewer
 
-    session, model, data = Session(arm, controller), arm.model, mujoco.MjData(arm.model)
+    session, model, data = RealTimeSession(arm, controller), arm.model, mujoco.MjData(arm.model)
     mocap = model.body_mocapid[model.body(TARGET).id]
     _show(session, model, data)
     data.mocap_pos[mocap], data.mocap_quat[mocap] = session.target.position, session.target.quat
@@ -62,7 +62,7 @@ def view_natively(arm: Arm, controller: str) -> None:
         session.stop()
 
 
-def _show(session: Session, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+def _show(session: RealTimeSession, model: mujoco.MjModel, data: mujoco.MjData) -> None:
     data.qpos[:] = session.shown
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)

@@ -15,10 +15,10 @@ from armctl.control import CONTROLLERS
 from armctl.core.errors import UnknownNameError
 from armctl.core.pose import Pose
 from armctl.robot.arm import Arm
-from armctl.sim.realtime import Session
-from armctl.viewer.auth_proxy import Gate
+from armctl.sim.realtime import RealTimeSession
+from armctl.viewer.auth_proxy import AuthProxy
 from armctl.viewer.panel import Panel
-from armctl.viewer.web_scene import INTERVAL, PORT, Stage
+from armctl.viewer.web_scene import INTERVAL, PORT, WebScene
 
 _GIZMO = 0.15  # m
 _ABOVE = np.array([0.0, 0.0, 0.1])  # m, where the words are, from the target
@@ -36,7 +36,7 @@ class Page:
         port: Its port.
     """
 
-    def __init__(self, arm: Arm, stage: Stage, controller: str = "computed-torque"):
+    def __init__(self, arm: Arm, stage: WebScene, controller: str = "computed-torque"):
         """Puts an arm and its controls on a page; `serve` then runs it.
 
         Args:
@@ -49,7 +49,7 @@ class Page:
         """
         self._stage, self.url, self.port, scene = stage, stage.url, stage.port, stage.server.scene
         stage.set(arm)
-        self.session = Session(arm, controller)
+        self.session = RealTimeSession(arm, controller)
         target = self._drawn = self.session.target
         self._gizmo = scene.add_transform_controls(
             "/goal", scale=_GIZMO, depth_test=False, position=target.position, wxyz=target.quat
@@ -134,11 +134,11 @@ def view(
         raise UnknownNameError.of("controller", controller, CONTROLLERS)
     with contextlib.ExitStack() as stack:
         stack.callback(signal.signal, signal.SIGINT, signal.getsignal(signal.SIGINT))
-        stage = Stage(port if host is None else 0)
+        stage = WebScene(port if host is None else 0)
         stack.callback(stage.close)
         url = stage.url
         if host is not None:
-            gate = Gate(host, token or "", stage.port, port)
+            gate = AuthProxy(host, token or "", stage.port, port)
             stack.callback(gate.close)
             url = gate.url
         threading.Thread(target=stage.open_browser, daemon=True).start()  # some browsers let one wait until they are open

@@ -12,9 +12,9 @@ from armctl.control import CONTROLLERS
 from armctl.core.pose import Pose
 from armctl.core.validation import Array
 from armctl.sim.gripper import Gripper
-from armctl.sim.realtime import Session
+from armctl.sim.realtime import RealTimeSession
 from armctl.viewer.charts import Charts
-from armctl.viewer.comparison_panel import Contest
+from armctl.viewer.comparison_panel import ComparisonPanel
 
 if TYPE_CHECKING:
     import viser
@@ -26,7 +26,7 @@ _HANDS_OFF = 0.5  # s after which sliders that nobody moves show where the joint
 class Panel:
     """The controls of a session. What one page changes, all pages show."""
 
-    def __init__(self, server: viser.ViserServer, words: viser.GuiMarkdownHandle, session: Session):
+    def __init__(self, server: viser.ViserServer, words: viser.GuiMarkdownHandle, session: RealTimeSession):
         """Adds the controls to the page.
 
         Args:
@@ -43,7 +43,7 @@ class Panel:
         self._add_joints()
         if session.gripper is not None:
             self._add_gripper(session.gripper)
-        Contest(server, session)
+        ComparisonPanel(server, session)
 
     def update(self) -> None:
         """Says how things stand."""

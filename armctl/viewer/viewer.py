@@ -9,8 +9,8 @@ import time
 import mujoco
 
 from armctl.robot.arm import Arm
-from armctl.sim.clock import Pace
-from armctl.viewer.web_scene import PORT, Stage
+from armctl.sim.clock import RealTimeClock
+from armctl.viewer.web_scene import PORT, WebScene
 
 _WORDS = 0.2  # s between words
 _PATIENCE = 8.0  # s that the browser may take to open
@@ -37,7 +37,7 @@ class Viewer:
         Raises:
             NotInstalledError: viser or mjviser is missing.
         """
-        self._stage, self.pace = Stage(port), Pace()
+        self._stage, self.pace = WebScene(port), RealTimeClock()
         self.url, self._name, self._spoken = self._stage.url, arm.name, 0.0
         coming = self._stage.open_browser()
         self._stage.set(arm)

@@ -1,4 +1,4 @@
-"""Stage: a MuJoCo model on a page in the browser, drawn at its own rate in a thread of its own."""
+"""WebScene: a MuJoCo model on a page in the browser, drawn at its own rate in a thread of its own."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from armctl.core.validation import Array
 from armctl.loading.prepare import TARGET
 from armctl.render.camera import axes, frame
 from armctl.robot.arm import Arm
-from armctl.viewer.mesh_decimation import lightened
+from armctl.viewer.mesh_decimation import decimated
 
 if TYPE_CHECKING:
     import viser
@@ -33,7 +33,7 @@ _FIELD_OF_VIEW = 45.0  # degrees, vertical
 _LAMPS = (((2.0, -1.5, 4.0), 3.0), ((-3.0, 2.0, 1.5), 1.5), ((-1.0, -2.0, -3.0), 0.8))  # where each shines from, and how bright
 
 
-class Stage:
+class WebScene:
     """The scene of an arm on a page. Whoever moves the arm calls `show`; the drawing never makes them wait.
 
     Attributes:
@@ -96,7 +96,7 @@ class Stage:
         """
         import mjviser
 
-        self._model = lightened(arm.model)
+        self._model = decimated(arm.model)
         self._data = mujoco.MjData(self._model)
         self._look_at(arm)
         self._scene = mjviser.ViserMujocoScene(self.server, self._model, 1)

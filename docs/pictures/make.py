@@ -76,9 +76,9 @@ def page() -> None:
 
     from armctl.core.pose import Pose
     from armctl.viewer.page import Page
-    from armctl.viewer.web_scene import Stage
+    from armctl.viewer.web_scene import WebScene
 
-    page = Page(armctl.load("panda"), Stage(0))
+    page = Page(armctl.load("panda"), WebScene(0))
     threading.Thread(target=page.serve, daemon=True).start()
     software = "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --ignore-gpu-blocklist"
     with sync_playwright() as playwright:

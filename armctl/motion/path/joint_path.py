@@ -140,7 +140,7 @@ class _Tracker:
 
     def _inverse(self, q: Array, twist: Array) -> Array:
         """The least joint velocity that makes the twist; joints near their limits count for more."""
-        J = self.arm.rigid_body.jacobian(q)[: self.rows]
+        J = self.arm.pinocchio_model.jacobian(q)[: self.rows]
         share = (q - self._low) / self._range
         room = np.where(self._is_bounded, np.maximum(4 * share * (1 - share), 1e-3), 1.0)
         W = room[:, None] * J.T
@@ -150,7 +150,7 @@ class _Tracker:
 
     def _error(self, q: Array, place: TipState) -> Array:
         """From the tip to the place, (rows,) m and rad."""
-        position, rotation = self.arm.rigid_body.tip(q)
+        position, rotation = self.arm.pinocchio_model.tip(q)
         off = place.position - position
         if self.rows == 3:
             return off
@@ -170,7 +170,7 @@ class _Tracker:
 
     def stuck(self, q: Array, s: float) -> PlanError:
         """The error at a place that the arm cannot pass, (n,) rad and m along the path."""
-        J = self.arm.rigid_body.jacobian(q)[: self.rows]
+        J = self.arm.pinocchio_model.jacobian(q)[: self.rows]
         needed = np.abs(self._slope(q, s))
         i = int(needed.argmax())
         weakest = float(np.linalg.svd(J, compute_uv=False)[-1])

@@ -10,13 +10,13 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.collision.checker import contacts_of
+from armctl.collision.checker import collision_checker
 from armctl.control import ComputedTorque, Controller, State, controller_by_name, controller_name
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
-from armctl.core.target import Goal
+from armctl.core.target import Target
 from armctl.core.trajectory import Limits, Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array, number
 from armctl.ik import solve_ik
@@ -26,7 +26,7 @@ from armctl.robot.joint_map import joined
 from armctl.sim.gripper import Gripper
 from armctl.sim.plant import Plant
 from armctl.sim.recorder import Recorder
-from armctl.sim.stepper import Rig
+from armctl.sim.stepper import Stepper
 
 _SETTLED_SPEED = 1e-3  # rad/s
 _SETTLE_CHUNK = 0.02  # s
@@ -69,8 +69,8 @@ class Team:
         self._known(controllers or {})
         ends = np.cumsum([0, *(arm.n for arm in arms)]).tolist()
         self._slices = {arm.tip: slice(*ends[i : i + 2]) for i, arm in enumerate(arms)}
-        self._rig = Rig(_joined(arms), Plant() if plant is None else plant)
-        self.model, self.data = self._rig.model, self._rig.data
+        self._stepper = Stepper(_joined(arms), Plant() if plant is None else plant)
+        self.model, self.data = self._stepper.model, self._stepper.data
         self._grippers: dict[str, Gripper] = {}
 
     def tip(self, name: str) -> Pose:
@@ -86,7 +86,7 @@ class Team:
             UnknownNameError: There is no such tip.
         """
         self._known([name])
-        return self.arms[name].fk(self._rig.state.q[self._slices[name]])
+        return self.arms[name].fk(self._stepper.state.q[self._slices[name]])
 
     def gripper(self, name: str) -> Gripper:
         """The gripper behind a tip.
@@ -103,14 +103,14 @@ class Team:
         """
         self._known([name])
         if name not in self._grippers:
-            self._grippers[name] = Gripper(self._rig, self._hold, self.arms[name])
+            self._grippers[name] = Gripper(self._stepper, self._hold, self.arms[name])
         return self._grippers[name]
 
     def reset(self) -> None:
         """Starts afresh at t = 0, all arms at home, at rest."""
         for gripper in self._grippers.values():
             gripper.reset()
-        self._rig.reset(self._rig.arm.home, np.zeros(self._rig.arm.n))
+        self._stepper.reset(self._stepper.arm.home, np.zeros(self._stepper.arm.n))
 
     def run(self, trajectories: Mapping[str, Trajectory], settle: float = 0.0) -> dict[str, Log]:
         """Follows a trajectory for each tip, all starting now.
@@ -128,7 +128,7 @@ class Team:
             SimulationError: A controller failed.
         """
         self._known(trajectories)
-        recorder, started = Recorder(self._rig.arm), time.perf_counter()
+        recorder, started = Recorder(self._stepper.arm), time.perf_counter()
         duration = max((trajectory.duration for trajectory in trajectories.values()), default=0.0)
         self._follow(trajectories, duration + number("settle", settle, 0.0), recorder)
         return self._logs(recorder, trajectories, {}, time.perf_counter() - started)
@@ -150,66 +150,70 @@ class Team:
         """
         self._known(targets)
         number("settle", settle, 0.0)
-        goals = {tip: Goal.read(target) for tip, target in targets.items()}
+        goals = {tip: Target.read(target) for tip, target in targets.items()}
         refused, trajectories = {}, {}
         for tip, target in targets.items():
-            arm, q_ref = self.arms[tip], self._rig.q_ref[self._slices[tip]]
+            arm, q_ref = self.arms[tip], self._stepper.q_ref[self._slices[tip]]
             ik = solve_ik(arm, target, arm.limits.clamp(q_ref))
             if ik.ok:
                 trajectories[tip] = move_j(arm, arm.limits.clamp(q_ref), ik.q)
             else:
                 short = 1e3 * ik.position_error
                 refused[tip] = f"out of reach by {short:.1f} mm" if short >= 0.1 else ik.reason
-        recorder, started, begin = Recorder(self._rig.arm), time.perf_counter(), self.data.time
+        recorder, started, begin = Recorder(self._stepper.arm), time.perf_counter(), self.data.time
         self._follow(trajectories, max((t.duration for t in trajectories.values()), default=0.0), recorder)
         deadline = self.data.time + settle
-        while not self._rig.end and self.data.time < deadline and not all(self._arrived(t, goals[t]) for t in trajectories):
+        while (
+            not self._stepper.failure
+            and self.data.time < deadline
+            and not all(self._arrived(t, goals[t]) for t in trajectories)
+        ):
             self._follow({}, _SETTLE_CHUNK, recorder)
         logs = self._logs(recorder, trajectories, goals, time.perf_counter() - started)
         took = float(self.data.time - begin)
         return {tip: self._result(tip, goal, refused.get(tip, ""), took, logs[tip]) for tip, goal in goals.items()}
 
-    def _result(self, tip: str, goal: Goal, refusal: str, took: float, log: Log) -> MoveResult:
+    def _result(self, tip: str, goal: Target, refusal: str, took: float, log: Log) -> MoveResult:
         position_error, orientation_error = goal.distance(self.tip(tip))
-        reason = refusal or self._rig.end
+        reason = refusal or self._stepper.failure
         if not reason and not self._arrived(tip, goal):
             reason = f"the tip is {1e3 * position_error:.3g} mm and {orientation_error:.3g} rad from the target, or not at rest"
-            if touching := contacts_of(self.arms[tip]).at(self._rig.state.q[self._slices[tip]]):
+            if touching := collision_checker(self.arms[tip]).at(self._stepper.state.q[self._slices[tip]]):
                 reason += f"; {touching}"
         return MoveResult(not reason, position_error, orientation_error, took, reason, log)
 
-    def _arrived(self, tip: str, goal: Goal) -> bool:
-        still = np.abs(self._rig.state.v[self._slices[tip]]).max() < _SETTLED_SPEED
+    def _arrived(self, tip: str, goal: Target) -> bool:
+        still = np.abs(self._stepper.state.v[self._slices[tip]]).max() < _SETTLED_SPEED
         return bool(still and goal.is_reached(self.tip(tip)))
 
     def _follow(self, trajectories: Mapping[str, Trajectory], seconds: float, recorder: Recorder) -> None:
         """Runs all arms for a time: those with a trajectory along it, the others where they were last told to be."""
-        rig = self._rig
-        ticks = max(1, math.ceil(seconds / rig.dt - 1e-9) + 1)
-        rows = [np.zeros((ticks, rig.arm.n)) for _ in TickReference._fields]
-        rows[0] += rig.q_ref
+        stepper = self._stepper
+        ticks = max(1, math.ceil(seconds / stepper.dt - 1e-9) + 1)
+        rows = [np.zeros((ticks, stepper.arm.n)) for _ in TickReference._fields]
+        rows[0] += stepper.q_ref
         for tip, trajectory in trajectories.items():
-            for row, column in zip(rows, rig.reference(trajectory, ticks), strict=True):
+            for row, column in zip(rows, stepper.reference(trajectory, ticks), strict=True):
                 row[:, self._slices[tip]] = column
-        rig.follow(_Together(self.controllers, self._slices), TickReference(*rows), recorder)
+        stepper.follow(_Together(self.controllers, self._slices), TickReference(*rows), recorder)
 
     def _hold(self, seconds: float) -> None:
-        self._rig.hold(_Together(self.controllers, self._slices), seconds)
+        self._stepper.hold(_Together(self.controllers, self._slices), seconds)
 
     def _logs(
-        self, recorder: Recorder, trajectories: Mapping[str, Trajectory], goals: Mapping[str, Goal], wall: float
+        self, recorder: Recorder, trajectories: Mapping[str, Trajectory], goals: Mapping[str, Target], wall: float
     ) -> dict[str, Log]:
         return {
             tip: recorder.log(
                 arm,
                 joints=self._slices[tip],
                 controller=controller_name(self.controllers[tip]),
-                plant=str(self._rig.plant),
-                dt=self._rig.dt,
+                plant=str(self._stepper.plant),
+                dt=self._stepper.dt,
                 motion_duration=trajectories[tip].duration if tip in trajectories else 0.0,
                 target=goals[tip].numbers if tip in goals else np.full(7, np.nan),
-                real_time_factor=recorder.size * self._rig.dt / max(wall, 1e-9),
-                end=self._rig.end,
+                real_time_factor=recorder.size * self._stepper.dt / max(wall, 1e-9),
+                failure=self._stepper.failure,
             )
             for tip, arm in self.arms.items()
         }
@@ -243,11 +247,11 @@ class _Together:
 
 
 def _joined(arms: Sequence[Arm]) -> Arm:
-    """All joints of several arms as if they were one's, for the rig; its tip is the first one's."""
+    """All joints of several arms as if they were one's, for the stepper; its tip is the first one's."""
     limits = Limits(*(np.concatenate([getattr(arm.limits, f.name) for arm in arms]) for f in fields(Limits)))
     together = {
         name: np.concatenate([getattr(arm, name) for arm in arms])
         for name in ("home", "qpos_adr", "dof_adr", "ctrl_adr", "gear", "torque_adr", "torque_share")
     }
     names = tuple(name for arm in arms for name in arm.joint_names)
-    return replace(arms[0], joint_names=names, limits=limits, linkage=joined([arm.linkage for arm in arms]), **together)
+    return replace(arms[0], joint_names=names, limits=limits, joint_map=joined([arm.joint_map for arm in arms]), **together)
