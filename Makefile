@@ -66,7 +66,7 @@ pytest: $(VENV)/dev.stamp
 	@$(BIN)/python -m pytest -n $(WORKERS) --maxprocesses 8 --dist loadgroup || { echo "tests failed, as listed above; make pytest runs them alone"; exit 1; }
 
 examples: $(VENV)/dev.stamp
-	@$(BIN)/python -m pytest tests/test_examples.py -n $(WORKERS) --maxprocesses 8
+	@$(BIN)/python -m pytest tests/project/test_examples.py -n $(WORKERS) --maxprocesses 8
 
 bench: $(VENV)/dev.stamp
 	@for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done

@@ -1,6 +1,7 @@
 """What all tests share: the environment, the arms at hand, and a loud word about those that are not."""
 
 import os
+from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # seven-vectors gain nothing from threads, and two workers lose
 os.environ.setdefault("MPLBACKEND", "agg")
@@ -11,6 +12,7 @@ if not os.environ.get("DISPLAY"):
 import hypothesis
 import pytest
 from arms import ARMS, MISSING, ROBOTS, arm_of
+from synthetic import mjcf
 
 import armctl
 
@@ -34,6 +36,18 @@ def robot(request: pytest.FixtureRequest) -> str:
 def bundled() -> armctl.Arm:
     """The arm that comes with armctl."""
     return arm_of("robot_arm_3dof")
+
+
+@pytest.fixture
+def load(tmp_path: Path):
+    """Loads an arm from MJCF bodies, as `synthetic.mjcf` takes them."""
+
+    def loaded(bodies: str, rest: str = "", **how) -> armctl.Arm:
+        path = tmp_path / "trap.xml"
+        path.write_text(mjcf(bodies, rest))
+        return armctl.load(path, **how)
+
+    return loaded
 
 
 def pytest_report_header() -> str:

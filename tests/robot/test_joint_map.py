@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
-from test_chain import limb, load, mjcf, motors  # noqa: F401
+from synthetic import limb, mjcf, motors
 
 import armctl
 from armctl.ik import solve_ik_batch
@@ -51,7 +51,7 @@ TIED = {
 
 
 @pytest.fixture(params=TIED)
-def tied(request: pytest.FixtureRequest, load) -> armctl.Arm:  # noqa: F811
+def tied(request: pytest.FixtureRequest, load) -> armctl.Arm:
     bodies, rest, how, joints = TIED[request.param]
     arm = load(bodies, rest, **how)
     assert " ".join(arm.joint_names) == joints
@@ -101,13 +101,13 @@ def test_computed_torque_is_exact_where_the_tie_is_rigid(tied: armctl.Arm):
     assert np.allclose(sim.data.qpos[joint_map.qpos_adr], joint_map.positions(goal), atol=1e-5)
 
 
-def test_chains_name_what_goes_along(load, tmp_path):  # noqa: F811
+def test_chains_name_what_goes_along(load, tmp_path):
     load(limb("a b c d", FINGERS), ties("c b 0 0.5", "right left 0 -1") + motors("a b d left"))
     found = [(chain.tip, chain.joint_names, chain.followers) for chain in armctl.chains(tmp_path / "trap.xml")]
     assert found == [("D", ("a", "b", "d"), ("c",)), ("LEFT", ("left",), ("right",)), ("RIGHT", ("right",), ("left",))]
 
 
-def test_limits_are_those_of_all_that_go_along(load):  # noqa: F811
+def test_limits_are_those_of_all_that_go_along(load):
     arm = load(limb("a b c"), ties("c b 0.5 -2") + motors("a b"))  # all in -2 .. 2: c is at its limits first
     assert arm.limits.q_min[1] == pytest.approx(-0.75)
     assert arm.limits.q_max[1] == pytest.approx(1.25)
@@ -120,7 +120,7 @@ def test_limits_are_those_of_all_that_go_along(load):  # noqa: F811
         load(limb("a b c"), ties("c b 5 0.1") + motors("a b"))
 
 
-def test_torque_limits_count_at_the_joint(load):  # noqa: F811
+def test_torque_limits_count_at_the_joint(load):
     arm = load(limb("a b c"), ties("b c 0 -0.5") + motors("a c"))  # 20 N m at c, which turns twice as far as b
     assert arm.limits.tau_max == pytest.approx([20, 40])
     assert arm.gear == pytest.approx([1, -2])
@@ -129,7 +129,7 @@ def test_torque_limits_count_at_the_joint(load):  # noqa: F811
     assert pulled.limits.tau_max == pytest.approx([20, 60])
 
 
-def test_a_payload_at_a_tied_joint_is_known(load):  # noqa: F811
+def test_a_payload_at_a_tied_joint_is_known(load):
     arm = load(limb("a b c d"), ties("c b 0.1 -0.5") + motors("a b d"))
     heavy = arm.with_payload(0.5, [0, 0, 0.02])
     assert check_parity(heavy) < 1e-12
@@ -140,7 +140,7 @@ def test_a_payload_at_a_tied_joint_is_known(load):  # noqa: F811
         armctl.identify_payload(arm, log)
 
 
-def test_inverse_kinematics_keeps_what_follows_clear_too(load):  # noqa: F811
+def test_inverse_kinematics_keeps_what_follows_clear_too(load):
     solid = limb("a b c d").replace('contype="0" conaffinity="0"', "")
     arm = load(solid, ties("c b 0.1 -0.5") + motors("a b d"))
     target = arm.fk(arm.home + 0.3).position
@@ -150,7 +150,7 @@ def test_inverse_kinematics_keeps_what_follows_clear_too(load):  # noqa: F811
     assert not armctl.solve_ik(arm, target, avoid_collisions=True).ok
 
 
-def test_tied_chains_in_one_team(load, tmp_path):  # noqa: F811
+def test_tied_chains_in_one_team(load, tmp_path):
     bodies = limb("a", limb("b c")) + limb("d", limb("e f")).replace('pos="0.1 0 0.1"', 'pos="-0.6 0 0.1"', 1)
     load(bodies, ties("c b 0 0.5", "f e 0 -1") + motors("a b d e"), tip="C")
     arms = armctl.load_arms(tmp_path / "trap.xml", ["C", "F"])
@@ -159,7 +159,7 @@ def test_tied_chains_in_one_team(load, tmp_path):  # noqa: F811
     assert np.abs(logs["F"].q - arms[1].home).max() < 1e-6
 
 
-def test_two_chains_that_one_motor_moves_are_no_team(load, tmp_path):  # noqa: F811
+def test_two_chains_that_one_motor_moves_are_no_team(load, tmp_path):
     load(limb("a b", FINGERS), ties("right left 0 -1") + motors("a b left"))
     with pytest.raises(armctl.ModelError, match="the chains to 'LEFT' and 'RIGHT' both move joint 'left'; give one of them"):
         armctl.load_arms(tmp_path / "trap.xml", ["LEFT", "RIGHT"], base="B")
@@ -189,7 +189,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("what", REFUSED)
-def test_what_no_one_actuator_moves_says_why(load, what: str):  # noqa: F811
+def test_what_no_one_actuator_moves_says_why(load, what: str):
     rest, sentence = REFUSED[what]
     with pytest.raises(
         armctl.ModelError, match=f"on the way to 'C': .*{sentence.removesuffix('$')}.*; base= can be a body behind"
@@ -197,13 +197,13 @@ def test_what_no_one_actuator_moves_says_why(load, what: str):  # noqa: F811
         load(limb("a b c d") + limb("x y"), rest + motors("a b"), tip="C")
 
 
-def test_a_base_that_a_tied_joint_carries_is_refused(load):  # noqa: F811
+def test_a_base_that_a_tied_joint_carries_is_refused(load):
     with pytest.raises(armctl.ModelError, match="joint 'c' is tied to 'a', which carries the base"):
         load(limb("a b c"), ties("c a 0 1") + motors("a b"), base="B")
     assert load(limb("a b c"), ties("c a 0 1") + motors("a b")).joint_names == ("a", "b")
 
 
-def test_a_soft_tie_gives_way_and_a_rigid_one_does_not(load):  # noqa: F811
+def test_a_soft_tie_gives_way_and_a_rigid_one_does_not(load):
     errors = []
     for give in ("", RIGID):
         rest = f'<equality><joint joint1="c" joint2="b" {give}/></equality>{FAST}' + motors("a b")

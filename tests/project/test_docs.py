@@ -8,7 +8,7 @@ import pytest
 
 from armctl.cli.main import _parser
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
 TEXTS = {page.relative_to(ROOT): page.read_text(encoding="utf-8") for page in PAGES}
 

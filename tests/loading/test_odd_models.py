@@ -6,7 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from test_chain import limb, load, mjcf, motors  # noqa: F401
+from synthetic import limb, mjcf, motors
 
 import armctl
 from armctl.control import CONTROLLERS
@@ -21,7 +21,7 @@ PASSIVE = 'stiffness="2" damping="0.5" frictionloss="0.3" armature="0.05"'
 
 
 @pytest.fixture(params=["hinge", "slide"])
-def single(request: pytest.FixtureRequest, load) -> armctl.Arm:  # noqa: F811
+def single(request: pytest.FixtureRequest, load) -> armctl.Arm:
     body = f'<body name="A"><joint name="a" type="{request.param}" axis="0 1 0" range="-1 1" damping="0.1"/>'
     return load(body + '<geom size="0.05" pos="0.2 0 0" mass="1"/><site name="tip" pos="0.3 0 0"/></body>', motors("a"))
 
@@ -52,7 +52,7 @@ def test_one_joint_is_solved_stepped_and_identified(single: armctl.Arm):
 
 
 @pytest.mark.parametrize("flag", ["damper", "spring", "frictionloss", "constraint", "gravity", "eulerdamp", "limit", "contact"])
-def test_what_a_flag_switches_off_is_off_for_the_controller_too(load, flag: str):  # noqa: F811
+def test_what_a_flag_switches_off_is_off_for_the_controller_too(load, flag: str):
     lifted = limb("a b", joint=PASSIVE).replace("<body", '<body gravcomp="0.5"')
     arm = load(lifted, motors("a b") + f'<option><flag {flag}="disable"/></option>')
     assert check_parity(arm) <= PARITY_TOLERANCE
@@ -61,14 +61,14 @@ def test_what_a_flag_switches_off_is_off_for_the_controller_too(load, flag: str)
 
 
 @pytest.mark.parametrize("option", ['<option><flag actuation="disable"/></option>', '<option actuatorgroupdisable="0"/>'])
-def test_motors_that_the_model_switches_off_are_switched_on_aloud(load, option: str):  # noqa: F811
+def test_motors_that_the_model_switches_off_are_switched_on_aloud(load, option: str):
     with pytest.warns(armctl.ArmctlWarning, match="switch its actuators off: they are switched on"):
         arm = load(limb("a b"), motors("a b") + option)
     assert armctl.Simulation(arm).move_j(arm.home + 0.3).ok
 
 
 @pytest.mark.parametrize("option", ['viscosity="0.1"', 'density="1.2" wind="3 0 0"'])
-def test_drag_is_said_to_be_in_no_model(load, option: str):  # noqa: F811
+def test_drag_is_said_to_be_in_no_model(load, option: str):
     with pytest.warns(
         armctl.ArmctlWarning, match=r"drag \(density .* viscosity .* wind .*no controller's model has it"
     ) as said:
@@ -77,11 +77,11 @@ def test_drag_is_said_to_be_in_no_model(load, option: str):  # noqa: F811
     assert any("0.1 Pa s" in note or ("density 1.2 kg/m^3" in note and "[3, 0, 0] m/s" in note) for note in arm.notes)
 
 
-def test_wind_alone_drags_nothing(load):  # noqa: F811
+def test_wind_alone_drags_nothing(load):
     assert not load(limb("a b"), motors("a b") + '<option wind="3 0 0"/>').notes
 
 
-def test_only_the_groups_of_the_arms_motors_are_switched_on(load):  # noqa: F811
+def test_only_the_groups_of_the_arms_motors_are_switched_on(load):
     servo = '<position joint="a" kp="9" group="3"/><position joint="left" kp="9" group="3" forcerange="-1 1"/>'
     actuators = motors("a b").replace("</actuator>", f"{servo}</actuator>")
     arm = load(limb("a b", inside=limb("left") + limb("right")), actuators + '<option actuatorgroupdisable="3"/>')
@@ -89,7 +89,7 @@ def test_only_the_groups_of_the_arms_motors_are_switched_on(load):  # noqa: F811
     assert arm.model.opt.disableactuator == 1 << 3
 
 
-def test_without_gravity_an_adaptive_controller_learns_nothing(load):  # noqa: F811
+def test_without_gravity_an_adaptive_controller_learns_nothing(load):
     arm = load(limb("a b"), motors("a b") + '<option gravity="0 0 0"/>')
     controller = armctl.Adaptive(arm)
     log = armctl.simulate(arm, controller, armctl.move_j(arm, arm.home, arm.home + 0.3))
@@ -100,7 +100,7 @@ def test_without_gravity_an_adaptive_controller_learns_nothing(load):  # noqa: F
 # --- chains that end early, and loose objects --------------------------------------------------------------------------------
 
 
-def test_a_chain_that_ends_before_a_joint_without_a_motor_says_so(load):  # noqa: F811
+def test_a_chain_that_ends_before_a_joint_without_a_motor_says_so(load):
     with pytest.warns(
         armctl.ArmctlWarning, match="the arm ends before joint 'c', which has no actuator of its own and is held"
     ):
@@ -108,13 +108,13 @@ def test_a_chain_that_ends_before_a_joint_without_a_motor_says_so(load):  # noqa
     assert arm.joint_names == ("a", "b")
 
 
-def test_a_loose_object_is_not_blamed_for_an_arm_without_motors(load):  # noqa: F811
+def test_a_loose_object_is_not_blamed_for_an_arm_without_motors(load):
     cube = '<body name="cube" pos="1 0 0"><freejoint name="cube_joint"/><geom size="0.1"/></body>'
     with pytest.raises(armctl.ModelError, match="joint 'a' has no actuator of its own, and it is the first one"):
         load(cube + limb("a b"), motors("b"))
 
 
-def test_a_range_that_ends_below_its_start_counts_as_unlimited_aloud(load):  # noqa: F811
+def test_a_range_that_ends_below_its_start_counts_as_unlimited_aloud(load):
     with pytest.warns(armctl.ArmctlWarning, match="the range of a ends below its start, so it counts as unlimited"):
         arm = load(limb("a b").replace('range="-2 2"', 'range="2 -2"', 1), motors("a b"))
     assert np.isinf(arm.limits.q_max).tolist() == [True, False]
@@ -123,7 +123,7 @@ def test_a_range_that_ends_below_its_start_counts_as_unlimited_aloud(load):  # n
 # --- names -------------------------------------------------------------------------------------------------------------------
 
 
-def test_names_in_any_script_and_with_spaces_are_names(load):  # noqa: F811
+def test_names_in_any_script_and_with_spaces_are_names(load):
     text = limb("a b").replace('name="a"', 'name="Gelenk ä 1"').replace('name="B"', 'name="手"')
     arm = load(text, motors("a b").replace('joint="a"', 'joint="Gelenk ä 1"'))
     assert arm.joint_names == ("Gelenk ä 1", "b")
@@ -159,7 +159,7 @@ def test_a_piece_without_sites_ends_at_its_tool_or_before_its_fingers(case: str)
     assert tip_on(model, 1)[0] == tip
 
 
-def test_what_the_motors_lift_of_themselves_is_not_taken_for_a_payload(load):  # noqa: F811
+def test_what_the_motors_lift_of_themselves_is_not_taken_for_a_payload(load):
     lifted = limb("a b", joint='actuatorgravcomp="true"').replace("<body", '<body gravcomp="1"', 1)
     arm = load(lifted.replace("</body></body>", '<site name="tip" pos="0.1 0 0"/></body></body>'), motors("a b"))
     log = armctl.simulate(arm, "computed-torque-observer", armctl.excitation(arm), armctl.Plant(payload=0.5))
@@ -173,7 +173,7 @@ LIFTED = LIFTED.replace("<body", '<body gravcomp="1"')
 
 
 @pytest.fixture(params=["unlifted behind", "fused", "apart"])
-def lifted(request: pytest.FixtureRequest, load) -> armctl.Arm:  # noqa: F811
+def lifted(request: pytest.FixtureRequest, load) -> armctl.Arm:
     """An arm that MuJoCo lifts, hand included; what is behind the hand may weigh, or be fused with it by the compiler."""
     tool = '<site name="tip" pos="0.1 0 0"/><body pos="0.1 0 0" euler="3 1 2"><geom size="0.01"/></body>'
     bodies = LIFTED.replace('<site name="tip" pos="0.1 0 0"/>', tool) if request.param == "unlifted behind" else LIFTED

@@ -7,7 +7,7 @@ import pytest
 
 from armctl.robot.arm import PARITY_TOLERANCE
 
-sys.path.append(str(Path(__file__).parent.parent / "benchmarks"))
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 from robots import chains_of, measure, robots_at_hand  # pyright: ignore[reportMissingImports]  # the table of docs/robots.md
 
 POSES = 100  # at each chain

@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 from arms import MISSING, at_hand
-from test_chain import limb, mjcf, motors
+from synthetic import limb, mjcf, motors
 
 import armctl
 

@@ -5,12 +5,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from test_chain import limb, load, motors  # noqa: F401
+from synthetic import limb, motors
 
 import armctl
 
 
-def test_what_has_a_mass_is_loose_and_the_rest_stands(load):  # noqa: F811
+def test_what_has_a_mass_is_loose_and_the_rest_stands(load):
     scene = armctl.Scene().add_box("table", [1, 1, 0.1], [0, 0, -0.05]).add_ball("ball", 0.03, [0.3, 0.2, 0.5], mass=0.2)
     scene.add_cylinder("can", 0.03, 0.1, armctl.Pose([-0.3, 0.2, 0.3], rpy=[0, 0, 1]), mass=0.3)
     arm = load(limb("a b"), motors("a b"), scene=scene)
@@ -23,7 +23,7 @@ def test_what_has_a_mass_is_loose_and_the_rest_stands(load):  # noqa: F811
     assert sim.data.body("can").xpos[2] == pytest.approx(0.05, abs=1e-3)
 
 
-def test_a_scene_changes_nothing_about_the_arm(load):  # noqa: F811
+def test_a_scene_changes_nothing_about_the_arm(load):
     rest = motors("a b") + '<keyframe><key name="home" qpos="0.3 0.4" ctrl="1 2"/></keyframe>'
     alone = load(limb("a b"), rest)
     arm = load(limb("a b"), rest, scene=armctl.Scene().add_ball("ball", 0.03, [2, 0, 1], mass=0.2))
@@ -62,12 +62,12 @@ def test_a_wrong_thing_is_refused(what: str):
         add(armctl.Scene())
 
 
-def test_a_name_of_the_robot_is_taken(load):  # noqa: F811
+def test_a_name_of_the_robot_is_taken(load):
     with pytest.raises(armctl.InputError, match="scene: the model has a body 'A' already; choose another name"):
         load(limb("a b"), motors("a b"), scene=armctl.Scene().add_box("A", [1, 1, 1], [5, 0, 0]))
 
 
-def test_a_scene_can_be_used_twice(load):  # noqa: F811
+def test_a_scene_can_be_used_twice(load):
     scene = armctl.Scene().add_box("box", [0.1, 0.1, 0.1], [1, 0, 0])
     models = [load(limb("a b"), motors("a b"), scene=scene).model for _ in range(2)]
     assert [mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_BODY, "box") > 0 for m in models] == [True, True]
@@ -100,7 +100,7 @@ def cell(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_scene_can_be_a_file(load, cell: Path):  # noqa: F811
+def test_a_scene_can_be_a_file(load, cell: Path):
     model = load(ROOM, ASSETS + motors("a b"), scene=cell).model
     assert model.body("cube").pos == pytest.approx([0.6, 0, 0.22])
     assert model.body("cube").quat == pytest.approx([0.5**0.5, 0, 0, 0.5**0.5])
@@ -112,7 +112,7 @@ def test_a_scene_can_be_a_file(load, cell: Path):  # noqa: F811
     assert model.geom("cell/floor").pos[2] == 0
 
 
-def test_a_file_and_the_same_things_added_hold_the_same_scene(load, cell: Path):  # noqa: F811
+def test_a_file_and_the_same_things_added_hold_the_same_scene(load, cell: Path):
     added = armctl.Scene().add_box("table", [0.4, 0.4, 0.2], [0.6, 0, 0.1])
     added.add_box("cube", [0.04] * 3, armctl.Pose([0.6, 0, 0.22], rpy=[0, 0, np.pi / 2]), mass=0.1)
     mine, theirs = (load(limb("a b"), motors("a b"), scene=scene).model for scene in (added, cell))
@@ -125,7 +125,7 @@ def test_a_file_and_the_same_things_added_hold_the_same_scene(load, cell: Path):
     assert (mine.opt.cone, mine.opt.impratio) == (theirs.opt.cone, theirs.opt.impratio)
 
 
-def test_more_can_be_added_to_a_file_and_it_can_be_used_twice(load, cell: Path):  # noqa: F811
+def test_more_can_be_added_to_a_file_and_it_can_be_used_twice(load, cell: Path):
     scene = armctl.Scene(cell).add_box("post", [0.1, 0.1, 1], [1, 1, 0.5])
     for _ in range(2):
         model = load(limb("a b"), motors("a b"), scene=scene).model

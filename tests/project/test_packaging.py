@@ -13,7 +13,7 @@ import pytest
 import armctl
 from armctl.loading.catalog import bundled_models
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
 
 

@@ -1,38 +1,17 @@
 """Finding chains: in small models, each with one trap that a robot somewhere has."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+from synthetic import limb, mjcf, motors
 
 import armctl
 from armctl.loading.chain import all_chains, chain_to, find_chain
 from armctl.mjmodel.queries import joint_name
 
 Model = Callable[..., mujoco.MjModel]
-
-
-def limb(names: str, inside: str = "", joint: str = "", extra: str = "") -> str:
-    """Bodies in series, one a hinge: "a b" makes body A with joint a, and on it body B with joint b and what is `inside`."""
-    first, *rest = names.split()
-    turned = 'axis="0 1 0"' if len(rest) % 2 else 'axis="0 0 1"'
-    deeper = limb(" ".join(rest), inside, joint, extra) if rest else inside + extra
-    return (
-        f'<body name="{first.upper()}" pos="0.1 0 0.1"><joint name="{first}" {turned} range="-2 2" {joint}/>'
-        f'<geom type="capsule" fromto="0 0 0 0.1 0 0.1" size="0.02" mass="0.5" contype="0" conaffinity="0"/>{deeper}</body>'
-    )
-
-
-def motors(names: str, **more: str) -> str:
-    """One motor a joint; `more` holds actuators instead, such as c='<position joint="c" kp="50"/>'."""
-    lines = [more.get(name, f'<motor name="m_{name}" joint="{name}" ctrlrange="-20 20"/>') for name in names.split()]
-    return f"<actuator>{''.join(lines)}</actuator>"
-
-
-def mjcf(bodies: str, rest: str = "") -> str:
-    return f'<mujoco model="trap"><compiler angle="radian" autolimits="true"/><worldbody>{bodies}</worldbody>{rest}</mujoco>'
 
 
 def names(model: mujoco.MjModel, joints: tuple[int, ...]) -> str:
@@ -42,16 +21,6 @@ def names(model: mujoco.MjModel, joints: tuple[int, ...]) -> str:
 def found(bodies: str, rest: str = "") -> str:
     model = mujoco.MjModel.from_xml_string(mjcf(bodies, rest))
     return names(model, find_chain(model))
-
-
-@pytest.fixture
-def load(tmp_path: Path):
-    def loaded(bodies: str, rest: str = "", **how) -> armctl.Arm:
-        path = tmp_path / "trap.xml"
-        path.write_text(mjcf(bodies, rest))
-        return armctl.load(path, **how)
-
-    return loaded
 
 
 FINGERS = limb("left", joint='armature="0.01"') + limb("right", joint='armature="0.01"')

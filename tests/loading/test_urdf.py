@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_robots import FIRST, INERTIA, JOINT, LIMIT, LINK, MESH, SECOND, THIRD, TOOL, urdf
+from synthetic import FIRST, INERTIA, JOINT, LIMIT, LINK, MESH, SECOND, THIRD, TOOL, urdf
 
 import armctl
 from armctl.loading.urdf_inertia import LEAST_INERTIA, LEAST_MASS, nearest_inertia

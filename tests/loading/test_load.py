@@ -8,7 +8,7 @@ import mujoco
 import mujoco_menagerie as menagerie
 import numpy as np
 import pytest
-from test_chain import limb, load, mjcf, motors  # noqa: F401
+from synthetic import FIRST, JOINT, LIMIT, MESH, SECOND, THIRD, TOOL, limb, mjcf, motors, urdf
 
 import armctl
 from armctl.loading.catalog import robots
@@ -268,7 +268,7 @@ def test_home_without_a_keyframe_is_the_middle(one):
     assert one('<motor joint="a" ctrlrange="-9 9"/>').home == pytest.approx([0.0])
 
 
-def test_a_target_of_the_model_stays_and_one_is_added_where_there_is_none(load):  # noqa: F811
+def test_a_target_of_the_model_stays_and_one_is_added_where_there_is_none(load):
     own = load(limb("a b") + f'<body name="{TARGET}" pos="1 2 3"/>', motors("a b"))
     assert own.model.body(TARGET).pos == pytest.approx([1, 2, 3])
     added = load(limb("a b"), motors("a b"))
@@ -287,7 +287,7 @@ WALKER = (
 STANDING = '<keyframe><key name="home" qpos="0.1 0.2 0.6 0.8 0 0.6 0 0.3 -0.4 1 0 0.5 1 0 0 0"/></keyframe>'
 
 
-def test_a_held_base_is_where_its_keyframe_puts_it_and_all_else_keeps_its_place(load):  # noqa: F811
+def test_a_held_base_is_where_its_keyframe_puts_it_and_all_else_keeps_its_place(load):
     arm = load(WALKER, motors("a b") + STANDING, hold_base=True)
     data = mujoco.MjData(arm.model)
     data.qpos[:] = arm.home_qpos
@@ -299,7 +299,7 @@ def test_a_held_base_is_where_its_keyframe_puts_it_and_all_else_keeps_its_place(
     assert arm.model.nv == 2 + 6  # the cube stays free
 
 
-def test_a_held_base_without_a_keyframe_is_where_it_is_drawn(load):  # noqa: F811
+def test_a_held_base_without_a_keyframe_is_where_it_is_drawn(load):
     trunk = f'<body name="trunk" pos="0.1 0 0"><freejoint/><geom size="0.1" mass="5"/>{limb("a b")}</body>'
     arm = load(f'<frame pos="0 0 1" euler="0 0 1.5707963267948966">{trunk}</frame>', motors("a b"), hold_base=True)
     data = mujoco.MjData(arm.model)
@@ -308,7 +308,7 @@ def test_a_held_base_without_a_keyframe_is_where_it_is_drawn(load):  # noqa: F81
     assert data.body("trunk").xquat == pytest.approx([0.5**0.5, 0, 0, 0.5**0.5])
 
 
-def test_a_held_base_stays_while_its_limb_moves(load):  # noqa: F811
+def test_a_held_base_stays_while_its_limb_moves(load):
     arm = load(WALKER, motors("a b") + STANDING, hold_base=True)
     simulation = armctl.Simulation(arm)
     before = simulation.data.body("trunk").xpos.copy()
@@ -318,23 +318,6 @@ def test_a_held_base_stays_while_its_limb_moves(load):  # noqa: F811
 
 
 # --- URDF --------------------------------------------------------------------------------------------------------------------
-
-
-LINK = '<link name="{}"><inertial><origin xyz="0 0 0.1"/><mass value="1"/>{}</inertial>{}</link>'
-INERTIA = '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>'
-JOINT = (
-    '<joint name="{0}" type="{1}"><parent link="{2}"/><child link="{3}"/><origin xyz="0 0 0.3"/><axis xyz="0 1 0"/>{4}</joint>'
-)
-LIMIT = '<limit lower="-1" upper="1.5" effort="40" velocity="2.5"/>'
-
-
-def urdf(*joints: str, shapes: str = "") -> str:
-    links = "".join(LINK.format(name, INERTIA, shapes if name == "one" else "") for name in ("one", "two", "three"))
-    return f'<robot name="r"><link name="base"/>{links}<link name="tool0"/>{"".join(joints)}</robot>'
-
-
-FIRST, SECOND = JOINT.format("j1", "revolute", "base", "one", LIMIT), JOINT.format("j2", "revolute", "one", "two", LIMIT)
-THIRD, TOOL = JOINT.format("j3", "fixed", "two", "three", ""), JOINT.format("mount", "fixed", "three", "tool0", "")
 
 
 def test_a_urdf_brings_its_limits_and_its_tool_frame(tmp_path: Path):
@@ -369,9 +352,6 @@ def test_an_endless_joint_has_no_limits_and_an_unknown_effort_is_assumed(tmp_pat
         arm = armctl.load(path)
     assert np.isinf(arm.limits.q_max[1])
     assert arm.sources["v_max"] == "URDF; default for j2"
-
-
-MESH = '<collision><geometry><mesh filename="{}"/></geometry></collision>'
 
 
 @pytest.mark.parametrize("name", ["package://robot/meshes/one.dae", "meshes/one.stl", "file:///nowhere/one.stl"])

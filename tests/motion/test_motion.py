@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import armctl
-from armctl.motion import JointTrajectory, polynomials
+from armctl.motion import JointTrajectory
 from armctl.motion.timing.otg import Moving, Profiles
 from armctl.motion.timing.waypoint_timing_kernel import farthest
+from armctl.motion.trajectory import polynomials
 from armctl.motion.trajectory.limit_check import piece_extremes
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arms import arm_of, at_hand
-from test_chain import limb, mjcf, motors
+from synthetic import limb, mjcf, motors
 
 import armctl
 from armctl.sim.gripper import Gripper
