@@ -59,7 +59,7 @@ def move_l(
     target: Pose | ArrayLike,
     *,
     tip_speed: float | None = None,
-    tip_turn_speed: float | None = None,
+    tip_angular_speed: float | None = None,
 ) -> JointTrajectory:
     """The tip on a straight line, its orientation turning along about one axis, as fast as the joints can.
 
@@ -70,7 +70,7 @@ def move_l(
         q_start: (n,) rad, where it starts.
         target: T_world_tip at the end, or (3,) m with the orientation left free.
         tip_speed: m/s, the greatest speed of the tip's point; None for no cap.
-        tip_turn_speed: rad/s, the greatest speed of its turning; None for no cap.
+        tip_angular_speed: rad/s, the greatest speed of its turning; None for no cap.
 
     Returns:
         The motion, at rest at both ends.
@@ -80,7 +80,7 @@ def move_l(
         LimitError: q_start is outside the limits.
         PlanError: The line leaves the reach or the joint limits, or a motor cannot hold the arm on it.
     """
-    return _planned(arm, "move_l", q_start, [Line(target)], 0.0, tip_speed, tip_turn_speed)
+    return _planned(arm, "move_l", q_start, [Line(target)], 0.0, tip_speed, tip_angular_speed)
 
 
 def move_c(
@@ -91,7 +91,7 @@ def move_c(
     *,
     angle: float | None = None,
     tip_speed: float | None = None,
-    tip_turn_speed: float | None = None,
+    tip_angular_speed: float | None = None,
 ) -> JointTrajectory:
     """The tip on an arc from where it is through one point to another, its orientation turning along about one axis.
 
@@ -103,7 +103,7 @@ def move_c(
         angle: rad, how far to go on the circle; None stops at the target's point. 2 pi is the full circle, back to the start's.
             The target's orientation is reached at the end in any case.
         tip_speed: m/s, the greatest speed of the tip's point; None for no cap.
-        tip_turn_speed: rad/s, the greatest speed of its turning; None for no cap.
+        tip_angular_speed: rad/s, the greatest speed of its turning; None for no cap.
 
     Returns:
         The motion, at rest at both ends.
@@ -113,7 +113,7 @@ def move_c(
         LimitError: q_start is outside the limits.
         PlanError: The arc leaves the reach or the joint limits, or a motor cannot hold the arm on it.
     """
-    return _planned(arm, "move_c", q_start, [Arc(via, target, angle)], 0.0, tip_speed, tip_turn_speed)
+    return _planned(arm, "move_c", q_start, [Arc(via, target, angle)], 0.0, tip_speed, tip_angular_speed)
 
 
 def move_path(
@@ -123,7 +123,7 @@ def move_path(
     *,
     blend: float = 0.0,
     tip_speed: float | None = None,
-    tip_turn_speed: float | None = None,
+    tip_angular_speed: float | None = None,
 ) -> JointTrajectory:
     """The tip on lines and arcs, one after another, the corners between them rounded.
 
@@ -135,7 +135,7 @@ def move_path(
         path: Its lines and arcs; a pose or a point alone is a line to it. All with orientation or all without.
         blend: m, the radius around each corner in which it is rounded, at most half of each neighbour.
         tip_speed: m/s, the greatest speed of the tip's point; None for no cap.
-        tip_turn_speed: rad/s, the greatest speed of its turning; None for no cap.
+        tip_angular_speed: rad/s, the greatest speed of its turning; None for no cap.
 
     Returns:
         The motion, at rest at both ends.
@@ -148,7 +148,7 @@ def move_path(
     if isinstance(path, (Pose, str)) or not isinstance(path, Iterable):
         raise InputError(f"path: {path!r} given, a list of lines, arcs, poses or points wanted")
     parts = [part if isinstance(part, (Line, Arc)) else Line(part) for part in path]
-    return _planned(arm, "move_path", q_start, parts, number("blend", blend, 0.0), tip_speed, tip_turn_speed)
+    return _planned(arm, "move_path", q_start, parts, number("blend", blend, 0.0), tip_speed, tip_angular_speed)
 
 
 def _planned(
@@ -158,7 +158,7 @@ def _planned(
     parts: list[Line | Arc],
     blend: float,
     tip_speed: float | None,
-    tip_turn_speed: float | None,
+    tip_angular_speed: float | None,
 ) -> JointTrajectory:
     require_bounds(arm)
     q = arm.checked("q_start", q_start)
@@ -171,7 +171,7 @@ def _planned(
     motions = []
     for path in _chains(legs):
         joint_path = track(arm, what, path, q, oriented)
-        pieces = fastest(joint_path, arm.limits, _caps(path, tip_speed, tip_turn_speed))
+        pieces = fastest(joint_path, arm.limits, _caps(path, tip_speed, tip_angular_speed))
         motions.append(within_torque(arm, JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)))
         q = motions[-1](motions[-1].duration).q
     return JointTrajectory.joined(motions) if motions else JointTrajectory.standing(arm.joint_names, arm.limits, arm.units, q)
@@ -217,12 +217,12 @@ def _chains(legs: list[tuple[Shape, float]]) -> list[Chained]:
     return [Chained(chain) for chain in chains if chain]
 
 
-def _caps(path: Shape, tip_speed: float | None, tip_turn_speed: float | None) -> Callable[[Array], Array] | None:
+def _caps(path: Shape, tip_speed: float | None, tip_angular_speed: float | None) -> Callable[[Array], Array] | None:
     """The greatest speeds along a path that keep the tip's caps."""
-    if tip_speed is None and tip_turn_speed is None:
+    if tip_speed is None and tip_angular_speed is None:
         return None
     linear = np.inf if tip_speed is None else number("tip_speed", tip_speed, 1e-6)
-    angular = np.inf if tip_turn_speed is None else number("tip_turn_speed", tip_turn_speed, 1e-6)
+    angular = np.inf if tip_angular_speed is None else number("tip_angular_speed", tip_angular_speed, 1e-6)
 
     def caps(s: Array) -> Array:
         twists = np.array([path.at(x).twist for x in np.clip(s, 0.0, path.length)])

@@ -113,7 +113,7 @@ class Moves:
         Args:
             target: T_world_tip, or (3,) m with the orientation left free.
             settle: s that the arm may take to come to rest after the motion.
-            **caps: tip_speed, m/s, and tip_turn_speed, rad/s, as for `armctl.move_l`.
+            **caps: tip_speed, m/s, and tip_angular_speed, rad/s, as for `armctl.move_l`.
 
         Returns:
             How it ended; a line that leaves the reach or the limits is refused before anything moves, and `reason` says where.
@@ -140,7 +140,7 @@ class Moves:
             target: T_world_tip, or (3,) m with the orientation left free.
             angle: rad, how far to go on the circle; None stops at the target. 2 pi is the full circle.
             settle: s that the arm may take to come to rest after the motion.
-            **caps: tip_speed, m/s, and tip_turn_speed, rad/s, as for `armctl.move_c`.
+            **caps: tip_speed, m/s, and tip_angular_speed, rad/s, as for `armctl.move_c`.
 
         Returns:
             How it ended; an arc that leaves the reach or the limits is refused before anything moves, and `reason` says where.
@@ -163,7 +163,7 @@ class Moves:
             path: Its lines and arcs; a pose or a point alone is a line to it.
             blend: m, the radius around each corner in which it is rounded.
             settle: s that the arm may take to come to rest after the motion.
-            **caps: tip_speed, m/s, and tip_turn_speed, rad/s, as for `armctl.move_path`.
+            **caps: tip_speed, m/s, and tip_angular_speed, rad/s, as for `armctl.move_path`.
 
         Returns:
             How it ended; a path that leaves the reach or the limits is refused before anything moves, and `reason` says where.

@@ -132,7 +132,7 @@ def test_points_and_poses_do_not_mix(panda):
 
 def test_caps_on_the_tip_are_kept_and_reached(panda):
     target = moved(panda, 0.0, 0.2, -0.1) @ armctl.Pose([0, 0, 0], rpy=[0.4, 0.2, -0.3])
-    for caps in ({"tip_speed": 0.1}, {"tip_turn_speed": 0.2}):
+    for caps in ({"tip_speed": 0.1}, {"tip_angular_speed": 0.2}):
         motion = armctl.move_l(panda, panda.home, target, **caps)
         times = np.linspace(0.0, motion.duration, 800)
         q, v = motion.sample(times)[:2]
