@@ -50,6 +50,14 @@ def load(tmp_path: Path):
     return loaded
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("fuzz", "tests/fuzz/; `make fuzz SEED=1 MINUTES=10` sets both")
+    group.addoption("--fuzz-seed", type=int, default=0, help="seed of the random cases (default: %(default)s)")
+    group.addoption(
+        "--fuzz-minutes", type=float, default=0.0, help="time for all fuzz tests together (default: a fixed number of cases)"
+    )
+
+
 def pytest_report_header() -> str:
     return f"arms at hand: {', '.join(ARMS)}"
 

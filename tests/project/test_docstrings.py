@@ -1,22 +1,21 @@
-"""Public docstrings are in Google style and agree with the code: parameters, their order, returns, raises, attributes."""
+"""Docstrings of the public API are in Google style and agree with the code: parameters, returns, raises, attributes."""
 
 import ast
 import builtins
+import inspect
 import re
-from collections.abc import Iterator
+import textwrap
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
-from pathlib import Path
-
-import pytest
 
 import armctl
-from armctl.core import errors as error_module
+from armctl.core import errors
 from armctl.core.log import SimulationError
 
-PACKAGE = Path(armctl.__file__).parent
-ERRORS = {**vars(error_module), "SimulationError": SimulationError}
-SECTIONS = ["Args", "Attributes", "Returns", "Yields", "Raises", "Warns"]
+ERRORS = {**vars(errors), "SimulationError": SimulationError}
+SECTIONS = ["Args", "Attributes", "Returns", "Yields", "Raises", "Warns", "Example"]
 RECORDS = {"NamedTuple", "TypedDict"}
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
@@ -24,78 +23,63 @@ Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 @dataclass
 class Documented:
-    """A public class or function and where it is."""
+    """A public class, function or method, and its syntax tree."""
 
-    where: str
+    name: str
     node: ast.ClassDef | Function
-    owner: ast.ClassDef | None = None
+    is_method: bool = False
 
-    def __str__(self) -> str:
-        return self.where
-
-    @property
+    @cached_property
     def doc(self) -> str:
         return ast.get_docstring(self.node) or ""
 
-    @property
+    @cached_property
     def sections(self) -> dict[str, str]:
         """The text of each section, by its heading."""
         parts = re.split(r"^(\w+):$", self.doc, flags=re.MULTILINE)
         return dict(zip(parts[1::2], parts[2::2], strict=True))
 
     def entries(self, section: str) -> list[str]:
-        """What a section lists, in order."""
+        """The names that a section lists, in order."""
         return re.findall(r"^    (\*{0,2}\w+):\s", self.sections.get(section, ""), flags=re.MULTILINE)
 
+    @property
+    def decorators(self) -> set[str]:
+        return {ast.unparse(decorator).split("(")[0].split(".")[-1] for decorator in self.node.decorator_list}
 
-def walk(module: str, body: list[ast.stmt], owner: ast.ClassDef | None = None) -> Iterator[Documented]:
-    for node in body:
-        if isinstance(node, ast.ClassDef | Function) and is_public(node.name):
-            prefix = f"{module}.{owner.name}" if owner else module
-            yield Documented(f"{prefix}.{node.name}", node, owner)
-            if isinstance(node, ast.ClassDef):
-                yield from walk(module, node.body, node)
-
-
-def is_public(name: str) -> bool:
-    return not name.startswith("_") or name in ("__init__", "__call__")
-
-
-def decorators(node: ast.AST) -> set[str]:
-    return {ast.unparse(decorator).split("(")[0].split(".")[-1] for decorator in getattr(node, "decorator_list", [])}
-
-
-def is_compiled(tree: ast.Module) -> bool:
-    """A module of kernels says what their arguments are once, at its head: nobody else calls them."""
-    return any(isinstance(node, ast.ImportFrom) and node.module == "armctl.core.jit" for node in tree.body)
+    @property
+    def parameters(self) -> list[str]:
+        assert isinstance(self.node, Function)
+        args = self.node.args
+        names = [arg.arg for arg in [*args.posonlyargs, *args.args]]
+        if self.is_method and "staticmethod" not in self.decorators:
+            names = names[1:]
+        names += [f"*{args.vararg.arg}"] if args.vararg else []
+        names += [arg.arg for arg in args.kwonlyargs]
+        names += [f"**{args.kwarg.arg}"] if args.kwarg else []
+        return [name for name in names if not name.lstrip("*").startswith("_")]
 
 
-TREES = {
-    path.relative_to(PACKAGE.parent): ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py"))
-}
-ALL = [
-    found
-    for path, tree in TREES.items()
-    if is_public(path.stem) and not is_compiled(tree)
-    for found in walk(".".join(path.with_suffix("").parts), tree.body)
-]
-FUNCTIONS = [found for found in ALL if isinstance(found.node, Function)]
-CLASSES = [found for found in ALL if isinstance(found.node, ast.ClassDef)]
-every_one = pytest.mark.parametrize("found", ALL, ids=str)
-every_function = pytest.mark.parametrize("found", FUNCTIONS, ids=str)
-every_class = pytest.mark.parametrize("found", CLASSES, ids=str)
+def tree_of(value: object) -> ast.ClassDef | Function:
+    """The syntax tree of a class or function."""
+    [node] = ast.parse(textwrap.dedent(inspect.getsource(value))).body  # type: ignore[arg-type]
+    assert isinstance(node, ast.ClassDef | Function)
+    return node
 
 
-def parameters(found: Documented) -> list[str]:
-    assert isinstance(found.node, Function)
-    args = found.node.args
-    names = [arg.arg for arg in [*args.posonlyargs, *args.args]]
-    if found.owner is not None and "staticmethod" not in decorators(found.node):
-        names = names[1:]
-    names += [f"*{args.vararg.arg}"] if args.vararg else []
-    names += [arg.arg for arg in args.kwonlyargs]
-    names += [f"**{args.kwarg.arg}"] if args.kwarg else []
-    return [name for name in names if not name.lstrip("*").startswith("_")]
+def public_api() -> Iterator[Documented]:
+    """The names of `armctl.__all__`, and the public methods of their classes, inherited ones included."""
+    for name in armctl.__all__:
+        value = getattr(armctl, name)
+        if inspect.isclass(value):
+            for home in (base for base in value.__mro__ if base.__module__.startswith("armctl.")):
+                node = tree_of(home)
+                yield Documented(name if home is value else f"{name}({home.__name__})", node)
+                for member in node.body:
+                    if isinstance(member, Function) and (not member.name.startswith("_") or member.name == "__init__"):
+                        yield Documented(f"{name}.{member.name}", member, is_method=True)
+        elif inspect.isfunction(value):
+            yield Documented(name, tree_of(value))
 
 
 def own_statements(node: ast.AST) -> Iterator[ast.AST]:
@@ -112,50 +96,92 @@ def raised(node: ast.AST) -> set[str]:
     return {name for name in (re.split(r"[.(]", call)[0] for call in calls) if name in ERRORS}
 
 
-@every_one
-def test_the_first_line_is_a_sentence(found: Documented):
+def first_line(found: Documented) -> Iterator[str]:
     first = found.doc.split("\n")[0]
-    assert first, "no docstring"
-    assert first[0].isupper() or not first[0].isalpha(), first
-    assert first.endswith((".", "?", ":")), first
+    if not first:
+        yield "no docstring"
+    elif first[0].islower() or not first.endswith((".", "?", ":")):
+        yield f"its first line is no sentence: {first}"
 
 
-@every_one
-def test_sections_are_known_and_in_order(found: Documented):
+def sections(found: Documented) -> Iterator[str]:
+    unknown = set(found.sections) - set(SECTIONS)
+    if unknown:
+        yield f"unknown sections {sorted(unknown)}"
     known = [SECTIONS.index(name) for name in found.sections if name in SECTIONS]
-    assert all(a < b for a, b in pairwise(known)), f"{list(found.sections)}, the order is {SECTIONS}"
-    assert set(found.sections) <= {*SECTIONS, "Example"}, list(found.sections)
+    if not all(a < b for a, b in pairwise(known)):
+        yield f"sections {list(found.sections)}, their order is {SECTIONS}"
 
 
-@every_function
-def test_parameters_are_documented_in_their_order(found: Documented):
-    assert found.entries("Args") == parameters(found)
+def arguments(found: Documented) -> Iterator[str]:
+    if isinstance(found.node, Function) and found.entries("Args") != found.parameters:
+        yield f"Args lists {found.entries('Args')}, the parameters are {found.parameters}"
 
 
-@every_function
-def test_what_is_returned_is_documented(found: Documented):
-    assert isinstance(found.node, Function)
+def returned_value(found: Documented) -> Iterator[str]:
+    if not isinstance(found.node, Function):
+        return
     returns = ast.unparse(found.node.returns) if found.node.returns else "None"
-    nothing = returns == "None" or found.node.name == "__init__"
-    says_it_in_its_first_line = "property" in decorators(found.node) or not parameters(found)
-    if nothing:
-        assert "Returns" not in found.sections, "it returns nothing"
-    elif not says_it_in_its_first_line:
-        assert {"Returns", "Yields"} & set(found.sections), f"it returns {returns}"
+    first_line_says_it = "property" in found.decorators or not found.parameters
+    documented = {"Returns", "Yields"} & set(found.sections)
+    if returns == "None" or found.node.name == "__init__":
+        if documented:
+            yield "Returns, but it returns nothing"
+    elif not first_line_says_it and not documented:
+        yield f"no Returns, it returns {returns}"
 
 
-@every_function
-def test_what_is_raised_is_documented(found: Documented):
-    listed = [ERRORS.get(name) or getattr(builtins, name, None) for name in found.entries("Raises")]
-    assert None not in listed, f"{found.entries('Raises')}: one of them is no error"
-    for name in raised(found.node):
-        assert any(issubclass(ERRORS[name], error) for error in listed), f"it raises {name}"
+def raised_errors(found: Documented) -> Iterator[str]:
+    listed = {name: ERRORS.get(name) or getattr(builtins, name, None) for name in found.entries("Raises")}
+    if None in listed.values():
+        yield f"Raises lists {list(listed)}, one of them is no error"
+    elif isinstance(found.node, Function):
+        for name in sorted(raised(found.node)):
+            if not any(issubclass(ERRORS[name], error) for error in listed.values() if error):
+                yield f"no Raises for {name}"
 
 
-@every_class
-def test_the_fields_of_a_record_are_documented_in_their_order(found: Documented):
-    assert isinstance(found.node, ast.ClassDef)
-    is_record = "dataclass" in decorators(found.node) or RECORDS & {ast.unparse(base) for base in found.node.bases}
-    fields = [s.target.id for s in found.node.body if isinstance(s, ast.AnnAssign) and isinstance(s.target, ast.Name)]
-    if is_record:
-        assert found.entries("Attributes") == [name for name in fields if not name.startswith("_")]
+def fields(found: Documented) -> Iterator[str]:
+    if not isinstance(found.node, ast.ClassDef):
+        return
+    is_record = "dataclass" in found.decorators or RECORDS & {ast.unparse(base) for base in found.node.bases}
+    annotated = [s.target.id for s in found.node.body if isinstance(s, ast.AnnAssign) and isinstance(s.target, ast.Name)]
+    public = [name for name in annotated if not name.startswith("_")]
+    if is_record and found.entries("Attributes") != public:
+        yield f"Attributes lists {found.entries('Attributes')}, the fields are {public}"
+
+
+CHECKS: list[Callable[[Documented], Iterator[str]]] = [first_line, sections, arguments, returned_value, raised_errors, fields]
+
+
+def faults(documented: Documented) -> list[str]:
+    return [f"{documented.name}: {fault}" for check in CHECKS for fault in check(documented)]
+
+
+def test_the_docstrings_of_the_public_api_agree_with_the_code():
+    found = [fault for documented in public_api() for fault in faults(documented)]
+    assert not found, "\n".join(found)
+
+
+def test_each_kind_of_fault_is_found():
+    wrong = '''
+def move(arm, q):
+    """moves the arm
+
+    Returns:
+        Nothing.
+
+    Args:
+        q: rad.
+        arm: The arm.
+
+    Notes:
+        None.
+    """
+    raise InputError("q: no number")
+'''
+    [node] = ast.parse(wrong).body
+    assert isinstance(node, ast.FunctionDef)
+    text = "\n".join(faults(Documented("move", node)))
+    for fault in ("no sentence", "unknown sections", "their order is", "Args lists", "returns nothing", "no Raises for"):
+        assert fault in text
