@@ -14,7 +14,7 @@ from armctl.control import Controller
 from armctl.core.errors import InputError, PlanError
 from armctl.core.log import SimulationError
 from armctl.core.trajectory import Trajectory
-from armctl.core.validation import number
+from armctl.core.validation import integer
 from armctl.motion import move_j
 from armctl.robot.arm import Arm
 from armctl.sim.plant import NOMINAL, Plant
@@ -53,7 +53,7 @@ def compare(
         raise InputError("controllers, plants: a list of at least one of each wanted, such as ['pd', 'computed-torque']")
     pairs = [(controller, plant) for plant in plants for controller in controllers]
     run = partial(_run, arm, trajectory)
-    with _pool(min(int(number("workers", workers, 1)), len(pairs))) as mapped:
+    with _pool(min(integer("workers", workers, 1), len(pairs))) as mapped:
         reports = []
         for report in mapped(run, pairs):
             reports.append(report)

@@ -16,7 +16,7 @@ from armctl.control import Controller, controller_by_name, controller_name
 from armctl.core.errors import PlanError
 from armctl.core.log import Log
 from armctl.core.pose import Pose
-from armctl.core.validation import Array, number
+from armctl.core.validation import Array, integer, number
 from armctl.ik import solve_ik
 from armctl.motion import JointTrajectory, move_j, move_l
 from armctl.robot.arm import Arm
@@ -136,10 +136,11 @@ def iso9283_cycles(
         PlanError: The arm cannot work in any cube around its home.
         UnknownNameError: There is no such controller.
     """
-    cycles, path_cycles = int(number("cycles", cycles, 2)), int(number("path_cycles", path_cycles, 2))
-    number("speed", speed, 1e-3, 1.0)
-    number("dwell", dwell, 0.05)
-    number("band", band, 1e-9)
+    cycles = integer("cycles", cycles, 2)
+    path_cycles = integer("path_cycles", path_cycles, 2)
+    speed = number("speed", speed, 1e-3, 1.0)
+    dwell = number("dwell", dwell, 0.05)
+    band = number("band", band, 1e-9)
     controller = controller_by_name(controller, arm) if isinstance(controller, str) else controller
     edge, points, q = _poses(arm)
     legs = [move_j(arm, q[a], q[b]).scaled(speed) for a, b in pairwise(_ORDER)]

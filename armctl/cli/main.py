@@ -169,6 +169,7 @@ def _compare(args: argparse.Namespace) -> int:
     from armctl.analysis.report import table
     from armctl.cli.plants import plant_by_name
     from armctl.control import CONTROLLERS
+    from armctl.core.progress import progress_bar
 
     arm, timestep = _load(args), _numbers("timestep", [args.timestep])[0] if args.timestep else None
     controllers = list(CONTROLLERS) if args.controllers == "all" else _names(args.controllers)
@@ -179,7 +180,8 @@ def _compare(args: argparse.Namespace) -> int:
     for folder in filter(None, (args.report, args.save)):
         folder.mkdir(parents=True, exist_ok=True)
     workers = min(args.workers, len(plants) * len(controllers) // _RUNS_A_WORKER + 1)
-    reports = compare(arm, controllers, out_and_back(arm), plants, workers=workers, progress=_bar)
+    with progress_bar("compare", len(plants) * len(controllers), "runs") as bar:
+        reports = compare(arm, controllers, out_and_back(arm), plants, workers=workers, progress=lambda *_: bar.update())
     _print(args, "\n".join([*remarks(reports), table(reports)]), [r.to_dict() for r in reports])
     if args.save:
         for report in reports:
@@ -187,13 +189,6 @@ def _compare(args: argparse.Namespace) -> int:
     for path in write_comparison(reports, args.report, "All joints out and back") if args.report else []:
         _say(path)
     return OK
-
-
-def _bar(done: int, total: int) -> None:
-    """How far a long command is, on a terminal."""
-    if sys.stderr.isatty():
-        width = 30 * done // total
-        print(f"\r[{'#' * width}{'.' * (30 - width)}] {done}/{total}", end="\n" if done == total else "", file=sys.stderr)
 
 
 def _names(text: str | None) -> list[str]:

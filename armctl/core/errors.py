@@ -1,7 +1,7 @@
-"""Every deliberate error of armctl, under one base.
+"""The exceptions of armctl, with one base class.
 
-A wrong call raises one of these, with one sentence: what, which, value with unit, bound, what to do next.
-What the world refuses (out of reach, not settled) is never an exception but a result with `ok=False` and a reason.
+A wrong call raises one of these. The message is one sentence: what, which, value with unit, bound, what to do next.
+A target that is out of reach, blocked or not settled raises nothing; the result has `ok=False` and a reason.
 """
 
 from __future__ import annotations
@@ -9,35 +9,51 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+MAX_MESSAGE_CHARACTERS = 400
+
 
 class ArmctlError(Exception):
-    """The base of every error that armctl raises on purpose."""
+    """The base class of the exceptions that armctl raises.
+
+    The message is one line of at most 400 characters. A longer message, such as one with a very long name from a model, loses
+    its middle.
+    """
+
+    def __init__(self, message: object = "") -> None:
+        """An error with a message.
+
+        Args:
+            message: One sentence.
+        """
+        super().__init__(_one_line(str(message)))
 
 
 class InputError(ArmctlError, ValueError):
-    """An argument of the wrong shape, kind or value."""
+    """An argument has a wrong shape, type or value."""
 
 
 class LimitError(InputError):
-    """A value outside the arm's limits."""
+    """A value is outside the arm's limits."""
 
 
 class UnknownNameError(ArmctlError, LookupError):
-    """A name that stands for nothing here; the message suggests a near one."""
+    """A name is unknown; the message suggests a similar one."""
 
     @classmethod
     def of(cls, kind: str, name: str, known: Iterable[str], lister: str = "") -> UnknownNameError:
-        """The error for `name`, which is no `kind` among `known`.
+        """The error for an unknown name.
 
         Args:
-            kind: What the name should stand for, such as "robot".
-            name: The name that was given.
-            known: The names that would have been right.
-            lister: A command that lists them.
+            kind: The kind of thing that the name should identify, such as "robot".
+            name: The unknown name.
+            known: The known names.
+            lister: A command that lists the known names.
 
         Returns:
-            The error, to be raised by the caller.
+            The error, for the caller to raise.
         """
+        if not isinstance(name, str):
+            return cls(f"{kind}: {name!r:.80} is no name")
         known = list(known)
         near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.6) or [
             k for k in known if name and name.lower() in k.lower()
@@ -48,20 +64,29 @@ class UnknownNameError(ArmctlError, LookupError):
             hint = f"known: {', '.join(known)}"
         else:
             hint = f"there are {len(known)} known names" + (f"; {lister} lists them" if lister else "")
-        return cls(f"unknown {kind} {name!r}; {hint}")
+        return cls(f"unknown {kind} {name!r:.80}; {hint}")
 
 
 class ModelError(ArmctlError):
-    """A model that cannot be read, or that is no arm."""
+    """A model cannot be read, or contains no arm."""
 
 
 class NotInstalledError(ArmctlError):
-    """Something that armctl uses where it is there, and that this needs."""
+    """An optional dependency that this function needs is not installed."""
 
 
 class PlanError(ArmctlError):
-    """A motion that cannot be planned."""
+    """A motion cannot be planned."""
 
 
 class ArmctlWarning(UserWarning):
-    """Something armctl had to assume, such as a limit that a model does not give."""
+    """armctl had to assume something, such as a limit that the model does not specify."""
+
+
+def _one_line(message: str) -> str:
+    """The message without line breaks; if it is too long, its beginning and its end, which says what to do."""
+    line = " ".join(message.split()) if "\n" in message else message
+    if len(line) <= MAX_MESSAGE_CHARACTERS:
+        return line
+    end = MAX_MESSAGE_CHARACTERS // 3
+    return f"{line[: MAX_MESSAGE_CHARACTERS - end - 5]} ... {line[-end:]}"

@@ -45,8 +45,8 @@ class Target:
         Raises:
             InputError: The target has a wrong length or a number that is not finite, or a tolerance is negative.
         """
-        number("tolerance", tolerance, 0.0)
-        number("angle_tolerance", angle_tolerance, 0.0)
+        tolerance = number("tolerance", tolerance, 0.0)
+        angle_tolerance = number("angle_tolerance", angle_tolerance, 0.0)
         pose = target if isinstance(target, Pose) else None
         position = target.position if isinstance(target, Pose) else vector("target", target, 3)
         return cls(position, pose, tolerance, angle_tolerance)

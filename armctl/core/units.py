@@ -1,4 +1,4 @@
-"""Units of joints: angles and torques where they turn, lengths and forces where they slide."""
+"""Units of joint quantities: rad and N m for hinge joints, m and N for slide joints."""
 
 from __future__ import annotations
 
@@ -6,37 +6,15 @@ from collections.abc import Iterable
 
 
 def of_joints(slides: Iterable[bool]) -> tuple[str, ...]:
-    """What joints are measured in.
-
-    Args:
-        slides: For each whether it slides.
-
-    Returns:
-        For each "rad" or "m".
-    """
+    """The unit of each joint's position, "rad" or "m", from whether the joint slides."""
     return tuple("m" if each else "rad" for each in slides)
 
 
 def of_torque(units: Iterable[str]) -> tuple[str, ...]:
-    """What the torques of joints are measured in.
-
-    Args:
-        units: What each joint is measured in, "rad" or "m".
-
-    Returns:
-        For each "N m" or "N".
-    """
+    """The unit of each joint's torque, "N m" or "N", from the unit of its position."""
     return tuple("N" if unit == "m" else "N m" for unit in units)
 
 
 def label(units: Iterable[str], per: str = "") -> str:
-    """The units of all joints, for the axis of a plot or the head of a column.
-
-    Args:
-        units: What each joint is measured in.
-        per: What follows each, such as "/s".
-
-    Returns:
-        Such as "rad/s", or "rad/s or m/s" where some slide.
-    """
+    """The units of all joints for a plot's axis or a column's head, such as "rad/s" or "rad/s or m/s"."""
     return " or ".join(unit + per for unit in dict.fromkeys(units))

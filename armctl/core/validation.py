@@ -1,8 +1,10 @@
-"""Reading numbers from a caller: the one place where a list becomes a checked, read-only array."""
+"""Checks of arguments: the one place where a caller's value becomes a checked number or a checked, read-only array."""
 
 from __future__ import annotations
 
 import math
+import numbers
+from collections.abc import Iterable
 from typing import TypeVar
 
 import numpy as np
@@ -16,38 +18,69 @@ BoolArray = NDArray[np.bool_]
 TextArray = NDArray[np.object_]
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
+_MAX_SHOWN_CHARACTERS = 80  # of a value in a message
+
+
+def shown(value: object) -> str:
+    """A value for a message: its repr in one line of at most 80 characters."""
+    try:
+        text = " ".join(repr(value).split())
+    except Exception:  # the repr of a caller's object may raise anything
+        text = f"an object of type {type(value).__name__}"
+    return text if len(text) <= _MAX_SHOWN_CHARACTERS else text[: _MAX_SHOWN_CHARACTERS - 3] + "..."
+
 
 def instance(what: str, value: object, kind: type | tuple[type, ...], hint: str) -> None:
-    """Makes sure that an argument is of its kind.
+    """Checks that an argument is of a type.
 
     Args:
         what: The name of the argument, for the error.
-        value: What the caller gave.
-        kind: What it must be.
-        hint: How to get one, for the error.
+        value: The argument.
+        kind: The type, or several types of which one must match.
+        hint: How to get such a value, for the error.
 
     Raises:
-        InputError: It is something else.
+        InputError: The argument is of another type.
     """
     if not isinstance(value, kind):
         names = " or ".join(k.__name__ for k in (kind if isinstance(kind, tuple) else (kind,)))
-        raise InputError(f"{what}: {value!r:.80} is no {names}; {hint}")
+        raise InputError(f"{what}: {shown(value)} is no {names}; {hint}")
+
+
+def choice(what: str, value: object, known: Iterable[str]) -> str:
+    """Checks that an argument is one of a few words.
+
+    Args:
+        what: The name of the argument, for the error.
+        value: The argument.
+        known: The words.
+
+    Returns:
+        The word.
+
+    Raises:
+        InputError: The argument is none of them.
+    """
+    words = list(known)
+    if not isinstance(value, str) or value not in words:
+        raise InputError(f"{what}: {shown(value)} given, one of {', '.join(words)} wanted")
+    return value
 
 
 def vector(what: str, value: ArrayLike, length: int | None = None, *, finite: bool = True) -> Array:
-    """A caller's numbers as a new read-only vector.
+    """Checks a list of numbers and copies it into a read-only vector.
 
     Args:
         what: The name of the argument, for the error.
         value: (length,) numbers.
-        length: How many there must be; None takes any number of them.
-        finite: Whether NaN and infinity are refused.
+        length: The required length; None accepts any.
+        finite: Whether NaN and infinity are rejected.
 
     Returns:
         (length,) float64, read-only.
 
     Raises:
-        InputError: The value has another shape, is no number, or is not finite.
+        InputError: The value has another shape, is not numeric, or is not finite.
     """
     out = array(what, value, 1, finite=finite)
     if length is not None and out.shape != (length,):
@@ -56,18 +89,18 @@ def vector(what: str, value: ArrayLike, length: int | None = None, *, finite: bo
 
 
 def matrix(what: str, value: ArrayLike, columns: int) -> Array:
-    """A caller's rows of numbers as a new read-only matrix.
+    """Checks rows of numbers and copies them into a read-only matrix.
 
     Args:
         what: The name of the argument, for the error.
         value: (k, columns) numbers.
-        columns: How many each row must have.
+        columns: The required length of each row.
 
     Returns:
         (k, columns) float64, read-only.
 
     Raises:
-        InputError: The value has another shape, is no number, or is not finite.
+        InputError: The value has another shape, is not numeric, or is not finite.
     """
     out = array(what, value, 2)
     if out.shape[1] != columns:
@@ -76,27 +109,29 @@ def matrix(what: str, value: ArrayLike, columns: int) -> Array:
 
 
 def array(what: str, value: ArrayLike, ndim: int, *, finite: bool = True) -> Array:
-    """A caller's numbers as a new read-only array of `ndim` dimensions.
+    """Checks numbers and copies them into a read-only array of `ndim` dimensions.
+
+    Text, booleans and complex numbers are rejected; NumPy would convert all of them to float without a word.
 
     Args:
         what: The name of the argument, for the error.
         value: The numbers.
-        ndim: How many dimensions there must be.
-        finite: Whether NaN and infinity are refused.
+        ndim: The required number of dimensions.
+        finite: Whether NaN and infinity are rejected.
 
     Returns:
         float64, read-only.
 
     Raises:
-        InputError: The value has another shape, is no number, or is not finite.
+        InputError: The value has another shape, is not numeric, or is not finite.
     """
     try:
         given = np.asarray(value)
-        if np.iscomplexobj(given):  # NumPy would drop the imaginary part
+        if given.dtype.kind not in "fiu" and not _holds_real_numbers(given):
             raise TypeError
         out = np.array(given, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{what}: {value!r} is not an array of numbers") from None
+    except Exception:  # a caller's object may raise anything while NumPy converts it
+        raise InputError(f"{what}: {shown(value)} is not an array of numbers") from None
     if out.ndim != ndim:
         kind = {1: "a list of numbers", 2: "a list of rows"}.get(ndim, f"{ndim} dimensions")
         given = f"an array of shape {out.shape}" if out.ndim else "a single number"
@@ -107,43 +142,72 @@ def array(what: str, value: ArrayLike, ndim: int, *, finite: bool = True) -> Arr
     return frozen(out)
 
 
+def _holds_real_numbers(given: NDArray[np.generic]) -> bool:
+    return given.dtype.kind == "O" and all(isinstance(x, numbers.Real) and not isinstance(x, bool) for x in given.flat)
+
+
 def number(what: str, value: float, low: float = -np.inf, high: float = np.inf) -> float:
-    """A caller's number, checked against its bounds.
+    """Checks a number against its bounds. Use the returned value instead of the argument.
 
     Args:
         what: The name of the argument, for the error.
-        value: The number.
-        low: The least it may be.
-        high: The most it may be.
+        value: The number; text and booleans are rejected, also where `float()` would convert them.
+        low: The lower bound.
+        high: The upper bound.
 
     Returns:
         The number as a float.
 
     Raises:
-        InputError: It is no number, not finite, or out of its bounds.
+        InputError: The value is not a number, not finite, or out of its bounds.
     """
-    try:
-        if isinstance(value, np.complexfloating):  # float() would drop the imaginary part
-            raise TypeError
-        out = float(value)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{what}: {value!r} is not a number") from None
+    out = value if type(value) is float else _as_float(what, value)
     if not math.isfinite(out):
         raise InputError(f"{what}: {out} given, a finite number wanted")
     if not low <= out <= high:
-        wanted = f"at least {low:g}" if high == np.inf else f"in [{low:g}, {high:g}]"
-        raise InputError(f"{what}: {out:g} given, a number {wanted} wanted")
+        raise InputError(f"{what}: {out:g} given, a number {_bounds(low, high)} wanted")
     return out
 
 
-def frozen(value: NDArray[_Scalar]) -> NDArray[_Scalar]:
-    """The same array, made read-only.
+def integer(what: str, value: float, low: float = -np.inf, high: float = np.inf) -> int:
+    """Checks a whole number against its bounds. Use the returned value instead of the argument.
 
     Args:
-        value: An array that the caller owns.
+        what: The name of the argument, for the error.
+        value: The number; a float is accepted if it is whole.
+        low: The lower bound.
+        high: The upper bound.
 
     Returns:
-        The array itself.
+        The number as an int.
+
+    Raises:
+        InputError: The value is not a whole number, or out of its bounds.
     """
+    out = number(what, value, low, high)
+    if not out.is_integer():
+        raise InputError(f"{what}: {out:g} given, a whole number {_bounds(low, high)} wanted")
+    return int(value)
+
+
+def _as_float(what: str, value: object) -> float:
+    try:
+        if isinstance(value, (bool, np.bool_, str, bytes, bytearray, complex, np.complexfloating)):
+            raise TypeError
+        if isinstance(value, np.ndarray) and value.ndim:  # NumPy converts an array of one element
+            raise TypeError
+        return float(value)  # type: ignore[arg-type]
+    except Exception:  # the __float__ of a caller's object may raise anything
+        raise InputError(f"{what}: {shown(value)} is not a number") from None
+
+
+def _bounds(low: float, high: float) -> str:
+    if low == -np.inf:
+        return f"at most {high:g}" if high < np.inf else "of any size"
+    return f"at least {low:g}" if high == np.inf else f"in [{low:g}, {high:g}]"
+
+
+def frozen(value: NDArray[_Scalar]) -> NDArray[_Scalar]:
+    """Makes an array read-only and returns it."""
     value.setflags(write=False)
     return value

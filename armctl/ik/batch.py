@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
-import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from itertools import pairwise
@@ -15,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose
+from armctl.core.progress import progress_bar
 from armctl.core.validation import Array, IntArray, array, frozen, matrix
 from armctl.ik import lm
 from armctl.ik.problem import Problem, asked_for, compiled, read_problem
@@ -23,7 +22,6 @@ from armctl.ik.solve import STARTS
 from armctl.robot.arm import Arm
 
 CHUNK, LAST_CHUNK = 1024, 128
-QUIET_SECONDS = 2.0
 
 
 def solve_ik_batch(
@@ -65,16 +63,14 @@ def solve_ik_batch(
     count, workers = len(numbers), threads or os.cpu_count() or 1
     chunks = _chunks(count, workers)
     parts: dict[int, IkBatch] = {}
-    progress = _Progress(count)
-    with ThreadPoolExecutor(workers) as pool:
+    with progress_bar("IK", count, "targets") as progress, ThreadPoolExecutor(workers) as pool:
         jobs = {pool.submit(_solve, problem, rows, q0 is not None): i for i, rows in enumerate(chunks)}
         try:
             for job in as_completed(jobs):
                 parts[jobs[job]] = job.result()
-                progress.add(len(chunks[jobs[job]]))
+                progress.update(len(chunks[jobs[job]]))
         finally:
             pool.shutdown(cancel_futures=True)
-            progress.close()
     columns = ([getattr(parts[i], field) for i in range(len(chunks))] for field in IkBatch.__slots__)
     return IkBatch(*(frozen(np.concatenate(column)) for column in columns))
 
@@ -125,24 +121,3 @@ def _read_targets(targets: Sequence[Pose] | ArrayLike, free_axis: str | None) ->
         return asked_for(True, free_axis), rows
     points = matrix("targets", numbers, 3) if np.size(numbers) else np.empty((0, 3))
     return asked_for(False, free_axis), np.concatenate([np.zeros((len(points), 9)), points], axis=1)
-
-
-class _Progress:
-    """A line on stderr, from two seconds on, where stderr is a terminal."""
-
-    def __init__(self, total: int):
-        self._total, self._done, self._shown = total, 0, False
-        self._next = time.monotonic() + QUIET_SECONDS if sys.stderr.isatty() else float("inf")
-
-    def add(self, count: int) -> None:
-        self._done += count
-        if time.monotonic() >= self._next:
-            self._next, self._shown = time.monotonic() + 0.1, True
-            width = 30 * self._done // self._total
-            print(
-                f"\rIK [{'#' * width}{'.' * (30 - width)}] {self._done} of {self._total}", end="", file=sys.stderr, flush=True
-            )
-
-    def close(self) -> None:
-        if self._shown:
-            print(file=sys.stderr)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import copy
 import os
-import sys
-import time
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -14,6 +12,7 @@ import numpy as np
 
 from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.log import Log
+from armctl.core.progress import progress_bar
 from armctl.core.validation import Array, number
 from armctl.loading.prepare import TARGET
 from armctl.render.camera import frame
@@ -23,7 +22,6 @@ from armctl.robot.arm import Arm
 ENDINGS = (".mp4", ".gif")
 _FRAMES_PER_SECOND = {".mp4": 30, ".gif": 25}  # a GIF counts hundredths of a second
 _FRAMED = 12  # how many states of a run the camera must show
-_PATIENCE = 2.0  # s until a progress bar is worth its line
 
 
 def record(
@@ -63,7 +61,7 @@ def record(
     end = (sum(map(len, logs)) - 1) * logs[0].dt
     times = np.arange(0.0, end + 1e-9, number("speed", speed, 0.01, 100.0) / per_second)
     path.parent.mkdir(parents=True, exist_ok=True)
-    frames = _progress(path, images(logs, arm, times, width=width, height=height, quality=quality), len(times))
+    frames = _with_progress(path, images(logs, arm, times, width=width, height=height, quality=quality), len(times))
     if path.suffix == ".gif":
         _write_gif(path, frames, per_second)
     else:
@@ -226,14 +224,8 @@ def _write_gif(path: Path, frames: Iterable[Image], per_second: int) -> None:
     pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=1000 // per_second, loop=0, optimize=True)
 
 
-def _progress(path: Path, frames: Iterable[Image], count: int) -> Iterator[Image]:
-    """Passes images on; on a terminal, a film that takes longer than two seconds says how far it is."""
-    started, shown = time.monotonic(), False
-    for k, image in enumerate(frames, 1):
-        yield image
-        if sys.stderr.isatty() and time.monotonic() - started > _PATIENCE:
-            shown = True
-            bar = "#" * (30 * k // count)
-            print(f"\r{path.name} [{bar:30}] {k}/{count} frames", end="", file=sys.stderr, flush=True)
-    if shown:
-        print(file=sys.stderr)
+def _with_progress(path: Path, frames: Iterable[Image], count: int) -> Iterator[Image]:
+    with progress_bar(path.name, count, "frames") as progress:
+        for image in frames:
+            yield image
+            progress.update()

@@ -276,12 +276,12 @@ def test_a_batch_takes_poses_and_transforms_and_starts():
 def test_a_batch_shows_its_progress_to_a_person_only(monkeypatch, capsys):
     arm = arm_of("robot_arm_3dof")
     points = arm.fk_many(positions(arm, 600))[0]
-    monkeypatch.setattr("armctl.ik.batch.QUIET_SECONDS", 0.0)
+    monkeypatch.setattr("armctl.core.progress.DELAY_S", 0.0)
     solve_ik_batch(arm, points)
     assert capsys.readouterr().err == ""
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     solve_ik_batch(arm, points)
-    assert "of 600" in capsys.readouterr().err
+    assert "600/600" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
