@@ -60,6 +60,7 @@ from .motion.trajectory.limit_check import LimitCheck as LimitCheck
 from .motion.trajectory.limit_check import Peak as Peak
 from .render.video import record as record
 from .render.video import still as still
+from .robot.actuation import Actuation as Actuation
 from .robot.arm import Arm as Arm
 from .sim.gripper import Gripper as Gripper
 from .sim.gripper import GripResult as GripResult

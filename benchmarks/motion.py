@@ -50,7 +50,7 @@ def main() -> None:
 def untiring(arm: armctl.Arm, jerk: float = 1.0) -> armctl.Arm:
     """The arm without torque limits, and with a share of its jerk."""
     limits = replace(arm.limits, tau_max=np.full(arm.n, np.inf), j_max=jerk * arm.limits.j_max)
-    return replace(arm, limits=limits)
+    return arm.with_limits(limits)
 
 
 def table(title: str, columns: list[str], rows: list) -> str:

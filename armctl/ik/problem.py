@@ -248,7 +248,7 @@ def chain_of(arm: Arm) -> Chain:
 
 def _pack(arm: Arm) -> Chain:
     body, limits, joint_map = arm.pinocchio_model, arm.limits, arm.joint_map
-    k, n = joint_map.length, arm.n
+    k, n = body.chain_length, arm.n
     ratio, slides = joint_map.ratio[:k], body.is_slide[joint_map.leaders]
     links = np.concatenate([body.placements @ _moved(joint_map.offset[:k], body.is_slide), body.T_last_tip[None]])
     farthest = np.maximum(np.abs(limits.q_min), np.abs(limits.q_max))

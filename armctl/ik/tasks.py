@@ -45,7 +45,7 @@ class TipTask(BaseTask):
         self._arm, self._posture, self._chain = arm, posture, chain_of(arm)
         self._block = np.ix_(arm.dof_adr, arm.dof_adr)
         self._hessian, self._pull, self._jacobian = np.empty((arm.n, arm.n)), np.empty(arm.n), np.empty((6, arm.n))
-        self._scratch = compiled().scratch(arm.joint_map.length, arm.n)
+        self._scratch = compiled().scratch(arm.pinocchio_model.chain_length, arm.n)
         self._gain: Array | None = None  # (n,) reaches nearer for a joint's step, at a target far off
         self.bounds = (np.full(arm.n, -np.inf), np.full(arm.n, np.inf))  # of the step
         self.settles = True  # at a target out of reach; a search that starts again elsewhere gets there faster without
@@ -130,7 +130,7 @@ class Clearance(mink.Limit):
         self._pairs = avoidable_pairs(arm, clearance)
         self._floor = np.full(len(self._pairs), 0.5 * clearance)
         lever = np.where(arm.pinocchio_model.is_slide, 1.0, chain_of(arm).reach) @ np.abs(
-            arm.joint_map.ratio[: arm.joint_map.length]
+            arm.joint_map.ratio[: arm.pinocchio_model.chain_length]
         )
         self._speed = float(lever @ np.where(np.isfinite(arm.limits.v_max), arm.limits.v_max, 0.0))
 

@@ -23,8 +23,9 @@ from armctl.loading.tip import find_tip, named_body, named_tip
 from armctl.loading.tool import mount
 from armctl.loading.urdf import speed_limits
 from armctl.mjmodel.edit import add_bearers
-from armctl.mjmodel.queries import Chain, joint_name
+from armctl.mjmodel.queries import Chain
 from armctl.mjmodel.transmissions import Transmission, chain_transmissions
+from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm, check_parity
 from armctl.robot.joint_map import joint_map_of
 from armctl.robot.pinocchio_model import build
@@ -219,27 +220,17 @@ def _with_motors(
 def _arm(source: Source, model: mujoco.MjModel, original: mujoco.MjModel, part: _Part, qpos: Array, notes: list[str]) -> Arm:
     drives, joint_map = part.drives, joint_map_of(original, part.joints)
     limits, sources = joint_limits(model, drives, qpos, part.tau_max, part.sheet)
-    leaders, actuators = [drive.joint for drive in drives], [drive.actuator for drive in drives]
+    leaders = [drive.joint for drive in drives]
     home = limits.clamp(qpos[model.jnt_qposadr[leaders]])
     qpos = qpos.copy()
     qpos[joint_map.qpos_adr] = joint_map.positions(home)
-    felt = [max(drive.moments, key=lambda joint: abs(drive.moments[joint])) for drive in drives]
-    share = np.array([drive.gear / drive.moments[joint] for drive, joint in zip(drives, felt, strict=True)])
     return Arm(
         name=source.name,
         model=model,
-        joint_names=tuple(joint_name(model, j) for j in leaders),
+        actuation=Actuation.from_model(model, joint_map, drives, limits),
         tip=part.tip,
         home=frozen(home),
-        limits=limits,
-        pinocchio_model=build(model, joint_map, qpos, part.tip_body, part.T_body_tip),
-        joint_map=joint_map,
-        qpos_adr=frozen(model.jnt_qposadr[leaders].astype(int)),
-        dof_adr=frozen(model.jnt_dofadr[leaders].astype(int)),
-        ctrl_adr=frozen(model.actuator_ctrladr[actuators].astype(int)),
-        gear=frozen(np.array([drive.gear for drive in drives])),
-        torque_adr=frozen(model.jnt_dofadr[felt].astype(int)),
-        torque_share=frozen(share),
+        pinocchio_model=build(model, len(part.joints), joint_map, qpos, part.tip_body, part.T_body_tip),
         home_qpos=frozen(qpos),
         home_ctrl=qpos[:0],
         tip_body=part.tip_body,

@@ -9,12 +9,12 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.core import units
-from armctl.core.errors import LimitError, ModelError
+from armctl.core.errors import InputError, LimitError, ModelError
 from armctl.core.pose import Pose
 from armctl.core.trajectory import Limits
 from armctl.core.validation import Array, IntArray, instance, matrix, number, vector
 from armctl.mjmodel.edit import add_point_mass
+from armctl.robot.actuation import Actuation
 from armctl.robot.joint_map import JointMap
 from armctl.robot.pinocchio_model import PinocchioModel, build
 
@@ -28,18 +28,10 @@ class Arm:
     Attributes:
         name: What it was loaded as.
         model: The compiled MuJoCo model; treat it as read-only: simulations copy it.
-        joint_names: The n joints, from the base to the tip.
+        actuation: Its n joints: names, limits, couplings, and addresses in the arrays of MuJoCo.
         tip: The name of the site, body or geom at the end.
         home: (n,) rad, the rest position.
-        limits: What the joints can do.
         pinocchio_model: Its Pinocchio model.
-        joint_map: All joints that its n move: their own, and those that follow one of them.
-        qpos_adr: (n,) where the joints are in `MjData.qpos`.
-        dof_adr: (n,) where they are in `MjData.qvel`.
-        ctrl_adr: (n,) where their motors are in `MjData.ctrl`.
-        gear: (n,) joint torque a motor makes for each unit of its control.
-        torque_adr: (n,) where the motors' torques are in `MjData.qfrc_actuator`.
-        torque_share: (n,) joint torque for each unit there: not 1 where a motor pulls joints that are tied to each other.
         home_qpos: (nq,) the whole model at home; joints outside the chain are held there.
         home_ctrl: (nctrl,) the controls of the whole model at home; the arm's own are zero.
         tip_body: The body that carries the tip.
@@ -50,18 +42,10 @@ class Arm:
 
     name: str
     model: mujoco.MjModel
-    joint_names: tuple[str, ...]
+    actuation: Actuation
     tip: str
     home: Array
-    limits: Limits
     pinocchio_model: PinocchioModel
-    joint_map: JointMap
-    qpos_adr: IntArray
-    dof_adr: IntArray
-    ctrl_adr: IntArray
-    gear: Array
-    torque_adr: IntArray
-    torque_share: Array
     home_qpos: Array
     home_ctrl: Array
     tip_body: int
@@ -72,7 +56,42 @@ class Arm:
     @property
     def n(self) -> int:
         """How many joints it has."""
-        return len(self.joint_names)
+        return len(self.actuation.joint_names)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """The n joints, from the base to the tip."""
+        return self.actuation.joint_names
+
+    @property
+    def joint_map(self) -> JointMap:
+        """How the n joints move all joints that are coupled to them."""
+        return self.actuation.joint_map
+
+    @property
+    def limits(self) -> Limits:
+        """The limits of the n joints."""
+        return self.actuation.limits
+
+    @property
+    def qpos_adr(self) -> IntArray:
+        """(n,) addresses of the joints in `MjData.qpos`."""
+        return self.actuation.qpos_adr
+
+    @property
+    def dof_adr(self) -> IntArray:
+        """(n,) addresses of the joints in `MjData.qvel`."""
+        return self.actuation.dof_adr
+
+    @property
+    def ctrl_adr(self) -> IntArray:
+        """(n,) addresses of the joints' motors in `MjData.ctrl`."""
+        return self.actuation.ctrl_adr
+
+    @property
+    def gear(self) -> Array:
+        """(n,) joint torque per unit of control."""
+        return self.actuation.gear
 
     @property
     def dt(self) -> float:
@@ -82,12 +101,12 @@ class Arm:
     @property
     def units(self) -> tuple[str, ...]:
         """What each joint is measured in: "rad", or "m" where it slides."""
-        return units.of_joints(self.model.jnt_type[self.model.dof_jntid[self.dof_adr]] == int(mujoco.mjtJoint.mjJNT_SLIDE))
+        return self.actuation.units
 
     @property
     def torque_units(self) -> tuple[str, ...]:
         """What each joint's torque is measured in: "N m", or "N" where it slides."""
-        return units.of_torque(self.units)
+        return self.actuation.torque_units
 
     def checked(self, what: str, q: ArrayLike, tolerance: float = 1e-9) -> Array:
         """Joint positions from a caller, checked.
@@ -166,7 +185,7 @@ class Arm:
             (nq,) for `MjData.qpos`.
         """
         qpos = self.home_qpos.copy()
-        qpos[self.joint_map.qpos_adr] = self.joint_map.positions(q)
+        self.joint_map.set_positions(qpos, q)
         return qpos
 
     def qvel(self, v: Array) -> Array:
@@ -179,8 +198,25 @@ class Arm:
             (nv,) for `MjData.qvel`.
         """
         qvel = np.zeros(self.model.nv)
-        qvel[self.joint_map.dof_adr] = self.joint_map.speeds(v)
+        self.joint_map.set_speeds(qvel, v)
         return qvel
+
+    def with_limits(self, limits: Limits) -> Arm:
+        """The same arm with other limits, such as lower speeds beside people.
+
+        Args:
+            limits: The new limits of its n joints.
+
+        Returns:
+            The arm.
+
+        Raises:
+            InputError: The argument is no Limits, or has another number of joints.
+        """
+        instance("limits", limits, Limits, "dataclasses.replace(arm.limits, v_max=0.5 * arm.limits.v_max) gives one")
+        if len(limits.q_min) != self.n:
+            raise InputError(f"limits: {len(limits.q_min)} joints given, {self.n} needed for {self.name:.80}")
+        return replace(self, actuation=replace(self.actuation, limits=limits))
 
     def with_payload(
         self,
@@ -215,7 +251,7 @@ class Arm:
         if number("mass", mass, 0.0) > 0.0:
             add_point_mass(model, self.tip_body, mass, self.T_body_tip.transform(vector("center", center, 3)))
         mujoco.mj_setConst(model, mujoco.MjData(model))
-        body = build(model, self.joint_map, self.home_qpos, self.tip_body, self.T_body_tip)
+        body = build(model, self.pinocchio_model.chain_length, self.joint_map, self.home_qpos, self.tip_body, self.T_body_tip)
         return replace(self, model=model, pinocchio_model=body)
 
     def __repr__(self) -> str:

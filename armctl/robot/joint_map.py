@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from armctl.core.errors import InputError
 from armctl.core.validation import Array, IntArray, frozen
 from armctl.mjmodel.queries import Chain
 from armctl.mjmodel.transmissions import chain_transmissions
@@ -21,7 +22,6 @@ class JointMap:
 
     Attributes:
         joints: Their numbers.
-        length: How many are in the chain.
         leaders: Which of them the arm's n are.
         ratio: (m, n).
         offset: (m,) rad.
@@ -30,7 +30,6 @@ class JointMap:
     """
 
     joints: Chain
-    length: int
     leaders: IntArray
     ratio: Array
     offset: Array
@@ -41,6 +40,49 @@ class JointMap:
     def is_plain(self) -> bool:
         """Whether no joint follows another."""
         return len(self.leaders) == len(self.joints)
+
+    @classmethod
+    def concatenated(cls, parts: Sequence[JointMap]) -> JointMap:
+        """The joint maps of several arms of one model as one.
+
+        Args:
+            parts: The joint maps, at least one.
+
+        Returns:
+            The joints of all arms, in the order of the arms.
+
+        Raises:
+            InputError: Two arms move the same joint.
+        """
+        joints = tuple(joint for part in parts for joint in part.joints)
+        if len(set(joints)) < len(joints):
+            raise InputError("arms: two of them move the same joint; give arms that share no joint")
+        ratio = np.zeros((len(joints), sum(part.ratio.shape[1] for part in parts)))
+        leaders = []
+        row = 0
+        column = 0
+        for part in parts:
+            rows, columns = part.ratio.shape
+            ratio[row : row + rows, column : column + columns] = part.ratio
+            leaders.append(part.leaders + row)
+            row += rows
+            column += columns
+        return cls(
+            joints=joints,
+            leaders=frozen(np.concatenate(leaders)),
+            ratio=frozen(ratio),
+            offset=frozen(np.concatenate([part.offset for part in parts])),
+            qpos_adr=frozen(np.concatenate([part.qpos_adr for part in parts])),
+            dof_adr=frozen(np.concatenate([part.dof_adr for part in parts])),
+        )
+
+    def set_positions(self, qpos: Array, q: Array) -> None:
+        """Writes the positions of all m joints into a whole model's `qpos`, for q (n,)."""
+        qpos[self.qpos_adr] = self.positions(q)
+
+    def set_speeds(self, qvel: Array, v: Array) -> None:
+        """Writes the speeds of all m joints into a whole model's `qvel`, for v (n,)."""
+        qvel[self.dof_adr] = self.speeds(v)
 
     def positions(self, q: Array) -> Array:
         """Where all of them are.
@@ -112,33 +154,9 @@ def joint_map_of(model: mujoco.MjModel, chain: Chain) -> JointMap:
     index = list(joints)
     return JointMap(
         joints,
-        len(chain),
         frozen(np.array([joints.index(drive.joint) for drive in drives])),
         frozen(ratio),
         frozen(offset),
         frozen(model.jnt_qposadr[index].astype(int)),
         frozen(model.jnt_dofadr[index].astype(int)),
     )
-
-
-def joined(linkages: Sequence[JointMap]) -> JointMap:
-    """Several linkages as one, none of which moves a joint of another.
-
-    Args:
-        linkages: The linkages.
-
-    Returns:
-        All of them, in order; its chain is the first one's.
-    """
-    ratio = np.zeros(np.sum([one.ratio.shape for one in linkages], axis=0))
-    leaders, row, column = [], 0, 0
-    for one in linkages:
-        rows, columns = one.ratio.shape
-        ratio[row : row + rows, column : column + columns] = one.ratio
-        leaders.append(one.leaders + row)
-        row, column = row + rows, column + columns
-    parts = {
-        name: frozen(np.concatenate([getattr(one, name) for one in linkages])) for name in ("offset", "qpos_adr", "dof_adr")
-    }
-    joints = tuple(joint for one in linkages for joint in one.joints)
-    return JointMap(joints, linkages[0].length, frozen(np.concatenate(leaders)), frozen(ratio), **parts)

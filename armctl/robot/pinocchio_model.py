@@ -54,6 +54,11 @@ class PinocchioModel:
     T_last_tip: Array
     gravity_support: pin.Model | None
 
+    @property
+    def chain_length(self) -> int:
+        """The number k of joints from the base to the tip, coupled joints included."""
+        return len(self.placements)
+
     def tip(self, q: Array) -> tuple[Array, Array]:
         """Where the tip is: (3,) m and (3, 3), in the world; valid until this thread's next call.
 
@@ -94,7 +99,7 @@ class PinocchioModel:
         """
         R = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(q)))  # time last: whole columns of R turn at once
         p = np.zeros((3, len(q)))
-        chain = q if self.joint_map.is_plain else self.joint_map.positions(q)[:, : self.joint_map.length]
+        chain = q if self.joint_map.is_plain else self.joint_map.positions(q)[:, : self.chain_length]
         for qi, X, slides in zip(chain.T, self.placements, self.is_slide, strict=True):
             p = p + X[:3, 3] @ R
             R = X[:3, :3].T @ R
@@ -111,11 +116,14 @@ class PinocchioModel:
         return PinocchioModel, tuple(getattr(self, field.name) for field in fields(self))
 
 
-def build(model: mujoco.MjModel, joint_map: JointMap, qpos: Array, tip_body: int, T_body_tip: Pose) -> PinocchioModel:
+def build(
+    model: mujoco.MjModel, chain_length: int, joint_map: JointMap, qpos: Array, tip_body: int, T_body_tip: Pose
+) -> PinocchioModel:
     """The rigid-body model of a chain.
 
     Args:
         model: The compiled model.
+        chain_length: How many of the joints of `joint_map`, its first ones, are in the chain.
         joint_map: The chain's hinge and slide joints, from the base to the tip, and those outside it that follow one of them.
         qpos: (nq,) where all other joints are held.
         tip_body: The body that carries the tip.
@@ -159,14 +167,14 @@ def build(model: mujoco.MjModel, joint_map: JointMap, qpos: Array, tip_body: int
             support.appendBodyToJoint(owner + 1, lifted, T_joint_inertia)
 
     T_world_tip = _se3(data.xpos[tip_body], data.xmat[tip_body]) * pin.SE3(T_body_tip.rotation, T_body_tip.position)
-    T_last_tip = frames[joint_map.length - 1].actInv(T_world_tip)
-    tip_frame = pin_model.addFrame(pin.Frame("tip", joint_map.length, 0, T_last_tip, pin.FrameType.OP_FRAME))
+    T_last_tip = frames[chain_length - 1].actInv(T_world_tip)
+    tip_frame = pin_model.addFrame(pin.Frame("tip", chain_length, 0, T_last_tip, pin.FrameType.OP_FRAME))
     return PinocchioModel(
         joint_map,
         pin_model,
         tip_frame,
-        frozen(np.array(placements[: joint_map.length])),
-        frozen(is_slide[: joint_map.length]),
+        frozen(np.array(placements[:chain_length])),
+        frozen(is_slide[:chain_length]),
         frozen(T_last_tip.homogeneous),
         support,
     )

@@ -31,7 +31,7 @@ class OnlineReference:
             dt: s, the tick.
         """
         calm = replace(arm.limits, a_max=_EASE * arm.limits.a_max, j_max=_EASE**2 * arm.limits.j_max)
-        self._arm, self._dt = replace(arm, limits=calm), dt
+        self._arm, self._dt = arm.with_limits(calm), dt
         self.stand(arm.home)
 
     def stand(self, q: Array) -> None:

@@ -290,7 +290,11 @@ class RealTimeSession:
         self._to_target = goal.distance(tip)[0]
         self._still = bool(np.abs(stepper.state.v).max() < _STILL)
         self._arrived = bool(np.abs(q_ref - self._goal).max() < 1e-6)
-        shares = stepper.data.qfrc_actuator[self.arm.torque_adr] * self.arm.torque_share / self.arm.limits.tau_max
+        shares = (
+            stepper.data.qfrc_actuator[self.arm.actuation.torque_adr]
+            * self.arm.actuation.torque_share
+            / self.arm.limits.tau_max
+        )
         self.history.add(self._to_target, float(np.linalg.norm(tip.position - reference.position)), shares)
         self.shown = stepper.data.qpos.copy()
         self.q = stepper.state.q.copy()

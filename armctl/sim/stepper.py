@@ -86,7 +86,7 @@ class Stepper:
         self.dt = arm.dt if plant.timestep is None else float(plant.timestep)
         self._steps = round(self.dt / self.model.opt.timestep)
         self._motors = _index(arm.ctrl_adr)
-        addresses = (arm.qpos_adr, arm.dof_adr, arm.torque_adr)
+        addresses = (arm.qpos_adr, arm.dof_adr, arm.actuation.torque_adr)
         self._read = list(map(_reader, (self.data.qpos, self.data.qvel, self.data.qfrc_actuator), addresses))
         self.reset(arm.home, np.zeros(arm.n))
 
@@ -186,7 +186,7 @@ class Stepper:
         model, data, dt, continuous, steps = self.model, self.data, self.dt, self.continuous, self._steps
         (read_q, read_v, read_tau), motors, gear, qpos, ctrl = self._read, self._motors, self.arm.gear, data.qpos, data.ctrl
         torque, step, disturbances, tape = controller.torque, mujoco.mj_step, self._disturbances, recorder.tape
-        share = self.arm.torque_share
+        share = self.arm.actuation.torque_share
         is_whole = bool((share == 1.0).all())
         direct = disturbances is None and isinstance(motors, slice) and bool((gear == 1.0).all())
         command = ctrl[motors] if direct else np.empty(self.arm.n)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,12 +17,12 @@ from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
 from armctl.core.target import Target
-from armctl.core.trajectory import Limits, Setpoint, TickReference, Trajectory
+from armctl.core.trajectory import Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array, number
 from armctl.ik import solve_ik
 from armctl.motion import move_j
+from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
-from armctl.robot.joint_map import joined
 from armctl.sim.gripper import Gripper
 from armctl.sim.plant import Plant
 from armctl.sim.recorder import Recorder
@@ -248,10 +248,5 @@ class _Together:
 
 def _joined(arms: Sequence[Arm]) -> Arm:
     """All joints of several arms as if they were one's, for the stepper; its tip is the first one's."""
-    limits = Limits(*(np.concatenate([getattr(arm.limits, f.name) for arm in arms]) for f in fields(Limits)))
-    together = {
-        name: np.concatenate([getattr(arm, name) for arm in arms])
-        for name in ("home", "qpos_adr", "dof_adr", "ctrl_adr", "gear", "torque_adr", "torque_share")
-    }
-    names = tuple(name for arm in arms for name in arm.joint_names)
-    return replace(arms[0], joint_names=names, limits=limits, joint_map=joined([arm.joint_map for arm in arms]), **together)
+    actuation = Actuation.concatenated([arm.actuation for arm in arms])
+    return replace(arms[0], actuation=actuation, home=np.concatenate([arm.home for arm in arms]))

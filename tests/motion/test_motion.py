@@ -183,7 +183,7 @@ def test_a_straight_move_is_straight_and_as_fast_as_its_tightest_joint():
 
 
 def untiring(arm: armctl.Arm) -> armctl.Arm:
-    return replace(arm, limits=replace(arm.limits, tau_max=np.full(arm.n, np.inf)))
+    return arm.with_limits(replace(arm.limits, tau_max=np.full(arm.n, np.inf)))
 
 
 @settings(max_examples=10)
@@ -350,7 +350,7 @@ def test_one_waypoint_is_too_few():
 
 def test_an_arm_without_a_jerk_limit_is_refused():
     arm = arm_of("panda")
-    endless = replace(arm, limits=replace(arm.limits, j_max=np.full(7, np.inf)))
+    endless = arm.with_limits(replace(arm.limits, j_max=np.full(7, np.inf)))
     with pytest.raises(armctl.InputError, match="j_max: joint1 has no limit"):
         armctl.move_j(endless, arm.home, arm.home + 0.1)
 
@@ -360,7 +360,7 @@ def test_an_arm_without_a_jerk_limit_is_refused():
 
 def weak(arm: armctl.Arm, share: float) -> armctl.Arm:
     """The arm with motors that give this share of what its fastest move takes beyond holding still."""
-    return replace(arm, limits=replace(arm.limits, tau_max=share * arm.limits.tau_max))
+    return arm.with_limits(replace(arm.limits, tau_max=share * arm.limits.tau_max))
 
 
 @every_planner
@@ -394,7 +394,7 @@ def test_a_slowed_move_stays_straight_and_slows_where_it_must_only():
     i = int(np.argmax(need.ratios))
     tau_max = arm.limits.tau_max.copy()
     tau_max[i] *= 0.93 * need.ratio
-    tired = replace(arm, limits=replace(arm.limits, tau_max=tau_max))
+    tired = arm.with_limits(replace(arm.limits, tau_max=tau_max))
     motion = armctl.move_j(tired, start, goal)
     assert motion.slowed.joint == arm.joint_names[i]
     assert 1.0 < motion.slowed.factor < 1.2

@@ -16,7 +16,7 @@ UM = 1e-6
 @pytest.fixture(scope="module")
 def panda() -> armctl.Arm:
     arm = arm_of("panda")
-    return replace(arm, limits=replace(arm.limits, tau_max=np.full(7, np.inf)))
+    return arm.with_limits(replace(arm.limits, tau_max=np.full(7, np.inf)))
 
 
 def moved(arm, *way) -> armctl.Pose:
@@ -146,7 +146,7 @@ def test_caps_on_the_tip_are_kept_and_reached(panda):
 
 def test_near_a_singularity_it_slows_down():
     arm = arm_of("ur5e")
-    arm = replace(arm, limits=replace(arm.limits, tau_max=np.full(6, np.inf)))
+    arm = arm.with_limits(replace(arm.limits, tau_max=np.full(6, np.inf)))
     q = np.array([0.3, -1.2, 1.6, -1.9, 0.08, 0.2])  # the wrist is almost straight
     way = arm.jacobian(q)[:, 4]
     start = arm.fk(q)

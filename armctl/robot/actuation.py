@@ -1,0 +1,118 @@
+"""Actuation: the driven joints of one arm, or of several, and where MuJoCo keeps their numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+
+import mujoco
+import numpy as np
+
+from armctl.core import units
+from armctl.core.errors import InputError
+from armctl.core.trajectory import Limits
+from armctl.core.validation import Array, IntArray, frozen
+from armctl.mjmodel.queries import joint_name
+from armctl.mjmodel.transmissions import Transmission
+from armctl.robot.joint_map import JointMap
+
+
+@dataclass(frozen=True, eq=False)
+class Actuation:
+    """The n driven joints of one or several arms: names, limits, and addresses in the arrays of MuJoCo.
+
+    A tick loop and a log need no more than this. All arrays are read-only.
+
+    Attributes:
+        joint_names: The n joints; of one arm from the base to the tip.
+        joint_map: How the n joints move all joints that are coupled to them.
+        limits: The limits of the n joints.
+        units: "rad" for each joint that turns, "m" for each that slides.
+        qpos_adr: (n,) addresses of the joints in `MjData.qpos`.
+        dof_adr: (n,) addresses of the joints in `MjData.qvel`.
+        ctrl_adr: (n,) addresses of their motors in `MjData.ctrl`.
+        gear: (n,) joint torque per unit of control.
+        torque_adr: (n,) addresses in `MjData.qfrc_actuator` of the joints on which the motors act directly.
+        torque_share: (n,) joint torque per unit of `qfrc_actuator` there; not 1 where a motor moves coupled joints.
+    """
+
+    joint_names: tuple[str, ...]
+    joint_map: JointMap
+    limits: Limits
+    units: tuple[str, ...]
+    qpos_adr: IntArray
+    dof_adr: IntArray
+    ctrl_adr: IntArray
+    gear: Array
+    torque_adr: IntArray
+    torque_share: Array
+
+    @property
+    def n(self) -> int:
+        """The number of driven joints."""
+        return len(self.joint_names)
+
+    @cached_property
+    def torque_units(self) -> tuple[str, ...]:
+        """ "N m" for each joint that turns, "N" for each that slides."""
+        return units.of_torque(self.units)
+
+    @classmethod
+    def from_model(
+        cls, model: mujoco.MjModel, joint_map: JointMap, transmissions: Sequence[Transmission], limits: Limits
+    ) -> Actuation:
+        """Reads the addresses of an arm's joints and motors from a compiled model.
+
+        Args:
+            model: The compiled model; its actuators are motors.
+            joint_map: The arm's joints and those coupled to them.
+            transmissions: What moves the n joints.
+            limits: The limits of the n joints.
+
+        Returns:
+            The actuation.
+        """
+        joints = [transmission.joint for transmission in transmissions]
+        actuators = [transmission.actuator for transmission in transmissions]
+        # A motor on a tendon acts on several joints: its torque is read where its moment arm is largest.
+        read_at = [max(each.moments, key=lambda joint: abs(each.moments[joint])) for each in transmissions]
+        shares = [each.gear / each.moments[joint] for each, joint in zip(transmissions, read_at, strict=True)]
+        slides = model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_SLIDE)
+        return cls(
+            joint_names=tuple(joint_name(model, joint) for joint in joints),
+            joint_map=joint_map,
+            limits=limits,
+            units=units.of_joints(slides),
+            qpos_adr=frozen(model.jnt_qposadr[joints].astype(np.int64)),
+            dof_adr=frozen(model.jnt_dofadr[joints].astype(np.int64)),
+            ctrl_adr=frozen(model.actuator_ctrladr[actuators].astype(np.int64)),
+            gear=frozen(np.array([transmission.gear for transmission in transmissions])),
+            torque_adr=frozen(model.jnt_dofadr[read_at].astype(np.int64)),
+            torque_share=frozen(np.array(shares)),
+        )
+
+    @classmethod
+    def concatenated(cls, parts: Sequence[Actuation]) -> Actuation:
+        """The joints of several arms of one model, in the order of the arms.
+
+        Args:
+            parts: The actuation of each arm.
+
+        Returns:
+            One actuation of all their joints.
+
+        Raises:
+            InputError: There are no parts, or two of them move the same joint.
+        """
+        if not parts:
+            raise InputError("parts: at least one Actuation is needed, got none")
+        maps = [part.joint_map for part in parts]
+        arrays = ("qpos_adr", "dof_adr", "ctrl_adr", "gear", "torque_adr", "torque_share")
+        return cls(
+            joint_names=tuple(name for part in parts for name in part.joint_names),
+            joint_map=JointMap.concatenated(maps),
+            limits=Limits(*(np.concatenate([getattr(part.limits, f.name) for part in parts]) for f in fields(Limits))),
+            units=tuple(unit for part in parts for unit in part.units),
+            **{name: frozen(np.concatenate([getattr(part, name) for part in parts])) for name in arrays},
+        )
