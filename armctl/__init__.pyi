@@ -25,6 +25,7 @@ from .core.errors import ModelError as ModelError
 from .core.errors import NotInstalledError as NotInstalledError
 from .core.errors import PlanError as PlanError
 from .core.errors import UnknownNameError as UnknownNameError
+from .core.log import Contact as Contact
 from .core.log import Log as Log
 from .core.log import SimulationError as SimulationError
 from .core.pose import Pose as Pose

@@ -8,11 +8,31 @@ import os
 import zipfile
 from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from armctl.core.errors import ArmctlError, InputError
 from armctl.core.validation import Array, frozen
+
+
+class Contact(NamedTuple):
+    """Two bodies that touched during a run, at least one of them a moving body of the arm.
+
+    Attributes:
+        body: The body of the arm.
+        other: The body that it touched.
+        start: s, when they touched first.
+        duration: s, how long they touched in total.
+    """
+
+    body: str
+    other: str
+    start: float
+    duration: float
+
+    def __str__(self) -> str:
+        return f"{self.body} touched {self.other} for {self.duration:.3g} s"
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +46,8 @@ class Log:
         dt: s, the tick.
         tau_max: (n,) N m.
         motion_duration: s, when the reference comes to rest; the log may go on.
-        target: (7,) where the tip should end, m and wxyz; NaN for what was not asked for.
+        target: (7,) where the tip should end, m and wxyz; NaN for what was not asked for. After `Simulation.follow` the target
+            at the end of the run.
         real_time_factor: Simulated time over the time it took.
         failure: Why the run ended early, in words; empty if it did not.
         t: (T,) s.
@@ -44,6 +65,7 @@ class Log:
         plant: How reality differed from the model, in words.
         qpos: (T, nq) the whole model's positions as in MjData.qpos: grippers and loose objects too, for films.
         units: What each joint is measured in, "rad" or "m"; all in rad if left out.
+        contacts: What the arm touched, in the order of time; empty if it touched nothing.
     """
 
     robot: str
@@ -70,6 +92,7 @@ class Log:
     plant: str = "nominal"
     qpos: Array = field(default_factory=lambda: np.zeros((0, 0)))
     units: tuple[str, ...] = ()
+    contacts: tuple[Contact, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "units", tuple(self.units) or ("rad",) * len(self.joint_names))
@@ -131,7 +154,9 @@ class Log:
             with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
                 arrays = {k: data[k] for k in data.files if k != "meta"}
                 meta = json.loads(str(data["meta"]))
-            log = cls(**arrays, **(meta | {"joint_names": tuple(meta["joint_names"])}))
+            meta["joint_names"] = tuple(meta["joint_names"])
+            meta["contacts"] = tuple(Contact(*each) for each in meta.get("contacts", ()))
+            log = cls(**arrays, **meta)
             if len({len(getattr(log, k)) for k in ("t", "q", "v", "q_ref", "v_ref", "a_ref", "tau", "tau_cmd", "tip")}) > 1:
                 raise ValueError("its columns differ in length")
             return log
