@@ -31,13 +31,15 @@ $(VENV)/run.stamp: pyproject.toml
 	  echo "armctl needs Python 3.11 or later, $(PYTHON) is $$($(PYTHON) --version); name another: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
 	@$(PYTHON) -m venv $(VENV) || { \
 	  echo "$(PYTHON) could not make a virtual environment in $(VENV). On Debian and Ubuntu: apt-get install python3-venv"; exit 1; }
-	@echo "installing armctl and what it needs into $(VENV): half a minute, once"
-	@$(BIN)/python -m pip install --quiet --editable . || { \
+	@echo "installing armctl, its dependencies and the viewer into $(VENV): once, half a minute to two minutes"
+	@# A distribution called armctl would share the package's files and the command with mujoco-armctl.
+	@$(BIN)/python -m pip uninstall --quiet --yes armctl
+	@$(BIN)/python -m pip install --quiet --editable '.[view]' || { \
 	  echo "pip could not install what pyproject.toml names; its reason is above. Without a network, set PIP_FIND_LINKS to a folder of wheels."; exit 1; }
 	@touch $@
 
 $(VENV)/dev.stamp: $(VENV)/run.stamp
-	@echo "installing what the tests need into $(VENV): half a minute, once"
+	@echo "installing what the tests need into $(VENV): once, half a minute"
 	@$(BIN)/python -m pip install --quiet --editable '.[dev]' || { \
 	  echo "pip could not install the tools that pyproject.toml names under dev; its reason is above."; exit 1; }
 	@touch $@

@@ -8,6 +8,7 @@ from typing import Any
 import lazy_loader
 
 from armctl.core import hooks
+from armctl.core.distribution import warn_if_foreign_armctl_is_installed
 
 __version__ = "0.1.0"
 
@@ -22,3 +23,4 @@ def _open_viewer(arm: Any) -> Any:
 
 
 hooks.open_viewer = _open_viewer
+warn_if_foreign_armctl_is_installed()

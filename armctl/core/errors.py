@@ -72,7 +72,20 @@ class ModelError(ArmctlError):
 
 
 class NotInstalledError(ArmctlError):
-    """An optional dependency that this function needs is not installed."""
+    """A missing optional package, or a missing part of the system such as a screen."""
+
+    @classmethod
+    def of_extra(cls, what: str, extra: str) -> NotInstalledError:
+        """The error for a package that one of armctl's extras installs.
+
+        Args:
+            what: What is missing, such as "an .mp4 needs an encoder".
+            extra: Name of the extra.
+
+        Returns:
+            The error, to be raised by the caller.
+        """
+        return cls(f"{what}; install armctl with its extra [{extra}], in a clone: .venv/bin/pip install -e '.[{extra}]'")
 
 
 class PlanError(ArmctlError):

@@ -129,7 +129,7 @@ def film_path(path: str | os.PathLike[str]) -> Path:
         try:
             import av  # noqa: F401
         except ImportError:
-            raise NotInstalledError("an .mp4 needs an encoder: pip install 'armctl[view]', or write a .gif") from None
+            raise NotInstalledError.of_extra("an .mp4 needs an encoder (a .gif does not)", "view") from None
     return path
 
 

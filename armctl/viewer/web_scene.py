@@ -169,7 +169,7 @@ class WebScene:
 
 
 def _missing(module: str | None) -> NotInstalledError:
-    return NotInstalledError(f"the page in the browser needs {module}: pip install 'armctl[view]'")
+    return NotInstalledError.of_extra(f"the page in the browser needs {module}", "view")
 
 
 def _light(scene: viser.SceneApi) -> None:

@@ -65,6 +65,19 @@ def test_every_make_target_in_the_pages_is_in_the_makefile():
     assert all(re.search(rf"^{target}:", makefile, flags=re.MULTILINE) for target in in_code), in_code
 
 
+def test_no_text_tells_to_install_the_foreign_distribution_called_armctl():
+    foreign = re.compile(r"""pip3? install[^\n`#]*?["' ]armctl\b(?![/.])""")
+    endings = {".md", ".py", ".pyi", ".toml", ".yml", ".txt", ""}
+    folders = ["armctl", "docs", "examples", "benchmarks", ".github", ".ci"]
+    files = [path for folder in folders for path in (ROOT / folder).rglob("*") if path.is_file() and path.suffix in endings]
+    files += [ROOT / name for name in ("Makefile", "pyproject.toml", *(page.name for page in ROOT.glob("*.md")))]
+    found = [path for path in files if "_build" not in path.parts and foreign.search(path.read_text(encoding="utf-8"))]
+    assert not found
+    assert foreign.search("pip install 'armctl[view]'")
+    assert foreign.search("python -m pip install -U armctl")
+    assert not foreign.search("pip install -e '.[view]'  # armctl")
+
+
 def test_the_readme_begins_with_the_two_commands():
     first = blocks(TEXTS[Path("README.md")], "sh")[0]
     assert [line.split("  ")[0] for line in first.splitlines()] == ["make demo", "make test"]

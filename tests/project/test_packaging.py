@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import sysconfig
+import tarfile
 import venv
 import zipfile
 from pathlib import Path
@@ -28,7 +29,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     pip = (sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "--no-index")
     run(*pip, "--wheel-dir", folder, ROOT, cwd=folder)
-    return next(folder.glob("armctl-*.whl"))
+    return next(folder.glob("mujoco_armctl-*.whl"))
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +51,42 @@ def test_a_wheel_holds_the_models_the_license_and_the_types(wheel: Path):
     assert "armctl/py.typed" in names
     assert any(name.endswith("licenses/LICENSE") for name in names)
     assert not any(name.startswith(("tests/", "docs/")) for name in names)
+
+
+def test_a_source_distribution_holds_the_tests_and_what_they_read(tmp_path: Path):
+    run(sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", tmp_path, cwd=ROOT)
+    [sdist] = tmp_path.glob("mujoco_armctl-*.tar.gz")
+    with tarfile.open(sdist) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    assert {
+        "armctl/__init__.pyi",
+        "models/robot_arm_3dof.xml",
+        "tests/conftest.py",
+        "docs/conf.py",
+        "Makefile",
+        "README.md",
+    } <= names
+    assert {"LICENSE", "examples/01_reach.py", "tests/models/gantry.xml", ".ci/run"} <= names
+    stray = [name for name in names if "__pycache__" in name or name.startswith(("docs/_build", "docs/reference.md"))]
+    assert not stray
+
+
+def test_a_foreign_distribution_called_armctl_is_warned_of(tmp_path: Path):
+    foreign = tmp_path / "armctl-3.1.4.dist-info"
+    foreign.mkdir()
+    (foreign / "METADATA").write_text("Name: armctl\nVersion: 3.1.4\n", encoding="utf-8")
+    code = f"import sys; sys.path[:0] = [{str(ROOT)!r}, {str(tmp_path)!r}]; import armctl; print(armctl.__file__)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert Path(done.stdout.strip()).is_relative_to(ROOT)
+    assert done.stderr.count("Warning:") == 1
+    assert "armctl-3.1.4.dist-info: the distribution 'armctl' is another project's" in done.stderr
+
+
+def test_the_own_distribution_is_not_warned_of(installed: Path):
+    python = installed / "bin" / "python"
+    assert run(
+        python, "-W", "error", "-c", "import armctl, importlib.metadata as m; print(m.version('mujoco-armctl'))", cwd=installed
+    )
 
 
 def test_an_installed_wheel_loads_the_bundled_arm(installed: Path):

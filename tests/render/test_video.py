@@ -47,7 +47,7 @@ def decoded(path: Path) -> list[np.ndarray]:
     if path.suffix == ".gif":
         with Image.open(path) as film:
             return [np.array(image.convert("RGB")) for image in ImageSequence.Iterator(film)]
-    av = pytest.importorskip("av", reason="no decoder: pip install 'armctl[view]'")
+    av = pytest.importorskip("av", reason="no decoder: pip install -e '.[view]'")
     with av.open(path) as film:
         return [image.to_ndarray(format="rgb24") for image in film.decode(video=0)]
 

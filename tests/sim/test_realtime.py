@@ -276,7 +276,7 @@ def test_a_short_token_and_a_taken_port_are_refused(gate):
     ],
 )
 def test_the_command_line_refuses_in_one_sentence(argv: list[str], sentence: str, capsys: pytest.CaptureFixture[str]):
-    pytest.importorskip("mjviser", reason="pip install 'armctl[view]'")
+    pytest.importorskip("mjviser", reason="pip install -e '.[view]'")
     assert main(["view", BUNDLED, *argv]) == 2
     assert sentence in capsys.readouterr().err
 

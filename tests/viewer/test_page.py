@@ -20,7 +20,7 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no browser: apt-get install -y chromium"),
     pytest.mark.xdist_group("browser"),
 ]
-pytest.importorskip("mjviser", reason="pip install 'armctl[view]'")
+pytest.importorskip("mjviser", reason="pip install -e '.[view]'")
 sync_api = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
 
 from armctl.viewer.auth_proxy import AuthProxy  # noqa: E402

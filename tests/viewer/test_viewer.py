@@ -11,7 +11,7 @@ from armctl import Simulation
 from armctl.sim.clock import RealTimeClock
 from armctl.viewer.mesh_decimation import decimated
 
-pytest.importorskip("mjviser", reason="pip install 'armctl[view]'")
+pytest.importorskip("mjviser", reason="pip install -e '.[view]'")
 
 
 @pytest.fixture(scope="module")
