@@ -1,4 +1,4 @@
-# make demo   the bundled arm reaches the green target, from nothing but Python 3.11 or later
+# make demo   creates .venv, installs armctl with the viewer, and the bundled arm moves to the green target; needs Python 3.11 or later
 # make test   everything: lint, types, docs, tests, examples
 PYTHON ?= python3
 VENV := .venv
@@ -9,19 +9,23 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PIP_NO_INPUT := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format types docs pytest examples bench outputs pictures clean
+.PHONY: help demo test lint format types docs pytest examples fuzz soak bench outputs pictures clean
 
 help:
-	@echo "make demo      the bundled arm reaches the green target, and a report"
-	@echo "make test      all of the next four"
-	@echo "make lint      ruff: rules and format        make format   mend both"
+	@echo "make demo      the bundled arm moves to the green target and prints a report"
+	@echo "make test      lint, types, docs and pytest, as follows"
+	@echo "make lint      ruff (rules and format) and the import layers"
+	@echo "make format    apply the fixes and the format of ruff"
 	@echo "make types     pyright"
-	@echo "make docs      the pages, in docs/_build"
-	@echo "make pytest    tests and examples            make examples the examples alone"
-	@echo "make outputs   what README and docs show as printed, afresh"
+	@echo "make docs      build the pages in docs/_build"
+	@echo "make pytest    tests and examples"
+	@echo "make examples  only the examples"
+	@echo "make fuzz      random calls, files, motions and messages: make fuzz SEED=1 MINUTES=10"
+	@echo "make soak      one hour of continuous use; memory must stay constant: make soak MINUTES=60"
 	@echo "make bench     the benchmarks, one table each"
-	@echo "make pictures  the pictures of README and docs, afresh"
-	@echo "make clean     everything that the above made"
+	@echo "make outputs   write the printed outputs in README and docs again"
+	@echo "make pictures  draw the pictures of README and docs again"
+	@echo "make clean     delete everything that these targets made"
 
 # The environment: once, and again when pyproject.toml changes.
 $(VENV)/run.stamp: pyproject.toml
@@ -50,9 +54,9 @@ demo: $(VENV)/run.stamp
 test: lint types docs pytest
 
 lint: $(VENV)/dev.stamp
-	@$(BIN)/ruff check . || { echo "ruff found the above; make format mends what it can"; exit 1; }
+	@$(BIN)/ruff check . || { echo "ruff found the above; make format fixes some of it"; exit 1; }
 	@$(BIN)/lint-imports --no-logo || { echo "an import runs against the layers in pyproject.toml"; exit 1; }
-	@$(BIN)/ruff format --check . || { echo "some files are not in ruff's format; make format mends that"; exit 1; }
+	@$(BIN)/ruff format --check . || { echo "some files are not in ruff's format; make format applies it"; exit 1; }
 
 format: $(VENV)/dev.stamp
 	@$(BIN)/ruff check --fix . ; $(BIN)/ruff format .
@@ -70,8 +74,17 @@ pytest: $(VENV)/dev.stamp
 examples: $(VENV)/dev.stamp
 	@$(BIN)/python -m pytest tests/project/test_examples.py -n $(WORKERS) --maxprocesses 8
 
+fuzz: SEED ?= 0
+fuzz: MINUTES ?= 10
+fuzz: $(VENV)/dev.stamp
+	@$(BIN)/python -m pytest tests/fuzz -n $(WORKERS) --maxprocesses 8 --fuzz-seed $(SEED) --fuzz-minutes $(MINUTES)
+
+soak: MINUTES ?= 60
+soak: $(VENV)/dev.stamp
+	@$(BIN)/python benchmarks/soak.py --minutes $(MINUTES)
+
 bench: $(VENV)/dev.stamp
-	@for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+	@for file in $(filter-out benchmarks/soak.py,$(wildcard benchmarks/*.py)); do echo "== $$file"; $(BIN)/python $$file || exit 1; done
 
 outputs: $(VENV)/run.stamp
 	@$(BIN)/python docs/outputs/make.py

@@ -100,7 +100,7 @@ def first_line(found: Documented) -> Iterator[str]:
     first = found.doc.split("\n")[0]
     if not first:
         yield "no docstring"
-    elif first[0].islower() or not first.endswith((".", "?", ":")):
+    elif (first[0].islower() and not first.startswith("armctl ")) or not first.endswith((".", "?", ":")):
         yield f"its first line is no sentence: {first}"
 
 

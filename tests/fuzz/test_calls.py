@@ -1,0 +1,379 @@
+"""Hostile calls of the public API: each returns or raises an `ArmctlError` with a short message.
+
+Every parameter gets a valid value, or one of `hostile_values`. Only calls that fit the signature are made, since Python itself
+refuses the others.
+"""
+
+import inspect
+import math
+import os
+import signal
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from arms import arm_of
+
+import armctl
+
+MAX_OTHER_ERRORS_SHARE = 0.001
+MAX_MESSAGE_CHARACTERS = 400
+MAX_CALL_S = 60
+CALLS_IN_SUITE = 1500
+CALLS_PER_WORLD = 250  # then all objects are made again, since a call may have moved or spoiled them
+
+# Not called: what opens windows, or is Python's own.
+LEFT_OUT = {"Controller", "Trajectory", "ArmctlError", "ArmctlWarning"}
+# Valid values cost seconds there, so that these are called with at least one hostile value and rarely.
+SLOW = {
+    "compare",
+    "iso9283_cycles",
+    "excitation",
+    "Simulation.record",
+    "record",
+    "still",
+    "overlay",
+    "four_panels",
+    "JointTrajectory.plot",
+}
+# Given in every call: their defaults take long or open a page.
+ALWAYS_GIVEN = {"workers", "width", "height", "viewer"}
+
+
+@dataclass(frozen=True)
+class Target:
+    """A public function, constructor or method, and the probability weight of its calls."""
+
+    name: str
+    call: Callable
+    signature: inspect.Signature
+    weight: float
+
+
+@dataclass(frozen=True)
+class Fault:
+    """An outcome of a call that is neither an answer nor a short ArmctlError."""
+
+    kind: str
+    where: str
+    why: str
+
+
+def world() -> dict[str, object]:
+    """One object of every public class, by the name of the class."""
+    arm = arm_of("robot_arm_3dof")
+    motion = armctl.move_j(arm, arm.home, arm.home + 0.05)
+    sim = armctl.Simulation(arm, "pd")
+    log = armctl.simulate(arm, "pd", motion)
+    setpoint = armctl.Setpoint(arm.home, np.zeros(3), np.zeros(3))
+    return {
+        "Adaptive": armctl.Adaptive(arm),
+        "Arm": arm,
+        "Arc": armctl.Arc([0.3, 0.1, 0.5], [0.3, 0.2, 0.5]),
+        "ComputedTorque": armctl.ComputedTorque(arm),
+        "DifferentialIk": armctl.DifferentialIk(arm),
+        "IkResult": armctl.solve_ik(arm, arm.fk(arm.home)),
+        "Impedance": armctl.Impedance(arm),
+        "JointTrajectory": motion,
+        "Limits": arm.limits,
+        "Line": armctl.Line([0.3, 0.1, 0.5]),
+        "Log": log,
+        "OnlineMotion": armctl.OnlineMotion(arm, arm.home),
+        "OperationalSpace": armctl.OperationalSpace(arm),
+        "PD": armctl.PD(arm),
+        "PDGravity": armctl.PDGravity(arm),
+        "PIDGravity": armctl.PIDGravity(arm),
+        "Plant": armctl.Plant(payload=0.1),
+        "Pose": arm.fk(arm.home),
+        "Push": armctl.Push(0.0, 0.1),
+        "Report": armctl.Report.from_log(log),
+        "Scene": armctl.Scene().add_ball("ball", 0.02, [0.5, 0.5, 0.1]),
+        "Setpoint": setpoint,
+        "Simulation": sim,
+        "State": armctl.State(setpoint.q, setpoint.v),
+        "Team": armctl.Team([arm]),
+    }
+
+
+def valid_values(objects: dict[str, object]) -> dict[str, list[object]]:
+    """Valid values by the name of a parameter."""
+    arm = arm_of("robot_arm_3dof")
+    home = arm.home
+    tip = arm.fk(home)
+    controllers = ["pd", "computed-torque", objects["PD"]]
+    names = {
+        "arm": [arm],
+        "arms": [[arm]],
+        "robot": [arm],
+        "controller": controllers,
+        "controllers": [["pd"], None],
+        "trajectory": [objects["JointTrajectory"]],
+        "plant": [None, objects["Plant"]],
+        "plants": [[objects["Plant"]]],
+        "log": [objects["Log"]],
+        "logs": [[objects["Log"]]],
+        "reports": [[objects["Report"]]],
+        "state": [objects["State"]],
+        "setpoint": [objects["Setpoint"]],
+        "target": [tip, tip.position, [5.0, 0.0, 0.0]],
+        "targets": [[tip], [tip.position]],
+        "via": [tip.position + 0.01],
+        "path": ["out.npz", "out.csv", "out.png"],
+        "name": ["robot_arm_3dof", "box"],
+        "tips": [["end_effector"]],
+        "ctrl": [[0.0, 0.0, 0.0]],
+        "position": [[0.5, 0.5, 0.1]],
+        "size": [[0.1, 0.1, 0.1]],
+        "workers": [1],
+        "progress": [None],
+        "viewer": [False],
+        "width": [32],
+        "height": [32],
+        "at": [0.0],
+        "cycles": [1],
+        "path_cycles": [1],
+        "waypoints": [[home, home + 0.1]],
+        "angles": [[0.0, 0.0, 0.0]],
+        "speed": [0.5, 1.0],
+        "timeout": [0.1],
+        "until": [lambda state: True],
+    }
+    joints = ["q", "q0", "q_start", "q_goal", "v", "qpos", "qvel", "posture", "tau", "q_current"]
+    return names | {name: [home, list(home)] for name in joints}
+
+
+class Odd:
+    """An object whose conversions fail."""
+
+    def __float__(self) -> float:
+        raise RuntimeError("no float")
+
+    def __array__(self, *_args, **_kwargs) -> np.ndarray:
+        raise RuntimeError("no array")
+
+
+def hostile_values() -> list[object]:
+    numbers: list[object] = [
+        math.nan,
+        math.inf,
+        -math.inf,
+        1e308,
+        -1e308,
+        5e-324,
+        -1.0,
+        0,
+        0.0,
+        1,
+        -1,
+        2**63,
+        10**400,
+        1j,
+        True,
+        False,
+    ]
+    texts: list[object] = [
+        "",
+        "x",
+        "0.1",
+        "nan",
+        "x" * 5000,
+        "a\nb",
+        "a\0b",
+        "../x",
+        "/nowhere/x.npz",
+        "\u00e9\u4e2d",
+        b"bytes",
+        Path("nowhere.xml"),
+    ]
+    lists: list[object] = [
+        [],
+        [[]],
+        [1],
+        [1, 2],
+        [1, 2, 3],
+        [0.0] * 7,
+        [math.nan] * 3,
+        ["a", "b", "c"],
+        [None] * 3,
+        [[1, 2, 3]],
+        (1e308,) * 3,
+        [1, [2, 3]],
+    ]
+    arrays: list[object] = [
+        np.empty(0),
+        np.zeros(3),
+        np.zeros(3, int),
+        np.full(3, np.nan),
+        np.full(3, np.inf),
+        np.zeros((3, 3)),
+        np.zeros((2, 3)),
+        np.eye(4),
+        np.zeros((1, 1, 1)),
+        np.float64(0.5),
+        np.int8(1),
+        np.array(1.0),
+        np.array(["a", "b", "c"]),
+        np.array([None, 1, "x"], object),
+        np.zeros(3, complex),
+        np.array(["2026-01-01"], "M8[D]"),
+        np.ones(3, bool),
+    ]
+    objects: list[object] = [
+        None,
+        {},
+        {"a": 1},
+        set(),
+        {1, 2},
+        object(),
+        Odd(),
+        int,
+        armctl.PD,
+        len,
+        (lambda: 1),
+        range(3),
+        iter([1, 2, 3]),
+        slice(1),
+        Ellipsis,
+    ]
+    return [*numbers, *texts, *lists, *arrays, *objects]
+
+
+def targets(objects: dict[str, object]) -> list[Target]:
+    """All public functions, constructors and methods."""
+    found: list[Target] = []
+
+    def add(name: str, call: Callable) -> None:
+        slow = name in SLOW
+        found.append(Target(name, call, inspect.signature(call), 0.05 if slow else 1.0))
+
+    for name in armctl.__all__:
+        value = getattr(armctl, name)
+        if name in LEFT_OUT or not callable(value):
+            continue
+        if not inspect.isclass(value):
+            add(name, value)
+            continue
+        if issubclass(value, Exception):
+            continue
+        add(name, value)
+        owner = objects.get(name, value)
+        for member in dir(value):
+            defined = inspect.getattr_static(value, member)
+            bound = owner is not value or isinstance(defined, classmethod | staticmethod)
+            if member.startswith("_") or not bound or (issubclass(value, tuple) and member in ("count", "index")):
+                continue
+            if callable(getattr(value, member)):
+                add(f"{name}.{member}", getattr(owner, member))
+    return found
+
+
+def arguments(
+    target: Target, rng: np.random.Generator, valid: dict[str, list[object]], hostile: list[object]
+) -> tuple[list[object], dict[str, object]]:
+    """Arguments that fit the signature; at least one of them is hostile if there is one."""
+    args: list[object] = []
+    kwargs: dict[str, object] = {}
+    parameters = [p for p in target.signature.parameters.values() if p.kind is not p.VAR_KEYWORD]
+    forced = int(rng.integers(len(parameters))) if parameters else -1
+    skipped = False
+    for i, parameter in enumerate(parameters):
+        good = valid.get(parameter.name)
+        required = parameter.default is parameter.empty and parameter.kind is not parameter.VAR_POSITIONAL
+        if i != forced and not required and rng.random() < 0.7 and parameter.name not in ALWAYS_GIVEN:
+            skipped = True
+            continue
+        if good and i != forced and rng.random() < 0.75:
+            value = good[rng.integers(len(good))]
+        else:
+            value = hostile[rng.integers(len(hostile))]
+        if parameter.kind is parameter.KEYWORD_ONLY or (skipped and parameter.kind is not parameter.VAR_POSITIONAL):
+            kwargs[parameter.name] = value
+        elif not (skipped and parameter.kind is parameter.VAR_POSITIONAL):
+            args.append(value)
+    return args, kwargs
+
+
+class TooSlow(BaseException):
+    """A call took longer than MAX_CALL_S."""
+
+
+@contextmanager
+def time_limit() -> Iterator[None]:
+    """Raise TooSlow in the block after MAX_CALL_S."""
+
+    def stop(*_: object) -> None:
+        raise TooSlow
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, MAX_CALL_S)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def shown(target: Target, args: list[object], kwargs: dict[str, object]) -> str:
+    """The call as text, shortened."""
+    values = [f"{value!r:.40}" for value in args] + [f"{name}={value!r:.40}" for name, value in kwargs.items()]
+    return f"{target.name}({', '.join(values)})".replace("\n", " ")
+
+
+def fault_of(target: Target, args: list[object], kwargs: dict[str, object]) -> Fault | None:
+    """What is wrong with a call's outcome."""
+    try:
+        with warnings.catch_warnings(), time_limit():
+            warnings.simplefilter("ignore")
+            target.call(*args, **kwargs)
+    except armctl.ArmctlError as error:
+        if len(str(error)) > MAX_MESSAGE_CHARACTERS:
+            return Fault("long message", target.name, f"{len(str(error))} characters: {error!s:.100}")
+    except TooSlow:
+        return Fault("slow", target.name, f"longer than {MAX_CALL_S} s")
+    except Exception as error:
+        place = ""
+        for frame in traceback.extract_tb(error.__traceback__):
+            if f"{os.sep}armctl{os.sep}" in frame.filename:
+                place = f"{frame.filename.rpartition('armctl' + os.sep)[2]}:{frame.lineno}"
+        return Fault("other error", f"{place} {type(error).__name__}", f"{error!s:.100}")
+    return None
+
+
+@pytest.mark.xfail(reason="some public functions do not check all arguments yet", strict=False)
+@pytest.mark.usefixtures("no_windows")
+def test_hostile_calls_raise_armctl_errors_with_short_messages(
+    fuzz_cases: Callable[[int], Iterator[np.random.Generator]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    counts: Counter[str] = Counter()
+    faults: dict[str, str] = {}
+    for case, rng in enumerate(fuzz_cases(CALLS_IN_SUITE)):
+        if case % CALLS_PER_WORLD == 0:
+            objects = world()
+            callables = targets(objects)
+            valid = valid_values(objects)
+            hostile = [*hostile_values(), *objects.values()]
+            weights = np.array([target.weight for target in callables])
+        target = callables[rng.choice(len(callables), p=weights / weights.sum())]
+        args, kwargs = arguments(target, rng, valid, hostile)
+        fault = fault_of(target, args, kwargs)
+        counts["calls"] += 1
+        if fault:
+            counts[fault.kind] += 1
+            faults.setdefault(f"{fault.kind}: {fault.where}", f"{shown(target, args, kwargs)}: {fault.why}")
+    listed = "\n".join(f"{fault}: {call}" for fault, call in sorted(faults.items()))
+    summary = f"{dict(counts)}\n{listed}"
+    assert counts["other error"] <= MAX_OTHER_ERRORS_SHARE * counts["calls"], summary
+    assert counts["slow"] == 0, summary
+    assert counts["long message"] == 0, summary
+
+
+@pytest.fixture
+def no_windows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
