@@ -1,156 +1,157 @@
-"""Trajectories in files: exactly, as npz, and as a table of samples, as CSV."""
+"""Trajectories in files: exact arrays as npz, samples as CSV, and a plot. All files are replaced atomically."""
 
 from __future__ import annotations
 
 import csv
 import os
-from dataclasses import asdict, fields
+import warnings
+import zipfile
+from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
-from zipfile import BadZipFile
+from typing import NamedTuple
 
 import numpy as np
 
 from armctl.core import units
+from armctl.core.atomic import atomic_path
 from armctl.core.errors import InputError
-from armctl.core.trajectory import Limits
-from armctl.core.validation import Array, number
-from armctl.motion.slowdown import Slowdown
-from armctl.motion.trajectory.joint_trajectory import JointTrajectory
-from armctl.motion.trajectory.piecewise import DEGREE
+from armctl.core.limits import Limits
+from armctl.core.validation import Array
+from armctl.motion.trajectory.piecewise import Pieces, Samples, check_continuous, check_pieces
 
 _FORMAT = 1
+_MAX_BYTES = 2**30  # unpacked: three million pieces of seven joints; more is taken for a damaged or hostile archive
 
 
-def save(trajectory: JointTrajectory, path: str | os.PathLike[str]) -> Path:
-    """Writes a motion, exactly, as a NumPy archive.
+class Content(NamedTuple):
+    """What a trajectory file holds; `slowed` is empty or the three fields of a slowdown as text."""
 
-    Args:
-        trajectory: The motion.
-        path: Where to; its folder is made, and the name gets the ending .npz if it has none.
+    pieces: Pieces
+    joint_names: tuple[str, ...]
+    units: tuple[str, ...]
+    limits: Limits
+    slowed: tuple[str, ...]
 
-    Returns:
-        The file.
-    """
-    file = Path(path)
-    file = file if file.suffix == ".npz" else file.with_name(file.name + ".npz")
-    file.parent.mkdir(parents=True, exist_ok=True)
-    slowed = trajectory.slowed
-    np.savez(
-        file,
-        format=_FORMAT,
-        knots=trajectory.knots,
-        coefficients=trajectory.coefficients,
-        joint_names=np.array(trajectory.joint_names, dtype=str),
-        units=np.array(trajectory.units, dtype=str),
-        slowed=np.array([] if slowed is None else [str(value) for value in asdict(slowed).values()], dtype=str),
-        **{field.name: getattr(trajectory.limits, field.name) for field in fields(Limits)},
-    )
+
+def checked_path(path: str | os.PathLike[str], suffix: str, other: str) -> Path:
+    """A caller's path, with the suffix added if it has none; another suffix raises InputError, which names the method `other`."""
+    try:
+        file = Path(path)
+    except TypeError:
+        raise InputError(f"path: {path!r:.80} is not a path; give a file name") from None
+    if not file.name or "\0" in str(file):
+        raise InputError(f"path: {str(path)!r:.80} is not the name of a file")
+    if not file.suffix:
+        return file.with_name(file.name + suffix)
+    if file.suffix.lower() != suffix:
+        raise InputError(f"path: {file.name!r:.80} does not end in {suffix}; for another format see {other}")
     return file
 
 
-def load(path: str | os.PathLike[str]) -> JointTrajectory:
-    """Reads a motion that `save` wrote.
+def save(path: str | os.PathLike[str], content: Content) -> Path:
+    """Writes a trajectory file."""
+    file = checked_path(path, ".npz", "to_csv")
+    with atomic_path(file) as temporary:
+        np.savez(
+            temporary,
+            format=_FORMAT,
+            knots=content.pieces.knots,
+            coefficients=content.pieces.coefficients,
+            joint_names=np.array(content.joint_names, dtype=str),
+            units=np.array(content.units, dtype=str),
+            slowed=np.array(content.slowed, dtype=str),
+            **{field.name: getattr(content.limits, field.name) for field in fields(Limits)},
+        )
+    return file
 
-    Args:
-        path: The file.
 
-    Returns:
-        The motion.
-
-    Raises:
-        InputError: There is no such file, or it holds no motion.
-    """
+def load(path: str | os.PathLike[str]) -> Content:
+    """Reads a trajectory file; raises InputError for a missing file and for any content that is not a motion."""
     try:
-        with np.load(path, allow_pickle=False) as data:
-            limits = Limits(**{field.name: data[field.name] for field in fields(Limits)})
-            slowed = [str(value) for value in data["slowed"]]
-            knots, coefficients = data["knots"], data["coefficients"]
-            pieces, powers, joints = coefficients.shape
-            if (
-                knots.shape != (pieces + 1,)
-                or powers != DEGREE + 1
-                or {joints} != {len(data["joint_names"]), len(limits.q_min)}
-            ):
-                raise InputError("its parts do not fit each other")
-            return JointTrajectory(
-                knots,
-                coefficients,
-                tuple(str(name) for name in data["joint_names"]),
-                limits,
-                Slowdown(float(slowed[0]), slowed[1], float(slowed[2])) if slowed else None,
-                tuple(str(unit) for unit in data.get("units", [])),
-            )
-    except (OSError, BadZipFile, KeyError, ValueError, EOFError) as error:
-        raise InputError(f"{os.fspath(path)}: it holds no trajectory ({error}); give a file that save() wrote") from None
+        shown = os.fspath(path)
+    except TypeError:
+        raise InputError(f"path: {path!r:.80} is not a path; give a file that save() wrote") from None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # numpy warns about odd headers; what they hold is checked below
+            return _content(path)
+    except Exception as error:  # NumPy, zipfile and zlib raise many types for damaged files, and list them nowhere
+        why = " ".join(str(error).split()) or type(error).__name__
+        name = shown if len(shown) <= 160 else "..." + str(shown)[-157:]
+        raise InputError(f"{name}: it holds no trajectory ({why:.150}); give a file that save() wrote") from None
 
 
-def to_csv(trajectory: JointTrajectory, path: str | os.PathLike[str], dt: float) -> Path:
-    """Writes samples of a motion as a table: t, then q, v and a of each joint, named in the first row.
+def _content(path: str | os.PathLike[str]) -> Content:
+    with zipfile.ZipFile(path) as archive:
+        if sum(member.file_size for member in archive.infolist()) > _MAX_BYTES:
+            raise InputError("it is too large")
+    with np.load(path, allow_pickle=False) as data:
+        if data["format"].shape != () or data["format"] != _FORMAT:
+            raise InputError(f"its format is not {_FORMAT}")
+        names = _texts(data, "joint_names")
+        joint_units = _texts(data, "units")
+        slowed = _texts(data, "slowed")
+        if not names or len(joint_units) != len(names) or len(slowed) not in (0, 3):
+            raise InputError("its parts do not fit each other")
+        limits = Limits(**{field.name: data[field.name] for field in fields(Limits)})
+        if len(limits.q_min) != len(names):
+            raise InputError("its limits do not fit its joints")
+        pieces = Pieces(_numbers(data, "knots"), _numbers(data, "coefficients"))
+    check_pieces(pieces.knots, pieces.coefficients, len(names))
+    check_continuous(pieces, names)
+    return Content(pieces, names, joint_units, limits, slowed)
 
-    Args:
-        trajectory: The motion.
-        path: Where to; its folder is made.
-        dt: s, from sample to sample; the end is always one.
 
-    Returns:
-        The file.
+def _texts(data: np.lib.npyio.NpzFile, name: str) -> tuple[str, ...]:
+    value = data[name]
+    if value.ndim != 1 or (value.dtype.kind != "U" and value.size):
+        raise InputError(f"{name} is not a list of texts")
+    return tuple(str(text) for text in value)
 
-    Raises:
-        InputError: dt is not greater than 0.
-    """
-    times = sample_times(trajectory, number("dt", dt, 1e-9))
-    names = [f"{kind}_{joint}" for kind in "qva" for joint in trajectory.joint_names]
-    table = np.column_stack([times, *trajectory.sample(times)[:3]])
-    file = Path(path)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    with file.open("w", newline="", encoding="utf-8") as out:
+
+def _numbers(data: np.lib.npyio.NpzFile, name: str) -> Array:
+    value = data[name]
+    if value.dtype != np.float64:
+        raise InputError(f"{name} has type {value.dtype}, not float64")
+    return value
+
+
+def save_table(path: str | os.PathLike[str], joint_names: Sequence[str], times: Array, samples: Samples) -> Path:
+    """Writes samples as CSV: t, then q, v and a of each joint, named in the first row."""
+    file = checked_path(path, ".csv", "save")
+    names = [f"{kind}_{joint}" for kind in "qva" for joint in joint_names]
+    table = np.column_stack([times, *samples])
+    with atomic_path(file) as temporary, temporary.open("w", newline="", encoding="utf-8") as out:
         writer = csv.writer(out)
         writer.writerow(["t", *names])
         writer.writerows([[repr(value) for value in row] for row in table.tolist()])
     return file
 
 
-def sample_times(trajectory: JointTrajectory, dt: float) -> Array:
-    """Times dt apart, from the start of a motion to its end.
+class Curves(NamedTuple):
+    """What a plot shows: samples at times (T,), and the jerk (T, n)."""
 
-    Args:
-        trajectory: The motion.
-        dt: s.
-
-    Returns:
-        (T,) s.
-    """
-    return np.append(np.arange(0.0, trajectory.duration - 1e-9 * dt, dt), trajectory.duration)
+    times: Array
+    samples: Samples
+    jerk: Array
 
 
-def plot(trajectory: JointTrajectory, path: str | os.PathLike[str] | None = None) -> object:
-    """Draws position, velocity, acceleration and jerk of every joint over time, each as a share of its limit.
-
-    Args:
-        trajectory: The motion.
-        path: Where to save the picture; left out, it is not saved.
-
-    Returns:
-        Matplotlib's figure.
-    """
+def plot(curves: Curves, joint_names: Sequence[str], joint_units: Sequence[str], limits: Limits) -> object:
+    """Matplotlib's figure of position, velocity, acceleration and jerk of every joint."""
     from matplotlib.figure import Figure
 
-    times = sample_times(trajectory, max(trajectory.duration / 1000, 1e-6))
-    q, v, a = trajectory.sample(times)[:3]
-    limits = trajectory.limits
     rows = (
-        (f"position, {units.label(trajectory.units)}", q),
-        ("velocity / limit", v / limits.v_max),
-        ("acceleration / limit", a / limits.a_max),
-        ("jerk / limit", trajectory.jerk(times) / limits.j_max),
+        (f"position, {units.label(tuple(joint_units))}", curves.samples.q),
+        ("velocity / limit", curves.samples.v / limits.v_max),
+        ("acceleration / limit", curves.samples.a / limits.a_max),
+        ("jerk / limit", curves.jerk / limits.j_max),
     )
     figure = Figure(figsize=(8, 9), layout="constrained")
     for axes, (label, values) in zip(figure.subplots(len(rows), 1, sharex=True), rows, strict=True):
-        axes.plot(times, values, label=trajectory.joint_names)
+        axes.plot(curves.times, values, label=joint_names)
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
     figure.axes[0].legend(ncols=4, fontsize="small")
     figure.axes[-1].set_xlabel("time, s")
-    if path is not None:
-        figure.savefig(path, dpi=120)
     return figure

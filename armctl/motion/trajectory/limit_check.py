@@ -1,4 +1,4 @@
-"""The true extremes of piecewise polynomials, and what they say about an arm's limits."""
+"""The exact extremes of piecewise polynomials, compared with an arm's limits."""
 
 from __future__ import annotations
 
@@ -6,13 +6,148 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armctl.core.trajectory import Limits
+from armctl.core.limits import Limits
 from armctl.core.validation import Array
 from armctl.motion.trajectory import polynomials
+from armctl.motion.trajectory.piecewise import Pieces
 
-RATIO_TOLERANCE = 1e-6
+RATIO_TOLERANCE = 1e-6  # relative, of velocity, acceleration and jerk
+POSITION_TOLERANCE = 1e-9  # rad (m); not relative, because a joint's stop does not grow with its range
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 _PER_TIME = ("", "/s", "/s^2", "/s^3")
+
+
+@dataclass(frozen=True)
+class Peak:
+    """The extreme of one quantity of one joint.
+
+    Attributes:
+        quantity: "position", "velocity", "acceleration" or "jerk".
+        joint: The name of the joint.
+        time: s, when it occurs.
+        value: The value, in `unit`.
+        bound: The limit that it is compared with.
+        unit: For example "rad/s^2", or "m/s^2" for a slide joint.
+        ratio: How much of the limit is used; more than 1 is outside. A position has ratio 1 at a limit and 0 midway between
+            the two limits; with one limit only, the ratio grows by 1 for each rad (m).
+    """
+
+    quantity: str
+    joint: str
+    time: float
+    value: float
+    bound: float
+    unit: str
+    ratio: float
+
+    @property
+    def ok(self) -> bool:
+        """Whether it is inside the limit: positions to 1e-9 rad (m), the others to 1e-6 of the limit."""
+        if self.quantity == "position":
+            return self.ratio <= 1.0 or abs(self.value - self.bound) <= POSITION_TOLERANCE
+        return self.ratio <= 1 + RATIO_TOLERANCE
+
+    def __str__(self) -> str:
+        return (
+            f"{self.joint}: {self.quantity} {self.value:.6g} {self.unit} at {self.time:.4f} s, "
+            f"limit {self.bound:.6g} {self.unit} ({100 * self.ratio:.4g} %)"
+        )
+
+
+@dataclass(frozen=True)
+class LimitCheck:
+    """Whether a motion keeps position, velocity, acceleration and jerk limits. True if it does.
+
+    Attributes:
+        ok: Whether it stays inside all of them.
+        peaks: The extreme of each quantity and joint, four for each joint; quantities without a limit are left out.
+    """
+
+    ok: bool
+    peaks: tuple[Peak, ...]
+
+    def __bool__(self) -> bool:
+        return self.ok
+
+    @property
+    def worst(self) -> Peak:
+        """The peak that uses most of its limit."""
+        return max(self.peaks, key=lambda peak: peak.ratio)
+
+    @property
+    def violations(self) -> tuple[Peak, ...]:
+        """The peaks outside their limits, the worst first."""
+        outside = [peak for peak in self.peaks if not peak.ok]
+        return tuple(sorted(outside, key=lambda peak: -peak.ratio))
+
+    @property
+    def reason(self) -> str:
+        """The worst violation, in words; empty if there is none."""
+        outside = self.violations
+        if not outside:
+            return ""
+        more = f" (and {len(outside) - 1} more)" if len(outside) > 1 else ""
+        return f"outside the limits: {outside[0]}{more}"
+
+    def __str__(self) -> str:
+        if not self.ok:
+            return self.reason
+        return f"inside all limits; the largest share is {self.worst}" if self.peaks else "inside all limits: there are none"
+
+
+class _Extremes:
+    """The extremes of one derivative of every joint, relative to its limits."""
+
+    def __init__(self, pieces: Pieces, limits: Limits, order: int):
+        n = pieces.coefficients.shape[2]
+        times, values = piece_extremes(pieces.coefficients, np.diff(pieces.knots), order)
+        self._times = np.moveaxis(times + pieces.knots[:-1, None, None], 1, 0).reshape(n, -1)
+        self._values = np.moveaxis(values, 1, 0).reshape(n, -1)
+        self._low, self._high = _bounds(limits, order)
+        self._order = order
+        half = 0.5 * (self._high - self._low)
+        self._is_limited = np.isfinite(self._high) | np.isfinite(self._low)
+        self._half = np.where(np.isfinite(half) & (half > 0), half, 1.0)
+        # how far outside, negative inside; -inf for a joint without limits
+        self._excess = np.maximum(self._values - self._high[:, None], self._low[:, None] - self._values)
+
+    def inside(self) -> bool:
+        """Whether every joint keeps its limit, with the tolerances of `Peak.ok`."""
+        tolerance = POSITION_TOLERANCE if self._order == 0 else RATIO_TOLERANCE * self._half[:, None]
+        return bool((self._excess <= tolerance).all())
+
+    def peaks(self, joint_names: tuple[str, ...], units: tuple[str, ...]) -> list[Peak]:
+        """The worst extreme of every joint that has a limit."""
+        peaks = []
+        for i in np.flatnonzero(self._is_limited):
+            k = int(self._excess[i].argmax())
+            value = float(self._values[i, k])
+            above = value - self._high[i] >= self._low[i] - value
+            peaks.append(
+                Peak(
+                    quantity=QUANTITIES[self._order],
+                    joint=joint_names[i],
+                    time=float(self._times[i, k]),
+                    value=value,
+                    bound=float(self._high[i] if above else self._low[i]),
+                    unit=units[i] + _PER_TIME[self._order],
+                    ratio=max(0.0, 1.0 + float(self._excess[i, k] / self._half[i])),
+                )
+            )
+        return peaks
+
+
+def check_limits(pieces: Pieces, limits: Limits, joint_names: tuple[str, ...], units: tuple[str, ...]) -> LimitCheck:
+    """The extremes of piecewise polynomials compared with limits."""
+    peaks: list[Peak] = []
+    for order in range(len(QUANTITIES)):
+        peaks += _Extremes(pieces, limits, order).peaks(joint_names, units)
+    return LimitCheck(all(peak.ok for peak in peaks), tuple(peaks))
+
+
+def is_inside(pieces: Pieces, limits: Limits) -> bool:
+    """`check_limits(...).ok`, without the report."""
+    return all(_Extremes(pieces, limits, order).inside() for order in range(len(QUANTITIES)))
 
 
 def piece_extremes(coefficients: Array, steps: Array, order: int) -> tuple[Array, Array]:
@@ -34,98 +169,6 @@ def piece_extremes(coefficients: Array, steps: Array, order: int) -> tuple[Array
         per_time = np.where(steps > 0, 1 / steps, 0.0) ** order
     places, values = polynomials.extremes(p)
     return places * steps[:, None, None], values * per_time[:, None, None]
-
-
-@dataclass(frozen=True)
-class Peak:
-    """The extreme of one quantity of one joint.
-
-    Attributes:
-        quantity: "position", "velocity", "acceleration" or "jerk".
-        joint: Which joint.
-        time: s, when.
-        value: In the unit.
-        bound: The limit it is held against.
-        unit: Such as "rad/s^2", or "m/s^2" for a slide joint.
-        ratio: How much of the limit it uses; more than 1 is outside. For a position 1 is at a limit and 0 midway between them.
-    """
-
-    quantity: str
-    joint: str
-    time: float
-    value: float
-    bound: float
-    unit: str
-    ratio: float
-
-    def __str__(self) -> str:
-        return (
-            f"{self.joint}: {self.quantity} {self.value:.6g} {self.unit} at {self.time:.4f} s, "
-            f"limit {self.bound:.6g} {self.unit} ({100 * self.ratio:.4g} %)"
-        )
-
-
-@dataclass(frozen=True)
-class LimitCheck:
-    """What a motion makes of an arm's limits.
-
-    Attributes:
-        ok: Whether it stays inside all of them.
-        peaks: The extreme of each quantity and joint, four for each joint; quantities without a limit are left out.
-    """
-
-    ok: bool
-    peaks: tuple[Peak, ...]
-
-    @property
-    def worst(self) -> Peak:
-        """The one that uses most of its limit."""
-        return max(self.peaks, key=lambda peak: peak.ratio)
-
-    @property
-    def violations(self) -> tuple[Peak, ...]:
-        """Those outside, the worst first."""
-        outside = [peak for peak in self.peaks if peak.ratio > 1 + RATIO_TOLERANCE]
-        return tuple(sorted(outside, key=lambda peak: -peak.ratio))
-
-    def __str__(self) -> str:
-        if self.ok:
-            return f"inside all limits; the most is {self.worst}" if self.peaks else "inside all limits: there are none"
-        return "outside the limits: " + "; ".join(map(str, self.violations))
-
-
-def check_limits(
-    knots: Array, coefficients: Array, limits: Limits, joint_names: tuple[str, ...], units: tuple[str, ...]
-) -> LimitCheck:
-    """The extremes of piecewise polynomials held against limits.
-
-    Args:
-        knots: (m + 1,) s.
-        coefficients: (m, 6, n).
-        limits: What the joints can do.
-        joint_names: Their names.
-        units: What each is measured in, "rad" or "m".
-
-    Returns:
-        The check.
-    """
-    peaks: list[Peak] = []
-    steps = np.diff(knots)
-    for order, quantity in enumerate(QUANTITIES):
-        times, values = piece_extremes(coefficients, steps, order)
-        times = np.moveaxis(times + knots[:-1, None, None], 1, 0).reshape(len(joint_names), -1)
-        values = np.moveaxis(values, 1, 0).reshape(len(joint_names), -1)
-        low, high = _bounds(limits, order)
-        half = 0.5 * (high - low)
-        with np.errstate(invalid="ignore"):
-            middle = np.where(np.isfinite(half), low + half, 0.0)
-            ratios = np.where(half[:, None] > 0, np.abs(values - middle[:, None]) / half[:, None], 0.0)
-        for i in np.flatnonzero(np.isfinite(half) & (half > 0)):
-            k = int(ratios[i].argmax())
-            bound = high[i] if values[i, k] > middle[i] else low[i]
-            at = float(times[i, k]), float(values[i, k]), float(bound)
-            peaks.append(Peak(quantity, joint_names[i], *at, units[i] + _PER_TIME[order], float(ratios[i, k])))
-    return LimitCheck(all(peak.ratio <= 1 + RATIO_TOLERANCE for peak in peaks), tuple(peaks))
 
 
 def _bounds(limits: Limits, order: int) -> tuple[Array, Array]:

@@ -1,99 +1,106 @@
-"""A stop on the path: the same way in joint space, its pace brought from 1 to 0 without leaving the limits.
+"""A stop on the path: the same path in joint space, its speed brought from 1 to 0 without leaving the limits.
 
-With the motion q(u) and the pace w = du/dt, w falls from 1 to 0, and its slope is a trapezoid, so that the jerk is bounded.
-Later and longer falls are tried until one keeps the limits; where none is sooner, the motion's own end is the stop.
+For the motion q(u) and the path speed w = du/dt, w falls from 1 to 0, and its slope is a trapezoid, so that the jerk is bounded.
+Later and longer decelerations are tried until one keeps the limits; if none is sooner, the motion's own end is the stop.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from armctl.core.errors import PlanError
+from armctl.core.limits import Limits
 from armctl.core.validation import Array
-from armctl.motion.trajectory.joint_trajectory import JointTrajectory
-from armctl.motion.trajectory.piecewise import hermite
+from armctl.motion.trajectory.limit_check import is_inside
+from armctl.motion.trajectory.piecewise import Pieces, hermite, joined, sample
 
-_DELAYS = 12
-_SHORTEST, _GROWTH = 0.01, 1.15  # s, and from one length of a fall to the next
-_RAMP = 0.2  # of a fall, in which its slope grows
-_CUTS = 20  # of a fall
-_APART = 2e-5  # s, between cuts
-_REST = 1e-6  # rad/s
-_SLIVER = 1e-9  # s, too short for a piece
+_DELAYS = 12  # start times of the deceleration that are tried
+_MIN_DECELERATION_S = 0.01
+_DECELERATION_GROWTH = 1.15  # from one duration to the next
+_RAMP = 0.2  # share of the deceleration in which its slope grows, and again in which it falls
+_CUTS = 20  # pieces of a deceleration, at least
+_MIN_PIECE_S = 2e-5  # rounding decides the jerk of a shorter piece
+_REST_SPEED = 1e-6  # rad/s
+_SHORTEST_CUT_S = 1e-9  # an earlier piece that is cut to less than this is left out
 
 
-def stopped(trajectory: JointTrajectory, t: float) -> JointTrajectory:
-    """A motion that leaves another at a time and stops on its path.
+class _Deceleration(NamedTuple):
+    """For shares x (T,) of a deceleration: the integral of the path speed, the path speed, and its slope, each (T,)."""
 
-    Args:
-        trajectory: The motion.
-        t: s, when the stop is asked for.
+    progress: Array
+    speed: Array
+    slope: Array
 
-    Returns:
-        The motion up to there and the soonest stop that was found.
 
-    Raises:
-        PlanError: None was found, and the motion does not end at rest.
+def stopped(pieces: Pieces, limits: Limits, t: float) -> Pieces:
+    """A motion that follows `pieces` until the time t and then stops on the same path, as soon as a stop is found.
+
+    Raises PlanError if none was found and the motion does not end at rest.
     """
-    left, best, soonest = trajectory.duration - t, None, np.inf
+    duration = float(pieces.knots[-1])
+    left = duration - t
+    best: tuple[float, Pieces] | None = None
+    soonest = np.inf
     for delay in np.linspace(0.0, 0.9 * left, _DELAYS):
-        fall = _SHORTEST
-        while delay + fall < soonest and delay + fall / 2 <= left:
-            stop = _falling(trajectory, t + delay, fall)
-            if stop is not None and stop.check_limits().ok:
-                best, soonest = (t + delay, stop), delay + fall
+        length = _MIN_DECELERATION_S
+        while delay + length < soonest and delay + length / 2 <= left:
+            stop = _decelerated(pieces, limits, t + delay, length)
+            if stop is not None and is_inside(stop, limits):
+                best = (t + delay, stop)
+                soonest = delay + length
                 break
-            fall *= _GROWTH
-    rests = np.abs(trajectory(trajectory.duration).v).max() < _REST
-    if best is None and not rests:
-        raise PlanError(f"stopped_at: no stop on the path inside the limits from {t:.4g} s on; stop sooner")
-    if best is None or (rests and soonest >= left):
-        return trajectory
-    return _until(trajectory, best[0], best[1])
+            length *= _DECELERATION_GROWTH
+    ends_at_rest = np.abs(sample(pieces, pieces.knots[-1:]).v).max() < _REST_SPEED
+    if best is None and not ends_at_rest:
+        raise PlanError(f"stopped_at: no stop on the path keeps the limits from {t:.4g} s on; stop sooner")
+    if best is None or (ends_at_rest and soonest >= left):
+        return pieces
+    return _until(pieces, best[0], best[1])
 
 
-def _falling(trajectory: JointTrajectory, begin: float, fall: float) -> JointTrajectory | None:
-    """The motion from `begin` on, its pace falling to 0; None where it is seen to leave the limits."""
-    x = np.concatenate([np.linspace(0.0, 1.0, _CUTS + 1), [_RAMP, 1 - _RAMP], _crossings(trajectory, begin, fall)])
+def _decelerated(pieces: Pieces, limits: Limits, begin: float, length: float) -> Pieces | None:
+    """The motion from `begin` on with the path speed falling to 0; None if a sample exceeds the acceleration limit."""
+    x = np.concatenate([np.linspace(0.0, 1.0, _CUTS + 1), [_RAMP, 1 - _RAMP], _crossings(pieces.knots, begin, length)])
     x = np.unique(x)
-    x = np.append(x[:-1][np.diff(x) * fall > _APART], 1.0)
-    gone, w, slope = _fall(x)
-    q, v, a = trajectory.sample(np.minimum(begin + fall * gone, trajectory.duration))[:3]
-    w, slope = w[:, None], slope[:, None] / fall
-    v, a = v * w, a * w**2 + v * slope
-    if (np.abs(a) > (1 + 1e-6) * trajectory.limits.a_max).any():
+    x = np.append(x[:-1][np.diff(x) * length > _MIN_PIECE_S], 1.0)
+    law = _deceleration(x)
+    q, v, a = sample(pieces, np.minimum(begin + length * law.progress, pieces.knots[-1]))
+    w = law.speed[:, None]
+    slope = law.slope[:, None] / length
+    a = a * w**2 + v * slope
+    if (np.abs(a) > (1 + 1e-6) * limits.a_max).any():
         return None
-    pieces = hermite(fall * x, q, v, a)
-    return replace(trajectory, knots=pieces.knots, coefficients=pieces.coefficients)
+    return hermite(length * x, q, v * w, a)
 
 
-def _fall(x: Array) -> tuple[Array, Array, Array]:
-    """Way gone, pace and slope of the pace, for a share x of a fall: the slope is a trapezoid of area -1."""
+def _deceleration(x: Array) -> _Deceleration:
+    """The path speed from 1 to 0 with a slope that is a trapezoid of area -1."""
     top = 1 / (1 - _RAMP)
     rise = top / _RAMP
-    up, down = np.minimum(x, _RAMP), np.maximum(x - (1 - _RAMP), 0.0)
+    up = np.minimum(x, _RAMP)
+    down = np.maximum(x - (1 - _RAMP), 0.0)
     flat = np.maximum(x - _RAMP, 0.0)
     slope = rise * (up - down)
-    w = 1 - rise * (up**2 / 2 + _RAMP * flat - down**2 / 2)
-    gone = x - rise * (up**3 / 6 + _RAMP**2 / 2 * flat + _RAMP * flat**2 / 2 - down**3 / 6)
-    return gone, w, -slope
+    speed = 1 - rise * (up**2 / 2 + _RAMP * flat - down**2 / 2)
+    progress = x - rise * (up**3 / 6 + _RAMP**2 / 2 * flat + _RAMP * flat**2 / 2 - down**3 / 6)
+    return _Deceleration(progress, speed, -slope)
 
 
-def _crossings(trajectory: JointTrajectory, begin: float, fall: float) -> Array:
-    """The shares of a fall at which it crosses the knots of the motion."""
+def _crossings(knots: Array, begin: float, length: float) -> Array:
+    """The shares of a deceleration at which it crosses the knots of the motion."""
     x = np.linspace(0.0, 1.0, 400)
-    knots = trajectory.knots[(trajectory.knots > begin) & (trajectory.knots < begin + fall / 2)]
-    return np.interp((knots - begin) / fall, _fall(x)[0], x)
+    crossed = knots[(knots > begin) & (knots < begin + length / 2)]
+    return np.interp((crossed - begin) / length, _deceleration(x).progress, x)
 
 
-def _until(trajectory: JointTrajectory, t: float, rest: JointTrajectory) -> JointTrajectory:
-    """A motion up to a time, and then another."""
-    k = int(np.searchsorted(trajectory.knots, t, side="left"))
-    if k > 0 and t - trajectory.knots[k - 1] < _SLIVER:
-        k, t = k - 1, float(trajectory.knots[k - 1])
+def _until(pieces: Pieces, t: float, rest: Pieces) -> Pieces:
+    """A motion up to the time t, and then another."""
+    k = int(np.searchsorted(pieces.knots, t, side="left"))
+    if k > 0 and t - pieces.knots[k - 1] < _SHORTEST_CUT_S:
+        k -= 1
+        t = float(pieces.knots[k])
     if k == 0:
         return rest
-    knots = np.append(trajectory.knots[:k], t)
-    return JointTrajectory.joined([replace(trajectory, knots=knots, coefficients=trajectory.coefficients[:k]), rest])
+    return joined([Pieces(np.append(pieces.knots[:k], t), pieces.coefficients[:k]), rest])

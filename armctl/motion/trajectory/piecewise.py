@@ -1,18 +1,21 @@
-"""Pieces of polynomials in time, one row of coefficients a power: what every motion is made of."""
+"""Piecewise polynomials of degree five in time, the representation of every motion: evaluation, interpolation, joining."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from armctl.core.validation import Array
+from armctl.core.errors import InputError
+from armctl.core.validation import Array, IntArray
 
 DEGREE = 5
+_JOIN_TOLERANCE = 1e-6  # relative to a value of at least 1; generous, because a join need not start on the same bits
 
 
 class Pieces(NamedTuple):
-    """Polynomials over time.
+    """Polynomials over time: q(t) = sum over i of coefficients[k, i] (t - knots[k])^i in piece k.
 
     Attributes:
         knots: (m + 1,) s, from 0.
@@ -23,20 +26,31 @@ class Pieces(NamedTuple):
     coefficients: Array
 
 
+class Samples(NamedTuple):
+    """Positions, velocities and accelerations, each (T, n)."""
+
+    q: Array
+    v: Array
+    a: Array
+
+
+def standing(q: Array) -> Pieces:
+    """One piece of zero duration at the configuration q (n,)."""
+    coefficients = np.zeros((1, DEGREE + 1, len(q)))
+    coefficients[0, 0] = q
+    return Pieces(np.zeros(2), coefficients)
+
+
 def hermite(t: Array, q: Array, v: Array, a: Array) -> Pieces:
-    """Pieces of degree five between states.
+    """Quintic pieces that have positions q, velocities v and accelerations a, each (m + 1, n), at the times t (m + 1,).
 
-    Args:
-        t: (m + 1,) s, increasing.
-        q: (m + 1, n) rad.
-        v: (m + 1, n) rad/s.
-        a: (m + 1, n) rad/s^2.
-
-    Returns:
-        The pieces that have these positions, velocities and accelerations at these times.
+    scipy's `BPoly.from_derivatives` computes the same, 60 to 100 times more slowly (measured), because it loops over the pieces.
     """
     h = np.diff(t)[:, None]
-    v0, v1, a0, a1 = v[:-1] * h, v[1:] * h, a[:-1] * h * h, a[1:] * h * h
+    v0 = v[:-1] * h
+    v1 = v[1:] * h
+    a0 = a[:-1] * h * h
+    a1 = a[1:] * h * h
     d = q[1:] - q[:-1]
     c3 = 10 * d - 6 * v0 - 4 * v1 - 1.5 * a0 + 0.5 * a1
     c4 = -15 * d + 8 * v0 + 7 * v1 + 1.5 * a0 - a1
@@ -44,16 +58,80 @@ def hermite(t: Array, q: Array, v: Array, a: Array) -> Pieces:
     return Pieces(t, np.stack([q[:-1], v[:-1], a[:-1] / 2, c3 / h**3, c4 / h**4, c5 / h**5], axis=1))
 
 
+def locate(knots: Array, times: Array) -> tuple[Array, IntArray]:
+    """Times clamped to [0, duration], and the indices of the pieces that contain them."""
+    inside = np.clip(times, 0.0, knots[-1])
+    return inside, np.clip(np.searchsorted(knots, inside, side="right"), 1, len(knots) - 1) - 1
+
+
+def sample(pieces: Pieces, times: Array) -> Samples:
+    """Position, velocity and acceleration at many times (T,), clamped to the motion; outside it, the arm stands still."""
+    inside, k = locate(pieces.knots, times)
+    q, v, a = np.einsum("otc,tcn->otn", basis_many(inside - pieces.knots[k]), pieces.coefficients[k])
+    outside = times != inside
+    v[outside] = 0.0
+    a[outside] = 0.0
+    return Samples(q, v, a)
+
+
+def jerk(pieces: Pieces, times: Array) -> Array:
+    """(T, n) jerk at many times, clamped to the motion; where it jumps, the value just after."""
+    inside, k = locate(pieces.knots, times)
+    u = (inside - pieces.knots[k])[:, None]
+    c = pieces.coefficients[k]
+    return 6 * c[:, 3] + u * (24 * c[:, 4] + u * 60 * c[:, 5])
+
+
+def time_scaled(pieces: Pieces, factor: float) -> Pieces:
+    """The same path `factor` times as fast."""
+    powers = factor ** np.arange(DEGREE + 1)
+    return Pieces(pieces.knots / factor, pieces.coefficients * powers[:, None])
+
+
+def joined(parts: Sequence[Pieces]) -> Pieces:
+    """Motions one after another; each must start in the state in which the one before it ends."""
+    starts = np.cumsum([0.0, *(part.knots[-1] for part in parts)])
+    knots = [[0.0], *(start + part.knots[1:] for start, part in zip(starts[:-1], parts, strict=True))]
+    return Pieces(np.concatenate(knots), np.concatenate([part.coefficients for part in parts]))
+
+
+def join_gaps(end: Array, start: Array) -> Array:
+    """By how many times the tolerance of a join two values differ."""
+    return np.abs(end - start) / (_JOIN_TOLERANCE * np.maximum(1.0, np.abs(end)))
+
+
+def check_pieces(knots: Array, coefficients: Array, joints: int) -> None:
+    """Raises InputError unless the arrays describe polynomials of so many joints over increasing times from 0."""
+    if knots.ndim != 1 or len(knots) < 2 or coefficients.shape != (len(knots) - 1, DEGREE + 1, joints):
+        raise InputError(
+            f"coefficients: shape {coefficients.shape} does not fit {knots.size} knots and {joints} joints; "
+            f"it must be ({max(knots.size - 1, 1)}, {DEGREE + 1}, {joints})"
+        )
+    if not (np.isfinite(knots).all() and np.isfinite(coefficients).all()):
+        raise InputError("knots and coefficients: every number must be finite")
+    if knots[0] != 0.0 or (knots[1:] < knots[:-1]).any():
+        raise InputError("knots: they must start at 0 and must not decrease")
+
+
+def check_continuous(pieces: Pieces, names: Sequence[str]) -> None:
+    """Raises InputError where the position jumps between two pieces, or where a value is too large to be evaluated."""
+    with np.errstate(all="ignore"):
+        steps = np.diff(pieces.knots)
+        ends = np.einsum("otc,tcn->otn", basis_many(steps), pieces.coefficients)
+        jumps = join_gaps(ends[0, :-1], pieces.coefficients[1:, 0])
+        largest = np.einsum("tc,tcn->tn", basis_many(steps)[0], np.abs(pieces.coefficients))
+    if not (np.isfinite(ends).all() and np.isfinite(largest).all()):
+        raise InputError("coefficients: the motion leaves the range of floating-point numbers")
+    if (jumps > 1.0).any():
+        k, i = np.unravel_index(int(jumps.argmax()), jumps.shape)
+        raise InputError(f"coefficients: the position of {names[i]} jumps at {pieces.knots[k + 1]:.6g} s")
+
+
 def basis(u: float) -> tuple[tuple[float, ...], ...]:
-    """Rows that turn the coefficients of a piece into q, v and a at a time u since it began.
-
-    Args:
-        u: s.
-
-    Returns:
-        Three rows of six.
-    """
-    u2, u3, u4 = u * u, u**3, u**4
+    """Three rows of six that turn the coefficients of a piece into q, v and a, a time u after it began."""
+    u2 = u * u
+    u3 = u**3
+    u4 = u**4
     return (
         (1.0, u, u2, u3, u4, u**5),
         (0.0, 1.0, 2 * u, 3 * u2, 4 * u3, 5 * u4),
@@ -62,14 +140,8 @@ def basis(u: float) -> tuple[tuple[float, ...], ...]:
 
 
 def basis_many(u: Array) -> Array:
-    """`basis` at many times.
-
-    Args:
-        u: (T,) s.
-
-    Returns:
-        (3, T, 6).
-    """
-    one, zero = np.ones_like(u), np.zeros_like(u)
+    """`basis` at many times (T,): (3, T, 6)."""
+    one = np.ones_like(u)
+    zero = np.zeros_like(u)
     rows = [[entry + zero if isinstance(entry, np.ndarray) else entry * one for entry in row] for row in basis(u)]  # type: ignore[arg-type]
     return np.moveaxis(np.array(rows), 1, 2)
