@@ -25,12 +25,12 @@ from .core.errors import ModelError as ModelError
 from .core.errors import NotInstalledError as NotInstalledError
 from .core.errors import PlanError as PlanError
 from .core.errors import UnknownNameError as UnknownNameError
+from .core.limits import Limits as Limits
 from .core.log import Contact as Contact
 from .core.log import Log as Log
 from .core.log import SimulationError as SimulationError
 from .core.pose import Pose as Pose
 from .core.result import MoveResult as MoveResult
-from .core.trajectory import Limits as Limits
 from .core.trajectory import Setpoint as Setpoint
 from .core.trajectory import Trajectory as Trajectory
 from .design.identification import PayloadEstimate as PayloadEstimate

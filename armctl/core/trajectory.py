@@ -1,15 +1,15 @@
-"""What a motion is to everyone else: limits, setpoints, and the Trajectory protocol. Always in joints."""
+"""Setpoints and the Trajectory protocol. A trajectory is always in joint space."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
-from armctl.core.validation import Array, vector
+from armctl.core.validation import Array, shown
 
 
 class Setpoint(NamedTuple):
@@ -29,80 +29,6 @@ class Setpoint(NamedTuple):
     a: Array
     v_tick: Array | None = None
     a_tick: Array | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Limits:
-    """What the joints can do. Each (n,), read-only; `inf` where a joint is not limited.
-
-    Attributes:
-        q_min: Least position, rad (m for a slide joint).
-        q_max: Greatest position, rad.
-        v_max: Greatest speed, rad/s.
-        a_max: Greatest acceleration, rad/s^2.
-        j_max: Greatest jerk, rad/s^3.
-        tau_max: Greatest torque, N m (N for a slide joint).
-    """
-
-    q_min: Array
-    q_max: Array
-    v_max: Array
-    a_max: Array
-    j_max: Array
-    tau_max: Array
-
-    def __post_init__(self) -> None:
-        n = np.size(self.q_min)
-        for field in fields(self):
-            value = vector(field.name, getattr(self, field.name), n, finite=False)
-            if np.isnan(value).any():
-                raise InputError(f"{field.name}: joint {int(np.isnan(value).argmax())} is NaN, a number wanted")
-            if not field.name.startswith("q_") and not (value > 0).all():
-                raise InputError(f"{field.name}: {value.min():g} given, every value must be greater than 0")
-            object.__setattr__(self, field.name, value)
-        if not (self.q_min <= self.q_max).all():
-            worst = int((self.q_min - self.q_max).argmax())
-            raise InputError(f"q_min: {self.q_min[worst]:g} is above q_max, {self.q_max[worst]:g} (joint {worst})")
-
-    def contains(self, q: ArrayLike, tolerance: float = 0.0) -> bool:
-        """Whether positions are inside [q_min, q_max].
-
-        Args:
-            q: (n,) or (T, n) rad.
-            tolerance: rad by which they may be outside.
-
-        Returns:
-            True if all are.
-        """
-        q = np.asarray(q)
-        return bool(((q >= self.q_min - tolerance) & (q <= self.q_max + tolerance)).all())
-
-    def clamp(self, q: ArrayLike) -> Array:
-        """The nearest positions inside [q_min, q_max].
-
-        Args:
-            q: (n,) or (T, n) rad.
-
-        Returns:
-            The same shape, rad.
-        """
-        return np.clip(np.asarray(q, dtype=np.float64), self.q_min, self.q_max)
-
-    def random(self, around: Array, count: int, rng: np.random.Generator) -> Array:
-        """Positions anywhere inside [q_min, q_max], or within half a turn of `around` where a joint is not limited.
-
-        Args:
-            around: (n,) rad, inside the limits.
-            count: How many.
-            rng: The generator.
-
-        Returns:
-            (count, n) rad.
-        """
-        bounded = np.isfinite(self.q_max - self.q_min)
-        low = np.where(bounded, self.q_min, np.maximum(self.q_min, around - np.pi))
-        high = np.where(bounded, self.q_max, np.minimum(self.q_max, around + np.pi))
-        return rng.uniform(low, high, (count, len(around)))
 
 
 @runtime_checkable
@@ -174,14 +100,27 @@ class TickReference(NamedTuple):
         return cls(q[1:-1], v[1:-1], a[1:-1], v_tick[:-1], np.diff(v_tick, axis=0) / dt)
 
 
-def check_motion(trajectory: object) -> None:
-    """Makes sure that an argument is a motion.
+def check_motion(trajectory: object, joint_names: Sequence[str], *, what: str = "trajectory") -> None:
+    """Checks that an argument is a motion of these joints.
+
+    A motion without `joint_names`, such as one that a user wrote, is compared by its number of joints.
 
     Args:
         trajectory: The argument.
+        joint_names: The joints of the arm that is to follow the motion.
+        what: The name of the argument, for the error.
 
     Raises:
-        InputError: It cannot be followed, such as a joint position.
+        InputError: It is not a trajectory, or it is a motion of other joints.
     """
-    if not callable(trajectory) or not hasattr(trajectory, "duration"):
-        raise InputError(f"trajectory: {trajectory!r:.80} is no motion; armctl.move_j(arm, arm.home, q) is one")
+    if not callable(trajectory) or not hasattr(trajectory, "duration") or not hasattr(trajectory, "sample"):
+        raise InputError(f"{what}: {shown(trajectory)} is not a trajectory; armctl.move_j(arm, arm.home, q) returns one")
+    names = getattr(trajectory, "joint_names", None)
+    if names is None:
+        moved = np.size(trajectory(0.0).q)
+        if moved != len(joint_names):
+            raise InputError(f"{what}: it moves {moved} joints, but the arm has {len(joint_names)}")
+    elif tuple(names) != tuple(joint_names):
+        planned = ", ".join(names)
+        wanted = ", ".join(joint_names)
+        raise InputError(f"{what}: it was planned for the joints {planned:.120}, but the arm has {wanted:.120}")

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
+from armctl.core.limits import Limits
 from armctl.core.pose import Pose
-from armctl.core.trajectory import Limits
 from armctl.core.validation import Array, BoolArray, IntArray, frozen, matrix, number, vector
 from armctl.robot.arm import Arm, check_arm
 

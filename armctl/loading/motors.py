@@ -10,7 +10,7 @@ import numpy as np
 
 from armctl.core import units
 from armctl.core.errors import ModelError
-from armctl.core.trajectory import Limits
+from armctl.core.limits import Limits
 from armctl.core.validation import Array
 from armctl.loading.datasheets import Row
 from armctl.mjmodel.couplings import tendon_coefficients

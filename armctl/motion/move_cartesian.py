@@ -11,13 +11,14 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, number, vector
+from armctl.motion.checks import planning_arm
 from armctl.motion.path.blending import Blend, Chained, Stretch
 from armctl.motion.path.geometry import Circle, Shape, Straight, Turn
 from armctl.motion.path.joint_path import track
 from armctl.motion.timing.path_timing import fastest
 from armctl.motion.torque_limits import within_torque
-from armctl.motion.trajectory.checks import require_bounds
-from armctl.motion.trajectory.joint_trajectory import JointTrajectory
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory, joined
+from armctl.motion.trajectory.piecewise import standing
 from armctl.robot.arm import Arm
 
 _COINCIDE = 1e-9  # m
@@ -58,6 +59,7 @@ def move_l(
     q_start: ArrayLike,
     target: Pose | ArrayLike,
     *,
+    speed: float = 1.0,
     tip_speed: float | None = None,
     tip_angular_speed: float | None = None,
 ) -> JointTrajectory:
@@ -69,6 +71,7 @@ def move_l(
         arm: The arm.
         q_start: (n,) rad, where it starts.
         target: T_world_tip at the end, or (3,) m with the orientation left free.
+        speed: Fraction of the full speed, in (0, 1]; it scales the caps on the tip's speed, too.
         tip_speed: m/s, the greatest speed of the tip's point; None for no cap.
         tip_angular_speed: rad/s, the greatest speed of its turning; None for no cap.
 
@@ -80,7 +83,7 @@ def move_l(
         LimitError: q_start is outside the limits.
         PlanError: The line leaves the reach or the joint limits, or a motor cannot hold the arm on it.
     """
-    return _planned(arm, "move_l", q_start, [Line(target)], 0.0, tip_speed, tip_angular_speed)
+    return _planned(arm, "move_l", q_start, [Line(target)], 0.0, speed, tip_speed, tip_angular_speed)
 
 
 def move_c(
@@ -90,6 +93,7 @@ def move_c(
     target: Pose | ArrayLike,
     *,
     angle: float | None = None,
+    speed: float = 1.0,
     tip_speed: float | None = None,
     tip_angular_speed: float | None = None,
 ) -> JointTrajectory:
@@ -102,6 +106,7 @@ def move_c(
         target: T_world_tip, or (3,) m with the orientation left free.
         angle: rad, how far to go on the circle; None stops at the target's point. 2 pi is the full circle, back to the start's.
             The target's orientation is reached at the end in any case.
+        speed: Fraction of the full speed, in (0, 1]; it scales the caps on the tip's speed, too.
         tip_speed: m/s, the greatest speed of the tip's point; None for no cap.
         tip_angular_speed: rad/s, the greatest speed of its turning; None for no cap.
 
@@ -113,7 +118,7 @@ def move_c(
         LimitError: q_start is outside the limits.
         PlanError: The arc leaves the reach or the joint limits, or a motor cannot hold the arm on it.
     """
-    return _planned(arm, "move_c", q_start, [Arc(via, target, angle)], 0.0, tip_speed, tip_angular_speed)
+    return _planned(arm, "move_c", q_start, [Arc(via, target, angle)], 0.0, speed, tip_speed, tip_angular_speed)
 
 
 def move_path(
@@ -122,6 +127,7 @@ def move_path(
     path: Sequence[Line | Arc | Pose | ArrayLike],
     *,
     blend: float = 0.0,
+    speed: float = 1.0,
     tip_speed: float | None = None,
     tip_angular_speed: float | None = None,
 ) -> JointTrajectory:
@@ -134,6 +140,7 @@ def move_path(
         q_start: (n,) rad, where it starts.
         path: Its lines and arcs; a pose or a point alone is a line to it. All with orientation or all without.
         blend: m, the radius around each corner in which it is rounded, at most half of each neighbour.
+        speed: Fraction of the full speed, in (0, 1]; it scales the caps on the tip's speed, too.
         tip_speed: m/s, the greatest speed of the tip's point; None for no cap.
         tip_angular_speed: rad/s, the greatest speed of its turning; None for no cap.
 
@@ -148,7 +155,7 @@ def move_path(
     if isinstance(path, (Pose, str)) or not isinstance(path, Iterable):
         raise InputError(f"path: {path!r} given, a list of lines, arcs, poses or points wanted")
     parts = [part if isinstance(part, (Line, Arc)) else Line(part) for part in path]
-    return _planned(arm, "move_path", q_start, parts, number("blend", blend, 0.0), tip_speed, tip_angular_speed)
+    return _planned(arm, "move_path", q_start, parts, number("blend", blend, 0.0), speed, tip_speed, tip_angular_speed)
 
 
 def _planned(
@@ -157,10 +164,11 @@ def _planned(
     q_start: ArrayLike,
     parts: list[Line | Arc],
     blend: float,
+    speed: float,
     tip_speed: float | None,
     tip_angular_speed: float | None,
 ) -> JointTrajectory:
-    require_bounds(arm)
+    planning = planning_arm(arm, speed)
     q = arm.checked("q_start", q_start)
     if not parts:
         raise InputError("path: it is empty; give at least one line or arc")
@@ -171,10 +179,10 @@ def _planned(
     motions = []
     for path in _chains(legs):
         joint_path = track(arm, what, path, q, oriented)
-        pieces = fastest(joint_path, arm.limits, _caps(path, tip_speed, tip_angular_speed))
+        pieces = fastest(joint_path, planning.limits, _caps(path, speed, tip_speed, tip_angular_speed))
         motions.append(within_torque(arm, JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)))
         q = motions[-1](motions[-1].duration).q
-    return JointTrajectory.joined(motions) if motions else JointTrajectory.standing(arm.joint_names, arm.limits, arm.units, q)
+    return joined(motions) if motions else JointTrajectory(*standing(q), arm.joint_names, arm.limits, units=arm.units)
 
 
 def _shapes(start: Pose, parts: list[Line | Arc], oriented: bool) -> list[Shape]:
@@ -217,12 +225,14 @@ def _chains(legs: list[tuple[Shape, float]]) -> list[Chained]:
     return [Chained(chain) for chain in chains if chain]
 
 
-def _caps(path: Shape, tip_speed: float | None, tip_angular_speed: float | None) -> Callable[[Array], Array] | None:
+def _caps(
+    path: Shape, speed: float, tip_speed: float | None, tip_angular_speed: float | None
+) -> Callable[[Array], Array] | None:
     """The greatest speeds along a path that keep the tip's caps."""
     if tip_speed is None and tip_angular_speed is None:
         return None
-    linear = np.inf if tip_speed is None else number("tip_speed", tip_speed, 1e-6)
-    angular = np.inf if tip_angular_speed is None else number("tip_angular_speed", tip_angular_speed, 1e-6)
+    linear = np.inf if tip_speed is None else speed * number("tip_speed", tip_speed, 1e-6)
+    angular = np.inf if tip_angular_speed is None else speed * number("tip_angular_speed", tip_angular_speed, 1e-6)
 
     def caps(s: Array) -> Array:
         twists = np.array([path.at(x).twist for x in np.clip(s, 0.0, path.length)])

@@ -7,18 +7,24 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, LimitError
 from armctl.core.validation import Array
+from armctl.motion.checks import planning_arm, start_velocity
 from armctl.motion.timing.otg import Moving, Profiles, at_rest
 from armctl.motion.torque_limits import within_torque
-from armctl.motion.trajectory.checks import require_bounds, start_velocity
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
-from armctl.motion.trajectory.piecewise import Pieces
+from armctl.motion.trajectory.piecewise import Pieces, standing
 from armctl.robot.arm import Arm
 
 _PARALLEL = 1e-6
 
 
 def move_j(
-    arm: Arm, q_start: ArrayLike, q_goal: ArrayLike, *, v_start: ArrayLike | None = None, straight: bool = True
+    arm: Arm,
+    q_start: ArrayLike,
+    q_goal: ArrayLike,
+    *,
+    speed: float = 1.0,
+    v_start: ArrayLike | None = None,
+    straight: bool = True,
 ) -> JointTrajectory:
     """The fastest jerk-limited motion from one joint position to another.
 
@@ -30,6 +36,7 @@ def move_j(
         arm: The arm.
         q_start: (n,) rad, inside the limits.
         q_goal: (n,) rad, inside the limits.
+        speed: Fraction of the full speed, in (0, 1]; 0.5 takes twice as long.
         v_start: (n,) rad/s, the velocity it starts with, along the line if the move is straight; left out, it starts at rest.
         straight: Whether the path is a straight line in joint space. Otherwise each joint goes its own fastest way in the time
             that the slowest needs.
@@ -42,14 +49,14 @@ def move_j(
         LimitError: A position or velocity outside the limits, or a start so fast that the motion would leave them.
         PlanError: A motor cannot hold the arm on the way, however slowly it moves.
     """
-    require_bounds(arm)
+    planning = planning_arm(arm, speed)
     start = arm.checked("q_start", q_start)
     goal = arm.checked("q_goal", q_goal)
-    v = start_velocity(arm, v_start)
+    v = start_velocity(planning, v_start)
     if straight:
-        pieces = _line(arm, start, goal, v)
+        pieces = _line(planning, start, goal, v)
     else:
-        pieces = Profiles.of(arm.limits).solve(Moving(start, v, np.zeros(arm.n)), at_rest(goal))
+        pieces = Profiles.of(planning.limits).solve(Moving(start, v, np.zeros(arm.n)), at_rest(goal))
     motion = JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)
     if v.any() and not (check := motion.check_limits()).ok:
         raise LimitError(f"v_start: {check.violations[0]}; start slower, or let it stop before")
@@ -61,7 +68,7 @@ def _line(arm: Arm, start: Array, goal: Array, v: Array) -> Pieces:
     way = goal - start
     length = float(np.abs(way).max())
     if length == 0.0 and not v.any():
-        return Pieces(np.zeros(2), np.concatenate([start[None, None], np.zeros((1, 5, arm.n))], axis=1))
+        return standing(start)
     way = way / length if length else way
     speed = float(v @ way) / float(way @ way) if length else 0.0
     if np.abs(v - speed * way).max() > _PARALLEL * arm.limits.v_max.min():

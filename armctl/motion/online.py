@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError, LimitError, PlanError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, vector
+from armctl.motion.checks import planning_arm, start_velocity
 from armctl.motion.timing.otg import Moving, Profiles
-from armctl.motion.trajectory.checks import require_bounds, start_velocity
 from armctl.robot.arm import Arm
 
 _ROUNDING = 1e-9  # rad
@@ -44,7 +44,7 @@ class OnlineMotion:
             InputError: A wrong length or a number that is not finite.
             LimitError: A start outside the limits, or so fast that no stop inside them is possible.
         """
-        require_bounds(arm)
+        planning_arm(arm, 1.0)
         self._arm, limits = arm, arm.limits
         self._q_min, self._q_max = (limits.q_min - _ROUNDING).tolist(), (limits.q_max + _ROUNDING).tolist()
         self._q_low, self._q_high, self._rest = limits.q_min.tolist(), limits.q_max.tolist(), [0.0] * arm.n

@@ -11,12 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armctl.core.errors import InputError, PlanError
+from armctl.core.errors import PlanError
 from armctl.core.trajectory import Trajectory, check_motion
 from armctl.core.validation import Array
-from armctl.motion.slowdown import Slowdown
 from armctl.motion.timing.path_timing import TorqueRows, slower
-from armctl.motion.trajectory.joint_trajectory import JointTrajectory
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory, Slowdown
 from armctl.robot.arm import Arm, check_arm
 from armctl.robot.dynamics import Dynamics
 
@@ -68,12 +67,10 @@ def check_torque(arm: Arm, trajectory: Trajectory) -> TorqueCheck:
         The check, from samples at most 4 ms apart.
 
     Raises:
-        InputError: It is no arm, no motion, or a motion of another number of joints.
+        InputError: It is not an arm, not a motion, or a motion of other joints.
     """
     check_arm(arm)
-    check_motion(trajectory)
-    if len(trajectory(0.0).q) != arm.n:
-        raise InputError(f"trajectory: it moves {len(trajectory(0.0).q)} joints, and {arm.name} has {arm.n}")
+    check_motion(trajectory, arm.joint_names)
     times = _times(trajectory)
     torques = _torques(Dynamics(arm), *trajectory.sample(times)[:3])
     shares = np.abs(torques) / arm.limits.tau_max

@@ -126,7 +126,7 @@ class Simulation(Moves):
             InputError: It is no motion, or the settling time is negative.
             SimulationError: The controller failed; `error.log` holds what there was until then.
         """
-        check_motion(trajectory)
+        check_motion(trajectory, self.arm.joint_names)
         self.log = _run(self._stepper, self.controller, trajectory, settle)
         return self.log
 
@@ -197,7 +197,7 @@ def simulate(
     check_arm(arm)
     controller = controller_by_name(controller, arm) if isinstance(controller, str) else controller
     plant = _checked(controller, plant)
-    check_motion(trajectory)
+    check_motion(trajectory, arm.joint_names)
     with _rig_for(arm, plant) as stepper:
         start = trajectory(0.0)
         stepper.reset(start.q, start.v)

@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from armctl.core.trajectory import Limits
+from armctl.core.limits import Limits
 from armctl.core.validation import Array
 
 _INTERVALS = 120  # of a first guide

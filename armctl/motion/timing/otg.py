@@ -9,7 +9,7 @@ import numpy as np
 import ruckig
 
 from armctl.core.errors import PlanError
-from armctl.core.trajectory import Limits
+from armctl.core.limits import Limits
 from armctl.core.validation import Array
 from armctl.motion.trajectory.piecewise import Pieces
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
-from armctl.core.trajectory import Limits
+from armctl.core.limits import Limits
 from armctl.core.validation import Array
 from armctl.motion.timing.initial_timing import Guide, Path, first_guide, smooth
 from armctl.motion.trajectory.limit_check import piece_extremes

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armctl.core.trajectory import Limits
+from armctl.core.limits import Limits
 from armctl.core.validation import Array
 from armctl.motion.timing.otg import Moving, Profiles, phase_nodes, phase_polynomials
 from armctl.motion.trajectory import polynomials

@@ -17,7 +17,7 @@ from armctl.core import units
 from armctl.core.atomic import atomic_path
 from armctl.core.errors import InputError
 from armctl.core.limits import Limits
-from armctl.core.validation import Array
+from armctl.core.validation import Array, shown
 from armctl.motion.trajectory.piecewise import Pieces, Samples, check_continuous, check_pieces
 
 _FORMAT = 1
@@ -35,17 +35,22 @@ class Content(NamedTuple):
 
 
 def checked_path(path: str | os.PathLike[str], suffix: str, other: str) -> Path:
-    """A caller's path, with the suffix added if it has none; another suffix raises InputError, which names the method `other`."""
-    try:
-        file = Path(path)
-    except TypeError:
-        raise InputError(f"path: {path!r:.80} is not a path; give a file name") from None
-    if not file.name or "\0" in str(file):
-        raise InputError(f"path: {str(path)!r:.80} is not the name of a file")
+    """A caller's path, with the suffix added if it has none; another suffix raises InputError that names the method `other`."""
+    file = _as_path(path)
     if not file.suffix:
         return file.with_name(file.name + suffix)
     if file.suffix.lower() != suffix:
-        raise InputError(f"path: {file.name!r:.80} does not end in {suffix}; for another format see {other}")
+        raise InputError(f"path: {shown(file.name)} does not end in {suffix}; for another format see {other}")
+    return file
+
+
+def _as_path(path: str | os.PathLike[str]) -> Path:
+    try:
+        file = Path(path)
+    except TypeError:
+        raise InputError(f"path: {shown(path)} is not a path; give a file name") from None
+    if not file.name or "\0" in str(file):
+        raise InputError(f"path: {str(path)!r:.80} is not the name of a file")
     return file
 
 
@@ -69,16 +74,16 @@ def save(path: str | os.PathLike[str], content: Content) -> Path:
 def load(path: str | os.PathLike[str]) -> Content:
     """Reads a trajectory file; raises InputError for a missing file and for any content that is not a motion."""
     try:
-        shown = os.fspath(path)
+        text = str(os.fspath(path))
     except TypeError:
-        raise InputError(f"path: {path!r:.80} is not a path; give a file that save() wrote") from None
+        raise InputError(f"path: {shown(path)} is not a path; give a file that save() wrote") from None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # numpy warns about odd headers; what they hold is checked below
             return _content(path)
     except Exception as error:  # NumPy, zipfile and zlib raise many types for damaged files, and list them nowhere
         why = " ".join(str(error).split()) or type(error).__name__
-        name = shown if len(shown) <= 160 else "..." + str(shown)[-157:]
+        name = text if len(text) <= 160 else "..." + text[-157:]
         raise InputError(f"{name}: it holds no trajectory ({why:.150}); give a file that save() wrote") from None
 
 
@@ -137,8 +142,14 @@ class Curves(NamedTuple):
     jerk: Array
 
 
-def plot(curves: Curves, joint_names: Sequence[str], joint_units: Sequence[str], limits: Limits) -> object:
-    """Matplotlib's figure of position, velocity, acceleration and jerk of every joint."""
+def plot(
+    curves: Curves,
+    joint_names: Sequence[str],
+    joint_units: Sequence[str],
+    limits: Limits,
+    path: str | os.PathLike[str] | None,
+) -> object:
+    """Matplotlib's figure of position, velocity, acceleration and jerk of every joint, saved if there is a path."""
     from matplotlib.figure import Figure
 
     rows = (
@@ -154,4 +165,13 @@ def plot(curves: Curves, joint_names: Sequence[str], joint_units: Sequence[str],
         axes.grid(alpha=0.3)
     figure.axes[0].legend(ncols=4, fontsize="small")
     figure.axes[-1].set_xlabel("time, s")
+    if path is not None:
+        formats = figure.canvas.get_supported_filetypes()
+        file = _as_path(path)
+        if file.suffix[1:].lower() not in formats:
+            raise InputError(
+                f"path: {shown(file.name)} is not the name of a picture; it must end in one of {', '.join(formats)}"
+            )
+        with atomic_path(file) as temporary:
+            figure.savefig(temporary, dpi=120)
     return figure

@@ -1,4 +1,4 @@
-"""JointTrajectory: what every planner returns. Piecewise polynomials of degree five in time, one row of them for each joint."""
+"""JointTrajectory, the result of every planner: piecewise polynomials of degree five in time for every joint."""
 
 from __future__ import annotations
 
@@ -13,29 +13,53 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, LimitError
-from armctl.core.trajectory import Limits, Setpoint
-from armctl.core.validation import Array, IntArray, frozen, number, vector
-from armctl.motion.slowdown import Slowdown
+from armctl.core.limits import Limits
+from armctl.core.trajectory import Setpoint
+from armctl.core.validation import Array, frozen, instance, number, shown, vector
+from armctl.motion.trajectory import files, piecewise
 from armctl.motion.trajectory.limit_check import QUANTITIES, LimitCheck, check_limits
-from armctl.motion.trajectory.piecewise import DEGREE, basis, basis_many
+from armctl.motion.trajectory.path_stop import stopped
+from armctl.motion.trajectory.piecewise import Pieces, Samples, basis, join_gaps
 
-_JOIN_TOLERANCE = 1e-6
+_MAX_TABLE_ROWS = 10_000_000  # of a CSV file; a longer one is taken for a mistake in dt
+_PLOT_SAMPLES = 1000
+
+
+@dataclass(frozen=True)
+class Slowdown:
+    """Where the motors made a motion slower than its limits on speed, acceleration and jerk allow.
+
+    Attributes:
+        factor: How many times longer the motion takes.
+        joint: The joint that would have needed the largest share of its torque limit.
+        torque_ratio: That share.
+    """
+
+    factor: float
+    joint: str
+    torque_ratio: float
+
+    def __str__(self) -> str:
+        return f"{self.factor:.3f} times longer, since {self.joint} would need {100 * self.torque_ratio:.0f} % of its torque"
 
 
 @dataclass(frozen=True, eq=False)
 class JointTrajectory:
-    """A motion of n joints, continuous in position, velocity and acceleration. Frozen; an `armctl.Trajectory`.
+    """A motion of n joints, continuous in position, velocity and acceleration. Immutable; an `armctl.Trajectory`.
 
     In piece k, with u = t - knots[k]: q(t) = sum over i of coefficients[k, i] u^i. Constant jerk is a cubic, so the profiles of
-    an online trajectory generator are held exactly; paths that curve take all five degrees.
+    an online trajectory generator are represented exactly; curved paths use all five degrees.
 
     Attributes:
         knots: (m + 1,) s, from 0 to the duration, not decreasing.
         coefficients: (m, 6, n) rad/s^i.
-        joint_names: The n joints.
+        joint_names: The n joints. `Simulation.run` and `check_torque` reject a motion of other joints.
         limits: The limits it was planned for.
         slowed: Where the motors made it slower than speed, acceleration and jerk allow: by how much, for which joint.
-        units: What each joint is measured in, "rad" or "m"; all in rad if left out.
+        units: The unit of each joint, "rad" or "m"; all in rad if left out.
+
+    Raises:
+        InputError: The arrays do not fit each other, a number is not finite, or the knots decrease or do not start at 0.
     """
 
     knots: Array
@@ -46,7 +70,11 @@ class JointTrajectory:
     units: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        instance("limits", self.limits, Limits, "give arm.limits")
+        for name in ("knots", "coefficients"):
+            instance(name, getattr(self, name), np.ndarray, "give an array of float64")
         object.__setattr__(self, "units", self.units or ("rad",) * len(self.joint_names))
+        piecewise.check_pieces(self.knots, self.coefficients, len(self.joint_names))
         frozen(self.knots)
         frozen(self.coefficients)
 
@@ -57,8 +85,13 @@ class JointTrajectory:
 
     @property
     def n(self) -> int:
-        """How many joints it moves."""
+        """The number of joints."""
         return len(self.joint_names)
+
+    @property
+    def pieces(self) -> Pieces:
+        """Its knots and coefficients."""
+        return Pieces(self.knots, self.coefficients)
 
     @cached_property
     def _knot_list(self) -> list[float]:
@@ -77,6 +110,10 @@ class JointTrajectory:
             InputError: The time is not a number.
         """
         knots = self._knot_list
+        try:
+            t = float(t)
+        except (TypeError, ValueError, OverflowError):
+            raise InputError(f"t: {shown(t)} is not a number") from None
         inside = min(max(t, 0.0), knots[-1])
         if inside != inside:
             raise InputError("t: nan given, a number wanted")
@@ -97,12 +134,7 @@ class JointTrajectory:
         Raises:
             InputError: Not a list of finite numbers.
         """
-        t = vector("times", times)
-        inside, k = self._located(t)
-        q, v, a = np.einsum("otc,tcn->otn", basis_many(inside - self.knots[k]), self.coefficients[k])
-        outside = t != inside
-        v[outside] = a[outside] = 0.0
-        return Setpoint(q, v, a)
+        return Setpoint(*piecewise.sample(self.pieces, vector("times", times)))
 
     def jerk(self, times: ArrayLike) -> Array:
         """The jerk at many times.
@@ -116,26 +148,32 @@ class JointTrajectory:
         Raises:
             InputError: Not a list of finite numbers.
         """
-        inside, k = self._located(vector("times", times))
-        u, c = (inside - self.knots[k])[:, None], self.coefficients[k]
-        return 6 * c[:, 3] + u * (24 * c[:, 4] + u * 60 * c[:, 5])
+        return piecewise.jerk(self.pieces, vector("times", times))
 
     def check_limits(self, limits: Limits | None = None) -> LimitCheck:
-        """Holds the motion against limits by its true extremes, also those between samples.
+        """Compares the exact extremes of the motion, also those between samples, with limits.
 
         Args:
             limits: The limits; its own if left out.
 
         Returns:
-            The check: whether it is inside, and each joint's extremes with their times.
+            The check: whether the motion is inside, and each joint's extremes with their times.
+
+        Raises:
+            InputError: The limits are not `Limits`, or not those of n joints.
         """
-        return check_limits(self.knots, self.coefficients, limits or self.limits, self.joint_names, self.units)
+        if limits is None:
+            limits = self.limits
+        instance("limits", limits, Limits, "give arm.limits")
+        if len(limits.q_min) != self.n:
+            raise InputError(f"limits: they are for {len(limits.q_min)} joints, but the motion has {self.n}")
+        return check_limits(self.pieces, limits, self.joint_names, self.units)
 
     def stopped_at(self, t: float) -> JointTrajectory:
-        """The motion with a stop on its path, as soon as the limits allow once it is asked for.
+        """The motion with a stop on its path, as soon as the limits allow after a time.
 
         Args:
-            t: s, when the stop is asked for; until then nothing changes.
+            t: s, when the stop is requested; until then nothing changes.
 
         Returns:
             The motion, at rest at its end; it never leaves the path.
@@ -144,74 +182,7 @@ class JointTrajectory:
             InputError: The time is outside the motion.
             PlanError: The motion does not end at rest, and what is left of it is too short to stop.
         """
-        from armctl.motion.trajectory.path_stop import stopped
-
-        return stopped(self, number("t", t, 0.0, self.duration))
-
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes the motion, exactly, as a NumPy archive that `JointTrajectory.load` reads.
-
-        Args:
-            path: Where to; its folder is made, and the name gets the ending .npz if it has none.
-
-        Returns:
-            The file.
-        """
-        from armctl.motion.trajectory import files
-
-        return files.save(self, path)
-
-    @staticmethod
-    def load(path: str | os.PathLike[str]) -> JointTrajectory:
-        """Reads a motion that `save` wrote.
-
-        Args:
-            path: The file.
-
-        Returns:
-            The motion.
-
-        Raises:
-            InputError: There is no such file, or it holds no motion.
-        """
-        from armctl.motion.trajectory import files
-
-        return files.load(path)
-
-    def to_csv(self, path: str | os.PathLike[str], dt: float = 1e-3) -> Path:
-        """Writes samples as a table: t, then q, v and a of each joint, named in the first row.
-
-        Args:
-            path: Where to; its folder is made.
-            dt: s, from sample to sample; the end is always one.
-
-        Returns:
-            The file.
-
-        Raises:
-            InputError: dt is not greater than 0.
-        """
-        from armctl.motion.trajectory import files
-
-        return files.to_csv(self, path, dt)
-
-    def plot(self, path: str | os.PathLike[str] | None = None) -> object:
-        """Draws position, velocity, acceleration and jerk of every joint, the last three as shares of their limits.
-
-        Args:
-            path: Where to save the picture; left out, it is not saved.
-
-        Returns:
-            Matplotlib's figure.
-        """
-        from armctl.motion.trajectory import files
-
-        return files.plot(self, path)
-
-    def _located(self, t: Array) -> tuple[Array, IntArray]:
-        """Times clamped to the motion, and the pieces they are in."""
-        inside = np.clip(t, 0.0, self.duration)
-        return inside, np.clip(np.searchsorted(self.knots, inside, side="right"), 1, len(self.knots) - 1) - 1
+        return self._with(stopped(self.pieces, self.limits, number("t", t, 0.0, self.duration)))
 
     def scaled(self, factor: float) -> JointTrajectory:
         """The same path at another speed, as the speed override of a robot controller.
@@ -226,9 +197,8 @@ class JointTrajectory:
             InputError: The factor is not greater than 0.
             LimitError: It is greater than 1, and a joint would leave its limits.
         """
-        factor = number("factor", factor, 1e-9)
-        powers = factor ** np.arange(DEGREE + 1)
-        changed = replace(self, knots=self.knots / factor, coefficients=self.coefficients * powers[:, None])
+        factor = number("factor", factor, 1e-9, 1e9)
+        changed = self._with(piecewise.time_scaled(self.pieces, factor))
         if factor > 1.0 and not (check := changed.check_limits()).ok:
             raise LimitError(f"factor: {factor:g} is too fast: {check.violations[0]}")
         return changed
@@ -246,55 +216,116 @@ class JointTrajectory:
             InputError: No such motion, other joints, or it starts elsewhere.
         """
         if not isinstance(other, JointTrajectory):
-            raise InputError(f"then: {other!r} is no JointTrajectory")
+            raise InputError(f"then: {shown(other)} is not a JointTrajectory")
         if other.joint_names != self.joint_names:
-            raise InputError(f"then: a motion of {list(other.joint_names)} cannot follow one of {list(self.joint_names)}")
+            names = (", ".join(motion.joint_names) for motion in (other, self))
+            raise InputError("then: a motion of {:.120} cannot follow one of {:.120}".format(*names))
         for what, end, start in zip(QUANTITIES[:3], self(self.duration)[:3], other(0.0)[:3], strict=True):
-            gap = np.abs(end - start)
-            if (gap > _JOIN_TOLERANCE * np.maximum(1.0, np.abs(end))).any():
-                i = int(gap.argmax())
+            gaps = join_gaps(end, start)
+            if (gaps > 1.0).any():
+                i = int(gaps.argmax())
                 raise InputError(
                     f"then: {self.joint_names[i]}: the first motion ends at {what} {end[i]:.6g}, the second starts at "
                     f"{start[i]:.6g}; plan it from where the first one ends"
                 )
-        return self.joined([self, other])
+        return joined([self, other])
 
-    @classmethod
-    def joined(cls, parts: Sequence[JointTrajectory]) -> JointTrajectory:
-        """Motions one after another, each known to start as the one before it ends.
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes the motion, exactly, as a NumPy archive that `JointTrajectory.load` reads.
+
+        An existing file is replaced atomically.
 
         Args:
-            parts: The motions, at least one.
+            path: The file; its folder is created. A name without a suffix gets .npz.
 
         Returns:
-            All in one.
-        """
-        starts = np.cumsum([0.0, *(part.duration for part in parts)])
-        knots = [[0.0], *(start + part.knots[1:] for start, part in zip(starts[:-1], parts, strict=True))]
-        coefficients = np.concatenate([part.coefficients for part in parts])
-        slowed = [part.slowed for part in parts if part.slowed is not None]
-        slowest = max(slowed, key=lambda slowdown: slowdown.factor, default=None)
-        return replace(parts[0], knots=np.concatenate(knots), coefficients=coefficients, slowed=slowest)
+            The file.
 
-    @classmethod
-    def standing(cls, joint_names: tuple[str, ...], limits: Limits, units: tuple[str, ...], q: Array) -> JointTrajectory:
-        """No motion: it stands at a position and takes no time.
+        Raises:
+            InputError: The name has another suffix.
+            ArmctlError: The file cannot be written.
+        """
+        slowed = () if self.slowed is None else (self.slowed.factor, self.slowed.joint, self.slowed.torque_ratio)
+        texts = tuple(str(value) for value in slowed)
+        return files.save(path, files.Content(self.pieces, self.joint_names, self.units, self.limits, texts))
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> JointTrajectory:
+        """Reads a motion that `save` wrote, and checks it: shapes, finite numbers, increasing times, no jumps.
 
         Args:
-            joint_names: The n joints.
-            limits: Their limits.
-            units: What each is measured in, "rad" or "m".
-            q: (n,) rad.
+            path: The file.
 
         Returns:
             The motion.
+
+        Raises:
+            InputError: There is no such file, or it holds no motion.
         """
-        coefficients = np.zeros((1, DEGREE + 1, len(q)))
-        coefficients[0, 0] = q
-        return cls(np.zeros(2), coefficients, joint_names, limits, units=units)
+        content = files.load(path)
+        slowed = None
+        if content.slowed:
+            factor, joint, ratio = content.slowed
+            try:
+                slowed = Slowdown(number("slowed", float(factor)), joint, number("slowed", float(ratio)))
+            except ValueError:
+                raise InputError(f"{os.fspath(path)!s:.160}: it holds no trajectory (slowed is not a number)") from None
+        return JointTrajectory(*content.pieces, content.joint_names, content.limits, slowed, content.units)
+
+    def to_csv(self, path: str | os.PathLike[str], dt: float = 1e-3) -> Path:
+        """Writes samples as a table: t, then q, v and a of each joint, named in the first row.
+
+        Args:
+            path: The file; its folder is created. A name without a suffix gets .csv.
+            dt: s, from sample to sample; the end is always one.
+
+        Returns:
+            The file.
+
+        Raises:
+            InputError: dt is not greater than 0 or gives more than ten million rows, or the name has another suffix.
+            ArmctlError: The file cannot be written.
+        """
+        dt = number("dt", dt, 1e-9)
+        if self.duration / dt > _MAX_TABLE_ROWS:
+            raise InputError(f"dt: {dt:g} s gives more than {_MAX_TABLE_ROWS} rows for a motion of {self.duration:g} s")
+        times = self._times(dt)
+        return files.save_table(path, self.joint_names, times, Samples(*self.sample(times)[:3]))
+
+    def plot(self, path: str | os.PathLike[str] | None = None) -> object:
+        """Draws position, velocity, acceleration and jerk of every joint, the last three as shares of their limits.
+
+        Args:
+            path: Where to save the picture; left out, it is not saved.
+
+        Returns:
+            Matplotlib's figure.
+
+        Raises:
+            InputError: The path is not a file name, or its suffix is not a format of a picture.
+            ArmctlError: The file cannot be written.
+        """
+        times = self._times(max(self.duration / _PLOT_SAMPLES, 1e-9))
+        curves = files.Curves(times, Samples(*self.sample(times)[:3]), self.jerk(times))
+        return files.plot(curves, self.joint_names, self.units, self.limits, path)
+
+    def _times(self, dt: float) -> Array:
+        """Times dt apart, and the duration."""
+        return np.append(np.arange(0.0, self.duration - 1e-9 * dt, dt), self.duration)
+
+    def _with(self, pieces: Pieces) -> JointTrajectory:
+        return replace(self, knots=pieces.knots, coefficients=pieces.coefficients)
 
     def __reduce__(self):
         return JointTrajectory, (self.knots, self.coefficients, self.joint_names, self.limits, self.slowed, self.units)
 
     def __repr__(self) -> str:
         return f"JointTrajectory({self.n} joints, {self.duration:.3f} s)"
+
+
+def joined(parts: Sequence[JointTrajectory]) -> JointTrajectory:
+    """Motions one after another, each known to start as the one before it ends; it reports the largest slowdown of them."""
+    pieces = piecewise.joined([part.pieces for part in parts])
+    slowed = [part.slowed for part in parts if part.slowed is not None]
+    largest = max(slowed, key=lambda slowdown: slowdown.factor, default=None)
+    return replace(parts[0], knots=pieces.knots, coefficients=pieces.coefficients, slowed=largest)

@@ -1,6 +1,6 @@
 """A stop on the path: the same path in joint space, its speed brought from 1 to 0 without leaving the limits.
 
-For the motion q(u) and the path speed w = du/dt, w falls from 1 to 0, and its slope is a trapezoid, so that the jerk is bounded.
+For the motion q(u) and the path speed w = du/dt, w falls from 1 to 0. Its slope is a trapezoid, so that the jerk is bounded.
 Later and longer decelerations are tried until one keeps the limits; if none is sooner, the motion's own end is the stop.
 """
 

@@ -1,0 +1,136 @@
+"""Limits: the ranges of the joints, and their greatest speed, acceleration, jerk and torque."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.core.errors import InputError
+from armctl.core.validation import Array, instance, number, shown, vector
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """What the joints can do. Each (n,), read-only; `inf` where a joint is not limited.
+
+    Attributes:
+        q_min: Least position, rad (m for a slide joint).
+        q_max: Greatest position, rad.
+        v_max: Greatest speed, rad/s.
+        a_max: Greatest acceleration, rad/s^2.
+        j_max: Greatest jerk, rad/s^3.
+        tau_max: Greatest torque, N m (N for a slide joint).
+    """
+
+    q_min: Array
+    q_max: Array
+    v_max: Array
+    a_max: Array
+    j_max: Array
+    tau_max: Array
+
+    def __post_init__(self) -> None:
+        n = np.size(self.q_min)
+        for field in fields(self):
+            value = vector(field.name, getattr(self, field.name), n, finite=False)
+            if np.isnan(value).any():
+                raise InputError(f"{field.name}: joint {int(np.isnan(value).argmax())} is NaN, a number wanted")
+            if not field.name.startswith("q_") and not (value > 0).all():
+                raise InputError(f"{field.name}: every value must be greater than 0, got {value.min():g}")
+            object.__setattr__(self, field.name, value)
+        if not (self.q_min <= self.q_max).all():
+            worst = int((self.q_min - self.q_max).argmax())
+            raise InputError(f"q_min: {self.q_min[worst]:g} is above q_max, {self.q_max[worst]:g} (joint {worst})")
+
+    def contains(self, q: ArrayLike, tolerance: float = 0.0) -> bool:
+        """Whether positions are inside [q_min, q_max].
+
+        Args:
+            q: (n,) or (T, n) rad.
+            tolerance: rad by which they may be outside.
+
+        Returns:
+            True if all are.
+
+        Raises:
+            InputError: The positions are not numbers, or not of n joints.
+        """
+        tolerance = number("tolerance", tolerance, 0.0)
+        q = self._positions(q)
+        return bool(((q >= self.q_min - tolerance) & (q <= self.q_max + tolerance)).all())
+
+    def clamp(self, q: ArrayLike) -> Array:
+        """The nearest positions inside [q_min, q_max].
+
+        Args:
+            q: (n,) or (T, n) rad.
+
+        Returns:
+            The same shape, rad.
+
+        Raises:
+            InputError: The positions are not numbers, not of n joints, or NaN.
+        """
+        positions = self._positions(q)
+        if np.isnan(positions).any():
+            raise InputError("q: nan given, a number wanted")
+        return np.clip(positions, self.q_min, self.q_max)
+
+    def random(self, around: Array, count: int, rng: np.random.Generator) -> Array:
+        """Positions anywhere inside [q_min, q_max], or within half a turn of `around` where a joint is not limited.
+
+        Args:
+            around: (n,) rad; the nearest positions inside the limits are used.
+            count: Number of positions.
+            rng: The generator.
+
+        Returns:
+            (count, n) rad.
+
+        Raises:
+            InputError: `around` is not a configuration, the count is not an integer of at least 0, or rng is not a Generator.
+        """
+        instance("rng", rng, np.random.Generator, "numpy.random.default_rng(0) is one")
+        instance("count", count, (int, np.integer), "give an integer")
+        number("count", count, 0)
+        around = self.clamp(around)
+        bounded = np.isfinite(self.q_max - self.q_min)
+        low = np.where(bounded, self.q_min, np.maximum(self.q_min, around - np.pi))
+        high = np.where(bounded, self.q_max, np.minimum(self.q_max, around + np.pi))
+        return rng.uniform(low, high, (count, len(around)))
+
+    def at_speed(self, speed: float) -> Limits:
+        """The limits for motions at a fraction of the full speed: the same motions, slowed down in time by 1/speed.
+
+        Args:
+            speed: In (0, 1]; it scales v_max by speed, a_max by speed^2 and j_max by speed^3.
+
+        Returns:
+            The limits; positions and torques are unchanged.
+
+        Raises:
+            InputError: The speed is not in (0, 1].
+        """
+        speed = check_speed(speed)
+        if speed == 1.0:
+            return self
+        return replace(self, v_max=speed * self.v_max, a_max=speed**2 * self.a_max, j_max=speed**3 * self.j_max)
+
+    def _positions(self, q: ArrayLike) -> Array:
+        """(n,) or (T, n) float64; NaN is left to the caller, infinity is a position outside."""
+        try:
+            positions = np.asarray(q, dtype=np.float64)
+        except (TypeError, ValueError, OverflowError):
+            raise InputError(f"q: {shown(q)} is not an array of numbers") from None
+        if positions.ndim not in (1, 2) or positions.shape[-1] != len(self.q_min):
+            raise InputError(
+                f"q: an array of shape {positions.shape} given, ({len(self.q_min)},) or (T, {len(self.q_min)}) wanted"
+            )
+        return positions
+
+
+def check_speed(speed: float) -> float:
+    """A caller's `speed` argument as a float in (0, 1]; raises InputError."""
+    return number("speed", speed, 1e-6, 1.0)
