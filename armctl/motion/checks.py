@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -24,7 +22,7 @@ def planning_arm(arm: Arm, speed: float) -> Arm:
             joint = arm.joint_names[int(np.isinf(bound).argmax())]
             raise InputError(f"{name}: {joint} has no limit, and without one there is no time-optimal motion; set a finite one")
     limits = arm.limits.at_speed(speed)
-    return arm if limits is arm.limits else replace(arm, limits=limits)
+    return arm if limits is arm.limits else arm.with_limits(limits)
 
 
 def start_velocity(arm: Arm, v_start: ArrayLike | None) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 
 from armctl.core import units
 from armctl.core.errors import InputError
-from armctl.core.trajectory import Limits
+from armctl.core.limits import Limits
 from armctl.core.validation import Array, IntArray, frozen
 from armctl.mjmodel.queries import joint_name
 from armctl.mjmodel.transmissions import Transmission

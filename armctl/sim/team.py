@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from armctl.collision.checker import collision_checker
 from armctl.control import ComputedTorque, Controller, State, controller_by_name, controller_name
 from armctl.core.errors import InputError, UnknownNameError
-from armctl.core.limits import Limits
 from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
