@@ -20,8 +20,8 @@ CALLS: dict[str, tuple[Callable[[], object], str]] = {
     "an arm's name": (lambda: armctl.simulate("panda", "pd", MOTION), "arm: 'panda' is no Arm; armctl.load"),  # type: ignore
     "no controller": (lambda: armctl.simulate(ARM, None, MOTION), "controller: None has no method torque"),  # type: ignore
     "a class": (lambda: armctl.simulate(ARM, armctl.PD, MOTION), "has no method torque.*armctl.PD.arm. has"),  # type: ignore
-    "no motion": (lambda: armctl.simulate(ARM, "pd", None), "trajectory: None is no motion"),  # type: ignore
-    "a position": (lambda: armctl.simulate(ARM, "pd", ARM.home), "trajectory: array.* is no motion"),  # type: ignore
+    "no motion": (lambda: armctl.simulate(ARM, "pd", None), "trajectory: None is not a trajectory"),  # type: ignore
+    "a position": (lambda: armctl.simulate(ARM, "pd", ARM.home), "trajectory: array.* is not a trajectory"),  # type: ignore
     "a plant's name": (lambda: armctl.simulate(ARM, "pd", MOTION, "friction"), "plant: 'friction' is no Plant"),  # type: ignore
     "a plant's name to Simulation": (lambda: armctl.Simulation(ARM, plant=3), "plant: 3 is no Plant"),  # type: ignore
     "days": (lambda: armctl.simulate(ARM, "pd", MOTION, settle=1e9), f"ticks of .* s, at most {MOST_TICKS:,} fit into a log"),
@@ -42,10 +42,10 @@ CALLS: dict[str, tuple[Callable[[], object], str]] = {
     "an arm's name to computed torque": (lambda: armctl.ComputedTorque(ARM.name), "arm: .* is no Arm; armctl.load"),  # type: ignore
     "an arm's name to a motion": (lambda: armctl.move_j(ARM.name, [0, 0, 0], [0, 0, 0]), "arm: .* is no Arm"),  # type: ignore
     "an arm's name to a line": (lambda: armctl.move_l(ARM.name, [0, 0, 0], [0, 0, 0]), "arm: .* is no Arm"),  # type: ignore
-    "a position to check": (lambda: armctl.check_torque(ARM, ARM.home), "trajectory: .* is no motion"),  # type: ignore
+    "a position to check": (lambda: armctl.check_torque(ARM, ARM.home), "trajectory: .* is not a trajectory"),  # type: ignore
     "an arm's name to identify": (lambda: armctl.identify_payload(ARM.name, None), "arm: .* is no Arm"),  # type: ignore
     "an arm's name to excite": (lambda: armctl.excitation(ARM.name), "arm: .* is no Arm"),  # type: ignore
-    "a position to run": (lambda: armctl.Simulation(ARM).run([0, 0, 0]), "trajectory: .* is no motion; armctl.move_j"),  # type: ignore
+    "a position to run": (lambda: armctl.Simulation(ARM).run([0, 0, 0]), "trajectory: .* is not a trajectory; armctl.move_j"),  # type: ignore
     "a report before any move": (lambda: armctl.Report.from_log(armctl.Simulation(ARM).log), "None .* every move of a Sim"),  # type: ignore
     "one gain for all joints": (lambda: armctl.PD(ARM, stiffness=100.0), "stiffness: a single number given, a list"),  # type: ignore
     "no path": (lambda: move_path(ARM, ARM.home, None), "path: None given, a list of"),  # type: ignore
