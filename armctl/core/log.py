@@ -4,16 +4,26 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import os
-import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from armctl.core.atomic import atomic_path, file_path
 from armctl.core.errors import ArmctlError, InputError
-from armctl.core.validation import Array, frozen
+from armctl.core.validation import Array, frozen, number, shown
+
+_ENDINGS = (".npz", ".csv")
+# The columns per joint, in the order of the .csv.
+_STATE = ("q", "v", "tau", "tau_cmd")
+_REFERENCE = ("q_ref", "v_ref", "a_ref")
+_PER_JOINT = ("q", "v", *_REFERENCE, "tau", "tau_cmd")
+_MAX_STATE = 1e20  # rad, m, rad/s, m/s; MuJoCo itself stops at 1e10
+_QUATERNION_TOLERANCE = 1e-3  # of the norm of a quaternion in a file
 
 
 class Contact(NamedTuple):
@@ -37,7 +47,7 @@ class Contact(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """What happened, tick by tick. Read-only arrays; row k is the state at t[k] and what was done about it.
+    """The record of a run, tick by tick, in read-only arrays. Row k holds the state at t[k] and the torques of that tick.
 
     Attributes:
         robot: The arm's name.
@@ -46,9 +56,9 @@ class Log:
         dt: s, the tick.
         tau_max: (n,) N m.
         motion_duration: s, when the reference comes to rest; the log may go on.
-        target: (7,) where the tip should end, m and wxyz; NaN for what was not asked for. After `Simulation.follow` the target
-            at the end of the run.
-        real_time_factor: Simulated time over the time it took.
+        target: (7,) where the tip should end, m and wxyz; NaN for what is free. After `Simulation.follow` the target at the end
+            of the run.
+        real_time_factor: Simulated time divided by computing time.
         failure: Why the run ended early, in words; empty if it did not.
         t: (T,) s.
         q: (T, n) rad.
@@ -56,15 +66,15 @@ class Log:
         q_ref: (T, n) rad; NaN in an open-loop run, as are v_ref, a_ref and the reference's tip.
         v_ref: (T, n) rad/s.
         a_ref: (T, n) rad/s^2.
-        tau: (T, n) N m, what the motors did.
-        tau_cmd: (T, n) N m, what the controller wanted.
+        tau: (T, n) N m, the torque of the motors.
+        tau_cmd: (T, n) N m, the torque that the controller commanded, before the torque limits.
         tip: (T, 3) m.
         tip_quat: (T, 4) wxyz.
         tip_ref: (T, 3) m.
         tip_ref_quat: (T, 4) wxyz.
-        plant: How reality differed from the model, in words.
-        qpos: (T, nq) the whole model's positions as in MjData.qpos: grippers and loose objects too, for films.
-        units: What each joint is measured in, "rad" or "m"; all in rad if left out.
+        plant: How the plant differed from the model, in words.
+        qpos: (T, nq) the positions of the whole model as in MjData.qpos, with grippers and loose objects, for films.
+        units: The unit of each joint, "rad" or "m"; rad for all joints if left out.
         contacts: What the arm touched, in the order of time; empty if it touched nothing.
     """
 
@@ -113,7 +123,9 @@ class Log:
         return bool(np.isnan(self.q_ref).all())
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes the log as .npz, or as .csv (the arrays over time alone).
+        """Writes the log as .npz, complete, or as .csv, only the arrays over time.
+
+        The file is written atomically: whatever interrupts the writing, the old file or the new one is there, complete.
 
         Args:
             path: The file; its folder is made. Its ending decides the format.
@@ -123,23 +135,22 @@ class Log:
 
         Raises:
             InputError: Another ending.
+            ArmctlError: The file cannot be written.
         """
-        path = Path(path)
-        if path.suffix not in (".npz", ".csv"):
-            raise InputError(f"path: {path.name!r} ends in {path.suffix!r}, .npz or .csv wanted")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if path.suffix == ".csv":
-            self._save_csv(path)
-        else:
-            everything = {f.name: getattr(self, f.name) for f in fields(self)}
-            arrays = {k: x for k, x in everything.items() if isinstance(x, np.ndarray)}
-            rest = json.dumps({k: x for k, x in everything.items() if k not in arrays})
-            np.savez_compressed(path, allow_pickle=False, meta=np.array(rest), **arrays)
+        path = file_path("path", path, _ENDINGS)
+        with atomic_path(path) as temporary:
+            if path.suffix == ".csv":
+                self._save_csv(temporary)
+            else:
+                everything = {f.name: getattr(self, f.name) for f in fields(self)}
+                arrays = {k: x for k, x in everything.items() if isinstance(x, np.ndarray)}
+                rest = json.dumps({k: x for k, x in everything.items() if k not in arrays})
+                np.savez_compressed(temporary, allow_pickle=False, meta=np.array(rest), **arrays)
         return path
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Log:
-        """Reads a log that `save` wrote as .npz.
+        """Reads a log that `save` wrote as .npz, and checks it: shapes, finite numbers, increasing time.
 
         Args:
             path: The file.
@@ -148,41 +159,112 @@ class Log:
             The log.
 
         Raises:
-            InputError: There is no such file, or it is no log.
+            InputError: There is no such file, or it holds no log.
         """
+        path = file_path("path", path)
         try:
-            with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as data:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
                 arrays = {k: data[k] for k in data.files if k != "meta"}
                 meta = json.loads(str(data["meta"]))
-            meta["joint_names"] = tuple(meta["joint_names"])
-            meta["contacts"] = tuple(Contact(*each) for each in meta.get("contacts", ()))
-            log = cls(**arrays, **meta)
-            if len({len(getattr(log, k)) for k in ("t", "q", "v", "q_ref", "v_ref", "a_ref", "tau", "tau_cmd", "tip")}) > 1:
-                raise ValueError("its columns differ in length")
-            return log
-        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-            raise InputError(f"{os.fspath(path)}: no log that armctl wrote ({error})") from None
+            return cls(**_checked(arrays, meta))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+        except InputError as error:
+            raise InputError(f"{path}: no log that armctl wrote: {error}") from None
+        except Exception as error:  # damaged bytes raise whatever zipfile, zlib, NumPy or JSON run into
+            raise InputError(f"{path}: no log that armctl wrote ({type(error).__name__}: {str(error):.120})") from None
 
     def _save_csv(self, path: Path) -> None:
-        per_joint = ("q", "v", "q_ref", "v_ref", "a_ref", "tau", "tau_cmd")
-        header = ["t", *(f"{k}_{j}" for k in per_joint for j in self.joint_names)]
+        header = ["t", *(f"{k}_{j}" for k in _PER_JOINT for j in self.joint_names)]
         header += [f"{k}_{axis}" for k in ("tip", "tip_ref") for axis in "xyz"]
-        columns = [self.t[:, None], *(getattr(self, k) for k in per_joint), self.tip, self.tip_ref]
+        columns = [self.t[:, None], *(getattr(self, k) for k in _PER_JOINT), self.tip, self.tip_ref]
         with path.open("w", newline="") as file:
             writer = csv.writer(file)
             writer.writerow(header)
             writer.writerows(np.hstack(columns).tolist())
 
 
+def _checked(arrays: Mapping[str, Array], meta: object) -> dict[str, Any]:
+    """The fields of a log from a file; an InputError says which of them cannot be."""
+    if not isinstance(meta, dict):
+        raise InputError("its head is no table")
+    missing = {f.name for f in fields(Log)} - {*arrays, *meta} - {"contacts"}
+    unknown = ({*arrays, *meta} - {f.name for f in fields(Log)}) | (set(arrays) & set(meta))
+    if missing or unknown:
+        raise InputError(f"its fields do not fit: missing {shown(sorted(missing))}, unknown {shown(sorted(unknown))}")
+    joint_names = _words("joint_names", meta["joint_names"])
+    units = _words("units", meta["units"])
+    if not joint_names or len(units) != len(joint_names) or not set(units) <= {"rad", "m"}:
+        raise InputError(f"units: {shown(units)} do not fit {len(joint_names)} joints")
+    for name in ("robot", "controller", "plant", "failure"):
+        _words(name, [meta[name]])
+    dt = number("dt", meta["dt"], 1e-12, 1e4)
+    _check_arrays(arrays, len(joint_names), dt)
+    factor = meta["real_time_factor"]
+    known = {
+        "joint_names": joint_names,
+        "units": units,
+        "dt": dt,
+        "motion_duration": number("motion_duration", meta["motion_duration"], 0.0),
+        "real_time_factor": factor if factor in (math.inf, -math.inf) else number("real_time_factor", factor),
+        "contacts": tuple(_contact(each) for each in meta.get("contacts", ())),
+    }
+    return {**arrays, **meta, **known}
+
+
+def _check_arrays(arrays: Mapping[str, Array], n: int, dt: float) -> None:
+    ticks = len(arrays["t"]) if np.ndim(arrays["t"]) == 1 else -1
+    nq = arrays["qpos"].shape[1:]
+    shapes: dict[str, tuple[int, ...]] = {"t": (ticks,), "tau_max": (n,), "target": (7,), "qpos": (ticks, *nq)}
+    shapes |= {name: (ticks, n) for name in _PER_JOINT}
+    shapes |= {"tip": (ticks, 3), "tip_ref": (ticks, 3), "tip_quat": (ticks, 4), "tip_ref_quat": (ticks, 4)}
+    if arrays["qpos"].shape == (0, 0):  # a log without positions of the model
+        shapes["qpos"] = (0, 0)
+    for name, shape in shapes.items():
+        column = arrays[name]
+        if column.dtype != np.float64 or column.shape != shape or len(nq) != 1:
+            raise InputError(f"{name}: {column.dtype} of shape {column.shape}, float64 of shape {shape} wanted")
+    for name in ("t", *_STATE, "tip", "tip_quat", "qpos"):
+        if not np.isfinite(arrays[name]).all():
+            raise InputError(f"{name}: a number is not finite")
+    for name in ("t", "q", "v", "tip", "qpos"):
+        if (np.abs(arrays[name]) > _MAX_STATE).any():
+            raise InputError(f"{name}: a number is above {_MAX_STATE:g}")
+    for name in (*_REFERENCE, "tip_ref", "tip_ref_quat", "target"):
+        if np.isinf(arrays[name]).any():
+            raise InputError(f"{name}: a number is infinite")
+    if not (arrays["tau_max"] > 0).all():
+        raise InputError("tau_max: a torque limit is not greater than 0")
+    for name in ("tip_quat", "tip_ref_quat", "target"):
+        norms = np.linalg.norm(np.atleast_2d(arrays[name])[:, -4:], axis=1)
+        if not (np.isnan(norms) | (np.abs(norms - 1) < _QUATERNION_TOLERANCE)).all():
+            raise InputError(f"{name}: a quaternion has not length 1")
+    if not np.allclose(np.diff(arrays["t"]), dt, rtol=1e-6, atol=1e-9 * dt + 1e-15 * ticks):
+        raise InputError(f"t: the times are not {dt:g} s apart")
+
+
+def _words(name: str, value: object) -> tuple[str, ...]:
+    if not isinstance(value, list) or not all(isinstance(word, str) for word in value):
+        raise InputError(f"{name}: {shown(value)} is no text")
+    return tuple(value)
+
+
+def _contact(value: object) -> Contact:
+    if not isinstance(value, list) or len(value) != 4:
+        raise InputError(f"contacts: {shown(value)} is no contact")
+    body, other = _words("contacts", value[:2])
+    return Contact(body, other, number("start", value[2], 0.0), number("duration", value[3], 0.0))
+
+
 class SimulationError(ArmctlError):
-    """A simulation that cannot go on.
+    """A simulation cannot continue.
 
     Attributes:
-        log: What was recorded before it, or None.
+        log: The ticks until then, or None.
     """
 
     def __init__(self, message: str, log: Log | None = None):
-        """An error with what was recorded before it.
+        """An error with the log of the run.
 
         Args:
             message: One sentence.
