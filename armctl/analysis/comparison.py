@@ -1,22 +1,25 @@
-"""Comparison: the same motion under several controllers."""
+"""Comparison: the same motion under several controllers, on several plants."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
-from armctl.analysis.report import Report
+from armctl.analysis.report import Report, contacts_in_words
 from armctl.collision.checker import collision_checker
-from armctl.control import Controller
+from armctl.control import Controller, controller_name
 from armctl.core.errors import InputError, PlanError
 from armctl.core.log import SimulationError
 from armctl.core.trajectory import Trajectory
-from armctl.core.validation import integer
+from armctl.core.validation import integer, number
 from armctl.motion import move_j
-from armctl.robot.arm import Arm
+from armctl.robot.arm import Arm, check_arm
 from armctl.sim.plant import NOMINAL, Plant
 from armctl.sim.simulation import simulate
 
@@ -34,24 +37,28 @@ def compare(
 
     Args:
         arm: The arm.
-        controllers: Controllers or names of them; names, where several processes share the work.
+        controllers: Controllers or names of controllers; only names if several processes share the work.
         trajectory: The motion.
-        plants: How reality differs from the model.
-        workers: How many processes share the work. With more than one, a script that calls this needs its
+        plants: The simulated plants.
+        workers: Number of processes. With more than one, a script that calls this function needs
             `if __name__ == "__main__":`.
-        progress: Told how many of how many runs are done.
+        progress: Called after each run with the number of completed runs and their total.
 
     Returns:
-        One report for each pair, plant by plant. A run whose controller failed is among them, as long as it had begun.
+        One report per pair, plant by plant. A run that failed after its first tick has a report, too.
 
     Raises:
-        InputError: There is no controller or no plant, or no process is to work.
+        InputError: There is no controller or no plant, or the number of processes is not positive.
         UnknownNameError: There is no such controller.
         SimulationError: A controller failed at its first tick.
     """
     if isinstance(controllers, str) or not controllers or not plants:
         raise InputError("controllers, plants: a list of at least one of each wanted, such as ['pd', 'computed-torque']")
-    pairs = [(controller, plant) for plant in plants for controller in controllers]
+    pairs = [
+        _Pair(controller, plant, controller_label, plant_label)
+        for plant, plant_label in zip(plants, _distinct(map(str, plants)), strict=True)
+        for controller, controller_label in zip(controllers, _distinct(map(_name_of, controllers)), strict=True)
+    ]
     run = partial(_run, arm, trajectory)
     with _pool(min(integer("workers", workers, 1), len(pairs))) as mapped:
         reports = []
@@ -63,35 +70,57 @@ def compare(
 
 
 def remarks(reports: Sequence[Report]) -> list[str]:
-    """What must be said before any figure: which runs failed, and which asked motors for more than they give.
-
-    Args:
-        reports: The reports.
-
-    Returns:
-        One sentence a run, the failed ones first.
-    """
-    failed = [f"{r.controller} on {r.plant}: {r.log.failure}" for r in reports if r.log.failure]
+    """What to know before reading any figure: failures first, then contacts, then saturated motors; one sentence each."""
+    failed = [f"{_name(r)}: {r.log.failure}" for r in reports if r.log.failure]
+    touched = [f"{_name(r)}: {contacts_in_words(r.contacts)}" for r in reports if r.contacts]
     saturated = [
-        f"{r.controller} on {r.plant}: asks the motors for more than they give {100 * r.saturated_fraction:.1f} % of the time"
+        f"{_name(r)}: the commanded torque is above a motor's limit {100 * r.saturated_fraction:.1f} % of the time"
         for r in reports
         if r.saturated_fraction > 0.0 and not r.log.failure
     ]
-    return failed + saturated
+    return failed + touched + saturated
 
 
-def _run(arm: Arm, trajectory: Trajectory, pair: tuple[Controller | str, Plant]) -> Report:
+def _name(report: Report) -> str:
+    return f"{report.controller} on {report.plant}"
+
+
+class _Pair(NamedTuple):
+    """One run of a comparison. The labels tell apart what has the same name."""
+
+    controller: Controller | str
+    plant: Plant
+    controller_label: str
+    plant_label: str
+
+
+def _name_of(controller: Controller | str) -> str:
+    return controller if isinstance(controller, str) else controller_name(controller)
+
+
+def _distinct(names: Iterable[str]) -> list[str]:
+    """The names, with a number where a name occurs again."""
+    count: Counter[str] = Counter()
+    labels = []
+    for name in names:
+        count[name] += 1
+        labels.append(name if count[name] == 1 else f"{name} ({count[name]})")
+    return labels
+
+
+def _run(arm: Arm, trajectory: Trajectory, pair: _Pair) -> Report:
     try:
-        return Report.from_log(simulate(arm, pair[0], trajectory, pair[1]))
+        log = simulate(arm, pair.controller, trajectory, pair.plant)
     except SimulationError as error:
         if error.log is None or not len(error.log):
             raise
-        return Report.from_log(error.log)
+        log = error.log
+    return replace(Report.from_log(log), controller=pair.controller_label, plant=pair.plant_label)
 
 
 @contextmanager
 def _pool(workers: int) -> Iterator[Callable]:
-    """A `map` over so many processes."""
+    """A `map` that runs in this number of processes."""
     if workers <= 1:
         yield map
         return
@@ -103,21 +132,27 @@ def _pool(workers: int) -> Iterator[Callable]:
 
 
 def out_and_back(arm: Arm, distance: float = 0.6) -> Trajectory:
-    """A motion that shows a controller: all joints at once, from home and back.
+    """Plans a motion for comparing controllers: all joints at once from home and back, as fast as the limits allow.
+
+    If the arm would touch something on the way, the joints move in the other direction, or half as far, up to four times.
 
     Args:
         arm: The arm.
-        distance: rad (m) by which each joint moves; the other way or less far where the arm would touch something.
+        distance: rad (m for a slide joint) by which each joint moves, less where its range ends before.
 
     Returns:
-        The motion, as fast as the limits allow.
+        The motion.
 
     Raises:
+        InputError: The distance is no number.
         PlanError: The arm touches something however little it moves.
     """
-    contacts, share = collision_checker(arm), np.linspace(0.0, 1.0, 50)[:, None]
-    for step in (distance * sign * 0.5**k for k in range(5) for sign in (1, -1)):
+    check_arm(arm)
+    distance = number("distance", distance)
+    checker = collision_checker(arm)
+    fractions = np.linspace(0.0, 1.0, 50)[:, None]
+    for step in (distance * sign * 0.5**halvings for halvings in range(5) for sign in (1, -1)):
         there = 0.98 * (arm.limits.clamp(arm.home + step) - arm.home) + arm.home
-        if not contacts.along(arm.home + share * (there - arm.home)):
+        if not checker.along(arm.home + fractions * (there - arm.home)):
             return move_j(arm, arm.home, there).then(move_j(arm, there, arm.home))
     raise PlanError(f"{arm.name}: it touches something wherever it moves from home, so there is no motion to compare on")

@@ -1,4 +1,4 @@
-"""What an arm is and where a run ended, in words and as plain data."""
+"""Arms, serial chains and the end of a run, in words and as plain data."""
 
 from __future__ import annotations
 
@@ -12,14 +12,7 @@ from armctl.robot.arm import Arm
 
 
 def facts(arm: Arm) -> dict[str, object]:
-    """An arm as plain data, fit for JSON: what is unlimited becomes None.
-
-    Args:
-        arm: The arm.
-
-    Returns:
-        Its name, joints, tip, home, limits, where these come from, and what was assumed.
-    """
+    """An arm as plain data for JSON; an infinite limit becomes None."""
     limits = {
         f.name: [x if math.isfinite(x) else None for x in getattr(arm.limits, f.name).tolist()] for f in fields(arm.limits)
     }
@@ -39,15 +32,9 @@ def facts(arm: Arm) -> dict[str, object]:
 
 
 def describe(arm: Arm) -> str:
-    """An arm in words: a table of its joints and limits, and where these come from.
-
-    Args:
-        arm: The arm.
-
-    Returns:
-        Several lines.
-    """
-    data, limits = facts(arm), arm.limits
+    """An arm in words: a table of its joints and limits, and the sources of the limits."""
+    data = facts(arm)
+    limits = arm.limits
     width = max(5, *map(len, arm.joint_names))
     tip = ", ".join(f"{x:.4f}" for x in arm.fk(arm.home).position)
     lines = [
@@ -63,14 +50,7 @@ def describe(arm: Arm) -> str:
 
 
 def describe_end(log: Log) -> str:
-    """Where a run ended: a table of its joints, and the tip.
-
-    Args:
-        log: The run.
-
-    Returns:
-        Several lines.
-    """
+    """The end of a run in words: a table of its joints, and the tip."""
     kinds = units.label(log.units), units.label(log.units, "/s"), units.label(units.of_torque(log.units))
     heads = [f"{f'{what}, {unit}':>10}" for what, unit in zip(("q", "v", "torque"), kinds, strict=True)]
     lines = [f"{'joint':20} {' '.join(heads)}"]
@@ -82,23 +62,15 @@ def describe_end(log: Log) -> str:
 
 
 def describe_chains(robot: str, chains: list[SerialChain]) -> str:
-    """The chains of a robot in words: a table with base, tip and joints, and why some are refused.
-
-    Args:
-        robot: Its name.
-        chains: Its chains.
-
-    Returns:
-        Several lines.
-    """
+    """The chains of a robot in words: a table with base, tip and joints; a rejected chain comes with the reason."""
     usable = sum(chain.ok for chain in chains)
     width = {name: max([len(name), *(len(getattr(chain, name)) for chain in chains)]) for name in ("base", "tip")}
     lines = [
-        f"{robot}: {usable} chains that load(robot, base=..., tip=...) takes, {len(chains) - usable} that it refuses",
+        f"{robot}: {usable} chains that load(robot, base=..., tip=...) accepts, {len(chains) - usable} that it rejects",
         f"{'base':{width['base']}} {'tip':{width['tip']}} joints",
     ]
     for chain in chains:
-        said = f"refused: {chain.reason}" if chain.reason else f"{len(chain.joint_names)}: {' '.join(chain.joint_names)}"
+        said = f"rejected: {chain.reason}" if chain.reason else f"{len(chain.joint_names)}: {' '.join(chain.joint_names)}"
         said += f", with {' '.join(chain.followers)}" if chain.followers else ""
         lines.append(f"{chain.base:{width['base']}} {chain.tip:{width['tip']}} {said}")
     return "\n".join(lines)

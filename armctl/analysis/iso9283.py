@@ -1,4 +1,4 @@
-"""ISO 9283: what data sheets promise, measured in simulation: pose accuracy and repeatability, stabilisation, path accuracy.
+"""ISO 9283: pose accuracy and repeatability, stabilisation time and path accuracy, measured in simulation.
 
 ISO 9283:1998, "Manipulating industrial robots - Performance criteria and related test methods", clauses 7.2 (pose accuracy and
 repeatability), 7.4 (stabilisation time), 7.5 (overshoot) and 8.2 (path accuracy and repeatability).
@@ -44,19 +44,19 @@ class Iso9283:
 
     Attributes:
         ok: Whether all cycles were run.
-        reason: Why not, in words; empty if they were.
+        reason: Why not, in words; empty if `ok`.
         robot: The arm's name.
         controller: The controller's name.
-        plant: How reality differed from the model, in words.
-        cycles: How many times the five poses were gone through.
-        path_cycles: How many times the path was.
-        speed: Share of the fastest speed.
+        plant: How the plant differed from the model, in words.
+        cycles: Number of cycles through the five poses.
+        path_cycles: Number of cycles along the path.
+        speed: Fraction of the maximum speed.
         cube_m: Edge of the test cube.
-        band_m: Within it of the attained pose the tip counts as stable.
+        band_m: The tip is stable while its distance from the attained position is at most this.
         pose_accuracy_m: AP, the distance of the mean attained position from the commanded one.
         pose_repeatability_m: RP, mean distance from the mean attained position plus three standard deviations.
-        stabilisation_time_s: From the first entry into the band to the last.
-        overshoot_m: The farthest from the attained position after the first entry, if it leaves the band again.
+        stabilisation_time_s: Time from the first entry into the band to the last.
+        overshoot_m: The largest distance from the attained position after the first entry, if the tip leaves the band again.
         path_accuracy_m: AT, the distance of the mean path from the commanded line, in planes normal to it.
         path_repeatability_m: RT, as RP, in these planes.
     """
@@ -78,8 +78,11 @@ class Iso9283:
     path_accuracy_m: float
     path_repeatability_m: float
 
+    def __bool__(self) -> bool:
+        return self.ok
+
     def to_dict(self) -> dict[str, object]:
-        """The figures by name, fit for JSON: NaN becomes None.
+        """The figures by name, for JSON: NaN becomes None.
 
         Returns:
             Every attribute.
@@ -115,24 +118,24 @@ def iso9283_cycles(
 ) -> Iso9283:
     """Runs the standard's cycles: five poses on the inclined plane of a cube, and the line across it.
 
-    The cube is centred where the tip is at home, as large (up to 0.4 m) as the arm can work in; the tip keeps its orientation
-    where the arm can hold it. Without noise in the plant, repeatability means little.
+    The centre of the cube is the tip's position at home. The cube is as large as the arm can work in, at most 0.4 m. Arms of
+    six or more joints keep the tip's orientation. Without noise in the plant, repeatability means little.
 
     Args:
         arm: The arm.
         controller: A controller or the name of one.
-        plant: How reality differs from the model.
-        cycles: How often to go through the poses; the standard says 30.
-        path_cycles: How often to go along the path; the standard says 10.
-        speed: Share of the fastest speed that the limits allow.
-        dwell: s at each pose before it is measured.
-        band: m, of the attained pose, in which the tip counts as stable.
+        plant: The simulated plant.
+        cycles: Number of cycles through the poses; 30 in the standard.
+        path_cycles: Number of cycles along the path; 10 in the standard.
+        speed: Fraction of the maximum speed that the limits allow, in [0.001, 1].
+        dwell: s at each pose before it is measured, at least 0.05.
+        band: m; the tip is stable while its distance from the attained position is at most this.
 
     Returns:
-        The figures; where a run fails, `ok` is False and `reason` says why.
+        The figures; if a run fails, `ok` is False and `reason` says why.
 
     Raises:
-        InputError: An argument out of its bounds.
+        InputError: An argument is out of its bounds.
         PlanError: The arm cannot work in any cube around its home.
         UnknownNameError: There is no such controller.
     """
@@ -218,9 +221,9 @@ def _figures(stops: list[Log], paths: list[Log], points: Array, duration: float,
     attained = np.array([log.tip[-1] for log in stops]).reshape(-1, len(_ORDER) - 1, 3)
     pose = _accuracy(attained - points[list(_ORDER[1:])])
     stable = np.max([_stabilisation(log, band) for log in stops], axis=0)
-    start, way = points[1], points[3] - points[1]
-    offsets = np.array([log.tip[log.t <= duration] - start for log in paths])
-    across = offsets - (offsets @ way)[..., None] * way / (way @ way)
+    line = points[3] - points[1]
+    offsets = np.array([log.tip[log.t <= duration] - points[1] for log in paths])
+    across = offsets - (offsets @ line)[..., None] * line / (line @ line)
     return dict(zip(_FIGURES, (*pose, *stable.tolist(), *_accuracy(across)), strict=True))
 
 
@@ -233,10 +236,11 @@ def _accuracy(offsets: Array) -> tuple[float, float]:
 
 
 def _stabilisation(log: Log, band: float) -> tuple[float, float]:
-    """From the first entry into the band around the attained position to the last, s; how far it left it between, m."""
+    """Stabilisation time, s, and overshoot, m: from the first entry into the band around the attained position to the last."""
     distance = np.linalg.norm(log.tip - log.tip[-1], axis=1)
     inside = distance <= band
-    first, last_outside = int(inside.argmax()), int(np.flatnonzero(~inside)[-1]) if not inside.all() else -1
-    if last_outside < first:
+    first_inside = int(inside.argmax())
+    last_outside = -1 if inside.all() else int(np.flatnonzero(~inside)[-1])
+    if last_outside < first_inside:
         return 0.0, 0.0
-    return (last_outside + 1 - first) * log.dt, float(distance[first:].max())
+    return (last_outside + 1 - first_inside) * log.dt, float(distance[first_inside:].max())

@@ -1,4 +1,4 @@
-"""Pictures of logs over time. One style for the whole project; matplotlib waits until a picture is drawn."""
+"""Plots of logs over time, in one style. matplotlib is imported when the first plot is drawn."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.core import units
+from armctl.core.atomic import atomic_path, file_path
 from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.log import Log
 from armctl.core.target import TOLERANCE
-from armctl.core.validation import Array
+from armctl.core.validation import Array, instance
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's palette, told apart by the colour-blind (Color Universal Design, 2008).
+# The palette of Okabe and Ito (Color Universal Design, 2008), which colour-blind readers can tell apart.
 COLORS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8C6D00", "#000000", "#999999")
 STYLE: dict[Any, Any] = {
     "axes.grid": True,
@@ -43,21 +44,24 @@ STYLE: dict[Any, Any] = {
 ENDINGS = (".png", ".svg", ".pdf")
 
 _BOUND = {"color": "#555555", "linestyle": (0, (4, 3)), "linewidth": 0.9, "zorder": 1}
-_LEAST = 1e-9  # m: what is smaller is drawn there where the scale is logarithmic
+_MIN_TIP_ERROR_SHOWN_M = 1e-9  # the axis is logarithmic
 
 
 def four_panels(log: Log, path: str | os.PathLike[str] | None = None) -> Path | None:
-    """Draws joint angles, velocities, torques with their limits, and the tip, over time.
+    """Draws joint positions, joint velocities, motor torques and the tip's position over time, in four panels.
+
+    The reference is dashed, torque limits are grey lines, and a circle marks the target.
 
     Args:
         log: The run.
-        path: The picture, .png, .svg or .pdf; its folder is made. Left out, a window opens.
+        path: The picture, .png, .svg or .pdf; its folder is made, and the file is written atomically. Left out, a window opens.
 
     Returns:
         The path, if one was given.
 
     Raises:
         InputError: The log is empty, or the path has another ending.
+        ArmctlError: The file cannot be written.
         NotInstalledError: There is no screen for a window.
     """
     _check([log])
@@ -70,7 +74,7 @@ def four_panels(log: Log, path: str | os.PathLike[str] | None = None) -> Path | 
         _torque_limits(axes[1, 0], log)
         _lines(axes[1, 1], log.t, log.tip, log.tip_ref, names=("x", "y", "z"))
         _target(axes[1, 1], log)
-        dashed = "" if log.is_open_loop else "; dashed: wanted"
+        dashed = "" if log.is_open_loop else "; dashed: reference"
         titles = (
             f"joint {'position' if 'm' in log.units else 'angle'}, {units.label(log.units)}{dashed}",
             f"joint velocity, {units.label(log.units, '/s')}{dashed}",
@@ -94,36 +98,29 @@ def four_panels(log: Log, path: str | os.PathLike[str] | None = None) -> Path | 
 def overlay(
     logs: Sequence[Log], path: str | os.PathLike[str] | None = None, *, labels: Sequence[str] | None = None
 ) -> Path | None:
-    """Draws several runs over each other: the tip's distance from where it should be, and how hard the motors work.
+    """Draws several runs over each other: the tracking error of the tip, and the torque nearest to its limit.
 
     Args:
-        logs: The runs.
-        path: The picture, .png, .svg or .pdf; its folder is made. Left out, a window opens.
-        labels: One for each run; the names of their controllers if left out.
+        logs: The runs; each must have followed a reference.
+        path: The picture, .png, .svg or .pdf; its folder is made, and the file is written atomically. Left out, a window opens.
+        labels: One per run; the names of their controllers if left out.
 
     Returns:
         The path, if one was given.
 
     Raises:
-        InputError: A log is empty, there is none, there are not as many labels, or the path has another ending.
+        InputError: A log is empty or without a reference, there is none, the number of labels differs, or the path has another
+            ending.
+        ArmctlError: The file cannot be written.
         NotInstalledError: There is no screen for a window.
     """
+    _check_overlay(logs, labels)
     return _finish(lambda figure: _overlay(figure, logs, labels), (8, 6), path)
 
 
 def overlay_image(logs: Sequence[Log], labels: Sequence[str] | None = None) -> NDArray[np.uint8]:
-    """`overlay` as an image in memory.
-
-    Args:
-        logs: The runs.
-        labels: One for each run; the names of their controllers if left out.
-
-    Returns:
-        (height, width, 3), red, green and blue.
-
-    Raises:
-        InputError: A log is empty, there is none, or there are not as many labels.
-    """
+    """`overlay` as an image in memory: (height, width, 3), red, green and blue."""
+    _check_overlay(logs, labels)
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -137,37 +134,48 @@ def overlay_image(logs: Sequence[Log], labels: Sequence[str] | None = None) -> N
 
 
 def _overlay(figure: Figure, logs: Sequence[Log], labels: Sequence[str] | None) -> None:
-    _check(logs)
     labels = [log.controller for log in logs] if labels is None else labels
-    if len(labels) != len(logs):
-        raise InputError(f"labels: {len(labels)} given, {len(logs)} wanted, one for each log")
-    off, load = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    error, load = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     for i, (log, label) in enumerate(zip(logs, labels, strict=True)):
         color = COLORS[i % len(COLORS)]
-        off.semilogy(log.t, np.maximum(_tip_error(log), _LEAST) * 1e3, color=color, label=label)
-        share = np.abs(log.tau / log.tau_max).max(axis=1)
-        load.plot(log.t, 100 * share, color=color)
-    off.axhline(1e3 * TOLERANCE, **_BOUND)
+        error.semilogy(log.t, np.maximum(_tip_error(log), _MIN_TIP_ERROR_SHOWN_M) * 1e3, color=color, label=label)
+        torque_ratio = np.abs(log.tau / log.tau_max).max(axis=1)
+        load.plot(log.t, 100 * torque_ratio, color=color)
+    error.axhline(1e3 * TOLERANCE, **_BOUND)
     load.axhline(100.0, **_BOUND)
     load.set_ylim(0.0)
-    off.set_title(f"tip's distance from where it should be, mm (dashed: {1e3 * TOLERANCE:g} mm)")
-    load.set_title("hardest-working motor, % of its limit")
+    error.set_title(f"distance of the tip from its reference, mm (dashed: {1e3 * TOLERANCE:g} mm)")
+    load.set_title("largest motor torque, % of its limit")
     load.set_xlabel("time, s")
-    least = min(float(np.median(_tip_error(log))) for log in logs) / 10
-    off.set_ylim(bottom=1e3 * max(least, _LEAST / 3))
-    off.yaxis.set_major_formatter("{x:g}")
+    smallest = min(float(np.median(_tip_error(log))) for log in logs)
+    error.set_ylim(bottom=1e3 * max(smallest / 10, _MIN_TIP_ERROR_SHOWN_M / 3))
+    error.yaxis.set_major_formatter("{x:g}")
     figure.legend(loc="outside lower center", ncols=min(len(logs), 4))
 
 
 def _check(logs: Sequence[Log]) -> None:
-    if not logs or min(map(len, logs)) == 0:
-        raise InputError("log: it has no tick, so there is nothing to draw" if logs else "logs: none given, nothing to draw")
+    if isinstance(logs, Log) or not isinstance(logs, Sequence):
+        raise InputError("logs: a list of logs wanted, such as [sim.log]")
+    if not logs:
+        raise InputError("logs: none given, nothing to draw")
+    for log in logs:
+        instance("log", log, Log, "armctl.simulate and every move of a Simulation give one")
+        if len(log) == 0:
+            raise InputError("log: it is empty, so there is nothing to draw")
+
+
+def _check_overlay(logs: Sequence[Log], labels: Sequence[str] | None) -> None:
+    _check(logs)
+    if any(np.isnan(log.tip_ref).any() for log in logs):
+        raise InputError("logs: one of them has no reference, so there is no tracking error to draw; use four_panels")
+    if labels is not None and (isinstance(labels, str) or len(labels) != len(logs)):
+        raise InputError(f"labels: {len(labels)} given, {len(logs)} wanted, one for each log")
 
 
 def _finish(draw: Callable[[Figure], None], size: tuple[float, float], path: str | os.PathLike[str] | None) -> Path | None:
     """Draws into a file or a window."""
-    if path is not None and Path(path).suffix not in ENDINGS:
-        raise InputError(f"path: {Path(path).name!r} ends in {Path(path).suffix!r}, .png, .svg or .pdf wanted")
+    if path is not None:
+        path = file_path("path", path, ENDINGS)
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -176,9 +184,8 @@ def _finish(draw: Callable[[Figure], None], size: tuple[float, float], path: str
             return _window(draw, size)
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
+        with atomic_path(path) as temporary:
+            figure.savefig(temporary, metadata={"Date": None} if path.suffix == ".svg" else None)
     return path
 
 
@@ -194,7 +201,7 @@ def _window(draw: Callable[[Figure], None], size: tuple[float, float]) -> None:
 
 
 def _lines(ax: Axes, t: Array, values: Array, reference: Array | None = None, names: tuple[str, ...] | None = None) -> None:
-    """One line for each column, and its reference dashed over it."""
+    """One line per column, with its reference dashed."""
     for i, column in enumerate(values.T):
         ax.plot(t, column, color=COLORS[i % len(COLORS)], label=names[i] if names else None)
     if reference is not None and not np.isnan(reference).all():
@@ -203,15 +210,14 @@ def _lines(ax: Axes, t: Array, values: Array, reference: Array | None = None, na
 
 
 def _torque_limits(ax: Axes, log: Log) -> None:
-    """The limits that the torques come near, each value once, with the joints that it is for."""
+    """Lines at the torque limits near the torques, each value once, named by its joints."""
     peak = float(np.nanmax(np.abs(log.tau)))
     for limit in sorted({float(x) for x in log.tau_max if x <= 1.5 * peak}):
         joints = [name for name, bound in zip(log.joint_names, log.tau_max, strict=True) if bound == limit]
-        whose = joints[0] if len(joints) == 1 else f"{joints[0]} to {joints[-1]}" if len(joints) > 2 else " and ".join(joints)
         for bound in (-limit, limit):
             ax.axhline(bound, **_BOUND)
         ax.annotate(
-            f"limit of {whose}: {limit:g}",
+            f"limit of {_range_of_names(joints)}: {limit:g}",
             (1.0, limit),
             xycoords=("axes fraction", "data"),
             ha="right",
@@ -220,13 +226,17 @@ def _torque_limits(ax: Axes, log: Log) -> None:
         )
 
 
+def _range_of_names(names: Sequence[str]) -> str:
+    return " and ".join(names) if len(names) <= 2 else f"{names[0]} to {names[-1]}"
+
+
 def _target(ax: Axes, log: Log) -> None:
-    """Where the tip should end."""
+    """Circles at the target's coordinates, at the end of the run."""
     for i, value in enumerate(log.target[:3]):
         if np.isfinite(value):
             ax.plot(log.t[-1], value, marker="o", color=COLORS[i], markersize=6, clip_on=False, markerfacecolor="none")
 
 
 def _tip_error(log: Log) -> Array:
-    """(T,) m from the tip to where it should be."""
+    """(T,) m, the distance of the tip from its reference."""
     return np.linalg.norm(log.tip - log.tip_ref, axis=1)

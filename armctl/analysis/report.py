@@ -1,55 +1,69 @@
-"""Report: what a log says, led by a verdict."""
+"""Report: the figures of one run and a verdict."""
 
 from __future__ import annotations
 
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from armctl.analysis.plot import four_panels
+from armctl.analysis.tables import Table
 from armctl.core import units
 from armctl.core.errors import InputError
-from armctl.core.log import Log
+from armctl.core.log import Contact, Log
 from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE
-from armctl.core.validation import Array, BoolArray, instance
+from armctl.core.validation import Array, BoolArray, instance, number
+
+_MAX_CONTACTS_SHOWN = 3
+_MIN_TIP_ERROR_SHOWN_M = 1e-9
+_MIN_JOINT_ERROR_SHOWN = 1e-15
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Report:
     """The figures of one run. A figure that has no meaning for the run is NaN (null in `to_dict`).
 
     Attributes:
-        ok: Whether the run went to its end and the tip ended at its goal and stayed there.
-        verdict: Why, in words.
+        ok: Whether the run was completed and the tip was at its goal at the end.
+        reason: Why not, in words; empty if `ok`.
+        verdict: The result in one sentence.
         robot: The arm's name.
         controller: The controller's name.
-        plant: How reality differed from the model, in words.
-        joint_rms_rad: Root mean square over ticks and joints of q_ref - q while the reference moves.
-        joint_max_rad: The largest of these.
-        tip_rms_m: Root mean square distance of the tip from the reference's while that moves.
-        tip_max_m: The largest of these.
-        final_tip_error_m: The tip's distance from its goal at the end: the target of a move, else the end of the reference.
-        final_orientation_error_rad: Likewise; 0 where the target had no orientation.
+        plant: How the plant differed from the model, in words.
+        joint_rms_rad: Root mean square of q_ref - q over ticks and hinge joints, while the reference moves; NaN without hinges.
+        joint_max_rad: The largest of these errors.
+        joint_rms_m: Root mean square of q_ref - q over ticks and slide joints, while the reference moves; NaN without slides.
+        joint_max_m: The largest of these errors.
+        tip_rms_m: Root mean square distance of the tip from the reference's tip, while the reference moves.
+        tip_max_m: The largest of these distances.
+        final_tip_error_m: Distance of the tip from its goal at the end. The goal is the target of a move or of
+            `Simulation.follow`, otherwise the end of the reference.
+        final_orientation_error_rad: Angle from the goal's orientation at the end; 0 if the target had no orientation.
         settling_time_s: From the end of the reference's motion until the tip stays within the tolerance; NaN if it never does.
-        overshoot_m: How far beyond its goal the tip went, along the straight line from its start.
-        peak_torque_ratio: The largest torque over its limit.
-        saturated_fraction: Share of ticks at which some motor was asked for more than it can give.
-        chatter_nm: Root mean square of how far a torque is from the mean of its neighbours in time.
+        overshoot_m: How far the tip went beyond its goal, along the straight line from its start.
+        peak_torque_ratio: The largest torque divided by its limit.
+        saturated_fraction: Fraction of the ticks at which a commanded torque exceeded its limit.
+        chatter_nm: Root mean square difference of a torque from the mean of its two neighbours in time.
+        contacts: What the arm touched, and for how long.
         duration_s: Simulated time.
-        real_time_factor: Simulated time over the time it took.
+        real_time_factor: Simulated time divided by computing time.
         log: The run itself.
     """
 
     ok: bool
+    reason: str
     verdict: str
     robot: str
     controller: str
     plant: str
     joint_rms_rad: float
     joint_max_rad: float
+    joint_rms_m: float
+    joint_max_m: float
     tip_rms_m: float
     tip_max_m: float
     final_tip_error_m: float
@@ -59,67 +73,86 @@ class Report:
     peak_torque_ratio: float
     saturated_fraction: float
     chatter_nm: float
+    contacts: tuple[Contact, ...]
     duration_s: float
     real_time_factor: float
     log: Log
 
+    def __bool__(self) -> bool:
+        return self.ok
+
     @classmethod
     def from_log(cls, log: Log, tolerance: float = TOLERANCE, angle_tolerance: float = ANGLE_TOLERANCE) -> Report:
-        """The report of a run.
+        """Computes the report of a run.
 
         Args:
-            log: The run; it must have had a reference to follow.
-            tolerance: m within which the tip is at its goal.
-            angle_tolerance: rad, likewise.
+            log: The run; it must have followed a reference.
+            tolerance: m, the largest distance at which the tip is at its goal.
+            angle_tolerance: rad, the largest angle at which it has its orientation.
 
         Returns:
             The report.
 
         Raises:
-            InputError: The log is empty or of an open-loop run.
+            InputError: The log is empty or of an open-loop run, or a tolerance is negative or not finite.
         """
         instance("log", log, Log, "armctl.simulate and every move of a Simulation give one")
-        if len(log) == 0 or log.is_open_loop:
+        tolerance = number("tolerance", tolerance, 0.0)
+        angle_tolerance = number("angle_tolerance", angle_tolerance, 0.0)
+        if len(log) == 0 or np.isnan(log.q_ref).any() or np.isnan(log.tip_ref).any():
             raise InputError(
                 "log: it has no tick with a reference, so there is nothing to report on; armctl.four_panels draws it"
             )
+        with np.errstate(over="ignore", invalid="ignore"):  # a run that diverged may hold huge numbers
+            return cls._computed(log, tolerance, angle_tolerance)
+
+    @classmethod
+    def _computed(cls, log: Log, tolerance: float, angle_tolerance: float) -> Report:
         moving = log.t <= log.motion_duration + 0.5 * log.dt
         joint_error = (log.q_ref - log.q)[moving]
+        slides = np.array([unit == "m" for unit in log.units])
+        hinge_error = joint_error[:, ~slides]
+        slide_error = joint_error[:, slides]
         tip_error = np.linalg.norm(log.tip - log.tip_ref, axis=1)[moving]
         goal, goal_quat = _goal(log)
         distance = np.linalg.norm(log.tip - goal, axis=1)
         final = float(distance[-1])
         angle = _angle(log.tip_quat[-1], goal_quat)
-        settling = _settling_time(log, distance <= tolerance)
+        reason = _reason(log, final, angle, tolerance, angle_tolerance)
         return cls(
-            ok=not log.failure and final <= tolerance and angle <= angle_tolerance,
-            verdict=_verdict(log, final, angle, tolerance, angle_tolerance),
+            ok=not reason,
+            reason=reason,
+            verdict=_verdict(log, final, reason),
             robot=log.robot,
             controller=log.controller,
             plant=log.plant,
-            joint_rms_rad=_rms(joint_error),
-            joint_max_rad=float(np.abs(joint_error).max()),
+            joint_rms_rad=_rms(hinge_error),
+            joint_max_rad=_max(hinge_error),
+            joint_rms_m=_rms(slide_error),
+            joint_max_m=_max(slide_error),
             tip_rms_m=_rms(tip_error),
-            tip_max_m=float(tip_error.max()),
+            tip_max_m=_max(tip_error),
             final_tip_error_m=final,
             final_orientation_error_rad=angle,
-            settling_time_s=settling,
+            settling_time_s=_settling_time(log, distance <= tolerance),
             overshoot_m=_overshoot(log.tip, goal),
             peak_torque_ratio=float(np.abs(log.tau / log.tau_max).max()),
             saturated_fraction=float((np.abs(log.tau_cmd) > log.tau_max * (1 + 1e-9)).any(axis=1).mean()),
             chatter_nm=_rms(log.tau[1:-1] - 0.5 * (log.tau[:-2] + log.tau[2:])) if len(log) > 2 else 0.0,
+            contacts=log.contacts,
             duration_s=len(log) * log.dt,
             real_time_factor=log.real_time_factor,
             log=log,
         )
 
     def to_dict(self) -> dict[str, object]:
-        """The figures by name, fit for JSON: NaN becomes None.
+        """The figures by name, for JSON: NaN and infinity become None.
 
         Returns:
             Every attribute but the log.
         """
         figures = {k: v for k, v in self.__dict__.items() if k != "log"}
+        figures["contacts"] = [contact._asdict() for contact in self.contacts]
         return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in figures.items()}
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Path | None:
@@ -134,7 +167,7 @@ class Report:
         return four_panels(self.log, path)
 
     def __str__(self) -> str:
-        unit, torque_unit = units.label(self.log.units), units.label(units.of_torque(self.log.units))
+        torque_unit = units.label(units.of_torque(self.log.units))
         settled = f"settled after {self.settling_time_s:.3f} s" if math.isfinite(self.settling_time_s) else "never settled"
         turned = "" if np.isnan(_goal(self.log)[1]).any() else f", {_deg(self.final_orientation_error_rad)}"
         lines = [
@@ -143,42 +176,58 @@ class Report:
             f" {self.real_time_factor:.0f} times real time",
             f"  tip error    final {_mm(self.final_tip_error_m)}{turned}; while moving RMS {_mm(self.tip_rms_m)},"
             f" max {_mm(self.tip_max_m)}",
-            f"  joint error  while moving RMS {_rad(self.joint_rms_rad)} {unit}, max {_rad(self.joint_max_rad)} {unit}",
+            f"  joint error  while moving RMS {_joint_rms(self, with_unit=True)}, max {_joint_max(self, with_unit=True)}",
             f"  at the goal  {settled}, overshoot {_mm(self.overshoot_m)}",
             f"  torque       peak {100 * self.peak_torque_ratio:.0f} % of the limit, saturated"
             f" {100 * self.saturated_fraction:.1f} % of the time, chatter {self.chatter_nm:.2g} {torque_unit}",
         ]
+        if self.contacts:
+            lines.append(f"  contact      {contacts_in_words(self.contacts)}")
         return "\n".join(lines)
 
 
-def table(reports: list[Report]) -> str:
-    """Reports side by side, as a Markdown table.
+def contacts_in_words(contacts: Sequence[Contact]) -> str:
+    """What touched what, and for how long: the first few contacts."""
+    text = "; ".join(f"{contact} from {contact.start:.3g} s on" for contact in contacts[:_MAX_CONTACTS_SHOWN])
+    more = len(contacts) - _MAX_CONTACTS_SHOWN
+    return f"{text}; {more} more" if more > 0 else text
+
+
+def table(reports: Sequence[Report]) -> str:
+    """Shows reports side by side, as a Markdown table.
 
     Args:
-        reports: The reports, one a row.
+        reports: The reports, one per row.
 
     Returns:
         The table.
     """
-    joints = [unit for r in reports for unit in r.log.units]
+    return report_table(reports).markdown()
+
+
+def report_table(reports: Sequence[Report]) -> Table:
+    """The table of `table`, not yet formatted."""
+    joint_units = list(dict.fromkeys(unit for r in reports for unit in r.log.units))
+    mixed = len(joint_units) > 1
+    joint = "" if mixed else f", {units.label(joint_units)}"
     header = [
         "controller",
         "plant",
-        f"joint RMS, {units.label(joints)}",
-        f"joint max, {units.label(joints)}",
+        f"joint RMS{joint}",
+        f"joint max{joint}",
         "tip RMS",
         "tip max",
         "final tip error",
         "peak torque",
-        f"chatter, {units.label(units.of_torque(joints))}",
+        f"chatter, {units.label(units.of_torque(joint_units))}",
         "verdict",
     ]
     rows = [
         [
             r.controller,
             r.plant,
-            _rad(r.joint_rms_rad),
-            _rad(r.joint_max_rad),
+            _joint_rms(r, with_unit=mixed),
+            _joint_max(r, with_unit=mixed),
             _mm(r.tip_rms_m),
             _mm(r.tip_max_m),
             _mm(r.final_tip_error_m),
@@ -188,26 +237,32 @@ def table(reports: list[Report]) -> str:
         ]
         for r in reports
     ]
-    widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
-    lines = [[cell.ljust(w) for cell, w in zip(row, widths, strict=True)] for row in [header, *rows]]
-    lines.insert(1, ["-" * w for w in widths])
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return Table(header, rows)
 
 
 def _goal(log: Log) -> tuple[Array, Array]:
-    """Where the tip should end: (3,) m and (4,) wxyz, NaN where the orientation does not matter."""
+    """The final position, (3,) m, and orientation, (4,) wxyz or NaN if it is free."""
     if np.isnan(log.target[:3]).any():
         return log.tip_ref[-1], log.tip_ref_quat[-1]
     return log.target[:3], log.target[3:]
 
 
-def _verdict(log: Log, final: float, angle: float, tolerance: float, angle_tolerance: float) -> str:
+def _reason(log: Log, final: float, angle: float, tolerance: float, angle_tolerance: float) -> str:
+    """Why the run failed; empty if it did not."""
     if log.failure:
-        return f"failed: {log.failure}"
-    if final > tolerance:
-        return f"not reached: the tip ended {_mm(final)} from its goal ({_mm(tolerance)} allowed)"
-    if angle > angle_tolerance:
-        return f"not reached: the tip ended {angle:.3g} rad from its orientation ({angle_tolerance:g} rad allowed)"
+        return log.failure
+    if not final <= tolerance:
+        return f"the tip ended {_mm(final)} from its goal ({_mm(tolerance)} allowed)"
+    if not angle <= angle_tolerance:
+        return f"the tip ended {angle:.3g} rad from its orientation ({angle_tolerance:g} rad allowed)"
+    return ""
+
+
+def _verdict(log: Log, final: float, reason: str) -> str:
+    if log.failure:
+        return f"failed: {reason}"
+    if reason:
+        return f"not reached: {reason}"
     return f"reached: the tip ended {_mm(final)} from its goal after {len(log) * log.dt:.2f} s"
 
 
@@ -233,17 +288,32 @@ def _angle(quat: Array, goal_quat: Array) -> float:
 
 
 def _rms(x: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(x))))
+    return float(np.sqrt(np.mean(np.square(x)))) if x.size else math.nan
+
+
+def _max(x: Array) -> float:
+    return float(np.abs(x).max()) if x.size else math.nan
+
+
+def _joint_rms(report: Report, *, with_unit: bool) -> str:
+    return _joint_figure(report.joint_rms_rad, report.joint_rms_m, with_unit)
+
+
+def _joint_max(report: Report, *, with_unit: bool) -> str:
+    return _joint_figure(report.joint_max_rad, report.joint_max_m, with_unit)
+
+
+def _joint_figure(hinges: float, slides: float, with_unit: bool) -> str:
+    """The error of the hinge joints and that of the slide joints, of those that the arm has."""
+    known = [(value, unit) for value, unit in ((hinges, "rad"), (slides, "m")) if not math.isnan(value)]
+    texts = ["<1e-15" if value < _MIN_JOINT_ERROR_SHOWN else f"{value:.1e}" for value, _ in known]
+    return " and ".join(f"{text} {unit}" if with_unit else text for text, (_, unit) in zip(texts, known, strict=True))
 
 
 def _mm(metres: float) -> str:
-    if metres < 1e-9:
+    if metres < _MIN_TIP_ERROR_SHOWN_M:
         return "<1 nm"
     return f"{1e3 * metres:.3g} mm" if metres >= 1e-6 else f"{1e9 * metres:.0f} nm"
-
-
-def _rad(angle: float) -> str:
-    return f"{angle:.1e}" if angle >= 1e-15 else "<1e-15"
 
 
 def _deg(angle: float) -> str:

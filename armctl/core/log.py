@@ -172,7 +172,7 @@ class Log:
         except InputError as error:
             raise InputError(f"{path}: no log that armctl wrote: {error}") from None
         except Exception as error:  # damaged bytes raise whatever zipfile, zlib, NumPy or JSON run into
-            raise InputError(f"{path}: no log that armctl wrote ({type(error).__name__}: {str(error):.120})") from None
+            raise InputError(f"{path}: no log that armctl wrote ({type(error).__name__}: {error!s:.120})") from None
 
     def _save_csv(self, path: Path) -> None:
         header = ["t", *(f"{k}_{j}" for k in _PER_JOINT for j in self.joint_names)]
@@ -216,7 +216,7 @@ def _check_arrays(arrays: Mapping[str, Array], n: int, dt: float) -> None:
     ticks = len(arrays["t"]) if np.ndim(arrays["t"]) == 1 else -1
     nq = arrays["qpos"].shape[1:]
     shapes: dict[str, tuple[int, ...]] = {"t": (ticks,), "tau_max": (n,), "target": (7,), "qpos": (ticks, *nq)}
-    shapes |= {name: (ticks, n) for name in _PER_JOINT}
+    shapes |= dict.fromkeys(_PER_JOINT, (ticks, n))
     shapes |= {"tip": (ticks, 3), "tip_ref": (ticks, 3), "tip_quat": (ticks, 4), "tip_ref_quat": (ticks, 4)}
     if arrays["qpos"].shape == (0, 0):  # a log without positions of the model
         shapes["qpos"] = (0, 0)

@@ -55,6 +55,19 @@ def test_every_pair_has_a_report_plant_by_plant(bundled_motion):
     assert reports[1].joint_rms_rad < 1e-9 < reports[0].joint_rms_rad
 
 
+def test_plants_and_controllers_of_one_name_stay_apart(bundled_motion, tmp_path):
+    arm, motion = bundled_motion
+    plants = [armctl.Plant(coulomb_friction=0.01), armctl.Plant(coulomb_friction=0.05), armctl.Plant(coulomb_friction=0.05)]
+    controllers = [armctl.PD(arm), armctl.PD(arm, bandwidth=5.0)]
+    reports = armctl.compare(arm, controllers, motion, plants)
+    assert len({(r.controller, r.plant) for r in reports}) == 6
+    assert [r.controller for r in reports[:2]] == ["pd", "pd (2)"]
+    assert len(set(table(reports).splitlines())) == 8
+    page = write_comparison(reports, tmp_path, "Out and back")[2].read_text()
+    assert page.count("<h2>") == page.count("<svg") == 3
+    assert "pd (2)" in page
+
+
 def test_two_processes_find_what_one_finds(bundled_motion):
     arm, motion = bundled_motion
     plants = [armctl.Plant(encoder_noise=1e-4)]

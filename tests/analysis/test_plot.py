@@ -22,6 +22,11 @@ def logs() -> list[Log]:
     return runs
 
 
+def pushed() -> Log:
+    """A run without a reference."""
+    return Simulation(arm_of(BUNDLED)).apply_ctrl([0.1, 0.0, 0.0], 0.05)
+
+
 def words(path: Path) -> str:
     """The text of an SVG; matplotlib notes it beside the outlines."""
     return path.read_text(encoding="utf-8")
@@ -30,7 +35,7 @@ def words(path: Path) -> str:
 def test_four_panels_name_joints_units_and_limits(logs: list[Log], tmp_path: Path):
     path = four_panels(logs[0], tmp_path / "new" / "run.svg")
     assert path is not None
-    for text in (*logs[0].joint_names, "joint angle, rad", "rad/s", "N m", "tip position, m", "time, s", "dashed: wanted"):
+    for text in (*logs[0].joint_names, "joint angle, rad", "rad/s", "N m", "tip position, m", "time, s", "dashed: reference"):
         assert f"<!-- {text}" in words(path) or text in words(path), text
     near = logs[0].tau_max <= 1.5 * np.abs(logs[0].tau).max()
     assert ("limit of" in words(path)) == near.any()
@@ -67,6 +72,11 @@ def test_an_overlay_in_memory_is_the_picture_and_not_blank(logs: list[Log]):
         (lambda logs, d: overlay([], d / "x.png"), "none given, nothing to draw"),
         (lambda logs, d: overlay(logs, d / "x.png", labels=["one"]), "labels: 1 given, 2 wanted"),
         (lambda logs, d: overlay(logs, d / "x.jpeg"), ".png, .svg or .pdf wanted"),
+        (lambda logs, d: overlay(logs, 5), "path: 5 is no name of a file"),
+        (lambda logs, d: overlay(logs[0], d / "x.png"), "a list of logs wanted"),
+        (lambda logs, d: overlay([3], d / "x.png"), "log: 3 is no Log"),
+        (lambda logs, d: overlay([pushed()], d / "x.png"), "one of them has no reference"),
+        (lambda logs, d: four_panels("x", d / "x.png"), "log: 'x' is no Log"),
     ],
 )
 def test_what_cannot_be_drawn_is_one_sentence(logs: list[Log], tmp_path: Path, call, sentence: str):

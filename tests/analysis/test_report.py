@@ -2,13 +2,14 @@
 
 import json
 import math
+import re
 
 import numpy as np
 import pytest
 
 import armctl
-from armctl import InputError, Log, Report
-from armctl.analysis.report import table
+from armctl import Contact, InputError, Log, Report
+from armctl.analysis.report import report_table, table
 
 
 def made_log(**changes) -> Log:
@@ -75,7 +76,7 @@ def test_the_goal_is_the_target_where_there_is_one():
     assert "0.5 rad from its orientation" in report.verdict
 
 
-def test_in_words_only_what_was_asked_for_is_told():
+def test_the_orientation_is_shown_only_if_the_target_has_one():
     assert "final 2 mm, <1e-06 deg; while" in str(Report.from_log(made_log()))
     assert "at the goal  never settled, overshoot 2 mm" in str(Report.from_log(made_log()))
     point = str(Report.from_log(made_log(target=np.array([0.102, 0, 0, *[np.nan] * 4]))))
@@ -108,11 +109,11 @@ def test_a_run_that_ended_early_fails_first():
 
 def test_figures_are_fit_for_json():
     figures = json.loads(json.dumps(Report.from_log(made_log()).to_dict()))
-    wanted = (
+    figures_of_a_report = (
         "ok joint_rms_rad joint_max_rad tip_rms_m tip_max_m final_tip_error_m final_orientation_error_rad settling_time_s "
         "overshoot_m peak_torque_ratio saturated_fraction chatter_nm duration_s real_time_factor robot controller"
     )
-    assert set(wanted.split()) <= set(figures)
+    assert set(figures_of_a_report.split()) <= set(figures)
     assert figures["settling_time_s"] is None
 
 
@@ -130,7 +131,7 @@ def test_plots_are_drawn(tmp_path, suffix: str):
 
 
 def test_a_log_comes_back_from_its_file(tmp_path):
-    log = made_log(failure="diverged", target=np.arange(7.0))
+    log = made_log(failure="diverged", target=np.array([1, 2, 3, 0, 1, 0, 0.0]), contacts=(Contact("hand", "table", 0.5, 0.2),))
     back = Log.load(log.save(tmp_path / "new" / "run.npz"))
     for name, value in vars(log).items():
         if isinstance(value, np.ndarray):
@@ -151,7 +152,7 @@ def test_a_log_as_csv_has_named_columns(tmp_path):
     ("call", "sentence"),
     [
         (lambda d: made_log().save(d / "run.txt"), r"path: 'run.txt' ends in '.txt', .npz or .csv wanted"),
-        (lambda d: Log.load(d / "none.npz"), "no log that armctl wrote"),
+        (lambda d: Log.load(d / "none.npz"), r"none\.npz: cannot be read: No such file or directory"),
         (lambda d: Report.from_log(made_log()).plot(d / "run.jpeg"), ".png, .svg or .pdf wanted"),
         (lambda d: Report.from_log(made_log(q_ref=np.full((1001, 1), np.nan))), "nothing to report"),
     ],
@@ -161,8 +162,101 @@ def test_a_wrong_call_is_one_sentence(tmp_path, call, sentence: str):
         call(tmp_path)
 
 
-def test_a_file_that_is_no_log_is_refused(tmp_path):
+def test_a_file_that_is_no_log_is_rejected(tmp_path):
     path = tmp_path / "run.npz"
     path.write_bytes(b"not a log")
     with pytest.raises(armctl.InputError, match="no log that armctl wrote"):
         Log.load(path)
+
+
+UNFIT = {
+    "no time": ({"t": np.zeros(1001)}, "t: the times are not 0.001 s apart"),
+    "a negative tick": ({"dt": -1.0}, "dt: -1 given"),
+    "a word as tick": ({"dt": "x"}, "dt: 'x' is not a number"),
+    "an endless motion": ({"motion_duration": math.inf}, "motion_duration: inf given"),
+    "a short column": ({"tau": np.zeros((1000, 1))}, r"tau: float64 of shape \(1000, 1\), float64 of shape \(1001, 1\) wanted"),
+    "whole numbers": ({"q": np.zeros((1001, 1), int)}, "q: int64 of shape"),
+    "a quaternion of three": ({"tip_quat": np.ones((1001, 3))}, "tip_quat: float64 of shape"),
+    "no rotation": ({"tip_quat": np.ones((1001, 4))}, "tip_quat: a quaternion has not length 1"),
+    "a hole in the state": ({"q": np.full((1001, 1), np.nan)}, "q: a number is not finite"),
+    "an infinite reference": ({"q_ref": np.full((1001, 1), np.inf)}, "q_ref: a number is infinite"),
+    "a huge position": ({"tip": np.full((1001, 3), 1e300)}, r"tip: a number is above 1e\+20"),
+    "no torque": ({"tau_max": np.zeros(1)}, "tau_max: a torque limit is not greater than 0"),
+    "joints without units": ({"units": ("rad", "rad")}, "units: .* do not fit 1 joints"),
+    "an unknown unit": ({"units": ("deg",)}, "units: .* do not fit 1 joints"),
+    "a number as name": ({"robot": 5}, r"robot: \[5\] is no text"),
+    "a contact of one": ({"contacts": (("hand",),)}, "contacts: .* is no contact"),
+}
+
+
+@pytest.mark.parametrize(("changes", "sentence"), UNFIT.values(), ids=UNFIT)
+def test_a_loaded_log_must_mean_something(tmp_path, changes: dict, sentence: str):
+    path = made_log(**changes).save(tmp_path / "run.npz")
+    with pytest.raises(InputError, match=rf"run\.npz: no log that armctl wrote: {sentence}"):
+        Log.load(path)
+
+
+@pytest.mark.parametrize("path", [None, 5, b"run.npz", "", "a\0b"])
+def test_what_is_no_name_of_a_file_is_rejected(path):
+    with pytest.raises(InputError, match=r"^path: .* is no name of a file$"):
+        Log.load(path)
+    with pytest.raises(InputError, match=r"^path: .* is no name of a file$"):
+        made_log().save(path)
+
+
+@pytest.mark.parametrize("tolerance", [math.nan, math.inf, -1e-3, "1", True])
+def test_a_tolerance_is_a_number_of_at_least_zero(tolerance):
+    with pytest.raises(InputError, match=r"^tolerance: "):
+        Report.from_log(made_log(), tolerance=tolerance)
+    with pytest.raises(InputError, match=r"^angle_tolerance: "):
+        Report.from_log(made_log(), angle_tolerance=tolerance)
+
+
+def test_errors_of_hinges_and_slides_are_separate_quantities():
+    both = {"joint_names": ("j", "s"), "units": ("rad", "m"), "tau_max": np.array([4.0, 8.0])}
+    q_ref = np.zeros((1001, 2))
+    columns = {name: np.zeros((1001, 2)) for name in ("v", "v_ref", "a_ref", "tau", "tau_cmd")}
+    report = Report.from_log(made_log(**both, **columns, q_ref=q_ref, q=q_ref + np.array([0.1, 0.002])))
+    assert report.joint_rms_rad == pytest.approx(0.1)
+    assert report.joint_max_m == pytest.approx(0.002)
+    assert "RMS 1.0e-01 rad and 2.0e-03 m, max" in str(report)
+    hinges = Report.from_log(made_log())
+    assert math.isnan(hinges.joint_rms_m)
+    assert hinges.to_dict()["joint_max_m"] is None
+    assert "joint RMS, rad" in table([hinges])
+    lines = table([hinges, report]).splitlines()
+    assert "joint RMS |" in " ".join(lines[0].split())
+    assert "1.0e-02 rad" in lines[2]
+    assert "1.0e-01 rad and 2.0e-03 m" in lines[3]
+
+
+def test_what_was_touched_is_reported():
+    contacts = tuple(Contact("hand", f"box {k}", 0.25 * k, 0.1) for k in range(5))
+    report = Report.from_log(made_log(contacts=contacts))
+    assert "contact      hand touched box 0 for 0.1 s from 0 s on; hand touched box 1" in str(report)
+    assert str(report).endswith("; 2 more")
+    assert json.loads(json.dumps(report.to_dict()))["contacts"][4] == {
+        "body": "hand",
+        "other": "box 4",
+        "start": 1.0,
+        "duration": 0.1,
+    }
+    assert "contact " not in str(Report.from_log(made_log()))
+
+
+def test_a_report_says_why_it_is_not_ok():
+    report = Report.from_log(made_log())
+    assert not report
+    assert report.reason == "the tip ended 2 mm from its goal (1 mm allowed)"
+    good = Report.from_log(made_log(), tolerance=0.01)
+    assert good
+    assert good.reason == ""
+
+
+def test_a_pipe_in_a_name_breaks_no_table():
+    odd = Report.from_log(made_log(controller="a|b <i>\nc", plant="x|y"))
+    for line in table([odd, Report.from_log(made_log())]).splitlines():
+        assert len(re.findall(r"(?<!\\)\|", line)) == 11
+    page = report_table([odd]).html()
+    assert page.count("<td") == page.count("<th>") == 10
+    assert "a|b &lt;i&gt; c" in page

@@ -158,15 +158,19 @@ DAMAGES = {"bytes": damaged_bytes, "headers": damaged_header, "meaning": wrong_m
 @pytest.mark.parametrize("kind", USES)
 def test_a_damaged_file_is_usable_or_rejected_in_one_sentence(files, tmp_path, fuzz_cases, kind: str, damage: str):
     path = tmp_path / f"{kind}.npz"
+    messages = []
     for rng in fuzz_cases(CASES):
         path.write_bytes(DAMAGES[damage](files[kind], rng))
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", SyntaxWarning)  # of NumPy, for a header with a backslash
+                for kind_of_warning in (SyntaxWarning, DeprecationWarning):  # NumPy's, for a header with a backslash
+                    warnings.simplefilter("ignore", kind_of_warning)
                 USES[kind](path)
         except InputError as error:
-            assert len(str(error)) <= 400
-            assert "\n" not in str(error)
+            messages.append(str(error))
+    assert len(messages) > CASES / 4, "the damage does no harm"
+    assert max(map(len, messages)) <= 400
+    assert not any("\n" in message for message in messages)
 
 
 @pytest.mark.parametrize("kind", USES)

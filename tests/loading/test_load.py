@@ -236,7 +236,7 @@ def test_a_slide_joint_is_spoken_of_in_newtons_and_metres(tmp_path: Path):
     assert re.search(r"chatter \S+ N$", str(report))
     assert "joint RMS, m |" in armctl.analysis.report.table([report]).replace("  ", "")
     report.plot(tmp_path / "log.svg")
-    assert {"joint position, m; dashed: wanted", "motor torque, N"} <= set(
+    assert {"joint position, m; dashed: reference", "motor torque, N"} <= set(
         re.findall(r"<!-- (.*?) -->", (tmp_path / "log.svg").read_text())
     )
 
