@@ -2,9 +2,12 @@
 
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+from arms import MISSING
 
 from armctl.cli.main import _parser
 
@@ -36,6 +39,18 @@ LINKS = [(page, link) for page, text in TEXTS.items() for link in re.findall(r"\
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_in_the_pages_is_one_that_armctl_takes(command: str):
     assert _parser().parse_args(shlex.split(command, comments=True)[1:]).run
+
+
+README_COMMANDS = [line for line in blocks(TEXTS[Path("README.md")], "sh")[-1].splitlines() if line.startswith("armctl ")]
+
+
+@pytest.mark.parametrize("command", [line for line in README_COMMANDS if not line.startswith("armctl view")])
+def test_a_command_of_the_readme_succeeds(command: str, tmp_path: Path):
+    words = [sys.executable, "-m", *shlex.split(command)]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    if MISSING in done.stderr:
+        pytest.skip(f"{words[4]}: {MISSING}")
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 @pytest.mark.parametrize(("page", "file"), FILES)
