@@ -3,8 +3,8 @@
     python benchmarks/soak.py [--minutes 60] [--robot robot_arm_3dof]
 
 Memory must stay constant. Prints one row every twentieth of the time. The exit status is 1 if anything failed, or if the memory
-of either process grew by more than 5 % and by more than 10 MB between the first quarter of the run, in which caches fill, and its
-end.
+of either process grew by more than 5 % and by more than 10 MB between the first quarter, when caches fill, and
+its end.
 """
 
 from __future__ import annotations
