@@ -30,38 +30,45 @@ html_theme = "furo"
 html_title = "armctl"
 html_show_copyright = False
 
+# One chapter per subpackage that has public names, in the order of the layers.
 CHAPTERS = {
     "core": "Values: poses, limits, setpoints, logs, errors",
+    "mjmodel": "MuJoCo models",
     "robot": "The arm",
+    "collision": "Collisions and clearance",
     "loading": "Loading robots",
     "ik": "Inverse kinematics",
-    "motion": "Motion",
     "control": "Control",
+    "motion": "Motion",
+    "planning": "Collision-free motion",
+    "render": "Pictures and videos",
     "sim": "Simulation",
-    "render": "Pictures and films",
-    "design": "Identification",
+    "design": "Identification and tuning",
     "analysis": "Reports, plots, comparisons",
+    "viewer": "The viewer",
+    "envs": "Reinforcement learning",
+    "io": "Other tools",
 }
 
 
 def reference() -> str:
     """The reference: every public name, by the subpackage it is in."""
-    subpackage_of = {name: getattr(armctl, name).__module__.split(".")[1] for name in armctl.__all__ if name != "__version__"}
-    without_chapter = set(subpackage_of.values()) - set(CHAPTERS)
-    if without_chapter:
-        raise ValueError(f"CHAPTERS: give {', '.join(sorted(without_chapter))} a chapter")
+    names: dict[str, list[str]] = {subpackage: [] for subpackage in CHAPTERS}
+    for name in armctl.__all__:
+        if name != "__version__":
+            names[getattr(armctl, name).__module__.split(".")[1]].append(name)
     lines = ["# Reference", "", "Every public name; each is `armctl.NAME`.", ""]
     for subpackage, title in CHAPTERS.items():
-        introduction = (import_module(f"armctl.{subpackage}").__doc__ or "").split("\n")[0]
-        lines += [f"## {title}", "", introduction, ""]
-        for name, home in subpackage_of.items():
-            if home == subpackage:
-                lines += ["```{eval-rst}", *directive(name), "```", ""]
+        if names[subpackage]:
+            introduction = (import_module(f"armctl.{subpackage}").__doc__ or "").split("\n")[0]
+            lines += [f"## {title}", "", introduction, ""]
+        for name in names[subpackage]:
+            lines += ["```{eval-rst}", *directive(name), "```", ""]
     return "\n".join(lines)
 
 
 def directive(name: str) -> list[str]:
-    """What documents one public name."""
+    """The Sphinx directive that documents one public name."""
     value = getattr(armctl, name)
     if not inspect.isclass(value):
         return [f".. autofunction:: armctl.{name}"]
@@ -70,23 +77,23 @@ def directive(name: str) -> list[str]:
     return [f".. autoclass:: armctl.{name}", "   :members:", "   :inherited-members: tuple, object"]
 
 
-def leave_out(app, what, name, obj, skip, options):
-    """The fields of a NamedTuple are listed by its docstring; Python's own words for them say nothing."""
+def skip_fields_of_named_tuples(app, what, name, obj, skip, options):
+    """The docstring of a NamedTuple lists its fields; Python's generated docstrings add nothing."""
     return True if type(obj).__name__ == "_tuplegetter" else None
 
 
 def plain_aliases(app, what, name, obj, options, signature, returns):
-    """A type's alias by its own name."""
+    """Type aliases by their own names."""
     return tuple(part and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", part) for part in (signature, returns))
 
 
-def own_words(app, what, name, obj, options, lines):
-    """Without what Python says of every NamedTuple."""
+def without_generated_docstring(app, what, name, obj, options, lines):
+    """Removes the docstring that Python generates for the constructor of every NamedTuple."""
     lines[:] = [line for line in lines if not line.startswith("Create new instance of")]
 
 
 def setup(app):
     (Path(__file__).parent / "reference.md").write_text(reference(), encoding="utf-8")
-    app.connect("autodoc-skip-member", leave_out)
+    app.connect("autodoc-skip-member", skip_fields_of_named_tuples)
     app.connect("autodoc-process-signature", plain_aliases)
-    app.connect("autodoc-process-docstring", own_words)
+    app.connect("autodoc-process-docstring", without_generated_docstring)

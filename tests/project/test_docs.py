@@ -1,7 +1,9 @@
 """What README and the pages tell a reader to type and to open is really there."""
 
+import inspect
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +11,7 @@ from pathlib import Path
 import pytest
 from arms import MISSING
 
+import armctl
 from armctl.cli.main import _parser
 
 ROOT = Path(__file__).parents[2]
@@ -91,6 +94,31 @@ def test_no_text_tells_to_install_the_foreign_distribution_called_armctl():
     assert foreign.search("pip install 'armctl[view]'")
     assert foreign.search("python -m pip install -U armctl")
     assert not foreign.search("pip install -e '.[view]'  # armctl")
+
+
+def public_ids() -> set[str]:
+    """The anchors that the reference must have: all public names, and the public methods of the classes, inherited ones too."""
+    ids = set()
+    for name in set(armctl.__all__) - {"__version__"}:
+        value = getattr(armctl, name)
+        ids.add(f"armctl.{name}")
+        for base in value.__mro__ if inspect.isclass(value) else ():
+            if base.__module__.startswith("armctl."):
+                ids |= {f"armctl.{name}.{m}" for m, v in vars(base).items() if not m.startswith("_") and callable(v)}
+    return ids
+
+
+def test_the_reference_holds_every_public_name_and_method(tmp_path: Path):
+    docs = shutil.copytree(ROOT / "docs", tmp_path / "docs", ignore=shutil.ignore_patterns("_build"))
+    for page in set(docs.glob("*.md")) - {docs / "index.md"}:
+        page.unlink()
+    (docs / "index.md").write_text("# armctl\n\n```{toctree}\nreference\n```\n", encoding="utf-8")
+    build = [sys.executable, "-m", "sphinx", "-W", "-q", "-b", "html", docs, tmp_path / "html"]
+    done = subprocess.run(build, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    anchors = set(re.findall(r'id="(armctl\.[\w.]+)"', (tmp_path / "html" / "reference.html").read_text(encoding="utf-8")))
+    assert public_ids() - anchors == set()
+    assert "armctl.Simulation.move_to" in anchors
 
 
 def test_the_readme_begins_with_the_two_commands():
