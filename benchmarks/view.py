@@ -25,7 +25,7 @@ from PIL import Image
 import armctl
 from armctl.core.pose import Pose
 from armctl.render import Renderer
-from armctl.render.camera import frame
+from armctl.render.camera import fitted_camera
 from armctl.viewer.page import Page
 from armctl.viewer.web_scene import WebScene
 
@@ -39,7 +39,7 @@ def frames_a_second(robot: str, quality: str, frames: int) -> float:
     data = mujoco.MjData(arm.model)
     data.qpos[:] = arm.home_qpos
     mujoco.mj_forward(arm.model, data)
-    camera = frame(arm, [data], arm.fk(arm.home).position[None], 4 / 3)
+    camera = fitted_camera(arm, [data], arm.fk(arm.home).position[None], 4 / 3)
     with Renderer(arm.model, 640, 480, quality) as renderer:
         renderer.image(data, camera)
         started = time.perf_counter()

@@ -1,4 +1,4 @@
-"""Seeing: offscreen pictures and films of runs."""
+"""Offscreen pictures and films of runs."""
 
 from armctl.render.renderer import Renderer
 from armctl.render.video import film_path, record, still

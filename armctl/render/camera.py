@@ -1,8 +1,9 @@
-"""Camera: a view that shows the whole arm and what it is after, without being told where they are."""
+"""A camera that shows the whole arm, its target, and the path between them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -10,43 +11,49 @@ import numpy as np
 from armctl.core.validation import Array, IntArray
 from armctl.robot.arm import Arm
 
-_MARGIN = 1.08  # how much wider than what it shows
-_TURNS = np.radians([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])  # from the model's own azimuth
-_SEEN = 24  # points of the way that are looked for
-_SIDE_ON = 0.5  # what seeing the way's whole length is worth, against seeing all of it
+_MARGIN = 1.08  # width of the picture over width of its contents
+_TURNS_RAD = np.radians([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])  # from the model's own azimuth
+_PATH_POINTS = 24  # that are tested for visibility
+_SIDE_VIEW_WEIGHT = 0.5  # of seeing the path's full length, against seeing all of its points
+_HIDING_DISTANCE_M = 0.05  # what is nearer to a point than this does not hide it
 
 
-def frame(arm: Arm, poses: Sequence[mujoco.MjData], way: Array, aspect: float) -> mujoco.MjvCamera:
-    """A camera that shows an arm in several states and the way of its tip: the least hidden, the most from the side.
+class Axes(NamedTuple):
+    """The directions of a camera, each (3,) in world axes."""
+
+    forward: Array
+    right: Array
+    up: Array
+
+
+def fitted_camera(arm: Arm, states: Sequence[mujoco.MjData], path: Array, aspect: float) -> mujoco.MjvCamera:
+    """A free camera that shows an arm in several states and the path of its tip.
+
+    Of twelve azimuths it takes the one with the fewest hidden points and the most of the path seen from the side.
 
     Args:
         arm: The arm.
-        poses: Its states, after forward kinematics.
-        way: (k, 3) m, where the tip goes; the last is the target.
-        aspect: Width over height.
+        states: States of its model, after forward kinematics.
+        path: (k, 3) m, the path of the tip; the last point is the target.
+        aspect: Width over height of the picture.
 
     Returns:
-        A free camera.
+        The camera.
     """
-    model, corners = arm.model, np.concatenate([*(box_corners(arm, data) for data in poses), way])
-    azimuth, elevation = np.radians([model.vis.global_.azimuth, model.vis.global_.elevation])
-    views = [_fit(model, corners, azimuth + turn, elevation, aspect) for turn in _TURNS]
-    return views[int(np.argmax([_worth(model, poses, way, view) for view in views]))]
+    model = arm.model
+    corners = np.concatenate([*(box_corners(arm, data) for data in states), path])
+    azimuth = np.radians(model.vis.global_.azimuth)
+    elevation = np.radians(model.vis.global_.elevation)
+    cameras = [_fit(model, corners, azimuth + turn, elevation, aspect) for turn in _TURNS_RAD]
+    return cameras[int(np.argmax([_visibility(model, states, path, camera) for camera in cameras]))]
 
 
 def box_corners(arm: Arm, data: mujoco.MjData) -> Array:
-    """The corners of the boxes around all that is drawn of a robot.
-
-    Args:
-        arm: The arm.
-        data: Its state, after forward kinematics.
-
-    Returns:
-        (8 k, 3) m, in the world.
-    """
+    """(8 k, 3) m, the corners of the bounding boxes of the k visible geoms of a robot, after forward kinematics."""
     model = arm.model
     geoms = _geoms(arm)
-    center, half = model.geom_aabb[geoms, :3], model.geom_aabb[geoms, 3:]
+    center = model.geom_aabb[geoms, :3]
+    half = model.geom_aabb[geoms, 3:]
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     local = center[:, None] + signs * half[:, None]
     rotation = data.geom_xmat[geoms].reshape(-1, 3, 3)
@@ -54,7 +61,7 @@ def box_corners(arm: Arm, data: mujoco.MjData) -> Array:
 
 
 def _geoms(arm: Arm) -> IntArray:
-    """The robot's geoms that are drawn: those of every body under the one that the arm stands on."""
+    """The visible geoms of the robot: those of all bodies below the arm's root body."""
     model = arm.model
     root = model.body_rootid[model.jnt_bodyid[model.dof_jntid[arm.dof_adr[0]]]]
     drawn = (model.geom_group < 3) & (model.geom_rgba[:, 3] > 0) & (model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE))
@@ -62,62 +69,58 @@ def _geoms(arm: Arm) -> IntArray:
 
 
 def _fit(model: mujoco.MjModel, points: Array, azimuth: float, elevation: float, aspect: float) -> mujoco.MjvCamera:
-    """The nearest camera in a direction that has all points in its picture."""
+    """The nearest camera with a direction that has all points in its picture."""
     forward, right, up = axes(azimuth, elevation)
-    depth, x, y = points @ forward, points @ right, points @ up
+    depth = points @ forward
     tan_y = np.tan(np.radians(model.vis.global_.fovy) / 2) / _MARGIN
-    # A point at depth d from the eye is in the picture where |x - x_eye| <= tan d: four half-planes, two for each direction.
-    x_eye, back_x = _between(x, depth, aspect * tan_y)
-    y_eye, back_y = _between(y, depth, tan_y)
+    # A point at depth d from the eye is in the picture if |x - x_eye| <= tan d: four half-planes, two for each direction.
+    x_eye, back_x = _between(points @ right, depth, aspect * tan_y)
+    y_eye, back_y = _between(points @ up, depth, tan_y)
     back = min(back_x, back_y)
     middle = 0.5 * (depth.min() + depth.max())
     camera = mujoco.MjvCamera()
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     camera.lookat[:] = x_eye * right + y_eye * up + middle * forward
     camera.distance = middle - back
-    camera.azimuth, camera.elevation = np.degrees([azimuth, elevation])
+    camera.azimuth = np.degrees(azimuth)
+    camera.elevation = np.degrees(elevation)
     return camera
 
 
 def _between(x: Array, depth: Array, tan: float) -> tuple[float, float]:
-    """Where across and how far back the eye is so that the outermost points on both sides touch the edges of the picture."""
-    low, high = (x - tan * depth).max(), (x + tan * depth).min()
+    """Position of the eye across and along the view, at which the outermost points touch both edges of the picture."""
+    low = (x - tan * depth).max()
+    high = (x + tan * depth).min()
     return 0.5 * (low + high), (high - low) / (2 * tan)
 
 
-def axes(azimuth: float, elevation: float) -> tuple[Array, Array, Array]:
-    """The directions of a MuJoCo free camera.
-
-    Args:
-        azimuth: rad.
-        elevation: rad, negative from above.
-
-    Returns:
-        Forward, right and up, each (3,), in the world.
-    """
-    (ca, sa), (ce, se) = ((np.cos(angle), np.sin(angle)) for angle in (azimuth, elevation))
-    return np.array([ce * ca, ce * sa, se]), np.array([sa, -ca, 0.0]), np.array([-se * ca, -se * sa, ce])
+def axes(azimuth: float, elevation: float) -> Axes:
+    """The directions of a MuJoCo free camera; azimuth and elevation in rad, the elevation negative from above."""
+    ca = np.cos(azimuth)
+    sa = np.sin(azimuth)
+    ce = np.cos(elevation)
+    se = np.sin(elevation)
+    return Axes(np.array([ce * ca, ce * sa, se]), np.array([sa, -ca, 0.0]), np.array([-se * ca, -se * sa, ce]))
 
 
-def _eye(camera: mujoco.MjvCamera) -> Array:
-    return camera.lookat - camera.distance * axes(*np.radians([camera.azimuth, camera.elevation]))[0]
-
-
-def _worth(model: mujoco.MjModel, poses: Sequence[mujoco.MjData], way: Array, view: mujoco.MjvCamera) -> float:
-    """How well a view shows a way: the share of its points that is seen, and of its length that is seen from the side."""
-    eye, forward = _eye(view), axes(*np.radians([view.azimuth, view.elevation]))[0]
-    points = way[np.linspace(0, len(way) - 1, _SEEN).astype(int)]
-    seen = [not _is_hidden(model, poses[-1], eye, point) for point in points]
-    seen += [not _is_hidden(model, data, eye, way[-1]) for data in poses]
+def _visibility(model: mujoco.MjModel, states: Sequence[mujoco.MjData], path: Array, camera: mujoco.MjvCamera) -> float:
+    """How well a camera shows a path: the fraction of visible points, and the fraction of its length seen from the side."""
+    forward = axes(np.radians(camera.azimuth), np.radians(camera.elevation)).forward
+    eye = camera.lookat - camera.distance * forward
+    points = path[np.linspace(0, len(path) - 1, _PATH_POINTS).astype(int)]
+    visible = [not _is_hidden(model, states[-1], eye, point) for point in points]
+    visible += [not _is_hidden(model, data, eye, path[-1]) for data in states]
     steps = np.diff(points, axis=0)
     length = float(np.linalg.norm(steps, axis=1).sum())
     across = float(np.linalg.norm(steps - np.outer(steps @ forward, forward), axis=1).sum())
-    return float(np.mean(seen)) + _SIDE_ON * across / max(length, 1e-6)
+    return float(np.mean(visible)) + _SIDE_VIEW_WEIGHT * across / max(length, 1e-6)
 
 
 def _is_hidden(model: mujoco.MjModel, data: mujoco.MjData, eye: Array, point: Array) -> bool:
-    """Whether anything stands between an eye and a point, short of 5 cm before it."""
-    way, groups = point - eye, np.array([1, 1, 1, 0, 0, 0], np.uint8)
-    distance, geom = float(np.linalg.norm(way)), np.zeros(1, np.int32)
-    hit = mujoco.mj_ray(model, data, eye, way / distance, groups, 1, -1, geom)
-    return 0 <= hit < distance - 0.05
+    """Whether a geom is between the eye and a point."""
+    ray = point - eye
+    distance = float(np.linalg.norm(ray))
+    groups = np.array([1, 1, 1, 0, 0, 0], np.uint8)
+    geom = np.zeros(1, np.int32)
+    hit = mujoco.mj_ray(model, data, eye, ray / distance, groups, 1, -1, geom)
+    return 0 <= hit < distance - _HIDING_DISTANCE_M

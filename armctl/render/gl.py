@@ -1,4 +1,8 @@
-"""OpenGL without a screen: which of MuJoCo's backends there is, and one sentence where there is none."""
+"""An OpenGL context without a screen.
+
+`mujoco.Renderer` selects its backend while mujoco is imported, and by default one that needs a screen on Linux. armctl selects
+it when the first picture is drawn.
+"""
 
 from __future__ import annotations
 
@@ -11,23 +15,23 @@ from typing import Protocol
 from armctl.core.errors import NotInstalledError
 
 INSTALL = "apt-get install -y libegl1 libegl-mesa0 libgl1-mesa-dri"
-_LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}  # in the order of preference
+_LIBRARY_OF_BACKEND = {"egl": "EGL", "osmesa": "OSMesa"}  # in the order of preference
 
 
 class GlContext(Protocol):
-    """What MuJoCo's backends have in common."""
+    """The common methods of MuJoCo's backends."""
 
     def make_current(self) -> None:
-        """Draws go here from now on."""
+        """Directs OpenGL calls of this thread to this context."""
         ...
 
     def free(self) -> None:
-        """Gives the memory back."""
+        """Releases the memory."""
         ...
 
 
 def gl_context(width: int, height: int) -> GlContext:
-    """An OpenGL context to draw in offscreen. `MUJOCO_GL` decides the backend; unset, the first that is there.
+    """An offscreen OpenGL context. `MUJOCO_GL` selects the backend; unset, the first one that is installed.
 
     Args:
         width: Pixels.
@@ -37,18 +41,18 @@ def gl_context(width: int, height: int) -> GlContext:
         The context, not yet current.
 
     Raises:
-        NotInstalledError: There is no OpenGL here that works without a screen.
+        NotInstalledError: No OpenGL works here without a screen.
     """
-    backend = os.environ.get("MUJOCO_GL", "").strip().lower() or _found()
+    backend = os.environ.get("MUJOCO_GL", "").strip().lower() or _installed_backend()
     try:
         return importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
-    except Exception as error:
+    except Exception as error:  # each backend raises other types
         why = " ".join(str(error).split()) or type(error).__name__
-        raise NotInstalledError(f"OpenGL by {backend} gives no picture ({why}); on Debian: {INSTALL}") from None
+        raise NotInstalledError(f"OpenGL by {backend} gives no picture ({why:.200}); on Debian: {INSTALL}") from None
 
 
-def _found() -> str:
+def _installed_backend() -> str:
     if sys.platform == "darwin":
         return "cgl"
-    there = [backend for backend, library in _LIBRARIES.items() if ctypes.util.find_library(library)]
-    return there[0] if there else "glfw"
+    installed = [backend for backend, library in _LIBRARY_OF_BACKEND.items() if ctypes.util.find_library(library)]
+    return installed[0] if installed else "glfw"

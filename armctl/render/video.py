@@ -1,4 +1,4 @@
-"""Film: a log played back into images, and images into a video or a picture."""
+"""Films and still pictures of logs."""
 
 from __future__ import annotations
 
@@ -10,18 +10,20 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from armctl.core.atomic import atomic_path, file_path
 from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.log import Log
 from armctl.core.progress import progress_bar
-from armctl.core.validation import Array, number
+from armctl.core.validation import Array, choice, instance, number
 from armctl.loading.prepare import TARGET
-from armctl.render.camera import frame
-from armctl.render.renderer import Image, Renderer
-from armctl.robot.arm import Arm
+from armctl.render.camera import fitted_camera
+from armctl.render.renderer import QUALITIES, Image, Renderer, check_size
+from armctl.robot.arm import Arm, check_arm
 
 ENDINGS = (".mp4", ".gif")
 _FRAMES_PER_SECOND = {".mp4": 30, ".gif": 25}  # a GIF counts hundredths of a second
-_FRAMED = 12  # how many states of a run the camera must show
+_STATES_IN_VIEW = 12  # of a run, for which the camera is placed
+_TARGET_SCALE = 1.15  # the target stays visible around a tip of the same size
 
 
 def record(
@@ -34,38 +36,45 @@ def record(
     quality: str = "fast",
     speed: float = 1.0,
 ) -> Path:
-    """Films a run, or several one after the other: the arm and all that moves, the target, and the way of the tip.
+    """Films one run, or several runs one after the other: the arm, loose objects, the target, and the path of the tip.
+
+    The camera is placed so that the whole run is visible. Frames are 1/30 s apart in an .mp4, 1/25 s in a .gif. The file is
+    written atomically; a progress bar appears on a terminal after two seconds.
 
     Args:
-        log: The run, or the runs.
-        arm: The arm that ran.
+        log: The run, or the runs; all with the same tick.
+        arm: The arm of these runs.
         path: The film, .mp4 or .gif; its folder is made.
-        width: Pixels, even.
-        height: Pixels, even.
-        quality: "fast", for software that draws, or "full", with shadows and smooth edges.
-        speed: 1 is real time, 0.5 is slow motion.
+        width: Pixels, even, in [16, 8192].
+        height: Pixels, even, in [16, 8192].
+        quality: "fast", for software rendering, or "full", with shadows and smooth edges.
+        speed: Simulated time per film time, in [0.01, 100]: 1 is real time, 0.5 is slow motion.
 
     Returns:
         The path.
 
     Raises:
-        InputError: Another ending, an empty log or one of another arm, an odd size, or there is no such quality.
-        NotInstalledError: There is no OpenGL here that works without a screen, or no encoder for .mp4.
+        InputError: Another ending, an empty log or one of another arm, a size that is odd or out of bounds, an unknown quality.
+        ArmctlError: The file cannot be written.
+        NotInstalledError: No OpenGL works here without a screen, or there is no encoder for .mp4.
     """
     path = film_path(path)
+    width, height = check_size(width, height)
     if width % 2 or height % 2:
         raise InputError(f"size: {width} x {height} pixels given, even numbers wanted")
-    per_second = _FRAMES_PER_SECOND[path.suffix]
-    logs = [log] if isinstance(log, Log) else list(log)
+    choice("quality", quality, QUALITIES)
+    speed = number("speed", speed, 0.01, 100.0)
+    frames_per_second = _FRAMES_PER_SECOND[path.suffix]
+    logs = [log] if isinstance(log, Log) else log
     _check(logs, arm)
     end = (sum(map(len, logs)) - 1) * logs[0].dt
-    times = np.arange(0.0, end + 1e-9, number("speed", speed, 0.01, 100.0) / per_second)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    times = np.arange(0.0, end + 1e-9, speed / frames_per_second)
     frames = _with_progress(path, images(logs, arm, times, width=width, height=height, quality=quality), len(times))
-    if path.suffix == ".gif":
-        _write_gif(path, frames, per_second)
-    else:
-        _write_mp4(path, frames, per_second, (width, height))
+    with atomic_path(path) as temporary:
+        if path.suffix == ".gif":
+            _write_gif(temporary, frames, frames_per_second)
+        else:
+            _write_mp4(temporary, frames, frames_per_second, width, height)
     return path
 
 
@@ -79,52 +88,53 @@ def still(
     height: int = 720,
     quality: str = "full",
 ) -> Path:
-    """Draws one instant of a run, with the way of the tip until then.
+    """Draws one instant of a run, with the path of the tip until then. The file is written atomically.
 
     Args:
         log: The run.
-        arm: The arm that ran.
+        arm: The arm of this run.
         path: The picture, .png; its folder is made.
-        at: s, when; the end of the run if left out.
-        width: Pixels.
-        height: Pixels.
+        at: s, the instant; the end of the run if left out.
+        width: Pixels, in [16, 8192].
+        height: Pixels, in [16, 8192].
         quality: "fast" or "full".
 
     Returns:
         The path.
 
     Raises:
-        InputError: Another ending, an empty log or one of another arm, or there is no such quality.
-        NotInstalledError: There is no OpenGL here that works without a screen.
+        InputError: Another ending, an empty log or one of another arm, a size out of bounds, or an unknown quality.
+        ArmctlError: The file cannot be written.
+        NotInstalledError: No OpenGL works here without a screen.
     """
-    path = Path(path)
-    if path.suffix != ".png":
-        raise InputError(f"path: {path.name!r} ends in {path.suffix!r}, .png wanted")
+    path = file_path("path", path, (".png",))
+    width, height = check_size(width, height)
+    choice("quality", quality, QUALITIES)
+    instance("log", log, Log, "armctl.simulate and every move of a Simulation give one")
+    _check([log], arm)
     from PIL import Image as Picture
 
-    when = log.t[-1] if at is None and len(log) else number("at", 0.0 if at is None else at)
-    (image,) = images([log], arm, np.array([when]), width=width, height=height, quality=quality)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Picture.fromarray(image).save(path, optimize=True)
+    instant = log.t[-1] if at is None else number("at", at)
+    (image,) = images([log], arm, np.array([instant]), width=width, height=height, quality=quality)
+    with atomic_path(path) as temporary:
+        Picture.fromarray(image).save(temporary, optimize=True)
     return path
 
 
 def film_path(path: str | os.PathLike[str]) -> Path:
-    """The path of a film, checked before anything runs.
+    """Checks the path of a film, before anything runs.
 
     Args:
         path: The path.
 
     Returns:
-        It.
+        The path.
 
     Raises:
-        InputError: It ends in neither .mp4 nor .gif.
+        InputError: It ends neither in .mp4 nor in .gif.
         NotInstalledError: It ends in .mp4 and there is no encoder.
     """
-    path = Path(path)
-    if path.suffix not in ENDINGS:
-        raise InputError(f"path: {path.name!r} ends in {path.suffix!r}, {' or '.join(ENDINGS)} wanted")
+    path = file_path("path", path, ENDINGS)
     if path.suffix == ".mp4":
         try:
             import av  # noqa: F401
@@ -134,56 +144,47 @@ def film_path(path: str | os.PathLike[str]) -> Path:
 
 
 def images(logs: Sequence[Log], arm: Arm, times: Array, *, width: int, height: int, quality: str) -> Iterator[Image]:
-    """Runs as images, one after the other.
-
-    Args:
-        logs: The runs, of one tick.
-        arm: The arm that ran.
-        times: (k,) s since the first began, clamped to theirs.
-        width: Pixels.
-        height: Pixels.
-        quality: "fast" or "full".
-
-    Yields:
-        (height, width, 3), red, green and blue.
-
-    Raises:
-        InputError: A log is empty or of another arm or model, or there is none.
-    """
-    _check(logs, arm)
-    model, qpos, tip = copy.copy(arm.model), np.concatenate([x.qpos for x in logs]), np.concatenate([x.tip for x in logs])
-    model.geom_size[model.geom_bodyid == model.body(TARGET).id] *= 1.15  # to be seen around a tip as thick as itself
+    """Images of runs, each (height, width, 3), at times (k,) in s since the start of the first run."""
+    model = copy.copy(arm.model)
+    model.geom_size[model.geom_bodyid == model.body(TARGET).id] *= _TARGET_SCALE
+    qpos = np.concatenate([log.qpos for log in logs])
+    tip = np.concatenate([log.tip for log in logs])
     targets = np.repeat([_target(log) for log in logs], [len(log) for log in logs], axis=0)
-    shown = [_state(arm, qpos[k], targets[k]) for k in np.linspace(0, len(qpos) - 1, _FRAMED).astype(int)]
-    camera, data = frame(arm, shown, np.concatenate([tip, targets[-1:, :3]]), width / height), shown[-1]
+    states = [_state(arm, qpos[k], targets[k]) for k in np.linspace(0, len(qpos) - 1, _STATES_IN_VIEW).astype(int)]
+    camera = fitted_camera(arm, states, np.concatenate([tip, targets[-1:, :3]]), width / height)
+    data = states[-1]
     with Renderer(model, width, height, quality) as renderer:
-        for k in np.clip(np.rint(times / logs[0].dt).astype(int), 0, len(qpos) - 1):
+        for k in np.rint(np.clip(times / logs[0].dt, 0, len(qpos) - 1)).astype(int):
             _pose(arm, data, qpos[k], targets[k])
             yield renderer.image(data, camera, tip[: k + 1])
 
 
 def _check(logs: Sequence[Log], arm: Arm) -> None:
-    if not logs or min(map(len, logs)) == 0:
-        raise InputError("log: it has no tick, so there is nothing to film")
-    if len({log.dt for log in logs}) > 1:
-        raise InputError("log: runs with different ticks make no one film")
+    check_arm(arm)
+    if not isinstance(logs, Sequence) or not logs:
+        raise InputError("log: a Log or a list of at least one Log wanted")
     for log in logs:
+        instance("log", log, Log, "armctl.simulate and every move of a Simulation give one")
+        if len(log) == 0:
+            raise InputError("log: it is empty, so there is nothing to film")
         if log.joint_names != arm.joint_names:
-            raise InputError(f"log: it is of {log.robot} with {len(log.joint_names)} joints, not of {arm!r}")
+            raise InputError(f"log: it is of {log.robot} with {len(log.joint_names)} joints, not of {arm!r:.80}")
         if log.qpos.shape[1] != arm.model.nq:
-            raise InputError(f"log: it is of a model with {log.qpos.shape[1]} positions, {arm!r} has {arm.model.nq}")
+            raise InputError(f"log: it is of a model with {log.qpos.shape[1]} positions, {arm!r:.80} has {arm.model.nq}")
+    if len({log.dt for log in logs}) > 1:
+        raise InputError("log: the runs have different ticks, so they cannot be one film")
 
 
 def _target(log: Log) -> Array:
-    """(7,) where the green target stands: at the run's goal, or at the end of its reference."""
-    asked = not np.isnan(log.target[:3]).any()
-    end = log.tip_ref[-1] if not log.is_open_loop else log.tip[-1]
+    """(7,) the pose of the green target: the target of the run, or else the end of its reference."""
+    has_target = not np.isnan(log.target[:3]).any()
+    end = log.tip[-1] if log.is_open_loop else log.tip_ref[-1]
     quat = log.target[3:] if not np.isnan(log.target[3:]).any() else np.array([1.0, 0.0, 0.0, 0.0])
-    return np.concatenate([log.target[:3] if asked else end, quat])
+    return np.concatenate([log.target[:3] if has_target else end, quat])
 
 
 def _state(arm: Arm, qpos: Array, target: Array) -> mujoco.MjData:
-    """The model in some positions, the green target in its place."""
+    """A state of the model, after forward kinematics, with the green target in its place."""
     data = mujoco.MjData(arm.model)
     _pose(arm, data, qpos, target)
     return data
@@ -192,7 +193,8 @@ def _state(arm: Arm, qpos: Array, target: Array) -> mujoco.MjData:
 def _pose(arm: Arm, data: mujoco.MjData, qpos: Array, target: Array) -> None:
     mocap = arm.model.body_mocapid[arm.model.body(TARGET).id]
     if mocap >= 0:
-        data.mocap_pos[mocap], data.mocap_quat[mocap] = target[:3], target[3:]
+        data.mocap_pos[mocap] = target[:3]
+        data.mocap_quat[mocap] = target[3:]
     data.qpos[:] = qpos
     mujoco.mj_kinematics(arm.model, data)
     mujoco.mj_comPos(arm.model, data)
@@ -201,27 +203,32 @@ def _pose(arm: Arm, data: mujoco.MjData, qpos: Array, target: Array) -> None:
         mujoco.mj_tendon(arm.model, data)
 
 
-def _write_mp4(path: Path, frames: Iterable[Image], per_second: int, size: tuple[int, int]) -> None:
+def _write_mp4(path: Path, frames: Iterable[Image], frames_per_second: int, width: int, height: int) -> None:
     import av
 
-    with av.open(path, "w") as container:
-        stream = container.add_stream("h264", rate=per_second)
-        stream.width, stream.height = size
-        stream.pix_fmt, stream.options = "yuv420p", {"crf": "20", "preset": "veryfast"}
-        for image in frames:
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")))
-        container.mux(stream.encode())
+    try:
+        with av.open(path, "w") as container:
+            stream = container.add_stream("h264", rate=frames_per_second)
+            stream.width = width
+            stream.height = height
+            stream.pix_fmt = "yuv420p"
+            stream.options = {"crf": "20", "preset": "veryfast"}
+            for image in frames:
+                container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")))
+            container.mux(stream.encode())
+    except av.error.FFmpegError as error:  # such as a full disk
+        raise OSError(error.errno, error.strerror) from None
 
 
-def _write_gif(path: Path, frames: Iterable[Image], per_second: int) -> None:
-    """One palette for all frames, made from the first, middle and last, so that nothing flickers."""
+def _write_gif(path: Path, frames: Iterable[Image], frames_per_second: int) -> None:
+    """One palette for all frames, made from the first, middle and last, prevents flicker."""
     from PIL import Image as Picture
 
     images = list(frames)
     sample = np.concatenate([images[0], images[len(images) // 2], images[-1]])
     palette = Picture.fromarray(sample).quantize(256, Picture.Quantize.MAXCOVERAGE)
     pictures = [Picture.fromarray(image).quantize(palette=palette, dither=Picture.Dither.NONE) for image in images]
-    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=1000 // per_second, loop=0, optimize=True)
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=1000 // frames_per_second, loop=0, optimize=True)
 
 
 def _with_progress(path: Path, frames: Iterable[Image], count: int) -> Iterator[Image]:

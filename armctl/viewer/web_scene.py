@@ -18,7 +18,7 @@ import numpy as np
 from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.validation import Array
 from armctl.loading.prepare import TARGET
-from armctl.render.camera import axes, frame
+from armctl.render.camera import axes, fitted_camera
 from armctl.robot.arm import Arm
 from armctl.viewer.mesh_decimation import decimated
 
@@ -159,7 +159,7 @@ class WebScene:
         self._data.qpos[:] = arm.home_qpos
         mujoco.mj_kinematics(self._model, self._data)
         target = self._data.xpos[self._model.body(TARGET).id]
-        view = frame(arm, [self._data], np.array([arm.fk(arm.home).position, target]), 0.8)
+        view = fitted_camera(arm, [self._data], np.array([arm.fk(arm.home).position, target]), 0.8)
         forward, _, _ = axes(*np.radians([view.azimuth, view.elevation]))
         ratio = np.tan(np.radians(self._model.vis.global_.fovy) / 2) / np.tan(np.radians(_FIELD_OF_VIEW) / 2)
         camera = self.server.initial_camera

@@ -14,7 +14,7 @@ from armctl import InputError, NotInstalledError, Simulation
 from armctl.cli.main import main
 from armctl.loading.prepare import TARGET
 from armctl.render import Renderer, record, still
-from armctl.render.camera import axes, box_corners, frame
+from armctl.render.camera import axes, box_corners, fitted_camera
 from armctl.render.gl import INSTALL, gl_context
 from armctl.render.renderer import thinned
 
@@ -147,8 +147,15 @@ def test_nothing_to_film_is_said(tmp_path: Path):
     [
         ({"width": 321}, "even numbers wanted"),
         ({"quality": "best"}, "one of fast, full wanted"),
-        ({"width": 8, "height": 8}, "at least 16 x 16 wanted"),
+        ({"width": 8, "height": 8}, "width: 8 given, a number in .16, 8192. wanted"),
+        ({"quality": ["fast"]}, "quality: .* given, one of fast, full wanted"),
         ({"speed": 0.0}, "speed: 0 given"),
+        ({"speed": "1"}, "speed: '1' is not a number"),
+        ({"height": 1e308}, "height: 1e[+]308 given, a number in .16, 8192. wanted"),
+        ({"height": 0}, "height: 0 given, a number in"),
+        ({"width": "x"}, "width: 'x' is not a number"),
+        ({"width": 100000}, "width: 100000 given"),
+        ({"width": 320.5}, "width: 320.5 given, a whole number"),
     ],
 )
 def test_a_wrong_option_is_one_sentence(sim: Simulation, tmp_path: Path, options: dict, sentence: str):
@@ -180,7 +187,7 @@ def test_the_camera_has_the_whole_arm_and_the_target_in_its_picture(arm: armctl.
         poses.append(data)
     target = poses[0].xpos[model.body(TARGET).id]
     way = np.array([arm.fk(arm.home).position, target])
-    camera = frame(arm, poses, way, aspect)
+    camera = fitted_camera(arm, poses, way, aspect)
     forward, right, up = axes(*np.radians([camera.azimuth, camera.elevation]))
     seen = np.concatenate([box_corners(arm, data) for data in poses] + [way]) - (camera.lookat - camera.distance * forward)
     depth, tan = seen @ forward, np.tan(np.radians(model.vis.global_.fovy) / 2)
