@@ -30,7 +30,7 @@ ROBOTS = ("panda", "ur5e", "iiwa14", "xarm7")
 TICK = 0.001  # s
 LEG = 2.0  # s
 PLANTS = {"nominal": "nominal", "continuous": "near-continuous", "payload=1": "1 kg unknown", "all": "everything at once"}
-WANTED = {  # joint RMS, rad, of computed torque with an observer
+TARGETS = {  # joint RMS, rad, of computed torque with an observer
     ("1 kg unknown", "iiwa14"): "1e-3",
     ("1 kg unknown", ""): "1e-4",
     ("everything at once", "iiwa14"): "5e-3",
@@ -90,12 +90,12 @@ def observed(arms: dict[str, armctl.Arm]) -> str:
         for words, plant in PLANTS.items():
             name = "computed-torque" if words in ("nominal", "continuous") else "computed-torque-observer"
             report = armctl.compare(arm, [name], quintic(arm), [plant_by_name(words, arm, TICK)])[0]
-            wanted = WANTED.get((plant, robot), WANTED.get((plant, ""), ""))
+            target = TARGETS.get((plant, robot), TARGETS.get((plant, ""), ""))
             if words in ("nominal", "continuous"):
-                wanted = "max 1e-9" if words == "nominal" else "max 5e-7"
-            figures = f"{report.joint_rms_rad:.1e}", f"{report.joint_max_rad:.1e}", wanted, f"{report.chatter_nm:.1g}"
+                target = "max 1e-9" if words == "nominal" else "max 5e-7"
+            figures = f"{report.joint_rms_rad:.1e}", f"{report.joint_max_rad:.1e}", target, f"{report.chatter_nm:.1g}"
             rows.append([robot, plant, name, *figures])
-    columns = ["robot", "plant", "controller", "joint RMS, rad", "joint max, rad", "wanted (RMS unless said)", "chatter, N m"]
+    columns = ["robot", "plant", "controller", "joint RMS, rad", "joint max, rad", "target (RMS unless stated)", "chatter, N m"]
     return table("Computed torque", columns, rows)
 
 
@@ -104,18 +104,18 @@ def iso(panda: armctl.Arm) -> str:
     log = armctl.simulate(panda, "computed-torque-observer", armctl.excitation(panda), loaded)
     known = armctl.identify_payload(panda, log).applied_to(panda)
     rows = []
-    for what, arm, plant, wanted in (
+    for what, arm, plant, target in (
         ("nothing unknown", panda, nominal, ("", "", "")),
         ("1 kg unknown", panda, loaded, ("10", "0.1", "0.35")),
         ("1 kg, identified", known, loaded, ("", "", "0.05")),
     ):
         f = iso9283_cycles(panda, controller_by_name("computed-torque-observer", arm), plant)
         values = f"{1e6 * f.pose_accuracy_m:.1f}", f"{f.stabilisation_time_s:.3f}", f"{1e3 * f.path_accuracy_m:.3f}"
-        pairs = [f"{value} ({bound})" if bound else value for value, bound in zip(values, wanted, strict=True)]
+        pairs = [f"{value} ({bound})" if bound else value for value, bound in zip(values, target, strict=True)]
         rows.append([what, pairs[0], f"{1e6 * f.pose_repeatability_m:.1f}", pairs[1], f"{1e6 * f.overshoot_m:.0f}", pairs[2]])
-    columns = ["Panda, encoder noise 1e-5 rad", "AP, um (wanted)", "RP, um", "stable after, s (wanted)", "overshoot, um"]
+    columns = ["Panda, encoder noise 1e-5 rad", "AP, um (target)", "RP, um", "stable after, s (target)", "overshoot, um"]
     title = f"ISO 9283: 30 cycles, full speed, cube of {1e3 * f.cube_m:.0f} mm, stable within 0.1 mm"
-    return table(title, [*columns, "AT, mm (wanted)"], rows)
+    return table(title, [*columns, "AT, mm (target)"], rows)
 
 
 def identification(arms: dict[str, armctl.Arm]) -> str:
@@ -134,15 +134,15 @@ def identification(arms: dict[str, armctl.Arm]) -> str:
                 errors.append(abs(found.mass / mass - 1) if found.ok else np.nan)
             row.append(f"{100 * max(errors):.2f}")
         rows.append(row)
-    columns = ["robot", "motion, s", "worst error, % (wanted 1)", "with friction and noise, % (wanted 3)"]
+    columns = ["robot", "motion, s", "worst error, % (target 1)", "with friction and noise, % (target 3)"]
     return table("Payloads of 0.5, 1 and 2 kg identified from one run", columns, rows)
 
 
 def speed(arms: dict[str, armctl.Arm]) -> str:
     bundled = armctl.load("robot_arm_3dof")
     rows = [speed_of(name, arm) for name, arm in {**arms, "robot_arm_3dof": bundled}.items()]
-    columns = ["robot", "rnea, us", "tick of computed torque, us", "ratio (wanted 8)"]
-    columns += ["bare mj_step loop, us", "simulate, computed torque, us", "ratio (wanted 2.0)", "simulate, PD, us", "ratio"]
+    columns = ["robot", "rnea, us", "tick of computed torque, us", "ratio (target 8)"]
+    columns += ["bare mj_step loop, us", "simulate, computed torque, us", "ratio (target 2.0)", "simulate, PD, us", "ratio"]
     return table("What a tick costs: the best of interleaved rounds", columns, rows)
 
 

@@ -85,8 +85,8 @@ def jumpy(arm: armctl.Arm, rng: np.random.Generator) -> Array:
 
 def waypoints(panda: armctl.Arm, sets: int) -> str:
     rows = []
-    for kind, asked in ((uniform, (0.935, 0.926)), (walk, (0.590, 0.565)), (jumpy, ("", ""))):
-        for jerk, wanted in zip((1.0, 0.1), asked, strict=True):
+    for kind, targets in ((uniform, (0.935, 0.926)), (walk, (0.590, 0.565)), (jumpy, ("", ""))):
+        for jerk, target in zip((1.0, 0.1), targets, strict=True):
             arm, rng = untiring(panda, jerk), np.random.default_rng(1)
             shares, peers, times, inside = [], [], [], True
             for k in range(sets):
@@ -100,9 +100,9 @@ def waypoints(panda: armctl.Arm, sets: int) -> str:
                     peers.append(toppra_time(arm, q, np.concatenate([[0.0], np.cumsum(stopping)]), 400) / stopping.sum())
                 inside &= motion.check_limits().ok
             error = np.std(shares) / np.sqrt(sets)
-            figures = f"{np.mean(shares):.4f} +- {error:.4f}", wanted, f"{np.mean(peers):.3f}", f"{1e3 * np.median(times):.0f}"
+            figures = f"{np.mean(shares):.4f} +- {error:.4f}", target, f"{np.mean(peers):.3f}", f"{1e3 * np.median(times):.0f}"
             rows.append((kind.__name__, jerk, *figures, "yes" if inside else "NO"))
-    columns = ["10 waypoints", "jerk", "armctl / stopping", "wanted", "toppra / stopping", "median, ms", "all limits kept"]
+    columns = ["10 waypoints", "jerk", "armctl / stopping", "target", "toppra / stopping", "median, ms", "all limits kept"]
     return table(
         f"{sets} sets of waypoints: duration as a share of stopping at each, mean and standard error (toppra, on every tenth "
         "set: without jerk or position limits)",
@@ -148,7 +148,7 @@ def random_line(arm: armctl.Arm, rng: np.random.Generator) -> tuple[Array, armct
 
 def lines(panda: armctl.Arm, count: int) -> str:
     rows = []
-    for jerk, wanted in ((1.0, 1.01), (0.1, 1.04)):
+    for jerk, aim in ((1.0, 1.01), (0.1, 1.04)):
         arm, rng = untiring(panda, jerk), np.random.default_rng(0)
         ratios, times, off, inside = [], [], [], True
         while len(ratios) < count:
@@ -164,8 +164,8 @@ def lines(panda: armctl.Arm, count: int) -> str:
             inside &= motion.check_limits().ok
         figures = (f"{figure(ratios):.4f}" for figure in (np.mean, np.median, np.max))
         rest = f"{1e6 * np.max(off):.3f}", f"{1e3 * np.median(times):.0f}", "yes" if inside else "NO"
-        rows.append((jerk, *figures, wanted, *rest))
-    columns = ["jerk", "mean", "median", "worst", "wanted", "tip off the line, um (wanted 5)", "median, ms", "all limits kept"]
+        rows.append((jerk, *figures, aim, *rest))
+    columns = ["jerk", "mean", "median", "worst", "target", "tip off the line, um (target 5)", "median, ms", "all limits kept"]
     return table(
         f"{count} tip lines: duration over toppra's optimum, without jerk limits, for the same joint path", columns, rows
     )
@@ -209,10 +209,11 @@ def limits_kept(moves: int) -> str:
     arms = [armctl.load(name) for name in ("panda", "ur5e", "robot_arm_3dof")]
     rows = []
     for name, percent, plan in kinds:
-        rng, wanted = np.random.default_rng(2), max(1, moves * percent // 100)
+        rng = np.random.default_rng(2)
+        count = max(1, moves * percent // 100)
         done = refused = slowed = 0
         ratios, differences, torques = [0.0], [0.0], [0.0]
-        while done < wanted:
+        while done < count:
             arm = arms[done % len(arms)]
             try:
                 motion = plan(arm, rng)
@@ -313,7 +314,7 @@ def online(panda: armctl.Arm) -> str:
         f"{max(ratio, jerk):.6f}",
         "yes" if limits.contains(q, 1e-9) else "NO",
     ]
-    columns = ["new goals", "median, us", "p99, us", "wanted", "worst v, a, j / limit", "position limits kept"]
+    columns = ["new goals", "median, us", "p99, us", "target", "worst v, a, j / limit", "position limits kept"]
     return table("Online: a new goal in motion", columns, [row])
 
 

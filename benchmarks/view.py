@@ -131,7 +131,7 @@ def main() -> None:
         ),
     ]
     table = [
-        f"| {args.robot}, software OpenGL, {os.cpu_count()} cores | wanted | measured |",
+        f"| {args.robot}, software OpenGL, {os.cpu_count()} cores | target | measured |",
         "| --- | --- | --- |",
     ]
     text = "\n".join(table + [f"| {' | '.join(row)} |" for row in rows]) + "\n"
