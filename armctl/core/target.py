@@ -1,8 +1,9 @@
-"""Target: where a tip should end, and how far from it a tip is."""
+"""Target: the point or pose that a tip should reach, with tolerances."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,19 +11,19 @@ from numpy.typing import ArrayLike
 from armctl.core.pose import Pose, rotation_angle
 from armctl.core.validation import Array, frozen, number, vector
 
-TOLERANCE = 1e-3  # m: within it a goal counts as reached
+TOLERANCE = 1e-3  # m
 ANGLE_TOLERANCE = 1e-2  # rad
 
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A point, or a pose, for the tip.
+    """A point or a pose that the tip should reach.
 
     Attributes:
         position: (3,) m.
-        pose: T_world_tip; None where the orientation does not matter.
-        tolerance: m within which it counts as reached.
-        angle_tolerance: rad, likewise.
+        pose: T_world_tip; None if any orientation is accepted.
+        tolerance: m, the largest position error of a tip that counts as at the target.
+        angle_tolerance: rad, the largest orientation error, likewise.
     """
 
     position: Array
@@ -31,52 +32,54 @@ class Target:
     angle_tolerance: float = ANGLE_TOLERANCE
 
     @classmethod
-    def read(cls, target: Pose | ArrayLike, tolerance: float = TOLERANCE, angle_tolerance: float = ANGLE_TOLERANCE) -> Target:
-        """A goal from what a caller gave.
+    def read(cls, target: TargetLike, tolerance: float | None = None, angle_tolerance: float | None = None) -> Target:
+        """A checked target. A Target that was already read is not checked again; it keeps tolerances that are not given.
 
         Args:
-            target: T_world_tip, or (3,) m where the orientation does not matter.
-            tolerance: m.
-            angle_tolerance: rad.
+            target: T_world_tip, (3,) m if any orientation is accepted, or a Target.
+            tolerance: m; None is 1e-3 m.
+            angle_tolerance: rad; None is 1e-2 rad.
 
         Returns:
-            The goal.
+            The target.
 
         Raises:
-            InputError: The target has a wrong length or a number that is not finite, or a tolerance is negative.
+            InputError: The target has a wrong length or a number that is not finite, or a tolerance is negative or not finite.
         """
-        tolerance = number("tolerance", tolerance, 0.0)
-        angle_tolerance = number("angle_tolerance", angle_tolerance, 0.0)
-        pose = target if isinstance(target, Pose) else None
-        position = target.position if isinstance(target, Pose) else vector("target", target, 3)
-        return cls(position, pose, tolerance, angle_tolerance)
+        if isinstance(target, Target):
+            if tolerance is None and angle_tolerance is None:
+                return target
+            position = target.position
+            pose = target.pose
+            default_tolerance = target.tolerance
+            default_angle_tolerance = target.angle_tolerance
+        else:
+            pose = target if isinstance(target, Pose) else None
+            position = target.position if isinstance(target, Pose) else vector("target", target, 3)
+            default_tolerance = TOLERANCE
+            default_angle_tolerance = ANGLE_TOLERANCE
+        return cls(
+            position,
+            pose,
+            default_tolerance if tolerance is None else number("tolerance", tolerance, 0.0),
+            default_angle_tolerance if angle_tolerance is None else number("angle_tolerance", angle_tolerance, 0.0),
+        )
 
     @property
     def numbers(self) -> Array:
-        """(7,) m and wxyz, NaN for what is not asked for."""
+        """(7,) m and quaternion wxyz; NaN for an orientation that is not constrained."""
         quat = np.full(4, np.nan) if self.pose is None else self.pose.quat
         return frozen(np.concatenate([self.position, quat]))
 
     def distance(self, tip: Pose) -> tuple[float, float]:
-        """How far a tip is.
-
-        Args:
-            tip: T_world_tip.
-
-        Returns:
-            m, and rad; 0 rad where the orientation does not matter.
-        """
+        """Position error, m, and orientation error, rad, of a tip; 0 rad if any orientation is accepted."""
         angle = 0.0 if self.pose is None else rotation_angle(tip.rotation.T @ self.pose.rotation)
         return float(np.linalg.norm(tip.position - self.position)), angle
 
     def is_reached(self, tip: Pose) -> bool:
-        """Whether a tip is within the tolerances.
-
-        Args:
-            tip: T_world_tip.
-
-        Returns:
-            True if it is.
-        """
+        """Whether both errors of a tip are within the tolerances."""
         position_error, orientation_error = self.distance(tip)
         return position_error <= self.tolerance and orientation_error <= self.angle_tolerance
+
+
+TargetLike: TypeAlias = Target | Pose | ArrayLike

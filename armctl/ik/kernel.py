@@ -1,10 +1,10 @@
 """The compiled solver: Levenberg-Marquardt on a serial chain, joint bounds as an active set, counted random restarts.
 
-Everything here is scalar loops over one small array, which numba compiles in seconds and runs without allocating. Lengths are
-in units of the arm's reach, so that one set of constants fits an arm of three centimetres and one of three metres. All
-kernels live in one file: numba's disk cache notices a change in this file only.
+The kernels are scalar loops over one small array: numba compiles them in seconds, and they run without allocating memory.
+Lengths are in units of the arm's reach, so that one set of constants fits an arm of three centimetres and one of three metres.
+All kernels are in one file (hence its length) because numba's disk cache notices changes in a kernel's own file only.
 
-A damping that follows the error is Sugihara's ("Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt
+The damping follows the error as proposed by Sugihara ("Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt
 method", IEEE Trans. Robotics 27(5), 2011).
 """
 
@@ -14,86 +14,164 @@ import numpy as np
 
 from armctl.core.jit import njit
 
-# A packed chain (k + 1, 18): one row a joint and a last row for the tip: rotation 0-8, translation 9-11, and of a joint whether
-# it slides, which of the n unknowns moves it, and by how much. The first n rows also hold the unknowns' bounds and periods.
-SLIDE, LOW, HIGH, LEADER, RATIO, TURN = 12, 13, 14, 15, 16, 17
+# A packed chain (k + 1, CHAIN_COLUMNS) has one row per joint and a last row for the tip. Columns: rotation 0-8, translation
+# 9-11, whether the joint slides, which of the n unknowns moves it, and the ratio between the two. The first n rows also hold
+# the bounds of the unknowns and their period (0 if an unknown has none).
+CHAIN_COLUMNS = 18
+IS_SLIDE = 12
+LOW = 13
+HIGH = 14
+LEADER = 15
+RATIO = 16
+PERIOD = 17
 
-# What of the tip is asked for.
-POSE, POSITION, FREE_X = 0, 1, 2  # the next two are free about y and about z
+# Which parts of the tip's pose are constrained. FREE_X + 1 and FREE_X + 2 leave the turn about y and about z free.
+POSE = 0
+POSITION = 1
+FREE_X = 2
 
-# Scratch memory (k + 2, 18 + 2 n). One row a joint, the first n also one an unknown:
-ORIGIN, AXIS, JACOBIAN = 0, 3, 6  # (3,), (3,), (6,)
-GRADIENT, STEP, HELD, BEST = 12, 13, 14, 15
-RHS, PIVOT = 16, 17  # of the joints that are free, packed
-NORMAL = 18  # (n,) a row of J^T J's lower triangle; behind it the n of its factor, packed
-# a row for the tip: rotation 0-8, translation 9-11, error 12-17, and a row for the target: rotation, translation.
+# Scratch memory (k + 2, NORMAL + 2 n). There is one row per joint; the first n rows also belong to the unknowns.
+ORIGIN = 0  # (3,) of the joint
+AXIS = 3  # (3,) of the joint
+JACOBIAN = 6  # (6,) derivative of the tip by the unknown
+GRADIENT = 12
+STEP = 13
+AT_BOUND = 14  # 1 while the unknown is fixed at a bound
+BEST = 15  # the unknown in the best configuration of a descent
+RHS = 16  # right-hand side of the linear system, packed: only free unknowns
+PIVOT = 17  # inverse diagonal of its factor, packed
+NORMAL = 18  # (n,) a row of the lower triangle of J^T J; behind it (n,) the row of the packed factor
+# Then follow a row for the tip (rotation 0-8, translation 9-11, error 12-17) and one for the target (rotation, translation).
 ERROR = 12
-FIRST = 12  # in the target's row: the squared error at the start of a descent
+FIRST_ERROR = 12  # in the target's row: the squared error at the start of a descent
 
-NEAR, JUMP = 0.5, 0.3  # more than 0.3 rad of a joint for a target within half a reach is suspicious
-ROTATION_WEIGHT = 1 / 3  # of a radian, beside an error of one reach
-DESCENT_STEPS = 60
-SETTLE_STEPS, SETTLE_DAMPING, SETTLE_CONVEX, SETTLED = 200, 0.1, 1e-2, 1e-7
-STALL_STEPS, STALL_GAIN = 3, 0.7  # give a descent up after so many steps whose error stays above this share
-HOPELESS_STARTS, HOPELESS = 150, 0.03  # give a target up after so many starts if all ended farther off than this
-DAMPING, DAMPING_FLOOR = 2e-2, 1e-12
-BOUND_PASSES = 3
-STEP_MAX = 1.0  # rad, or reaches
-STRETCH = 0.2  # every other random start lies beyond the bounds by up to this share of their range: then it is at them
-NULL_PASSES, NO_ROOM, NULL_DAMPING = 4, 0.01, 1e-10
-SKEW, BOTTOM = 1e-6, 1e-9  # how far a matrix may be from a rotation, and the row below it from 0 0 0 1
-FARTHEST = 1e3  # reaches, up to where the solver sees the difference a step makes
+# Rows of what `search` reports, with a column per target.
+SEARCH_ROWS = 4
+SOLVED = 0
+NEXT_START = 1
+ITERATIONS = 2
+JUMPED = 3
+
+ROTATION_WEIGHT = 1 / 3  # reaches per rad: an error of 3 rad counts like an error of one reach
+# A solution that moves a joint by more than 0.3 rad although the tip started within half a reach of the target may be a
+# needless change of posture. The caller then looks for a nearer one.
+NEAR_TARGET_REACHES = 0.5
+JUMP_RAD = 0.3
+
+MAX_DESCENT_STEPS = 60
+STALL_STEPS = 3  # a descent ends after so many steps ...
+STALL_RATIO = 0.7  # ... in which the squared error stays above this share of what it was
+HOPELESS_STARTS = 150
+HOPELESS = 0.03
+DAMPING = 2e-2
+MIN_DAMPING = 1e-12
+ACTIVE_SET_PASSES = 3
+MAX_STEP = 1.0  # rad, or reaches for a slide joint
+# Every other random start lies beyond the bounds by up to this share of their range and is clamped to them: solutions at bounds
+# are found faster from there.
+START_STRETCH = 0.2
+
+MAX_REFINE_STEPS = 200
+REFINE_DAMPING = 0.1  # initial, relative to the error
+REFINE_CONVEX_DAMPING = 1e-2  # smallest that makes the Hessian definite, relative to the error
+REFINE_MIN_MOVE = 1e-7  # rad, or reaches: a smaller step ends the refinement
+
+MAX_NULL_PASSES = 4
+MIN_NULL_SHARE = 0.01  # a null-space step shorter than this share of the desired one frees no joint from its bound
+NULL_DAMPING = 1e-10
+
+MAX_SKEW = 1e-6  # of a matrix that is accepted as a rotation
+MAX_LAST_ROW_ERROR = 1e-9  # of a homogeneous transform's last row from 0 0 0 1
+# A target farther away is moved to this distance on its line: beyond it, the error is so large that a step's gain is lost to
+# rounding.
+MAX_TARGET_REACHES = 1e3
+MAX_SQUARED_LENGTH = 1e140  # m: the square of a greater length may overflow; such numbers are scaled first
+MAX_LENGTH = 1.7e308  # m: the errors of a result are finite
+MIN_SINE = 1e-9  # below it a rotation's axis is lost to rounding
 
 
 @njit
 def scratch(joints, unknowns):
-    """The memory of one search, not initialised; a chain has fewer unknowns than joints where joints follow others."""
+    """Uninitialized memory for one search. A chain has fewer unknowns than joints if joints follow others."""
     return np.empty((joints + 2, NORMAL + 2 * unknowns))
 
 
 @njit
-def _unknowns(work):
-    """How many unknowns a scratch memory is for."""
+def _count_unknowns(work):
     return (work.shape[1] - NORMAL) // 2
 
 
 @njit
+def _times_link(a, b, c, chain, k):
+    """The row (a, b, c) of a rotation times the rotation of link k."""
+    return (
+        a * chain[k, 0] + b * chain[k, 3] + c * chain[k, 6],
+        a * chain[k, 1] + b * chain[k, 4] + c * chain[k, 7],
+        a * chain[k, 2] + b * chain[k, 5] + c * chain[k, 8],
+    )
+
+
+@njit
+def _store(work, row, column, x, y, z):
+    work[row, column] = x
+    work[row, column + 1] = y
+    work[row, column + 2] = z
+
+
+@njit
+def _vector(x, y, z):
+    return x, y, z
+
+
+@njit
+def _turned(x, y, cos, sin):
+    """Two columns of a rotation's row, turned about the third."""
+    return x * cos + y * sin, y * cos - x * sin
+
+
+@njit
+def _squared(position_error, orientation_error, rotation_weight):
+    """The weighted squared error, in squared reaches."""
+    return position_error * position_error + rotation_weight * rotation_weight * orientation_error * orientation_error
+
+
+@njit
 def forward(chain, q, work):
-    """Forward kinematics: fills the joints' origins and axes, and the tip's rotation and translation."""
+    """Forward kinematics: fills the joints' origins and axes, and the tip's rotation and translation.
+
+    The rotation so far has the rows (a, b, c), (d, e, f), (g, h, i), the translation is (x, y, z).
+    """
     n = len(chain) - 1
-    a, b, c, d, e, f, g, h, i = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
-    x, y, z = 0.0, 0.0, 0.0
+    a, b, c = _vector(1.0, 0.0, 0.0)
+    d, e, f = _vector(0.0, 1.0, 0.0)
+    g, h, i = _vector(0.0, 0.0, 1.0)
+    x, y, z = _vector(0.0, 0.0, 0.0)
     for k in range(n + 1):
-        r, s, t = chain[k, 9], chain[k, 10], chain[k, 11]
+        r, s, t = _vector(chain[k, 9], chain[k, 10], chain[k, 11])
         x += a * r + b * s + c * t
         y += d * r + e * s + f * t
         z += g * r + h * s + i * t
-        xx, xy, xz = chain[k, 0], chain[k, 1], chain[k, 2]
-        yx, yy, yz = chain[k, 3], chain[k, 4], chain[k, 5]
-        zx, zy, zz = chain[k, 6], chain[k, 7], chain[k, 8]
-        r, s, t = a * xx + b * yx + c * zx, a * xy + b * yy + c * zy, a * xz + b * yz + c * zz
-        a, b, c = r, s, t
-        r, s, t = d * xx + e * yx + f * zx, d * xy + e * yy + f * zy, d * xz + e * yz + f * zz
-        d, e, f = r, s, t
-        r, s, t = g * xx + h * yx + i * zx, g * xy + h * yy + i * zy, g * xz + h * yz + i * zz
-        g, h, i = r, s, t
+        a, b, c = _times_link(a, b, c, chain, k)
+        d, e, f = _times_link(d, e, f, chain, k)
+        g, h, i = _times_link(g, h, i, chain, k)
         if k < n:
-            moved = chain[k, RATIO] * q[int(chain[k, LEADER])]
-            if chain[k, SLIDE] > 0:
-                x += c * moved
-                y += f * moved
-                z += i * moved
+            displacement = chain[k, RATIO] * q[int(chain[k, LEADER])]
+            if chain[k, IS_SLIDE] > 0:
+                x += c * displacement
+                y += f * displacement
+                z += i * displacement
             else:
-                cos, sin = np.cos(moved), np.sin(moved)
-                r, s, t = a * cos + b * sin, d * cos + e * sin, g * cos + h * sin
-                b, e, h = b * cos - a * sin, e * cos - d * sin, h * cos - g * sin
-                a, d, g = r, s, t
-            work[k, ORIGIN], work[k, ORIGIN + 1], work[k, ORIGIN + 2] = x, y, z
-            work[k, AXIS], work[k, AXIS + 1], work[k, AXIS + 2] = c, f, i
-    work[n, 0], work[n, 1], work[n, 2] = a, b, c
-    work[n, 3], work[n, 4], work[n, 5] = d, e, f
-    work[n, 6], work[n, 7], work[n, 8] = g, h, i
-    work[n, 9], work[n, 10], work[n, 11] = x, y, z
+                cos = np.cos(displacement)
+                sin = np.sin(displacement)
+                a, b = _turned(a, b, cos, sin)
+                d, e = _turned(d, e, cos, sin)
+                g, h = _turned(g, h, cos, sin)
+            _store(work, k, ORIGIN, x, y, z)
+            _store(work, k, AXIS, c, f, i)
+    _store(work, n, 0, a, b, c)
+    _store(work, n, 3, d, e, f)
+    _store(work, n, 6, g, h, i)
+    _store(work, n, 9, x, y, z)
 
 
 @njit
@@ -101,86 +179,114 @@ def jacobian(chain, work):
     """The tip's Jacobian from what `forward` filled: a row of six for each unknown, linear first, world axes."""
     n = len(work) - 2
     for k in range(n):
-        u, v, w = work[k, AXIS], work[k, AXIS + 1], work[k, AXIS + 2]
-        if chain[k, SLIDE] > 0:
-            work[k, JACOBIAN], work[k, JACOBIAN + 1], work[k, JACOBIAN + 2] = u, v, w
-            work[k, JACOBIAN + 3], work[k, JACOBIAN + 4], work[k, JACOBIAN + 5] = 0.0, 0.0, 0.0
+        u, v, w = _vector(work[k, AXIS], work[k, AXIS + 1], work[k, AXIS + 2])
+        if chain[k, IS_SLIDE] > 0:
+            _store(work, k, JACOBIAN, u, v, w)
+            _store(work, k, JACOBIAN + 3, 0.0, 0.0, 0.0)
         else:
-            x, y, z = work[n, 9] - work[k, ORIGIN], work[n, 10] - work[k, ORIGIN + 1], work[n, 11] - work[k, ORIGIN + 2]
-            work[k, JACOBIAN], work[k, JACOBIAN + 1], work[k, JACOBIAN + 2] = v * z - w * y, w * x - u * z, u * y - v * x
-            work[k, JACOBIAN + 3], work[k, JACOBIAN + 4], work[k, JACOBIAN + 5] = u, v, w
-    if n > _unknowns(work):  # joints follow others: an unknown's row is the sum of those of its joints
-        begun = 0
+            x = work[n, 9] - work[k, ORIGIN]
+            y = work[n, 10] - work[k, ORIGIN + 1]
+            z = work[n, 11] - work[k, ORIGIN + 2]
+            _store(work, k, JACOBIAN, v * z - w * y, w * x - u * z, u * y - v * x)
+            _store(work, k, JACOBIAN + 3, u, v, w)
+    if n > _count_unknowns(work):  # joints follow others: an unknown's row is the sum of the rows of its joints
+        unknowns_met = 0
         for k in range(n):
             leader = int(chain[k, LEADER])
-            begins = leader == begun
-            begun += 1 if begins else 0
+            is_first = leader == unknowns_met
+            unknowns_met += 1 if is_first else 0
             for r in range(JACOBIAN, JACOBIAN + 6):
-                work[leader, r] = chain[k, RATIO] * work[k, r] + (0.0 if begins else work[leader, r])
+                work[leader, r] = chain[k, RATIO] * work[k, r] + (0.0 if is_first else work[leader, r])
 
 
 @njit
-def rotation_error(target, asked, work):
-    """Fills the rotation vector from the tip to the target; with a free axis the shortest one that lays axis on axis."""
+def _half_turn(target, constraint, work):
+    """The axis and the scale of a rotation vector of pi: about the tip's axis that moves least, or across the free axis."""
     n = len(work) - 2
-    x, y, z, cos = 0.0, 0.0, 0.0, 0.0
+    column = (constraint - FREE_X + 1) % 3
+    if constraint == POSE:
+        largest = -2.0
+        for k in range(3):
+            cos = work[n, k] * target[k] + work[n, 3 + k] * target[3 + k] + work[n, 6 + k] * target[6 + k]
+            if cos > largest:
+                column = k
+                largest = cos
+    x, y, z = _vector(work[n, column], work[n, 3 + column], work[n, 6 + column])
+    if constraint == POSE:  # the middle between the two directions of that axis is on the axis of rotation
+        x += target[column]
+        y += target[3 + column]
+        z += target[6 + column]
+    return x, y, z, np.pi / np.sqrt(x * x + y * y + z * z)
+
+
+@njit
+def rotation_error(target, constraint, work):
+    """Fills the rotation vector from the tip to the target; with a free axis the shortest one that aligns the two axes."""
+    n = len(work) - 2
+    x, y, z = _vector(0.0, 0.0, 0.0)
+    cos = 0.0
     for k in range(3):  # half of the sum of cross products of the columns, and the trace
-        if asked == POSE or asked - FREE_X == k:
+        if constraint == POSE or constraint - FREE_X == k:
             x += work[n, 3 + k] * target[6 + k] - work[n, 6 + k] * target[3 + k]
             y += work[n, 6 + k] * target[k] - work[n, k] * target[6 + k]
             z += work[n, k] * target[3 + k] - work[n, 3 + k] * target[k]
             cos += work[n, k] * target[k] + work[n, 3 + k] * target[3 + k] + work[n, 6 + k] * target[6 + k]
-    if asked == POSE:
-        x, y, z, cos = 0.5 * x, 0.5 * y, 0.5 * z, 0.5 * (cos - 1.0)
+    if constraint == POSE:
+        x *= 0.5
+        y *= 0.5
+        z *= 0.5
+        cos = 0.5 * (cos - 1.0)
     sin = np.sqrt(x * x + y * y + z * z)
     scale = 0.0
-    if sin > 1e-9:
+    if sin > MIN_SINE:
         scale = np.arctan2(sin, cos) / sin
-    elif cos < 0.0:  # half a turn: about the tip's axis that turns least, or about one across the free axis
-        longest, length = (asked - FREE_X + 1) % 3, -2.0
-        for k in range(3):
-            along = work[n, k] * target[k] + work[n, 3 + k] * target[3 + k] + work[n, 6 + k] * target[6 + k]
-            if asked == POSE and along > length:
-                longest, length = k, along
-        x, y, z = work[n, longest], work[n, 3 + longest], work[n, 6 + longest]
-        if asked == POSE:  # the middle between before and after is on the axis
-            x, y, z = x + target[longest], y + target[3 + longest], z + target[6 + longest]
-        scale = np.pi / np.sqrt(x * x + y * y + z * z)
-    work[n, ERROR + 3], work[n, ERROR + 4], work[n, ERROR + 5] = scale * x, scale * y, scale * z
+    elif cos < 0.0:
+        x, y, z, scale = _half_turn(target, constraint, work)
+    _store(work, n, ERROR + 3, scale * x, scale * y, scale * z)
 
 
 @njit
-def _linearise(chain, target, asked, yields, q, work):
-    """Fills error, Jacobian, J^T J and J^T e at q. Returns the position's and the rotation's error.
+def _remove_free_axis(constraint, i, work):
+    """Removes the turn about the free axis from row i of the Jacobian, because it costs nothing."""
+    tip = len(work) - 2
+    k = constraint - FREE_X
+    along = 0.0
+    for r in range(3):
+        along += work[tip, 3 * r + k] * work[i, JACOBIAN + 3 + r]
+    for r in range(3):
+        work[i, JACOBIAN + 3 + r] -= along * work[tip, 3 * r + k]
 
-    A rotation counts by its weight, divided by 1 + `yields` times the position's error (up to one reach).
+
+@njit
+def _linearize(chain, target, constraint, rotation_weight, position_priority, q, work):
+    """Fills error, Jacobian, J^T J and J^T e at q. Returns the errors of position and orientation.
+
+    The weight of the rotation is divided by 1 + `position_priority` times the position error (up to one reach).
     """
-    n, tip = len(q), len(work) - 2
+    n = len(q)
+    tip = len(work) - 2
     forward(chain, q, work)
     jacobian(chain, work)
     rows = 6
-    if asked == POSITION:
+    if constraint == POSITION:
         rows = 3
-        work[tip, ERROR + 3], work[tip, ERROR + 4], work[tip, ERROR + 5] = 0.0, 0.0, 0.0
+        _store(work, tip, ERROR + 3, 0.0, 0.0, 0.0)
     else:
-        rotation_error(target, asked, work)
-    off, turned = 0.0, 0.0
+        rotation_error(target, constraint, work)
+    position_error = 0.0
+    orientation_error = 0.0
     for r in range(3):
         work[tip, ERROR + r] = target[9 + r] - work[tip, 9 + r]
-        off += work[tip, ERROR + r] * work[tip, ERROR + r]
-        turned += work[tip, ERROR + 3 + r] * work[tip, ERROR + 3 + r]
-    off, turned = np.sqrt(off), np.sqrt(turned)
-    weight = ROTATION_WEIGHT / (1.0 + yields * min(1.0, off))
+        position_error += work[tip, ERROR + r] * work[tip, ERROR + r]
+        orientation_error += work[tip, ERROR + 3 + r] * work[tip, ERROR + 3 + r]
+    position_error = np.sqrt(position_error)
+    orientation_error = np.sqrt(orientation_error)
+    weight = rotation_weight / (1.0 + position_priority * min(1.0, position_error))
     for r in range(3, 6):
         work[tip, ERROR + r] *= weight
     for i in range(n):
-        if asked >= FREE_X:  # a turn about the free axis costs nothing
-            k = asked - FREE_X
-            along = 0.0
-            for r in range(3):
-                along += work[tip, 3 * r + k] * work[i, JACOBIAN + 3 + r]
-            for r in range(3):
-                work[i, JACOBIAN + 3 + r] -= along * work[tip, 3 * r + k]
+        if constraint >= FREE_X:
+            _remove_free_axis(constraint, i, work)
         total = 0.0
         for r in range(rows):
             if r >= 3:
@@ -192,27 +298,29 @@ def _linearise(chain, target, asked, yields, q, work):
             for r in range(rows):
                 total += work[i, JACOBIAN + r] * work[j, JACOBIAN + r]
             work[i, NORMAL + j] = total
-    return off, turned
+    return position_error, orientation_error
 
 
 @njit
-def _bend(chain, asked, work):
-    """Takes the chain's own curvature off J^T J: error . d^2 tip / dq_i dq_j, with z_i x dp/dq_j as the derivative for i <= j.
+def _add_curvature(chain, constraint, work):
+    """Adds the chain's own curvature to J^T J: minus error . d^2 tip / dq_i dq_j, which is z_i x dp/dq_j for i <= j.
 
-    What is left is the Hessian of half the squared error, for a rotation up to the error's third order. Where joints follow
-    others, nothing is taken off.
+    The result is the Hessian of half the squared error, for a rotation up to the error's third order. If joints follow others,
+    nothing is added.
     """
     n = len(work) - 2
-    if n > _unknowns(work):
+    if n > _count_unknowns(work):
         return
     for i in range(n):
-        if chain[i, SLIDE] > 0:
+        if chain[i, IS_SLIDE] > 0:
             continue
-        u, v, w = work[i, AXIS], work[i, AXIS + 1], work[i, AXIS + 2]
-        for row in range(0, 3 if asked == POSITION else 6, 3):
-            share = 1.0 if row == 0 else 0.5
-            x, y, z = work[n, ERROR + row], work[n, ERROR + row + 1], work[n, ERROR + row + 2]
-            x, y, z = share * (y * w - z * v), share * (z * u - x * w), share * (x * v - y * u)
+        u, v, w = _vector(work[i, AXIS], work[i, AXIS + 1], work[i, AXIS + 2])
+        for row in range(0, 3 if constraint == POSITION else 6, 3):
+            factor = 1.0 if row == 0 else 0.5
+            ex, ey, ez = _vector(work[n, ERROR + row], work[n, ERROR + row + 1], work[n, ERROR + row + 2])
+            x = factor * (ey * w - ez * v)
+            y = factor * (ez * u - ex * w)
+            z = factor * (ex * v - ey * u)
             for j in range(i, n):
                 J = JACOBIAN + row
                 work[j, NORMAL + i] -= x * work[j, J] + y * work[j, J + 1] + z * work[j, J + 2]
@@ -220,18 +328,22 @@ def _bend(chain, asked, work):
 
 @njit
 def _solve_free(damping, work):
-    """(J^T J + damping I) step = gradient for the joints that are not held, by L D L^T; the held ones keep their step.
+    """Solves (J^T J + damping I) step = gradient by L D L^T for the unknowns not at a bound; the others keep their step.
 
     Returns whether the matrix is positive definite, which J^T J always is, but not with the chain's own curvature.
     """
-    n = _unknowns(work)
-    factor, count, definite = NORMAL + n, 0, True
+    n = _count_unknowns(work)
+    factor = NORMAL + n
+    count = 0
+    definite = True
     for i in range(n):
-        if work[i, HELD] > 0:
+        if work[i, AT_BOUND] > 0:
             continue
-        total, pivot, c = work[i, GRADIENT], work[i, NORMAL + i] + damping, 0
+        total = work[i, GRADIENT]
+        pivot = work[i, NORMAL + i] + damping
+        c = 0
         for j in range(n):
-            if work[j, HELD] > 0:
+            if work[j, AT_BOUND] > 0:
                 total -= work[max(i, j), NORMAL + min(i, j)] * work[j, STEP]
             elif j < i:
                 value = work[i, NORMAL + j]
@@ -241,17 +353,17 @@ def _solve_free(damping, work):
                 c += 1
         for c in range(count):
             value = work[count, factor + c]
-            share = value * work[c, PIVOT]
-            work[count, factor + c] = share
-            pivot -= share * value
-            total -= share * work[c, RHS]
+            scaled = value * work[c, PIVOT]
+            work[count, factor + c] = scaled
+            pivot -= scaled * value
+            total -= scaled * work[c, RHS]
         definite = definite and pivot > 0.5 * damping
         work[count, PIVOT] = 1.0 / max(pivot, 0.5 * damping)
         work[count, RHS] = total
         count += 1
     row = count
     for i in range(n - 1, -1, -1):
-        if work[i, HELD] == 0:
+        if work[i, AT_BOUND] == 0:
             row -= 1
             total = work[row, RHS] * work[row, PIVOT]
             for k in range(row + 1, count):
@@ -263,155 +375,175 @@ def _solve_free(damping, work):
 
 @njit
 def _bounded_step(chain, damping, q, work):
-    """A damped step of q inside the joint bounds: joints pushed out of theirs are held there and the others solved again.
+    """A damped step of q inside the joint bounds: unknowns pushed out of them are fixed there and the others solved again.
 
-    Returns the largest move of a joint, or -1 where the damping is too small for a step that leads downhill; then none is made.
+    Returns the largest move of a joint, or -1 if the damping is too small for a step that leads downhill; then none is made.
     """
     n = len(q)
     for i in range(n):
         gradient = work[i, GRADIENT]
-        at_bound = (q[i] <= chain[i, LOW] and gradient < 0) or (q[i] >= chain[i, HIGH] and gradient > 0)
-        work[i, HELD] = 1.0 if at_bound else 0.0
+        pushed_out = (q[i] <= chain[i, LOW] and gradient < 0) or (q[i] >= chain[i, HIGH] and gradient > 0)
+        work[i, AT_BOUND] = 1.0 if pushed_out else 0.0
         work[i, STEP] = 0.0
-    for _ in range(BOUND_PASSES):
+    for _ in range(ACTIVE_SET_PASSES):
         if not _solve_free(damping, work):
             return -1.0
         inside = True
         for i in range(n):
-            wanted = q[i] + work[i, STEP]
-            kept = min(max(wanted, chain[i, LOW]), chain[i, HIGH])
-            if work[i, HELD] == 0 and kept != wanted:
-                work[i, HELD], work[i, STEP] = 1.0, kept - q[i]
+            desired = q[i] + work[i, STEP]
+            clamped = min(max(desired, chain[i, LOW]), chain[i, HIGH])
+            if work[i, AT_BOUND] == 0 and clamped != desired:
+                work[i, AT_BOUND] = 1.0
+                work[i, STEP] = clamped - q[i]
                 inside = False
         if inside:
             break
-    longest, moved = 0.0, 0.0
+    longest = 0.0
     for i in range(n):
         longest = max(longest, abs(work[i, STEP]))
-    share = min(1.0, STEP_MAX / max(longest, 1e-300))
+    factor = min(1.0, MAX_STEP / max(longest, 1e-300))
+    moved = 0.0
     for i in range(n):
         before = q[i]
-        q[i] = min(max(before + share * work[i, STEP], chain[i, LOW]), chain[i, HIGH])
+        q[i] = min(max(before + factor * work[i, STEP], chain[i, LOW]), chain[i, HIGH])
         moved = max(moved, abs(q[i] - before))
     return moved
 
 
 @njit
-def _descend(chain, target, asked, off_max, turned_max, q, work):
-    """One descent from q, which becomes the best position met. Returns (ok, squared error, steps)."""
+def _descend(chain, target, constraint, position_tolerance, orientation_tolerance, q, work):
+    """One descent from q, which becomes the best configuration met. Returns (solved, squared error, steps)."""
     n = len(q)
-    best, reference, stalled, steps, ok = np.inf, np.inf, 0, 0, False
-    while steps < DESCENT_STEPS and stalled < STALL_STEPS and not ok:
+    best = np.inf
+    reference = np.inf
+    stalled = 0
+    steps = 0
+    solved = False
+    while steps < MAX_DESCENT_STEPS and stalled < STALL_STEPS and not solved:
         steps += 1
-        off, turned = _linearise(chain, target, asked, 0.0, q, work)
-        size = off * off + ROTATION_WEIGHT * ROTATION_WEIGHT * turned * turned
+        position_error, orientation_error = _linearize(chain, target, constraint, ROTATION_WEIGHT, 0.0, q, work)
+        size = _squared(position_error, orientation_error, ROTATION_WEIGHT)
         if steps == 1:
-            work[len(work) - 1, FIRST] = size
-        ok = off <= off_max and turned <= turned_max
-        if ok or size < best:
+            work[len(work) - 1, FIRST_ERROR] = size
+        solved = position_error <= position_tolerance and orientation_error <= orientation_tolerance
+        if solved or size < best:
             best = size
             for i in range(n):
                 work[i, BEST] = q[i]
         stalled += 1
-        if size < STALL_GAIN * reference:
-            reference, stalled = size, 0
-        if not ok:
-            _bounded_step(chain, DAMPING * min(size, np.sqrt(size)) + DAMPING_FLOOR, q, work)
+        if size < STALL_RATIO * reference:
+            reference = size
+            stalled = 0
+        if not solved:
+            _bounded_step(chain, DAMPING * min(size, np.sqrt(size)) + MIN_DAMPING, q, work)
     for i in range(n):
         q[i] = work[i, BEST]
-    return ok, best, steps
+    return solved, best, steps
 
 
 @njit
 def _random_start(chain, q0, start, seed, q):
     """The random start of a number: within half a turn of q0 and inside the joint bounds or at one.
 
-    A hinge that turns farther would come by every direction twice, and meet its bounds more often.
+    A hinge that turns farther would offer every direction twice, and meet its bounds more often.
 
     The generator is splitmix64 (Steele, Lea, Flood: "Fast splittable pseudorandom number generators", 2014).
     """
     state = np.uint64(seed) ^ (np.uint64(start) * np.uint64(0xD1B54A32D192ED03))
-    stretch = STRETCH * (start % 2)
+    stretch = START_STRETCH * (start % 2)
     for i in range(len(q)):
         state += np.uint64(0x9E3779B97F4A7C15)
         x = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
         x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-        share = np.float64((x ^ (x >> np.uint64(31))) >> np.uint64(11)) / 9007199254740992.0
-        low, high = chain[i, LOW], chain[i, HIGH]
+        fraction = np.float64((x ^ (x >> np.uint64(31))) >> np.uint64(11)) / 9007199254740992.0
+        low = chain[i, LOW]
+        high = chain[i, HIGH]
         if high - low > 2 * np.pi:
             middle = min(max(q0[i], low + np.pi), high - np.pi)
-            low, high = middle - np.pi, middle + np.pi
-        wanted = low + ((1 + 2 * stretch) * share - stretch) * (high - low)
-        q[i] = min(max(wanted, low), high)
+            low = middle - np.pi
+            high = middle + np.pi
+        drawn = low + ((1 + 2 * stretch) * fraction - stretch) * (high - low)
+        q[i] = min(max(drawn, low), high)
 
 
 @njit
 def _unwind(chain, q0, q):
-    """Takes whole turns off the hinges, or adds them, where that comes nearer to q0 and stays inside the bounds."""
+    """Adds or removes whole turns of the hinges if that is nearer to q0 and inside the bounds."""
     for i in range(len(q)):
-        turn = chain[i, TURN]
-        if turn > 0:
-            turns = np.round((q0[i] - q[i]) / turn)
-            while turns != 0 and not chain[i, LOW] <= q[i] + turns * turn <= chain[i, HIGH]:
+        period = chain[i, PERIOD]
+        if period > 0:
+            turns = np.round((q0[i] - q[i]) / period)
+            while turns != 0 and not chain[i, LOW] <= q[i] + turns * period <= chain[i, HIGH]:
                 turns -= np.sign(turns)
-            q[i] += turns * turn
+            q[i] += turns * period
 
 
 @njit
 def _aim(chain, reach, target, work):
-    """The target in reaches, as the last row of `work`; one beyond FARTHEST is pulled in along its line."""
+    """The target in reaches, as the last row of `work`; one beyond MAX_TARGET_REACHES is moved nearer on its line."""
     n = len(chain) - 1
-    distance = 0.0
     for k in range(9):
         work[n + 1, k] = target[k]
+    largest = 0.0
     for k in range(9, 12):
-        work[n + 1, k] = target[k] / reach
-        distance += (work[n + 1, k] - chain[0, k]) ** 2
-    share = min(1.0, FARTHEST / max(np.sqrt(distance), 1e-300))
+        largest = max(largest, abs(target[k]))
+    shrink = 1.0 if largest < MAX_SQUARED_LENGTH else 1.0 / largest
+    distance = 0.0
     for k in range(9, 12):
-        work[n + 1, k] = chain[0, k] + share * (work[n + 1, k] - chain[0, k])
+        work[n + 1, k] = shrink * target[k] / reach
+        distance += (work[n + 1, k] - shrink * chain[0, k]) ** 2
+    factor = min(1.0, MAX_TARGET_REACHES / max(np.sqrt(distance), 1e-300))
+    for k in range(9, 12):
+        work[n + 1, k] = chain[0, k] + factor * (work[n + 1, k] - shrink * chain[0, k])
     return work[n + 1]
 
 
 @njit
-def _beyond(chain, target, off_max):
+def _beyond(chain, target, position_tolerance):
     """Whether the target is farther from the first joint than the arm stretched out, which is one reach."""
     n = len(chain) - 1
     for i in range(n):
         leader = int(chain[i, LEADER])
-        if chain[i, SLIDE] > 0 and not chain[leader, HIGH] - chain[leader, LOW] < np.inf:
+        if chain[i, IS_SLIDE] > 0 and not chain[leader, HIGH] - chain[leader, LOW] < np.inf:
             return False
     distance = 0.0
     for k in range(9, 12):
         distance += (target[k] - chain[0, k]) ** 2
-    return np.sqrt(distance) > 1.0 + 1e-9 + off_max
+    return np.sqrt(distance) > 1.0 + 1e-9 + position_tolerance
 
 
 @njit
-def search(chain, reach, targets, asked, off_max, turned_max, q0, first, last, seed, q, tally):
+def search(chain, reach, targets, constraint, position_tolerance, orientation_tolerance, q0, first, last, seed, q, report):
     """For each target descents from the starts `first` to `last` until one is inside the tolerance; beyond reach one is enough.
 
     Start 0 is q (N, n), the others are random; whole turns are counted from q0. Fills q with the solutions, or else the best
-    positions met, and `tally` (N, 4) with 1 for a solution, the start after the last one used, how many steps it took, and
-    1 if q is far from q0 although the tip began near the target.
+    configurations met, and `report` (SEARCH_ROWS, N): whether it is solved, the start after the last one used, the steps, and
+    whether q is far from q0 although the tip began near the target.
     """
     n = q.shape[1]
-    work, trial = scratch(len(chain) - 1, n), np.empty(n)
+    work = scratch(len(chain) - 1, n)
+    trial = np.empty(n)
     for t in range(len(targets)):
         target = _aim(chain, reach, targets[t], work)
-        best, steps, start, ok, near = np.inf, 0, first, False, False
-        end = first + 1 if _beyond(chain, target, off_max / reach) else last
-        while start < end and not ok and not (first < start == HOPELESS_STARTS and best > HOPELESS * HOPELESS):
+        best = np.inf
+        steps = 0
+        start = first
+        solved = False
+        near = False
+        end = first + 1 if _beyond(chain, target, position_tolerance / reach) else last
+        while start < end and not solved and not (first < start == HOPELESS_STARTS and best > HOPELESS * HOPELESS):
             if start == 0:
                 for i in range(n):
                     trial[i] = q[t, i]
             else:
                 _random_start(chain, q0[t], start, seed, trial)
-            ok, size, more = _descend(chain, target, asked, off_max / reach, turned_max, trial, work)
+            solved, size, more = _descend(
+                chain, target, constraint, position_tolerance / reach, orientation_tolerance, trial, work
+            )
             steps += more
-            near = near or (start == 0 and work[len(work) - 1, FIRST] < NEAR * NEAR)
+            near = near or (start == 0 and work[len(work) - 1, FIRST_ERROR] < NEAR_TARGET_REACHES * NEAR_TARGET_REACHES)
             start += 1
-            if ok or size < best:
+            if solved or size < best:
                 best = size
                 for i in range(n):
                     q[t, i] = trial[i]
@@ -419,25 +551,31 @@ def search(chain, reach, targets, asked, off_max, turned_max, q0, first, last, s
         farthest = 0.0
         for i in range(n):
             farthest = max(farthest, abs(q[t, i] - q0[t, i]))
-        tally[t, 0], tally[t, 1], tally[t, 2] = 1 if ok else 0, start, steps
-        tally[t, 3] = 1 if near and farthest > JUMP else 0
+        report[SOLVED, t] = 1 if solved else 0
+        report[NEXT_START, t] = start
+        report[ITERATIONS, t] = steps
+        report[JUMPED, t] = 1 if near and farthest > JUMP_RAD else 0
 
 
 @njit
-def settle(chain, reach, targets, asked, q0, pull, q, sizes):
-    """Moves each q to the least squared error plus `pull` times its squared distance from q0; every step makes that smaller.
+def refine(chain, reach, targets, constraint, rotation_weight, q0, pull, q, sizes):
+    """Moves each q to a minimum of the squared error plus `pull` times its squared distance from q0; every step decreases that.
 
-    Without a pull it ends at the nearest the tip can come to a target it cannot reach. Fills `sizes` (N,) with what is left.
+    Without a pull it ends where the tip is nearest to a target it cannot reach. Fills `sizes` (N,) with what is left.
     """
     n = q.shape[1]
     work = scratch(len(chain) - 1, n)
     for t in range(len(targets)):
-        target, here = _aim(chain, reach, targets[t], work), q[t]
-        best, damping, moved, steps = np.inf, 0.0, np.inf, 0
-        while moved > SETTLED and steps < SETTLE_STEPS:
+        target = _aim(chain, reach, targets[t], work)
+        here = q[t]
+        best = np.inf
+        damping = 0.0
+        moved = np.inf
+        steps = 0
+        while moved > REFINE_MIN_MOVE and steps < MAX_REFINE_STEPS:
             steps += 1
-            off, turned = _linearise(chain, target, asked, 0.0, here, work)
-            size = off * off + ROTATION_WEIGHT * ROTATION_WEIGHT * turned * turned
+            position_error, orientation_error = _linearize(chain, target, constraint, rotation_weight, 0.0, here, work)
+            size = _squared(position_error, orientation_error, rotation_weight)
             for i in range(n):
                 size += pull * (q0[t, i] - here[i]) ** 2
             if not size <= best:
@@ -446,7 +584,7 @@ def settle(chain, reach, targets, asked, q0, pull, q, sizes):
                     here[i] = work[i, BEST]
                 continue
             if best == np.inf:
-                damping = SETTLE_DAMPING * np.sqrt(size)
+                damping = REFINE_DAMPING * np.sqrt(size)
             elif size < best:
                 damping *= 0.25
             best = size
@@ -454,26 +592,26 @@ def settle(chain, reach, targets, asked, q0, pull, q, sizes):
                 work[i, BEST] = here[i]
                 work[i, GRADIENT] += pull * (q0[t, i] - here[i])
                 work[i, NORMAL + i] += pull
-            _bend(chain, asked, work)
-            moved = _bounded_step(chain, damping + DAMPING_FLOOR, here, work)
+            _add_curvature(chain, constraint, work)
+            moved = _bounded_step(chain, damping + MIN_DAMPING, here, work)
             while moved < 0.0:
-                damping = max(4.0 * damping, SETTLE_CONVEX * np.sqrt(size))
-                moved = _bounded_step(chain, damping + DAMPING_FLOOR, here, work)
+                damping = max(4.0 * damping, REFINE_CONVEX_DAMPING * np.sqrt(size))
+                moved = _bounded_step(chain, damping + MIN_DAMPING, here, work)
         for i in range(n):
             here[i] = work[i, BEST]
         sizes[t] = best
 
 
 @njit
-def objective(chain, reach, target, asked, yields, bends, q, H, gradient, J, work):
-    """Half the squared error around q, to second order if it `bends`: fills the Hessian H (n, n), J^T e (n,) and J (6, n).
+def objective(chain, reach, target, constraint, position_priority, second_order, q, H, gradient, J, work):
+    """Half the squared error around q, optionally to second order: fills the Hessian H (n, n), J^T e (n,) and J (6, n).
 
-    Returns the error's size.
+    Returns the norm of the error.
     """
     n = len(q)
-    _linearise(chain, _aim(chain, reach, target, work), asked, yields, q, work)
-    if bends:
-        _bend(chain, asked, work)
+    _linearize(chain, _aim(chain, reach, target, work), constraint, ROTATION_WEIGHT, position_priority, q, work)
+    if second_order:
+        _add_curvature(chain, constraint, work)
     size = 0.0
     for r in range(6):
         size += work[len(work) - 2, ERROR + r] ** 2
@@ -487,71 +625,99 @@ def objective(chain, reach, target, asked, yields, bends, q, H, gradient, J, wor
 
 
 @njit
-def null_step(asked, wish, low, high, step, work):
-    """The part of a wished step (n,) in the null space of J, shortened to its bounds; joints at theirs take no part.
+def null_step(constraint, desired, low, high, step, work):
+    """The part of a desired step (n,) in the null space of J, shortened to its bounds; joints at theirs take no part.
 
-    J is what `objective` left behind. A damping that is all but zero leaves of a wish what changes no error.
+    J is what `objective` left behind. With the tiny damping only that part of the desired step is left that changes no error.
     """
-    n, rows = len(wish), 3 if asked == POSITION else 6
+    n = len(desired)
+    rows = 3 if constraint == POSITION else 6
     for i in range(n):
-        work[i, HELD], step[i] = 0.0, 0.0
+        work[i, AT_BOUND] = 0.0
+        step[i] = 0.0
         for j in range(i + 1):
             total = 0.0
             for r in range(rows):
                 total += work[i, JACOBIAN + r] * work[j, JACOBIAN + r]
             work[i, NORMAL + j] = total
-    for _ in range(NULL_PASSES):
+    for _ in range(MAX_NULL_PASSES):
         for i in range(n):
-            work[i, GRADIENT], work[i, STEP] = NULL_DAMPING * wish[i], 0.0
+            work[i, GRADIENT] = NULL_DAMPING * desired[i]
+            work[i, STEP] = 0.0
         _solve_free(NULL_DAMPING, work)
-        share, free = 1.0, 0
+        share = 1.0
+        free = 0
         for i in range(n):
-            if work[i, HELD] == 0:
+            if work[i, AT_BOUND] == 0:
                 free += 1
                 room = max(0.0, high[i] if work[i, STEP] > 0 else -low[i]) / max(abs(work[i, STEP]), 1e-300)
                 share = min(share, room)
-                work[i, HELD] = 1.0 if room <= NO_ROOM else 0.0
+                work[i, AT_BOUND] = 1.0 if room <= MIN_NULL_SHARE else 0.0
         if free <= rows:
             return
-        if share > NO_ROOM:
+        if share > MIN_NULL_SHARE:
             for i in range(n):
                 step[i] = share * work[i, STEP]
             return
 
 
 @njit
-def residual(asked, target, position, rotation):
-    """How far a tip (3,), (3, 3) is from its target: in the unit of length, and in rad."""
-    size, chord = 0.0, 0.0
+def _huge_distance(target, position):
+    """The distance of a target whose square overflows, in the unit of length."""
+    largest = 0.0
     for r in range(3):
-        size += (position[r] - target[9 + r]) ** 2
-        for k in range(3):
-            if asked == POSE or asked - FREE_X == k:
-                chord += (rotation[r, k] - target[3 * r + k]) ** 2
-    return np.sqrt(size), 2.0 * np.arcsin(min(1.0, np.sqrt(chord / (8.0 if asked == POSE else 4.0))))
+        largest = max(largest, abs(position[r] - target[9 + r]))
+    total = 0.0
+    for r in range(3):
+        total += ((position[r] - target[9 + r]) / largest) ** 2
+    return min(largest * np.sqrt(total), MAX_LENGTH)
 
 
 @njit
-def residuals(asked, targets, positions, rotations, off, turned):
+def residual(constraint, target, position, rotation):
+    """The errors of a tip (3,), (3, 3): in the unit of length, and in rad."""
+    squared = 0.0
+    squared_chord = 0.0
+    for r in range(3):
+        squared += (position[r] - target[9 + r]) ** 2
+        for k in range(3):
+            if constraint == POSE or constraint - FREE_X == k:
+                squared_chord += (rotation[r, k] - target[3 * r + k]) ** 2
+    distance = np.sqrt(squared) if squared < np.inf else _huge_distance(target, position)
+    return distance, 2.0 * np.arcsin(min(1.0, np.sqrt(squared_chord / (8.0 if constraint == POSE else 4.0))))
+
+
+@njit
+def residuals(constraint, targets, positions, rotations, position_errors, orientation_errors):
     """`residual` of N tips (N, 3), (N, 3, 3): fills (N,) and (N,)."""
     for t in range(len(targets)):
-        off[t], turned[t] = residual(asked, targets[t], positions[t], rotations[t])
+        errors = residual(constraint, targets[t], positions[t], rotations[t])
+        position_errors[t] = errors[0]
+        orientation_errors[t] = errors[1]
+
+
+@njit
+def _determinant(T):
+    """Of the rotation of a homogeneous transform (4, 4)."""
+    x = T[1, 1] * T[2, 2] - T[1, 2] * T[2, 1]
+    y = T[1, 2] * T[2, 0] - T[1, 0] * T[2, 2]
+    z = T[1, 0] * T[2, 1] - T[1, 1] * T[2, 0]
+    return T[0, 0] * x + T[0, 1] * y + T[0, 2] * z
 
 
 @njit
 def read_transforms(T, targets):
     """Fills targets (N, 12) from homogeneous transforms (N, 4, 4). Returns how many come before the first that is not rigid."""
     for t in range(len(T)):
-        skew, bottom = 0.0, abs(T[t, 3, 3] - 1.0)
+        skew = 0.0
+        last_row_error = abs(T[t, 3, 3] - 1.0)
         for i in range(3):
             for k in range(3):
                 targets[t, 3 * i + k] = T[t, i, k]
                 dot = T[t, i, 0] * T[t, k, 0] + T[t, i, 1] * T[t, k, 1] + T[t, i, 2] * T[t, k, 2]
                 skew = max(skew, abs(dot - (1.0 if i == k else 0.0)))
             targets[t, 9 + i] = T[t, i, 3]
-            bottom = max(bottom, abs(T[t, 3, i]))
-        x, y, z = T[t, 0, 0], T[t, 0, 1], T[t, 0, 2]
-        a, b, c, d, e, f = T[t, 1, 0], T[t, 1, 1], T[t, 1, 2], T[t, 2, 0], T[t, 2, 1], T[t, 2, 2]
-        if skew > SKEW or bottom > BOTTOM or x * (b * f - c * e) + y * (c * d - a * f) + z * (a * e - b * d) < 0:
+            last_row_error = max(last_row_error, abs(T[t, 3, i]))
+        if skew > MAX_SKEW or last_row_error > MAX_LAST_ROW_ERROR or _determinant(T[t]) < 0:
             return t
     return len(T)

@@ -2,121 +2,166 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from armctl.core.validation import Array, BoolArray, IntArray
-from armctl.ik.problem import POSITION, Problem, compiled
+from armctl.ik.problem import Problem, compiled
 
-MARGIN = 0.999  # of the tolerance, so that rounding decides nothing when the answer is measured
-NEAR_TRIES, NEAR_NOISE = 4, 0.2
-REACH_STARTS = 12
+# The search uses this share of the tolerances, so that rounding does not decide when the answer is measured.
+TOLERANCE_SHARE = 0.999
+NEARBY_TRIALS = 4
+NEARBY_NOISE = 0.2  # rad, or m for a slide joint
+REACH_STARTS = 12  # configurations from which the nearest reachable point is looked for
+MIN_REACH_GAIN = 1e-6  # relative: a smaller decrease of the squared error is rounding
 
 
-def search(problem: Problem, first: int, last: int, begin: Array | None = None) -> tuple[Array, IntArray]:
-    """Solutions, from the starts of the numbers `first` to `last`. Start 0 is `begin`, the others are random.
+class SearchResult(NamedTuple):
+    """What a search found for N targets.
 
-    Args:
-        problem: N targets.
-        first: The first start.
-        last: The one after the last start.
-        begin: (N, n) rad, inside the joint limits; left out, q0.
-
-    Returns:
-        (N, n) rad inside the joint limits, the solutions or the best positions met, and (N, 4): 1 for a solution, the start
-        after the last one used, steps, 1 for a suspicious jump.
+    Attributes:
+        q: (N, n) rad, inside the joint limits: the solutions, or the best configurations met.
+        report: (4, N) the rows that the properties give; they cost nothing where nobody reads them.
     """
-    chain, q0 = problem.chain, problem.chain.units(problem.q0)
-    q, tally = (q0 if begin is None else chain.units(begin)).copy(), np.empty((len(q0), 4), np.int64)
-    compiled().search(
+
+    q: Array
+    report: IntArray
+
+    @property
+    def solved(self) -> BoolArray:
+        """(N,) whether q is a solution."""
+        return self.report[compiled().SOLVED] == 1
+
+    @property
+    def next_start(self) -> IntArray:
+        """(N,) the start after the last one used."""
+        return self.report[compiled().NEXT_START]
+
+    @property
+    def iterations(self) -> IntArray:
+        """(N,) steps over all starts."""
+        return self.report[compiled().ITERATIONS]
+
+    @property
+    def jumped(self) -> BoolArray:
+        """(N,) whether q is far from q0 although the tip began near the target."""
+        return self.report[compiled().JUMPED] == 1
+
+
+class Refined(NamedTuple):
+    """Local minima of the squared error.
+
+    Attributes:
+        q: (N, n) rad, inside the joint limits.
+        squared_error: (N,) squared reaches.
+    """
+
+    q: Array
+    squared_error: Array
+
+
+class BestEffort(NamedTuple):
+    """The best approximations for targets without a solution.
+
+    Attributes:
+        q: (N, n) rad, inside the joint limits.
+        position_error: (N,) m, measured at q.
+        orientation_error: (N,) rad, measured at q.
+        out_of_reach: (N,) whether the point itself is out of reach.
+    """
+
+    q: Array
+    position_error: Array
+    orientation_error: Array
+    out_of_reach: BoolArray
+
+
+def search(problem: Problem, first: int, last: int, begin: Array | None = None) -> SearchResult:
+    """Searches from the starts `first` to `last - 1`. Start 0 is `begin` (N, n), by default q0; the others are random."""
+    kernel = compiled()
+    chain = problem.chain
+    q0 = chain.to_units(problem.q0)
+    q = (q0 if begin is None else chain.to_units(begin)).copy()
+    report = np.empty((kernel.SEARCH_ROWS, len(q0)), np.int64)
+    kernel.search(
         chain.rows,
         chain.reach,
         problem.targets,
-        problem.asked,
-        problem.position_tolerance * MARGIN,
-        problem.orientation_tolerance * MARGIN,
+        problem.constraint,
+        problem.position_tolerance * TOLERANCE_SHARE,
+        problem.orientation_tolerance * TOLERANCE_SHARE,
         q0,
         first,
         last,
         problem.seed,
         q,
-        tally,
+        report,
     )
-    return chain.joints(q), tally
+    return SearchResult(chain.from_units(q), report)
 
 
-def settle(problem: Problem, q: Array, pull: float = 0.0) -> tuple[Array, Array]:
-    """The nearest to each target that a descent finds whose every step comes nearer.
+def refine(problem: Problem, q: Array, pull: float = 0.0, rotation_weight: float | None = None) -> Refined:
+    """Descends from q (N, n) to local minima of the squared error, where every step decreases it.
 
-    Args:
-        problem: N targets.
-        q: (N, n) rad, where to begin.
-        pull: How much a squared radian from q0 counts beside a squared reach from the target.
-
-    Returns:
-        (N, n) rad inside the joint limits, and (N,) the squared error that is left, in squared reaches.
+    `pull` adds the squared distance from q0: it is the weight of a squared radian beside a squared reach from the target.
+    `rotation_weight` is the weight of a radian beside a reach, by default that of the search.
     """
-    chain, sizes = problem.chain, np.empty(len(q))
-    q = chain.units(q) + 0.0
-    compiled().settle(
+    kernel = compiled()
+    chain = problem.chain
+    q = chain.to_units(q) + 0.0
+    squared_error = np.empty(len(q))
+    kernel.refine(
         chain.rows,
         chain.reach,
         problem.targets,
-        problem.asked,
-        chain.units(problem.q0),
+        problem.constraint,
+        kernel.ROTATION_WEIGHT if rotation_weight is None else rotation_weight,
+        chain.to_units(problem.q0),
         pull,
         q,
-        sizes,
+        squared_error,
     )
-    return chain.joints(q), sizes
+    return Refined(chain.from_units(q), squared_error)
 
 
-def stay_near(problem: Problem, q: Array, tally: IntArray) -> Array:
-    """Solutions nearer to q0, where the search jumped although the target is close to where the tip is at q0.
-
-    Args:
-        problem: N targets.
-        q: (N, n) rad, what `search` found.
-        tally: (N, 4) what it said.
-
-    Returns:
-        (N, n) rad, `q` or what is nearer.
-    """
-    if not tally[:, 3].any():
+def stay_near(problem: Problem, found: SearchResult) -> Array:
+    """Solutions (N, n) nearer to q0, if the search jumped although the target is close to the tip at q0."""
+    q = found.q
+    if not found.jumped.any():
         return q
-    far, rng = np.flatnonzero(tally[:, 3] & tally[:, 0]), np.random.default_rng(problem.seed)
-    for attempt in range(NEAR_TRIES):
-        part = problem.rows(far)
-        noise = rng.uniform(-NEAR_NOISE, NEAR_NOISE, part.arm.n) if attempt else 0.0
-        trial, verdict = search(part, 0, 1, settle(part, part.arm.limits.clamp(part.q0 + noise))[0])
-        nearer = np.abs(trial - part.q0).max(axis=1) < np.abs(q[far] - part.q0).max(axis=1)
-        better = nearer & (verdict[:, 0] == 1)
-        q[far[better]] = trial[better]
+    far = np.flatnonzero(found.jumped & found.solved)
+    rng = np.random.default_rng(problem.seed)
+    for attempt in range(NEARBY_TRIALS):
+        part = problem.select(far)
+        noise = rng.uniform(-NEARBY_NOISE, NEARBY_NOISE, part.arm.n) if attempt else 0.0
+        begin = refine(part, part.arm.limits.clamp(part.q0 + noise)).q
+        trial = search(part, 0, 1, begin)
+        nearer = np.abs(trial.q - part.q0).max(axis=1) < np.abs(q[far] - part.q0).max(axis=1)
+        better = nearer & trial.solved
+        q[far[better]] = trial.q[better]
         far = far[~better]
     return q
 
 
-def best_effort(problem: Problem, q: Array) -> tuple[Array, BoolArray]:
-    """The best that can be done where there is no solution.
+def best_effort(problem: Problem, q: Array) -> BestEffort:
+    """The best approximations from q (N, n), the best configurations that the search met.
 
-    If the tip cannot come to its point at all, it is as near to it as it can be; else the error of position and orientation is
+    If the tip cannot reach its point at all, it is as near to it as possible; else the error of position and orientation is
     least.
-
-    Args:
-        problem: N targets.
-        q: (N, n) rad, the best positions met.
-
-    Returns:
-        (N, n) rad inside the joint limits, and (N,) whether the point itself is out of reach.
     """
-    points = problem._replace(asked=POSITION)
+    points = problem._replace(constraint=compiled().POSITION)
     limit = (problem.position_tolerance / problem.chain.reach) ** 2
-    least, nearest = np.full(len(q), np.inf), q.copy()
+    least = np.full(len(q), np.inf)
+    nearest = q.copy()
     others = problem.arm.limits.random(problem.arm.home, REACH_STARTS, np.random.default_rng(problem.seed))
     for begin in (q, *others):
-        trial, sizes = settle(points, np.broadcast_to(begin, q.shape))
-        better = sizes < least * (1 - 1e-6)
-        nearest[better], least[better] = trial[better], sizes[better]
+        trial = refine(points, np.broadcast_to(begin, q.shape))
+        better = trial.squared_error < least * (1 - MIN_REACH_GAIN)
+        nearest[better] = trial.q[better]
+        least[better] = trial.squared_error[better]
         if (least <= limit).all():
             break
     out_of_reach = least > limit
-    return np.where(out_of_reach[:, None], nearest, settle(problem, q)[0]), out_of_reach
+    q = np.where(out_of_reach[:, None], nearest, refine(problem, q).q)
+    return BestEffort(q, *problem.residuals(q), out_of_reach)

@@ -1,63 +1,78 @@
-"""The mink method of `solve_ik`: DifferentialIk stepped until it arrives, from counted starts."""
+"""The mink method of `solve_ik`: DifferentialIk stepped until it converges, from counted starts."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from armctl.core.validation import Array, IntArray
+from armctl.core.validation import Array
 from armctl.ik.differential import DifferentialIk
-from armctl.ik.problem import Problem
+from armctl.ik.lm import SearchResult
+from armctl.ik.problem import Problem, compiled
 
-STEP = 1.0  # s: the velocity limits bound a step, not a motion
-STEPS = 60
-STALL_STEPS, STALL_GAIN = 4, 0.7
+STEP_S = 1.0  # the velocity limits then bound a step, not a motion
+MAX_STEPS = 60
+STALL_STEPS = 4  # a descent ends after so many steps ...
+STALL_RATIO = 0.7  # ... in which the error stays above this share of what it was
+ROTATION_WEIGHT = 0.5  # reaches per rad
 
 
-def search(problem: Problem, first: int, last: int, begin: Array | None = None) -> tuple[Array, IntArray]:
-    """Solutions, from the starts of the numbers `first` to `last`. Start 0 is `begin`, the others are random.
+class _Descent(NamedTuple):
+    """The best configuration that a descent met, its error, whether it is a solution, and the number of steps."""
 
-    Args:
-        problem: N targets.
-        first: The first start.
-        last: The one after the last start.
-        begin: (N, n) rad, inside the joint limits; left out, q0.
+    q: Array
+    error: float
+    solved: bool
+    steps: int
 
-    Returns:
-        (N, n) rad inside the joint limits, the solutions or the best positions met, and (N, 4): 1 for a solution, the start
-        after the last one used, steps, 0.
-    """
+
+def search(problem: Problem, first: int, last: int, begin: Array | None = None) -> SearchResult:
+    """Searches from the starts `first` to `last - 1`. Start 0 is `begin` (N, n), by default q0; the others are random."""
     follower = DifferentialIk(problem.arm, posture_gain=0.0)
-    follower.tip.settles = False
-    q, tally = np.empty_like(problem.q0), np.zeros((len(problem.targets), 4), np.int64)
-    for t in range(len(problem.targets)):
-        part = problem.rows(np.array([t]))
-        others = problem.arm.limits.random(part.q0[0], last, np.random.default_rng(problem.seed))
-        best, start, ok = np.inf, first, False
-        while start < last and not ok:
-            trial = others[start] if start else (part.q0 if begin is None else begin)[0 if begin is None else t]
-            start += 1
-            trial, size, ok, steps = _descend(follower, part, trial)
-            tally[t, 2] += steps
-            if ok or size < best:
-                q[t], best = trial, size
-        tally[t, :2] = ok, start
-    return q, tally
+    follower.tip.converges_out_of_reach = False
+    count = len(problem.targets)
+    begin = problem.q0 if begin is None else begin
+    found = SearchResult(np.empty_like(problem.q0), np.zeros((compiled().SEARCH_ROWS, count), np.int64))
+    for t in range(count):
+        part = problem.select(np.array([t]))
+        starts = problem.arm.limits.random(part.q0[0], last, np.random.default_rng(problem.seed))
+        starts[0] = begin[t]
+        best: _Descent | None = None
+        for start in range(first, last):
+            descent = _descend(follower, part, starts[start])
+            found.iterations[t] += descent.steps
+            found.next_start[t] = start + 1
+            if best is None or descent.solved or descent.error < best.error:
+                best = descent
+            if descent.solved:
+                break
+        if best is not None:
+            found.q[t] = best.q
+            found.report[compiled().SOLVED, t] = best.solved
+    return found
 
 
-def _descend(follower: DifferentialIk, problem: Problem, q: Array) -> tuple[Array, float, bool, int]:
-    """Steps from q: the best position met, its error, whether it is inside the tolerance, and how many steps."""
-    best, kept, reference, stalled, steps, ok = np.inf, q, np.inf, 0, 0, False
-    while steps < STEPS and stalled < STALL_STEPS and not ok:
+def _descend(follower: DifferentialIk, problem: Problem, q: Array) -> _Descent:
+    best = np.inf
+    best_q = q
+    reference = np.inf
+    stalled = 0
+    steps = 0
+    solved = False
+    while steps < MAX_STEPS and stalled < STALL_STEPS and not solved:
         steps += 1
-        off, turned = problem.residual(q)
-        size = float(np.hypot(off / problem.chain.reach, 0.5 * turned))
-        ok = off <= problem.position_tolerance and turned <= problem.orientation_tolerance
-        if ok or size < best:
-            best, kept = size, q
+        position_error, orientation_error = problem.residual(q)
+        error = float(np.hypot(position_error / problem.chain.reach, ROTATION_WEIGHT * orientation_error))
+        solved = position_error <= problem.position_tolerance and orientation_error <= problem.orientation_tolerance
+        if solved or error < best:
+            best = error
+            best_q = q
         stalled += 1
-        if size < STALL_GAIN * reference:
-            reference, stalled = size, 0
-        if not ok:
-            q = follower.toward(q, problem.asked, problem.targets[0], STEP) * STEP + q
+        if error < STALL_RATIO * reference:
+            reference = error
+            stalled = 0
+        if not solved:
+            q = follower.velocity(q, problem.constraint, problem.targets[0], STEP_S) * STEP_S + q
             q = problem.arm.limits.clamp(q)
-    return kept, best, ok, steps
+    return _Descent(best_q, best, solved, steps)

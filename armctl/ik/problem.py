@@ -1,11 +1,11 @@
-"""An IK problem in numbers: the chain packed for the compiled solver, the target, and the residual that judges an answer."""
+"""An IK problem in numbers: the chain packed for the compiled solver, the targets, and the residual that judges an answer."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
 from types import ModuleType
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -14,114 +14,82 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError
 from armctl.core.limits import Limits
 from armctl.core.pose import Pose
-from armctl.core.validation import Array, BoolArray, IntArray, frozen, matrix, number, vector
+from armctl.core.target import Target, TargetLike
+from armctl.core.validation import Array, BoolArray, IntArray, choice, frozen, integer, matrix, number, shown, vector
 from armctl.robot.arm import Arm, check_arm
 
-PoseOrPoint: TypeAlias = Pose | ArrayLike
-
-POSE, POSITION, FREE_X, FREE_Y, FREE_Z = range(5)  # what of the tip is asked for
-_FREE = {"x": FREE_X, "y": FREE_Y, "z": FREE_Z}
+_FREE_AXES = {"x": 0, "y": 1, "z": 2}
+_MIN_TOLERANCE = 1e-12  # m or rad: below it rounding decides
+_LIMIT_ROUNDING = 1e-9  # rad or m: a start that much outside the limits is moved to the limit
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
-    """A serial chain as the compiled solver takes it, its lengths in units of the reach.
+class PackedChain:
+    """A serial chain as the compiled solver takes it, with lengths in units of the reach.
 
     Attributes:
-        rows: (k + 1, 18): for each of its k joints rotation, translation, 1 for a slide joint, bounds, leader, ratio, period,
-            as the kernels explain; the last row is the tip.
-        reach: m, the arm stretched out: the unit of length.
-        unit: (n,) what one unit of each of the arm's joints is: 1 rad, or the reach for a slide joint.
-        slides: Whether any of them slides.
-        limits: The arm's.
+        rows: (k + 1, 18), one row per joint and a last one for the tip; `armctl.ik.kernel` names the columns.
+        reach: m, the length of the arm stretched out, which is the unit of length.
+        unit: (n,) one unit of each joint of the arm: 1 rad, or the reach for a slide joint.
+        has_slides: Whether there is a slide joint.
+        limits: The arm's limits.
     """
 
     rows: Array
     reach: float
     unit: Array
-    slides: bool
+    has_slides: bool
     limits: Limits
 
-    def units(self, q: Array) -> Array:
-        """Joint positions in the solver's units.
+    def to_units(self, q: Array) -> Array:
+        """Configurations (N, n) in the solver's units."""
+        return q / self.unit if self.has_slides else q
 
-        Args:
-            q: (N, n) rad (m for a slide joint).
-
-        Returns:
-            (N, n).
-        """
-        return q / self.unit if self.slides else q
-
-    def joints(self, q: Array) -> Array:
-        """Joint positions from the solver's units.
-
-        Args:
-            q: (N, n), inside the bounds of `rows`.
-
-        Returns:
-            (N, n) rad (m for a slide joint), inside the joint limits.
-        """
-        return self.limits.clamp(q * self.unit) if self.slides else q
+    def from_units(self, q: Array) -> Array:
+        """Configurations (N, n) from the solver's units, inside the joint limits."""
+        return self.limits.clamp(q * self.unit) if self.has_slides else q
 
 
 class Problem(NamedTuple):
-    """N targets for one arm, of one kind, with what a solver needs to know.
+    """N targets for one arm, all with the same constraint.
 
     Attributes:
         arm: The arm.
         chain: Its packed chain.
-        asked: What of the tip is asked for.
-        targets: (N, 12).
+        constraint: Which parts of the tip's pose are constrained: POSE, POSITION, or FREE_X and the next two numbers, as
+            `armctl.ik.kernel` defines them.
+        targets: (N, 12) rotation row by row, position.
         q0: (N, n) rad, where to start.
         position_tolerance: m.
         orientation_tolerance: rad.
-        seed: Of the random starts.
+        seed: The seed of the random starts.
     """
 
     arm: Arm
-    chain: Chain
-    asked: int
+    chain: PackedChain
+    constraint: int
     targets: Array
     q0: Array
     position_tolerance: float
     orientation_tolerance: float
     seed: int
 
-    def rows(self, which: IntArray) -> Problem:
-        """The same problem for some of its targets.
-
-        Args:
-            which: (K,) their numbers.
-
-        Returns:
-            K targets.
-        """
-        return self._replace(targets=self.targets[which], q0=self.q0[which])
+    def select(self, rows: IntArray) -> Problem:
+        """The problem of some of the targets, given by their numbers (K,)."""
+        return self._replace(targets=self.targets[rows], q0=self.q0[rows])
 
     def residual(self, q: Array) -> tuple[float, float]:
-        """How far the tip is from the first target, by the arm's own forward kinematics.
-
-        Args:
-            q: (n,) rad.
-
-        Returns:
-            m, and rad of what of the orientation is asked for.
-        """
-        return compiled().residual(self.asked, self.targets[0], *self.arm.pinocchio_model.tip(q))
+        """Position error, m, and orientation error, rad, at q (n,) for the first target, by the arm's forward kinematics."""
+        position, rotation = self.arm.pinocchio_model.tip(q)
+        return compiled().residual(self.constraint, self.targets[0], position, rotation)
 
     def residuals(self, q: Array) -> tuple[Array, Array]:
-        """How far the tip is from each target.
-
-        Args:
-            q: (N, n) rad.
-
-        Returns:
-            (N,) m, and (N,) rad of what of the orientation is asked for.
-        """
-        off, turned = np.empty(len(q)), np.empty(len(q))
-        compiled().residuals(self.asked, self.targets, *self.arm.pinocchio_model.tips(q), off, turned)
-        return off, turned
+        """Position errors (N,), m, and orientation errors (N,), rad, of each row of q (N, n) for its target."""
+        positions, rotations = self.arm.pinocchio_model.tips(q)
+        position_errors = np.empty(len(q))
+        orientation_errors = np.empty(len(q))
+        compiled().residuals(self.constraint, self.targets, positions, rotations, position_errors, orientation_errors)
+        return position_errors, orientation_errors
 
 
 @cache
@@ -132,143 +100,124 @@ def compiled() -> ModuleType:
     return kernel
 
 
-def read_target(target: PoseOrPoint, free_axis: str | None) -> tuple[int, Array]:
-    """A caller's target, checked.
+def read_target(target: TargetLike, free_axis: str | None) -> tuple[int, Array]:
+    """The constraint of a target and its numbers (12,): rotation row by row (zeros for a point), position.
 
-    Args:
-        target: A Pose, or (3,) m for position only.
-        free_axis: "x", "y" or "z", the tip's axis about which the target may be turned; None fixes all three.
-
-    Returns:
-        What of the tip is asked for, and (12,): rotation row by row (zeros for a point), position.
-
-    Raises:
-        InputError: Neither a Pose nor three finite numbers, or no such axis.
+    It is checked unless it is a Pose or a Target, which were checked when they were made.
     """
-    if isinstance(target, Pose):
-        return asked_for(True, free_axis), target.rows.reshape(12)
-    asked, numbers = asked_for(False, free_axis), np.zeros(12)
-    numbers[9:] = vector("target", target, 3)
-    return asked, frozen(numbers)
+    pose = target.pose if isinstance(target, Target) else target
+    if isinstance(pose, Pose):
+        return constraint_of(True, free_axis), pose.rows.reshape(12)
+    constraint = constraint_of(False, free_axis)
+    numbers = np.zeros(12)
+    numbers[9:] = target.position if isinstance(target, Target) else vector("target", target, 3)
+    return constraint, frozen(numbers)
 
 
-def asked_for(is_pose: bool, free_axis: str | None) -> int:
-    """What of the tip is asked for.
-
-    Args:
-        is_pose: Whether the target is a pose rather than a point.
-        free_axis: As for `read_target`.
-
-    Returns:
-        POSE, POSITION, FREE_X, FREE_Y or FREE_Z.
-
-    Raises:
-        InputError: No such axis, or an axis beside a point.
-    """
+def constraint_of(is_pose: bool, free_axis: str | None) -> int:
+    """Which parts of the tip's pose are constrained; an InputError if there is no such axis, or an axis beside a point."""
     if free_axis is None:
-        return POSE if is_pose else POSITION
-    if free_axis not in _FREE:
-        raise InputError(f"free_axis: {free_axis!r} given, 'x', 'y', 'z' or None wanted")
+        return compiled().POSE if is_pose else compiled().POSITION
+    choice("free_axis", free_axis, _FREE_AXES)
     if not is_pose:
-        raise InputError("free_axis: given with a point, which leaves every axis free; give a Pose as the target")
-    return _FREE[free_axis]
+        raise InputError("free_axis: a point leaves every axis free; give a Pose as the target")
+    return compiled().FREE_X + _FREE_AXES[free_axis]
 
 
 def read_problem(
     arm: Arm,
-    asked: int,
+    constraint: int,
     targets: Array,
     q0: ArrayLike | None,
     position_tolerance: float,
     orientation_tolerance: float,
-    rng: int,
+    seed: int,
 ) -> Problem:
-    """A caller's problem, checked.
-
-    Args:
-        arm: The arm.
-        asked: What of the tip is asked for.
-        targets: (N, 12).
-        q0: (n,) or (N, n) rad, where to start; None is the arm's home.
-        position_tolerance: m.
-        orientation_tolerance: rad.
-        rng: The seed of the random starts.
-
-    Returns:
-        The problem.
-
-    Raises:
-        InputError: An argument of the wrong shape, kind or value.
-        LimitError: q0 is outside the joint limits.
-    """
+    """The problem of a call with targets (N, 12), checked; q0 is (n,), (N, n) or None for the arm's home."""
     check_arm(arm)
-    if isinstance(rng, bool) or not isinstance(rng, (int, np.integer)) or rng < 0:
-        raise InputError(f"rng: {rng!r} given, the seed of the random starts wanted: an integer of at least 0")
-    count = len(targets)
-    if q0 is None or np.ndim(q0) == 1 or count == 1:
-        start = arm.home if q0 is None else arm.checked("q0", np.reshape(q0, -1) if count == 1 else q0)
-        starts = start[None] if count == 1 else np.broadcast_to(start, (count, arm.n))
-    else:
-        rows = matrix("q0", q0, arm.n)
-        if len(rows) != count:
-            raise InputError(f"q0: {len(rows)} rows given for {count} targets")
-        outside = ~((rows >= arm.limits.q_min - 1e-9) & (rows <= arm.limits.q_max + 1e-9)).all(axis=1)
-        for row in rows[outside]:
-            arm.checked("q0", row)
-        starts = arm.limits.clamp(rows)
+    if type(seed) is not int or seed < 0:
+        seed = integer("seed", seed, 0)
     return Problem(
         arm,
-        chain_of(arm),
-        asked,
+        packed_chain(arm),
+        constraint,
         targets,
-        starts,
-        number("position_tolerance", position_tolerance, 1e-12),
-        number("orientation_tolerance", orientation_tolerance, 1e-12),
-        int(rng) % 2**63,
+        _read_starts(arm, q0, len(targets)),
+        number("position_tolerance", position_tolerance, _MIN_TOLERANCE),
+        number("orientation_tolerance", orientation_tolerance, _MIN_TOLERANCE),
+        seed % 2**63,
     )
 
 
-_chains: WeakKeyDictionary[Arm, Chain] = WeakKeyDictionary()
+def _read_starts(arm: Arm, q0: ArrayLike | None, count: int) -> Array:
+    """Where to start for each of `count` targets, (count, n)."""
+    if q0 is None:
+        return arm.home[None] if count == 1 else np.broadcast_to(arm.home, (count, arm.n))
+    try:
+        dimensions = np.ndim(q0)
+    except ValueError:
+        raise InputError(f"q0: {shown(q0)} is not an array of numbers") from None
+    if dimensions < 2:
+        start = arm.checked("q0", q0)
+        return start[None] if count == 1 else np.broadcast_to(start, (count, arm.n))
+    rows = matrix("q0", q0, arm.n)
+    if len(rows) != count:
+        raise InputError(f"q0: {len(rows)} rows given for {count} targets")
+    lowest = arm.limits.q_min - _LIMIT_ROUNDING
+    highest = arm.limits.q_max + _LIMIT_ROUNDING
+    outside = ~((rows >= lowest) & (rows <= highest)).all(axis=1)
+    for row in rows[outside]:
+        arm.checked("q0", row)
+    return arm.limits.clamp(rows)
 
 
-def chain_of(arm: Arm) -> Chain:
-    """The packed chain of an arm, made once.
+_packed_chains: WeakKeyDictionary[Arm, PackedChain] = WeakKeyDictionary()
 
-    Args:
-        arm: The arm.
 
-    Returns:
-        Its chain.
-    """
-    chain = _chains.get(arm)
+def packed_chain(arm: Arm) -> PackedChain:
+    """The packed chain of an arm, made once for each arm."""
+    chain = _packed_chains.get(arm)
     if chain is None:
-        chain = _chains[arm] = _pack(arm)
+        chain = _pack(arm)
+        _packed_chains[arm] = chain
     return chain
 
 
-def _pack(arm: Arm) -> Chain:
-    body, limits, joint_map = arm.pinocchio_model, arm.limits, arm.joint_map
-    k, n = body.chain_length, arm.n
-    ratio, slides = joint_map.ratio[:k], body.is_slide[joint_map.leaders]
-    links = np.concatenate([body.placements @ _moved(joint_map.offset[:k], body.is_slide), body.T_last_tip[None]])
+def _pack(arm: Arm) -> PackedChain:
+    kernel = compiled()
+    body = arm.pinocchio_model
+    limits = arm.limits
+    joint_map = arm.joint_map
+    n = arm.n
+    ratio = joint_map.ratio[: body.chain_length]
+    slides = body.is_slide[joint_map.leaders]
+    offsets = _joint_transforms(joint_map.offset[: body.chain_length], body.is_slide)
+    links = np.concatenate([body.placements @ offsets, body.T_last_tip[None]])
     farthest = np.maximum(np.abs(limits.q_min), np.abs(limits.q_max))
     travel = np.where(body.is_slide, np.abs(ratio) @ np.where(np.isfinite(farthest), farthest, 0.0), 0.0)
     reach = float(np.linalg.norm(links[1:, :3, 3], axis=1).sum() + travel.sum()) or 1.0
     unit = np.where(slides, reach, 1.0)
-    rows = np.zeros((k + 1, 18))
+    moves_several_joints = np.count_nonzero(ratio, axis=0) > 1
+    rows = np.zeros((body.chain_length + 1, kernel.CHAIN_COLUMNS))
     rows[:, :9] = links[:, :3, :3].reshape(-1, 9)
     rows[:, 9:12] = links[:, :3, 3] / reach
-    rows[:-1, 12] = body.is_slide
-    rows[:n, 13], rows[:n, 14] = limits.q_min / unit, limits.q_max / unit
-    rows[:-1, 15] = np.abs(ratio).argmax(axis=1)
-    rows[:-1, 16] = (ratio @ unit) / np.where(body.is_slide, reach, 1.0)
-    rows[:n, 17] = np.where(slides | (np.count_nonzero(ratio, axis=0) > 1), 0.0, 2 * np.pi)
-    return Chain(frozen(rows), reach, frozen(unit), bool(slides.any()), limits)
+    rows[:-1, kernel.IS_SLIDE] = body.is_slide
+    rows[:-1, kernel.LEADER] = np.abs(ratio).argmax(axis=1)
+    rows[:-1, kernel.RATIO] = (ratio @ unit) / np.where(body.is_slide, reach, 1.0)
+    rows[:n, kernel.LOW] = limits.q_min / unit
+    rows[:n, kernel.HIGH] = limits.q_max / unit
+    rows[:n, kernel.PERIOD] = np.where(slides | moves_several_joints, 0.0, 2 * np.pi)
+    return PackedChain(frozen(rows), reach, frozen(unit), bool(slides.any()), limits)
 
 
-def _moved(offset: Array, is_slide: BoolArray) -> Array:
-    """(k, 4, 4) what joints do when they move by their offsets, about z or along it."""
-    T = np.tile(np.eye(4), (len(offset), 1, 1))
-    c, s = np.where(is_slide, 1.0, np.cos(offset)), np.where(is_slide, 0.0, np.sin(offset))
-    T[:, 0, 0], T[:, 0, 1], T[:, 1, 0], T[:, 1, 1], T[:, 2, 3] = c, -s, s, c, np.where(is_slide, offset, 0.0)
+def _joint_transforms(displacements: Array, is_slide: BoolArray) -> Array:
+    """(k, 4, 4) the transforms of joints displaced about z, or along z if they slide."""
+    T = np.tile(np.eye(4), (len(displacements), 1, 1))
+    cos = np.where(is_slide, 1.0, np.cos(displacements))
+    sin = np.where(is_slide, 0.0, np.sin(displacements))
+    T[:, 0, 0] = cos
+    T[:, 0, 1] = -sin
+    T[:, 1, 0] = sin
+    T[:, 1, 1] = cos
+    T[:, 2, 3] = np.where(is_slide, displacements, 0.0)
     return T

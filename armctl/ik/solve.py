@@ -1,31 +1,42 @@
-"""solve_ik: joint positions for one target."""
+"""solve_ik: the configuration for one target."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.collision.checker import collision_checker
-from armctl.core.errors import UnknownNameError
-from armctl.core.validation import Array, IntArray, frozen
+from armctl.core.errors import InputError, UnknownNameError
+from armctl.core.target import TargetLike
+from armctl.core.validation import Array, frozen, shown
 from armctl.ik import lm
-from armctl.ik.problem import PoseOrPoint, Problem, read_problem, read_target
-from armctl.ik.result import IkResult, why_not
+from armctl.ik.problem import Problem, read_problem, read_target
+from armctl.ik.result import IkResult, failure_reason
 from armctl.robot.arm import Arm
 
-STARTS, MINK_STARTS = 300, 60
+LM_STARTS = 300
+MINK_STARTS = 60
 NEAREST_STARTS = 64
-PULL = 1e-3
+NEAREST_PULL = 1e-3  # squared reaches per squared radian: small, so that solutions remain solutions
 
-Search = Callable[[Problem, int, int, Array | None], tuple[Array, IntArray]]
+Search = Callable[[Problem, int, int, Array | None], lm.SearchResult]
+
+
+class Candidate(NamedTuple):
+    """A configuration that may be a solution, with the starts and iterations so far."""
+
+    q: Array
+    starts: int
+    iterations: int
 
 
 def solve_ik(
     arm: Arm,
-    target: PoseOrPoint,
+    target: TargetLike,
     q0: ArrayLike | None = None,
     *,
     position_tolerance: float = 1e-5,
@@ -34,90 +45,113 @@ def solve_ik(
     nearest: bool = False,
     avoid_collisions: bool = False,
     method: str = "lm",
-    rng: int = 0,
+    seed: int = 0,
 ) -> IkResult:
-    """Joint positions that bring the tip to a target, inside the joint limits.
+    """The configuration that brings the tip to a target, inside the joint limits.
 
-    The same call gives the same answer on any machine: steps and starts are counted, no clock decides.
+    The same call gives the same answer on any machine, because steps and starts are counted and nothing depends on a clock.
 
     Args:
         arm: The arm.
-        target: A Pose, or (3,) m for position only.
-        q0: (n,) rad, where to start; the solution is near it where possible. Left out, the arm's home.
+        target: A Pose, (3,) m for position only, or a Target, whose own tolerances are not used here.
+        q0: (n,) rad (m for a slide joint), where the search starts; the solution is near it if possible. By default the arm's
+            home.
         position_tolerance: m.
         orientation_tolerance: rad.
         free_axis: "x", "y" or "z": the tip's axis about which the target may be turned freely.
         nearest: Whether to look for many solutions and take the one nearest to q0.
-        avoid_collisions: Whether the arm must touch neither itself nor the scene, with all else at home.
-        method: "lm", the compiled Levenberg-Marquardt, or "mink", `DifferentialIk` stepped until it arrives.
-        rng: The seed of the random starts.
+        avoid_collisions: Whether a solution must be free of contact of the arm with itself and with the scene. Everything
+            outside the chain is at home.
+        method: "lm", the compiled Levenberg-Marquardt solver, or "mink", `DifferentialIk` stepped until it converges.
+        seed: The seed of the random starts.
 
     Returns:
-        The result; where `ok` is False it holds the best effort and says why.
+        The result. If `ok` is False, it holds the best approximation, and `reason` tells whether the point is out of reach, is
+        reachable but not with this orientation, or is reachable only in contact.
 
     Raises:
-        InputError: An argument of the wrong shape, kind or value.
+        InputError: An argument has a wrong shape, type or value.
         LimitError: q0 is outside the joint limits.
         UnknownNameError: There is no such method.
     """
-    asked, numbers = read_target(target, free_axis)
-    problem = read_problem(arm, asked, numbers[None], q0, position_tolerance, orientation_tolerance, rng)
-    search, most = _search(method)
-    touched_at = collision_checker(arm).at if avoid_collisions else _nothing
-    found = _one_by_one(problem, search, most, stay_near=q0 is not None)
-    if nearest:
-        found = chain(_nearest_first(problem, search), found)
-    q, starts, steps, kept, touched = problem.q0[0], 0, 0, None, ""
-    for q, starts, steps in found:
-        off, turned = problem.residual(q)
-        if off > problem.position_tolerance or turned > problem.orientation_tolerance:
+    constraint, numbers = read_target(target, free_axis)
+    problem = read_problem(arm, constraint, numbers[None], q0, position_tolerance, orientation_tolerance, seed)
+    search, max_starts = _method(method)
+    contact_at = collision_checker(arm).at if _flag("avoid_collisions", avoid_collisions) else None
+    candidates = _candidates(problem, search, max_starts, stay_near=q0 is not None)
+    if _flag("nearest", nearest):
+        candidates = chain(_nearest_candidates(problem, search), candidates)
+    in_contact: IkResult | None = None
+    candidate = Candidate(problem.q0[0], 0, 0)
+    for candidate in candidates:
+        position_error, orientation_error = problem.residual(candidate.q)
+        if position_error > problem.position_tolerance or orientation_error > problem.orientation_tolerance:
             break
-        touched = touched_at(q)
-        kept = IkResult(not touched, frozen(q), off, turned, "", steps, starts)
-        if not touched:
-            return kept
-    if kept is not None:
-        return kept._replace(reason=f"no solution without contact found in {starts} starts: {touched}")
-    best, out_of_reach = lm.best_effort(problem, q[None])
-    q = frozen(best[0])
-    off, turned = problem.residual(q)
-    return IkResult(False, q, off, turned, why_not(bool(out_of_reach[0]), off, starts), steps, starts)
+        contact = contact_at(candidate.q) if contact_at is not None else ""
+        result = _result(candidate, position_error, orientation_error, contact)
+        if not contact:
+            return result
+        in_contact = result
+    if in_contact is not None:
+        in_contact.reason = f"no solution without contact found in {candidate.starts} starts: {in_contact.reason}"
+        return in_contact
+    effort = lm.best_effort(problem, candidate.q[None])
+    position_error = float(effort.position_error[0])
+    orientation_error = float(effort.orientation_error[0])
+    reason = failure_reason(bool(effort.out_of_reach[0]), position_error, orientation_error, candidate.starts)
+    return _result(candidate._replace(q=effort.q[0]), position_error, orientation_error, reason)
 
 
-def _nothing(q: Array) -> str:
-    return ""
+def _result(candidate: Candidate, position_error: float, orientation_error: float, reason: str) -> IkResult:
+    """The result of a candidate; without a reason against it, it is a solution."""
+    return IkResult(
+        ok=not reason,
+        q=frozen(candidate.q),
+        position_error=position_error,
+        orientation_error=orientation_error,
+        reason=reason,
+        iterations=candidate.iterations,
+        starts=candidate.starts,
+    )
 
 
-def _search(method: str) -> tuple[Search, int]:
-    if method == "lm":
-        return lm.search, STARTS
-    if method == "mink":
-        from armctl.ik import mink_solver as stepping
-
-        return stepping.search, MINK_STARTS
-    raise UnknownNameError.of("method", str(method), ["lm", "mink"])
+def _flag(what: str, value: bool) -> bool:
+    if not isinstance(value, (bool, np.bool_)):
+        raise InputError(f"{what}: {shown(value)} given, True or False wanted")
+    return bool(value)
 
 
-def _one_by_one(problem: Problem, search: Search, most: int, stay_near: bool) -> Iterator[tuple[Array, int, int]]:
-    """Solutions (n,) in the order they are found, each with the starts and steps so far; the last may be a best effort."""
-    start, steps = 0, 0
-    while start < most:
-        q, tally = search(problem, start, most, None)
-        if start == 0 and stay_near:
-            q = lm.stay_near(problem, q, tally)
-        [(_, start, more, _)] = tally.tolist()
-        steps += more
-        yield q[0], start, steps
+def _method(name: str) -> tuple[Search, int]:
+    """The search of a method, and from how many starts."""
+    if isinstance(name, str) and name == "lm":
+        return lm.search, LM_STARTS
+    if isinstance(name, str) and name == "mink":
+        from armctl.ik import mink_solver
+
+        return mink_solver.search, MINK_STARTS
+    raise UnknownNameError.of("method", f"{name!s:.80}", ["lm", "mink"])
 
 
-def _nearest_first(problem: Problem, search: Search) -> Iterator[tuple[Array, int, int]]:
-    """Solutions from many starts, drawn towards q0 as far as they remain solutions, the nearest first."""
-    many = problem.rows(np.zeros(NEAREST_STARTS, np.int64))
+def _candidates(problem: Problem, search: Search, max_starts: int, stay_near: bool) -> Iterator[Candidate]:
+    """Solutions in the order they are found; the last may be a best approximation."""
+    start = 0
+    iterations = 0
+    while start < max_starts:
+        found = search(problem, start, max_starts, None)
+        q = lm.stay_near(problem, found) if start == 0 and stay_near else found.q
+        start = int(found.next_start[0])
+        iterations += int(found.iterations[0])
+        yield Candidate(q[0], start, iterations)
+
+
+def _nearest_candidates(problem: Problem, search: Search) -> Iterator[Candidate]:
+    """Solutions from many starts, pulled towards q0 as far as they remain solutions, the nearest first."""
+    many = problem.select(np.zeros(NEAREST_STARTS, np.int64))
     begin = problem.arm.limits.random(problem.q0[0], NEAREST_STARTS, np.random.default_rng(problem.seed))
     begin[0] = problem.q0[0]
-    found, first = search(many, 0, 1, begin)
-    drawn, second = lm.search(many, 0, 1, lm.settle(many, found, PULL)[0])
-    q = np.concatenate([found[first[:, 0] == 1], drawn[second[:, 0] == 1]])
-    steps = int(first[:, 2].sum() + second[:, 2].sum())
-    for k in np.argsort(np.linalg.norm(q - problem.q0, axis=1), kind="stable"):
-        yield q[k], NEAREST_STARTS, steps
+    found = search(many, 0, 1, begin)
+    pulled = lm.search(many, 0, 1, lm.refine(many, found.q, NEAREST_PULL).q)
+    solutions = np.concatenate([found.q[found.solved], pulled.q[pulled.solved]])
+    iterations = int(found.iterations.sum() + pulled.iterations.sum())
+    for k in np.argsort(np.linalg.norm(solutions - problem.q0, axis=1), kind="stable"):
+        yield Candidate(solutions[k], NEAREST_STARTS, iterations)

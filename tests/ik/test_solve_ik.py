@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 import armctl
 from armctl import Arm, InputError, LimitError, Pose, UnknownNameError, solve_ik
 from armctl.collision.checker import collision_checker
+from armctl.core.target import Target
 from armctl.ik import kernel, lm, solve_ik_batch
-from armctl.ik.problem import POSITION, chain_of, read_problem
+from armctl.ik.problem import packed_chain, read_problem
 
 METHODS = ["lm", "mink"]
 COUNT = {"lm": 40, "mink": 4}
@@ -69,7 +70,7 @@ def test_reaches_what_can_be_reached_also_at_the_joint_limits(name: str, method:
 @every_arm
 def test_a_point_out_of_reach_is_approached_as_near_as_any_position_comes(name: str):
     arm, rng = arm_of(name), np.random.default_rng(4)
-    middle, reach = arm.pinocchio_model.placements[0, :3, 3], chain_of(arm).reach
+    middle, reach = arm.pinocchio_model.placements[0, :3, 3], packed_chain(arm).reach
     points = middle + 1.3 * reach * rng.uniform(-1, 1, (60, 3))
     found = solve_ik_batch(arm, points)
     tips = arm.fk_many(arm.limits.random(arm.home, 20_000, rng))[0]
@@ -78,12 +79,12 @@ def test_a_point_out_of_reach_is_approached_as_near_as_any_position_comes(name: 
 
 
 @every_arm
-def test_settling_ends_finite_and_inside_the_limits_from_anywhere(name: str):
+def test_refining_ends_finite_and_inside_the_limits_from_anywhere(name: str):
     arm, rng = arm_of(name), np.random.default_rng(5)
     targets = np.zeros((2000, 12))
-    targets[:, 9:] = chain_of(arm).reach * rng.uniform(-1.5, 1.5, (2000, 3))
-    problem = read_problem(arm, POSITION, targets, arm.limits.random(arm.home, 2000, rng), 1e-5, 1e-4, 0)
-    q, sizes = lm.settle(problem, problem.q0)
+    targets[:, 9:] = packed_chain(arm).reach * rng.uniform(-1.5, 1.5, (2000, 3))
+    problem = read_problem(arm, kernel.POSITION, targets, arm.limits.random(arm.home, 2000, rng), 1e-5, 1e-4, 0)
+    q, sizes = lm.refine(problem, problem.q0)
     assert np.isfinite(q).all()
     assert np.isfinite(sizes).all()
     assert arm.limits.contains(q)
@@ -93,7 +94,7 @@ def test_settling_ends_finite_and_inside_the_limits_from_anywhere(name: str):
 @every_method
 def test_out_of_reach_is_a_best_effort_with_a_reason(name: str, method: str):
     arm = arm_of(name)
-    reach, base = chain_of(arm).reach, arm.pinocchio_model.placements[0, :3, 3]
+    reach, base = packed_chain(arm).reach, arm.pinocchio_model.placements[0, :3, 3]
     for far in (1.5, 10.0, 1e6):
         target = base + far * reach * np.array([0.6, 0.0, 0.8])
         result = solve_ik(arm, target, method=method)
@@ -103,7 +104,11 @@ def test_out_of_reach_is_a_best_effort_with_a_reason(name: str, method: str):
         least = np.linalg.norm(arm.fk_many(positions(arm, 2000))[0] - target, axis=1).min()
         assert result.position_error <= least + 1e-9 * far
         assert result.position_error == pytest.approx(mujoco_error(arm, result.q, target)[0], rel=1e-9)
-        assert result.reason.startswith(f"{result.position_error:.3g} m" if far < 1e3 else f"{result.position_error:.0f} m")
+        assert result.reason == (
+            f"out of reach by {1e3 * result.position_error:.1f} mm"
+            if result.position_error < 1e6
+            else f"out of reach by {result.position_error:.3g} m"
+        )
 
 
 @every_method
@@ -112,7 +117,8 @@ def test_an_orientation_that_five_joints_cannot_take_is_a_best_effort(method: st
     twisted = arm.fk(arm.home) @ Pose([0.0, 0.0, 0.0], rpy=[0.3, 0.4, 0.8])
     result = solve_ik(arm, twisted, method=method)
     assert not result.ok
-    assert result.reason.startswith("no solution within the joint limits found in")
+    assert result.reason.startswith("the point is reachable, but not with this orientation: ")
+    assert f"{result.orientation_error:.3g} rad off" in result.reason
     assert result.position_error < 0.1
     assert result.orientation_error > 1e-3
 
@@ -143,22 +149,39 @@ def test_a_free_axis_leaves_the_turn_about_it_open(name: str, method: str):
         )
 
 
-def test_a_result_is_read_only_and_equal_to_itself_alone():
+def test_a_result_is_equal_to_itself_alone_and_its_configuration_is_read_only():
     first, second = (solve_ik(arm_of("robot_arm_3dof"), [0.3, 0.2, 0.3]) for _ in range(2))
     assert first == first
     assert first != second
     assert len({first, second}) == 2
-    with pytest.raises(AttributeError):
-        first.ok = False  # type: ignore[misc]
     with pytest.raises(ValueError, match="read-only"):
         first.q[0] = 0.0
+
+
+def test_a_result_is_true_if_it_is_a_solution():
+    arm = arm_of("robot_arm_3dof")
+    assert solve_ik(arm, [0.3, 0.2, 0.3])
+    assert not solve_ik(arm, [3.0, 0.2, 0.3])
+    assert solve_ik_batch(arm, [[0.3, 0.2, 0.3], [0.3, 0.1, 0.3]])
+    assert not solve_ik_batch(arm, [[0.3, 0.2, 0.3], [3.0, 0.2, 0.3]])
+
+
+@every_method
+def test_a_target_that_was_read_gives_the_same_answer(method: str):
+    arm = arm_of("panda") if "panda" in ARMS else arm_of("endless")
+    pose = arm.fk(positions(arm, 1)[0])
+    for target in (pose, pose.position):
+        plain = solve_ik(arm, target, method=method)
+        read = solve_ik(arm, Target.read(target, 0.1, 0.1), method=method)
+        assert read.ok
+        assert read.q.tobytes() == plain.q.tobytes()
 
 
 @every_method
 def test_the_same_call_gives_the_same_bits(method: str):
     arm = arm_of("robot_arm_3dof")
     for target in ([0.3, 0.2, 0.3], [2.0, 0.0, 0.0]):
-        first, second = (solve_ik(arm, target, method=method, rng=3) for _ in range(2))
+        first, second = (solve_ik(arm, target, method=method, seed=3) for _ in range(2))
         assert first.q.tobytes() == second.q.tobytes()
         assert (first.position_error, first.iterations, first.starts) == (
             second.position_error,
@@ -293,14 +316,20 @@ def test_a_batch_shows_its_progress_to_a_person_only(monkeypatch, capsys):
         ({"q0": [0.0, 0.0]}, InputError, "q0: 2 numbers given, 3 wanted"),
         ({"q0": [0.0, 9.0, 0.0]}, LimitError, "q0: shoulder_pitch: 9 rad is outside [-1.570, 1.570] rad"),
         ({"position_tolerance": 0.0}, InputError, "position_tolerance: 0 given, a number at least 1e-12 wanted"),
-        ({"free_axis": "w"}, InputError, "free_axis: 'w' given, 'x', 'y', 'z' or None wanted"),
+        ({"free_axis": "w"}, InputError, "free_axis: 'w' given, one of x, y, z wanted"),
         (
             {"free_axis": "z"},
             InputError,
-            "free_axis: given with a point, which leaves every axis free; give a Pose as the target",
+            "free_axis: a point leaves every axis free; give a Pose as the target",
         ),
         ({"method": "newton"}, UnknownNameError, "unknown method 'newton'; known: lm, mink"),
-        ({"rng": 1.5}, InputError, "rng: 1.5 given, the seed of the random starts wanted: an integer of at least 0"),
+        ({"free_axis": ["x"]}, InputError, "free_axis: ['x'] given, one of x, y, z wanted"),
+        ({"seed": 1.5}, InputError, "seed: 1.5 given, a whole number at least 0 wanted"),
+        ({"seed": -1}, InputError, "seed: -1 given, a number at least 0 wanted"),
+        ({"q0": [[0.0], [0.0, 1.0]]}, InputError, "q0: [[0.0], [0.0, 1.0]] is not an array of numbers"),
+        ({"orientation_tolerance": float("nan")}, InputError, "orientation_tolerance: nan given, a finite number wanted"),
+        ({"nearest": np.zeros(2)}, InputError, "nearest: array([0., 0.]) given, True or False wanted"),
+        ({"method": ["lm"]}, UnknownNameError, "unknown method \"['lm']\"; known: lm, mink"),
     ],
 )
 def test_a_wrong_call_is_one_sentence(arguments, error, sentence):
@@ -318,13 +347,13 @@ def test_a_name_is_not_an_arm():
 @pytest.mark.parametrize(
     ("targets", "more", "sentence"),
     [
-        (Pose([0.0, 0.0, 0.0]), {}, "targets: one Pose given, a list of them wanted; solve_ik takes one"),
+        (Pose([0.0, 0.0, 0.0]), {}, "targets: one Pose given, a list of Poses wanted; solve_ik takes one"),
         (np.zeros((2, 4, 4)), {}, "targets: element 0 is no rigid transform"),
         (np.stack([np.eye(4), np.diag([0.0, 0, 0, 1])]), {}, "targets: element 1 is no rigid transform"),
         (np.stack([np.eye(4), np.diag([1.0, 1, -1, 1])]), {}, "targets: element 1 is no rigid transform"),
         (np.stack([np.eye(4), np.eye(4) + np.eye(4, k=1) * 1e-5]), {}, "targets: element 1 is no rigid transform"),
         (np.stack([np.eye(4), np.eye(4) + np.eye(4, k=-3)]), {}, "targets: element 1 is no rigid transform"),
-        (np.zeros((2, 3)), {"threads": 0}, "threads: 0 given, an integer of at least 1 wanted"),
+        (np.zeros((2, 3)), {"threads": 0}, "threads: 0 given, a number at least 1 wanted"),
         (np.zeros((2, 3)), {"q0": np.zeros((3, 3))}, "q0: 3 rows given for 2 targets"),
         (np.zeros((2, 5)), {}, "targets: rows of 5 numbers given, 3 wanted"),
     ],
@@ -338,7 +367,7 @@ def test_a_wrong_batch_is_one_sentence(targets, more, sentence):
 @every_arm
 def test_the_kernel_is_pinocchio(name: str):
     arm = arm_of(name)
-    chain, work = chain_of(arm), kernel.scratch(arm.n, arm.n)
+    chain, work = packed_chain(arm), kernel.scratch(arm.n, arm.n)
     for q in positions(arm, 20):
         kernel.forward(chain.rows, q / chain.unit, work)
         kernel.jacobian(chain.rows, work)
