@@ -1,10 +1,14 @@
 """What is installed from a wheel is whole: the bundled model is in it, and it works without the checkout."""
 
+import ast
+import importlib.metadata
 import os
+import re
 import subprocess
 import sys
 import sysconfig
 import tarfile
+import tomllib
 import venv
 import zipfile
 from pathlib import Path
@@ -69,6 +73,25 @@ def test_a_source_distribution_holds_the_tests_and_what_they_read(tmp_path: Path
     assert {"LICENSE", "examples/01_reach.py", "tests/models/gantry.xml", ".ci/run"} <= names
     stray = [name for name in names if "__pycache__" in name or name.startswith(("docs/_build", "docs/reference.md"))]
     assert not stray
+
+
+def declared() -> set[str]:
+    """The distributions that pyproject.toml names as dependencies, or in the extra of the viewer."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    return {re.split(r"[<>=\[]", line)[0] for line in [*project["dependencies"], *project["optional-dependencies"]["view"]]}
+
+
+def test_every_package_that_armctl_imports_is_a_declared_dependency():
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in (ROOT / "armctl").rglob("*.py")]
+    nodes = [node for tree in trees for node in ast.walk(tree)]
+    modules = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    modules |= {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom) and node.level == 0}
+    packages = {module.partition(".")[0] for module in modules} - set(sys.stdlib_module_names) - {"armctl"}
+    distributions = importlib.metadata.packages_distributions()
+    names = {package: {package, *distributions.get(package, [])} for package in packages - {"pinocchio"}}
+    names["pinocchio"] = {"pin"}
+    undeclared = {package for package, known in names.items() if not declared() & {name.lower() for name in known}}
+    assert not undeclared
 
 
 def test_a_foreign_distribution_called_armctl_is_warned_of(tmp_path: Path):
