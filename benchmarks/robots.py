@@ -20,7 +20,7 @@ import armctl
 from armctl.collision.checker import collision_checker
 from armctl.ik import solve_ik_batch
 from armctl.loading.catalog import BUNDLED
-from armctl.robot.arm import check_parity
+from armctl.robot.parity import check_parity
 
 PAGE = Path(__file__).parent.parent / "docs" / "robots.md"
 EXACT = 1e-6  # rad, m: below it, tracking counts as exact

@@ -10,9 +10,8 @@ import mujoco
 import numpy as np
 
 from armctl.core.validation import Array, IntArray
-from armctl.mjmodel.queries import body_name, name_of
+from armctl.mjmodel.queries import body_name, last_joint_above, name_of
 from armctl.robot.arm import Arm
-from armctl.robot.pinocchio_model import joint_above
 
 SAMPLES = 64
 
@@ -98,7 +97,7 @@ def geom_owners(arm: Arm) -> IntArray:
     Returns:
         (ngeom,) the last joint above it, counted from the base; -1 where none is.
     """
-    return np.array(joint_above(arm.model, arm.joint_map.joints), np.int64)[arm.model.geom_bodyid]
+    return np.array(last_joint_above(arm.model, arm.joint_map.joints), np.int64)[arm.model.geom_bodyid]
 
 
 _contacts: WeakKeyDictionary[Arm, CollisionChecker] = WeakKeyDictionary()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import socket
 from dataclasses import dataclass
-from importlib.resources import files
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
@@ -13,7 +13,8 @@ from urllib.request import getproxies
 
 import mujoco
 
-from armctl.core.errors import InputError, ModelError, UnknownNameError
+from armctl.core.errors import ArmctlError, InputError, ModelError, UnknownNameError
+from armctl.core.validation import shown
 from armctl.loading.datasheets import ALIASES, BY_CATEGORY, BY_ROBOT, ROWS, Row
 from armctl.loading.urdf import read_urdf
 
@@ -21,47 +22,50 @@ if TYPE_CHECKING:
     import mujoco_menagerie as menagerie
 
 BUNDLED = "robot_arm_3dof"
-_PATIENCE = 3.0  # s for the server of MuJoCo Menagerie to answer
+_CONNECT_TIMEOUT_S = 3.0  # for the server of MuJoCo Menagerie
+_MAX_PATH_CHARACTERS = 120  # of a path in a message
+_MUJOCO_ERRORS = (ValueError, OSError, mujoco.FatalError, mujoco.UnexpectedError)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Source:
     """Where a robot's description is.
 
     Attributes:
         name: What the arm will be called.
-        path: Its MJCF or URDF file.
+        path: Its MJCF or URDF file; None for a specification.
         row: Its data-sheet row, or None.
+        spec: A specification that a caller gave; None for a file.
     """
 
     name: str
-    path: Path
+    path: Path | None
     row: Row | None = None
+    spec: mujoco.MjSpec | None = None
+
+    @property
+    def is_urdf(self) -> bool:
+        """Whether it is a URDF file."""
+        return self.path is not None and self.path.suffix.lower() == ".urdf"
 
     def read(self) -> tuple[mujoco.MjSpec, list[str]]:
-        """The description as a specification that can still be changed.
-
-        Returns:
-            The specification, and what was left out of it, one sentence each.
+        """The description as a new specification that can be changed, and what was left out of it, one sentence each.
 
         Raises:
             ModelError: MuJoCo cannot read it.
         """
+        if self.path is None:
+            assert self.spec is not None
+            return self.spec.copy(), []
         try:
-            if self.path.suffix.lower() == ".urdf":
+            if self.is_urdf:
                 return read_urdf(self.path)
             return mujoco.MjSpec.from_file(str(self.path)), []
-        except (ValueError, OSError) as error:
-            raise ModelError(f"{self.path}: MuJoCo cannot read it: {_one_line(error)}") from None
+        except _MUJOCO_ERRORS as error:
+            raise ModelError(f"{self._label}: MuJoCo cannot read it: {_one_line(error)}") from None
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
         """The model of a specification that was read from here.
-
-        Args:
-            spec: The specification.
-
-        Returns:
-            The model.
 
         Raises:
             ModelError: MuJoCo cannot compile it, or its names are not in UTF-8.
@@ -70,75 +74,113 @@ class Source:
             model = spec.compile()
             model.names.decode()
         except UnicodeDecodeError:
-            raise ModelError(f"{self.path}: it has names that are not in UTF-8; save it as UTF-8") from None
-        except (ValueError, OSError) as error:
-            raise ModelError(f"{self.path}: MuJoCo cannot compile it: {_one_line(error)}") from None
+            raise ModelError(f"{self._label}: it has names that are not in UTF-8; save it as UTF-8") from None
+        except _MUJOCO_ERRORS as error:
+            raise ModelError(f"{self._label}: MuJoCo cannot compile it: {_one_line(error)}") from None
         return model
 
+    @property
+    def _label(self) -> str:
+        return shown_path(self.path) if self.path is not None else self.name
 
-def locate(name: str | os.PathLike[str], *, tool: bool = False) -> Source:
+
+def locate(robot: str | os.PathLike[str] | mujoco.MjSpec, *, tool: bool = False) -> Source:
     """Where the description of a robot is; downloads a Menagerie robot on first use.
 
     Args:
-        name: As for `armctl.load`.
-        tool: Whether it is one to be mounted on an arm: it then comes bare, not in the scene that Menagerie has it in.
-
-    Returns:
-        The place.
+        robot: As for `armctl.load`.
+        tool: Whether it is a tool to be mounted on an arm: it then comes without the scene that Menagerie shows it in.
 
     Raises:
-        InputError: It is neither a name nor a path.
+        InputError: It is neither a name nor a path nor a specification.
         UnknownNameError: No robot, or no tool, has that name.
         ModelError: There is no such file, or the robot could not be downloaded.
     """
-    import mujoco_menagerie as menagerie
-
-    if not isinstance(name, (str, os.PathLike)) or not os.fspath(name):
+    if isinstance(robot, mujoco.MjSpec):
+        return Source(robot.modelname or "model", None, spec=robot)
+    if not isinstance(robot, (str, os.PathLike)) or not os.fspath(robot):
         example = "tool='robotiq_2f85'" if tool else "armctl.load('panda')"
-        raise InputError(f"{'tool' if tool else 'robot'}: {name!r} is neither a name nor a path; try {example}")
-    given = os.fspath(name)
-    if given.lower().endswith((".xml", ".mjcf", ".urdf")) or isinstance(name, os.PathLike):
+        raise InputError(f"{'tool' if tool else 'robot'}: {shown(robot)} is neither a name nor a path; try {example}")
+    given = os.fspath(robot)
+    if not isinstance(given, str):
+        raise InputError(f"{'tool' if tool else 'robot'}: {shown(robot)} is a path in bytes; give it as text")
+    if given.lower().endswith((".xml", ".mjcf", ".urdf")) or isinstance(robot, os.PathLike):
         path = Path(given)
-        if not path.is_file():
-            raise ModelError(f"{given}: no such file")
+        if not _is_file(path):
+            raise ModelError(f"{shown_path(path)}: no such file")
         return Source(path.stem, path)
     if given == BUNDLED:
         return Source(given, bundled_models() / f"{BUNDLED}.xml")
+    return _in_menagerie(given, tool)
+
+
+def shown_path(path: Path) -> str:
+    """A path for a message: its end, if it is long."""
+    text = str(path)
+    return text if len(text) <= _MAX_PATH_CHARACTERS else f"...{text[-_MAX_PATH_CHARACTERS:]}"
+
+
+def bundled_models() -> Path:
+    """The folder of the models that come with armctl, in a checkout as in an installed package."""
+    package = resources.files("armctl")
+    installed = package / "models"
+    return Path(str(installed if installed.is_dir() else package / ".." / "models")).resolve()
+
+
+def _in_menagerie(given: str, tool: bool) -> Source:
+    """A robot of MuJoCo Menagerie by its name, an alias, or name/entry point."""
+    import mujoco_menagerie as menagerie
+
     family, _, entry = given.partition("/")
-    robot = ALIASES.get(family, family)
-    if robot not in menagerie.names():
-        if Path(given).exists():
-            raise ModelError(
-                f"{given}: {'a folder' if Path(given).is_dir() else 'its name does not end in .xml or .urdf'}, no model"
-            )
-        if tool:
-            raise UnknownNameError.of("tool", given, [r.name for r in menagerie.robots("end_effector")])
-        raise UnknownNameError.of("robot", given, [BUNDLED, *ALIASES, *menagerie.names()], "`armctl robots`")
-    row = menagerie.get(robot)
+    name = ALIASES.get(family, family)
+    if name not in menagerie.names():
+        raise _unknown(given, tool)
+    row = menagerie.get(name)
     if entry and entry not in row.entry_names:
-        raise UnknownNameError.of(f"entry point of {robot}", entry, row.entry_names)
+        raise UnknownNameError.of(f"entry point of {name}", entry, row.entry_names)
     try:
         _check_network(row)
         path = row.xml(entry or (row.default_model if tool else row.default_scene))
     except (menagerie.MenagerieError, OSError) as error:
         raise ModelError(
-            f"{given}: its model is not at hand ({_one_line(error)}); with a network run `mujoco-menagerie prefetch {robot}`, "
+            f"{given}: its model is not installed ({_one_line(error)}); with a network run `mujoco-menagerie prefetch {name}`, "
             "or set MENAGERIE_ROOT to a checkout of MuJoCo Menagerie"
         ) from error
     if not path.is_file():
-        raise ModelError(f"{given}: {path} does not exist; this copy of MuJoCo Menagerie is older than its index")
-    return Source(given, path, ROWS.get(robot))
+        raise ModelError(f"{given}: {shown_path(path)} does not exist; this copy of MuJoCo Menagerie is older than its index")
+    return Source(given, path, ROWS.get(name))
 
 
-def bundled_models() -> Path:
-    """The folder of the models that come with armctl, in a checkout as in an installed package."""
-    package = Path(str(files("armctl")))
-    installed = package / "models"
-    return installed if installed.is_dir() else package.parent / "models"
+def _unknown(given: str, tool: bool) -> ArmctlError:
+    """The error for a name that is no robot's."""
+    import mujoco_menagerie as menagerie
+
+    path = Path(given)
+    if _is_file(path):
+        return ModelError(f"{shown_path(path)}: its name does not end in .xml or .urdf, no model")
+    if _is_folder(path):
+        return ModelError(f"{shown_path(path)}: a folder, no model")
+    if tool:
+        return UnknownNameError.of("tool", given, [r.name for r in menagerie.robots("end_effector")])
+    return UnknownNameError.of("robot", given, [BUNDLED, *ALIASES, *menagerie.names()], "`armctl robots`")
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name that no file can have, such as one with a null character
+        return False
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
 
 
 def robots() -> dict[str, str]:
-    """Every robot that `load` knows by name, and what armctl can do with it; nothing is downloaded for that.
+    """Every robot that `load` knows by name, and what armctl can do with it. Downloads nothing.
 
     Returns:
         Name, the alias where there is one, to a line of text: the bundled arm, then all of MuJoCo Menagerie.
@@ -152,7 +194,7 @@ def robots() -> dict[str, str]:
 
 
 def _check_network(robot: menagerie.Robot) -> None:
-    """Finds out at once whether a robot that is not here can be downloaded: the download itself would try for seconds."""
+    """Raises at once if a robot that is not installed cannot be downloaded; the download itself would retry for seconds."""
     import mujoco_menagerie as menagerie
 
     cache = menagerie.Cache()
@@ -161,10 +203,11 @@ def _check_network(robot: menagerie.Robot) -> None:
         return
     port = server.port or {"http": 80}.get(server.scheme, 443)
     try:
-        socket.create_connection((server.hostname, port), timeout=_PATIENCE).close()
+        socket.create_connection((server.hostname, port), timeout=_CONNECT_TIMEOUT_S).close()
     except OSError as error:
         raise OSError(f"{cache.base_url}: {error}") from None
 
 
 def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
+    """The first 200 characters of a message, in one line."""
+    return f"{' '.join(str(error).split()):.200}"

@@ -1,4 +1,4 @@
-"""Finding the serial chains in a compiled model: which joints make an arm, and why others make none."""
+"""Serial chains in a compiled model: which joints make an arm, and why others do not."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from dataclasses import dataclass
 import mujoco
 
 from armctl.core.errors import ModelError
-from armctl.loading.tip import find_tip
-from armctl.mjmodel.couplings import coupling
+from armctl.core.validation import shown
+from armctl.loading.tip import tip_of_chain
 from armctl.mjmodel.queries import (
-    Chain,
+    Joints,
     actuator_name,
     body_name,
     branches,
     is_below,
-    joint_actuators,
+    is_free,
     joint_name,
     joints_above,
     joints_of,
 )
-from armctl.mjmodel.transmissions import Transmission, chain_transmissions, transmission_of
+from armctl.mjmodel.transmissions import Transmissions
 
-_JAW = re.compile(r"jaw|grip|finger|claw|knuckle", re.IGNORECASE)
-_JAW_BODY = re.compile(r"^(?!.*(fix|static|base)).*(jaw|finger|fngr|claw|moving)", re.IGNORECASE)
+_JAW_NAME = re.compile(r"jaw|grip|finger|claw|knuckle", re.IGNORECASE)
+_JAW_BODY_NAME = re.compile(r"^(?!.*(fix|static|base)).*(jaw|finger|fngr|claw|moving)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,12 @@ class SerialChain:
     """Joints in series inside a model: an arm, a leg, a finger, a head.
 
     Attributes:
-        base: The body it stands on; "world" where nothing moves below it.
+        base: The body it stands on; "world" if no joint moves its base.
         tip: The site or body at its end.
         joint_names: Its joints, from the base to the tip, as an arm's; of joints tied to each other the first one.
-        actuator_names: What moves them; empty where nothing does.
-        followers: The joints, in the chain or beside it, that are tied to one of these and go along.
-        reason: Why `armctl.load` refuses it, in words; empty where it does not.
+        actuator_names: What moves them; empty for a joint that nothing moves.
+        followers: The joints, in the chain or beside it, that equalities tie to one of these and that follow it.
+        reason: Why `armctl.load` refuses it; empty if it does not.
     """
 
     base: str
@@ -52,50 +52,51 @@ class SerialChain:
         """Whether `armctl.load(robot, base=..., tip=...)` takes it."""
         return not self.reason
 
+    def __bool__(self) -> bool:
+        return self.ok
 
-def all_chains(model: mujoco.MjModel) -> list[SerialChain]:
-    """Every serial chain of a model, whose free bases are taken to be held.
+
+@dataclass(frozen=True)
+class _Run:
+    """Joints in series behind a base."""
+
+    base: int
+    joints: Joints
+
+
+def all_chains(analysis: Transmissions) -> list[SerialChain]:
+    """Every serial chain of a model, whose free bases are taken as held.
 
     A chain ends where the model branches no further, before the fingers of a gripper, and before a joint that cannot be driven:
-    what follows is a chain of its own, on the body before it.
+    the joints after that are a chain of their own, on the body before them.
 
     Args:
-        model: The compiled model.
+        analysis: The analysis of the compiled model.
 
     Returns:
         The chains that can be driven, longest first, then the joints that cannot, with the reason.
     """
-    refused: dict[tuple[int, Chain], str] = {}
-    runs: set[tuple[int, Chain]] = set()
-    base, run = [0] * model.nbody, [()] * model.nbody
-    for body in range(1, model.nbody):
-        parent, own = int(model.body_parentid[body]), joints_of(model, body)
-        reason = next(filter(None, (_refusal(model, joint) for joint in own)), "")
-        base[body], run[body] = (body, ()) if reason else (base[parent], run[parent] + own)
-        runs |= {(base[body], run[body])} if run[body] else set()
-        if reason and not _is_free(model, own[0]):
-            refused[parent, own] = reason
-    found: set[tuple[int, Chain]] = set()
-    actuators = _actuators(model)
-    for start, joints in _longest(runs):
-        end = _end_of_arm(model, joints, actuators)
-        found |= {(start, joints[:end]), (int(model.jnt_bodyid[joints[end - 1]]), joints[end:])}
-    kept = sorted(_longest({key for key in found if key[1]}))
-    described = [
-        _describe(model, *key, reason, actuators)
-        for key, reason in [*((k, _tied_above(model, *k)) for k in kept), *refused.items()]
-    ]
-    return sorted(described, key=lambda chain: (not chain.ok, -len(chain.joint_names)))
+    model = analysis.model
+    runs, refused = _drivable_runs(analysis)
+    found: set[_Run] = set()
+    for run in _longest(runs):
+        end = _end_of_arm(analysis, run.joints)
+        found.add(_Run(run.base, run.joints[:end]))
+        found.add(_Run(int(model.jnt_bodyid[run.joints[end - 1]]), run.joints[end:]))
+    kept = sorted(_longest({run for run in found if run.joints}), key=lambda run: (run.base, run.joints))
+    chains = [_serial_chain(analysis, run, _coupled_above(analysis, run.base, run.joints)) for run in kept]
+    chains += [_serial_chain(analysis, run, reason) for run, reason in refused.items()]
+    return sorted(chains, key=lambda chain: (not chain.ok, -len(chain.joint_names)))
 
 
-def find_chain(model: mujoco.MjModel, base: int = 0) -> Chain:
-    """The arm of a model that nobody described: its longest run of actuated joints from the base.
+def find_chain(analysis: Transmissions, base: int = 0) -> Joints:
+    """The arm of a model without a description: its longest run of actuated joints from the base.
 
-    The run ends before the fingers of a gripper part: at a body that carries several jointed branches with fewer joints behind
-    it than before it, or at joints named like a jaw.
+    The run ends before the fingers of a gripper: at a body that carries several jointed branches with fewer joints behind it
+    than before it, or at joints named like a jaw.
 
     Args:
-        model: The compiled model.
+        analysis: The analysis of the compiled model.
         base: The body it stands on; the world if left out.
 
     Returns:
@@ -104,25 +105,25 @@ def find_chain(model: mujoco.MjModel, base: int = 0) -> Chain:
     Raises:
         ModelError: There is none, or several are equally long.
     """
-    actuators = _actuators(model)
-    runs = {run[: _end_of_arm(model, run, actuators)] for run in _runs(model, base, actuators)}
+    model = analysis.model
+    runs = {run[: _end_of_arm(analysis, run)] for run in _actuated_runs(analysis, base)}
     longest = max((len(run) for run in runs), default=0)
     if longest == 0:
-        raise ModelError(_why_no_arm(model, base, actuators))
+        raise ModelError(_why_no_arm(analysis, base))
     best = sorted(run for run in runs if len(run) == longest)
     if len(best) > 1:
-        tips = ", ".join(repr(find_tip(model, run)[0]) for run in best)
-        on = f"on {body_name(model, base)!r}" if base else "at the base"
+        tips = ", ".join(repr(tip_of_chain(model, run).name) for run in best)
+        on = f"on {shown(body_name(model, base))}" if base else "at the base"
         raise ModelError(f"{len(best)} chains of {longest} joints start {on}; choose one with tip=: {tips}")
-    _check_drives(model, base, best[0])
+    _check_drivable(analysis, base, best[0])
     return best[0]
 
 
-def chain_to(model: mujoco.MjModel, body: int, base: int = 0) -> Chain:
+def chain_to(analysis: Transmissions, body: int, base: int = 0) -> Joints:
     """All joints between a base and a body.
 
     Args:
-        model: The compiled model.
+        analysis: The analysis of the compiled model.
         body: The body at the end.
         base: The body it stands on; the world if left out.
 
@@ -130,128 +131,149 @@ def chain_to(model: mujoco.MjModel, body: int, base: int = 0) -> Chain:
         The joints from the base to the body.
 
     Raises:
-        ModelError: One of them is no hinge or slide joint, or no one actuator moves it.
+        ModelError: One of them is no hinge or slide joint, or no single actuator moves it.
     """
-    name = body_name(model, body)
+    model = analysis.model
+    name = shown(body_name(model, body))
     if not is_below(model, body, base):
-        raise ModelError(f"{name!r} does not hang on {body_name(model, base)!r}; choose a base on the way to it")
+        raise ModelError(f"{name} does not hang on {shown(body_name(model, base))}; choose a base on the way to it")
     joints = joints_above(model, body, base)
-    if joints and _is_free(model, joints[0]):
-        raise ModelError(_free_base(model, joints[0]))
+    if joints and is_free(model, joints[0]):
+        raise ModelError(_free_base_reason(model, joints[0]))
     if not joints:
-        raise ModelError(f"no joint moves {name!r}, so it is the tip of no arm")
+        raise ModelError(f"no joint moves {name}, so it is the tip of no arm")
     try:
-        _check_drives(model, base, joints)
+        _check_drivable(analysis, base, joints)
     except ModelError as error:
-        raise ModelError(f"on the way to {name!r}: {error}; base= can be a body behind it, which holds it") from None
+        raise ModelError(f"on the way to {name}: {error}; base= can be a body behind it, which holds it") from None
     return joints
 
 
-def stopped_before(model: mujoco.MjModel, joints: Chain) -> list[str]:
-    """What to say where a chain goes on, but by a joint that nothing drives.
-
-    Args:
-        model: The compiled model.
-        joints: The chain.
-
-    Returns:
-        One sentence, or none.
-    """
+def end_note(analysis: Transmissions, joints: Joints) -> list[str]:
+    """One sentence if a chain continues with a joint that nothing drives; or none."""
+    model = analysis.model
     behind = branches(model, int(model.jnt_bodyid[joints[-1]]))
-    following = joints_of(model, behind[0])[0] if len(behind) == 1 else None
-    if following is None or following in _actuators(model) or coupling(model, following, frozenset([following])):
+    if len(behind) != 1:
+        return []
+    following = joints_of(model, behind[0])[0]
+    if following in analysis.actuators or analysis.coupling_reason(following):
         return []
     return [f"the arm ends before joint {joint_name(model, following)!r}, which has no actuator of its own and is held"]
 
 
-def _check_drives(model: mujoco.MjModel, base: int, joints: Chain) -> None:
-    """Makes sure that each joint of a chain can be driven, and that its base stands still meanwhile."""
-    chain_transmissions(model, joints)
-    if reason := _tied_above(model, base, joints):
+def _check_drivable(analysis: Transmissions, base: int, joints: Joints) -> None:
+    """Refuses a chain with a joint that cannot be driven, or that is coupled to a joint above the base."""
+    analysis.of_chain(joints)
+    if reason := _coupled_above(analysis, base, joints):
         raise ModelError(reason)
 
 
-def _tied_above(model: mujoco.MjModel, base: int, joints: Chain) -> str:
-    """Which joint of a chain is tied to one that carries the chain's base; empty where none is."""
+def _coupled_above(analysis: Transmissions, base: int, joints: Joints) -> str:
+    """Which joint of a chain is coupled to one that carries the chain's base; empty if none is."""
+    model = analysis.model
     above = joints_above(model, base)
-    for drive in chain_transmissions(model, joints):
-        for other in drive.ties.keys() & set(above):
-            return f"joint {joint_name(model, drive.joint)!r} is tied to {joint_name(model, other)!r}, which carries the base"
+    for transmission in analysis.of_chain(joints):
+        for other in transmission.coupled.keys() & set(above):
+            name = shown(joint_name(model, transmission.joint))
+            return f"joint {name} is tied to {shown(joint_name(model, other))}, which carries the base"
     return ""
 
 
-def _refusal(model: mujoco.MjModel, joint: int) -> str:
-    """Why a joint cannot be part of an arm; empty where it can."""
-    if _is_free(model, joint):
-        return _free_base(model, joint)
-    drive = transmission_of(model, joint)
-    return drive if isinstance(drive, str) else ""
+def _drivable_runs(analysis: Transmissions) -> tuple[set[_Run], dict[_Run, str]]:
+    """All runs of joints that can be driven, and the joints that cannot, with the reason."""
+    model = analysis.model
+    runs: set[_Run] = set()
+    refused: dict[_Run, str] = {}
+    run_to = [_Run(0, ())] * model.nbody
+    for body in range(1, model.nbody):
+        parent = int(model.body_parentid[body])
+        own = joints_of(model, body)
+        reason = next(filter(None, (_refusal(analysis, joint) for joint in own)), "")
+        before = run_to[parent]
+        run_to[body] = _Run(body, ()) if reason else _Run(before.base, before.joints + own)
+        if run_to[body].joints:
+            runs.add(run_to[body])
+        if reason and not is_free(model, own[0]):
+            refused[_Run(parent, own)] = reason
+    return runs, refused
 
 
-def _actuators(model: mujoco.MjModel) -> dict[int, int]:
-    """Which actuator moves which joint: directly, or through joints that it is tied to."""
-    drives = [transmission_of(model, joint) for joint in range(model.njnt)]
-    return joint_actuators(model) | {drive.joint: drive.actuator for drive in drives if isinstance(drive, Transmission)}
+def _refusal(analysis: Transmissions, joint: int) -> str:
+    """Why a joint cannot be part of an arm; empty if it can."""
+    if is_free(analysis.model, joint):
+        return _free_base_reason(analysis.model, joint)
+    transmission = analysis.of(joint)
+    return transmission if isinstance(transmission, str) else ""
 
 
-def _describe(model: mujoco.MjModel, base: int, joints: Chain, reason: str, actuators: dict[int, int]) -> SerialChain:
-    drives = [] if reason else chain_transmissions(model, joints)
-    own = tuple(drive.joint for drive in drives) or joints
+def _serial_chain(analysis: Transmissions, run: _Run, reason: str) -> SerialChain:
+    model = analysis.model
+    transmissions = () if reason else analysis.of_chain(run.joints)
+    own = tuple(transmission.joint for transmission in transmissions) or run.joints
+    actuators = analysis.actuators
+    followers = [joint for transmission in transmissions for joint in transmission.coupled if joint not in own]
     return SerialChain(
-        base=body_name(model, base),
-        tip=find_tip(model, joints)[0],
+        base=body_name(model, run.base),
+        tip=tip_of_chain(model, run.joints).name,
         joint_names=tuple(joint_name(model, joint) for joint in own),
         actuator_names=tuple(actuator_name(model, actuators[j]) if j in actuators else "" for j in own),
-        followers=tuple(joint_name(model, joint) for drive in drives for joint in drive.ties if joint not in own),
+        followers=tuple(joint_name(model, joint) for joint in followers),
         reason=reason,
     )
 
 
-def _longest(runs: set[tuple[int, Chain]]) -> set[tuple[int, Chain]]:
-    """Those runs that no other run on the same base goes on from."""
-    beginnings = {(base, joints[:k]) for base, joints in runs for k in range(len(joints))}
+def _longest(runs: set[_Run]) -> set[_Run]:
+    """Those runs that are not the beginning of another run on the same base."""
+    beginnings: set[_Run] = set()
+    for run in sorted(runs, key=lambda run: -len(run.joints)):
+        if run not in beginnings:
+            beginnings.update(_Run(run.base, run.joints[:k]) for k in range(len(run.joints)))
     return runs - beginnings
 
 
-def _runs(model: mujoco.MjModel, base: int, actuators: dict[int, int]) -> set[Chain]:
+def _actuated_runs(analysis: Transmissions, base: int) -> set[Joints]:
     """The runs of actuated joints from a base to every body behind it, as far as nothing interrupts them."""
-    run: dict[int, Chain] = {base: ()}
+    model = analysis.model
+    run: dict[int, Joints] = {base: ()}
     for body in range(base + 1, model.nbody):
-        parent, own = int(model.body_parentid[body]), joints_of(model, body)
-        if parent in run and all(joint in actuators for joint in own):
+        parent = int(model.body_parentid[body])
+        own = joints_of(model, body)
+        if parent in run and all(joint in analysis.actuators for joint in own):
             run[body] = run[parent] + own
     return {r for r in run.values() if r}
 
 
-def _end_of_arm(model: mujoco.MjModel, run: Chain, actuators: dict[int, int]) -> int:
+def _end_of_arm(analysis: Transmissions, run: Joints) -> int:
     """How many joints of a run come before its fingers."""
+    model = analysis.model
     for before in range(1, len(run)):
-        last, following = int(model.jnt_bodyid[run[before - 1]]), int(model.jnt_bodyid[run[before]])
+        last = int(model.jnt_bodyid[run[before - 1]])
+        following = int(model.jnt_bodyid[run[before]])
         if last != following and len(run) - before < before and len(branches(model, last)) > 1:
             return before
     end = len(run)
     if not run or branches(model, int(model.jnt_bodyid[run[-1]])):
         return end  # it carries something that moves: a wrist, whatever its name
-    while end > 0 and _is_jaw(model, run[end - 1], actuators[run[end - 1]]):
+    while end > 0 and _is_jaw(analysis, run[end - 1]):
         end -= 1
     return end or len(run)
 
 
-def _is_jaw(model: mujoco.MjModel, joint: int, actuator: int) -> bool:
-    names = joint_name(model, joint), actuator_name(model, actuator)
-    return any(map(_JAW.search, names)) or bool(_JAW_BODY.search(body_name(model, int(model.jnt_bodyid[joint]))))
+def _is_jaw(analysis: Transmissions, joint: int) -> bool:
+    model = analysis.model
+    names = (joint_name(model, joint), actuator_name(model, analysis.actuators[joint]))
+    return any(map(_JAW_NAME.search, names)) or bool(_JAW_BODY_NAME.search(body_name(model, int(model.jnt_bodyid[joint]))))
 
 
-def _is_free(model: mujoco.MjModel, joint: int) -> bool:
-    return bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE)
+def _free_base_reason(model: mujoco.MjModel, joint: int) -> str:
+    body = shown(body_name(model, int(model.jnt_bodyid[joint])))
+    name = shown(joint_name(model, joint))
+    return f"the base {body} is free (joint {name}); hold_base=True holds it where its keyframe puts it"
 
 
-def _free_base(model: mujoco.MjModel, joint: int) -> str:
-    body = body_name(model, int(model.jnt_bodyid[joint]))
-    return f"the base {body!r} is free (joint {joint_name(model, joint)!r}); hold_base=True holds it where its keyframe puts it"
-
-
-def _why_no_arm(model: mujoco.MjModel, base: int, actuators: dict[int, int]) -> str:
+def _why_no_arm(analysis: Transmissions, base: int) -> str:
+    model = analysis.model
+    actuators = analysis.actuators
     if model.njnt == 0:
         return "no arm: the model has no joints"
     if not actuators:
@@ -259,10 +281,10 @@ def _why_no_arm(model: mujoco.MjModel, base: int, actuators: dict[int, int]) -> 
     below = [j for j in range(model.njnt) if is_below(model, int(model.jnt_bodyid[j]), base)]
     behind = [j for j in below if model.jnt_bodyid[j] != base]
     if not behind:
-        return f"no arm: no joint hangs on {body_name(model, base)!r}"
+        return f"no arm: no joint hangs on {shown(body_name(model, base))}"
     moved = [int(model.jnt_bodyid[j]) for j in actuators]
-    for joint in (j for j in behind if _is_free(model, j)):
+    for joint in (j for j in behind if is_free(model, j)):
         if any(is_below(model, body, int(model.jnt_bodyid[joint])) for body in moved):  # else it is a loose object
-            return f"no arm: {_free_base(model, joint)}"
-    blocking = next(j for j in sorted(behind, key=lambda j: _is_free(model, j)) if j not in actuators)
-    return f"no arm: {transmission_of(model, blocking)}, and it is the first one from the base"
+            return f"no arm: {_free_base_reason(model, joint)}"
+    blocking = next(j for j in sorted(behind, key=lambda j: is_free(model, j)) if j not in actuators)
+    return f"no arm: {analysis.of(blocking)}, and it is the first one from the base"

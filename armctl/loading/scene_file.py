@@ -12,7 +12,7 @@ import numpy as np
 
 from armctl.core.errors import InputError, ModelError
 from armctl.loading.catalog import Source
-from armctl.loading.tool import take_options
+from armctl.mjmodel.edit import copy_options
 from armctl.mjmodel.queries import actuator_name
 
 # What refers to what by name.
@@ -75,7 +75,7 @@ class SceneFile:
                 for geom in filter(_has_default_contact, body.geoms):
                     for name, value in contact.items():
                         setattr(geom, name, value)
-        take_options(child, spec)
+        copy_options(spec, child)
         spec.attach(child, frame=spec.worldbody.add_frame(), prefix=self._prefix)
         names = {kind: self._own_names(getattr(spec, kind)) for kind in ("bodies", "geoms", "joints", "sites")}
         names["equalities"] = names["bodies"] | names["joints"] | names["sites"]

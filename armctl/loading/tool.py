@@ -7,6 +7,7 @@ import mujoco
 from armctl.core.pose import Pose
 from armctl.loading.catalog import Source
 from armctl.loading.tip import tip_on
+from armctl.mjmodel.edit import copy_options
 
 _FLANGE = "armctl_flange"
 
@@ -34,20 +35,9 @@ def mount(spec: mujoco.MjSpec, flange: mujoco.MjsBody, T_body_flange: Pose, tool
     # The better friction of the two: a gripper that holds by it says how it needs it.
     spec.option.cone = max(spec.option.cone, child.option.cone)
     spec.option.impratio = max(spec.option.impratio, child.option.impratio)
-    take_options(child, spec)
+    copy_options(spec, child)
     prefix = f"{tool.name.replace('/', '_')}/"
     site = flange.add_site(name=_FLANGE, pos=T_body_flange.position, quat=T_body_flange.quat)
     spec.attach(child, site=site, prefix=prefix)
     root = next((body for body in range(1, model.nbody) if model.body_parentid[body] == 0), 0)
-    return prefix + tip_on(model, root)[0]
-
-
-def take_options(child: mujoco.MjSpec, spec: mujoco.MjSpec) -> None:
-    """Gives a specification the options of the one that it will be attached to, which hold for both, in place.
-
-    Args:
-        child: The one to be attached.
-        spec: The other.
-    """
-    for name in (name for name in dir(spec.option) if not name.startswith("_")):
-        setattr(child.option, name, getattr(spec.option, name))
+    return prefix + tip_on(model, root).name

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from armctl.core.errors import ModelError
-from armctl.loading.motors import JointData, default_speed
+from armctl.loading.limits import JointData, default_speed
 from armctl.loading.urdf_inertia import mend_masses
 from armctl.mjmodel.queries import joint_name
 from armctl.mjmodel.transmissions import Transmission
@@ -50,13 +50,13 @@ def read_urdf(path: Path) -> tuple[mujoco.MjSpec, list[str]]:
     return spec, notes
 
 
-def speed_limits(path: Path, model: mujoco.MjModel, drives: Sequence[Transmission]) -> JointData | None:
+def speed_limits(path: Path | None, model: mujoco.MjModel, transmissions: Sequence[Transmission]) -> JointData | None:
     """The speed limits of a URDF, which MuJoCo does not keep; the default for a joint that has none.
 
     Args:
         path: The file.
         model: The model compiled from it.
-        drives: What moves the joints.
+        transmissions: What moves the joints.
 
     Returns:
         The limits; None where no joint has one, or the file is no URDF.
@@ -64,17 +64,18 @@ def speed_limits(path: Path, model: mujoco.MjModel, drives: Sequence[Transmissio
     Raises:
         ModelError: A limit is no number.
     """
-    if path.suffix.lower() != ".urdf":
+    if path is None or path.suffix.lower() != ".urdf":
         return None
     given = {joint.get("name"): joint.find("limit") for joint in _parsed(path).findall("joint")}  # transmissions name them too
-    names = {joint: joint_name(model, joint) for drive in drives for joint in drive.ties}
+    names = {joint: joint_name(model, joint) for each in transmissions for joint in each.coupled}
     speeds = {joint: _speed(name, given.get(name)) for joint, name in names.items()}
     if not any(speed > 0 for speed in speeds.values()):
         return None
     missing = [names[joint] for joint, speed in speeds.items() if speed <= 0]
     speeds = {joint: speed if speed > 0 else default_speed(model, joint) for joint, speed in speeds.items()}
-    v_max = np.array([min(speeds[joint] / abs(tie.ratio) for joint, tie in drive.ties.items()) for drive in drives])
-    return JointData("URDF" + f"; default for {', '.join(missing)}" * bool(missing), v_max)
+    v_max = np.array([min(speeds[joint] / abs(mimic.ratio) for joint, mimic in each.coupled.items()) for each in transmissions])
+    source = f"URDF; default for {', '.join(missing)}" if missing else "URDF"
+    return JointData(source, v_max)
 
 
 def _parsed(path: Path) -> ElementTree.Element:
@@ -111,8 +112,12 @@ def _find_meshes(spec: mujoco.MjSpec, path: Path, root: ElementTree.Element) -> 
             if geom.meshname == mesh.name:
                 spec.delete(geom)
         spec.delete(mesh)
-    sentences = {why: ", ".join(map(repr, dict.fromkeys(files))) for why, files in left_out.items()}
-    return [f"collision mesh{'es' * (',' in files)} {files} left out: {why}" for why, files in sentences.items()]
+    notes = []
+    for why, files in left_out.items():
+        names = ", ".join(map(repr, dict.fromkeys(files)))
+        noun = "meshes" if "," in names else "mesh"
+        notes.append(f"collision {noun} {names:.120} left out: {why:.240}")
+    return notes
 
 
 def _unreadable(mesh: Path) -> str:

@@ -1,17 +1,26 @@
-"""Payload: a point mass that a body carries."""
+"""Edits of models: a point mass on a body, a body that can carry a payload, the options of another specification."""
 
 from __future__ import annotations
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 
 from armctl.core.pose import Pose
 from armctl.core.validation import Array
 from armctl.mjmodel.queries import welded_behind
 
 
-def add_bearers(spec: mujoco.MjSpec, model: mujoco.MjModel, bodies: dict[int, mujoco.MjsBody]) -> None:
-    """Welds a body without mass to each one that MuJoCo lifts by `gravcomp`, which would lift a payload with it, in place.
+def copy_options(source: mujoco.MjSpec, target: mujoco.MjSpec) -> None:
+    """Gives a specification the options of another one, to which it will be attached; MuJoCo keeps one set for both."""
+    for name in (name for name in dir(source.option) if not name.startswith("_")):
+        setattr(target.option, name, getattr(source.option, name))
+
+
+def add_payload_bodies(spec: mujoco.MjSpec, model: mujoco.MjModel, bodies: dict[int, mujoco.MjsBody]) -> None:
+    """Welds a body without mass to each of some bodies that MuJoCo lifts by `gravcomp`, in place.
+
+    `gravcomp` would lift a payload in the same body as well.
 
     Args:
         spec: The specification that `model` was compiled from.
@@ -19,49 +28,51 @@ def add_bearers(spec: mujoco.MjSpec, model: mujoco.MjModel, bodies: dict[int, mu
         bodies: The bodies that may carry a payload, by their numbers in `model`.
     """
     for number, body in bodies.items():
-        if _bearer(model, number) is None:
+        if payload_body(model, number) is None:
             name = f"payload of body {number}"
             body.add_body(name=name)
-            spec.add_exclude(bodyname1=name, bodyname2="world")  # what is referred to is not fused with what it is welded to
+            spec.add_exclude(bodyname1=name, bodyname2="world")  # the compiler does not fuse a body that an exclude names
 
 
-def add_point_mass(model: mujoco.MjModel, body: int, mass: float, point: Array) -> None:
-    """Adds a point mass to a body, in place: parallel axes, then principal axes again. `mj_setConst` is the caller's.
-
-    Where MuJoCo lifts the body by `gravcomp`, a body welded to it carries the mass, which is not lifted.
-
-    Args:
-        model: The model to change.
-        body: The body that carries it.
-        mass: kg.
-        point: (3,) m, where it is in the body's frame.
-    """
-    bearer = _bearer(model, body)
-    if bearer is not None:
-        point, body = _from(model, body, bearer).transform(point), bearer
-    R = np.zeros(9)
-    mujoco.mju_quat2Mat(R, model.body_iquat[body])
-    R = R.reshape(3, 3)
-    m, c = float(model.body_mass[body]), model.body_ipos[body].copy()
-    total = m + mass
-    center = (m * c + mass * point) / total
-    inertia = R @ np.diag(model.body_inertia[body]) @ R.T + _steiner(m, c - center) + _steiner(mass, point - center)
-    moments, axes = np.linalg.eigh(inertia)
-    axes[:, 2] *= np.sign(np.linalg.det(axes))
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, axes.ravel())
-    model.body_mass[body], model.body_ipos[body] = total, center
-    model.body_inertia[body], model.body_iquat[body] = np.maximum(moments, 0.0), quat  # rounding can leave -1e-20 of a point
-    _forget_shortcuts(model, body)
-
-
-def _bearer(model: mujoco.MjModel, body: int) -> int | None:
-    """The first of a body and those welded behind it that nothing lifts."""
+def payload_body(model: mujoco.MjModel, body: int) -> int | None:
+    """The first of a body and those welded behind it that `gravcomp` does not lift; None if it lifts all."""
     return next((b for b in welded_behind(model, body) if not model.body_gravcomp[b]), None)
 
 
-def _from(model: mujoco.MjModel, body: int, welded: int) -> Pose:
-    """T_welded_body."""
+def add_point_mass(model: mujoco.MjModel, body: int, mass: float, point: Array) -> None:
+    """Adds a point mass to a body, in place. The caller must call `mj_setConst` afterwards.
+
+    If MuJoCo lifts the body by `gravcomp`, a body welded to it carries the mass, which is not lifted.
+
+    Args:
+        model: The compiled model, changed in place.
+        body: The body that carries the mass.
+        mass: kg, above 0.
+        point: (3,) m, where the mass is in the body's frame.
+    """
+    carrier = payload_body(model, body)
+    if carrier is not None:
+        point = _pose_in(model, body, carrier).transform(point)
+        body = carrier
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, model.body_iquat[body])
+    rotation = rotation.reshape(3, 3)
+    own_inertia = rotation @ np.diag(model.body_inertia[body]) @ rotation.T
+    own = pin.Inertia(float(model.body_mass[body]), model.body_ipos[body].copy(), own_inertia)
+    total = own + pin.Inertia(mass, np.asarray(point, dtype=np.float64), np.zeros((3, 3)))
+    moments, axes = np.linalg.eigh(total.inertia)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, axes.ravel())
+    model.body_mass[body] = total.mass
+    model.body_ipos[body] = total.lever
+    model.body_inertia[body] = np.maximum(moments, 0.0)  # rounding can leave -1e-20 of a point mass
+    model.body_iquat[body] = quat
+    _clear_shortcuts(model, body)
+
+
+def _pose_in(model: mujoco.MjModel, body: int, welded: int) -> Pose:
+    """T_welded_body, of a body and one that is welded behind it."""
     pose = Pose([0.0, 0.0, 0.0])
     while welded != body:
         pose = Pose(model.body_pos[welded], model.body_quat[welded]) @ pose
@@ -69,13 +80,10 @@ def _from(model: mujoco.MjModel, body: int, welded: int) -> Pose:
     return pose.inverse()
 
 
-def _forget_shortcuts(model: mujoco.MjModel, body: int) -> None:
-    """What the compiler noted about a body's old inertial frame, to save work, is true no longer."""
-    model.body_simple[body] = model.body_sameframe[body] = 0
+def _clear_shortcuts(model: mujoco.MjModel, body: int) -> None:
+    """Clears the compiler's flags for simple inertial frames, which are wrong after the frame has changed."""
+    model.body_simple[body] = 0
+    model.body_sameframe[body] = 0
     model.geom_sameframe[model.geom_bodyid == body] = 0
     model.site_sameframe[model.site_bodyid == body] = 0
     model.dof_simplenum[:] = 0
-
-
-def _steiner(mass: float, r: Array) -> Array:
-    return mass * (r @ r * np.eye(3) - np.outer(r, r))

@@ -1,4 +1,4 @@
-"""The parts of a compiled model by name and by kinship: joints, bodies, what moves them and what hangs on them."""
+"""Queries of a compiled model: names, joints of a body, parents and descendants, actuators of joints."""
 
 from __future__ import annotations
 
@@ -8,98 +8,47 @@ import mujoco
 SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
-Chain = tuple[int, ...]
+Joints = tuple[int, ...]
 
 
 def name_of(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int) -> str:
-    """The name of an element, or its kind and number where it has none.
-
-    Args:
-        model: The compiled model.
-        kind: Which kind of element.
-        index: Its number.
-
-    Returns:
-        A name fit for an error message.
-    """
+    """The name of an element; for a nameless one its kind and number, such as "joint3" for the fourth joint."""
     return mujoco.mj_id2name(model, kind, index) or f"{kind.name.removeprefix('mjOBJ_').lower()}{index}"
 
 
 def joint_name(model: mujoco.MjModel, joint: int) -> str:
-    """The name of a joint.
-
-    Args:
-        model: The compiled model.
-        joint: Its number.
-
-    Returns:
-        Its name, or "joint3" for the nameless fourth.
-    """
+    """The name of a joint, or "joint3" for a nameless one."""
     return name_of(model, mujoco.mjtObj.mjOBJ_JOINT, joint)
 
 
 def body_name(model: mujoco.MjModel, body: int) -> str:
-    """The name of a body.
-
-    Args:
-        model: The compiled model.
-        body: Its number.
-
-    Returns:
-        Its name, or "body3" for the nameless fourth.
-    """
+    """The name of a body, or "body3" for a nameless one."""
     return name_of(model, mujoco.mjtObj.mjOBJ_BODY, body)
 
 
 def actuator_name(model: mujoco.MjModel, actuator: int) -> str:
-    """The name of an actuator.
-
-    Args:
-        model: The compiled model.
-        actuator: Its number.
-
-    Returns:
-        Its name, or "actuator3" for the nameless fourth.
-    """
+    """The name of an actuator, or "actuator3" for a nameless one."""
     return name_of(model, mujoco.mjtObj.mjOBJ_ACTUATOR, actuator)
 
 
+def model_name(model: mujoco.MjModel) -> str:
+    """The name of a model, as its MJCF or URDF gives it."""
+    return model.names[: model.names.index(b"\0")].decode(errors="replace")
+
+
 def is_on_joint(model: mujoco.MjModel, actuator: int) -> bool:
-    """Whether an actuator acts on one joint directly, not through a tendon, a site or a crank.
-
-    Args:
-        model: The compiled model.
-        actuator: Its number.
-
-    Returns:
-        True if it does; `actuator_trnid[actuator, 0]` is then the joint.
-    """
+    """Whether an actuator acts on one joint, `actuator_trnid[actuator, 0]`, and not on a tendon, a site or a crank."""
     return model.actuator_trntype[actuator] in _ON_JOINT
 
 
 def is_damper(model: mujoco.MjModel, actuator: int) -> bool:
-    """Whether an actuator only resists motion: its force is a control times a speed, and nothing else.
-
-    Args:
-        model: The compiled model.
-        actuator: Its number.
-
-    Returns:
-        True if it does.
-    """
+    """Whether an actuator only resists motion: its force is a control times a speed."""
     affine = model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_AFFINE
     return affine and not model.actuator_gainprm[actuator, :2].any() and not model.actuator_biasprm[actuator].any()
 
 
 def joint_actuators(model: mujoco.MjModel) -> dict[int, int]:
-    """Which actuator moves which hinge or slide joint, directly.
-
-    Args:
-        model: The compiled model.
-
-    Returns:
-        Joint to actuator; the first one that can drive it, where several act on the same joint.
-    """
+    """The actuator that acts directly on each hinge or slide joint; the first one, if several act on the same joint."""
     found: dict[int, int] = {}
     for actuator in range(model.nu):
         joint = int(model.actuator_trnid[actuator, 0])
@@ -108,64 +57,52 @@ def joint_actuators(model: mujoco.MjModel) -> dict[int, int]:
     return found
 
 
-def joints_of(model: mujoco.MjModel, body: int) -> Chain:
-    """The joints between a body and its parent.
+def is_free(model: mujoco.MjModel, joint: int) -> bool:
+    """Whether a joint is a free joint: its body floats."""
+    return bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE)
 
-    Args:
-        model: The compiled model.
-        body: Its number.
 
-    Returns:
-        The joints, in order.
-    """
+def joints_of(model: mujoco.MjModel, body: int) -> Joints:
+    """The joints between a body and its parent, in order."""
     first = int(model.body_jntadr[body])
     return tuple(range(first, first + int(model.body_jntnum[body])))
 
 
-def joints_above(model: mujoco.MjModel, body: int, base: int = 0) -> Chain:
-    """The joints between a body and another further up.
-
-    Args:
-        model: The compiled model.
-        body: Its number.
-        base: The body to stop at, whose own joints are left out; the world if left out.
-
-    Returns:
-        The joints, from the base on.
-    """
-    joints: Chain = ()
+def joints_above(model: mujoco.MjModel, body: int, base: int = 0) -> Joints:
+    """The joints between a body and another one above it, from that base on; the base's own joints are left out."""
+    joints: Joints = ()
     while body > 0 and body != base:
         joints = joints_of(model, body) + joints
         body = int(model.body_parentid[body])
     return joints
 
 
-def is_below(model: mujoco.MjModel, body: int, base: int) -> bool:
-    """Whether a body is another or hangs on it.
+def last_joint_above(model: mujoco.MjModel, joints: Joints) -> list[int]:
+    """For every body, which joint of an arm moves it.
 
     Args:
         model: The compiled model.
-        body: The number of the one.
-        base: The number of the other.
+        joints: The joints; of several on one body the last one carries it.
 
     Returns:
-        True if it is; everything is below the world.
+        (nbody,) positions in `joints` of the last joint above each body, -1 if there is none.
     """
+    last_on_body = {int(model.jnt_bodyid[j]): i for i, j in enumerate(joints)}
+    owner = [-1] * model.nbody
+    for body in range(1, model.nbody):
+        owner[body] = last_on_body.get(body, owner[model.body_parentid[body]])
+    return owner
+
+
+def is_below(model: mujoco.MjModel, body: int, base: int) -> bool:
+    """Whether a body is the base or a descendant of it; every body is below the world."""
     while body > base:
         body = int(model.body_parentid[body])
     return body == base
 
 
 def welded_behind(model: mujoco.MjModel, body: int) -> list[int]:
-    """A body and its descendants without a joint between.
-
-    Args:
-        model: The compiled model.
-        body: Its number.
-
-    Returns:
-        Their numbers, in the model's order.
-    """
+    """A body and its descendants without a joint between, in the model's order."""
     rigid = [body]
     for b in range(body + 1, model.nbody):
         if model.body_parentid[b] in rigid and not model.body_jntnum[b]:
@@ -174,14 +111,6 @@ def welded_behind(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def branches(model: mujoco.MjModel, body: int) -> list[int]:
-    """The jointed bodies that hang on a body, or on what is welded to it.
-
-    Args:
-        model: The compiled model.
-        body: Its number.
-
-    Returns:
-        Their numbers.
-    """
+    """The jointed bodies that hang on a body, or on what is welded to it."""
     rigid = welded_behind(model, body)
     return [b for b in range(1, model.nbody) if model.body_parentid[b] in rigid and model.body_jntnum[b] and b not in rigid]

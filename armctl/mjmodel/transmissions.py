@@ -1,30 +1,30 @@
-"""Drives: which actuator moves a joint, and which other joints go along with it because an equality ties them to it.
+"""Transmissions: which actuator moves a joint, and which joints an equality couples to it.
 
-A mimic joint, a pair of fingers on one motor, a telescope: joints that an equality ties to each other at fixed ratios are one
-degree of freedom, and an arm counts them as one joint. MuJoCo's equalities give way a little; armctl takes them for rigid.
+Joints that equalities couple at fixed ratios (a mimic joint, a pair of fingers on one motor, a telescope) are one degree of
+freedom, and an arm counts them as one joint. MuJoCo's equalities are soft constraints; armctl takes them as rigid.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
 import numpy as np
 
 from armctl.core.errors import ModelError
-from armctl.mjmodel.couplings import coupling, tendon_coefficients
-from armctl.mjmodel.queries import SCALAR, Chain, actuator_name, is_damper, is_on_joint, joint_name, name_of
-
-_TIES = int(mujoco.mjtEq.mjEQ_JOINT)
+from armctl.core.validation import shown
+from armctl.mjmodel.couplings import Couplings, tendon_coefficients
+from armctl.mjmodel.queries import SCALAR, Joints, actuator_name, is_damper, is_on_joint, joint_actuators, joint_name, name_of
 
 
 @dataclass(frozen=True)
-class Tie:
-    """How a joint follows another.
+class Mimic:
+    """How a joint follows another: position = ratio x position of the other + offset.
 
     Attributes:
-        ratio: Its speed for one of the other's.
-        offset: rad (m), where it is when the other is at zero.
+        ratio: Speed of the joint per unit speed of the other.
+        offset: rad (m), its position when the other is at zero.
     """
 
     ratio: float
@@ -38,65 +38,147 @@ class Transmission:
     Attributes:
         joint: The joint.
         actuator: Its actuator.
-        moments: What a unit of the actuator's force makes on each joint that it acts on, N m.
-        ties: The joints that move as one with it, itself first, and how they follow it.
+        moments: Torque on each joint that the actuator acts on, per unit of actuator force, N m.
+        coupled: The joints that move as one with this one, itself first, and how they follow it.
     """
 
     joint: int
     actuator: int
     moments: dict[int, float]
-    ties: dict[int, Tie]
+    coupled: dict[int, Mimic]
 
     @property
     def gear(self) -> float:
-        """What a unit of the actuator's force makes on the joint, by virtual work, all that follow included, N m."""
-        return sum(moment * self.ties[joint].ratio for joint, moment in self.moments.items())
+        """Torque on the joint per unit of actuator force, by virtual work, all coupled joints included, N m."""
+        return generalized_gear(self.moments, self.coupled)
 
 
-def transmission_of(model: mujoco.MjModel, joint: int) -> Transmission | str:
-    """What moves a joint.
+class Transmissions:
+    """The transmissions of a compiled model. Each joint is analysed once.
 
-    Args:
-        model: The compiled model.
-        joint: Its number.
-
-    Returns:
-        Its drive; where armctl can drive it by no one actuator, the reason in words.
+    Attributes:
+        model: The compiled model, with its own actuators.
     """
-    name = joint_name(model, joint)
-    if model.jnt_type[joint] not in SCALAR:
-        return f"joint {name!r} is a ball joint, not a hinge or slide"
-    ties = _ties(model, joint)
-    if isinstance(ties, str):
-        return ties
-    reason = next(filter(None, (coupling(model, j, frozenset(ties)) for j in ties)), "")
-    if reason:
-        return reason
-    drives: dict[tuple[int, ...], Transmission] = {}
-    for actuator in range(model.nu):
-        moments = moments_of(model, actuator)
-        if moments and moments.keys() <= ties.keys() and not is_damper(model, actuator):
-            drives.setdefault(tuple(moments), Transmission(joint, actuator, moments, ties))
-    others = ", ".join(repr(joint_name(model, j)) for j in ties if j != joint)
-    if len(drives) == 1:
-        return drives.popitem()[1]
-    if drives:
-        names = " and ".join(repr(actuator_name(model, drive.actuator)) for drive in drives.values())
-        return f"joint {name!r} and {others} are tied to each other by equalities, yet several actuators move them: {names}"
-    return f"joint {name!r} has no actuator of its own" + (f", nor has {others}, tied to it by equalities" if others else "")
+
+    def __init__(self, model: mujoco.MjModel):
+        """Reads the actuators, equalities and tendons of a model.
+
+        Args:
+            model: The compiled model.
+        """
+        self.model = model
+        self.moments = [moments_of(model, actuator) for actuator in range(model.nu)]
+        self._couplings = Couplings(model)
+        self._known: dict[int, Transmission | str] = {}
+        self._acting_on: dict[int, list[int]] = {}
+        for actuator, moments in enumerate(self.moments):
+            for joint in moments:
+                self._acting_on.setdefault(joint, []).append(actuator)
+
+    def of(self, joint: int) -> Transmission | str:
+        """What moves a joint; if no single actuator can drive it, the reason."""
+        if joint not in self._known:
+            self._known[joint] = self._analysed(joint)
+        return self._known[joint]
+
+    def of_chain(self, joints: Joints) -> tuple[Transmission, ...]:
+        """One transmission per degree of freedom of a chain, from the base to the tip.
+
+        The joint of each is the first of its coupled joints in the chain.
+
+        Raises:
+            ModelError: A joint cannot be driven by one actuator.
+        """
+        found: list[Transmission] = []
+        covered: set[int] = set()
+        for joint in joints:
+            if joint in covered:
+                continue
+            transmission = self.of(joint)
+            if isinstance(transmission, str):
+                raise ModelError(transmission)
+            found.append(transmission)
+            covered |= transmission.coupled.keys()
+        return tuple(found)
+
+    def acting_on(self, joints: Joints | set[int]) -> list[int]:
+        """The actuators that act on these joints and on no other joint, in ascending order."""
+        acting = {actuator for joint in joints for actuator in self._acting_on.get(joint, [])}
+        return sorted(actuator for actuator in acting if self.moments[actuator].keys() <= set(joints))
+
+    def coupling_reason(self, joint: int) -> str:
+        """Why a joint does not move independently of all others; empty if it does."""
+        return self._couplings.reason(joint, frozenset([joint]))
+
+    @cached_property
+    def actuators(self) -> dict[int, int]:
+        """The actuator of each joint that has one, acting directly or through coupled joints."""
+        found = [self.of(joint) for joint in range(self.model.njnt)]
+        through = {each.joint: each.actuator for each in found if isinstance(each, Transmission)}
+        return joint_actuators(self.model) | through
+
+    def _analysed(self, joint: int) -> Transmission | str:
+        model = self.model
+        name = shown(joint_name(model, joint))
+        if model.jnt_type[joint] not in SCALAR:
+            return f"joint {name} is a ball joint, not a hinge or slide"
+        coupled = self._coupled_with(joint)
+        if isinstance(coupled, str):
+            return coupled
+        for other in coupled:
+            if reason := self._couplings.reason(other, frozenset(coupled)):
+                return reason
+        drives: dict[tuple[int, ...], Transmission] = {}
+        for actuator in self.acting_on(set(coupled)):
+            if not is_damper(model, actuator):
+                moments = self.moments[actuator]
+                drives.setdefault(tuple(moments), Transmission(joint, actuator, moments, coupled))
+        if len(drives) == 1:
+            return drives.popitem()[1]
+        others = ", ".join(shown(joint_name(model, j)) for j in coupled if j != joint)
+        if drives:
+            names = " and ".join(shown(actuator_name(model, drive.actuator)) for drive in drives.values())
+            return f"joint {name} and {others} are tied to each other by equalities, yet several actuators move them: {names}"
+        return f"joint {name} has no actuator of its own" + (f", nor has {others}, tied to it by equalities" if others else "")
+
+    def _coupled_with(self, joint: int) -> dict[int, Mimic] | str:
+        """The joints that equalities couple to one at fixed ratios; the reason if a ratio is not fixed."""
+        model = self.model
+        coupled = {joint: Mimic(1.0, 0.0)}
+        waiting = [joint]
+        used: set[int] = set()
+        while waiting:
+            here = waiting.pop()
+            for equality in self._couplings.joint_equalities(here):
+                if equality in used:
+                    continue
+                used.add(equality)
+                first = int(model.eq_obj1id[equality])
+                second = int(model.eq_obj2id[equality])
+                if reason := _why_not_linear(model, equality):
+                    return reason
+                there = second if here == first else first
+                if there in coupled:
+                    label = shown(name_of(model, mujoco.mjtObj.mjOBJ_EQUALITY, equality))
+                    names = shown(joint_name(model, first)), shown(joint_name(model, second))
+                    return f"joint {names[0]} is tied to {names[1]} twice by the equality {label}"
+                coupled[there] = _behind(model, equality, coupled[here], here == second)
+                waiting.append(there)
+        return coupled
+
+
+def generalized_gear(moments: dict[int, float], coupled: dict[int, Mimic]) -> float:
+    """Torque on the leading joint per unit of actuator force, by virtual work: each moment times the joint's speed ratio."""
+    return sum(moment * coupled[joint].ratio for joint, moment in moments.items())
 
 
 def moments_of(model: mujoco.MjModel, actuator: int) -> dict[int, float]:
-    """What a unit of an actuator's force makes on each joint it acts on, as far as that is the same everywhere.
+    """Torque on each joint per unit of an actuator's force, if it is the same in all configurations.
 
-    Args:
-        model: The compiled model.
-        actuator: Its number.
-
-    Returns:
-        Joint to N m; empty for an actuator on a ball joint, a body, a site, a crank or a tendon that is led around something.
+    Empty for an actuator on a ball joint, a body, a site, a crank, or a tendon that runs over sites.
     """
-    target, gear = int(model.actuator_trnid[actuator, 0]), float(model.actuator_gear[actuator, 0])
+    target = int(model.actuator_trnid[actuator, 0])
+    gear = float(model.actuator_gear[actuator, 0])
     if is_on_joint(model, actuator):
         return {target: gear} if model.jnt_type[target] in SCALAR else {}
     if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_TENDON:
@@ -104,55 +186,30 @@ def moments_of(model: mujoco.MjModel, actuator: int) -> dict[int, float]:
     return {joint: gear * coefficient for joint, coefficient in tendon_coefficients(model, target).items()}
 
 
-def _ties(model: mujoco.MjModel, joint: int) -> dict[int, Tie] | str:
-    """All joints that equalities tie to one, at fixed ratios; the reason where these are not fixed."""
-    ties, waiting, used = {joint: Tie(1.0, 0.0)}, [joint], set()
-    while waiting:
-        here = waiting.pop()
-        for equality in range(model.neq):
-            ends = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
-            if model.eq_type[equality] != _TIES or not model.eq_active0[equality] or here not in ends or equality in used:
-                continue
-            used.add(equality)
-            label = name_of(model, mujoco.mjtObj.mjOBJ_EQUALITY, equality)
-            offset, ratio, *curve = model.eq_data[equality, :5].tolist()
-            name, leader = joint_name(model, ends[0]), joint_name(model, ends[1]) if ends[1] >= 0 else ""
-            if ends[1] < 0 or ratio == 0:
-                return f"joint {name!r} is locked by the equality {label!r}"
-            if np.any(curve):
-                return f"joint {name!r} is tied to {leader!r} by a curve, not a ratio, in the equality {label!r}"
-            there = ends[1] if here == ends[0] else ends[0]
-            if there in ties:
-                return f"joint {name!r} is tied to {leader!r} twice over by the equality {label!r}"
-            zero = model.qpos0[model.jnt_qposadr[list(ends)]]  # first = offset + ratio second, both counted from here
-            offset += float(zero[0] - ratio * zero[1])
-            tie = ties[here]
-            if here == ends[1]:
-                ties[there] = Tie(ratio * tie.ratio, ratio * tie.offset + offset)
-            else:
-                ties[there] = Tie(tie.ratio / ratio, (tie.offset - offset) / ratio)
-            waiting.append(there)
-    return ties
+def _why_not_linear(model: mujoco.MjModel, equality: int) -> str:
+    """Why an equality does not couple two joints at a fixed ratio; empty if it does."""
+    label = shown(name_of(model, mujoco.mjtObj.mjOBJ_EQUALITY, equality))
+    first = int(model.eq_obj1id[equality])
+    second = int(model.eq_obj2id[equality])
+    _, ratio, *higher_orders = model.eq_data[equality, :5].tolist()
+    name = shown(joint_name(model, first))
+    if second < 0 or ratio == 0:
+        return f"joint {name} is locked by the equality {label}"
+    if np.any(higher_orders):
+        leader = shown(joint_name(model, second))
+        return f"joint {name} is tied to {leader} by a curve, not a ratio, in the equality {label}"
+    return ""
 
 
-def chain_transmissions(model: mujoco.MjModel, joints: Chain) -> list[Transmission]:
-    """The drives of a chain, from the base to the tip: a joint that follows another has none of its own.
+def _behind(model: mujoco.MjModel, equality: int, known: Mimic, known_is_second: bool) -> Mimic:
+    """How the other joint of an equality follows the leader, from how the known one does.
 
-    Args:
-        model: The compiled model.
-        joints: The chain.
-
-    Returns:
-        One drive for each degree of freedom; its joint is the first one in the chain.
-
-    Raises:
-        ModelError: A joint cannot be driven by one actuator.
+    MuJoCo: first - first0 = offset + ratio (second - second0), where first0 and second0 are the positions in `qpos0`.
     """
-    drives: list[Transmission] = []
-    for joint in joints:
-        if not any(joint in drive.ties for drive in drives):
-            drive = transmission_of(model, joint)
-            if isinstance(drive, str):
-                raise ModelError(drive)
-            drives.append(drive)
-    return drives
+    ends = [int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])]
+    offset, ratio = model.eq_data[equality, :2].tolist()
+    zero = model.qpos0[model.jnt_qposadr[ends]]
+    offset += float(zero[0] - ratio * zero[1])
+    if known_is_second:
+        return Mimic(ratio * known.ratio, ratio * known.offset + offset)
+    return Mimic(known.ratio / ratio, (known.offset - offset) / ratio)

@@ -15,7 +15,7 @@ from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.log import Log
 from armctl.core.progress import progress_bar
 from armctl.core.validation import Array, choice, instance, number
-from armctl.loading.prepare import TARGET
+from armctl.mjmodel.target_marker import TARGET
 from armctl.render.camera import fitted_camera
 from armctl.render.renderer import QUALITIES, Image, Renderer, check_size
 from armctl.robot.arm import Arm, check_arm

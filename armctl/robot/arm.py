@@ -9,16 +9,14 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.core.errors import InputError, LimitError, ModelError
+from armctl.core.errors import InputError, LimitError
 from armctl.core.limits import Limits
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, IntArray, instance, matrix, number, vector
 from armctl.mjmodel.edit import add_point_mass
 from armctl.robot.actuation import Actuation
 from armctl.robot.joint_map import JointMap
-from armctl.robot.pinocchio_model import PinocchioModel, build
-
-PARITY_TOLERANCE = 1e-9
+from armctl.robot.pinocchio_model import PinocchioModel, build_pinocchio_model
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,63 +249,13 @@ class Arm:
         if number("mass", mass, 0.0) > 0.0:
             add_point_mass(model, self.tip_body, mass, self.T_body_tip.transform(vector("center", center, 3)))
         mujoco.mj_setConst(model, mujoco.MjData(model))
-        body = build(model, self.pinocchio_model.chain_length, self.joint_map, self.home_qpos, self.tip_body, self.T_body_tip)
+        body = build_pinocchio_model(
+            model, self.pinocchio_model.chain_length, self.joint_map, self.home_qpos, self.tip_body, self.T_body_tip
+        )
         return replace(self, model=model, pinocchio_model=body)
 
     def __repr__(self) -> str:
         return f"Arm({self.name!r}, {self.n} joints, tip {self.tip!r})"
-
-
-def check_parity(arm: Arm, samples: int = 3, seed: int = 0) -> float:
-    """Holds an arm's Pinocchio model to MuJoCo: tip pose, mass matrix and bias at home and at random states.
-
-    Args:
-        arm: The arm.
-        samples: How many random states.
-        seed: Of their random generator.
-
-    Returns:
-        The largest difference, relative to the size of what is compared (at least 1).
-
-    Raises:
-        ModelError: The difference is above 1e-9.
-    """
-    import pinocchio as pin
-
-    rng = np.random.default_rng(seed)
-    low, high = np.maximum(arm.limits.q_min, -np.pi), np.minimum(arm.limits.q_max, np.pi)
-    body, data, full = arm.pinocchio_model, mujoco.MjData(arm.model), np.zeros((arm.model.nv, arm.model.nv))
-    worst = 0.0
-    for k in range(samples + 1):
-        q = rng.uniform(low, high) if k else arm.home
-        v = rng.uniform(-1, 1, arm.n)
-        data.qpos[:], data.qvel[:] = arm.qpos(q), arm.qvel(v)
-        mujoco.mj_fwdPosition(arm.model, data)
-        mujoco.mj_fwdVelocity(arm.model, data)
-        mujoco.mj_fullM(arm.model, data, full)
-        T = _mujoco_tip(arm, data)
-        M = pin.crba(body.pin_model, body.pin_model.createData(), q)
-        pairs = {
-            "tip pose": (np.column_stack(body.tip(q)), np.column_stack([T.position, T.rotation])),
-            "mass matrix": (np.triu(M), np.triu(arm.joint_map.reduced_matrix(full))),
-            "bias": (
-                pin.nonLinearEffects(body.pin_model, body.pin_model.createData(), q, v),
-                arm.joint_map.reduced(data.qfrc_bias),
-            ),
-        }
-        for what, (ours, theirs) in pairs.items():
-            error = float(np.abs(ours - theirs).max() / max(1.0, np.abs(theirs).max()))
-            if not error <= PARITY_TOLERANCE:
-                raise ModelError(
-                    f"{arm.name}: the {what} of the Pinocchio model is {error:.2g} off MuJoCo's (at most {PARITY_TOLERANCE:g})"
-                )
-            worst = max(worst, error)
-    return worst
-
-
-def _mujoco_tip(arm: Arm, data: mujoco.MjData) -> Pose:
-    T_world_body = Pose.from_rotation(data.xpos[arm.tip_body], data.xmat[arm.tip_body].reshape(3, 3))
-    return T_world_body @ arm.T_body_tip
 
 
 def check_arm(arm: object) -> None:

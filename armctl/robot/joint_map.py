@@ -10,8 +10,8 @@ import numpy as np
 
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, IntArray, frozen
-from armctl.mjmodel.queries import Chain
-from armctl.mjmodel.transmissions import chain_transmissions
+from armctl.mjmodel.queries import Joints
+from armctl.mjmodel.transmissions import Transmission
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class JointMap:
         dof_adr: (m,) where they are in `MjData.qvel`.
     """
 
-    joints: Chain
+    joints: Joints
     leaders: IntArray
     ratio: Array
     offset: Array
@@ -40,6 +40,37 @@ class JointMap:
     def is_plain(self) -> bool:
         """Whether no joint follows another."""
         return len(self.leaders) == len(self.joints)
+
+    @classmethod
+    def from_transmissions(cls, model: mujoco.MjModel, chain: Joints, transmissions: Sequence[Transmission]) -> JointMap:
+        """The joint map of a chain.
+
+        Args:
+            model: The compiled model.
+            chain: The joints of the chain, from the base to the tip.
+            transmissions: What moves the chain.
+
+        Returns:
+            The joint map; the joints of the chain come first in it.
+        """
+        coupled = sorted({joint for each in transmissions for joint in each.coupled} - set(chain))
+        joints = (*chain, *coupled)
+        row_of = {joint: row for row, joint in enumerate(joints)}
+        ratio = np.zeros((len(joints), len(transmissions)))
+        offset = np.zeros(len(joints))
+        for column, transmission in enumerate(transmissions):
+            for joint, mimic in transmission.coupled.items():
+                ratio[row_of[joint], column] = mimic.ratio
+                offset[row_of[joint]] = mimic.offset
+        index = list(joints)
+        return cls(
+            joints=joints,
+            leaders=frozen(np.array([row_of[transmission.joint] for transmission in transmissions])),
+            ratio=frozen(ratio),
+            offset=frozen(offset),
+            qpos_adr=frozen(model.jnt_qposadr[index].astype(np.int64)),
+            dof_adr=frozen(model.jnt_dofadr[index].astype(np.int64)),
+        )
 
     @classmethod
     def concatenated(cls, parts: Sequence[JointMap]) -> JointMap:
@@ -129,34 +160,3 @@ class JointMap:
         """
         X = X[self.dof_adr[:, None], self.dof_adr]
         return X if self.is_plain else self.ratio.T @ X @ self.ratio
-
-
-def joint_map_of(model: mujoco.MjModel, chain: Chain) -> JointMap:
-    """The joint_map of a chain.
-
-    Args:
-        model: The compiled model, with whatever drives the chain.
-        chain: Its joints, from the base to the tip.
-
-    Returns:
-        The joint_map.
-
-    Raises:
-        ModelError: A joint of it cannot be driven by one actuator.
-    """
-    drives = chain_transmissions(model, chain)
-    tied = sorted({joint for drive in drives for joint in drive.ties} - set(chain))
-    joints = (*chain, *tied)
-    ratio, offset = np.zeros((len(joints), len(drives))), np.zeros(len(joints))
-    for i, drive in enumerate(drives):
-        for joint, tie in drive.ties.items():
-            ratio[joints.index(joint), i], offset[joints.index(joint)] = tie.ratio, tie.offset
-    index = list(joints)
-    return JointMap(
-        joints,
-        frozen(np.array([joints.index(drive.joint) for drive in drives])),
-        frozen(ratio),
-        frozen(offset),
-        frozen(model.jnt_qposadr[index].astype(int)),
-        frozen(model.jnt_dofadr[index].astype(int)),
-    )

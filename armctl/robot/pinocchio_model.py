@@ -17,6 +17,7 @@ import pinocchio as pin
 
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, BoolArray, frozen
+from armctl.mjmodel.queries import last_joint_above
 from armctl.robot.joint_map import JointMap
 
 WORLD_AXES_AT_TIP = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
@@ -116,7 +117,7 @@ class PinocchioModel:
         return PinocchioModel, tuple(getattr(self, field.name) for field in fields(self))
 
 
-def build(
+def build_pinocchio_model(
     model: mujoco.MjModel, chain_length: int, joint_map: JointMap, qpos: Array, tip_body: int, T_body_tip: Pose
 ) -> PinocchioModel:
     """The rigid-body model of a chain.
@@ -156,7 +157,7 @@ def build(
     support = pin_model.copy() if _is_lifted(model) else None
     pin_model.armature = joint_map.ratio.T**2 @ model.dof_armature[joint_map.dof_adr]
 
-    for body, owner in enumerate(joint_above(model, joints)):
+    for body, owner in enumerate(last_joint_above(model, joints)):
         if owner < 0 or not (model.body_mass[body] or model.body_inertia[body].any()):
             continue
         T_joint_inertia = frames[owner].actInv(_se3(data.xipos[body], data.ximat[body]))
@@ -180,26 +181,9 @@ def build(
     )
 
 
-def joint_above(model: mujoco.MjModel, joints: tuple[int, ...]) -> list[int]:
-    """For every body, which joint of an arm moves it.
-
-    Args:
-        model: The compiled model.
-        joints: The joints; of several on one body the last one carries it.
-
-    Returns:
-        (nbody,) positions in `joints` of the last joint above each body, -1 where none is.
-    """
-    last_on_body = {int(model.jnt_bodyid[j]): i for i, j in enumerate(joints)}
-    owner = [-1] * model.nbody
-    for body in range(1, model.nbody):
-        owner[body] = last_on_body.get(body, owner[model.body_parentid[body]])
-    return owner
-
-
 def _joints_behind(model: mujoco.MjModel, joints: tuple[int, ...]) -> list[int]:
     """For every joint, the position in `joints` of the one it hangs on, -1 where it hangs on none."""
-    carried, behind = joint_above(model, joints), []
+    carried, behind = last_joint_above(model, joints), []
     for i, joint in enumerate(joints):
         body = int(model.jnt_bodyid[joint])
         before = [k for k, other in enumerate(joints[:i]) if model.jnt_bodyid[other] == body]

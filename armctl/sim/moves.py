@@ -20,7 +20,7 @@ from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE, Target
 from armctl.core.trajectory import TickReference, Trajectory
 from armctl.core.validation import Array, number
 from armctl.ik import solve_ik
-from armctl.loading.prepare import TARGET
+from armctl.mjmodel.target_marker import TARGET
 from armctl.motion import Arc, JointTrajectory, Line, OnlineMotion, move_c, move_j, move_l, move_path
 from armctl.robot.arm import Arm
 from armctl.sim.recorder import Recorder, ticks_for

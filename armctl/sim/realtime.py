@@ -15,7 +15,7 @@ from armctl.core.pose import Pose
 from armctl.core.target import TOLERANCE, Target
 from armctl.core.validation import Array
 from armctl.ik import DifferentialIk, solve_ik
-from armctl.loading.prepare import TARGET
+from armctl.mjmodel.target_marker import TARGET
 from armctl.robot.arm import Arm
 from armctl.sim.clock import RealTimeClock
 from armctl.sim.gripper import Gripper

@@ -21,7 +21,7 @@ from armctl.core.pose import Pose
 from armctl.core.trajectory import TickReference, Trajectory, check_motion
 from armctl.core.validation import Array, instance, number, vector
 from armctl.loading.load import load
-from armctl.loading.prepare import TARGET
+from armctl.mjmodel.target_marker import TARGET
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.gripper import Gripper
 from armctl.sim.moves import Moves

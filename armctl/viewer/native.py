@@ -12,7 +12,7 @@ import mujoco
 
 from armctl.core.errors import NotInstalledError
 from armctl.core.pose import Pose
-from armctl.loading.prepare import TARGET
+from armctl.mjmodel.target_marker import TARGET
 from armctl.robot.arm import Arm
 from armctl.sim.realtime import RealTimeSession
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.validation import Array
-from armctl.loading.prepare import TARGET
+from armctl.mjmodel.target_marker import TARGET
 from armctl.render.camera import axes, fitted_camera
 from armctl.robot.arm import Arm
 from armctl.viewer.mesh_decimation import decimated

@@ -10,6 +10,7 @@ from synthetic import limb, mjcf, motors
 import armctl
 from armctl.loading.chain import all_chains, chain_to, find_chain
 from armctl.mjmodel.queries import joint_name
+from armctl.mjmodel.transmissions import Transmissions
 
 Model = Callable[..., mujoco.MjModel]
 
@@ -20,7 +21,7 @@ def names(model: mujoco.MjModel, joints: tuple[int, ...]) -> str:
 
 def found(bodies: str, rest: str = "") -> str:
     model = mujoco.MjModel.from_xml_string(mjcf(bodies, rest))
-    return names(model, find_chain(model))
+    return names(model, find_chain(Transmissions(model)))
 
 
 FINGERS = limb("left", joint='armature="0.01"') + limb("right", joint='armature="0.01"')
@@ -184,7 +185,7 @@ def test_all_chains_of_a_robot_are_found_with_reasons():
             motors("a b c left d e") + '<equality><joint name="pair" joint1="left" joint2="right"/></equality>',
         )
     )
-    chains = [(c.base, c.tip, " ".join(c.joint_names), c.reason) for c in all_chains(model)]
+    chains = [(c.base, c.tip, " ".join(c.joint_names), c.reason) for c in all_chains(Transmissions(model))]
     assert chains == [
         ("trunk", "C", "a b c", ""),
         ("P", "E", "d e", ""),
@@ -208,7 +209,7 @@ def test_a_chain_loads_by_base_and_tip_or_says_why_not(robot: str):
 
 def test_chain_to_agrees_with_find_chain():
     model = mujoco.MjModel.from_xml_string(mjcf(limb("a b c"), motors("a b c")))
-    assert chain_to(model, model.body("C").id) == find_chain(model) == (0, 1, 2)
+    assert chain_to(Transmissions(model), model.body("C").id) == find_chain(Transmissions(model)) == (0, 1, 2)
 
 
 TIPS = {

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from armctl.robot.arm import PARITY_TOLERANCE
+from armctl.robot.parity import PARITY_TOLERANCE
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 from robots import chains_of, measure, robots_at_hand  # pyright: ignore[reportMissingImports]  # the table of docs/robots.md

@@ -13,8 +13,8 @@ from synthetic import FIRST, JOINT, LIMIT, MESH, SECOND, THIRD, TOOL, limb, mjcf
 import armctl
 from armctl.loading.catalog import robots
 from armctl.loading.datasheets import ALIASES, BY_ROBOT
-from armctl.loading.prepare import TARGET
-from armctl.robot.arm import PARITY_TOLERANCE, check_parity
+from armctl.mjmodel.target_marker import TARGET
+from armctl.robot.parity import PARITY_TOLERANCE, check_parity
 
 HINGE = '<joint name="a" axis="0 1 0" range="-1 1" {}/>'
 SERVO = '<position name="s" joint="a" kp="50" {}/>'
@@ -74,15 +74,15 @@ def test_no_name_at_all_is_a_wrong_call(name: object):
 
 
 def test_a_tip_offset_is_a_pose(bundled: armctl.Arm):
-    with pytest.raises(armctl.InputError, match=r"tip_offset: \[0, 0, 1\] is not a Pose; armctl.Pose"):
+    with pytest.raises(armctl.InputError, match=r"tip_offset: \[0, 0, 1\] is no Pose; armctl.Pose"):
         armctl.load(bundled.name, tip_offset=[0, 0, 1])  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize(
     ("how", "sentence"),
     [
-        ({"tip": 3}, "tip: 3 is no name of a site, body or geom"),
-        ({"base": 3}, "base: 3 is no name of a body"),
+        ({"tip": 3}, "tip: 3 is no str; give the name of a site, body or geom"),
+        ({"base": 3}, "base: 3 is no str; give the name of a body"),
         ({"scene": "table"}, "scene: 'table' is neither a Scene nor the path of an .xml file; armctl.Scene()"),
         ({"scene": 3}, "scene: 3 is neither a Scene nor"),
         ({"tool": 3}, "tool: 3 is neither a name nor a path; try tool='robotiq_2f85'"),
@@ -124,7 +124,7 @@ def test_a_robot_that_cannot_be_downloaded_says_so_at_once(monkeypatch: pytest.M
     with pytest.raises(armctl.ModelError) as caught:
         armctl.load("google_robot")
     sentence = str(caught.value)
-    assert sentence.startswith("google_robot: its model is not at hand (http://127.0.0.1:9: ")
+    assert sentence.startswith("google_robot: its model is not installed (http://127.0.0.1:9: ")
     assert "`mujoco-menagerie prefetch google_robot`, or set MENAGERIE_ROOT to a checkout" in sentence
     assert "\n" not in sentence
 

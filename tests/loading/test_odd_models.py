@@ -11,8 +11,8 @@ from synthetic import limb, mjcf, motors
 import armctl
 from armctl.control import CONTROLLERS
 from armctl.loading.tip import tip_on
-from armctl.robot.arm import PARITY_TOLERANCE, check_parity
 from armctl.robot.dynamics import Dynamics
+from armctl.robot.parity import PARITY_TOLERANCE, check_parity
 
 PASSIVE = 'stiffness="2" damping="0.5" frictionloss="0.3" armature="0.05"'
 
@@ -61,17 +61,15 @@ def test_what_a_flag_switches_off_is_off_for_the_controller_too(load, flag: str)
 
 
 @pytest.mark.parametrize("option", ['<option><flag actuation="disable"/></option>', '<option actuatorgroupdisable="0"/>'])
-def test_motors_that_the_model_switches_off_are_switched_on_aloud(load, option: str):
-    with pytest.warns(armctl.ArmctlWarning, match="switch its actuators off: they are switched on"):
+def test_motors_that_the_model_disables_are_enabled_with_a_warning(load, option: str):
+    with pytest.warns(armctl.ArmctlWarning, match="the model's options disable its actuators; armctl enables them"):
         arm = load(limb("a b"), motors("a b") + option)
     assert armctl.Simulation(arm).move_j(arm.home + 0.3).ok
 
 
 @pytest.mark.parametrize("option", ['viscosity="0.1"', 'density="1.2" wind="3 0 0"'])
-def test_drag_is_said_to_be_in_no_model(load, option: str):
-    with pytest.warns(
-        armctl.ArmctlWarning, match=r"drag \(density .* viscosity .* wind .*no controller's model has it"
-    ) as said:
+def test_drag_is_noted_as_not_modelled(load, option: str):
+    with pytest.warns(armctl.ArmctlWarning, match=r"drag \(density .* viscosity .* wind .*controllers do not model it") as said:
         arm = load(limb("a b"), motors("a b") + f"<option {option}/>")
     assert len(said) == 1
     assert any("0.1 Pa s" in note or ("density 1.2 kg/m^3" in note and "[3, 0, 0] m/s" in note) for note in arm.notes)
@@ -156,7 +154,7 @@ ENDS = {
 def test_a_piece_without_sites_ends_at_its_tool_or_before_its_fingers(case: str):
     inside, tip = ENDS[case]
     model = mujoco.MjModel.from_xml_string(mjcf(f'<body name="hand"><joint/><geom size="0.01"/>{inside}</body>'))
-    assert tip_on(model, 1)[0] == tip
+    assert tip_on(model, 1).name == tip
 
 
 def test_what_the_motors_lift_of_themselves_is_not_taken_for_a_payload(load):

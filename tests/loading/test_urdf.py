@@ -11,7 +11,7 @@ from synthetic import FIRST, INERTIA, JOINT, LIMIT, LINK, MESH, SECOND, THIRD, T
 
 import armctl
 from armctl.loading.urdf_inertia import LEAST_INERTIA, LEAST_MASS, nearest_inertia
-from armctl.robot.arm import PARITY_TOLERANCE, check_parity
+from armctl.robot.parity import PARITY_TOLERANCE, check_parity
 
 TRANSMISSIONS = "".join(f'<transmission name="t{j}"><joint name="{j}"/></transmission>' for j in ("j1", "j2"))
 

@@ -12,7 +12,7 @@ from PIL import Image, ImageSequence
 import armctl
 from armctl import InputError, NotInstalledError, Simulation
 from armctl.cli.main import main
-from armctl.loading.prepare import TARGET
+from armctl.mjmodel.target_marker import TARGET
 from armctl.render import Renderer, record, still
 from armctl.render.camera import axes, box_corners, fitted_camera
 from armctl.render.gl import INSTALL, gl_context

@@ -8,8 +8,8 @@ import pytest
 
 import armctl
 from armctl import Arm, Report
-from armctl.robot.arm import check_parity
 from armctl.robot.dynamics import Dynamics
+from armctl.robot.parity import check_parity
 
 DISABLE = mujoco.mjtDisableBit
 

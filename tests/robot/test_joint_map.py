@@ -7,9 +7,9 @@ from synthetic import limb, mjcf, motors
 
 import armctl
 from armctl.ik import solve_ik_batch
-from armctl.mjmodel.transmissions import Transmission, transmission_of
-from armctl.robot.arm import check_parity
+from armctl.mjmodel.transmissions import Transmission, Transmissions
 from armctl.robot.dynamics import Dynamics
+from armctl.robot.parity import check_parity
 
 RIGID = 'solref="0.002 1" solimp="0.9999 0.9999 0.001 0.5 2"'
 FAST = '<option timestep="0.001" integrator="implicitfast"/>'
@@ -172,7 +172,7 @@ REFUSED = {
         "'c' is tied to 'b' by a curve, not a ratio",
     ),
     "a lock": ('<equality><joint name="pin" joint1="c"/></equality>', "joint 'c' is locked by the equality 'pin'"),
-    "twice": (ties("c b 0 1", "b c 0 1"), "tied to 'c' twice over by the equality"),
+    "twice": (ties("c b 0 1", "b c 0 1"), "tied to 'c' twice by the equality"),
     "nobody": ("", "joint 'c' has no actuator of its own$"),
     "a free pair": (ties("d c 0 1"), "joint 'c' has no actuator of its own, nor has 'd', tied to it by equalities"),
     "a shared pull": (tendon(c=1, d=1) + CABLE, "joint 'c' shares the pull of the tendon 'cable'"),
@@ -182,7 +182,7 @@ REFUSED = {
     ),
     "a springy tendon": (
         tendon(c=1).replace('name="cable"', 'name="cable" stiffness="3"') + CABLE,
-        "joint 'c' is pulled by the tendon 'cable', whose spring, friction or bends armctl does not know",
+        "joint 'c' is pulled by the tendon 'cable', and armctl does not model its spring, friction or bends",
     ),
     "a tie outside": (ties("c x 0 1") + tendon(x=1, y=1) + CABLE, "joint 'x' shares the pull of the tendon"),
 }
@@ -216,9 +216,11 @@ def test_a_soft_tie_gives_way_and_a_rigid_one_does_not(load):
 def test_ratios_go_both_ways_and_count_from_where_the_joints_are_drawn():
     bodies = limb("a b").replace('name="b"', 'name="b" ref="0.4"')
     model = mujoco.MjModel.from_xml_string(mjcf(bodies, ties("b a 0.1 2") + motors("a")))
-    first, second = transmission_of(model, 0), transmission_of(model, 1)
+    analysis = Transmissions(model)
+    first = analysis.of(0)
+    second = analysis.of(1)
     assert isinstance(first, Transmission)
     assert isinstance(second, Transmission)
-    assert (first.ties[1].ratio, first.ties[1].offset) == pytest.approx((2, 0.5))  # 0.4 + 0.1 + 2 a
-    assert (second.ties[0].ratio, second.ties[0].offset) == pytest.approx((0.5, -0.25))
+    assert (first.coupled[1].ratio, first.coupled[1].offset) == pytest.approx((2, 0.5))  # 0.4 + 0.1 + 2 a
+    assert (second.coupled[0].ratio, second.coupled[0].offset) == pytest.approx((0.5, -0.25))
     assert (first.gear, second.gear) == pytest.approx((1, 0.5))

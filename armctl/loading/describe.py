@@ -1,0 +1,163 @@
+"""First stage of loading: describe the arms in a compiled model. Nothing is changed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations
+
+from armctl.core.errors import ModelError, UnknownNameError
+from armctl.core.pose import Pose
+from armctl.core.validation import Array, shown
+from armctl.loading.catalog import Source
+from armctl.loading.chain import chain_to, end_note, find_chain
+from armctl.loading.limits import JointData, datasheet_limits, torque_limits
+from armctl.loading.tip import Tip, named_body, named_tip, tip_of_chain
+from armctl.loading.urdf import speed_limits
+from armctl.mjmodel.queries import Joints, body_name, is_below, joint_name
+from armctl.mjmodel.transmissions import Transmission, Transmissions
+
+
+@dataclass(frozen=True, eq=False)
+class ArmEnds:
+    """Where an arm begins and ends, as the caller names it.
+
+    Attributes:
+        tip: The name of the site, body or geom at the end; None for the one that armctl finds.
+        base: The name of the body that the arm stands on; None for the world.
+        tip_offset: The tip in that element's frame; None for the frame itself.
+    """
+
+    tip: str | None = None
+    base: str | None = None
+    tip_offset: Pose | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ArmPlan:
+    """What one arm of a model will be.
+
+    Attributes:
+        joints: The joints from the base to the tip.
+        transmissions: What moves each of its n joints.
+        tip: Its tip, in the body's number of the model that is described.
+        datasheet: Limits from a data sheet or a URDF, or None.
+        tau_max: (n,) N m.
+        tau_source: Where the torque limits come from.
+        notes: What had to be assumed, one sentence each.
+    """
+
+    joints: Joints
+    transmissions: tuple[Transmission, ...]
+    tip: Tip
+    datasheet: JointData | None
+    tau_max: Array
+    tau_source: str
+    notes: tuple[str, ...]
+
+    def with_tip_body(self, body: int) -> ArmPlan:
+        """The same plan for a model in which the tip's body has another number."""
+        return replace(self, tip=replace(self.tip, body=body))
+
+
+def describe_arms(source: Source, analysis: Transmissions, ends: Sequence[ArmEnds]) -> list[ArmPlan]:
+    """The arms to some tips from some bases.
+
+    Args:
+        source: Where the model comes from; its data sheet gives limits that the model lacks.
+        analysis: The analysis of the compiled model, with its own actuators.
+        ends: Where each arm begins and ends.
+
+    Raises:
+        InputError: A name is no string.
+        UnknownNameError: The model has nothing of that name.
+        ModelError: A chain is no arm, or two chains cannot move at once.
+    """
+    chains = [find_ends(source, analysis, each) for each in ends]
+    check_independent(analysis, [joints for joints, _ in chains])
+    return [
+        _described(source, analysis, joints, tip.moved(each.tip_offset))
+        for (joints, tip), each in zip(chains, ends, strict=True)
+    ]
+
+
+def find_ends(source: Source, analysis: Transmissions, ends: ArmEnds) -> tuple[Joints, Tip]:
+    """The joints and the tip of one arm, without its tip offset.
+
+    Raises:
+        InputError: A name is no string.
+        UnknownNameError: The model has nothing of that name.
+        ModelError: The chain is no arm.
+    """
+    model = analysis.model
+    base = 0 if ends.base is None else named_body(model, ends.base)
+    if ends.tip is not None:
+        tip = named_tip(model, ends.tip)
+        return chain_to(analysis, tip.body, base), tip
+    joints = find_chain(analysis, base)
+    row = source.row
+    if row is None or row.tip is None or ends.base is not None:
+        return joints, tip_of_chain(model, joints)
+    try:
+        tip = named_tip(model, row.tip)
+    except UnknownNameError:  # another entry point of the robot, such as one without its hand
+        return joints, tip_of_chain(model, joints)
+    return joints, tip.moved(Pose(row.tip_offset or (0.0, 0.0, 0.0)))
+
+
+def check_independent(analysis: Transmissions, chains: Sequence[Joints]) -> None:
+    """Refuses chains that cannot move at once without disturbing each other.
+
+    Raises:
+        ModelError: One is part of another, two move the same joint, or one stands on another.
+    """
+    for one, other in permutations(chains, 2):
+        reason = _why_dependent(analysis, one, other)
+        if reason:
+            raise ModelError(reason)
+
+
+def _described(source: Source, analysis: Transmissions, joints: Joints, tip: Tip) -> ArmPlan:
+    model = analysis.model
+    transmissions = analysis.of_chain(joints)
+    datasheet = speed_limits(source.path, model, transmissions) or datasheet_limits(source.row, len(transmissions))
+    torques = torque_limits(model, transmissions, datasheet)
+    return ArmPlan(
+        joints=joints,
+        transmissions=transmissions,
+        tip=tip,
+        datasheet=datasheet,
+        tau_max=torques.tau_max,
+        tau_source=torques.source,
+        notes=(*torques.notes, *end_note(analysis, joints)),
+    )
+
+
+def _why_dependent(analysis: Transmissions, one: Joints, other: Joints) -> str:
+    """Why two chains cannot move at once; empty if they can."""
+    model = analysis.model
+    tip = shown(tip_of_chain(model, one).name)
+    other_tip = shown(tip_of_chain(model, other).name)
+    shared = sorted(set(one) & set(other))
+    moved = _moved_joints(analysis, one)
+    coupled = moved & _moved_joints(analysis, other) - set(shared)
+    if coupled:
+        return f"the chains to {tip} and {other_tip} both move joint {joint_name(model, min(coupled))!r:.80}; give one of them"
+    if len(shared) == min(len(one), len(other)):
+        return f"one of the chains to {tip} and {other_tip} is part of the other; give each chain once"
+    if shared:
+        names = ", ".join(repr(joint_name(model, joint)) for joint in shared)
+        base = body_name(model, int(model.jnt_bodyid[shared[-1]]))
+        joints = "joints" if len(shared) > 1 else "joint"
+        return (
+            f"the chains to {tip} and {other_tip} share {joints} {names:.120}, which only one of them could move; "
+            f"base={base!r:.80} holds what they share"
+        )
+    if any(is_below(model, int(model.jnt_bodyid[other[0]]), int(model.jnt_bodyid[joint])) for joint in moved):
+        return f"the chain to {other_tip} stands on the one to {tip}, which would shake it; move one at a time"
+    return ""
+
+
+def _moved_joints(analysis: Transmissions, joints: Joints) -> set[int]:
+    """The joints of a chain and those coupled to them."""
+    return {joint for transmission in analysis.of_chain(joints) for joint in transmission.coupled}

@@ -1,0 +1,47 @@
+"""Where a model is at home: positions and controls from its keyframe `home`, or else from its ranges."""
+
+from __future__ import annotations
+
+import mujoco
+
+from armctl.core.validation import Array, IntArray, frozen
+from armctl.mjmodel.queries import Joints
+
+
+def keyframe_qpos(model: mujoco.MjModel) -> Array:
+    """(nq,) the whole model in its keyframe `home`, or in its first keyframe, or as it is drawn."""
+    return model.key_qpos[_home_key(model)].copy() if model.nkey else model.qpos0.copy()
+
+
+def home_qpos(model: mujoco.MjModel, joints: Joints) -> Array:
+    """(nq,) the whole model with some joints at home: in the keyframe `home`, or else in the middle of their ranges.
+
+    The joints are within their limits. The array is read-only.
+    """
+    qpos = keyframe_qpos(model)
+    has_home = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home") >= 0
+    for joint in joints:
+        address = model.jnt_qposadr[joint]
+        if not model.jnt_limited[joint]:
+            qpos[address] = qpos[address] if has_home else model.qpos0[address]
+            continue
+        low, high = model.jnt_range[joint]
+        qpos[address] = min(max(qpos[address], low), high) if has_home else 0.5 * (low + high)
+    return frozen(qpos)
+
+
+def home_controls(model: mujoco.MjModel) -> Array:
+    """(nctrl,) the controls of the whole model at home, read-only."""
+    if model.nkey:
+        return frozen(model.key_ctrl[_home_key(model)].copy())
+    return frozen(mujoco.MjData(model).ctrl.copy())
+
+
+def clear_keyframe_controls(model: mujoco.MjModel, ctrl_adr: IntArray) -> None:
+    """Sets the controls of an arm's motors in all keyframes to zero: the keyframes hold angles for what are torques now."""
+    if model.nkey:
+        model.key_ctrl[:, ctrl_adr] = 0.0
+
+
+def _home_key(model: mujoco.MjModel) -> int:
+    return max(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home"), 0)

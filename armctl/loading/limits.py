@@ -1,0 +1,259 @@
+"""The limits of an arm's joints: from the model, a data sheet or a URDF, else documented defaults."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from armctl.core import units
+from armctl.core.errors import ModelError
+from armctl.core.limits import Limits
+from armctl.core.validation import Array, shown
+from armctl.loading.datasheets import Row
+from armctl.mjmodel.couplings import tendon_coefficients
+from armctl.mjmodel.queries import joint_name
+from armctl.mjmodel.transmissions import Mimic, Transmission
+
+DEFAULT_SPEED = {mujoco.mjtJoint.mjJNT_HINGE: 2.0, mujoco.mjtJoint.mjJNT_SLIDE: 0.5}  # rad/s, m/s
+DEFAULT_ACCELERATION_TIME_S = 0.05  # from zero to the greatest acceleration
+_ASSUMED_ACCELERATION = 10.0  # rad/s^2 beyond gravity, of a motor whose torque nothing specifies
+_TORQUE_SAMPLES = 50  # configurations in which gravity is evaluated
+
+
+@dataclass(frozen=True)
+class JointData:
+    """Limits of joints that the compiled model does not contain: from a data sheet or a URDF.
+
+    Attributes:
+        source: Where they are published.
+        v_max: (n,) rad/s, or None.
+        a_max: (n,) rad/s^2, or None.
+        j_max: (n,) rad/s^3, or None.
+        tau_max: (n,) N m, or None.
+    """
+
+    source: str
+    v_max: Array | None = None
+    a_max: Array | None = None
+    j_max: Array | None = None
+    tau_max: Array | None = None
+
+
+@dataclass(frozen=True)
+class TorqueLimits:
+    """The torque limits of an arm.
+
+    Attributes:
+        tau_max: (n,) N m.
+        source: Where they come from.
+        notes: The assumptions made, one sentence each.
+    """
+
+    tau_max: Array
+    source: str
+    notes: tuple[str, ...]
+
+
+def datasheet_limits(row: Row | None, n: int) -> JointData | None:
+    """A data-sheet row as limits of an arm of n joints; None without a row, or if the row describes another arm."""
+    if row is None:
+        return None
+    values = {name: getattr(row, name) for name in ("v_max", "a_max", "j_max", "tau_max")}
+    given = {name: np.array(value) for name, value in values.items() if value is not None}
+    if not given or any(len(value) != n for value in given.values()):
+        return None
+    return JointData(row.source, **given)
+
+
+def torque_limits(model: mujoco.MjModel, transmissions: Sequence[Transmission], datasheet: JointData | None) -> TorqueLimits:
+    """The torque limits of an arm's joints.
+
+    The smallest of the model's own limits: the actuator's forcerange x gear, the joint's actfrcrange and, for an actuator that
+    is already a motor, ctrlrange x gear. Without any, the data sheet's limit; without that, an assumption, with a note.
+
+    Args:
+        model: The model as compiled from its file, with its own actuators.
+        transmissions: What moves the joints.
+        datasheet: The arm's data-sheet limits, or None.
+
+    Raises:
+        ModelError: A range does not allow torques of both signs.
+    """
+    tau = np.full(len(transmissions), np.inf)
+    sources: set[str] = set()
+    notes: tuple[str, ...] = ()
+    for i, transmission in enumerate(transmissions):
+        for source, (low, high) in _torque_ranges(model, transmission):
+            bound = min(-low, high)
+            if bound <= 0:
+                name = shown(joint_name(model, transmission.joint))
+                raise ModelError(f"joint {name}: its {source} [{low:g}, {high:g}] lacks one direction")
+            if bound <= tau[i]:
+                tau[i] = bound
+                sources.add(source)
+    unknown = ~np.isfinite(tau)
+    if unknown.any() and datasheet is not None and datasheet.tau_max is not None:
+        tau[unknown] = datasheet.tau_max[unknown]
+        sources.add(datasheet.source)
+    elif unknown.any():
+        tau[unknown] = _assumed_torque(model, transmissions)[unknown]
+        sources.add("assumed")
+        joints = [transmissions[i].joint for i in np.flatnonzero(unknown)]
+        notes = (_assumed_torque_note(model, joints, tau[unknown]),)
+    return TorqueLimits(tau, ", ".join(sorted(sources)), notes)
+
+
+def joint_limits(
+    model: mujoco.MjModel,
+    transmissions: Sequence[Transmission],
+    home_qpos: Array,
+    tau_max: Array,
+    datasheet: JointData | None,
+) -> tuple[Limits, dict[str, str]]:
+    """The limits of an arm: positions from the model, the rest from the data sheet or a default.
+
+    A joint that others follow goes only as far as all of them can. The default speed is 2 rad/s (0.5 m/s). The default
+    acceleration is half of what the torque beyond gravity gives the joint at home if all joints accelerate together (a row sum
+    of the mass matrix), at most ten times the speed per second. The default jerk reaches the acceleration in 0.05 s.
+
+    Args:
+        model: The compiled model.
+        transmissions: What moves the joints.
+        home_qpos: (nq,) the model at home.
+        tau_max: (n,) N m.
+        datasheet: The arm's data-sheet limits, or None.
+
+    Returns:
+        The limits, and where each of them comes from.
+    """
+    q_min, q_max = position_limits(model, transmissions)
+    given = JointData("default") if datasheet is None else datasheet
+    v_max = default_speeds(model, transmissions) if given.v_max is None else given.v_max
+    a_max = given.a_max
+    j_max = given.j_max
+    if a_max is None:
+        M, gravity = _inertia_and_gravity(model, transmissions, home_qpos)
+        headroom = np.maximum(tau_max - np.abs(gravity), 0.1 * tau_max)
+        a_max = np.minimum(0.5 * headroom / np.abs(M).sum(axis=1), 10.0 * v_max)
+    if j_max is None:
+        j_max = a_max / DEFAULT_ACCELERATION_TIME_S
+    sources = {k: "default" if getattr(given, k) is None else given.source for k in ("v_max", "a_max", "j_max")}
+    return Limits(q_min, q_max, v_max, a_max, j_max, tau_max), {"q_min": "model", "q_max": "model", **sources}
+
+
+def position_limits(model: mujoco.MjModel, transmissions: Sequence[Transmission]) -> tuple[Array, Array]:
+    """(n,) the smallest and the greatest position of each joint, rad; infinite if it is not limited."""
+    low, high = np.transpose([_range(model, transmission) for transmission in transmissions])
+    return low, high
+
+
+def default_speed(model: mujoco.MjModel, joint: int) -> float:
+    """The speed limit of a joint that nothing specifies, rad/s or m/s."""
+    return DEFAULT_SPEED[mujoco.mjtJoint(int(model.jnt_type[joint]))]
+
+
+def default_speeds(model: mujoco.MjModel, transmissions: Sequence[Transmission]) -> Array:
+    """(n,) the default speed of each joint: no joint that follows it exceeds its own default."""
+    return np.array(
+        [
+            min(default_speed(model, joint) / abs(mimic.ratio) for joint, mimic in transmission.coupled.items())
+            for transmission in transmissions
+        ]
+    )
+
+
+def _torque_ranges(model: mujoco.MjModel, transmission: Transmission) -> Iterator[tuple[str, tuple[float, float]]]:
+    """Each limit of the model on a joint's torque: its name in MJCF, and (low, high) N m."""
+    actuator = transmission.actuator
+    gear = transmission.gear
+    name = shown(joint_name(model, transmission.joint))
+    if model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_MUSCLE:
+        raise ModelError(f"joint {name} is moved by a muscle, which pulls one way only; an arm needs motors")
+    if gear == 0:
+        raise ModelError(f"joint {name}: its actuator has a gear of 0 and cannot move it")
+    if model.actuator_forcelimited[actuator]:
+        yield "forcerange", _scaled(gear, model.actuator_forcerange[actuator])
+    for joint, moment in transmission.moments.items():
+        if model.jnt_actfrclimited[joint]:
+            yield "actfrcrange", _scaled(gear / moment, model.jnt_actfrcrange[joint])
+    control = model.actuator_ctrladr[actuator]
+    if is_motor(model, actuator) and model.actuator_ctrllimited[control]:
+        yield "ctrlrange", _scaled(gear * float(model.actuator_gainprm[actuator, 0]), model.actuator_ctrlrange[control])
+
+
+def is_motor(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether an actuator's force is its control times a constant."""
+    fixed = model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
+    return fixed and model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE and not model.actuator_dyntype[actuator]
+
+
+def _scaled(factor: float, bounds: Array) -> tuple[float, float]:
+    low, high = sorted((factor * bounds).tolist())
+    return low, high
+
+
+def _range(model: mujoco.MjModel, transmission: Transmission) -> tuple[float, float]:
+    """How far a joint can go before it, or one that follows it, reaches a limit."""
+    coupled = transmission.coupled
+    ranges = [(mimic, model.jnt_range[joint]) for joint, mimic in coupled.items() if model.jnt_limited[joint]]
+    for tendon in np.flatnonzero(model.tendon_limited).tolist():
+        parts = {joint: c for joint, c in tendon_coefficients(model, tendon).items() if c != 0}
+        if parts and parts.keys() <= coupled.keys():
+            ratio = sum(c * coupled[joint].ratio for joint, c in parts.items())
+            offset = sum(c * coupled[joint].offset for joint, c in parts.items())
+            if ratio:
+                ranges.append((Mimic(ratio, offset), model.tendon_range[tendon]))
+    low = -np.inf
+    high = np.inf
+    for mimic, bounds in ranges:
+        ends = sorted(((bounds - mimic.offset) / mimic.ratio).tolist())
+        low = max(low, ends[0])
+        high = min(high, ends[1])
+    if low > high:
+        name = shown(joint_name(model, transmission.joint))
+        raise ModelError(f"joint {name} and those that follow it have no position inside the limits of all")
+    return low, high
+
+
+def _assumed_torque(model: mujoco.MjModel, transmissions: Sequence[Transmission]) -> Array:
+    """(n,) N m: twice gravity at rest, at worst over the joints' ranges, plus the torque of a moderate acceleration."""
+    joints = [transmission.joint for transmission in transmissions]
+    worst = np.zeros(len(joints))
+    q_min, q_max = position_limits(model, transmissions)
+    unlimited = np.full(len(joints), np.inf)
+    limits = Limits(q_min, q_max, unlimited, unlimited, unlimited, unlimited)
+    drawn = model.qpos0[model.jnt_qposadr[joints]]
+    for q in limits.random(limits.clamp(drawn), _TORQUE_SAMPLES, np.random.default_rng(0)):
+        qpos = model.qpos0.copy()
+        qpos[model.jnt_qposadr[joints]] = q
+        M, gravity = _inertia_and_gravity(model, transmissions, qpos)
+        worst = np.maximum(worst, 2 * np.abs(gravity) + _ASSUMED_ACCELERATION * np.diag(M))
+    return worst
+
+
+def _assumed_torque_note(model: mujoco.MjModel, joints: Sequence[int], tau: Array) -> str:
+    names = ", ".join(joint_name(model, joint) for joint in joints)
+    joint_units = units.of_joints(model.jnt_type[list(joints)] == int(mujoco.mjtJoint.mjJNT_SLIDE))
+    values = ", ".join(f"{x:.3g} {unit}" for x, unit in zip(tau, units.of_torque(joint_units), strict=True))
+    rates = units.label(joint_units, "/s^2")
+    return f"no torque limit given for {names}: assumed {values} (twice gravity at rest plus 10 {rates})"
+
+
+def _inertia_and_gravity(model: mujoco.MjModel, transmissions: Sequence[Transmission], qpos: Array) -> tuple[Array, Array]:
+    """(n, n) mass matrix and (n,) gravity torque of an arm by MuJoCo, all coupled joints included."""
+    data = mujoco.MjData(model)
+    full = np.zeros((model.nv, model.nv))
+    ratio = np.zeros((model.nv, len(transmissions)))
+    data.qpos[:] = qpos
+    for i, transmission in enumerate(transmissions):
+        for joint, mimic in transmission.coupled.items():
+            ratio[model.jnt_dofadr[joint], i] = mimic.ratio
+            leader = qpos[model.jnt_qposadr[transmission.joint]]
+            data.qpos[model.jnt_qposadr[joint]] = mimic.ratio * leader + mimic.offset
+    mujoco.mj_fwdPosition(model, data)
+    mujoco.mj_fwdVelocity(model, data)
+    mujoco.mj_fullM(model, data, full)
+    return ratio.T @ full @ ratio, ratio.T @ (data.qfrc_bias - data.qfrc_gravcomp)

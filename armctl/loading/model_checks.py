@@ -1,0 +1,66 @@
+"""Checks of a model before it becomes an arm: what armctl refuses, and what it notes."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+
+from armctl.core.errors import ModelError
+from armctl.core.validation import shown
+from armctl.mjmodel.queries import body_name, joint_name
+from armctl.robot.arm import Arm
+
+_MAX_CONDITION = 1e15  # of the mass matrix; beyond it, no digit of an acceleration is right
+
+
+def check_timestep(model: mujoco.MjModel) -> None:
+    """Refuses a time step with which nothing can be simulated.
+
+    Raises:
+        ModelError: It is not a positive number.
+    """
+    timestep = float(model.opt.timestep)
+    if not (math.isfinite(timestep) and timestep > 0.0):
+        raise ModelError(f'the model\'s time step is {timestep:g} s; it must be above 0, as in <option timestep="0.002"/>')
+
+
+def check_mass_matrix(arm: Arm) -> None:
+    """Refuses an arm whose masses are so different that its accelerations cannot be computed.
+
+    Raises:
+        ModelError: Its mass matrix at home is singular to working precision.
+    """
+    model = arm.model
+    data = mujoco.MjData(model)
+    data.qpos[:] = arm.home_qpos
+    mujoco.mj_fwdPosition(model, data)
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    M = arm.joint_map.reduced_matrix(full)
+    condition = np.linalg.cond(M) if np.isfinite(M).all() else math.inf
+    if not condition < _MAX_CONDITION:
+        heaviest = int(np.argmax(model.body_mass))
+        name = shown(body_name(model, heaviest))
+        raise ModelError(
+            f"{arm.name}: the mass matrix at home is singular (condition {condition:.2g}, at most {_MAX_CONDITION:g}); "
+            f"check masses and inertias, the greatest of which is {model.body_mass[heaviest]:.3g} kg of {name}"
+        )
+
+
+def reversed_range_notes(model: mujoco.MjModel) -> list[str]:
+    """One sentence about joints whose range ends below its start, which MuJoCo takes as no range; or none."""
+    reversed_range = np.flatnonzero(model.jnt_range[:, 0] > model.jnt_range[:, 1])
+    names = ", ".join(joint_name(model, joint) for joint in reversed_range.tolist())
+    return [f"the range of {names} ends below its start, so it counts as unlimited"] if names else []
+
+
+def drag_notes(model: mujoco.MjModel) -> list[str]:
+    """One sentence if a model simulates the drag of air or water, which an arm's dynamics leave out; or none."""
+    option = model.opt
+    if not (option.density or option.viscosity):
+        return []
+    wind = ", ".join(f"{x:g}" for x in option.wind)
+    medium = f"density {option.density:g} kg/m^3, viscosity {option.viscosity:g} Pa s, wind [{wind}] m/s"
+    return [f"drag ({medium}) acts in simulation, but controllers do not model it; density=0 viscosity=0 removes it"]
