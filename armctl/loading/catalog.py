@@ -97,7 +97,8 @@ def locate(robot: str | os.PathLike[str] | mujoco.MjSpec, *, tool: bool = False)
         ModelError: There is no such file, or the robot could not be downloaded.
     """
     if isinstance(robot, mujoco.MjSpec):
-        return Source(robot.modelname or "model", None, spec=robot)
+        spec: mujoco.MjSpec = robot
+        return Source(spec.modelname or "model", None, spec=spec)
     if not isinstance(robot, (str, os.PathLike)) or not os.fspath(robot):
         example = "tool='robotiq_2f85'" if tool else "armctl.load('panda')"
         raise InputError(f"{'tool' if tool else 'robot'}: {shown(robot)} is neither a name nor a path; try {example}")

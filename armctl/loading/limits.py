@@ -101,7 +101,7 @@ def torque_limits(model: mujoco.MjModel, transmissions: Sequence[Transmission], 
     elif unknown.any():
         tau[unknown] = _assumed_torque(model, transmissions)[unknown]
         sources.add("assumed")
-        joints = [transmissions[i].joint for i in np.flatnonzero(unknown)]
+        joints = [transmissions[i].joint for i in np.flatnonzero(unknown).tolist()]
         notes = (_assumed_torque_note(model, joints, tau[unknown]),)
     return TorqueLimits(tau, ", ".join(sorted(sources)), notes)
 

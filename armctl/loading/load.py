@@ -117,10 +117,13 @@ def load_arms(
     """
     if isinstance(tips, str) or not isinstance(tips, Sequence) or not tips:
         raise InputError(f"tips: {shown(tips)} is no list of names, such as ['left/gripper', 'right/gripper']")
-    one_base = base is None or isinstance(base, str)
-    if not one_base and not isinstance(base, Sequence):
+    bases: list[str | None]
+    if base is None or isinstance(base, str):
+        bases = [base for _ in tips]
+    elif isinstance(base, Sequence):
+        bases = list(base)
+    else:
         raise InputError(f"base: {shown(base)} is neither the name of a body nor a list of names")
-    bases = [base] * len(tips) if one_base else list(base)
     if len(bases) != len(tips):
         raise InputError(f"base: {len(bases)} given for {len(tips)} tips; give one for each, or one for all")
     hold_base = _flag("hold_base", hold_base)

@@ -64,7 +64,7 @@ def test_arms_that_would_shake_each_other_are_refused(pair):
         pair(limb("t u", limb("a b") + limb("d e")), "t u a b d e", ("B", "E"))
     with pytest.raises(armctl.ModelError, match="one of the chains to 'B' and 'A' is part of the other; give each chain once"):
         pair(trunk, "t a b d e", ("B", "A"))
-    with pytest.raises(armctl.InputError, match="tips: 'B' given, a list of names wanted"):
+    with pytest.raises(armctl.InputError, match="tips: 'B' is no list of names"):
         armctl.load_arms("robot_arm_3dof", "B")
 
 
