@@ -2,7 +2,7 @@
 
 import sys
 
-from armctl.cli.main import main
+from armctl.cli import program
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(program())

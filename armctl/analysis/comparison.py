@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -18,7 +19,7 @@ from armctl.core.errors import InputError, PlanError
 from armctl.core.log import SimulationError
 from armctl.core.trajectory import Trajectory
 from armctl.core.validation import integer, number
-from armctl.motion import move_j
+from armctl.motion import JointTrajectory, move_j
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.plant import NOMINAL, Plant
 from armctl.sim.simulation import simulate
@@ -120,18 +121,41 @@ def _run(arm: Arm, trajectory: Trajectory, pair: _Pair) -> Report:
 
 @contextmanager
 def _pool(workers: int) -> Iterator[Callable]:
-    """A `map` that runs in this number of processes."""
+    """A `map` that runs in this number of processes. An interrupt ends them at once."""
     if workers <= 1:
         yield map
         return
     from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
+    from multiprocessing import active_children, get_context
 
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+    others = set(active_children())
+    pool = ProcessPoolExecutor(workers, get_context("spawn"))
+    try:
+        with _interrupts_blocked():
+            pool.submit(int)  # starts the processes
         yield pool.map
+        pool.shutdown()
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in set(active_children()) - others:
+            process.terminate()
+        raise
 
 
-def out_and_back(arm: Arm, distance: float = 0.6) -> Trajectory:
+@contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Processes that start here never see Ctrl-C, on which each would print a traceback; this process sees it afterwards."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def out_and_back(arm: Arm, distance: float = 0.6, *, speed: float = 1.0) -> JointTrajectory:
     """Plans a motion for comparing controllers: all joints at once from home and back, as fast as the limits allow.
 
     If the arm would touch something on the way, the joints move in the other direction, or half as far, up to four times.
@@ -139,20 +163,23 @@ def out_and_back(arm: Arm, distance: float = 0.6) -> Trajectory:
     Args:
         arm: The arm.
         distance: rad (m for a slide joint) by which each joint moves, less where its range ends before.
+        speed: Fraction of the full speed, in (0, 1].
 
     Returns:
         The motion.
 
     Raises:
-        InputError: The distance is no number.
+        InputError: The distance is no number, or the speed is outside (0, 1].
         PlanError: The arm touches something however little it moves.
     """
     check_arm(arm)
     distance = number("distance", distance)
+    speed = number("speed", speed, 1e-3, 1.0)
     checker = collision_checker(arm)
     fractions = np.linspace(0.0, 1.0, 50)[:, None]
     for step in (distance * sign * 0.5**halvings for halvings in range(5) for sign in (1, -1)):
         there = 0.98 * (arm.limits.clamp(arm.home + step) - arm.home) + arm.home
         if not checker.along(arm.home + fractions * (there - arm.home)):
-            return move_j(arm, arm.home, there).then(move_j(arm, there, arm.home))
+            motion = move_j(arm, arm.home, there).then(move_j(arm, there, arm.home))
+            return motion if speed == 1.0 else motion.scaled(speed)
     raise PlanError(f"{arm.name}: it touches something wherever it moves from home, so there is no motion to compare on")

@@ -1,1 +1,40 @@
-"""The command line."""
+"""The command line. `program` is the entry point of `armctl`; each command has a module."""
+
+from __future__ import annotations
+
+import signal
+import sys
+
+_INTERRUPTED = 130  # exit status of a program that Ctrl-C ends, 128 + SIGINT
+
+
+def program() -> int:
+    """Runs the command of this process, from the first import to the last line of output.
+
+    Ctrl-C ends it at any moment with status 130 and without a traceback, also if the parent process ignores SIGINT.
+
+    Returns:
+        The exit status.
+    """
+    status = _INTERRUPTED
+    try:
+        try:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            sys.unraisablehook = _unraisable_hook
+            from armctl.cli.main import main
+
+            status = main()
+        finally:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # nothing is left to interrupt
+    except KeyboardInterrupt:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        return _INTERRUPTED
+    return status
+
+
+def _unraisable_hook(unraisable: sys.UnraisableHookArgs) -> None:
+    """Raises a KeyboardInterrupt again that Python could not raise, for example in a callback of a C library."""
+    if unraisable.exc_type is KeyboardInterrupt:
+        signal.raise_signal(signal.SIGINT)
+    else:
+        sys.__unraisablehook__(unraisable)

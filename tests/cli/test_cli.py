@@ -111,6 +111,9 @@ def test_compare_shows_every_controller(capsys):
 
 BROKEN = "<mujoco><worldbody><body></worldbody></mujoco>"
 WRONG_CALLS = {
+    "no speed": (["reach", BUNDLED, "--speed", "0"], "speed: 0 given, a fraction in (0, 1] wanted"),
+    "too fast": (["compare", BUNDLED, "--speed", "1.5"], "speed: 1.5 given, a fraction in (0, 1] wanted"),
+    "a word as speed": (["iso9283", BUNDLED, "--speed", "fast"], "speed: fast is no list of numbers"),
     "unknown robot": (["reach", "pandaa"], "unknown robot 'pandaa'; did you mean 'panda'?"),
     "short target": (["reach", BUNDLED, "--target", "0.3", "0.2"], "target: 2 numbers given"),
     "NaN target": (["reach", BUNDLED, "--target", "nan", "0", "0"], "target: element [0] is nan"),
@@ -190,6 +193,22 @@ def test_compare_writes_a_report_on_the_plants_asked_for(capsys, tmp_path):
     assert status == 0
     assert [(r["controller"], r["plant"]) for r in json.loads(out)][-1] == ("computed-torque", "payload 1 kg")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["comparison.html", "comparison.json", "comparison.md"]
+
+
+def test_compare_saves_every_run_in_files_of_its_own(capsys, tmp_path):
+    plants = "friction=0.01,friction=0.05"
+    status, _, err = run(capsys, "compare", BUNDLED, "--plants", plants, "--save", str(tmp_path), "--workers", "1")
+    assert status == 0
+    assert len(list(tmp_path.iterdir())) == err.count("wrote") == 16
+
+
+def test_half_the_speed_takes_twice_as_long(capsys):
+    times = []
+    for speed in ("1", "0.5"):
+        status, out, err = run(capsys, "compare", BUNDLED, "--controllers", "computed-torque", "--speed", speed, "--json")
+        assert status == 0, err
+        times.append(json.loads(out)[0]["duration_s"] - 0.25)
+    assert times[1] == pytest.approx(2 * times[0], abs=0.01)
 
 
 def test_compare_refuses_what_it_does_not_know(capsys):

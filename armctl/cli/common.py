@@ -1,0 +1,127 @@
+"""What several commands share: arguments, loading, output."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from armctl.core.errors import InputError
+
+if TYPE_CHECKING:
+    from armctl.analysis.report import Report
+    from armctl.robot.arm import Arm
+
+DONE = 0
+NOT_REACHED = 1
+WRONG_CALL = 2
+INTERRUPTED = 130
+
+PLANTS_HELP = "nominal, payload=1, mass=1.2, friction, delay=2, noise, ripple, continuous, all, or several joined with +"
+_CHAIN_OPTIONS = {
+    "--tip": "site, body or geom at the end of the chain",
+    "--base": "body that the chain stands on; joints above it are held",
+    "--tool": "gripper, hand or MJCF file to mount at the tip",
+    "--scene": "MJCF file of the tables and objects around the robot",
+}
+
+Commands = argparse._SubParsersAction  # argparse has no public name for it
+Run = Callable[[argparse.Namespace], int]
+
+
+def add_command(commands: Commands, name: str, run: Run, text: str) -> argparse.ArgumentParser:
+    """Adds a command without arguments."""
+    parser = commands.add_parser(name, help=text, description=text)
+    parser.set_defaults(run=run)
+    return parser
+
+
+def add_robot(parser: argparse.ArgumentParser) -> None:
+    """Adds the robot's name."""
+    parser.add_argument("robot", help="bundled name, alias, Menagerie name, or path of an .xml or .urdf file")
+
+
+def add_arm(parser: argparse.ArgumentParser) -> None:
+    """Adds the robot's name and the options that select the arm."""
+    add_robot(parser)
+    for option, meaning in _CHAIN_OPTIONS.items():
+        parser.add_argument(option, help=meaning)
+    parser.add_argument("--hold-base", action="store_true", help="hold a floating or walking robot at its keyframe")
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Adds --json."""
+    parser.add_argument("--json", action="store_true", help="print JSON instead of text")
+
+
+def add_save(parser: argparse.ArgumentParser) -> None:
+    """Adds --save."""
+    parser.add_argument("--save", type=Path, metavar="DIR", help="write logs, figures and plots into this folder")
+
+
+def add_speed(parser: argparse.ArgumentParser) -> None:
+    """Adds --speed."""
+    parser.add_argument("--speed", metavar="FRACTION", default="1", help="fraction of full speed, in (0, 1] (default 1)")
+
+
+def load_arm(args: argparse.Namespace) -> Arm:
+    """The arm that the arguments select."""
+    from armctl.loading.load import load
+
+    return load(args.robot, tip=args.tip, base=args.base, tool=args.tool, scene=args.scene, hold_base=args.hold_base)
+
+
+def numbers(what: str, words: Sequence[str]) -> list[float]:
+    """Finite numbers from words; InputError if a word is no number."""
+    from armctl.core.validation import vector
+
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        raise InputError(f"{what}: {' '.join(words)} is no list of numbers; write them with spaces between") from None
+    return vector(what, values).tolist()
+
+
+def one_number(what: str, word: str) -> float:
+    """A finite number from a word; InputError if it is none."""
+    return numbers(what, [word])[0]
+
+
+def speed_from(word: str) -> float:
+    """The checked value of --speed."""
+    speed = one_number("speed", word)
+    if not 0.0 < speed <= 1.0:
+        raise InputError(f"speed: {speed:g} given, a fraction in (0, 1] wanted")
+    return speed
+
+
+def names(text: str | None) -> list[str]:
+    """Names from text with commas or spaces between them."""
+    return [word for word in (text or "").replace(" ", ",").split(",") if word]
+
+
+def print_result(args: argparse.Namespace, text: str, figures: object) -> None:
+    """Prints text, or JSON with --json."""
+    print(json.dumps(figures, indent=2) if args.json else text)
+
+
+def save_report(report: Report, folder: Path, prefix: str) -> None:
+    """Writes the log, the figures and the plot of a run."""
+    from armctl.core.atomic import write_text
+
+    say_written(report.log.save(folder / f"{prefix}log.npz"))
+    say_written(report.log.save(folder / f"{prefix}log.csv"))
+    figures = folder / f"{prefix}report.json"
+    write_text(figures, json.dumps(report.to_dict(), indent=2) + "\n")
+    say_written(figures)
+    plot = folder / f"{prefix}plot.png"
+    report.plot(plot)
+    say_written(plot)
+
+
+def say_written(path: Path) -> None:
+    """Names a file that was written, on stderr."""
+    print(f"wrote {path}", file=sys.stderr)

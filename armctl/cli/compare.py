@@ -1,0 +1,98 @@
+"""`armctl compare ROBOT`: the same motion under several controllers, on several plants."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from armctl.cli.common import (
+    DONE,
+    PLANTS_HELP,
+    Commands,
+    add_arm,
+    add_command,
+    add_json,
+    add_save,
+    add_speed,
+    load_arm,
+    names,
+    one_number,
+    print_result,
+    save_report,
+    say_written,
+    speed_from,
+)
+from armctl.core.errors import UnknownNameError
+
+if TYPE_CHECKING:
+    from armctl.analysis.report import Report
+
+_RUNS_PER_WORKER = 6  # starting a process takes as long as a few runs
+_MAX_PREFIX_CHARACTERS = 120  # file systems allow 255 bytes for a name
+
+
+def add(commands: Commands) -> None:
+    """Adds the command to the parser."""
+    parser = add_command(commands, "compare", run, "follow the same motion under several controllers")
+    add_arm(parser)
+    parser.add_argument("--controllers", default="pd,computed-torque", metavar="A,B,...", help="or all (default %(default)s)")
+    parser.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{PLANTS_HELP} (default nominal)")
+    parser.add_argument("--report", type=Path, metavar="DIR", help="write JSON, Markdown and an HTML page into this folder")
+    parser.add_argument("--timestep", help="the control period, s (default the model's)")
+    parser.add_argument(
+        "--workers", type=int, default=os.cpu_count() or 1, help="number of processes (default one per processor core)"
+    )
+    add_speed(parser)
+    add_json(parser)
+    add_save(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Runs the command."""
+    speed = speed_from(args.speed)
+    from armctl.analysis.comparison import compare, out_and_back, remarks
+    from armctl.analysis.comparison_html import write_comparison
+    from armctl.analysis.report import table
+    from armctl.cli.plants import plant_by_name
+    from armctl.control import CONTROLLERS
+    from armctl.core.progress import progress_bar
+
+    arm = load_arm(args)
+    timestep = one_number("timestep", args.timestep) if args.timestep else None
+    controllers = list(CONTROLLERS) if args.controllers == "all" else names(args.controllers)
+    for name in controllers:
+        if name not in CONTROLLERS:
+            raise UnknownNameError.of("controller", name, CONTROLLERS)
+    plants = [plant_by_name(name, arm, timestep) for name in names(args.plants)]
+    for folder in filter(None, (args.report, args.save)):
+        folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is reported before the runs
+    runs = len(plants) * len(controllers)
+    workers = min(args.workers, runs // _RUNS_PER_WORKER + 1)
+    with progress_bar("compare", runs, "runs") as bar:
+        motion = out_and_back(arm, speed=speed)
+        reports = compare(arm, controllers, motion, plants, workers=workers, progress=lambda *_: bar.update())
+    print_result(args, "\n".join([*remarks(reports), table(reports)]), [r.to_dict() for r in reports])
+    if args.save:
+        for report, prefix in zip(reports, _file_prefixes(reports), strict=True):
+            save_report(report, args.save, prefix)
+    if args.report:
+        for path in write_comparison(reports, args.report, "All joints out and back"):
+            say_written(path)
+    return DONE
+
+
+def _file_prefixes(reports: Sequence[Report]) -> list[str]:
+    """A distinct beginning of a file name for each run: its controller, and its plant if there are several."""
+    several_plants = len({report.plant for report in reports}) > 1
+    prefixes: list[str] = []
+    for report in reports:
+        label = f"{report.controller}-{report.plant}" if several_plants else report.controller
+        prefix = re.sub(r"[^\w.=+-]+", "_", label)[:_MAX_PREFIX_CHARACTERS]
+        while f"{prefix}-" in prefixes:
+            prefix += "_"
+        prefixes.append(f"{prefix}-")
+    return prefixes

@@ -1,0 +1,55 @@
+"""`armctl iso9283 ROBOT`: pose and path accuracy."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from armctl.cli.common import (
+    DONE,
+    NOT_REACHED,
+    PLANTS_HELP,
+    Commands,
+    add_arm,
+    add_command,
+    add_json,
+    add_speed,
+    load_arm,
+    one_number,
+    print_result,
+    speed_from,
+)
+
+
+def add(commands: Commands) -> None:
+    """Adds the command to the parser."""
+    parser = add_command(commands, "iso9283", run, "pose and path accuracy by the standard's cycles")
+    add_arm(parser)
+    parser.add_argument("--controller", default="computed-torque-observer", help="its name (default %(default)s)")
+    parser.add_argument("--plant", default="noise", metavar="A+B", help=f"{PLANTS_HELP} (default noise)")
+    parser.add_argument("--identify", action="store_true", help="identify the payload first; the controller then uses it")
+    parser.add_argument("--cycles", type=int, default=30, help="number of cycles through the five poses (default 30)")
+    parser.add_argument("--timestep", help="the control period, s (default the model's)")
+    add_speed(parser)
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Runs the command."""
+    speed = speed_from(args.speed)
+    from armctl.analysis.iso9283 import iso9283_cycles
+    from armctl.cli.plants import plant_by_name
+    from armctl.control import controller_by_name
+    from armctl.design.identification import excitation, identify_payload
+    from armctl.sim.simulation import simulate
+
+    arm = load_arm(args)
+    known = arm
+    plant = plant_by_name(args.plant, arm, one_number("timestep", args.timestep) if args.timestep else None)
+    if args.identify:
+        found = identify_payload(arm, simulate(arm, args.controller, excitation(arm), plant))
+        print(f"armctl: {found}", file=sys.stderr)
+        known = found.applied_to(arm)
+    figures = iso9283_cycles(arm, controller_by_name(args.controller, known), plant, cycles=args.cycles, speed=speed)
+    print_result(args, str(figures), figures.to_dict())
+    return DONE if figures else NOT_REACHED

@@ -1,0 +1,75 @@
+"""`armctl reach ROBOT`: the tip moves to a target, and a report."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from armctl.cli.common import (
+    DONE,
+    NOT_REACHED,
+    Commands,
+    add_arm,
+    add_command,
+    add_json,
+    add_save,
+    add_speed,
+    load_arm,
+    numbers,
+    print_result,
+    save_report,
+    say_written,
+    speed_from,
+)
+from armctl.core.errors import InputError, LimitError
+
+
+def add(commands: Commands) -> None:
+    """Adds the command to the parser."""
+    parser = add_command(commands, "reach", run, "move the tip to a target and report")
+    add_arm(parser)
+    parser.add_argument("--target", nargs="+", metavar="N", help="x y z in m, optionally with roll pitch yaw in rad")
+    parser.add_argument("--controller", default="computed-torque", help="its name (default computed-torque)")
+    parser.add_argument("--video", type=Path, metavar="FILE", help="film the run into this .mp4 or .gif")
+    add_speed(parser)
+    add_json(parser)
+    add_save(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Runs the command."""
+    speed = speed_from(args.speed)
+    from armctl.analysis.report import Report
+    from armctl.render import film_path
+    from armctl.sim.simulation import Simulation
+
+    if args.video:
+        film_path(args.video)
+    simulation = Simulation(load_arm(args), args.controller)
+    target = simulation.target if args.target is None else _target(args.target)
+    result = simulation.move_to(target, **({} if speed == 1.0 else {"speed": speed}))
+    if result.log is None:
+        figures = {"ok": False, "verdict": str(result), "robot": args.robot, "controller": args.controller}
+        print_result(args, str(result), figures)
+        return NOT_REACHED
+    report = Report.from_log(result.log)
+    print_result(args, str(report), report.to_dict())
+    if args.save:
+        save_report(report, args.save, "")
+    if args.video:
+        say_written(simulation.record(args.video))
+    return DONE if result and report else NOT_REACHED
+
+
+def _target(words: Sequence[str]):
+    from armctl.core.pose import Pose
+
+    values = numbers("target", words)
+    if len(values) not in (3, 6):
+        raise InputError(f"target: {len(values)} numbers given, x y z or x y z roll pitch yaw wanted")
+    angle = max(values[3:], key=abs, default=0.0)
+    if abs(angle) > math.tau:
+        raise LimitError(f"target: {angle:g} rad is more than a turn; {angle:g} degrees are {math.radians(angle):.4f} rad")
+    return Pose(values[:3], rpy=values[3:]) if len(values) == 6 else values
