@@ -16,7 +16,7 @@ from armctl.core import units
 from armctl.core.errors import InputError
 from armctl.core.log import Contact, Log
 from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE
-from armctl.core.validation import Array, BoolArray, instance, number
+from armctl.core.validation import Array, BoolArray, instance, number, shown
 
 _MAX_CONTACTS_SHOWN = 3
 _MIN_TIP_ERROR_SHOWN_M = 1e-9
@@ -201,7 +201,12 @@ def table(reports: Sequence[Report]) -> str:
 
     Returns:
         The table.
+
+    Raises:
+        InputError: Something else than reports.
     """
+    if not isinstance(reports, Sequence) or not all(isinstance(report, Report) for report in reports):
+        raise InputError(f"reports: {shown(reports)} given, a list of reports wanted; armctl.compare gives one")
     return report_table(reports).markdown()
 
 

@@ -105,6 +105,9 @@ class Log:
     contacts: tuple[Contact, ...] = ()
 
     def __post_init__(self) -> None:
+        for name, values in (("joint_names", self.joint_names), ("units", self.units)):
+            if not isinstance(values, (tuple, list)) or not all(isinstance(value, str) for value in values):
+                raise InputError(f"{name}: {shown(values)} given, a tuple of names wanted")
         object.__setattr__(self, "units", tuple(self.units) or ("rad",) * len(self.joint_names))
         for each in fields(self):
             value = getattr(self, each.name)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
-from armctl.core.validation import Array, array, frozen, vector
+from armctl.core.validation import Array, array, frozen, instance, matrix, shown, vector
 
 
 class Pose:
@@ -104,10 +104,18 @@ class Pose:
 
         Returns:
             The pose.
+
+        Raises:
+            InputError: They have another shape, or are not numeric.
         """
         pose = cls.__new__(cls)
-        R = np.asarray(rotation, dtype=np.float64)
-        pose._fill(position, _quat_from_matrix(R), R)
+        try:
+            R = np.asarray(rotation, dtype=np.float64)
+            pose._fill(position, _quat_from_matrix(R), R)
+        except Exception:  # this path is fast for valid values; the checks find out what is wrong
+            matrix("rotation", rotation, 3)
+            vector("position", position, 3)
+            raise InputError(f"rotation: {shown(rotation)} given, a (3, 3) rotation wanted") from None
         return pose
 
     @property
@@ -155,7 +163,11 @@ class Pose:
 
         Returns:
             The distance in m and the angle in rad, 0 to pi.
+
+        Raises:
+            InputError: It is no pose.
         """
+        instance("other", other, Pose, "armctl.Pose(position) makes one")
         return (
             float(np.linalg.norm(other.position - self.position)),
             rotation_angle(self.rotation.T @ other.rotation),

@@ -112,7 +112,8 @@ class Scene:
         Raises:
             InputError: A name twice, a size or a mass that is not positive.
         """
-        size = _positive("radius and length", vector("radius and length", [radius, length / 2, 0], 3), 2)
+        half_length = number("length", length) / 2
+        size = _positive("radius and length", vector("radius and length", [radius, half_length, 0], 3), 2)
         return self._add(name, _CYLINDER, size, at, mass)
 
     def build(self, spec: mujoco.MjSpec) -> None:
@@ -122,8 +123,9 @@ class Scene:
             spec: The specification, changed in place.
 
         Raises:
-            InputError: The model has a body of the same name already.
+            InputError: It is no specification, or the model has a body of the same name already.
         """
+        instance("spec", spec, mujoco.MjSpec, "mujoco.MjSpec.from_file reads one")
         names = [*(self._file.bodies if self._file else ()), *(item.name for item in self.items)]
         taken = {body.name for body in spec.bodies}
         for name in names:

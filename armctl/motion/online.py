@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.core.errors import InputError, LimitError, PlanError
+from armctl.core.errors import LimitError, PlanError
 from armctl.core.trajectory import Setpoint
-from armctl.core.validation import Array, vector
+from armctl.core.validation import Array, number, vector
 from armctl.motion.checks import planning_arm, start_velocity
 from armctl.motion.timing.otg import Moving, Profiles
 from armctl.robot.arm import Arm
@@ -101,11 +99,9 @@ class OnlineMotion:
             q, v, a at its end, each (n,).
 
         Raises:
-            InputError: dt is less than 0 or not finite.
+            InputError: dt is no number, less than 0 or not finite.
         """
-        if not 0.0 <= dt < math.inf:
-            raise InputError(f"dt: {dt} s given, a finite time of at least 0 s wanted")
-        self._t += dt
+        self._t += number("dt", dt, 0.0)
         return self.setpoint
 
     @property

@@ -12,7 +12,7 @@ import numpy as np
 from armctl.core import units
 from armctl.core.errors import InputError
 from armctl.core.limits import Limits
-from armctl.core.validation import Array, IntArray, frozen
+from armctl.core.validation import Array, IntArray, frozen, instance, shown
 from armctl.mjmodel.queries import joint_name
 from armctl.mjmodel.transmissions import Transmission
 from armctl.robot.joint_map import JointMap
@@ -72,7 +72,15 @@ class Actuation:
 
         Returns:
             The actuation.
+
+        Raises:
+            InputError: An argument of another type.
         """
+        instance("model", model, mujoco.MjModel, "arm.model is one")
+        instance("joint_map", joint_map, JointMap, "arm.joint_map is one")
+        instance("limits", limits, Limits, "arm.limits is one")
+        for each in transmissions if isinstance(transmissions, Sequence) else [transmissions]:
+            instance("transmissions", each, Transmission, "a list of them is needed")
         joints = [transmission.joint for transmission in transmissions]
         actuators = [transmission.actuator for transmission in transmissions]
         # A motor on a tendon acts on several joints: its torque is read where its moment arm is largest.
@@ -105,8 +113,10 @@ class Actuation:
         Raises:
             InputError: There are no parts, or two of them move the same joint.
         """
-        if not parts:
-            raise InputError("parts: at least one Actuation is needed, got none")
+        if not isinstance(parts, Sequence) or not parts:
+            raise InputError(f"parts: {shown(parts)} given, a list of at least one Actuation wanted")
+        for part in parts:
+            instance("parts", part, Actuation, "arm.actuation is one")
         maps = [part.joint_map for part in parts]
         arrays = ("qpos_adr", "dof_adr", "ctrl_adr", "gear", "torque_adr", "torque_share")
         return cls(

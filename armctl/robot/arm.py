@@ -181,9 +181,12 @@ class Arm:
 
         Returns:
             (nq,) for `MjData.qpos`.
+
+        Raises:
+            InputError: q has another shape, is not numeric or not finite.
         """
         qpos = self.home_qpos.copy()
-        self.joint_map.set_positions(qpos, q)
+        self.joint_map.set_positions(qpos, vector("q", q, self.n))
         return qpos
 
     def qvel(self, v: Array) -> Array:
@@ -194,9 +197,12 @@ class Arm:
 
         Returns:
             (nv,) for `MjData.qvel`.
+
+        Raises:
+            InputError: v has another shape, is not numeric or not finite.
         """
         qvel = np.zeros(self.model.nv)
-        self.joint_map.set_speeds(qvel, v)
+        self.joint_map.set_speeds(qvel, vector("v", v, self.n))
         return qvel
 
     def with_limits(self, limits: Limits) -> Arm:

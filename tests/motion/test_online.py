@@ -91,7 +91,7 @@ def test_a_tick_that_is_no_time_is_refused_and_changes_nothing(dt):
     motion = armctl.OnlineMotion(arm, arm.home)
     motion.go_to(arm.home + 0.1)
     before = motion.step(0.01)
-    with pytest.raises(armctl.InputError, match=r"dt: .* s given, a finite time of at least 0 s wanted"):
+    with pytest.raises(armctl.InputError, match=r"dt: .* given, a (finite )?number"):
         motion.step(dt)
     assert np.array_equal(motion.setpoint.q, before.q)
 
