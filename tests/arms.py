@@ -30,6 +30,8 @@ def at_hand(robot: str) -> bool:
     Returns:
         True if its files are here.
     """
+    if robot == BUNDLED:
+        return True
     store, row = menagerie.Cache(), menagerie.get(ALIASES.get(robot, robot))
     return (store.root / row.name).is_dir() if store.root else store.is_cached(row)
 
