@@ -91,7 +91,7 @@ def waypoints(panda: armctl.Arm, sets: int) -> str:
             shares, peers, times, inside = [], [], [], True
             for k in range(sets):
                 q = kind(arm, rng)
-                stopping = WaypointSearch(q, arm.limits).at_rest().durations
+                stopping = WaypointSearch(q, arm.limits).stopping().durations
                 began = time.perf_counter()
                 motion = armctl.move_through(arm, q)
                 times.append(time.perf_counter() - began)
@@ -252,8 +252,7 @@ def limits_kept(moves: int) -> str:
 
 
 def anywhere(arm: armctl.Arm, rng: np.random.Generator) -> Array:
-    low, high = np.maximum(arm.limits.q_min, -np.pi), np.minimum(arm.limits.q_max, np.pi)
-    return rng.uniform(low, high)
+    return arm.limits.random(arm.home, 1, rng)[0]
 
 
 def point_near(arm: armctl.Arm, rng: np.random.Generator) -> tuple[Array, Array]:

@@ -8,13 +8,13 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError, LimitError
 from armctl.core.validation import Array
 from armctl.motion.checks import planning_arm, start_velocity
-from armctl.motion.timing.otg import Moving, Profiles, at_rest
+from armctl.motion.timing.otg import JointState, ProfileSolver, at_rest, solve_pieces
 from armctl.motion.torque_limits import within_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import Pieces, standing
 from armctl.robot.arm import Arm
 
-_PARALLEL = 1e-6
+_MAX_VELOCITY_OFF_LINE = 1e-6  # of the smallest speed limit
 
 
 def move_j(
@@ -56,7 +56,7 @@ def move_j(
     if straight:
         pieces = _line(planning, start, goal, v)
     else:
-        pieces = Profiles.of(planning.limits).solve(Moving(start, v, np.zeros(arm.n)), at_rest(goal))
+        pieces = solve_pieces(ProfileSolver.of(planning.limits), JointState(start, v, np.zeros(arm.n)), at_rest(goal))
     motion = JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)
     if v.any() and not (check := motion.check_limits()).ok:
         raise LimitError(f"v_start: {check.violations[0]}; start slower, or let it stop before")
@@ -64,19 +64,22 @@ def move_j(
 
 
 def _line(arm: Arm, start: Array, goal: Array, v: Array) -> Pieces:
-    """The pieces of q(t) = start + s(t) (goal - start) / length, the length the longest way of a joint."""
+    """The pieces of q(t) = start + s(t) (goal - start) / length, with length the longest way of a joint."""
     way = goal - start
     length = float(np.abs(way).max())
     if length == 0.0 and not v.any():
         return standing(start)
-    way = way / length if length else way
-    speed = float(v @ way) / float(way @ way) if length else 0.0
-    if np.abs(v - speed * way).max() > _PARALLEL * arm.limits.v_max.min():
+    direction = way / length if length else way
+    speed = float(v @ direction) / float(direction @ direction) if length else 0.0
+    if np.abs(v - speed * direction).max() > _MAX_VELOCITY_OFF_LINE * arm.limits.v_max.min():
         raise InputError("v_start: it leads off the straight line from q_start to q_goal; plan with straight=False")
+    limits = arm.limits
     with np.errstate(divide="ignore"):
-        bounds = [np.array([(bound / np.abs(way)).min()]) for bound in (arm.limits.v_max, arm.limits.a_max, arm.limits.j_max)]
+        v_max, a_max, j_max = (
+            np.array([(bound / np.abs(direction)).min()]) for bound in (limits.v_max, limits.a_max, limits.j_max)
+        )
     zero = np.zeros(1)
-    knots, s = Profiles(*bounds).solve(Moving(zero, zero + speed, zero), at_rest(zero + length))
-    coefficients = s * way
+    knots, s = solve_pieces(ProfileSolver(v_max, a_max, j_max), JointState(zero, zero + speed, zero), at_rest(zero + length))
+    coefficients = s * direction
     coefficients[:, 0] += start
     return Pieces(knots, coefficients)

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.core.errors import InputError
+from armctl.core.errors import InputError, PlanError
 from armctl.core.limits import Limits
-from armctl.core.validation import Array, matrix
+from armctl.core.validation import matrix
 from armctl.motion.checks import planning_arm
-from armctl.motion.timing.otg import Moving, Profiles
+from armctl.motion.timing.otg import stretch_needed
 from armctl.motion.timing.waypoint_timing import Candidate, WaypointSearch
 from armctl.motion.torque_limits import within_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
-from armctl.motion.trajectory.piecewise import Pieces, joined, standing
+from armctl.motion.trajectory.limit_check import is_inside
+from armctl.motion.trajectory.piecewise import standing, time_scaled
 from armctl.robot.arm import Arm
 
-_SAME = 1e-9  # rad, between two waypoints that are met as one
+_SAME_WAYPOINT = 1e-9  # rad (m); closer waypoints count as one
 
 
 def move_through(arm: Arm, waypoints: ArrayLike, *, speed: float = 1.0) -> JointTrajectory:
@@ -46,25 +45,32 @@ def move_through(arm: Arm, waypoints: ArrayLike, *, speed: float = 1.0) -> Joint
     if len(rows) < 2:
         raise InputError(f"waypoints: {len(rows)} given, at least 2 wanted (the first one is where the arm is)")
     points = np.array([arm.checked(f"waypoints[{i}]", row) for i, row in enumerate(rows)])
-    apart = np.abs(np.diff(points, axis=0)).max(axis=1) > _SAME
+    apart = np.abs(np.diff(points, axis=0)).max(axis=1) > _SAME_WAYPOINT
     points = points[np.concatenate([[True], apart])]
     if len(points) == 1:
-        return _motion(arm, standing(points[0]))
+        return JointTrajectory(*standing(points[0]), arm.joint_names, arm.limits, units=arm.units)
     search = WaypointSearch(points, planning.limits)
-    stopping = search.at_rest()
-    motion = within_torque(arm, _motion(arm, _pieces(planning.limits, points, search.fastest(stopping))))
-    if motion.duration > stopping.durations.sum():  # torque limits can slow this motion more than the one that stops
-        stops = within_torque(arm, _motion(arm, _pieces(planning.limits, points, stopping)))
-        motion = min(motion, stops, key=lambda one: one.duration)
+    stopping = search.stopping()
+    motion = _planned(arm, planning.limits, search, search.fastest(stopping))
+    if motion is None or motion.duration > stopping.durations.sum():
+        # Torque limits can slow the flowing motion down more than the one that stops.
+        stops = _planned(arm, planning.limits, search, stopping)
+        if stops is not None and (motion is None or stops.duration < motion.duration):
+            motion = stops
+    if motion is None:
+        raise PlanError(
+            "move_through: rounding takes every motion through these waypoints outside the limits; place them farther apart"
+        )
     return motion
 
 
-def _motion(arm: Arm, pieces: Pieces) -> JointTrajectory:
-    return JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)
-
-
-def _pieces(limits: Limits, points: Array, found: Candidate) -> Pieces:
-    """The motion with the velocities and accelerations at the waypoints that a search found."""
-    profiles = Profiles.of(limits)
-    states = [Moving(*state) for state in zip(points, found.v, found.a, strict=True)]
-    return joined([profiles.solve(a, b) for a, b in pairwise(states)])
+def _planned(arm: Arm, limits: Limits, search: WaypointSearch, candidate: Candidate) -> JointTrajectory | None:
+    """The motion of a candidate within all limits; None if rounding takes it out of the position limits."""
+    try:
+        pieces = search.pieces(candidate)
+    except PlanError:
+        return None
+    pieces = time_scaled(pieces, 1 / stretch_needed(pieces, (limits.v_max, limits.a_max, limits.j_max)))
+    if not is_inside(pieces, limits):
+        return None
+    return within_torque(arm, JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units))

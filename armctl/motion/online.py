@@ -9,11 +9,11 @@ from armctl.core.errors import LimitError, PlanError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number, vector
 from armctl.motion.checks import planning_arm, start_velocity
-from armctl.motion.timing.otg import Moving, Profiles
+from armctl.motion.timing.otg import JointState, Profile, ProfileSolver
 from armctl.robot.arm import Arm
 
-_ROUNDING = 1e-9  # rad
-_SHARE = 1e-9  # of a limit
+_POSITION_ROUNDING = 1e-9  # rad (m)
+_LIMIT_ROUNDING = 1e-9  # of a limit
 
 
 class OnlineMotion:
@@ -43,19 +43,23 @@ class OnlineMotion:
             LimitError: A start outside the limits, or so fast that no stop inside them is possible.
         """
         planning_arm(arm, 1.0)
-        self._arm, limits = arm, arm.limits
-        self._q_min, self._q_max = (limits.q_min - _ROUNDING).tolist(), (limits.q_max + _ROUNDING).tolist()
-        self._q_low, self._q_high, self._rest = limits.q_min.tolist(), limits.q_max.tolist(), [0.0] * arm.n
-        self._profiles = Profiles.of(limits)
+        limits = arm.limits
+        self._arm = arm
+        self._q_min = limits.q_min.tolist()
+        self._q_max = limits.q_max.tolist()
+        self._q_min_loose = (limits.q_min - _POSITION_ROUNDING).tolist()
+        self._q_max_loose = (limits.q_max + _POSITION_ROUNDING).tolist()
+        self._zero = [0.0] * arm.n
+        self._solver = ProfileSolver.of(limits)
         q = arm.checked("q_start", q_start)
         v = start_velocity(arm, v_start)
         a = np.zeros(arm.n) if a_start is None else vector("a_start", a_start, arm.n)
         self._require_feasible(v, a)
         self._t = 0.0
-        self._now = Moving(q.tolist(), v.tolist(), a.tolist())
+        self._start = JointState(q.tolist(), v.tolist(), a.tolist())
         self._goal: Array | None = None
         self._brake()
-        if not self._stays_inside():
+        if not self._stays_inside(self._profile):
             raise LimitError("v_start: the arm cannot stop inside its position limits from this start; start slower")
 
     @property
@@ -75,18 +79,22 @@ class OnlineMotion:
             PlanError: No motion inside the limits leads there from the present state; the motion stops instead.
         """
         goal = self._checked(q)
-        self._now = self._state(self._t)
-        target = Moving(goal.tolist(), self._rest, self._rest)
+        self._start = self._state(self._t)
+        target = JointState(goal.tolist(), self._zero, self._zero)
         for together in (True, False):
-            if self._profiles.reach(self._now, target, together=together) and self._stays_inside():
-                self._t, self._goal = 0.0, goal
+            profile = self._solver.solve(self._start, target, together)
+            if profile is not None and self._stays_inside(profile):
+                self._profile = profile
+                self._t = 0.0
+                self._goal = goal
                 return
         self._brake()
         raise PlanError("go_to: no motion inside the limits leads there from here; it stops instead, ask again when it rests")
 
     def stop(self) -> None:
         """Comes to rest as soon as the limits allow."""
-        self._now, self._goal = self._state(self._t), None
+        self._start = self._state(self._t)
+        self._goal = None
         self._brake()
 
     def step(self, dt: float) -> Setpoint:
@@ -112,17 +120,17 @@ class OnlineMotion:
     @property
     def time_left(self) -> float:
         """How long until it comes to rest, s, if nothing changes."""
-        return max(0.0, self._profiles.duration - self._t)
+        return max(0.0, self._profile.duration - self._t)
 
     def _require_feasible(self, v: Array, a: Array) -> None:
         """Refuses a start from which a joint would have to exceed its speed or acceleration."""
         limits, names, units = self._arm.limits, self._arm.joint_names, self._arm.units
-        over = np.abs(a) > limits.a_max * (1 + _SHARE)
+        over = np.abs(a) > limits.a_max * (1 + _LIMIT_ROUNDING)
         if over.any():
             i = int(over.argmax())
             raise LimitError(f"a_start: {names[i]}: {a[i]:g} {units[i]}/s^2 is outside +-{limits.a_max[i]:g} {units[i]}/s^2")
         later = np.abs(v + a * np.abs(a) / (2 * limits.j_max))
-        over = later > limits.v_max * (1 + _SHARE)
+        over = later > limits.v_max * (1 + _LIMIT_ROUNDING)
         if over.any():
             i = int(over.argmax())
             raise LimitError(
@@ -133,17 +141,21 @@ class OnlineMotion:
     def _checked(self, q: ArrayLike) -> Array:
         """A caller's goal, checked: one that is plainly good is seen to be so in less time than what is wrong takes to tell."""
         if isinstance(q, np.ndarray) and q.shape == (self._arm.n,) and q.dtype == np.float64:
-            inside = [low <= x <= high for low, x, high in zip(self._q_low, q.tolist(), self._q_high, strict=True)]
+            inside = [low <= x <= high for low, x, high in zip(self._q_min, q.tolist(), self._q_max, strict=True)]
             if all(inside):
                 return q.copy()
         return self._arm.checked("q", q)
 
-    def _stays_inside(self) -> bool:
-        return self._profiles.stays_inside(self._q_min, self._q_max)
+    def _stays_inside(self, profile: Profile) -> bool:
+        return profile.stays_inside(self._q_min_loose, self._q_max_loose)
 
     def _brake(self) -> None:
-        self._profiles.stop(self._now)
+        """Replaces the profile by the fastest stop from `_start`."""
+        profile = self._solver.stop(self._start)
+        if profile is None:
+            raise PlanError("no stop inside the limits was found from the present state")
+        self._profile = profile
         self._t = 0.0
 
-    def _state(self, t: float) -> Moving:
-        return Moving(*self._profiles.at(min(t, self._profiles.duration)))
+    def _state(self, t: float) -> JointState:
+        return JointState(*self._profile.at(min(t, self._profile.duration)))

@@ -1,13 +1,15 @@
-"""The torques that a motion takes: held against the motors' limits, and kept inside them by slowing down.
+"""The torques of a motion: compared with the motors' limits, and kept inside them by slowing the motion down.
 
-A torque is not a polynomial in time, so its extremes are looked for at samples, and a motion is held to a little less than the
-limits (`_MARGIN`) to cover what is between them.
+A torque is not a polynomial in time, so its extremes are searched at samples. A motion is kept a little below the limits, by
+`_TORQUE_MARGIN`, to cover what happens between samples.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -19,24 +21,27 @@ from armctl.motion.trajectory.joint_trajectory import JointTrajectory, Slowdown
 from armctl.robot.arm import Arm, check_arm
 from armctl.robot.dynamics import Dynamics
 
-_SAMPLE = 0.004  # s
-_MARGIN = 1e-3  # of the limits
-_STRETCHES, _STRETCH = 400, 1.01
+_SAMPLE_INTERVAL_S = 0.004
+_MAX_EVEN_SAMPLES = 20_000  # a longer motion is sampled piece by piece, or in chunks of so many samples
+_MIN_SAMPLES_PER_PIECE = 64  # of a motion with very many pieces
+_TORQUE_MARGIN = 1e-3  # of the limits
+_MAX_STRETCHES = 400
+_STRETCH = 1.01  # factor by which one stretch lengthens a motion
 
 
 @dataclass(frozen=True)
 class TorqueCheck:
-    """What a motion makes of the motors' limits.
+    """Whether the motors can follow a motion. True if they can.
 
     Attributes:
-        ok: Whether no joint needs more than its motor gives.
-        joint: The joint that uses most of its limit.
-        time: s, when.
-        torque: N m (N for a slide joint), how much it needs then.
+        ok: Whether no joint needs more torque than its motor gives.
+        joint: The joint that uses the largest share of its limit.
+        time: s, when it does.
+        torque: N m (N for a slide joint), the torque that it needs then.
         bound: N m, its limit.
         unit: "N m" or "N".
-        ratio: How much of it that is.
-        ratios: (n,) the most that each joint uses of its limit.
+        ratio: The share of the limit.
+        ratios: (n,) the largest share of its limit that each joint uses.
     """
 
     ok: bool
@@ -48,6 +53,14 @@ class TorqueCheck:
     ratio: float
     ratios: tuple[float, ...]
 
+    def __bool__(self) -> bool:
+        return self.ok
+
+    @property
+    def reason(self) -> str:
+        """Which joint needs too much torque, in words; empty if none does."""
+        return "" if self.ok else str(self)
+
     def __str__(self) -> str:
         verdict = "inside" if self.ok else "outside"
         return (
@@ -57,59 +70,66 @@ class TorqueCheck:
 
 
 def check_torque(arm: Arm, trajectory: Trajectory) -> TorqueCheck:
-    """The torques that a motion takes, by inverse dynamics with damping and dry friction, against the motors' limits.
+    """The torques of a motion, by inverse dynamics with damping and dry friction, compared with the motors' limits.
 
     Args:
-        arm: The arm, with what it carries.
+        arm: The arm, with its payload.
         trajectory: Any motion of its joints.
 
     Returns:
-        The check, from samples at most 4 ms apart.
+        The check, from samples at most 4 ms apart. A `JointTrajectory` of more than 80 s is sampled at least 64 times in each
+        of its pieces instead, so that time and memory grow with the pieces and not with the seconds.
 
     Raises:
         InputError: It is not an arm, not a motion, or a motion of other joints.
     """
     check_arm(arm)
     check_motion(trajectory, arm.joint_names)
-    times = _times(trajectory)
-    torques = _torques(Dynamics(arm), *trajectory.sample(times)[:3])
-    shares = np.abs(torques) / arm.limits.tau_max
-    k, i = np.unravel_index(int(shares.argmax()), shares.shape)
-    ratios = tuple(shares.max(axis=0).tolist())
-    at, share = (float(times[k]), float(torques[k, i]), float(arm.limits.tau_max[i])), float(shares[k, i])
-    return TorqueCheck(share <= 1.0, arm.joint_names[i], *at, arm.torque_units[i], share, ratios)
+    dynamics = Dynamics(arm)
+    ratios = np.zeros(arm.n)
+    worst: tuple[float, float, float, int] = (-1.0, 0.0, 0.0, 0)  # share, time, torque, joint
+    for times in _sample_times(trajectory):
+        torques = _torques(dynamics, *trajectory.sample(times)[:3])
+        shares = np.abs(torques) / arm.limits.tau_max
+        ratios = np.maximum(ratios, shares.max(axis=0))
+        k, i = np.unravel_index(int(shares.argmax()), shares.shape)
+        if not shares[k, i] <= worst[0]:
+            worst = (float(shares[k, i]), float(times[k]), float(torques[k, i]), int(i))
+    share, time, torque, i = worst
+    return TorqueCheck(
+        ok=share <= 1.0,
+        joint=arm.joint_names[i],
+        time=time,
+        torque=torque,
+        bound=float(arm.limits.tau_max[i]),
+        unit=arm.torque_units[i],
+        ratio=share,
+        ratios=tuple(ratios.tolist()),
+    )
 
 
 def within_torque(arm: Arm, trajectory: JointTrajectory) -> JointTrajectory:
-    """A motion that the motors can follow: the same path, slower where one of them would saturate.
+    """The motion itself if the motors can follow it; else the same path, slower, with a `slowed` that says why.
 
-    Args:
-        arm: The arm, with what it carries.
-        trajectory: The motion, at rest at its end.
-
-    Returns:
-        The motion itself if the motors can follow it; else a slower one, whose `slowed` says by how much and for which joint.
-
-    Raises:
-        PlanError: Holding still on the path already takes more torque than a motor gives.
+    The motion must end at rest. Raises PlanError if holding still on the path already takes more torque than a motor gives.
     """
-    asked = check_torque(arm, trajectory)
-    if asked.ratio <= 1.0:
+    needed = check_torque(arm, trajectory)
+    if needed.ok:
         return trajectory
     if trajectory(0.0).v.any() or trajectory(0.0).a.any():
-        raise PlanError(f"{asked}, and a motion that starts moving cannot start slower; stop first, or go less far")
+        raise PlanError(f"{needed}, and a motion that starts moving cannot start slower; stop first, or go less far")
     pieces = slower(_AsPath(trajectory), trajectory.limits, trajectory.knots, _Torques(arm))
-    feasible = replace(trajectory, knots=pieces.knots, coefficients=pieces.coefficients)
-    for _ in range(_STRETCHES):
-        if check_torque(arm, feasible).ratio <= 1.0:
-            slowdown = Slowdown(feasible.duration / trajectory.duration, asked.joint, asked.ratio)
-            return replace(feasible, slowed=slowdown)
+    feasible = JointTrajectory(*pieces, trajectory.joint_names, trajectory.limits, units=trajectory.units)
+    for _ in range(_MAX_STRETCHES):
+        if check_torque(arm, feasible).ok:
+            slowdown = Slowdown(feasible.duration / trajectory.duration, needed.joint, needed.ratio)
+            return JointTrajectory(*feasible.pieces, feasible.joint_names, feasible.limits, slowdown, feasible.units)
         feasible = feasible.scaled(1 / _STRETCH)
     raise PlanError(f"{check_torque(arm, feasible)}, however slowly the arm moves; take a lighter payload or another path")
 
 
 class _AsPath:
-    """A motion seen as a path whose length is the time."""
+    """A motion as a path whose length is the time."""
 
     def __init__(self, trajectory: JointTrajectory):
         self._trajectory = trajectory
@@ -122,47 +142,61 @@ class _AsPath:
 
 
 class _Torques:
-    """What bounds the torques: linear in the squared pace, in its change and, with damping, in the pace."""
+    """Bounds on the torques: linear in the squared path speed and its slope, and with damping also in the path speed."""
 
     def __init__(self, arm: Arm):
-        self._arm, self._dynamics = arm, Dynamics(arm)
-        self._most = (1 - _MARGIN) * arm.limits.tau_max
+        self._arm = arm
+        self._dynamics = Dynamics(arm)
+        self._bound = (1 - _TORQUE_MARGIN) * arm.limits.tau_max
 
     def rows(self, q: Array, v: Array, a: Array) -> TorqueRows:
-        dynamics, zero = self._dynamics, np.zeros(self._arm.n)
-        still = np.array([dynamics.inverse(row, zero, zero) for row in q])
-        turning = np.array([dynamics.bias(row, speed) - dynamics.bias(row, zero) for row, speed in zip(q, v, strict=True)])
+        dynamics = self._dynamics
+        zero = np.zeros(self._arm.n)
+        static = np.array([dynamics.inverse(row, zero, zero) for row in q])
+        coriolis = np.array([dynamics.bias(row, speed) - dynamics.bias(row, zero) for row, speed in zip(q, v, strict=True)])
         moving = np.array([dynamics.inverse(row, speed, zero) for row, speed in zip(q, v, strict=True)])
-        alpha = np.array([dynamics.inverse(row, zero, speed) for row, speed in zip(q, v, strict=True)]) - still
-        beta = np.array([dynamics.inverse(row, zero, rate) for row, rate in zip(q, a, strict=True)]) - still + turning
+        alpha = np.array([dynamics.inverse(row, zero, speed) for row, speed in zip(q, v, strict=True)]) - static
+        beta = np.array([dynamics.inverse(row, zero, rate) for row, rate in zip(q, a, strict=True)]) - static + coriolis
         friction = np.sign(v) * dynamics.friction_loss
-        low, high = -self._most - still - friction, self._most - still - friction
+        low = -self._bound - static - friction
+        high = self._bound - static - friction
         if (low >= 0).any() or (high <= 0).any():
             k, i = np.argwhere((low >= 0) | (high <= 0))[0]
             unit = self._arm.torque_units[i]
             raise PlanError(
-                f"{self._arm.joint_names[i]}: holding still takes {still[k, i] + friction[k, i]:.4g} {unit} at "
+                f"{self._arm.joint_names[i]}: holding still takes {static[k, i] + friction[k, i]:.4g} {unit} at "
                 f"{100 * k / (len(q) - 1):.0f} % of the motion, and its motor gives {self._arm.limits.tau_max[i]:.4g} {unit}; "
                 "take a lighter payload or another path"
             )
-        return TorqueRows(alpha, beta, moving - still - turning, low, high)
+        return TorqueRows(alpha, beta, moving - static - coriolis, low, high)
 
     def overshoot(self, q: Array, v: Array, a: Array) -> Array:
-        dynamics, zero = self._dynamics, np.zeros(self._arm.n)
-        still = np.array([dynamics.inverse(row, zero, zero) for row in q]).reshape(q.shape)
-        moving = np.array([dynamics.inverse(*row) for row in zip(q, v, a, strict=True)]).reshape(q.shape) - still
-        held = still + np.sign(v) * dynamics.friction_loss
-        up, down = (np.maximum(self._most - side * held, _MARGIN * self._most) for side in (1.0, -1.0))
-        return np.maximum(moving / up, -moving / down).max(axis=1)
+        dynamics = self._dynamics
+        zero = np.zeros(self._arm.n)
+        static = np.array([dynamics.inverse(row, zero, zero) for row in q]).reshape(q.shape)
+        dynamic = np.array([dynamics.inverse(*row) for row in zip(q, v, a, strict=True)]).reshape(q.shape) - static
+        held = static + np.sign(v) * dynamics.friction_loss
+        up = np.maximum(self._bound - held, _TORQUE_MARGIN * self._bound)
+        down = np.maximum(self._bound + held, _TORQUE_MARGIN * self._bound)
+        return np.maximum(dynamic / up, -dynamic / down).max(axis=1)
 
 
-def _times(trajectory: Trajectory) -> Array:
-    """Evenly spaced times, and the knots where there are some."""
-    count = math.ceil(trajectory.duration / _SAMPLE) + 1
-    even = np.linspace(0.0, trajectory.duration, count)
-    return np.union1d(even, trajectory.knots) if isinstance(trajectory, JointTrajectory) else even
+def _sample_times(trajectory: Trajectory) -> Iterator[Array]:
+    """Chunks of sample times: evenly spaced with the knots, or for a long motion so many times in each piece."""
+    duration = trajectory.duration
+    count = math.ceil(duration / _SAMPLE_INTERVAL_S) + 1
+    if count <= _MAX_EVEN_SAMPLES:
+        even = np.linspace(0.0, duration, count)
+        yield np.union1d(even, trajectory.knots) if isinstance(trajectory, JointTrajectory) else even
+    elif isinstance(trajectory, JointTrajectory):
+        most = max(_MIN_SAMPLES_PER_PIECE, _MAX_EVEN_SAMPLES // (len(trajectory.knots) - 1))
+        for begin, end in pairwise(trajectory.knots.tolist()):
+            yield np.linspace(begin, end, min(most, math.ceil((end - begin) / _SAMPLE_INTERVAL_S)) + 1)
+    else:
+        for first in range(0, count, _MAX_EVEN_SAMPLES):
+            yield np.minimum(np.arange(first, min(first + _MAX_EVEN_SAMPLES, count)) * _SAMPLE_INTERVAL_S, duration)
 
 
 def _torques(dynamics: Dynamics, q: Array, v: Array, a: Array) -> Array:
-    """(T, n) N m, dry friction included."""
+    """(T, n) N m, with dry friction."""
     return np.array([dynamics.inverse(*row) for row in zip(q, v, a, strict=True)]) + dynamics.friction(q, v, a)

@@ -11,15 +11,16 @@ from hypothesis import strategies as st
 
 import armctl
 from armctl.motion import JointTrajectory
-from armctl.motion.timing.otg import Moving, Profiles
+from armctl.motion.timing.otg import JointState, ProfileSolver
 from armctl.motion.timing.waypoint_timing_kernel import farthest
 from armctl.motion.trajectory import polynomials
 from armctl.motion.trajectory.limit_check import piece_extremes
 
 
 def anywhere(arm: armctl.Arm, rng: np.random.Generator, share: float = 1.0) -> np.ndarray:
-    low, high = np.maximum(arm.limits.q_min, -3.0), np.minimum(arm.limits.q_max, 3.0)
-    return rng.uniform(*(0.5 * (low + high) + share * 0.5 * (high - low) * side for side in (-1.0, 1.0)))
+    """A configuration inside the limits, drawn to home by a share."""
+    q = arm.limits.random(arm.home, 1, rng)[0]
+    return arm.limits.clamp(arm.home + share * (q - arm.home))
 
 
 def straight(arm, rng):
@@ -219,11 +220,11 @@ def test_in_the_least_time_a_joint_goes_exactly_as_far_as_it_can():
         time, states, bounds = random_states(rng)
         way = rng.uniform(-1.0, 1.0) * bounds[0] * time
         ends = ([np.array([x]) for x in states[2 * i : 2 * i + 2]] for i in range(2))
-        start, goal = (Moving(np.array([q]), *end) for q, end in zip((0.0, way), ends, strict=True))
-        profiles = Profiles(*(np.array([bound]) for bound in bounds))
-        assert profiles.reach(start, goal)
-        forwards = farthest(profiles.duration + 1e-9, *states, *bounds, slopes)
-        backwards = -farthest(profiles.duration + 1e-9, *(-x for x in states), *bounds, slopes)
+        start, goal = (JointState(np.array([q]), *end) for q, end in zip((0.0, way), ends, strict=True))
+        profile = ProfileSolver(*(np.array([bound]) for bound in bounds)).solve(start, goal)
+        assert profile is not None
+        forwards = farthest(profile.duration + 1e-9, *states, *bounds, slopes)
+        backwards = -farthest(profile.duration + 1e-9, *(-x for x in states), *bounds, slopes)
         if np.isfinite(forwards + backwards):
             found += 1
             assert min(abs(forwards - way), abs(backwards - way)) < 1e-6

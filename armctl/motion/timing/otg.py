@@ -1,4 +1,8 @@
-"""Ruckig behind a checked door: what goes in is inside the limits, what comes out is pieces of constant jerk."""
+"""Time-optimal, jerk-limited profiles between two states, by ruckig; for rest to rest with a closed form as the fallback.
+
+Ruckig: Berscheid and Kroeger, "Jerk-limited Real-time Trajectory Generation with Arbitrary Target States", RSS 2021. Its end
+states are accurate to 1e-8 only, and it fails for some extreme limits; `solve_pieces` corrects both.
+"""
 
 from __future__ import annotations
 
@@ -11,265 +15,319 @@ import ruckig
 from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
-from armctl.motion.trajectory.piecewise import Pieces
+from armctl.motion.trajectory.limit_check import piece_extremes
+from armctl.motion.trajectory.piecewise import DEGREE, Pieces, basis, time_scaled
 
-_WORKING = {ruckig.Result.Working, ruckig.Result.Finished}
-_TOGETHER, _ALONE = ruckig.Synchronization.Time, ruckig.Synchronization.No
-_SAME_TIME = 1e-12
-_HAIRS = (1e-9, 1e-7, 1e-5)
+_SOLVED = {ruckig.Result.Working, ruckig.Result.Finished}
+_TOGETHER = ruckig.Synchronization.Time
+_SEPARATELY = ruckig.Synchronization.No
+_MIN_PIECE_S = 1e-12
+_TIGHTENING = (1e-9, 1e-7, 1e-5)  # relative; slightly tighter limits avoid a rounding failure inside ruckig
+_NEGLIGIBLE_JERK = 1e-8  # share of the limit that a correction of the end state may add without a check
+_CORRECTION_TOLERANCE = 1e-7  # relative, of velocity, acceleration and jerk after a correction
 
 
-class Moving(NamedTuple):
-    """A state of joints in motion, as arrays or, for ruckig, as lists.
-
-    Attributes:
-        q: (n,) rad.
-        v: (n,) rad/s.
-        a: (n,) rad/s^2.
-    """
+class JointState(NamedTuple):
+    """Position, velocity and acceleration of joints, each (n,), as arrays or, for ruckig, as lists."""
 
     q: Array | list[float]
     v: Array | list[float]
     a: Array | list[float]
 
 
-def at_rest(q: Array) -> Moving:
-    """The state of standing still.
-
-    Args:
-        q: (n,) rad.
-
-    Returns:
-        The state.
-    """
+def at_rest(q: Array) -> JointState:
+    """The joints at rest at q (n,)."""
     zero = np.zeros_like(q)
-    return Moving(q, zero, zero)
+    return JointState(q, zero, zero)
 
 
-class Profiles:
-    """Time-optimal, jerk-limited profiles of n joints that start and arrive together; state to state."""
+class Phases(NamedTuple):
+    """For each joint the durations, s, and the jerks, rad/s^3, of its phases of constant jerk."""
 
-    def __init__(self, v_max: Array, a_max: Array, j_max: Array):
-        """The profiles of joints with these limits.
+    durations: list[tuple[float, ...]]
+    jerks: list[tuple[float, ...]]
 
-        Args:
-            v_max: (n,) rad/s.
-            a_max: (n,) rad/s^2.
-            j_max: (n,) rad/s^3.
-        """
-        n = len(v_max)
-        self._otg, self._input, self._result = ruckig.Ruckig(n), ruckig.InputParameter(n), ruckig.Trajectory(n)
-        self._bounds, self._v_max, self._a_max = (v_max, a_max, j_max), v_max.tolist(), a_max.tolist()
-        self._limit(1.0)
 
-    @classmethod
-    def of(cls, limits: Limits) -> Profiles:
-        """The profiles of an arm.
+class PhaseNodes(NamedTuple):
+    """Durations of phases, and position, velocity, acceleration and jerk at their starts, each (P, ..., n)."""
 
-        Args:
-            limits: Its limits.
+    steps: Array
+    q: Array
+    v: Array
+    a: Array
+    jerks: Array
 
-        Returns:
-            The profiles.
-        """
-        return cls(limits.v_max, limits.a_max, limits.j_max)
 
-    def solve(self, start: Moving, goal: Moving) -> Pieces:
-        """The fastest move from one state to another.
+class Profile:
+    """A time-optimal, jerk-limited profile of n joints. Immutable."""
 
-        Args:
-            start: Where it starts.
-            goal: Where it ends.
+    __slots__ = ("_a_max", "_trajectory", "_v_max", "duration")
 
-        Returns:
-            Its pieces.
-
-        Raises:
-            PlanError: Ruckig finds none.
-        """
-        if not self.reach(start, goal):
-            raise PlanError("no jerk-limited move joins the two states; start and end slower")
-        return _pieces(*(x[:, 0] for x in phase_nodes([self.phases()], Moving(*(np.asarray(x)[None] for x in start)))))
-
-    def reach(self, start: Moving, goal: Moving, together: bool = True) -> bool:
-        """Finds the fastest move from one state to another; what follows then tells of it.
-
-        Args:
-            start: Where it starts, arrays or lists.
-            goal: Where it ends, arrays or lists.
-            together: Whether all joints arrive at the same time; otherwise each goes as fast as it can.
-
-        Returns:
-            Whether there is one.
-        """
-        inp = self._input
-        inp.current_position, inp.current_velocity, inp.current_acceleration = start
-        inp.target_position, inp.target_velocity, inp.target_acceleration = goal
-        inp.synchronization = _TOGETHER if together else _ALONE
-        return self._found()
-
-    def stop(self, start: Moving) -> bool:
-        """Finds the fastest stop, each joint by itself.
-
-        Args:
-            start: Where it starts, arrays or lists.
-
-        Returns:
-            Whether there is one.
-        """
-        inp = self._input
-        inp.current_position, inp.current_velocity, inp.current_acceleration = start
-        inp.target_velocity = inp.target_acceleration = [0.0] * len(start.q)
-        inp.synchronization, inp.control_interface = _ALONE, ruckig.ControlInterface.Velocity
-        found = self._found()
-        inp.control_interface = ruckig.ControlInterface.Position
-        return found
-
-    def _found(self) -> bool:
-        """Asks ruckig; where rounding leaves it without an answer, with limits a hair's breadth tighter."""
-        try:
-            return self._otg.calculate(self._input, self._result) in _WORKING
-        except ruckig.RuckigError:
-            found = any(self._found_within(1 - hair) for hair in _HAIRS)
-            self._limit(1.0)
-            return found
-
-    def _found_within(self, share: float) -> bool:
-        self._limit(share)
-        try:
-            return self._otg.calculate(self._input, self._result) in _WORKING
-        except ruckig.RuckigError:
-            return False
-
-    def _limit(self, share: float) -> None:
-        v_max, a_max, j_max = self._bounds
-        self._input.max_velocity = (share * v_max).tolist()
-        self._input.max_acceleration = (share * a_max).tolist()
-        self._input.max_jerk = (share * j_max).tolist()
+    def __init__(self, trajectory: ruckig.Trajectory, v_max: list[float], a_max: list[float]):
+        """A profile that ruckig found under these limits."""
+        self._trajectory = trajectory
+        self._v_max = v_max
+        self._a_max = a_max
+        self.duration: float = trajectory.duration
 
     def at(self, t: float) -> tuple[list[float], list[float], list[float]]:
-        """The move at a time.
-
-        Args:
-            t: s, within its duration.
-
-        Returns:
-            Positions, velocities and accelerations.
-        """
-        return self._result.at_time(t)
+        """Positions, velocities and accelerations at a time within the duration."""
+        return self._trajectory.at_time(t)
 
     def stays_inside(self, q_min: list[float], q_max: list[float]) -> bool:
-        """Whether the move keeps position limits, by the turning points of every phase.
+        """Whether the profile keeps position limits, by the turning points of every phase.
 
-        Plain Python, since it is called in real time and numpy takes longer for so little.
-
-        Args:
-            q_min: (n,) rad.
-            q_max: (n,) rad.
-
-        Returns:
-            Whether it does.
+        Plain Python, because it is called in real time and NumPy takes longer for so few numbers.
         """
-        time = self._result.duration
         for profile, low, high, v_max, a_max in zip(
-            self._result.profiles[0], q_min, q_max, self._v_max, self._a_max, strict=True
+            self._trajectory.profiles[0], q_min, q_max, self._v_max, self._a_max, strict=True
         ):
             q = profile.p
-            start, end = q[0], q[7]
+            start = q[0]
+            end = q[7]
             least, most = (start, end) if start < end else (end, start)
-            spare = 0.5 * (v_max * time - (most - least))  # it cannot swing further beyond its ends, and back in time
+            # It cannot leave [least, most] by more than it can cover, there and back, in the time that is left over.
+            spare = 0.5 * (v_max * self.duration - (most - least))
             if low + spare <= least and most + spare <= high:
                 continue
-            least, most = min(q), max(q)
+            least = min(q)
+            most = max(q)
             if least < low or most > high:
                 return False
-            t, a = profile.t, profile.a
-            longest = max(t[0], t[1], t[2], t[4], t[5], t[6], 0.0 if a[3] == 0.0 else t[3])
+            t = profile.t
+            longest = max(t[0], t[1], t[2], t[4], t[5], t[6], 0.0 if profile.a[3] == 0.0 else t[3])
             bulge = a_max * longest * longest / 8  # how far a curve of this acceleration can leave its chord
             if (least - bulge < low or most + bulge > high) and not _turns_inside(profile, low, high):
                 return False
         return True
 
-    @property
-    def duration(self) -> float:
-        """How long the move takes, s."""
-        return self._result.duration
+    def phases(self) -> Phases:
+        """The profile as phases of constant jerk."""
+        profiles = self._trajectory.profiles[0]
+        return Phases([(*p.brake.t, *p.t) for p in profiles], [(*p.brake.j, *p.j) for p in profiles])
 
-    def phases(self) -> tuple[list[tuple[float, ...]], list[tuple[float, ...]]]:
-        """The move as phases of constant jerk: for each joint their durations, s, and their jerks, rad/s^3."""
-        profiles = self._result.profiles[0]
-        return [(*p.brake.t, *p.t) for p in profiles], [(*p.brake.j, *p.j) for p in profiles]
+    def pieces(self, start: JointState) -> Pieces:
+        """The profile as piecewise polynomials; its end is as accurate as ruckig's."""
+        first = JointState(*(np.asarray(x)[None] for x in start))
+        nodes = phase_nodes([self.phases()], first)
+        return _pieces(PhaseNodes(*(x[:, 0] for x in nodes)))
+
+
+class ProfileSolver:
+    """Computes profiles of n joints with given limits. It holds ruckig's work space; no result depends on earlier calls."""
+
+    def __init__(self, v_max: Array, a_max: Array, j_max: Array):
+        """For joints with these limits, each (n,)."""
+        n = len(v_max)
+        self.bounds = (v_max, a_max, j_max)
+        self._n = n
+        self._v_max = v_max.tolist()
+        self._a_max = a_max.tolist()
+        self._ruckig = ruckig.Ruckig(n)
+        self._input = ruckig.InputParameter(n)
+        self._zero = [0.0] * n
+        self._set_limits(1.0)
+
+    @classmethod
+    def of(cls, limits: Limits) -> ProfileSolver:
+        """For an arm with these limits."""
+        return cls(limits.v_max, limits.a_max, limits.j_max)
+
+    def solve(self, start: JointState, goal: JointState, together: bool = True) -> Profile | None:
+        """The fastest profile between two states, or None if ruckig finds none.
+
+        All joints arrive at the same time, or else each as soon as it can.
+        """
+        inp = self._input
+        inp.current_position, inp.current_velocity, inp.current_acceleration = start
+        inp.target_position, inp.target_velocity, inp.target_acceleration = goal
+        inp.synchronization = _TOGETHER if together else _SEPARATELY
+        return self._calculated()
+
+    def stop(self, start: JointState) -> Profile | None:
+        """The fastest stop of each joint by itself, or None if ruckig finds none."""
+        inp = self._input
+        inp.current_position, inp.current_velocity, inp.current_acceleration = start
+        inp.target_velocity = self._zero
+        inp.target_acceleration = self._zero
+        inp.synchronization = _SEPARATELY
+        inp.control_interface = ruckig.ControlInterface.Velocity
+        profile = self._calculated()
+        inp.control_interface = ruckig.ControlInterface.Position
+        return profile
+
+    def _calculated(self) -> Profile | None:
+        trajectory = ruckig.Trajectory(self._n)
+        try:
+            solved = self._ruckig.calculate(self._input, trajectory) in _SOLVED
+        except (ruckig.RuckigError, ValueError):  # ValueError: a result code that the binding does not know
+            solved = any(self._solves_within(1 - share, trajectory) for share in _TIGHTENING)
+            self._set_limits(1.0)
+        return Profile(trajectory, self._v_max, self._a_max) if solved else None
+
+    def _solves_within(self, share: float, trajectory: ruckig.Trajectory) -> bool:
+        self._set_limits(share)
+        try:
+            return self._ruckig.calculate(self._input, trajectory) in _SOLVED
+        except (ruckig.RuckigError, ValueError):  # ValueError: a result code that the binding does not know
+            return False
+
+    def _set_limits(self, share: float) -> None:
+        v_max, a_max, j_max = self.bounds
+        self._input.max_velocity = (share * v_max).tolist()
+        self._input.max_acceleration = (share * a_max).tolist()
+        self._input.max_jerk = (share * j_max).tolist()
+
+
+def solve_pieces(solver: ProfileSolver, start: JointState, goal: JointState) -> Pieces:
+    """The fastest move between two states as polynomials that end exactly at the goal.
+
+    Raises PlanError if there is none; from rest to rest there always is one.
+    """
+    rests = not any(np.any(x) for x in (start.v, start.a, goal.v, goal.a))
+    profile = solver.solve(start, goal)
+    if profile is not None:
+        pieces = ending_at(profile.pieces(start), goal, solver.bounds)
+        if pieces is not None:
+            return pieces
+        if not rests:
+            raise PlanError("the move between two states is too short to be computed accurately; place them farther apart")
+    if not rests:
+        raise PlanError("no jerk-limited move joins the two states; start and end slower")
+    return straight_rest_to_rest(np.asarray(start.q), np.asarray(goal.q), solver.bounds)
+
+
+def ending_at(pieces: Pieces, goal: JointState, bounds: tuple[Array, Array, Array]) -> Pieces | None:
+    """A move with its end state corrected by a quintic over the whole move; None if that breaks the limits.
+
+    The quintic and its first two derivatives are 0 at the start; a joint that reaches its goal exactly is not changed.
+    """
+    duration = float(pieces.knots[-1])
+    if duration == 0.0:
+        return pieces
+    row = np.array(basis(float(pieces.knots[-1] - pieces.knots[-2])))
+    q, v, a = (np.asarray(want) - have for want, have in zip(goal, row @ pieces.coefficients[-1], strict=True))
+    v = v * duration
+    a = a * duration**2
+    correction = np.zeros((DEGREE + 1, len(q)))  # of powers of t / duration
+    correction[3] = 10 * q - 4 * v + 0.5 * a
+    correction[4] = -15 * q + 7 * v - a
+    correction[5] = 6 * q - 3 * v + 0.5 * a
+    added = np.zeros_like(pieces.coefficients)
+    x = pieces.knots[:-1] / duration
+    for power in range(DEGREE + 1):
+        for order in range(max(power, 3), DEGREE + 1):
+            term = math.comb(order, power) * x ** (order - power)
+            added[:, power] += term[:, None] * correction[order] / duration**power
+    corrected = Pieces(pieces.knots, pieces.coefficients + added)
+    jerk = np.abs(np.array([6.0, 24.0, 60.0]) @ np.abs(correction[3:])) / duration**3
+    if (jerk <= _NEGLIGIBLE_JERK * bounds[2]).all() or stretch_needed(corrected, bounds) <= 1 + _CORRECTION_TOLERANCE:
+        return corrected
+    return None
+
+
+def stretch_needed(pieces: Pieces, bounds: tuple[Array, Array, Array]) -> float:
+    """By which factor a move must be slowed down to keep limits on velocity, acceleration and jerk; 1 if it does."""
+    steps = np.diff(pieces.knots)
+    factor = 1.0
+    for order, bound in enumerate(bounds, start=1):
+        peak = np.abs(piece_extremes(pieces.coefficients, steps, order)[1]).max(axis=(0, 2))
+        factor = max(factor, float((peak / bound).max()) ** (1 / order))
+    return factor
+
+
+def straight_rest_to_rest(start: Array, goal: Array, bounds: tuple[Array, Array, Array]) -> Pieces:
+    """The fastest move on a straight line in joint space from rest to rest, in closed form.
+
+    The profile has seven phases: Biagiotti and Melchiorri, "Trajectory Planning for Automatic Machines and Robots", 2008, 3.4.
+    """
+    way = goal - start
+    length = float(np.abs(way).max())
+    with np.errstate(divide="ignore", over="ignore"):
+        v, a, j = (float((bound / np.abs(way)).min()) * length for bound in bounds)
+    if length == 0.0 or not all(map(math.isfinite, (v, a, j))):
+        return Pieces(np.zeros(2), np.concatenate([start[None, None], np.zeros((1, DEGREE, len(start)))], axis=1))
+    ramp = min(a / j, math.sqrt(v / j), (length / (2 * j)) ** (1 / 3))
+    # the acceleration lasts until the speed limit or until half of the way, whichever comes first
+    a = j * ramp
+    flat = max(0.0, min(v / a - ramp, -1.5 * ramp + math.sqrt(0.25 * ramp**2 + length / a)))
+    v = a * (ramp + flat)
+    cruise = max(0.0, length / v - 2 * ramp - flat)
+    steps = np.array([ramp, flat, ramp, cruise, ramp, flat, ramp])
+    jerks = j * np.array([1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0])
+    nodes = phase_nodes([Phases([tuple(steps)], [tuple(jerks)])], JointState(*np.zeros((3, 1, 1))))
+    line = _pieces(PhaseNodes(*(x[:, 0] for x in nodes)))
+    covered = np.array(basis(float(line.knots[-1] - line.knots[-2]))[0]) @ line.coefficients[-1]
+    coefficients = line.coefficients * (way / covered)
+    coefficients[:, 0] += start
+    slower = max(1.0, stretch_needed(Pieces(line.knots, coefficients), bounds))
+    return time_scaled(Pieces(line.knots, coefficients), 1 / slower)
+
+
+def phase_nodes(phases: list[Phases], start: JointState) -> PhaseNodes:
+    """The states at the start of each phase of K profiles that start from (K, n) states, each (P, K, n)."""
+    steps, jerks = (np.moveaxis(np.array(x), -1, 0) for x in zip(*phases, strict=True))
+    q = np.empty_like(steps)
+    v = np.empty_like(steps)
+    a = np.empty_like(steps)
+    now = start
+    for i, (h, j) in enumerate(zip(steps, jerks, strict=True)):
+        q[i] = now.q
+        v[i] = now.v
+        a[i] = now.a
+        now = JointState(q[i] + h * (v[i] + h * (a[i] / 2 + h * j / 6)), v[i] + h * (a[i] + h * j / 2), a[i] + h * j)
+    return PhaseNodes(steps, q, v, a, jerks)
+
+
+def phase_polynomials(nodes: PhaseNodes) -> Array:
+    """The positions during phases as polynomials on [0, 1], (P, K, n, 4) coefficients."""
+    steps = nodes.steps
+    return np.stack([nodes.q, nodes.v * steps, nodes.a * steps**2 / 2, nodes.jerks * steps**3 / 6], axis=-1)
+
+
+def _pieces(nodes: PhaseNodes) -> Pieces:
+    """Cubic pieces from phases (P, n), cut wherever the jerk of any joint changes."""
+    steps = nodes.steps
+    starts = np.vstack([np.zeros_like(steps[:1]), np.cumsum(steps, axis=0)])
+    knots = np.unique(starts)
+    knots = np.append(knots[:-1][np.diff(knots) > _MIN_PIECE_S], knots[-1])
+    if len(knots) == 1:
+        knots = np.zeros(2)
+    knots[0] = 0.0  # also where the first phase is too short for a piece
+    joints = np.arange(steps.shape[1])
+    middle = 0.5 * (knots[1:] + knots[:-1])
+    phase = np.minimum((starts[1:, None] <= middle[:, None]).sum(axis=0), len(steps) - 1)
+    u = knots[:-1, None] - starts[phase, joints]
+    j = nodes.jerks[phase, joints]
+    q = nodes.q[phase, joints]
+    v = nodes.v[phase, joints]
+    a = nodes.a[phase, joints]
+    zero = np.zeros_like(u)
+    rows = (q + u * (v + u * (a / 2 + u * j / 6)), v + u * (a + u * j / 2), (a + u * j) / 2, j / 6, zero, zero)
+    return Pieces(knots, np.stack(rows, axis=1))
 
 
 def _turns_inside(profile: ruckig.Profile, low: float, high: float) -> bool:
-    """Whether a joint turns round between two positions in every phase of its profile."""
-    q, v, a, j, t = profile.p, profile.v, profile.a, profile.j, profile.t
+    """Whether a joint stays between two positions at the turning points of every phase of its profile."""
+    q = profile.p
+    v = profile.v
+    a = profile.a
+    j = profile.j
+    t = profile.t
     for k in range(7):
         if v[k] * v[k + 1] < 0 or a[k] * a[k + 1] < 0:
-            for u in _turns(v[k], a[k], j[k]):
+            for u in _turning_times(v[k], a[k], j[k]):
                 if 0 < u < t[k] and not low <= q[k] + u * (v[k] + u * (a[k] / 2 + u * j[k] / 6)) <= high:
                     return False
     return True
 
 
-def _turns(v: float, a: float, j: float) -> tuple[float, ...]:
+def _turning_times(v: float, a: float, j: float) -> tuple[float, ...]:
     """When a joint with this velocity, acceleration and constant jerk stands still."""
     if j == 0.0:
         return (-v / a,) if a else ()
     root = a * a - 2 * j * v
     if root < 0:
         return ()
-    half = -(a + math.copysign(math.sqrt(root), a))
+    half = -(a + math.copysign(math.sqrt(root), a))  # no cancellation: both terms have the same sign
     return (half / j, 2 * v / half) if half else ()
-
-
-def phase_nodes(phases: list[tuple[list[tuple[float, ...]], list[tuple[float, ...]]]], start: Moving) -> tuple[Array, ...]:
-    """What joints do at the start of each phase of several moves.
-
-    Args:
-        phases: `Profiles.phases` of K moves.
-        start: (K, n) states they start from.
-
-    Returns:
-        Durations, positions, velocities, accelerations and jerks, each (P, K, n).
-    """
-    steps, jerks = (np.moveaxis(np.array(x), -1, 0) for x in zip(*phases, strict=True))
-    q, v, a = (np.empty_like(steps) for _ in range(3))
-    now = start
-    for i, (h, j) in enumerate(zip(steps, jerks, strict=True)):
-        q[i], v[i], a[i] = now
-        now = Moving(q[i] + h * (v[i] + h * (a[i] / 2 + h * j / 6)), v[i] + h * (a[i] + h * j / 2), a[i] + h * j)
-    return steps, q, v, a, jerks
-
-
-def phase_polynomials(steps: Array, q: Array, v: Array, a: Array, jerks: Array) -> Array:
-    """The positions during phases, as polynomials on [0, 1].
-
-    Args:
-        steps: (P, K, n) s, durations.
-        q: (P, K, n) rad, positions at the start.
-        v: (P, K, n) rad/s, likewise.
-        a: (P, K, n) rad/s^2, likewise.
-        jerks: (P, K, n) rad/s^3.
-
-    Returns:
-        (P, K, n, 4) coefficients.
-    """
-    return np.stack([q, v * steps, a * steps**2 / 2, jerks * steps**3 / 6], axis=-1)
-
-
-def _pieces(steps: Array, q: Array, v: Array, a: Array, jerks: Array) -> Pieces:
-    """Cubic pieces from phases (P, n), cut wherever the jerk of any joint changes."""
-    starts = np.vstack([np.zeros_like(steps[:1]), np.cumsum(steps, axis=0)])
-    knots = np.unique(starts)
-    knots = np.append(knots[:-1][np.diff(knots) > _SAME_TIME], knots[-1])
-    if len(knots) == 1:
-        knots = np.zeros(2)
-    joints = np.arange(steps.shape[1])
-    middle = 0.5 * (knots[1:] + knots[:-1])
-    phase = np.minimum((starts[1:, None] <= middle[:, None]).sum(axis=0), len(steps) - 1)
-    u, j = knots[:-1, None] - starts[phase, joints], jerks[phase, joints]
-    q, v, a = q[phase, joints], v[phase, joints], a[phase, joints]
-    zero = np.zeros_like(u)
-    rows = (q + u * (v + u * (a / 2 + u * j / 6)), v + u * (a + u * j / 2), (a + u * j) / 2, j / 6, zero, zero)
-    return Pieces(knots, np.stack(rows, axis=1))

@@ -27,6 +27,7 @@ _SLOWER = np.array([1, 1 / 2, 1 / 3, 1 / 2])  # the power of a stretch that lowe
 _GOOD_ENOUGH = 1e-4
 _APART = 2e-5  # s, between nodes: rounding tells nothing of the jerk in a shorter piece
 _BOUNDLESS = 1e12
+_MIN_DIP = 1e-2  # of the smaller squared speed at the ends of an interval
 _BUSY = 0.8  # of a torque's limit, where it is looked at between nodes too
 _STEADY = 0.02  # of the pace in the first and last interval, that it may change by
 
@@ -275,4 +276,7 @@ def _durations(c: Array, h: float, nodes: Array) -> Array:
     x, weight = np.polynomial.legendre.leggauss(5)
     length = np.diff(nodes)
     b, _ = _squared_pace(c, h, nodes[:-1, None] + 0.5 * length[:, None] * (x + 1))
+    edges, _ = _squared_pace(c, h, nodes)
+    # The solver keeps b positive at edges and middles only. Between them it can dip below 0 where limits are extreme.
+    b = np.maximum(b, _MIN_DIP * np.minimum(edges[1:], edges[:-1])[:, None])
     return 0.5 * length * ((1 / np.sqrt(b)) @ weight)

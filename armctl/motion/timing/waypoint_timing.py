@@ -1,11 +1,12 @@
-"""The velocities and accelerations at waypoints that make a motion through them fast, and what ruckig makes of them.
+"""The velocities and accelerations at waypoints that make a motion through them fast.
 
-The compiled search finds them; ruckig then times each section, and where that swings a joint beyond its position limits between
-two waypoints, the joint is held slower there.
+The compiled search finds them. Ruckig then times each section. If a joint leaves its position limits between two waypoints, the
+bounds on its velocity and acceleration at both are lowered, and the search is repeated.
 """
 
 from __future__ import annotations
 
+from contextlib import suppress
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -13,13 +14,21 @@ import numpy as np
 
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
-from armctl.motion.timing.otg import Moving, Profiles, phase_nodes, phase_polynomials
+from armctl.motion.timing.otg import (
+    JointState,
+    ProfileSolver,
+    phase_nodes,
+    phase_polynomials,
+    solve_pieces,
+)
 from armctl.motion.trajectory import polynomials
+from armctl.motion.trajectory.piecewise import Pieces, joined
 
-_LOOSE = 2.0  # times the time with stops, where the search starts
-_AT_LIMIT = 1e-7  # rad
-_ROUNDING = 1e-12  # rad
-_REPAIRS, _SLOWER = 20, 0.8
+_INITIAL_TIME_FACTOR = 2.0  # relative to stopping at each waypoint, where the search starts
+_AT_LIMIT = 1e-7  # rad (m); closer to a position limit, a waypoint is passed without acceleration
+_POSITION_ROUNDING = 1e-12  # rad (m)
+_MAX_REPAIRS = 20
+_REPAIR_FACTOR = 0.8  # by which a repair lowers velocity and acceleration at a waypoint
 
 
 class Candidate(NamedTuple):
@@ -42,60 +51,68 @@ class WaypointSearch:
     """The search for one set of waypoints."""
 
     def __init__(self, q: Array, limits: Limits):
-        """The search.
-
-        Args:
-            q: (k, n) rad, the waypoints, no two neighbours equal.
-            limits: What the joints can do.
-        """
-        self.q, self.limits = q, limits
-        self._profiles = Profiles.of(limits)
-        # Faster than this at a waypoint no joint could stop before its position limit. At the limit it stands.
+        """For waypoints q (k, n), no two neighbours equal."""
+        self.q = q
+        self.limits = limits
+        self._solver = ProfileSolver.of(limits)
+        # A joint that passes a waypoint faster than this cannot stop before its position limit.
         room = np.minimum(q - limits.q_min, limits.q_max - q)
-        self._v_most = np.minimum(limits.v_max, np.sqrt(2 * limits.a_max * np.maximum(room, 0.0)))
-        self._a_most = np.where(room > _AT_LIMIT, limits.a_max, 0.0)
-        self._v_most[[0, -1]] = self._a_most[[0, -1]] = 0.0
+        self._v_bound = np.minimum(limits.v_max, np.sqrt(2 * limits.a_max * np.maximum(room, 0.0)))
+        self._a_bound = np.where(room > _AT_LIMIT, limits.a_max, 0.0)
+        for bound in (self._v_bound, self._a_bound):
+            bound[[0, -1]] = 0.0
 
-    def at_rest(self) -> Candidate:
+    def stopping(self) -> Candidate:
         """The motion that stops at every waypoint."""
         zero = np.zeros_like(self.q)
-        stopping = self._evaluate(zero, zero)
-        assert stopping is not None  # from rest to rest there always is one
-        return stopping
+        candidate = self._evaluate(zero, zero)
+        if candidate is not None:
+            return candidate
+        # Ruckig fails for a section; a straight line in closed form cannot.
+        durations = [float(section.knots[-1]) for section in self._sections(zero, zero)]
+        return Candidate(zero, zero, np.array(durations), np.full((len(durations), self.q.shape[1]), -np.inf))
 
     def fastest(self, stopping: Candidate) -> Candidate:
-        """The fastest motion that the search finds.
+        """The fastest motion that the search finds inside all limits; `stopping` if none is faster."""
+        from armctl.motion.timing import waypoint_timing_kernel as kernel
 
-        Args:
-            stopping: The one that stops at every waypoint.
-
-        Returns:
-            One inside all limits, never slower than that.
-        """
-        from armctl.motion.timing import waypoint_timing_kernel as waypoint_kernel
-
-        limits, most = self.limits, np.stack([self._v_most, self._a_most], axis=-1)
-        for _ in range(_REPAIRS):
-            x, times = np.zeros_like(most), _LOOSE * stopping.durations
-            waypoint_kernel.solve(waypoint_kernel.Problem(self.q, limits.v_max, limits.a_max, limits.j_max, most), x, times)
+        limits = self.limits
+        bounds = np.stack([self._v_bound, self._a_bound], axis=-1)
+        for _ in range(_MAX_REPAIRS):
+            x = np.zeros_like(bounds)
+            times = _INITIAL_TIME_FACTOR * stopping.durations
+            with suppress(np.linalg.LinAlgError):  # for extreme limits; x is then the last feasible point
+                kernel.solve(kernel.Problem(self.q, limits.v_max, limits.a_max, limits.j_max, bounds), x, times)
             found = self._evaluate(x[..., 0], x[..., 1])
-            if found is None or found.durations.sum() >= stopping.durations.sum():
+            if found is None or not found.durations.sum() < stopping.durations.sum():
                 break
-            leaves = found.excess > _ROUNDING
+            leaves = found.excess > _POSITION_ROUNDING
             if not leaves.any():
                 return found
             for k, i in np.argwhere(leaves):
-                most[k : k + 2, i] = _SLOWER * np.abs(x[k : k + 2, i])
+                bounds[k : k + 2, i] = _REPAIR_FACTOR * np.abs(x[k : k + 2, i])
         return stopping
 
+    def pieces(self, candidate: Candidate) -> Pieces:
+        """The motion of a candidate. Raises PlanError if a section cannot be computed accurately."""
+        return joined(self._sections(candidate.v, candidate.a))
+
+    def _sections(self, v: Array, a: Array) -> list[Pieces]:
+        states = [JointState(*state) for state in zip(self.q, v, a, strict=True)]
+        return [solve_pieces(self._solver, start, goal) for start, goal in pairwise(states)]
+
     def _evaluate(self, v: Array, a: Array) -> Candidate | None:
-        """The motion with these velocities and accelerations (k, n), brought inside the limits; None if there is none."""
-        durations, phases = [], []
+        """The motion with these velocities and accelerations (k, n) at the waypoints; None if ruckig finds none."""
+        durations = []
+        phases = []
         for start, goal in pairwise(zip(self.q.tolist(), v.tolist(), a.tolist(), strict=True)):
-            if not self._profiles.reach(Moving(*start), Moving(*goal)):
+            profile = self._solver.solve(JointState(*start), JointState(*goal))
+            if profile is None:
                 return None
-            durations.append(self._profiles.duration)
-            phases.append(self._profiles.phases())
-        _, swing = polynomials.extremes(phase_polynomials(*phase_nodes(phases, Moving(self.q[:-1], v[:-1], a[:-1]))))
-        high, low = swing.max(axis=(0, 3)), swing.min(axis=(0, 3))
+            durations.append(profile.duration)
+            phases.append(profile.phases())
+        nodes = phase_nodes(phases, JointState(self.q[:-1], v[:-1], a[:-1]))
+        _, swing = polynomials.extremes(phase_polynomials(nodes))
+        high = swing.max(axis=(0, 3))
+        low = swing.min(axis=(0, 3))
         return Candidate(v, a, np.array(durations), np.maximum(high - self.limits.q_max, self.limits.q_min - low))

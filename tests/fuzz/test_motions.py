@@ -1,0 +1,234 @@
+"""Random motions of every kind with limits scaled by 1e-3 to 1e3: no limit is violated, and only PlanError is raised.
+
+Each motion is checked twice: by the roots of its polynomials, found by scipy and not by the code under test, and by 1 kHz
+differences of its samples.
+"""
+
+from collections import Counter
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arms import ARMS, arm_of
+from scipy.interpolate import PPoly
+
+import armctl
+from armctl.motion import JointTrajectory
+
+CASES = 5  # for each kind and arm in the suite
+SUITE_ARMS = ("robot_arm_3dof", "gantry")
+POSITION_TOLERANCE = 1e-9  # rad (m)
+RATIO_TOLERANCE = 1e-6
+SPLINE_TOLERANCE = 1e-3  # of a difference of samples, which rounding of q / dt^3 limits
+MAX_SAMPLES = 20_000
+
+
+def scaled_limits(arm: armctl.Arm, rng: np.random.Generator) -> armctl.Arm:
+    """The arm with its speed, acceleration and jerk limits scaled by 1e-3 to 1e3, together or each joint by itself."""
+    shape = (3, arm.n) if rng.random() < 0.5 else (3, 1)
+    v, a, j = 10.0 ** rng.uniform(-3, 3, shape)
+    limits = arm.limits
+    scaled = replace(limits, v_max=v * limits.v_max, a_max=a * limits.a_max, j_max=j * limits.j_max)
+    return arm.with_limits(replace(scaled, tau_max=np.full(arm.n, np.inf)))
+
+
+def random_q(arm: armctl.Arm, rng: np.random.Generator, count: int = 1) -> np.ndarray:
+    """Configurations anywhere inside the limits, some joints exactly at a limit."""
+    q = arm.limits.random(arm.home, count, rng)
+    at_limit = rng.random(q.shape) < 0.1
+    side = np.where(rng.random(q.shape) < 0.5, arm.limits.q_min, arm.limits.q_max)
+    return np.where(at_limit & np.isfinite(side), side, q)
+
+
+def near_point(arm: armctl.Arm, rng: np.random.Generator, q: np.ndarray) -> np.ndarray:
+    """A point up to 0.2 m from the tip, in a direction in which the tip can move."""
+    direction = arm.jacobian(q)[:3] @ rng.normal(size=arm.n)
+    length = np.linalg.norm(direction)
+    return arm.fk(q).position + rng.uniform(0.01, 0.2) * direction / (length if length > 1e-9 else 1.0)
+
+
+def move_j(arm, rng):
+    start, goal = random_q(arm, rng, 2)
+    if rng.random() < 0.3:
+        goal = arm.limits.clamp(start + 10.0 ** rng.uniform(-12, 0) * rng.normal(size=arm.n))
+    return armctl.move_j(arm, start, goal, speed=rng.choice([1.0, 0.3]))
+
+
+def move_j_moving(arm, rng):
+    """A straight move that starts in motion."""
+    start, goal = random_q(arm, rng, 2)
+    way = goal - start
+    v = rng.uniform(0, 0.8) * way * (arm.limits.v_max / np.maximum(np.abs(way), 1e-9)).min()
+    return armctl.move_j(arm, start, goal, v_start=v)
+
+
+def move_j_free(arm, rng):
+    start, goal = random_q(arm, rng, 2)
+    return armctl.move_j(arm, start, goal, straight=False)
+
+
+def move_j_free_moving(arm, rng):
+    start, goal = random_q(arm, rng, 2)
+    v = 10.0 ** rng.uniform(-4, 0) * rng.uniform(-0.9, 0.9, arm.n) * arm.limits.v_max
+    return armctl.move_j(arm, start, goal, v_start=v, straight=False)
+
+
+def move_through(arm, rng):
+    q = random_q(arm, rng, int(rng.integers(2, 7)))
+    if rng.random() < 0.4:  # a walk of small steps, some of them tiny
+        steps = 10.0 ** rng.uniform(-11, 0, (len(q), 1)) * rng.normal(size=q.shape)
+        q = arm.limits.clamp(q[0] + np.cumsum(steps, axis=0))
+    return armctl.move_through(arm, q)
+
+
+def move_l(arm, rng):
+    q = random_q(arm, rng)[0]
+    target = near_point(arm, rng, q)
+    if arm.n >= 6 and rng.random() < 0.5:
+        target = armctl.Pose(target, quat=arm.fk(q).quat)
+    return armctl.move_l(arm, q, target, tip_speed=rng.choice([None, 0.05]))
+
+
+def move_c(arm, rng):
+    q = random_q(arm, rng)[0]
+    via = near_point(arm, rng, q)
+    return armctl.move_c(arm, q, via, via + rng.normal(0.0, 0.05, 3))
+
+
+def move_path(arm, rng):
+    q = random_q(arm, rng)[0]
+    first = near_point(arm, rng, q)
+    return armctl.move_path(arm, q, [first, first + rng.normal(0.0, 0.05, 3), first + rng.normal(0.0, 0.05, 3)], blend=0.004)
+
+
+def scaled(arm, rng):
+    return move_j_free(arm, rng).scaled(10.0 ** rng.uniform(-3, 0))
+
+
+def stopped_at(arm, rng):
+    motion = (move_j, move_j_free, move_through, move_l)[int(rng.integers(4))](arm, rng)
+    return motion.stopped_at(rng.uniform(0, motion.duration))
+
+
+PLANNERS = (
+    move_j,
+    move_j_moving,
+    move_j_free,
+    move_j_free_moving,
+    move_through,
+    move_l,
+    move_c,
+    move_path,
+    scaled,
+    stopped_at,
+)
+
+
+def extremes(motion: JointTrajectory, order: int) -> tuple[np.ndarray, np.ndarray]:
+    """The least and greatest value of a derivative of each joint, by the roots of its polynomials, found by scipy."""
+    h = np.diff(motion.knots)
+    lasting = h > 0
+    knots = np.append(motion.knots[:-1][lasting], motion.knots[-1])
+    coefficients = motion.coefficients[lasting]
+    if not len(coefficients):  # it stands
+        value = motion.coefficients[0, 0] if order == 0 else np.zeros(motion.n)
+        return value, value
+    curve = PPoly(np.moveaxis(coefficients, 1, 0)[::-1], knots, extrapolate=False).derivative(order)
+    ends = np.concatenate([curve.c[-1], evaluated(curve.c, h[lasting])])
+    low = ends.min(axis=0)
+    high = ends.max(axis=0)
+    for i, turns in enumerate(np.atleast_1d(curve.derivative().roots(discontinuity=False))):
+        inside = turns[np.isfinite(turns) & (turns >= 0) & (turns <= knots[-1])]
+        values = PPoly(curve.c[:, :, i], knots)(inside)
+        low[i] = min([low[i], *values])
+        high[i] = max([high[i], *values])
+    return low, high
+
+
+def evaluated(descending: np.ndarray, h: np.ndarray) -> np.ndarray:
+    """Polynomials (d, m, n) at the ends of their pieces, (m, n)."""
+    total = descending[0]
+    for row in descending[1:]:
+        total = total * h[:, None] + row
+    return total
+
+
+def violation(motion: JointTrajectory, limits: armctl.Limits) -> str:
+    """What the motion violates, or nothing."""
+    low, high = extremes(motion, 0)
+    outside = max((high - limits.q_max).max(), (limits.q_min - low).max())
+    if outside > POSITION_TOLERANCE:
+        return f"position by {outside:g}"
+    bounds = (limits.v_max, limits.a_max, limits.j_max)
+    for order, bound in enumerate(bounds, start=1):
+        low, high = extremes(motion, order)
+        ratio = (np.maximum(high, -low) / bound).max()
+        if ratio > 1 + RATIO_TOLERANCE:
+            return f"derivative {order} by a factor of 1 + {ratio - 1:g}"
+    dt = 1e-3 if motion.duration < 1e-3 * MAX_SAMPLES else motion.duration / MAX_SAMPLES
+    samples = motion.sample(np.arange(0.0, motion.duration, dt))[:3]
+    rounding = 1e-12 + 4e-16 * np.abs(motion.coefficients[:, 0]).max()
+    for order, (x, bound) in enumerate(zip(samples, bounds, strict=True), start=1):
+        if len(x) > 1 and (np.abs(np.diff(x, axis=0)) > (1 + SPLINE_TOLERANCE) * dt * bound + rounding).any():
+            return f"derivative {order} by differences"
+    return ends_and_joins(motion)
+
+
+def ends_and_joins(motion: JointTrajectory) -> str:
+    """Where the position jumps at a knot by more than rounding, or nothing."""
+    h = np.diff(motion.knots)
+    ends = np.einsum("mp,mpn->mn", h[:, None] ** np.arange(6), motion.coefficients)
+    size = np.maximum(1.0, np.abs(motion.coefficients[:, 0]).max())
+    jump = np.abs(ends[:-1] - motion.coefficients[1:, 0]).max() if len(h) > 1 else 0.0
+    return f"position jumps by {jump:g}" if jump > 1e-12 * size else ""
+
+
+def expected(error: Exception, plan) -> bool:
+    """Whether a planner may raise this: PlanError, or LimitError for a start velocity that leads out of the limits."""
+    if isinstance(error, armctl.LimitError):
+        return plan in (move_j_moving, move_j_free_moving) and str(error).startswith("v_start")
+    return isinstance(error, armctl.PlanError) or (plan is move_c and "on one line" in str(error))
+
+
+@pytest.mark.parametrize("plan", PLANNERS, ids=lambda plan: plan.__name__)
+def test_a_random_motion_keeps_its_limits_or_is_refused(plan, fuzz_cases, fuzz_seconds):
+    names = ARMS if fuzz_seconds else [name for name in ARMS if name in SUITE_ARMS]
+    arms = [arm_of(name) for name in names]
+    tally = Counter()
+    for case, rng in enumerate(fuzz_cases(CASES * len(arms))):
+        arm = scaled_limits(arms[case % len(arms)], rng)
+        try:
+            motion = plan(arm, rng)
+        except Exception as error:
+            if not expected(error, plan):
+                raise AssertionError(f"case {case}, {arm.name}: {type(error).__name__}: {error}") from error
+            tally["refused"] += 1
+            continue
+        found = violation(motion, arm.limits)
+        assert not found, f"case {case}, {arm.name}: {motion}: {found}"
+        tally["planned"] += 1
+    assert tally["planned"] >= tally["refused"] / 4, tally
+    print(plan.__name__, dict(tally))
+
+
+def test_online_motion_keeps_its_limits_whatever_the_goals(fuzz_cases, fuzz_seconds):
+    names = ARMS if fuzz_seconds else [name for name in ARMS if name in SUITE_ARMS]
+    arms = [arm_of(name) for name in names]
+    for case, rng in enumerate(fuzz_cases(CASES * len(arms))):
+        arm = scaled_limits(arms[case % len(arms)], rng)
+        limits = arm.limits
+        motion = armctl.OnlineMotion(arm, random_q(arm, rng)[0])
+        samples = [motion.setpoint[:3]]
+        for _ in range(6):
+            with suppress(armctl.PlanError):
+                motion.go_to(random_q(arm, rng)[0])
+            samples += [motion.step(1e-3)[:3] for _ in range(int(rng.integers(1, 200)))]
+        q, v, a = (np.array(x) for x in zip(*samples, strict=True))
+        where = f"case {case}, {arm.name}"
+        assert limits.contains(q, POSITION_TOLERANCE), where
+        assert (np.abs(v) <= limits.v_max * (1 + RATIO_TOLERANCE)).all(), where
+        assert (np.abs(a) <= limits.a_max * (1 + RATIO_TOLERANCE)).all(), where
+        for x, bound in ((q, limits.v_max), (v, limits.a_max), (a, limits.j_max)):
+            rounding = 1e-12 + 1e-12 * np.abs(x).max()
+            assert (np.abs(np.diff(x, axis=0)) <= (1 + SPLINE_TOLERANCE) * 1e-3 * bound + rounding).all(), where
