@@ -67,8 +67,8 @@ from .sim.gripper import Gripper as Gripper
 from .sim.gripper import GripResult as GripResult
 from .sim.plant import Plant as Plant
 from .sim.plant import Push as Push
+from .sim.simulate import simulate as simulate
 from .sim.simulation import Simulation as Simulation
-from .sim.simulation import simulate as simulate
 from .sim.team import Team as Team
 
 __version__: str

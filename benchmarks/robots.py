@@ -103,7 +103,7 @@ def measure(arm: armctl.Arm, base: str, poses: int) -> Row:
     found = np.mean([_is_answer(arm, q, T) for q, T, ok in zip(solved.q, targets, solved.ok, strict=True) if ok] or [0.0])
     goal, reason = _goal(arm)
     there = armctl.move_j(arm, arm.home, goal)
-    logs = [armctl.simulate(arm, name, there, settle=0.0) for name in ("pd", "computed-torque")]
+    logs = [armctl.simulate(arm, name, there, dwell=0.0) for name in ("pd", "computed-torque")]
     errors = [log.q - log.q_ref for log in logs]
     if not reason and np.abs(errors[1]).max() > EXACT and not arm.joint_map.is_plain and not _is_rigid(arm):
         reason = "an equality of the model ties joints to each other, and gives way"

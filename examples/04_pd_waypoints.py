@@ -11,7 +11,7 @@ sim = armctl.Simulation(arm, armctl.PD(arm))
 print(f"stiffness, N m/rad: {sim.controller.stiffness.round(1)}, damping, N m s/rad: {sim.controller.damping.round(1)}")
 start = arm.home
 for goal in waypoints:
-    log = sim.run(armctl.move_j(arm, start, goal), settle=1.0)
+    log = sim.run(armctl.move_j(arm, start, goal), dwell=1.0)
     print(f"at {goal}: off by {np.round(goal - log.q[-1], 4)} rad, moving at {np.abs(log.v[-1]).max():.1e} rad/s")
     start = goal
 print(armctl.Report.from_log(log))

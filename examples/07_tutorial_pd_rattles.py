@@ -23,7 +23,7 @@ for controller in (TutorialPD(), armctl.PD(arm), armctl.ComputedTorque(arm)):
     sim, start = armctl.Simulation(arm, controller), arm.home
     for goal in waypoints:
         jump = isinstance(controller, TutorialPD)  # the tutorial jumps to each waypoint, and stays for 3 s
-        log = sim.run(armctl.move_j(arm, goal if jump else start, goal), settle=3.0)
+        log = sim.run(armctl.move_j(arm, goal if jump else start, goal), dwell=3.0)
         report, start = armctl.Report.from_log(log), goal
         torque = f"{log.tau.min():6.1f} to {log.tau.max():5.1f}"
         off = np.abs(log.q[-1] - goal).max()

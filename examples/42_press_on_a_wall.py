@@ -16,7 +16,7 @@ q, height = arm.home, arm.fk(arm.home).position[2]
 print("target past its face, mm   force on it, N   spring's force, N")
 for depth in (0.0, 0.005, 0.01, 0.02):
     press = armctl.move_l(arm, q, [wall_at + depth, 0.0, height], tip_speed=0.2)
-    log = sim.run(press, settle=1.0)
+    log = sim.run(press, dwell=1.0)
     q = press(press.duration).q
     force = np.linalg.lstsq(arm.jacobian(log.q[-1])[:3].T, -sim.data.qfrc_constraint[arm.dof_adr])[0]
     spring = K * (log.tip_ref - log.tip)[-1]

@@ -22,7 +22,7 @@ from armctl.core.validation import integer, number
 from armctl.motion import JointTrajectory, move_j
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.plant import NOMINAL, Plant
-from armctl.sim.simulation import simulate
+from armctl.sim.simulate import simulate
 
 
 def compare(

@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     from armctl.cli.plants import plant_by_name
     from armctl.control import controller_by_name
     from armctl.design.identification import excitation, identify_payload
-    from armctl.sim.simulation import simulate
+    from armctl.sim.simulate import simulate
 
     arm = load_arm(args)
     known = arm

@@ -1,4 +1,4 @@
-"""What the top-level package lends to lower layers, so that these import nothing from above them."""
+"""Functions that the top-level package provides to lower layers, so that these import nothing from above them."""
 
 from __future__ import annotations
 

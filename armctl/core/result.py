@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from armctl.core.log import Log
+from armctl.core.log import Contact, Log
 
 
 @dataclass(frozen=True, eq=False)
 class MoveResult:
-    """How a move ended.
+    """How a move ended. `bool(result)` is `result.ok`.
 
     Attributes:
         ok: Whether the tip is at the target and at rest.
         position_error: m, measured in the simulation.
-        orientation_error: rad, measured likewise; 0 where no orientation was asked for.
+        orientation_error: rad, measured likewise; 0 if any orientation is accepted.
         duration: s of simulated time.
-        reason: Why it was not reached, in words; empty if it was.
-        log: Every tick of it; None where nothing moved.
+        reason: Why it is not ok, in words; empty if it is.
+        log: Every tick of it; None if nothing moved.
     """
 
     ok: bool
@@ -31,6 +31,12 @@ class MoveResult:
         return self.ok
 
     def __str__(self) -> str:
-        if self.ok:
-            return f"reached within {max(1e3 * self.position_error, 0.01):.2g} mm in {self.duration:.2f} s"
-        return f"not reached: {self.reason}"
+        if not self.ok:
+            return f"not reached: {self.reason}"
+        reached = f"reached within {max(1e3 * self.position_error, 0.01):.2g} mm in {self.duration:.2f} s"
+        return "; ".join([reached, *map(str, self.contacts)])
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
+        """What the arm touched on the way; empty if it touched nothing or did not move."""
+        return () if self.log is None else self.log.contacts

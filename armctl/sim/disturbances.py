@@ -1,59 +1,52 @@
-"""Disturbances: what a plant does to signals while it runs: noise on measurements, delay and ripple on commands."""
+"""Disturbances: how a plant disturbs signals during a run: measurement noise, command delay, torque ripple, pushes."""
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 
 import mujoco
 import numpy as np
 
-from armctl.core.validation import Array
-from armctl.robot.arm import Arm
+from armctl.core.validation import Array, IntArray
 from armctl.sim.plant import Plant
 
-_RIPPLES = 12.0  # per radian; 75 a turn, as of a motor's torque behind a gear
+_RIPPLES_PER_RADIAN = 12.0  # 75 a turn, typical of a motor behind a gear
 
 
 class Disturbances:
-    """Noise, delay, ripple and pushes of one run; the same plant gives every run the same ones."""
+    """Noise, delay, ripple and pushes of one run; every run of the same plant has the same ones."""
 
-    def __init__(self, plant: Plant, arm: Arm, data: mujoco.MjData):
-        """The disturbances of a run that begins.
+    def __init__(self, plant: Plant, data: mujoco.MjData, dof_adr: IntArray, tip_jacobian: Callable[[Array], Array]):
+        """The disturbances of a run that starts now.
 
         Args:
-            plant: What they are.
-            arm: The arm.
-            data: The simulation's state, in which pushes are applied.
+            plant: The plant that describes them.
+            data: The state of the simulation; pushes are applied to it.
+            dof_adr: (n,) addresses of the joints in `MjData.qvel`.
+            tip_jacobian: The (6, n) Jacobian of the tip at q, for pushes.
         """
-        self._plant, self._arm, self._data = plant, arm, data
-        self._rng = np.random.default_rng(plant.rng)
+        self._plant = plant
+        self._data = data
+        self._dof_adr = dof_adr
+        self._tip_jacobian = tip_jacobian
+        self._pushes = list(plant.pushes)  # type: ignore[arg-type]  # a tuple after Plant.__post_init__
+        self._rng = np.random.default_rng(plant.seed)
         self._commands: deque[Array] = deque(maxlen=plant.delay + 1)
 
     def measured(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """What the sensors say.
-
-        Args:
-            q: (n,) rad, the truth.
-            v: (n,) rad/s, the truth.
-
-        Returns:
-            Both with noise.
-        """
-        noise, n = self._rng.standard_normal(2 * len(q)), len(q)
+        """The true positions, rad, and velocities, rad/s, with measurement noise."""
+        n = len(q)
+        noise = self._rng.standard_normal(2 * n)
         return q + self._plant.encoder_noise * noise[:n], v + self._plant.velocity_noise * noise[n:]
 
     def driven(self, tau: Array, q: Array) -> Array:
-        """What the motors are asked for when a controller commands a torque; and the pushes of this moment.
+        """Applies the pushes of this moment, and returns the torque that the motors receive for a commanded torque.
 
-        Args:
-            tau: (n,) N m, the command.
-            q: (n,) rad, the truth.
-
-        Returns:
-            (n,) N m: the command of some ticks ago (the first one until then), with ripple.
+        That is the command `delay` ticks ago, or the first command until then, with ripple.
         """
-        if self._plant.pushes:
-            wrench = sum((p.wrench for p in self._plant.pushes if p.acts(self._data.time)), np.zeros(6))
-            self._data.qfrc_applied[self._arm.dof_adr] = self._arm.pinocchio_model.jacobian(q).T @ wrench
+        if self._pushes:
+            wrench = sum((push.wrench for push in self._pushes if push.acts(self._data.time)), np.zeros(6))
+            self._data.qfrc_applied[self._dof_adr] = self._tip_jacobian(q).T @ wrench
         self._commands.append(tau.copy())
-        return self._commands[0] * (1.0 + self._plant.torque_ripple * np.sin(_RIPPLES * q))
+        return self._commands[0] * (1.0 + self._plant.torque_ripple * np.sin(_RIPPLES_PER_RADIAN * q))

@@ -1,4 +1,4 @@
-"""GripperModel: what grips behind the tip of an arm, found in the model: actuators, pads, and the control for each width."""
+"""GripperModel: the gripper behind an arm's tip, found in the MuJoCo model: actuators, pads, and the control for each width."""
 
 from __future__ import annotations
 
@@ -16,13 +16,16 @@ from armctl.mjmodel.queries import actuator_name, branches, is_below, is_on_join
 from armctl.robot.arm import Arm
 from armctl.sim.plant import brake
 
-_STEPS = 12  # widths in the table
-_SETTLE = 1.0  # s for the jaws to come to rest at each
-_STILL = 1e-4  # rad/s, m/s
-_LEAST_OPENING = 1e-3  # m
-_GAP_WEIGHT = 3.0  # how much a gap that stays when closed speaks against two geoms being the pads
-_SERVO_SHARE = 0.1  # of its range that makes a servo of a motor push with all its force
-_FAR = 1.0  # m: as far as distances are looked for
+_TABLE_SIZE = 12  # widths for which the controls are tabulated
+_SETTLE_TIMEOUT_S = 1.0  # for each of them
+_MIN_SETTLE_S = 0.1
+_SETTLED_SPEED = 1e-4  # rad/s, m/s
+_MIN_OPENING = 1e-3  # m
+# The pads are the two geoms whose distance changes most. A gap that remains in the closed gripper counts against them.
+_GAP_WEIGHT = 3.0
+# A servo made of a motor pushes with its full force at this fraction of the joint's range.
+_FULL_FORCE_FRACTION = 0.1
+_MAX_DISTANCE = 1.0  # m, up to which distances are computed
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,14 +33,14 @@ class GripperModel:
     """A gripper of one actuator, or of two that move together.
 
     Attributes:
-        actuators: Their numbers.
-        dofs: Where everything that moves with it is in `MjData.qvel`.
+        actuators: The indices of the actuators.
+        dofs: Addresses in `MjData.qvel` of all joints that move with the gripper.
         pads: The two geoms that meet when it closes; the width is the distance between them.
-        sides: The bodies of either pad's side.
-        width: (k,) m, rising from closed to open.
-        ctrl: (k, actuators) the controls that make each width.
-        length: (k, actuators) the actuators' lengths at each width.
-        force_max: N between the pads that the actuators can make; infinite where the model sets no limit.
+        sides: The bodies on the side of each pad.
+        width: (k,) m, increasing from closed to open.
+        ctrl: (k, actuators) the controls for each width.
+        length: (k, actuators) the lengths of the actuators at each width.
+        force_max: N, the largest force between the pads; infinite if the model sets no limit.
     """
 
     actuators: tuple[int, ...]
@@ -50,25 +53,11 @@ class GripperModel:
     force_max: float
 
     def ctrl_at(self, width: float) -> Array:
-        """The controls for a width.
-
-        Args:
-            width: m.
-
-        Returns:
-            (actuators,).
-        """
+        """(actuators,) controls for a width, m."""
         return np.array([np.interp(width, self.width, column) for column in self.ctrl.T])
 
     def actuator_force(self, force: float) -> Array:
-        """The actuators' forces that press the pads together, by virtual work: sum f dl = -F dw.
-
-        Args:
-            force: N between the pads.
-
-        Returns:
-            (actuators,) in the actuators' units.
-        """
+        """(actuators,) forces that press the pads together with a force, N, by virtual work: sum f dl = -F dw."""
         slope = np.ptp(self.width) / (self.length[-1] - self.length[0])
         return -force * slope / len(self.actuators)
 
@@ -76,13 +65,7 @@ class GripperModel:
 def find_gripper_model(arm: Arm) -> GripperModel:
     """The gripper behind an arm's tip.
 
-    The model is closed and opened alone, without gravity, to see which of its geoms meet and how wide each control opens it.
-
-    Args:
-        arm: The arm.
-
-    Returns:
-        The gripper.
+    The gripper is closed and opened alone, without gravity, to find which of its geoms meet and which width each control gives.
 
     Raises:
         ModelError: Nothing moves behind the tip, or it is a hand of many actuators.
@@ -102,46 +85,46 @@ def find_gripper_model(arm: Arm) -> GripperModel:
     states = [_settled(model, arm, dofs, corner, actuators) for corner in corners]
     palm = frozenset(welded_behind(model, _last_body(arm)))
     pads, sides, closed, opened = _pads(model, states, palm)
-    table = [(1 - s) * corners[closed] + s * corners[opened] for s in np.linspace(0, 1, _STEPS)]
+    table = [(1 - s) * corners[closed] + s * corners[opened] for s in np.linspace(0, 1, _TABLE_SIZE)]
     data = states[closed]
-    width, length = np.zeros(_STEPS), np.zeros((_STEPS, len(actuators)))
+    width = np.zeros(_TABLE_SIZE)
+    length = np.zeros((_TABLE_SIZE, len(actuators)))
     for k, ctrl in enumerate(table):
         data = _settled(model, arm, dofs, ctrl, actuators, data)
-        width[k], length[k] = pad_distance(model, data, pads), data.actuator_length[list(actuators)]
-    width[:] = np.maximum.accumulate(width) + 1e-12 * np.arange(_STEPS)
-    if np.ptp(width) < _LEAST_OPENING:
+        width[k] = pad_distance(model, data, pads)
+        length[k] = data.actuator_length[list(actuators)]
+    width[:] = np.maximum.accumulate(width) + 1e-12 * np.arange(_TABLE_SIZE)  # strictly increasing, for interpolation
+    if np.ptp(width) < _MIN_OPENING:
         raise ModelError(f"{arm.name}: no gripper: what is behind the tip {arm.tip!r} neither opens nor closes")
-    jaws = GripperModel(actuators, dofs, pads, sides, frozen(width), frozen(np.array(table)), frozen(length), np.inf)
-    strongest = np.array([_force_limit(model, a) for a in actuators])
-    return replace(jaws, force_max=float(np.min(strongest / np.abs(jaws.actuator_force(1.0)))))
+    gripper = GripperModel(
+        actuators=actuators,
+        dofs=dofs,
+        pads=pads,
+        sides=sides,
+        width=frozen(width),
+        ctrl=frozen(np.array(table)),
+        length=frozen(length),
+        force_max=np.inf,
+    )
+    force_limits = np.array([_force_limit(model, a) for a in actuators])
+    return replace(gripper, force_max=float(np.min(force_limits / np.abs(gripper.actuator_force(1.0)))))
 
 
 def pad_distance(model: mujoco.MjModel, data: mujoco.MjData, pads: tuple[int, int]) -> float:
-    """How far two geoms are apart.
-
-    Args:
-        model: The model.
-        data: Its state, positions computed.
-        pads: The geoms.
-
-    Returns:
-        m; 0 where they touch.
-    """
-    return max(0.0, mujoco.mj_geomDistance(model, data, *pads, _FAR, None))
+    """The distance between two geoms, m, in a state whose positions are computed; 0 if they touch."""
+    return max(0.0, mujoco.mj_geomDistance(model, data, *pads, _MAX_DISTANCE, None))
 
 
 def make_servos(model: mujoco.MjModel, actuators: tuple[int, ...]) -> None:
-    """Makes position servos of those actuators that are motors, in place; of others, sets the range where they have none.
-
-    Args:
-        model: The model.
-        actuators: The actuators.
+    """Turns motors into position servos, in place; sets the range of other actuators that have none.
 
     Raises:
         ModelError: A motor without limits, or one on a tendon.
     """
     for a in actuators:
-        stiffness, ctrl, joint = -float(model.actuator_biasprm[a, 1]), int(model.actuator_ctrladr[a]), -1
+        stiffness = -float(model.actuator_biasprm[a, 1])
+        ctrl = int(model.actuator_ctrladr[a])
+        joint = -1
         if is_on_joint(model, a) and model.jnt_limited[model.actuator_trnid[a, 0]]:
             joint = int(model.actuator_trnid[a, 0])
         if joint < 0 and (stiffness <= 0 or not model.actuator_ctrllimited[ctrl]):
@@ -153,21 +136,24 @@ def make_servos(model: mujoco.MjModel, actuators: tuple[int, ...]) -> None:
             low, high = sorted(scale * float(model.actuator_gear[a, 0]) * model.jnt_range[joint])
             if model.actuator_ctrllimited[ctrl] and stiffness > 0:
                 low, high = np.clip((low, high), *model.actuator_ctrlrange[ctrl])
-            model.actuator_ctrllimited[ctrl], model.actuator_ctrlrange[ctrl] = 1, (low, high)
+            model.actuator_ctrllimited[ctrl] = 1
+            model.actuator_ctrlrange[ctrl] = (low, high)
 
 
 def _make_servo(model: mujoco.MjModel, actuator: int, joint: int) -> None:
-    """Makes a critically damped servo of a motor, which pushes with all its force at a tenth of its range."""
-    bound, gear = _force_limit(model, actuator), float(model.actuator_gear[actuator, 0])
+    """Turns a motor into a critically damped servo, which pushes with its full force at a tenth of its range."""
+    bound = _force_limit(model, actuator)
+    gear = float(model.actuator_gear[actuator, 0])
     if not np.isfinite(bound):
         raise ModelError(f"the gripper's actuator {actuator_name(model, actuator)!r} is a motor without a force limit")
-    stiffness = bound / (_SERVO_SHARE * abs(gear) * float(np.ptp(model.jnt_range[joint])))
+    stiffness = bound / (_FULL_FORCE_FRACTION * abs(gear) * float(np.ptp(model.jnt_range[joint])))
     inertia = float(model.dof_M0[model.jnt_dofadr[joint]]) / gear**2
     model.actuator_gaintype[actuator] = mujoco.mjtGain.mjGAIN_FIXED
     model.actuator_biastype[actuator] = mujoco.mjtBias.mjBIAS_AFFINE
     model.actuator_gainprm[actuator, 0] = stiffness
-    model.actuator_biasprm[actuator, :3] = 0.0, -stiffness, -2.0 * np.sqrt(stiffness * inertia)
-    model.actuator_forcelimited[actuator], model.actuator_forcerange[actuator] = 1, (-bound, bound)
+    model.actuator_biasprm[actuator, :3] = (0.0, -stiffness, -2.0 * np.sqrt(stiffness * inertia))
+    model.actuator_forcelimited[actuator] = 1
+    model.actuator_forcerange[actuator] = (-bound, bound)
 
 
 def _last_body(arm: Arm) -> int:
@@ -175,8 +161,9 @@ def _last_body(arm: Arm) -> int:
 
 
 def _behind(arm: Arm) -> tuple[frozenset[int], IntArray]:
-    """The bodies that the last joint carries, and the degrees of freedom among them."""
-    model, last = arm.model, _last_body(arm)
+    """The bodies that the last joint moves, and the degrees of freedom among them."""
+    model = arm.model
+    last = _last_body(arm)
     bodies = frozenset(b for b in range(1, model.nbody) if is_below(model, b, last))
     dofs = [d for d in range(model.nv) if int(model.dof_bodyid[d]) in bodies and d not in arm.dof_adr]
     return bodies, frozen(np.array(dofs, dtype=np.int64))
@@ -192,12 +179,13 @@ def _moves(model: mujoco.MjModel, actuator: int, dofs: set[int]) -> bool:
 
 
 def _alone(arm: Arm, bodies: frozenset[int], dofs: IntArray, actuators: tuple[int, ...]) -> mujoco.MjModel:
-    """A copy of the model in which the gripper moves alone: no gravity, all else braked and out of touch."""
+    """A copy of the model in which only the gripper moves: no gravity, other joints braked, other geoms without contact."""
     model = copy.copy(arm.model)
     model.opt.gravity[:] = 0.0
     brake(model, np.setdiff1d(np.arange(model.nv), dofs))
     other = ~np.isin(model.geom_bodyid, list(bodies))
-    model.geom_contype[other] = model.geom_conaffinity[other] = 0
+    model.geom_contype[other] = 0
+    model.geom_conaffinity[other] = 0
     make_servos(model, actuators)
     return model
 
@@ -210,15 +198,15 @@ def _settled(
     actuators: tuple[int, ...],
     start: mujoco.MjData | None = None,
 ) -> mujoco.MjData:
-    """The gripper's state after its controls have been held until nothing moves."""
+    """The gripper's state after its controls were held until nothing moves."""
     data = mujoco.MjData(model) if start is None else copy.copy(start)
     if start is None:
         data.qpos[:] = arm.home_qpos
     data.ctrl[model.actuator_ctrladr[list(actuators)]] = ctrl
     begin = data.time
-    while data.time < begin + _SETTLE:
+    while data.time < begin + _SETTLE_TIMEOUT_S:
         mujoco.mj_step(model, data, 10)
-        if data.time > begin + 0.1 * _SETTLE and np.abs(data.qvel[dofs]).max() < _STILL:
+        if data.time > begin + _MIN_SETTLE_S and np.abs(data.qvel[dofs]).max() < _SETTLED_SPEED:
             break
     mujoco.mj_forward(model, data)
     return data
@@ -227,7 +215,7 @@ def _settled(
 def _pads(
     model: mujoco.MjModel, states: list[mujoco.MjData], palm: frozenset[int]
 ) -> tuple[tuple[int, int], tuple[frozenset[int], frozenset[int]], int, int]:
-    """The two geoms that meet when the gripper closes and part most when it opens; their sides; which state is which."""
+    """The two geoms that meet when the gripper closes and separate most when it opens; their sides; both states."""
     last = min(palm)
     sides = [frozenset(b for b in range(model.nbody) if is_below(model, b, root)) for root in branches(model, last)]
     solid = (model.geom_contype | model.geom_conaffinity) != 0
@@ -246,11 +234,12 @@ def _pads(
 
 
 def _force_limit(model: mujoco.MjModel, actuator: int) -> float:
-    """The greatest force of an actuator, in its own units; infinite where the model sets none."""
+    """The largest force of an actuator, in its own units; infinite if the model sets no limit."""
     limits = [np.inf]
     if model.actuator_forcelimited[actuator]:
         limits.append(float(np.abs(model.actuator_forcerange[actuator]).min()))
-    ctrl, is_motor = int(model.actuator_ctrladr[actuator]), not model.actuator_biasprm[actuator].any()
+    ctrl = int(model.actuator_ctrladr[actuator])
+    is_motor = not model.actuator_biasprm[actuator].any()
     if is_motor and model.actuator_ctrllimited[ctrl]:
         gain = float(model.actuator_gainprm[actuator, 0])
         limits.append(abs(gain) * float(np.abs(model.actuator_ctrlrange[ctrl]).min()))

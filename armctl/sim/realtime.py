@@ -27,6 +27,7 @@ from armctl.sim.stepper import Stepper
 
 INTERVAL = 0.01  # s between looks at the target
 _STILL = 1e-3  # rad/s
+_EASE = 0.3  # share of the acceleration that a hand's jerky target is followed with; its square for the jerk
 _SETTLED = 1e-2  # rad/s: the goal of the joints has arrived
 _WORTH_IT = 0.01  # m by which another posture must be nearer to a target out of reach, to be taken
 
@@ -63,10 +64,10 @@ class RealTimeSession:
         """
         self.arm, self.payload, self.controller = arm, payload, controller
         self._law = controller_by_name(controller, arm)
-        self._stepper = Stepper(arm, Plant(payload=payload))
+        self._stepper = Stepper([arm], Plant(payload=payload))
         self._ticks = max(1, round(INTERVAL / self._stepper.dt))
         self.history, self.pace = History(arm.n, self._ticks * self._stepper.dt), RealTimeClock()
-        self._guide = OnlineReference(arm, self._stepper.dt)
+        self._guide = OnlineReference(arm, self._stepper.dt, arm.home, acceleration_scale=_EASE)
         self._ik = DifferentialIk(arm)
         self._orders: dict[str, Callable[[], None]] = {}
         self._lock, self._stopping, self._thread = threading.Lock(), threading.Event(), None
@@ -128,7 +129,7 @@ class RealTimeSession:
         Raises:
             InputError: It is negative or not finite.
         """
-        stepper = Stepper(self.arm, Plant(payload=payload))
+        stepper = Stepper([self.arm], Plant(payload=payload))
 
         def change() -> None:
             stepper.reset(self._stepper.state.q, self._stepper.state.v)
@@ -224,7 +225,7 @@ class RealTimeSession:
             self._follow()
         reference = self._guide.toward(self._goal, self._ticks)
         try:
-            self._stepper.follow(self._law, reference, Recorder(self.arm))
+            self._stepper.run(self._law, reference, Recorder(self._stepper.model, self._stepper.actuation))
         except SimulationError:
             return False
         self._look(self._guide.q)
@@ -238,13 +239,14 @@ class RealTimeSession:
 
     def _gripper_of(self, stepper: Stepper) -> Gripper | None:
         try:
-            return Gripper(stepper, self._hold)
+            return Gripper(self.arm, stepper, self._hold)
         except ModelError:
             return None
 
     def _hold(self, seconds: float) -> None:
         """Holds the arm while the gripper moves."""
-        self._stepper.hold(self._law, seconds)
+        recorder = Recorder(self._stepper.model, self._stepper.actuation)
+        self._stepper.run(self._law, self._stepper.hold_reference(seconds), recorder)
         self._look(self._stepper.q_ref)
         if self._thread is threading.current_thread():
             self.pace.wait(seconds)
@@ -285,7 +287,7 @@ class RealTimeSession:
 
     def _look(self, q_ref: Array) -> None:
         """Notes where things are now."""
-        tip, reference, stepper = self._stepper.tip, self.arm.fk(q_ref), self._stepper
+        tip, reference, stepper = self._stepper.tip_pose(self.arm), self.arm.fk(q_ref), self._stepper
         goal = Target(self.target.position, self.target if self.oriented else None)
         self._to_target = goal.distance(tip)[0]
         self._still = bool(np.abs(stepper.state.v).max() < _STILL)

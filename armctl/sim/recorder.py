@@ -1,57 +1,72 @@
-"""Recorder: the rows of a run while it lasts, and the Log they become."""
+"""Recorder: the ticks of a run as named columns that are allocated before the run, and the Log made from them."""
 
 from __future__ import annotations
 
 import math
 
+import mujoco
 import numpy as np
 
 from armctl.core.errors import InputError
-from armctl.core.log import Log
+from armctl.core.log import Contact, Log
 from armctl.core.pose import quats_from_rotations
 from armctl.core.trajectory import TickReference
-from armctl.core.validation import Array
+from armctl.core.validation import Array, frozen
+from armctl.mjmodel.queries import body_name, is_below
+from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
 
 MOST_TICKS = 10_000_000  # 2.8 hours at 1 ms, and 4 GB for seven joints
-_RECORDED, _FOLLOWED = ("v", "tau_cmd", "tau"), ("q_ref", "v_ref", "a_ref")
+_REFERENCE = ("q_ref", "v_ref", "a_ref")
+
+
+class TickRows:
+    """Rows for the ticks of one reference. The tick loop writes row k, then sets `count` to k + 1.
+
+    Attributes:
+        reference: What the ticks follow, as read-only views.
+        qpos: (ticks, nq) the whole model's positions.
+        v: (ticks, n) rad/s.
+        tau_cmd: (ticks, n) N m, the command.
+        tau: (ticks, n) N m, what the motors did.
+        count: How many rows are complete.
+        contacts: (row, geoms) for each row at which the touching geoms change; `geoms` is `MjData.contact.geom` as bytes.
+    """
+
+    def __init__(self, reference: TickReference, nq: int, n: int):
+        ticks = len(reference.q)
+        self.reference = TickReference(*(frozen(np.asarray(column)[:]) for column in reference))
+        self.qpos = np.empty((ticks, nq))
+        self.v = np.empty((ticks, n))
+        self.tau_cmd = np.empty((ticks, n))
+        self.tau = np.empty((ticks, n))
+        self.count = 0
+        self.contacts: list[tuple[int, bytes]] = []
 
 
 class Recorder:
-    """Rows of a run while it lasts. What was recorded stays readable whatever ends the run.
+    """The rows of a run, one `TickRows` after the other. They stay readable however the run ends."""
 
-    Attributes:
-        arm: Whose runs.
-        tape: The rows one after the other as bytes, which grows faster than rows of arrays fill: in each, the whole model's nq
-            positions, then v, the torque commanded and the torque done of the n joints, all float64. Only whole rows are added.
-    """
-
-    def __init__(self, arm: Arm):
-        """An empty record.
-
-        Args:
-            arm: Whose runs.
-        """
-        self.arm, self.tape = arm, bytearray()
-        self._followed: list[tuple[int, Array]] = []
+    def __init__(self, model: mujoco.MjModel, actuation: Actuation):
+        self._model = model
+        self._actuation = actuation
+        self._parts: list[TickRows] = []
 
     @property
     def size(self) -> int:
-        """How many rows there are."""
-        return len(self.tape) // (8 * self._width)
+        """The number of complete rows."""
+        return sum(part.count for part in self._parts)
 
     @property
-    def _width(self) -> int:
-        """How many numbers a row has."""
-        return self.arm.model.nq + len(_RECORDED) * self.arm.n
+    def has_begun(self) -> bool:
+        """Whether a run was begun, even if no tick of it is complete."""
+        return bool(self._parts)
 
-    def follow(self, reference: TickReference) -> None:
-        """Notes what the coming rows follow.
-
-        Args:
-            reference: A row for each of them; what is not followed to its end counts as far as there are rows.
-        """
-        self._followed.append((self.size, np.stack(reference[: len(_FOLLOWED)])))
+    def begin(self, reference: TickReference) -> TickRows:
+        """New rows, one for each row of a reference."""
+        rows = TickRows(reference, self._model.nq, self._actuation.n)
+        self._parts.append(rows)
+        return rows
 
     def log(
         self,
@@ -63,28 +78,27 @@ class Recorder:
         dt: float,
         motion_duration: float,
         target: Array,
-        real_time_factor: float,
+        wall: float,
         failure: str,
     ) -> Log:
-        """The recorded rows as a Log, with the tips by the arm's forward kinematics, which is MuJoCo's to 1e-9.
+        """The recorded rows of an arm as a Log; the tips are from the arm's forward kinematics, which is MuJoCo's to 1e-9.
 
         Args:
             arm: The arm.
-            joints: Which of the joints are this arm's.
-            controller: As for Log, like all that follow.
-            plant: In words.
+            joints: The arm's joints among the recorded ones.
+            controller: As in Log, like all others but one.
+            plant: As in Log.
             dt: s.
             motion_duration: s.
             target: (7,).
-            real_time_factor: 1 is real time.
+            wall: s that the run took.
             failure: Why the run ended early.
-
-        Returns:
-            The log; its arrays are copies.
         """
-        qpos, columns = self._columns()
-        columns = {name: column[:, joints].copy() for name, column in columns.items()}
-        (tip, rotation), (tip_ref, rotation_ref) = (arm.pinocchio_model.tips(columns[name]) for name in ("q", "q_ref"))
+        columns = self._columns()
+        qpos = columns.pop("qpos")
+        columns = {name: np.ascontiguousarray(column[:, joints]) for name, column in columns.items()}
+        tip, rotation = arm.pinocchio_model.tips(columns["q"])
+        tip_ref, rotation_ref = arm.pinocchio_model.tips(columns["q_ref"])
         return Log(
             robot=arm.name,
             joint_names=arm.joint_names,
@@ -94,44 +108,83 @@ class Recorder:
             dt=dt,
             motion_duration=motion_duration,
             target=np.array(target),
-            real_time_factor=real_time_factor,
+            real_time_factor=self.size * dt / max(wall, 1e-9),
             failure=failure,
             t=dt * np.arange(self.size, dtype=np.float64),
             tip=tip,
             tip_quat=quats_from_rotations(rotation),
             tip_ref=tip_ref,
             tip_ref_quat=quats_from_rotations(rotation_ref),
-            qpos=qpos.copy(),
+            qpos=qpos,
             units=arm.units,
+            contacts=self._contacts(arm, dt),
             **columns,
         )
 
-    def _columns(self) -> tuple[Array, dict[str, Array]]:
-        """The whole model's positions, (T, nq), and what is known of the joints, each (T, n)."""
-        n, nq = self.arm.n, self.arm.model.nq
-        qpos, recorded = np.split(np.frombuffer(bytes(self.tape)).reshape(-1, self._width), [nq], axis=1)
-        recorded = recorded.reshape(-1, len(_RECORDED), n).swapaxes(0, 1)
-        ends = [first for first, _ in self._followed[1:]] + [self.size]
-        parts = [rows[:, : end - first] for (first, rows), end in zip(self._followed, ends, strict=True)]
-        followed = np.concatenate([np.zeros((len(_FOLLOWED), 0, n)), *parts], axis=1)
-        joints = dict(zip(_RECORDED + _FOLLOWED, [*recorded, *followed], strict=True))
-        return qpos, joints | {"q": qpos[:, self.arm.qpos_adr]}
+    def _columns(self) -> dict[str, Array]:
+        """All complete rows by name: the whole model's positions (T, nq), and columns of the joints, each (T, n)."""
+        empty = TickRows(TickReference(*[np.zeros((0, self._actuation.n))] * 5), self._model.nq, self._actuation.n)
+        parts = [empty, *self._parts]
+        columns = {
+            name: np.concatenate([getattr(part, name)[: part.count] for part in parts])
+            for name in ("qpos", "v", "tau", "tau_cmd")
+        }
+        for name, column in zip(_REFERENCE, ("q", "v", "a"), strict=True):
+            columns[name] = np.concatenate([getattr(part.reference, column)[: part.count] for part in parts])
+        columns["q"] = columns["qpos"][:, self._actuation.qpos_adr]
+        return columns
+
+    def _contacts(self, arm: Arm, dt: float) -> tuple[Contact, ...]:
+        """What the moving bodies of the arm touched. Contacts among the bodies behind its last joint do not count."""
+        if not any(part.contacts for part in self._parts):
+            return ()
+        moving, gripper = _moving_bodies(arm)
+        start: dict[tuple[int, int], int] = {}
+        ticks: dict[tuple[int, int], int] = {}
+        offset = 0
+        for part in self._parts:
+            ends = [row for row, _ in part.contacts[1:]] + [part.count]
+            for (row, geoms), end in zip(part.contacts, ends, strict=True):
+                for pair in _touching(self._model, geoms, moving, gripper):
+                    start.setdefault(pair, offset + row)
+                    ticks[pair] = ticks.get(pair, 0) + max(0, end - row)
+            offset += part.count
+        return tuple(
+            Contact(body_name(self._model, pair[0]), body_name(self._model, pair[1]), dt * start[pair], dt * ticks[pair])
+            for pair in sorted(start, key=lambda pair: start[pair])
+            if ticks[pair]
+        )
 
 
 def ticks_for(duration: float, dt: float) -> int:
-    """How many ticks show a motion from its first instant to its last.
-
-    Args:
-        duration: s.
-        dt: s, the tick.
-
-    Returns:
-        The number.
+    """The number of ticks from a motion's first instant, t = 0, to its last, t = duration.
 
     Raises:
-        InputError: They are too many for a log.
+        InputError: There are more than fit into a log.
     """
     ticks = duration / dt
-    if ticks > MOST_TICKS:
+    if not ticks <= MOST_TICKS:
         raise InputError(f"duration: {duration:g} s are {ticks:.3g} ticks of {dt:g} s, at most {MOST_TICKS:,} fit into a log")
     return math.ceil(ticks - 1e-9) + 1
+
+
+def _moving_bodies(arm: Arm) -> tuple[frozenset[int], frozenset[int]]:
+    """The bodies that the arm moves, and those among them behind its last joint, such as a gripper's."""
+    model = arm.model
+    first = int(model.dof_bodyid[arm.dof_adr[0]])
+    last = int(model.dof_bodyid[arm.dof_adr[-1]])
+    moving = frozenset(body for body in range(1, model.nbody) if is_below(model, body, first))
+    return moving, frozenset(body for body in moving if is_below(model, body, last))
+
+
+def _touching(model: mujoco.MjModel, geoms: bytes, moving: frozenset[int], gripper: frozenset[int]) -> set[tuple[int, int]]:
+    """The pairs of bodies that touch, the arm's body first."""
+    pairs = set()
+    for first, second in model.geom_bodyid[np.frombuffer(geoms, np.int32).reshape(-1, 2)].tolist():
+        if first == second or (first in gripper and second in gripper):
+            continue
+        if first in moving:
+            pairs.add((first, second))
+        elif second in moving:
+            pairs.add((second, first))
+    return pairs

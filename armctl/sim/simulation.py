@@ -1,11 +1,9 @@
-"""Simulation: the only object that changes in time. An arm in its scene, commanded in three lines."""
+"""Simulation: an arm in its scene, commanded in Cartesian or joint targets."""
 
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,36 +11,49 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control import ComputedTorque, Controller, State, controller_by_name
+from armctl.control import Controller, State
 from armctl.core import hooks
-from armctl.core.errors import InputError, LimitError
+from armctl.core.errors import InputError, LimitError, UnknownNameError
 from armctl.core.log import Log
 from armctl.core.pose import Pose
-from armctl.core.trajectory import TickReference, Trajectory, check_motion
-from armctl.core.validation import Array, instance, number, vector
+from armctl.core.result import MoveResult
+from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE, Target
+from armctl.core.trajectory import TickReference, Trajectory
+from armctl.core.validation import Array, number, shown, vector
+from armctl.ik import solve_ik
 from armctl.loading.load import load
-from armctl.mjmodel.target_marker import TARGET
-from armctl.robot.arm import Arm, check_arm
+from armctl.mjmodel.target_marker import TARGET, set_target, target_pose
+from armctl.motion import Arc, JointTrajectory, Line, move_c, move_j, move_l, move_path
+from armctl.robot.arm import Arm
 from armctl.sim.gripper import Gripper
-from armctl.sim.moves import Moves
-from armctl.sim.plant import NOMINAL, Plant
-from armctl.sim.recorder import Recorder, ticks_for
+from armctl.sim.move import (
+    ControlledArms,
+    PlannedMove,
+    plan_move,
+    plan_to,
+    read_controller,
+)
+from armctl.sim.online_reference import OnlineReference
+from armctl.sim.plant import Plant, read_plant
+from armctl.sim.recorder import ticks_for
 from armctl.sim.stepper import ConstantTorque, Stepper
 
-_IDLE = 4  # steppers kept for the next run
+_FOLLOW_INTERVAL_S = 0.02  # between two readings of a moving target
+_CONTROL_TOLERANCE = 1e-9  # relative, for controls at a motor's limit
 
 
-class Simulation(Moves):
+class Simulation:
     """An arm in its scene, with a controller, commanded in Cartesian or joint targets.
+
+    Every command starts where the last one ended. After Ctrl-C or a failing controller, `log` contains all ticks until then,
+    and the next command continues from there. After a run that diverged, only `reset` helps.
 
     Attributes:
         arm: The arm as its controller knows it.
-        controller: What makes the torques.
         plant: How the simulated arm differs.
         model: The plant's MuJoCo model.
-        data: Its MjData; read it freely.
-        log: The last run, or None.
-        viewer: The page it is seen on, or None.
+        data: Its MjData, for reading.
+        viewer: The page that shows the simulation, or None.
     """
 
     def __init__(
@@ -52,83 +63,130 @@ class Simulation(Moves):
 
         Args:
             robot: An arm, or a name for `armctl.load`.
-            controller: A controller or the name of one; computed torque if left out.
-            plant: How reality differs from the model; in nothing if left out.
-            viewer: Whether a page in the browser shows all that it does, in real time.
+            controller: A controller or its name; computed torque by default.
+            plant: How the simulated arm differs from the model; by default it does not.
+            viewer: Whether a page in the browser shows the simulation in real time.
 
         Raises:
-            InputError: The controller has no method `torque`.
+            InputError: The controller has no method `torque`, or the plant is no Plant.
             UnknownNameError: There is no such robot or controller.
             ModelError: The robot's model is no arm.
         """
         self.arm = robot if isinstance(robot, Arm) else load(robot)
-        if isinstance(controller, str):
-            controller = controller_by_name(controller, self.arm)
-        self.controller = ComputedTorque(self.arm) if controller is None else controller
-        self.plant = _checked(self.controller, plant)
-        self.log: Log | None = None
+        law = read_controller(controller, self.arm)
+        self.plant = read_plant(plant)
         self.viewer = hooks.open_viewer(self.arm) if viewer and hooks.open_viewer is not None else None
-        self._stepper = Stepper(self.arm, self.plant, self.viewer)
+        self._arms = ControlledArms([self.arm], {self.arm.tip: law}, Stepper([self.arm], self.plant, self.viewer))
         self._gripper: Gripper | None = None
-        self.model, self.data = self._stepper.model, self._stepper.data
+        self.model = self._arms.stepper.model
+        self.data = self._arms.stepper.data
+
+    @property
+    def controller(self) -> Controller:
+        """What computes the torques. It can be replaced between two commands."""
+        return self._arms.controllers[self.arm.tip]
+
+    @controller.setter
+    def controller(self, controller: Controller | str) -> None:
+        self._arms.controllers[self.arm.tip] = read_controller(controller, self.arm)
+
+    @property
+    def log(self) -> Log | None:
+        """The last run, also if an error or Ctrl-C ended it; None before the first.
+
+        After `step` it holds all steps since the last run or reset.
+        """
+        return self._arms.logs.get(self.arm.tip)
 
     @property
     def dt(self) -> float:
         """The tick, s: the plant's step and the control period."""
-        return self._stepper.dt
+        return self._arms.stepper.dt
 
     @property
     def state(self) -> State:
-        """The arm's state now."""
-        return self._stepper.state
+        """The true state of the arm now."""
+        return self._arms.stepper.state
+
+    @property
+    def measured_state(self) -> State:
+        """The state as the plant's sensors measure it now, with noise; the same until the next tick."""
+        return self._arms.stepper.measured_state
 
     @property
     def tip(self) -> Pose:
-        """Where the simulated tip is now, T_world_tip."""
-        return self._stepper.tip
+        """The pose of the simulated tip now, T_world_tip."""
+        return self._arms.tip_pose(self.arm.tip)
 
     @property
     def target(self) -> Array:
-        """(3,) m, where the green target is now."""
-        return self.data.xpos[mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, TARGET)].copy()
+        """(3,) m, where the green target is now.
+
+        Raises:
+            ModelError: The arm was loaded from a compiled MjModel without a body named "target".
+        """
+        return target_pose(self.model, self.data).position
 
     @property
     def gripper(self) -> Gripper:
-        """The gripper behind the arm's tip, found when it is first asked for."""
-        self._gripper = self._gripper or Gripper(self._stepper, lambda seconds: self._stepper.hold(self.controller, seconds))
+        """The gripper behind the arm's tip.
+
+        Raises:
+            ModelError: There is none, or it is a hand of many actuators.
+        """
+        if self._gripper is None:
+            self._gripper = Gripper(self.arm, self._arms.stepper, self._arms.hold)
         return self._gripper
 
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
-        """Starts afresh at t = 0.
+        """Sets time to 0, and everything to its initial state.
 
         Args:
-            q: (n,) rad where the arm is; home if left out.
-            v: (n,) rad/s how it moves; at rest if left out.
+            q: (n,) rad, the joint positions; home by default.
+            v: (n,) rad/s, the joint velocities; at rest by default.
 
         Raises:
             InputError: A wrong length or a number that is not finite.
         """
         if self._gripper is not None:
             self._gripper.reset()
-        self._stepper.reset(self.arm.home if q is None else q, np.zeros(self.arm.n) if v is None else v)
+        self._arms.reset(q, v)
 
-    def run(self, trajectory: Trajectory, settle: float = 0.0) -> Log:
-        """Follows a trajectory, starting now.
+    def step(self, torque: ArrayLike | None = None) -> State:
+        """Simulates one tick, for callers with a loop of their own, such as MPC, teleoperation or learning.
+
+        The torque is treated like a controller's: limited by the motors, delayed and disturbed by the plant, recorded in `log`
+        and shown by the viewer. A loop of `sim.step(controller.torque(sim.measured_state, setpoint))` gives the same bits as
+        `run`.
+
+        Args:
+            torque: (n,) N m; None lets the controller hold the last reference. After a step with a torque, that is the
+                position of the arm.
+
+        Returns:
+            The measured state after the tick.
+
+        Raises:
+            InputError: A wrong length or a number that is not finite; nothing is simulated.
+            SimulationError: The arm diverged, or the controller failed; `error.log` contains the steps until then.
+        """
+        return self._arms.step(None if torque is None else vector("torque", torque, self.arm.n))
+
+    def run(self, trajectory: Trajectory, dwell: float = 0.0) -> Log:
+        """Follows a trajectory that starts now.
 
         Args:
             trajectory: The motion; it should start where the arm is.
-            settle: s to go on holding its end.
+            dwell: s to hold its end.
 
         Returns:
             Every tick of it. A run that diverges ends early, and `log.failure` says why.
 
         Raises:
-            InputError: It is no motion, or the settling time is negative.
-            SimulationError: The controller failed; `error.log` holds what there was until then.
+            InputError: It is no motion or a motion of other joints, or the dwell time is negative or too long for a log.
+            SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
-        check_motion(trajectory, self.arm.joint_names)
-        self.log = _run(self._stepper, self.controller, trajectory, settle)
-        return self.log
+        return self._arms.run({self.arm.tip: trajectory}, number("dwell", dwell, 0.0))[self.arm.tip]
 
     def apply_ctrl(self, ctrl: ArrayLike, seconds: float) -> Log:
         """Holds the arm's motors at constant controls, without a controller.
@@ -144,22 +202,246 @@ class Simulation(Moves):
             InputError: A wrong length, a number that is not finite, or a negative time.
             LimitError: A control outside its motor's range.
         """
-        ctrl, bound = vector("ctrl", ctrl, self.arm.n), self.arm.limits.tau_max / np.abs(self.arm.gear)
-        outside = np.abs(ctrl) > bound * (1 + 1e-9)
+        ctrl = vector("ctrl", ctrl, self.arm.n)
+        bound = self.arm.limits.tau_max / np.abs(self.arm.gear)
+        outside = np.abs(ctrl) > bound * (1 + _CONTROL_TOLERANCE)
         if outside.any():
             i = int(outside.argmax())
             raise LimitError(f"ctrl: {self.arm.joint_names[i]}: {ctrl[i]:g} is outside [{-bound[i]:g}, {bound[i]:g}]")
-        nothing = np.full((ticks_for(number("seconds", seconds, 0.0), self.dt), self.arm.n), np.nan)
-        recorder, started, constant = Recorder(self.arm), time.perf_counter(), ConstantTorque(ctrl * self.arm.gear)
-        self._stepper.follow(constant, TickReference(*[nothing] * 5), recorder)
-        return self._logged(recorder, seconds, np.full(7, np.nan), started, constant)
+        seconds = number("seconds", seconds, 0.0)
+        nothing = np.full((ticks_for(seconds, self.dt), self.arm.n), np.nan)
+        constant = ConstantTorque(ctrl * self.arm.gear)
+        with self._arms.recording({self.arm.tip: seconds}, controller=constant) as recorder:
+            self._arms.stepper.run(constant, TickReference(nothing, nothing, nothing, nothing, nothing), recorder)
+        return self._arms.logs[self.arm.tip]
 
-    def record(self, path: str | os.PathLike[str], **options: Any) -> Path:
-        """Films the last run: the arm, the target, and the way of the tip.
+    def move_to(
+        self,
+        target: Pose | ArrayLike,
+        *,
+        speed: float = 1.0,
+        tolerance: float = TOLERANCE,
+        angle_tolerance: float = ANGLE_TOLERANCE,
+        settle_timeout: float = 1.0,
+    ) -> MoveResult:
+        """Moves the tip to a target by inverse kinematics and a jerk-limited motion of the joints.
 
         Args:
-            path: The film, .mp4 or .gif; its folder is made.
-            **options: width, height, quality and speed, as for `armctl.render.record`.
+            target: T_world_tip, or (3,) m if any orientation is accepted.
+            speed: Fraction of the full speed, in (0, 1].
+            tolerance: m, the largest position error at which the target counts as reached.
+            angle_tolerance: rad, likewise.
+            settle_timeout: s that the arm may take to come to rest after the motion.
+
+        Returns:
+            How it ended. It does not raise if the target cannot be reached: `ok` is False, and `reason` tells why.
+
+        Raises:
+            InputError: An argument has a wrong length or a number that is not finite or out of its bounds.
+            SimulationError: The controller failed; `error.log` contains the ticks until then.
+        """
+        goal = Target.read(target, tolerance, angle_tolerance)
+        return self._move(goal, lambda: plan_to(self.arm, goal, self._start, speed), settle_timeout)
+
+    def move_j(self, q: ArrayLike, *, speed: float = 1.0, settle_timeout: float = 1.0) -> MoveResult:
+        """Moves the joints to a configuration, on a straight line in joint space.
+
+        Args:
+            q: (n,) rad, inside the limits.
+            speed: Fraction of the full speed, in (0, 1].
+            settle_timeout: s that the arm may take to come to rest after the motion.
+
+        Returns:
+            How it ended, measured at the tip.
+
+        Raises:
+            InputError: An argument has a wrong length or a number that is not finite or out of its bounds.
+            LimitError: A position outside the limits.
+            SimulationError: The controller failed; `error.log` contains the ticks until then.
+        """
+        goal = Target.read(self.arm.fk(self.arm.checked("q", q)))
+
+        def plan() -> PlannedMove:
+            return plan_move(self.arm, goal, lambda: move_j(self.arm, self._start, q, speed=speed))
+
+        return self._move(goal, plan, settle_timeout)
+
+    def move_l(
+        self,
+        target: Pose | ArrayLike,
+        *,
+        speed: float = 1.0,
+        tip_speed: float | None = None,
+        tip_angular_speed: float | None = None,
+        settle_timeout: float = 1.0,
+    ) -> MoveResult:
+        """Moves the tip to a target on a straight line.
+
+        Args:
+            target: T_world_tip, or (3,) m if any orientation is accepted.
+            speed: Fraction of the full speed, in (0, 1].
+            tip_speed: m/s, the highest speed of the tip; by default only the joints limit it.
+            tip_angular_speed: rad/s, likewise.
+            settle_timeout: s that the arm may take to come to rest after the motion.
+
+        Returns:
+            How it ended. A line outside the workspace or the limits is not started, and `reason` says where it leaves them.
+
+        Raises:
+            InputError: An argument has a wrong length or a number that is not finite or out of its bounds.
+            SimulationError: The controller failed; `error.log` contains the ticks until then.
+        """
+        goal = Target.read(target)
+
+        def planner() -> JointTrajectory:
+            return move_l(
+                self.arm,
+                self._start,
+                target,
+                tip_speed=tip_speed,
+                tip_angular_speed=tip_angular_speed,
+                speed=speed,
+            )
+
+        return self._move(goal, lambda: plan_move(self.arm, goal, planner), settle_timeout)
+
+    def move_c(
+        self,
+        via: Pose | ArrayLike,
+        target: Pose | ArrayLike,
+        *,
+        angle: float | None = None,
+        speed: float = 1.0,
+        tip_speed: float | None = None,
+        tip_angular_speed: float | None = None,
+        settle_timeout: float = 1.0,
+    ) -> MoveResult:
+        """Moves the tip on an arc through one point to another.
+
+        Args:
+            via: T_world_tip or (3,) m, a point on the arc.
+            target: T_world_tip, or (3,) m if any orientation is accepted.
+            angle: rad, how far to go on the circle; None stops at the target. 2 pi is the full circle.
+            speed: Fraction of the full speed, in (0, 1].
+            tip_speed: m/s, the highest speed of the tip; by default only the joints limit it.
+            tip_angular_speed: rad/s, likewise.
+            settle_timeout: s that the arm may take to come to rest after the motion.
+
+        Returns:
+            How it ended. An arc outside the workspace or the limits is not started, and `reason` says where it leaves them.
+
+        Raises:
+            InputError: An argument has a wrong length or a number that is not finite or out of its bounds, or the points are on
+                one line.
+            SimulationError: The controller failed; `error.log` contains the ticks until then.
+        """
+        goal = Target.read(target)
+
+        def planner() -> JointTrajectory:
+            return move_c(
+                self.arm,
+                self._start,
+                via,
+                target,
+                angle=angle,
+                tip_speed=tip_speed,
+                tip_angular_speed=tip_angular_speed,
+                speed=speed,
+            )
+
+        ends_at_target = angle is None
+        return self._move(goal, lambda: plan_move(self.arm, goal, planner, ends_at_target), settle_timeout)
+
+    def move_path(
+        self,
+        path: Sequence[Line | Arc | Pose | ArrayLike],
+        *,
+        blend: float = 0.0,
+        speed: float = 1.0,
+        tip_speed: float | None = None,
+        tip_angular_speed: float | None = None,
+        settle_timeout: float = 1.0,
+    ) -> MoveResult:
+        """Moves the tip along lines and arcs with rounded corners.
+
+        Args:
+            path: Lines and arcs; a pose or a point is a line to it.
+            blend: m, the radius around each corner in which it is rounded.
+            speed: Fraction of the full speed, in (0, 1].
+            tip_speed: m/s, the highest speed of the tip; by default only the joints limit it.
+            tip_angular_speed: rad/s, likewise.
+            settle_timeout: s that the arm may take to come to rest after the motion.
+
+        Returns:
+            How it ended. A path outside the workspace or the limits is not started, and `reason` says where it leaves them.
+
+        Raises:
+            InputError: The path is empty, or an argument has a wrong length or a number that is not finite or out of its
+                bounds.
+            SimulationError: The controller failed; `error.log` contains the ticks until then.
+        """
+        if not isinstance(path, (Sequence, np.ndarray)) or isinstance(path, str):
+            raise InputError(f"path: {shown(path)} is no list of lines, arcs, poses or points")
+        if len(path) == 0:
+            raise InputError("path: it is empty; give at least one line or arc")
+        last = path[-1]
+        goal = Target.read(last.target if isinstance(last, (Line, Arc)) else last)
+        ends_at_target = not (isinstance(last, Arc) and last.angle is not None)
+
+        def planner() -> JointTrajectory:
+            return move_path(
+                self.arm,
+                self._start,
+                path,
+                blend=blend,
+                tip_speed=tip_speed,
+                tip_angular_speed=tip_angular_speed,
+                speed=speed,
+            )
+
+        return self._move(goal, lambda: plan_move(self.arm, goal, planner, ends_at_target), settle_timeout)
+
+    def follow(self, target: str | Callable[[float], Pose | ArrayLike] = TARGET, *, seconds: float = 10.0) -> Log:
+        """Follows a moving target: reads it 50 times a second, and keeps every joint limit on the way to it.
+
+        If the target is out of reach, the tip goes to the closest point.
+
+        Args:
+            target: The name of a body of the model, whose position is followed; or a function of the time since the start, s,
+                that returns T_world_tip or (3,) m.
+            seconds: How long, s.
+
+        Returns:
+            Every tick of it. `log.target` is the target at the end, which `Report` compares with the tip.
+
+        Raises:
+            InputError: A negative time, or a function that returns neither a pose nor three finite numbers.
+            UnknownNameError: The model has no such body.
+            SimulationError: The controller failed; `error.log` contains the ticks until then.
+        """
+        target_at = self._target_function(target)
+        seconds = number("seconds", seconds, 0.0)
+        ticks_for(seconds, self.dt)
+        stepper = self._arms.stepper
+        begin = self.data.time
+        online = OnlineReference(self.arm, self.dt, self._start, continuous=stepper.continuous)
+        ticks = ticks_for(_FOLLOW_INTERVAL_S, self.dt) - 1
+        targets: dict[str, Array] = {}
+        with self._arms.recording({self.arm.tip: seconds}, targets) as recorder:
+            while not stepper.failure and self.data.time - begin < seconds - 1e-9:
+                goal = Target.read(target_at(self.data.time - begin))
+                targets[self.arm.tip] = goal.numbers
+                solution = solve_ik(self.arm, goal.position if goal.pose is None else goal.pose, online.q)
+                stepper.run(self.controller, online.toward(solution.q, ticks), recorder)
+            targets[self.arm.tip] = Target.read(target_at(self.data.time - begin)).numbers
+        return self._arms.logs[self.arm.tip]
+
+    def record(self, path: str | os.PathLike[str], **options: Any) -> Path:
+        """Makes a video of the last run: the arm, the target, and the path of the tip.
+
+        Args:
+            path: The video, .mp4 or .gif; its folder is made.
+            **options: width, height, quality and speed, as for `armctl.record`.
 
         Returns:
             The path.
@@ -169,67 +451,32 @@ class Simulation(Moves):
         """
         if self.log is None:
             raise InputError("log: nothing has run yet, so there is nothing to film; move first")
-        from armctl.render.video import record  # cameras and encoders are loaded when a film is made
+        from armctl.render.video import record  # cameras and encoders are loaded when a video is made
 
         return record(self.log, self.arm, path, **options)
 
+    @property
+    def _start(self) -> Array:
+        return self._arms.start(self.arm.tip)
 
-def simulate(
-    arm: Arm, controller: Controller | str, trajectory: Trajectory, plant: Plant | None = None, settle: float = 0.25
-) -> Log:
-    """Follows a trajectory from its start, in a simulation of its own.
+    def _move(self, goal: Target, plan: Callable[[], PlannedMove], settle_timeout: float) -> MoveResult:
+        """Shows the target, plans, and moves."""
+        settle_timeout = number("settle_timeout", settle_timeout, 0.0)
+        set_target(self.model, self.data, goal.position, None if goal.pose is None else goal.pose.quat)
+        return self._arms.move({self.arm.tip: self._arms.planned(goal, plan)}, settle_timeout)[self.arm.tip]
 
-    Args:
-        arm: The arm.
-        controller: A controller or the name of one.
-        trajectory: The motion.
-        plant: How reality differs from the model; in nothing if left out.
-        settle: s to go on holding its end.
+    def _target_function(self, target: str | Callable[[float], Pose | ArrayLike]) -> Callable[[float], Pose | ArrayLike]:
+        """The target as a function of time."""
+        if callable(target):
+            return target
+        if not isinstance(target, str):
+            raise InputError(f"target: {shown(target)} is neither the name of a body nor a function of the time")
+        body = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, target)
+        if body < 0:
+            raise UnknownNameError.of("body", target, [self.model.body(i).name for i in range(1, self.model.nbody)])
 
-    Returns:
-        Every tick of it. A run that diverges ends early, and `log.failure` says why.
+        def position(_: float) -> Array:
+            mujoco.mj_kinematics(self.model, self.data)
+            return self.data.xpos[body].copy()
 
-    Raises:
-        InputError: An argument of the wrong kind.
-        UnknownNameError: There is no such controller.
-        SimulationError: The controller failed; `error.log` holds what there was until then.
-    """
-    check_arm(arm)
-    controller = controller_by_name(controller, arm) if isinstance(controller, str) else controller
-    plant = _checked(controller, plant)
-    check_motion(trajectory, arm.joint_names)
-    with _rig_for(arm, plant) as stepper:
-        start = trajectory(0.0)
-        stepper.reset(start.q, start.v)
-        return _run(stepper, controller, trajectory, settle)
-
-
-def _checked(controller: object, plant: Plant | None) -> Plant:
-    """The plant, once controller and plant are what they should be."""
-    if isinstance(controller, type) or not callable(getattr(controller, "torque", None)):
-        raise InputError(f"controller: {controller!r} has no method torque(state, setpoint); armctl.PD(arm) has")
-    plant = NOMINAL if plant is None else plant
-    instance("plant", plant, Plant, "armctl.Plant(payload=1.0) is one")
-    return plant
-
-
-_idle: dict[tuple[Arm, Plant], Stepper] = {}
-
-
-@contextmanager
-def _rig_for(arm: Arm, plant: Plant) -> Iterator[Stepper]:
-    """A stepper of an arm and a plant for one run. The last ones are kept: to copy a model takes as long as a second of it."""
-    stepper = _idle.pop((arm, plant), None) or Stepper(arm, plant)
-    try:
-        yield stepper
-    finally:
-        _idle[arm, plant] = stepper
-        for oldest in list(_idle)[:-_IDLE]:
-            _idle.pop(oldest, None)
-
-
-def _run(stepper: Stepper, controller: Controller, trajectory: Trajectory, settle: float) -> Log:
-    recorder, started = Recorder(stepper.arm), time.perf_counter()
-    ticks = ticks_for(trajectory.duration + number("settle", settle, 0.0), stepper.dt)
-    stepper.follow(controller, stepper.reference(trajectory, ticks), recorder)
-    return stepper.log(controller, recorder, trajectory.duration, np.full(7, np.nan), time.perf_counter() - started)
+        return position

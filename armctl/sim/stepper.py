@@ -1,10 +1,9 @@
-"""Stepper: a simulated arm under a controller, and the tick loop that all runs go through."""
+"""Stepper: the simulated plant, and the tick loop of all runs."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Sequence
 from typing import Protocol
 
 import mujoco
@@ -12,21 +11,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control import Controller, State, controller_name
-from armctl.core.log import Log, SimulationError
+from armctl.core.errors import InputError
+from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
-from armctl.core.validation import Array, IntArray, vector
+from armctl.core.validation import Array, IntArray, shown, vector
+from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
 from armctl.sim.disturbances import Disturbances
-from armctl.sim.plant import Plant
-from armctl.sim.recorder import Recorder
+from armctl.sim.plant import Brake, Plant, held_dofs, plant_model
+from armctl.sim.recorder import Recorder, TickRows
 
-_BRAKED = ("dof_armature", "dof_frictionloss", "jnt_limited", "tendon_limited", "tendon_frictionloss", "eq_active0")
-_RUNAWAY = 1e4  # rad/s: speeds no arm survives
+_MAX_SPEED = 1e4  # rad/s (m/s), of all joints together; above it a run counts as diverged
+_FLOAT64 = np.dtype(np.float64)
 
 
 class Observer(Protocol):
-    """Something that watches the tick loop, such as a viewer. It must not change the state; it may take its time.
+    """An observer of the tick loop, such as a viewer. It must not change the state; it may block.
 
     Attributes:
         interval: s of simulated time between two calls of `after_ticks`.
@@ -35,236 +36,312 @@ class Observer(Protocol):
     interval: float
 
     def after_reset(self, data: mujoco.MjData) -> None:
-        """The state was set anew.
-
-        Args:
-            data: The plant's state.
-        """
+        """Called after the state was reset."""
         ...
 
     def before_run(self) -> None:
-        """A run begins."""
+        """Called before a run."""
         ...
 
     def after_ticks(self, data: mujoco.MjData, seconds: float) -> None:
-        """A few ticks of a run are over.
-
-        Args:
-            data: The plant's state.
-            seconds: Simulated time since the last call, s.
-        """
+        """Called during a run, `seconds` of simulated time after the last call."""
         ...
 
 
-class Stepper:
-    """The plant and its state in time.
+class ControllerFailure(Exception):
+    """A controller raised an exception or returned no torque; the exception is the cause.
 
     Attributes:
-        arm: The arm as its controller knows it.
-        plant: How the simulated arm differs.
+        controller: The controller.
+        tip: The tip of its arm, where several arms move at once.
+    """
+
+    def __init__(self, controller: Controller, tip: str = ""):
+        super().__init__(controller, tip)
+        self.controller = controller
+        self.tip = tip
+
+
+class Stepper:
+    """One or several arms of one model as a simulated plant, and its state over time.
+
+    It keeps no reference to an Arm, so that arms can be forgotten while a stepper waits for the next run.
+
+    Attributes:
+        actuation: The driven joints of all arms.
+        plant: How the simulated arms differ from their models.
         model: The plant's MuJoCo model.
         data: Its MjData.
         dt: s, the tick: the control period.
-        continuous: Whether the arm moves on continuously between ticks.
-        q_ref: (n,) rad, where the arm was last told to be.
-        failure: Why nothing more can be run, in words; empty while all is well.
+        continuous: Whether the arm moves almost continuously between ticks.
+        q_ref: (n,) rad, the last reference.
+        failure: Why the last run ended early, in words; empty if it did not.
+        diverged: Whether the state diverged, so that only `reset` helps.
     """
 
-    def __init__(self, arm: Arm, plant: Plant, observer: Observer | None = None):
-        """A stepper with the arm at home, at rest.
+    def __init__(self, arms: Sequence[Arm], plant: Plant, observer: Observer | None = None):
+        """A stepper with the arms at home, at rest.
 
         Args:
-            arm: The arm.
-            plant: How reality differs from it.
-            observer: What watches the tick loop, or None.
+            arms: Arms of one model that share no joint. Payload and pushes of the plant act at the tip of the first.
+            plant: How the simulated arms differ from their models.
+            observer: An observer of the tick loop, or None.
         """
-        self.arm, self.plant, self._observer = arm, plant, observer
-        self._loose = np.zeros(0, dtype=np.int64)
-        self.model = plant.model(arm)
+        self.actuation = arms[0].actuation if len(arms) == 1 else Actuation.concatenated([arm.actuation for arm in arms])
+        self.plant = plant
+        self._observer = observer
+        self._tip_jacobian = arms[0].pinocchio_model.jacobian
+        self._home = np.concatenate([arm.home for arm in arms])
+        self._home_qpos = arms[0].home_qpos
+        self._home_ctrl = arms[0].home_ctrl
+        self.model = plant_model(plant, arms)
+        self._brake = Brake(self.model, held_dofs(*arms))
+        self._released = np.zeros(0, dtype=np.int64)
         self.data = mujoco.MjData(self.model)
         self.continuous = bool(self.model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4))
-        self.dt = arm.dt if plant.timestep is None else float(plant.timestep)
-        self._steps = round(self.dt / self.model.opt.timestep)
-        self._motors = _index(arm.ctrl_adr)
-        addresses = (arm.qpos_adr, arm.dof_adr, arm.actuation.torque_adr)
-        self._read = list(map(_reader, (self.data.qpos, self.data.qvel, self.data.qfrc_actuator), addresses))
-        self.reset(arm.home, np.zeros(arm.n))
+        self.dt = arms[0].dt if plant.timestep is None else plant.timestep
+        self._substeps = round(self.dt / self.model.opt.timestep)
+        self._joints = _index(self.actuation.qpos_adr)
+        self._dofs = _index(self.actuation.dof_adr)
+        self._motors = _index(self.actuation.ctrl_adr)
+        self._drives = _index(self.actuation.torque_adr)
+        # A slice of MuJoCo's arrays is a view that stays valid; other addresses have to be gathered at every tick.
+        is_whole = bool((self.actuation.torque_share == 1.0).all())
+        self._qvel = self.data.qvel[self._dofs] if isinstance(self._dofs, slice) else None
+        self._motor_torque = self.data.qfrc_actuator[self._drives] if isinstance(self._drives, slice) and is_whole else None
+        self._is_direct = isinstance(self._motors, slice) and bool((self.actuation.gear == 1.0).all())
+        self._disturbances: Disturbances | None = None
+        self._measurement: tuple[Array, Array] | None = None
+        self._unobserved = 0.0
+        self.reset()
+
+    @property
+    def n(self) -> int:
+        """The number of driven joints of all arms."""
+        return self.actuation.n
 
     @property
     def state(self) -> State:
-        """The arm's state now."""
-        return State(
-            self.data.qpos[self.arm.qpos_adr], self.data.qvel[self.arm.dof_adr], float(self.data.time), self.dt, self.continuous
-        )
+        """The true state of all arms now."""
+        q = self.data.qpos[self.actuation.qpos_adr]
+        v = self.data.qvel[self.actuation.dof_adr]
+        return State(q, v, float(self.data.time), self.dt, self.continuous)
 
     @property
-    def tip(self) -> Pose:
-        """Where the simulated tip is now, T_world_tip."""
+    def measured_state(self) -> State:
+        """The state as the plant's sensors measure it now; the same until the next tick."""
+        state = self.state
+        if self._disturbances is None:
+            return state
+        if self._measurement is None:
+            self._measurement = self._disturbances.measured(state.q, state.v)
+        return state._replace(q=self._measurement[0], v=self._measurement[1])
+
+    def tip_pose(self, arm: Arm) -> Pose:
+        """The pose of an arm's tip in the simulation now, T_world_tip."""
         mujoco.mj_kinematics(self.model, self.data)
-        body = self.arm.tip_body
-        return Pose.from_rotation(self.data.xpos[body], self.data.xmat[body].reshape(3, 3)) @ self.arm.T_body_tip
+        body = arm.tip_body
+        return Pose.from_rotation(self.data.xpos[body], self.data.xmat[body].reshape(3, 3)) @ arm.T_body_tip
 
-    def reset(self, q: ArrayLike, v: ArrayLike) -> None:
-        """Starts afresh at t = 0.
-
-        Args:
-            q: (n,) rad where the arm is.
-            v: (n,) rad/s how it moves.
+    def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
+        """Sets time to 0 and the joints to q, rad, and v, rad/s; home and rest by default. Everything else is at home.
 
         Raises:
             InputError: A wrong length or a number that is not finite.
         """
-        q, v = vector("q", q, self.arm.n), vector("v", v, self.arm.n)
-        if len(self._loose):
-            self._set_loose(self._loose[:0])
+        q = vector("q", self._home if q is None else q, self.n)
+        v = vector("v", np.zeros(self.n) if v is None else v, self.n)
+        if len(self._released):
+            self._released = self._released[:0]
+            self._brake.release_only(self._released)
         mujoco.mj_resetData(self.model, self.data)
-        self.data.qpos[:] = self.arm.qpos(q)
-        self.data.qvel[:] = self.arm.qvel(v)
-        self.data.ctrl[:] = self.arm.home_ctrl
+        self.data.qpos[:] = self._home_qpos
+        self.actuation.joint_map.set_positions(self.data.qpos, q)
+        self.actuation.joint_map.set_speeds(self.data.qvel, v)
+        self.data.ctrl[:] = self._home_ctrl
         mujoco.mj_forward(self.model, self.data)
-        self.q_ref, self.failure = q, ""
-        self._disturbances = Disturbances(self.plant, self.arm, self.data) if self.plant.disturbs else None
+        self.q_ref = q
+        self.failure = ""
+        self.diverged = False
+        self._measurement = None
+        self._unobserved = 0.0
+        if self.plant.has_signal_disturbances:
+            self._disturbances = Disturbances(self.plant, self.data, self.actuation.dof_adr, self._tip_jacobian)
         if self._observer is not None:
             self._observer.after_reset(self.data)
 
-    def loosen(self, dofs: IntArray) -> None:
-        """Takes the brake off joints outside the arm, such as a gripper's; `reset` puts it on again.
+    def release(self, dofs: IntArray) -> None:
+        """Releases the brake of joints outside the arms, such as a gripper's; `reset` brakes them again.
 
         Args:
             dofs: Their addresses in `MjData.qvel`.
         """
-        if not np.isin(dofs, self._loose).all():
-            self._set_loose(np.union1d(self._loose, dofs))
+        if not np.isin(dofs, self._released).all():
+            self._released = np.union1d(self._released, dofs)
+            self._brake.release_only(self._released)
             self.data.eq_active[:] = self.model.eq_active0
 
-    def _set_loose(self, dofs: IntArray) -> None:
-        self._loose, source = dofs, self.plant.model(self.arm, dofs)
-        for name in _BRAKED:
-            getattr(self.model, name)[:] = getattr(source, name)
-        self.model.opt.tolerance = source.opt.tolerance
-
     def reference(self, trajectory: Trajectory, ticks: int) -> TickReference:
-        """A trajectory on this stepper's ticks.
-
-        Args:
-            trajectory: The motion.
-            ticks: How many ticks, from its beginning on.
-
-        Returns:
-            Its rows.
-        """
+        """The first `ticks` ticks of a trajectory."""
         return TickReference.of(trajectory, self.dt, ticks, self.continuous)
 
-    def follow(self, controller: Controller, reference: TickReference, recorder: Recorder) -> None:
-        """The tick loop: measure, control, record, step.
+    def hold_reference(self, seconds: float) -> TickReference:
+        """A reference that stays where the last one ended, for at least one tick."""
+        still = np.zeros((max(1, round(seconds / self.dt)), self.n))
+        return TickReference(self.q_ref + still, still, still, still, still)
 
-        It ends early, and `end` says why, where the arm runs away or the controller gives no finite torque.
+    def run(self, controller: Controller, reference: TickReference, recorder: Recorder) -> None:
+        """Runs the tick loop along a reference: measure, control, step, record.
+
+        The run ends early, and `failure` says why, if the arm diverges or the controller returns a torque that is not finite.
+        If it ends by an exception, all complete ticks are recorded, and `q_ref` is the reference of the last one.
 
         Args:
-            controller: What makes the torques.
-            reference: Where the arm should be, tick by tick.
-            recorder: What it is recorded in.
+            controller: What computes the torques.
+            reference: The reference of each tick; its arrays become read-only.
+            recorder: Where the ticks are recorded.
 
         Raises:
-            SimulationError: The controller failed, or an earlier run ended early; `error.log` holds what there was until then.
+            SimulationError: An earlier run ended early, or the controller failed.
         """
         if self.failure:
             raise SimulationError(f"{self.failure}; reset() starts afresh")
+        rows = recorder.begin(reference)
         if self._observer is None:
-            self._run_ticks(controller, reference, recorder)
+            self._run_ticks(controller, rows, 0, len(reference.q))
             return
         ticks = max(1, round(self._observer.interval / self.dt))
         self._observer.before_run()
         for first in range(0, len(reference.q), ticks):
-            part = TickReference(*(np.asarray(column)[first : first + ticks] for column in reference))
-            self._run_ticks(controller, part, recorder)
-            self._observer.after_ticks(self.data, len(part.q) * self.dt)
+            last = min(first + ticks, len(reference.q))
+            self._run_ticks(controller, rows, first, last)
+            self._observer.after_ticks(self.data, (last - first) * self.dt)
             if self.failure:
                 return
 
-    def _run_ticks(self, controller: Controller, reference: TickReference, recorder: Recorder) -> None:
-        model, data, dt, continuous, steps = self.model, self.data, self.dt, self.continuous, self._steps
-        (read_q, read_v, read_tau), motors, gear, qpos, ctrl = self._read, self._motors, self.arm.gear, data.qpos, data.ctrl
-        torque, step, disturbances, tape = controller.torque, mujoco.mj_step, self._disturbances, recorder.tape
-        share = self.arm.actuation.torque_share
-        is_whole = bool((share == 1.0).all())
-        direct = disturbances is None and isinstance(motors, slice) and bool((gear == 1.0).all())
-        command = ctrl[motors] if direct else np.empty(self.arm.n)
-        length = math.hypot  # of a short list, faster than numpy's dot
-        new = tuple.__new__  # a NamedTuple's own constructor takes twice as long
-        recorder.follow(reference)
-        for wanted in zip(*reference, strict=True):
-            q, v = read_q(), read_v()
-            if not length(*v.tolist()) < _RUNAWAY:
-                self.failure = self._runaway(v)
-                break
-            row = qpos.tobytes() + v.tobytes()
-            q_seen, v_seen = (q, v) if disturbances is None else disturbances.measured(q, v)
-            try:
-                tau = torque(new(State, (q_seen, v_seen, data.time, dt, continuous)), new(Setpoint, wanted))
-                command[:] = tau if len(tau) == len(command) else vector("torque", tau, len(command))
-            except Exception as error:
-                raise self._failed(controller, error, recorder) from error
-            if not length(*command.tolist()) < math.inf:
-                self.failure = f"the controller gave no finite torque at {data.time:.3f} s"
-                break
-            if not direct:
-                ctrl[motors] = (command if disturbances is None else disturbances.driven(command, q)) / gear
-            step(model, data, steps)
-            done = read_tau() if is_whole else read_tau() * share
-            tape += row + command.tobytes() + done.tobytes()
-        last = reference.q[-1]
-        self.q_ref = last if np.isfinite(last).all() else read_q()
-
-    def hold(self, controller: Controller, seconds: float) -> None:
-        """Holds the arm where it was last told to be, unrecorded.
-
-        Args:
-            controller: What makes the torques.
-            seconds: How long, at least one tick.
+    def step(self, controller: Controller, rows: TickRows) -> None:
+        """Runs the next tick of rows that are not complete.
 
         Raises:
-            SimulationError: As for `follow`.
+            SimulationError: As for `run`; also if this tick ended early.
         """
-        still = np.zeros((max(1, round(seconds / self.dt)), self.arm.n))
-        self.follow(controller, TickReference(self.q_ref + still, *[still] * 4), Recorder(self.arm))
+        if self.failure:
+            raise SimulationError(f"{self.failure}; reset() starts afresh")
+        if self._observer is not None and self._unobserved == 0.0:
+            self._observer.before_run()
+        self._run_ticks(controller, rows, rows.count, rows.count + 1)
+        if self.failure:
+            raise SimulationError(self.failure)
+        if self._observer is not None:
+            self._unobserved += self.dt
+            if self._unobserved > self._observer.interval - 0.5 * self.dt:
+                self._observer.after_ticks(self.data, self._unobserved)
+                self._unobserved = 0.0
 
-    def log(self, controller: Controller, recorder: Recorder, motion_duration: float, goal: Array, wall: float) -> Log:
-        """What was recorded, as a Log.
+    def _run_ticks(self, controller: Controller, rows: TickRows, first: int, last: int) -> None:  # noqa: PLR0915  # locals are fast
+        """The ticks of rows [first, last). The speed of every simulation depends on each line of this loop."""
+        data = self.data
+        model = self.model
+        dt = self.dt
+        continuous = self.continuous
+        substeps = self._substeps
+        disturbances = self._disturbances
+        qvel = self._qvel
+        motor_torque = self._motor_torque
+        is_direct = self._is_direct and disturbances is None
+        command = data.ctrl[self._motors] if is_direct else np.empty(self.n)
+        n = self.n
+        qpos = data.qpos
+        qpos_rows = rows.qpos
+        v_rows = rows.v
+        command_rows = rows.tau_cmd
+        torque_rows = rows.tau
+        # A controller gets read-only views of the recorded rows.
+        v_seen_rows = _read_only(v_rows)
+        q_seen_rows = _read_only(qpos_rows[:, self._joints]) if isinstance(self._joints, slice) else None
+        torque = controller.torque
+        mj_step = mujoco.mj_step
+        ndarray = np.ndarray
+        hypot = math.hypot  # of a short list it is faster than numpy's norm
+        inf = math.inf
+        new = tuple.__new__  # a NamedTuple's own constructor takes twice as long
+        touching = rows.contacts[-1][1] if rows.contacts else b""
+        row = first
+        count = rows.count
+        try:
+            for row, setpoint in enumerate(zip(*(column[first:last] for column in rows.reference), strict=True), first):
+                v_rows[row] = data.qvel[self._dofs] if qvel is None else qvel
+                qpos_rows[row] = qpos
+                v = v_seen_rows[row]
+                if not hypot(*v.tolist()) < _MAX_SPEED:
+                    self._diverge(v)
+                    break
+                q = _read_only(qpos[self._joints]) if q_seen_rows is None else q_seen_rows[row]
+                q_seen, v_seen = (q, v) if disturbances is None else self._measure(q, v)
+                try:
+                    tau = torque(new(State, (q_seen, v_seen, data.time, dt, continuous)), new(Setpoint, setpoint))
+                    if not (type(tau) is ndarray and tau.dtype is _FLOAT64 and len(tau) == n):
+                        tau = checked_torque(tau, n)
+                    command[:] = tau
+                except Exception as error:
+                    raise self._controller_failed(controller, error) from error
+                if not hypot(*command.tolist()) < inf:
+                    self.failure = f"the controller gave no finite torque at {data.time:.3f} s"
+                    break
+                command_rows[row] = command
+                if not is_direct:
+                    driven = command if disturbances is None else disturbances.driven(command, q)
+                    data.ctrl[self._motors] = driven / self.actuation.gear
+                    self._measurement = None
+                mj_step(model, data, substeps)
+                torque_rows[row] = self._gathered_torque() if motor_torque is None else motor_torque
+                if data.ncon or touching:
+                    touching = self._noted_contacts(rows, row, touching)
+                count = row + 1
+        finally:
+            rows.count = count
+            reached = rows.reference.q[row]
+            self.q_ref = reached if hypot(*reached.tolist()) < inf else self.state.q
 
-        Args:
-            controller: What made the torques.
-            recorder: What it was recorded in.
-            motion_duration: s, when the reference came to rest.
-            goal: (7,) where the tip should end, NaN for what was not asked for.
-            wall: s that it took.
+    def _noted_contacts(self, rows: TickRows, row: int, before: bytes) -> bytes:
+        """The geoms that touch now, as bytes; noted if they are not those of the tick before."""
+        touching = self.data.contact.geom.tobytes()
+        if touching != before:
+            rows.contacts.append((row, touching))
+        return touching
 
-        Returns:
-            The log.
-        """
-        return recorder.log(
-            self.arm,
-            controller=controller_name(controller),
-            plant=str(self.plant),
-            dt=self.dt,
-            motion_duration=float(motion_duration),
-            target=goal,
-            real_time_factor=recorder.size * self.dt / max(wall, 1e-9),
-            failure=self.failure,
-        )
+    def _gathered_torque(self) -> Array:
+        """(n,) N m, what the motors do, where MuJoCo's numbers are not consecutive or have to be scaled."""
+        return self.data.qfrc_actuator[self._drives] * self.actuation.torque_share
 
-    def _failed(self, controller: Controller, error: Exception, recorder: Recorder) -> SimulationError:
-        self.failure = f"the controller {controller_name(controller)} failed at {self.data.time:.3f} s: {error}"
-        return SimulationError(self.failure, self.log(controller, recorder, 0.0, np.full(7, np.nan), math.inf))
+    def _measure(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """The measurement of this tick; `measured_state` may have made it already."""
+        if self._measurement is None:
+            assert self._disturbances is not None
+            self._measurement = self._disturbances.measured(q, v)
+        return self._measurement
 
-    def _runaway(self, v: Array) -> str:
+    def _controller_failed(self, controller: Controller, error: Exception) -> SimulationError:
+        cause: BaseException | None = error
+        whose = ""
+        if isinstance(error, ControllerFailure):
+            cause = error.__cause__
+            controller = error.controller
+            whose = f" of {error.tip!r:.80}" if error.tip else ""
+        name = controller_name(controller)
+        self.failure = f"the controller {name:.80}{whose} failed at {self.data.time:.3f} s: {cause}"
+        return SimulationError(self.failure)
+
+    def _diverge(self, v: Array) -> None:
         worst = int(np.argmax(np.abs(np.nan_to_num(v, nan=np.inf))))
-        joint, unit = self.arm.joint_names[worst], self.arm.units[worst]
-        return f"diverged at {self.data.time:.3f} s: {joint} moves at {v[worst]:.3g} {unit}/s"
+        joint = self.actuation.joint_names[worst]
+        unit = self.actuation.units[worst]
+        self.diverged = True
+        self.failure = f"diverged at {self.data.time:.3f} s: {joint} moves at {v[worst]:.3g} {unit}/s"
 
 
 class ConstantTorque:
-    """The controller of an open-loop run.
+    """A controller that returns the same torque at every tick, for open-loop runs.
 
     Attributes:
         tau: (n,) N m.
@@ -273,24 +350,25 @@ class ConstantTorque:
     name = "constant"
 
     def __init__(self, tau: Array):
-        """A controller that gives one torque whatever happens.
-
-        Args:
-            tau: (n,) N m.
-        """
         self.tau = tau
 
     def torque(self, state: State, setpoint: Setpoint) -> Array:
-        """The torque for the coming control period.
-
-        Args:
-            state: Not looked at.
-            setpoint: Not looked at.
-
-        Returns:
-            (n,) N m.
-        """
+        """The torque, (n,) N m."""
         return self.tau
+
+
+def checked_torque(tau: object, n: int) -> Array:
+    """A controller's torque as a vector of n floats; it need not be finite.
+
+    Raises:
+        InputError: It is no list of n real numbers.
+    """
+    if tau is None:
+        raise InputError(f"torque: None returned, {n} numbers wanted")
+    try:
+        return vector("torque", tau, n, finite=False)  # type: ignore[arg-type]
+    except TypeError:
+        raise InputError(f"torque: {shown(tau)} returned, {n} numbers wanted") from None
 
 
 def _index(addresses: IntArray) -> slice | IntArray:
@@ -300,7 +378,8 @@ def _index(addresses: IntArray) -> slice | IntArray:
     return slice(first, first + len(addresses)) if consecutive else addresses
 
 
-def _reader(values: Array, addresses: IntArray) -> Callable[[], Array]:
-    """A function that copies some of MuJoCo's numbers as they are when it is called."""
-    index = _index(addresses)
-    return values[index].copy if isinstance(index, slice) else partial(values.take, index)
+def _read_only(values: Array) -> Array:
+    """A read-only view."""
+    view = values[:]
+    view.flags.writeable = False
+    return view

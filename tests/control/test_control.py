@@ -21,7 +21,7 @@ every_tick = pytest.mark.parametrize("dt", TICKS)
 @every_tick
 @every_controller
 def test_follows_a_motion_without_chatter(arm, name, dt):
-    log = armctl.simulate(arm, name, Sway(arm), armctl.Plant(timestep=dt), settle=0.1)
+    log = armctl.simulate(arm, name, Sway(arm), armctl.Plant(timestep=dt), dwell=0.1)
     error = np.abs(log.q - log.q_ref).max()
     assert not log.failure
     assert np.isfinite(log.tau_cmd).all()
@@ -33,7 +33,7 @@ def test_follows_a_motion_without_chatter(arm, name, dt):
 @every_tick
 @every_controller
 def test_holds_still_at_rest(arm, name, dt):
-    log = armctl.simulate(arm, name, Still(arm.home), armctl.Plant(timestep=dt), settle=0.0)
+    log = armctl.simulate(arm, name, Still(arm.home), armctl.Plant(timestep=dt), dwell=0.0)
     moved = np.abs(log.q - arm.home).max()
     assert moved < (0.3 if name == "pd" else 1e-9), moved  # PD alone sags under the arm's weight
 
@@ -54,7 +54,7 @@ def test_comes_back_after_a_kick(arm, name):
 def test_an_observer_bears_a_delay_of_two_ticks(robot, dt):
     arm = arm_of(robot)
     plant = armctl.Plant(timestep=dt, delay=2, mass_scale=1.2, encoder_noise=1e-5, velocity_noise=1e-3)
-    log = armctl.simulate(arm, "computed-torque-observer", Sway(arm), plant, settle=1.0)
+    log = armctl.simulate(arm, "computed-torque-observer", Sway(arm), plant, dwell=1.0)
     end = log.t > log.t[-1] - 0.2
     assert not log.failure
     assert np.abs(log.q - log.q_ref)[end].max() < 2e-3

@@ -49,7 +49,7 @@ def test_default_gains_hold_on_extreme_arms(tmp_path, shape, dt, integrator):
     arm = arm_of(tmp_path, shape, "Euler" if continuous else integrator)
     plant = armctl.Plant(timestep=dt, continuous=continuous)
     for name in CONTROLLERS:
-        log = armctl.simulate(arm, name, Sway(arm), plant, settle=0.2)
+        log = armctl.simulate(arm, name, Sway(arm), plant, dwell=0.2)
         kicked = armctl.Simulation(arm, name, plant)
         kicked.reset(arm.home, np.minimum(0.2, 0.05 * arm.limits.v_max))
         after = kicked.run(Still(arm.home, 0.5))
@@ -65,6 +65,6 @@ def test_default_gains_hold_on_extreme_arms(tmp_path, shape, dt, integrator):
 def test_a_payload_that_shows_at_once_is_not_learnt_faster_than_ticks_bear(tmp_path, dt):
     """The tip of a heavy arm is thrown about at eight times gravity, so a wrong payload shows 64 times as much as at rest."""
     arm = arm_of(tmp_path, "heavy", "Euler")
-    log = armctl.simulate(arm, "adaptive", Sway(arm), armctl.Plant(timestep=dt, delay=1), settle=0.5)
+    log = armctl.simulate(arm, "adaptive", Sway(arm), armctl.Plant(timestep=dt, delay=1), dwell=0.5)
     assert not log.failure
     assert np.abs(log.q - log.q_ref).max() < 0.02

@@ -69,7 +69,7 @@ def test_an_impedance_gives_back_no_more_than_a_push_put_in():
     law, dynamics = armctl.Impedance(arm, stiffness=[500.0] * 3 + [20.0] * 3), Dynamics(arm)
     push = armctl.Push(0.0, 0.3, force=[10.0, -15.0, 5.0])
     plant = armctl.Plant(timestep=0.001, continuous=True, pushes=push)
-    log = armctl.simulate(arm, law, Still(arm.home, 2.0), plant, settle=0.0)
+    log = armctl.simulate(arm, law, Still(arm.home, 2.0), plant, dwell=0.0)
     wrench = np.where((log.t < 0.3)[:, None], push.wrench, 0.0)
     power = [w @ arm.jacobian(q) @ v for w, q, v in zip(wrench, log.q, log.v, strict=True)]
     supplied = np.cumsum(power) * log.dt

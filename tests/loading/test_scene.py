@@ -18,7 +18,7 @@ def test_what_has_a_mass_is_loose_and_the_rest_stands(load):
     assert arm.model.body("ball").mass == pytest.approx([0.2])
     assert arm.model.geom("can").size == pytest.approx([0.03, 0.05, 0])
     sim = armctl.Simulation(arm)
-    sim.run(armctl.move_j(arm, arm.home, arm.home), settle=1.0)
+    sim.run(armctl.move_j(arm, arm.home, arm.home), dwell=1.0)
     assert sim.data.body("ball").xpos[2] == pytest.approx(0.03, abs=1e-3)
     assert sim.data.body("can").xpos[2] == pytest.approx(0.05, abs=1e-3)
 

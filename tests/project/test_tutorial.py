@@ -22,7 +22,7 @@ def visits(arm: armctl.Arm, controller: armctl.Controller, *, jump: bool) -> lis
     """The four waypoints one after the other, 3 s each; by a motion or, as in the tutorial, by a jump of the setpoint."""
     sim, start, reports = armctl.Simulation(arm, controller), arm.home, []
     for goal in WAYPOINTS:
-        reports.append(armctl.Report.from_log(sim.run(armctl.move_j(arm, goal if jump else start, goal), settle=3.0)))
+        reports.append(armctl.Report.from_log(sim.run(armctl.move_j(arm, goal if jump else start, goal), dwell=3.0)))
         start = goal
     return reports
 

@@ -24,7 +24,7 @@ CALLS: dict[str, tuple[Callable[[], object], str]] = {
     "a position": (lambda: armctl.simulate(ARM, "pd", ARM.home), "trajectory: array.* is not a trajectory"),  # type: ignore
     "a plant's name": (lambda: armctl.simulate(ARM, "pd", MOTION, "friction"), "plant: 'friction' is no Plant"),  # type: ignore
     "a plant's name to Simulation": (lambda: armctl.Simulation(ARM, plant=3), "plant: 3 is no Plant"),  # type: ignore
-    "days": (lambda: armctl.simulate(ARM, "pd", MOTION, settle=1e9), f"ticks of .* s, at most {MOST_TICKS:,} fit into a log"),
+    "days": (lambda: armctl.simulate(ARM, "pd", MOTION, dwell=1e9), f"ticks of .* s, at most {MOST_TICKS:,} fit into a log"),
     "a motion to report": (lambda: armctl.Report.from_log(MOTION), "log: .* is no Log; armctl.simulate"),  # type: ignore
     "a motion to identify": (lambda: armctl.identify_payload(ARM, MOTION), "log: .* is no Log"),  # type: ignore
     "nothing to compare": (lambda: armctl.compare(ARM, [], MOTION), "a list of at least one of each"),

@@ -94,7 +94,7 @@ def test_reachable_poses_are_found(tied: armctl.Arm, method: str):
 def test_computed_torque_is_exact_where_the_tie_is_rigid(tied: armctl.Arm):
     goal = tied.limits.clamp(tied.home + 0.2)
     sim = armctl.Simulation(tied)
-    log = sim.run(armctl.move_j(tied, tied.home, goal), settle=0.1)
+    log = sim.run(armctl.move_j(tied, tied.home, goal), dwell=0.1)
     assert np.abs(log.q - log.q_ref).max() < 1e-6
     assert np.allclose(log.tau, log.tau_cmd, atol=1e-9), "what the motors make, they make at the arm's joints"
     joint_map = tied.joint_map
@@ -154,7 +154,7 @@ def test_tied_chains_in_one_team(load, tmp_path):
     bodies = limb("a", limb("b c")) + limb("d", limb("e f")).replace('pos="0.1 0 0.1"', 'pos="-0.6 0 0.1"', 1)
     load(bodies, ties("c b 0 0.5", "f e 0 -1") + motors("a b d e"), tip="C")
     arms = armctl.load_arms(tmp_path / "trap.xml", ["C", "F"])
-    logs = armctl.Team(arms).run({"C": armctl.move_j(arms[0], arms[0].home, arms[0].home + 0.5)}, settle=0.1)
+    logs = armctl.Team(arms).run({"C": armctl.move_j(arms[0], arms[0].home, arms[0].home + 0.5)}, dwell=0.1)
     assert np.abs(logs["C"].q - logs["C"].q_ref).max() < 1e-6
     assert np.abs(logs["F"].q - arms[1].home).max() < 1e-6
 

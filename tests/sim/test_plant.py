@@ -64,8 +64,8 @@ def test_masses_scale(bundled):
 
 def test_coulomb_friction_holds_what_is_less(bundled):
     pushed = Holding(bundled, extra=np.array([0.9, 0.0, 0.0]))
-    stuck = armctl.simulate(bundled, pushed, Still(bundled.home, 1.0), armctl.Plant(coulomb_friction=1.0), settle=0.0)
-    free = armctl.simulate(bundled, pushed, Still(bundled.home, 1.0), settle=0.0)
+    stuck = armctl.simulate(bundled, pushed, Still(bundled.home, 1.0), armctl.Plant(coulomb_friction=1.0), dwell=0.0)
+    free = armctl.simulate(bundled, pushed, Still(bundled.home, 1.0), dwell=0.0)
     assert np.abs(stuck.v).max() < 0.05 * np.abs(free.v).max()
 
 
@@ -76,7 +76,7 @@ def test_viscous_friction_takes_its_power(bundled):
 
 @pytest.mark.parametrize("delay", [0, 1, 3])
 def test_a_delay_is_so_many_ticks(bundled, delay):
-    log = armctl.simulate(bundled, Counting(3), Still(bundled.home, 0.05), armctl.Plant(delay=delay), settle=0.0)
+    log = armctl.simulate(bundled, Counting(3), Still(bundled.home, 0.05), armctl.Plant(delay=delay), dwell=0.0)
     late = np.maximum(np.arange(len(log)) - delay, 0)
     assert np.allclose(log.tau[:, 0], 0.001 * late)
     assert np.allclose(log.tau_cmd[:, 0], 0.001 * np.arange(len(log)))
@@ -84,7 +84,7 @@ def test_a_delay_is_so_many_ticks(bundled, delay):
 
 def test_noise_has_its_size_and_the_log_the_truth(bundled):
     plant, holding = armctl.Plant(encoder_noise=1e-3, velocity_noise=2e-2), Holding(bundled)
-    log = armctl.simulate(bundled, holding, Still(bundled.home, 2.0), plant, settle=0.0)
+    log = armctl.simulate(bundled, holding, Still(bundled.home, 2.0), plant, dwell=0.0)
     q, v = (np.array([getattr(s, k) for s in holding.states]) for k in ("q", "v"))
     assert np.std(q - log.q) == pytest.approx(1e-3, rel=0.1)
     assert np.std(v - log.v) == pytest.approx(2e-2, rel=0.1)
@@ -102,14 +102,14 @@ def test_the_same_seed_gives_the_same_bits(bundled):
 
 def test_ripple_swings_with_the_joint(bundled):
     plant = armctl.Plant(torque_ripple=0.1)
-    log = armctl.simulate(bundled, Holding(bundled), Still(bundled.home, 0.5), plant, settle=0.0)
+    log = armctl.simulate(bundled, Holding(bundled), Still(bundled.home, 0.5), plant, dwell=0.0)
     assert np.allclose(log.tau, log.tau_cmd * (1 + 0.1 * np.sin(12.0 * log.q)), atol=1e-9)
 
 
 def test_a_push_moves_the_tip_while_it_lasts():
     arm = arm_of("panda")
     push = armctl.Push(0.1, 0.2, force=[0.0, 20.0, 0.0])
-    log = armctl.simulate(arm, "impedance", Still(arm.home, 1.5), armctl.Plant(pushes=[push]), settle=0.0)
+    log = armctl.simulate(arm, "impedance", Still(arm.home, 1.5), armctl.Plant(pushes=[push]), dwell=0.0)
     off = (log.tip - log.tip_ref)[:, 1]
     assert np.abs(off[log.t < 0.1]).max() < 1e-9
     assert off.max() > 2e-3
@@ -133,7 +133,7 @@ def test_continuous_motion_is_what_finer_steps_converge_to(bundled):
             assert state.continuous
             return tau
 
-    log = armctl.simulate(bundled, Constant(), Still(bundled.home, 0.1), armctl.Plant(continuous=True), settle=0.0)
+    log = armctl.simulate(bundled, Constant(), Still(bundled.home, 0.1), armctl.Plant(continuous=True), dwell=0.0)
     model = armctl.Plant(timestep=bundled.dt / 200).model(bundled)
     data = mujoco.MjData(model)
     data.qpos[:] = bundled.qpos(bundled.home)

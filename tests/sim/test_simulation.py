@@ -267,7 +267,7 @@ def test_a_payload_is_felt(arm: Arm):
         (lambda sim: sim.move_to([0.3, 0.2]), "target: 2 numbers given, 3 wanted"),
         (lambda sim: sim.move_to([0.3, np.nan, 0.1]), r"target: element \[1\] is nan"),
         (lambda sim: sim.move_to([0.3, 0.2, 0.3], tolerance=-1), "tolerance: -1 given, a number at least 0 wanted"),
-        (lambda sim: sim.move_to([0.3, 0.2, 0.3], settle=-1), "settle: -1 given"),
+        (lambda sim: sim.move_to([0.3, 0.2, 0.3], settle_timeout=-1), "settle_timeout: -1 given"),
         (lambda sim: sim.apply_ctrl([1, 2], 1), "ctrl: 2 numbers given, 3 wanted"),
         (lambda sim: sim.apply_ctrl([1, 2, 9], 1), r"ctrl: elbow: 9 is outside \[-5, 5\]"),
         (lambda sim: sim.apply_ctrl([1, 2, 3], -1), "seconds: -1 given"),

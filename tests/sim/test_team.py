@@ -25,7 +25,7 @@ def pair(tmp_path):
 def test_one_moves_and_the_other_feels_nothing(pair):
     first, second = pair()
     team = armctl.Team([first, second])
-    logs = team.run({"C": armctl.move_j(first, first.home, first.home + 0.8)}, settle=0.1)
+    logs = team.run({"C": armctl.move_j(first, first.home, first.home + 0.8)}, dwell=0.1)
     assert np.abs(logs["C"].q - logs["C"].q_ref).max() < 1e-9
     assert np.abs(logs["F"].q - second.home).max() < 1e-9
     assert np.ptp(logs["F"].tau, axis=0).max() < 1e-6
@@ -36,7 +36,7 @@ def test_a_team_moves_as_its_arms_do_alone(pair):
     motions = {arm.tip: armctl.move_j(arm, arm.home, arm.home + sign * 0.5) for arm, sign in ((first, 1), (second, -1))}
     together = armctl.Team([first, second]).run(motions)
     for arm in (first, second):
-        alone = armctl.simulate(arm, "computed-torque", motions[arm.tip], settle=0.0)
+        alone = armctl.simulate(arm, "computed-torque", motions[arm.tip], dwell=0.0)
         rows = min(len(alone.t), len(together[arm.tip].t))
         assert np.allclose(alone.q[:rows], together[arm.tip].q[:rows], atol=1e-9)
         assert together[arm.tip].joint_names == arm.joint_names
@@ -123,7 +123,7 @@ def test_two_arms_four_legs_five_fingers_move_at_once(limbs: tuple[armctl.Arm, .
 
 def test_limbs_at_rest_feel_nothing_of_one_that_moves(limbs: tuple[armctl.Arm, ...]):
     moving, *still = limbs
-    logs = armctl.Team(limbs).run({moving.tip: _small_motion(moving)}, settle=0.1)
+    logs = armctl.Team(limbs).run({moving.tip: _small_motion(moving)}, dwell=0.1)
     assert np.ptp(logs[moving.tip].q, axis=0).max() > 0.01
     for arm in still:
         assert np.abs(logs[arm.tip].q - arm.home).max() < 1e-9, arm

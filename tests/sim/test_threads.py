@@ -43,7 +43,7 @@ def planned(arm: armctl.Arm, seed: int) -> list[float]:
 
 def driven(arm: armctl.Arm, seed: int) -> list[float]:
     motion = armctl.move_j(arm, arm.home, 0.9 * arm.home + 0.1 * position(arm, seed))
-    return armctl.simulate(arm, armctl.ComputedTorque(arm), motion, settle=0.0).q[-1].tolist()
+    return armctl.simulate(arm, armctl.ComputedTorque(arm), motion, dwell=0.0).q[-1].tolist()
 
 
 @pytest.mark.parametrize("work", [solved, solved_without_contact, planned, driven], ids=lambda work: work.__name__)

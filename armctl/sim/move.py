@@ -1,0 +1,403 @@
+"""ControlledArms: plan, run, settle and report. The one implementation of a move, for one arm and for several."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.control import ComputedTorque, Controller, State, controller_by_name, controller_name
+from armctl.core.errors import InputError, PlanError
+from armctl.core.log import Log, SimulationError
+from armctl.core.pose import Pose
+from armctl.core.result import MoveResult
+from armctl.core.target import Target
+from armctl.core.trajectory import Setpoint, TickReference, Trajectory, check_motion
+from armctl.core.validation import Array, shown
+from armctl.ik import solve_ik
+from armctl.motion import JointTrajectory, move_j
+from armctl.robot.arm import Arm
+from armctl.sim.recorder import Recorder, TickRows, ticks_for
+from armctl.sim.stepper import ConstantTorque, ControllerFailure, Stepper, checked_torque
+
+SETTLED_SPEED = 1e-3  # rad/s (m/s): every joint below it counts as at rest
+SETTLE_CHECK_INTERVAL_S = 0.02
+NO_TARGET = np.full(7, np.nan)
+_STEP_ROWS = 1024  # ticks for which memory is allocated at once while a caller steps
+_MAX_CONTACTS_IN_REASON = 3
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedMove:
+    """The move of one arm: its target, and the motion there or the reason why there is none.
+
+    Attributes:
+        target: Where the tip should end.
+        trajectory: The motion; None if there is none.
+        refusal: Why there is no motion; empty if there is one.
+    """
+
+    target: Target
+    trajectory: Trajectory | None = None
+    refusal: str = ""
+
+
+def plan_move(arm: Arm, target: Target, planner: Callable[[], JointTrajectory], ends_at_target: bool = True) -> PlannedMove:
+    """A move by a planner; a PlanError becomes a refusal.
+
+    An arc of a given angle does not end at the target that defines it: then the target is where the motion ends.
+    """
+    try:
+        trajectory = planner()
+    except PlanError as error:
+        return PlannedMove(target, refusal=str(error))
+    if not ends_at_target:
+        target = Target.read(arm.fk(trajectory(trajectory.duration).q))
+    return PlannedMove(target, trajectory)
+
+
+def plan_to(arm: Arm, target: Target, q_start: Array, speed: float = 1.0) -> PlannedMove:
+    """A move to a target by inverse kinematics and a joint motion.
+
+    A solution without contact is preferred. If there is none, contact may be intended, so any solution is accepted.
+    """
+    arm.limits.at_speed(speed)  # a wrong speed is an error even if the target is out of reach
+    raw = target.position if target.pose is None else target.pose
+    solution = solve_ik(arm, raw, q_start, avoid_collisions=True)
+    if not solution.ok:
+        solution = solve_ik(arm, raw, q_start)
+    if not solution.ok:
+        return PlannedMove(target, refusal=solution.reason)
+    return plan_move(arm, target, lambda: move_j(arm, q_start, solution.q, speed=speed))
+
+
+def read_controller(given: Controller | str | None, arm: Arm) -> Controller:
+    """A controller from what a caller gave: a controller, the name of one, or None for computed torque.
+
+    Raises:
+        InputError: It has no method `torque`.
+        UnknownNameError: There is no controller of that name.
+    """
+    if given is None:
+        return ComputedTorque(arm)
+    if isinstance(given, str):
+        return controller_by_name(given, arm)
+    if isinstance(given, type) or not callable(getattr(given, "torque", None)):
+        raise InputError(f"controller: {shown(given)} has no method torque(state, setpoint); armctl.PD(arm) has")
+    return given
+
+
+class ControlledArms:
+    """Arms of one model in one simulation, each with a controller.
+
+    Attributes:
+        arms: The arms by the names of their tips.
+        controllers: The controllers by the names of the tips.
+        stepper: The simulated plant.
+    """
+
+    def __init__(self, arms: Sequence[Arm], controllers: Mapping[str, Controller], stepper: Stepper):
+        self.arms = {arm.tip: arm for arm in arms}
+        self.controllers = dict(controllers)
+        self.stepper = stepper
+        ends = np.cumsum([arm.n for arm in arms]).tolist()
+        self._slices = {arm.tip: slice(end - arm.n, end) for arm, end in zip(arms, ends, strict=True)}
+        self._logs: dict[str, Log] = {}
+        self._steps: _StepRecording | None = None
+
+    @property
+    def logs(self) -> dict[str, Log]:
+        """The log of each arm's last run; empty before the first."""
+        if self._steps is not None and self._steps.recorder.size != self._steps.logged:
+            self._keep_step_logs(self._steps)
+        return self._logs
+
+    def start(self, tip: str) -> Array:
+        """(n,) rad, where the next motion of an arm starts: where its last reference ended."""
+        return self.arms[tip].limits.clamp(self.stepper.q_ref[self._slices[tip]])
+
+    def tip_pose(self, tip: str) -> Pose:
+        """The pose of a simulated tip now, T_world_tip."""
+        return self.stepper.tip_pose(self.arms[tip])
+
+    def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
+        """Sets time to 0 and the joints to q and v; home and rest by default."""
+        self.stepper.reset(q, v)
+        if self._steps is not None:
+            self._logs = self.logs
+            self._steps = None
+
+    def run(self, trajectories: Mapping[str, Trajectory], dwell: float) -> dict[str, Log]:
+        """Runs trajectories that start now, and holds their ends for `dwell` seconds."""
+        for tip, trajectory in trajectories.items():
+            check_motion(trajectory, self.arms[tip].joint_names)
+        durations = {tip: trajectory.duration for tip, trajectory in trajectories.items()}
+        ticks = ticks_for(max(durations.values(), default=0.0) + dwell, self.stepper.dt)
+        reference = self._reference(trajectories, ticks)
+        with self.recording(durations) as recorder:
+            self.stepper.run(self._controller, reference, recorder)
+        return self._logs
+
+    def planned(self, target: Target, plan: Callable[[], PlannedMove]) -> PlannedMove:
+        """A plan; a refusal if the state diverged, from where no motion starts."""
+        if self.stepper.diverged:
+            return PlannedMove(target, refusal=f"{self.stepper.failure}; reset() starts afresh")
+        return plan()
+
+    def move(self, moves: Mapping[str, PlannedMove], settle_timeout: float) -> dict[str, MoveResult]:
+        """Runs planned moves at once, then waits until the tips rest at their targets, at most `settle_timeout` seconds."""
+        stepper = self.stepper
+        trajectories = {tip: each.trajectory for tip, each in moves.items() if each.trajectory is not None}
+        if not trajectories:
+            return {tip: self._refused(tip, each) for tip, each in moves.items()}
+        ticks_for(settle_timeout, stepper.dt)
+        begin = stepper.data.time
+        durations = {tip: trajectory.duration for tip, trajectory in trajectories.items()}
+        reference = self._reference(trajectories, ticks_for(max(durations.values()), stepper.dt))
+        with self.recording(durations, {tip: each.target.numbers for tip, each in moves.items()}) as recorder:
+            stepper.run(self._controller, reference, recorder)
+            hold = stepper.hold_reference(ticks_for(SETTLE_CHECK_INTERVAL_S, stepper.dt) * stepper.dt)
+            deadline = stepper.data.time + settle_timeout
+            while not stepper.failure and stepper.data.time < deadline:
+                if all(self._is_still(tip) and moves[tip].target.is_reached(self.tip_pose(tip)) for tip in trajectories):
+                    break
+                stepper.run(self._controller, hold, recorder)
+        duration = float(stepper.data.time - begin)
+        return {tip: self._result(tip, each, duration, settle_timeout) for tip, each in moves.items()}
+
+    def hold(self, seconds: float) -> None:
+        """Holds all arms at their last references, for at least one tick; not recorded unless it fails."""
+        recorder = Recorder(self.stepper.model, self.stepper.actuation)
+        try:
+            self.stepper.run(self._controller, self.stepper.hold_reference(seconds), recorder)
+        except BaseException as error:
+            self._keep_logs(recorder, {}, {}, time.perf_counter(), error)
+            raise
+
+    def step(self, torque: Array | None) -> State:
+        """Runs one tick of a single arm, with a torque or with its controller at the last reference.
+
+        Returns:
+            The measured state after the tick.
+        """
+        self.resume()
+        if self._steps is None:
+            self._logs = {}
+            self._steps = _StepRecording(self.stepper)
+        steps = self._steps
+        controller = self._controller if torque is None else ConstantTorque(torque)
+        try:
+            self.stepper.step(controller, steps.next_rows(controller, holds=torque is None))
+        except BaseException as error:
+            self._keep_step_logs(steps, error)
+            raise
+        return self.stepper.measured_state
+
+    def resume(self) -> None:
+        """Forgets why the last run ended early, unless the state diverged."""
+        if not self.stepper.diverged:
+            self.stepper.failure = ""
+
+    @contextmanager
+    def recording(
+        self,
+        durations: Mapping[str, float],
+        targets: Mapping[str, Array] | None = None,
+        controller: Controller | None = None,
+    ) -> Iterator[Recorder]:
+        """A recorder whose ticks become the logs, however the run ends; a SimulationError gets the log of its arm.
+
+        Args:
+            durations: s, when the reference of each arm comes to rest; left-out arms do not move.
+            targets: (7,) of each arm; changes until the end of the run count. None for no targets.
+            controller: The controller of an open-loop run, instead of the arms' own.
+        """
+        self.resume()
+        recorder = Recorder(self.stepper.model, self.stepper.actuation)
+        started = time.perf_counter()
+        targets = {} if targets is None else targets
+        try:
+            yield recorder
+        except BaseException as error:
+            self._keep_logs(recorder, durations, targets, started, error, controller)
+            raise
+        self._keep_logs(recorder, durations, targets, started, None, controller)
+
+    def _keep_logs(
+        self,
+        recorder: Recorder,
+        durations: Mapping[str, float],
+        targets: Mapping[str, Array],
+        started: float,
+        error: BaseException | None,
+        controller: Controller | None = None,
+    ) -> None:
+        """Makes the logs of a run that ended, by an error or without one."""
+        if not recorder.has_begun:
+            return
+        wall = time.perf_counter() - started
+        failure = self.stepper.failure
+        if error is not None and not failure:
+            failure = f"interrupted at {self.stepper.data.time:.3f} s by {type(error).__name__}"
+        self._steps = None
+        self._logs = {
+            tip: recorder.log(
+                arm,
+                joints=self._slices[tip],
+                controller=controller_name(controller or self.controllers[tip]),
+                plant=str(self.stepper.plant),
+                dt=self.stepper.dt,
+                motion_duration=float(durations.get(tip, 0.0)),
+                target=targets.get(tip, NO_TARGET),
+                wall=wall,
+                failure=failure,
+            )
+            for tip, arm in self.arms.items()
+        }
+        self._give_log(error)
+
+    def _keep_step_logs(self, steps: _StepRecording, error: BaseException | None = None) -> None:
+        """Makes the log of the steps so far."""
+        failure = self.stepper.failure
+        if error is not None and not failure:
+            failure = f"interrupted at {self.stepper.data.time:.3f} s by {type(error).__name__}"
+        self._logs = {
+            tip: steps.recorder.log(
+                arm,
+                controller=" + ".join(steps.controllers),
+                plant=str(self.stepper.plant),
+                dt=self.stepper.dt,
+                motion_duration=steps.recorder.size * self.stepper.dt,
+                target=NO_TARGET,
+                wall=time.perf_counter() - steps.started,
+                failure=failure,
+            )
+            for tip, arm in self.arms.items()
+        }
+        steps.logged = steps.recorder.size
+        self._give_log(error)
+
+    def _give_log(self, error: BaseException | None) -> None:
+        """Gives a SimulationError the log of the arm whose controller failed."""
+        if isinstance(error, SimulationError):
+            failure = error.__cause__
+            tip = failure.tip if isinstance(failure, ControllerFailure) else ""
+            error.log = self._logs[tip or next(iter(self._logs))]
+
+    @property
+    def _controller(self) -> Controller:
+        """The controllers of all arms as one."""
+        if len(self.arms) == 1:
+            return next(iter(self.controllers.values()))
+        return _JointController(self.controllers, self._slices)
+
+    def _reference(self, trajectories: Mapping[str, Trajectory], ticks: int) -> TickReference:
+        """The trajectories of some arms on the ticks; the other arms stay at their last references."""
+        stepper = self.stepper
+        if len(self.arms) == 1 and trajectories:
+            return stepper.reference(next(iter(trajectories.values())), ticks)
+        rows = TickReference(*(np.zeros((ticks, stepper.n)) for _ in TickReference._fields))
+        rows.q[:] = stepper.q_ref
+        for tip, trajectory in trajectories.items():
+            for row, column in zip(rows, stepper.reference(trajectory, ticks), strict=True):
+                row[:, self._slices[tip]] = column
+        return rows
+
+    def _is_still(self, tip: str) -> bool:
+        return bool(np.abs(self.stepper.state.v[self._slices[tip]]).max() < SETTLED_SPEED)
+
+    def _refused(self, tip: str, move: PlannedMove) -> MoveResult:
+        position_error, orientation_error = move.target.distance(self.tip_pose(tip))
+        return MoveResult(
+            ok=False,
+            position_error=position_error,
+            orientation_error=orientation_error,
+            duration=0.0,
+            reason=move.refusal,
+            log=None,
+        )
+
+    def _result(self, tip: str, move: PlannedMove, duration: float, settle_timeout: float) -> MoveResult:
+        position_error, orientation_error = move.target.distance(self.tip_pose(tip))
+        log = self._logs[tip]
+        reason = move.refusal or self.stepper.failure
+        if not reason and not move.target.is_reached(self.tip_pose(tip)):
+            reason = f"the tip is {1e3 * position_error:.3g} mm and {orientation_error:.3g} rad from the target"
+            reason = "; ".join([reason, *map(str, log.contacts[:_MAX_CONTACTS_IN_REASON])])
+        if not reason and not self._is_still(tip):
+            reason = f"the arm has not come to rest within {settle_timeout:g} s"
+        return MoveResult(
+            ok=not reason,
+            position_error=position_error,
+            orientation_error=orientation_error,
+            duration=duration,
+            reason=reason,
+            log=log,
+        )
+
+
+class _JointController:
+    """The controllers of several arms as one; each sees only its own arm."""
+
+    name = "team"
+
+    def __init__(self, controllers: Mapping[str, Controller], slices: Mapping[str, slice]):
+        self._controllers = controllers
+        self._slices = slices
+
+    def torque(self, state: State, setpoint: Setpoint) -> Array:
+        """The torques of all arms.
+
+        Raises:
+            ControllerFailure: A controller raised an exception or returned no torque.
+        """
+        torques = np.empty(len(state.q))
+        for tip, own in self._slices.items():
+            controller = self._controllers[tip]
+            reference = Setpoint(*(None if column is None else column[own] for column in setpoint))  # type: ignore[arg-type]
+            try:
+                torque = controller.torque(state._replace(q=state.q[own], v=state.v[own]), reference)
+                torques[own] = checked_torque(torque, own.stop - own.start)
+            except Exception as error:
+                raise ControllerFailure(controller, tip) from error
+        return torques
+
+
+class _StepRecording:
+    """The ticks of a caller's own loop; memory is allocated for many of them at once.
+
+    Attributes:
+        recorder: Where they are recorded.
+        controllers: The names of the controllers so far.
+        started: When the first step began, by `time.perf_counter`.
+        logged: How many ticks the last log of them has.
+    """
+
+    def __init__(self, stepper: Stepper):
+        self.recorder = Recorder(stepper.model, stepper.actuation)
+        self.controllers: list[str] = []
+        self.started = time.perf_counter()
+        self.logged = -1
+        self._stepper = stepper
+        self._rows: TickRows | None = None
+        self._q = np.zeros((0, 0))
+        self._rates = np.zeros((0, 0))
+
+    def next_rows(self, controller: Controller, holds: bool) -> TickRows:
+        """Rows whose next one has a reference: the last one if the controller holds it, else NaN."""
+        rows = self._rows
+        if rows is None or rows.count == len(self._q):
+            self._q = np.empty((_STEP_ROWS, self._stepper.n))
+            self._rates = np.empty((_STEP_ROWS, self._stepper.n))
+            rows = self.recorder.begin(TickReference(self._q, self._rates, self._rates, self._rates, self._rates))
+            self._rows = rows
+        self._q[rows.count] = self._stepper.q_ref if holds else np.nan
+        self._rates[rows.count] = 0.0 if holds else np.nan
+        name = controller_name(controller) if holds else "external"
+        if name not in self.controllers:
+            self.controllers.append(name)
+        return rows
