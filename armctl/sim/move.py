@@ -66,10 +66,9 @@ def plan_to(arm: Arm, target: Target, q_start: Array, speed: float = 1.0) -> Pla
     A solution without contact is preferred. If there is none, contact may be intended, so any solution is accepted.
     """
     arm.limits.at_speed(speed)  # a wrong speed is an error even if the target is out of reach
-    raw = target.position if target.pose is None else target.pose
-    solution = solve_ik(arm, raw, q_start, avoid_collisions=True)
+    solution = solve_ik(arm, target, q_start, avoid_collisions=True)
     if not solution.ok:
-        solution = solve_ik(arm, raw, q_start)
+        solution = solve_ik(arm, target, q_start)
     if not solution.ok:
         return PlannedMove(target, refusal=solution.reason)
     return plan_move(arm, target, lambda: move_j(arm, q_start, solution.q, speed=speed))

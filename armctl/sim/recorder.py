@@ -143,7 +143,7 @@ class Recorder:
         ticks: dict[tuple[int, int], int] = {}
         offset = 0
         for part in self._parts:
-            ends = [row for row, _ in part.contacts[1:]] + [part.count]
+            ends = [*(row for row, _ in part.contacts), part.count][1:]
             for (row, geoms), end in zip(part.contacts, ends, strict=True):
                 for pair in _touching(self._model, geoms, moving, gripper):
                     start.setdefault(pair, offset + row)

@@ -431,7 +431,7 @@ class Simulation:
             while not stepper.failure and self.data.time - begin < seconds - 1e-9:
                 goal = Target.read(target_at(self.data.time - begin))
                 targets[self.arm.tip] = goal.numbers
-                solution = solve_ik(self.arm, goal.position if goal.pose is None else goal.pose, online.q)
+                solution = solve_ik(self.arm, goal, online.q)
                 stepper.run(self.controller, online.toward(solution.q, ticks), recorder)
             targets[self.arm.tip] = Target.read(target_at(self.data.time - begin)).numbers
         return self._arms.logs[self.arm.tip]

@@ -38,7 +38,7 @@ def test_nothing_departs_by_default(arm):
     model = armctl.Plant().model(arm)
     assert np.array_equal(model.body_mass, arm.model.body_mass)
     assert str(armctl.Plant()) == "nominal"
-    assert not armctl.Plant().disturbs
+    assert not armctl.Plant().has_signal_disturbances
 
 
 @pytest.mark.parametrize("robot", ["panda", "gantry", "planar"])
@@ -93,7 +93,7 @@ def test_noise_has_its_size_and_the_log_the_truth(bundled):
 
 def test_the_same_seed_gives_the_same_bits(bundled):
     first, second, other = (
-        armctl.simulate(bundled, "pd-gravity", Still(bundled.home), armctl.Plant(encoder_noise=1e-4, rng=seed))
+        armctl.simulate(bundled, "pd-gravity", Still(bundled.home), armctl.Plant(encoder_noise=1e-4, seed=seed))
         for seed in (7, 7, 8)
     )
     assert np.array_equal(first.q, second.q)
@@ -142,9 +142,43 @@ def test_continuous_motion_is_what_finer_steps_converge_to(bundled):
     assert np.abs(data.qpos[bundled.qpos_adr] - log.q[-1]).max() < 2e-4 * np.abs(log.q[-1] - bundled.home).max()
 
 
-def test_a_plant_says_what_it_is():
+def test_a_plant_says_what_differs():
     plant = armctl.Plant(payload=1.0, mass_scale=1.2, coulomb_friction=0.5, delay=2, encoder_noise=1e-5)
-    assert str(plant) == "payload 1 kg, masses x 1.2, friction, delay 2, noise"
+    assert str(plant) == "payload 1 kg, masses x 1.2, Coulomb friction 0.5 N m, delay 2, encoder noise 1e-05 rad"
+    assert str(armctl.Plant(payload=1.0, name="with a tool")) == "with a tool"
+
+
+PLANT_PAIRS = [
+    ({"payload": 1.0}, {"payload": 1.0 + 1e-12}),
+    ({"payload": 1.0}, {"payload": 1.0, "payload_center": [0, 0, 0.1]}),
+    ({"mass_scale": 1.1}, {"mass_scale": 1.2}),
+    ({"coulomb_friction": 0.01}, {"coulomb_friction": 0.05}),
+    ({"coulomb_friction": 0.1}, {"viscous_friction": 0.1}),
+    ({"viscous_friction": [0.1, 0.2, 0.3]}, {"viscous_friction": [0.1, 0.2, 0.4]}),
+    ({"delay": 1}, {"delay": 2}),
+    ({"encoder_noise": 1e-5}, {"encoder_noise": 2e-5}),
+    ({"encoder_noise": 1e-5}, {"velocity_noise": 1e-5}),
+    ({"encoder_noise": 1e-5}, {"encoder_noise": 1e-5, "seed": 1}),
+    ({"torque_ripple": 0.1}, {"torque_ripple": 0.2}),
+    ({"pushes": armctl.Push(0, 1, force=[1, 0, 0])}, {"pushes": armctl.Push(0, 1, force=[0, 1, 0])}),
+    ({"pushes": armctl.Push(0, 1, force=[1, 0, 0])}, {"pushes": armctl.Push(0, 1, torque=[1, 0, 0])}),
+    ({"pushes": armctl.Push(0, 1, force=[1, 0, 0])}, {"pushes": armctl.Push(0, 2, force=[1, 0, 0])}),
+    ({}, {"continuous": True}),
+    ({"timestep": 1e-3}, {"timestep": 2e-3}),
+]
+
+
+@pytest.mark.parametrize(("first", "second"), PLANT_PAIRS)
+def test_two_plants_of_the_same_kind_have_different_texts_and_keys(first, second):
+    assert str(armctl.Plant(**first)) != str(armctl.Plant(**second))
+    assert armctl.Plant(**first).key != armctl.Plant(**second).key
+    assert armctl.Plant(**first).key == armctl.Plant(**first).key
+
+
+@pytest.mark.parametrize(("arguments", "sentence"), [(("0", 1), "start: '0' is not"), ((0, 1, [1, 2]), "force: 2 numbers given")])
+def test_a_push_that_cannot_be_is_refused(arguments, sentence):
+    with pytest.raises(armctl.InputError, match=sentence):
+        armctl.Push(*arguments)
 
 
 @pytest.mark.parametrize(
@@ -152,13 +186,22 @@ def test_a_plant_says_what_it_is():
     [
         ({"payload": -1.0}, "payload: -1 given, a number at least 0 wanted"),
         ({"mass_scale": 0.0}, "mass_scale: 0 given"),
-        ({"delay": 1.5}, "delay: 1.5 given, a whole number of ticks wanted"),
+        ({"delay": 1.5}, "delay: 1.5 given, a whole number at least 0 wanted"),
         ({"delay": -1}, "delay: -1 given"),
         ({"encoder_noise": math.nan}, "encoder_noise: nan given"),
-        ({"coulomb_friction": [0.1, -0.2]}, "least coulomb_friction: -0.2 given"),
+        ({"coulomb_friction": [0.1, -0.2]}, "coulomb_friction: -0.2 given, every value must be at least 0"),
         ({"viscous_friction": "much"}, "viscous_friction: .* is not an array of numbers"),
         ({"timestep": 1.0}, "timestep: 1 given"),
         ({"payload_center": [0.0, 1.0]}, "payload_center: 2 numbers given, 3 wanted"),
+        ({"viscous_friction": ()}, "viscous_friction: no numbers given; give one, or one for each joint"),
+        ({"pushes": 1}, r"pushes: 1 is no Push; armctl\.Push"),
+        ({"pushes": ["x"]}, "pushes: 'x' is no Push"),
+        ({"payload": "1"}, "payload: '1' is not a number"),
+        ({"delay": "1"}, "delay: '1' is not a number"),
+        ({"seed": -1}, "seed: -1 given"),
+        ({"seed": np.random.default_rng(1)}, "seed: .* is not a number"),
+        ({"continuous": "yes"}, "continuous: 'yes' is no bool"),
+        ({"name": 3}, "name: 3 is no str"),
     ],
 )
 def test_a_plant_that_cannot_be_is_refused(arguments, sentence):

@@ -68,7 +68,7 @@ def test_a_target_that_keeps_moving_is_followed():
 
 def test_a_wild_target_never_breaks_the_limits_of_the_joints():
     arm, rng = arm_of("panda"), np.random.default_rng(0)
-    guide, dt = OnlineReference(arm, arm.dt), arm.dt
+    guide, dt = OnlineReference(arm, arm.dt, arm.home, acceleration_scale=0.3), arm.dt
     rows = [guide.toward(rng.uniform(arm.limits.q_min, arm.limits.q_max), 5) for _ in range(400)]
     q = np.concatenate([row.q for row in rows])
     assert arm.limits.contains(q, 1e-9)

@@ -169,18 +169,34 @@ def test_a_torque_of_the_wrong_shape_is_an_error_with_a_log(bundled: Arm, value)
         armctl.simulate(bundled, Wrong(), armctl.move_j(bundled, bundled.home, [0.5, 0.5, -1.0]))
 
 
-def test_a_log_holds_the_truth_whatever_a_controller_does_to_what_it_is_given(bundled: Arm):
+@pytest.mark.parametrize("name", ["q", "v"])
+@pytest.mark.parametrize("which", [0, 1])
+def test_a_controller_cannot_change_the_state_or_its_references(bundled: Arm, which: int, name: str):
     class Careless(ComputedTorque):
         def torque(self, state, setpoint):
             tau = super().torque(state, setpoint)
-            for array in (state.q, state.v, setpoint.q, setpoint.v, setpoint.a):
-                array[:] = 99.0
+            getattr((state, setpoint)[which], name)[:] = 99.0
             return tau
 
-    motion = armctl.move_j(bundled, bundled.home, [0.5, 0.5, -1.0])
-    careful, careless = (armctl.simulate(bundled, law(bundled), motion) for law in (ComputedTorque, Careless))
-    for name in ("q", "v", "q_ref", "v_ref", "a_ref", "tau", "tau_cmd"):
-        assert np.array_equal(getattr(careful, name), getattr(careless, name))
+    sim = Simulation(bundled, Careless(bundled))
+    with pytest.raises(SimulationError, match=r"failed at 0\.000 s: assignment destination is read-only"):
+        sim.run(armctl.move_j(bundled, bundled.home, [0.5, 0.5, -1.0]))
+    assert np.array_equal(sim.state.q, bundled.home)
+    sim.controller = "computed-torque"
+    assert sim.move_j([0.5, 0.5, -1.0])
+
+
+def test_a_controller_that_keeps_what_it_is_given_keeps_the_truth(bundled: Arm):
+    class Keeping(ComputedTorque):
+        def torque(self, state, setpoint):
+            kept.append((state, setpoint))
+            return super().torque(state, setpoint)
+
+    kept = []
+    log = armctl.simulate(bundled, Keeping(bundled), armctl.move_j(bundled, bundled.home, [0.5, 0.5, -1.0]))
+    assert np.array_equal([state.q for state, _ in kept], log.q)
+    assert np.array_equal([state.v for state, _ in kept], log.v)
+    assert np.array_equal([setpoint.q for _, setpoint in kept], log.q_ref)
 
 
 def test_torque_is_clipped_at_the_limits_and_the_log_shows_both(bundled: Arm):
