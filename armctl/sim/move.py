@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control import ComputedTorque, Controller, State, controller_by_name, controller_name
+from armctl.control import Controller, State, controller_by_name, controller_name
 from armctl.core.errors import InputError, PlanError
 from armctl.core.log import Log, SimulationError
 from armctl.core.pose import Pose
@@ -74,15 +74,13 @@ def plan_to(arm: Arm, target: Target, q_start: Array, speed: float = 1.0) -> Pla
     return plan_move(arm, target, lambda: move_j(arm, q_start, solution.q, speed=speed))
 
 
-def read_controller(given: Controller | str | None, arm: Arm) -> Controller:
-    """A controller from what a caller gave: a controller, the name of one, or None for computed torque.
+def read_controller(given: Controller | str, arm: Arm) -> Controller:
+    """A controller from what a caller gave: a controller, or the name of one.
 
     Raises:
         InputError: It has no method `torque`.
         UnknownNameError: There is no controller of that name.
     """
-    if given is None:
-        return ComputedTorque(arm)
     if isinstance(given, str):
         return controller_by_name(given, arm)
     if isinstance(given, type) or not callable(getattr(given, "torque", None)):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from weakref import WeakKeyDictionary
 
 from armctl.control import Controller
-from armctl.core.errors import InputError
 from armctl.core.log import Log
 from armctl.core.trajectory import Trajectory, check_motion
 from armctl.core.validation import number
@@ -41,8 +40,6 @@ def simulate(
         SimulationError: The controller failed; `error.log` contains the ticks until then.
     """
     check_arm(arm)
-    if controller is None:
-        raise InputError("controller: None given; armctl.PD(arm) is one")
     law = read_controller(controller, arm)
     plant = read_plant(plant)
     check_motion(trajectory, arm.joint_names)

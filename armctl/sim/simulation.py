@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control import Controller, State
+from armctl.control import ComputedTorque, Controller, State
 from armctl.core import hooks
 from armctl.core.errors import InputError, LimitError, UnknownNameError
 from armctl.core.log import Log
@@ -73,7 +73,7 @@ class Simulation:
             ModelError: The robot's model is no arm.
         """
         self.arm = robot if isinstance(robot, Arm) else load(robot)
-        law = read_controller(controller, self.arm)
+        law = ComputedTorque(self.arm) if controller is None else read_controller(controller, self.arm)
         self.plant = read_plant(plant)
         self.viewer = hooks.open_viewer(self.arm) if viewer and hooks.open_viewer is not None else None
         self._arms = ControlledArms([self.arm], {self.arm.tip: law}, Stepper([self.arm], self.plant, self.viewer))

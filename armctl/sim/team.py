@@ -7,7 +7,7 @@ from typing import TypeVar
 
 from numpy.typing import ArrayLike
 
-from armctl.control import Controller
+from armctl.control import ComputedTorque, Controller
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.log import Log
 from armctl.core.pose import Pose
@@ -60,7 +60,9 @@ class Team:
             raise InputError("plant: a team has no single tip for a payload or pushes; leave them out")
         self.arms = {arm.tip: arm for arm in arms}
         given = self._by_tip("controllers", {} if controllers is None else controllers, "{tip: 'pd'}")
-        laws = {tip: read_controller(given.get(tip), arm) for tip, arm in self.arms.items()}
+        laws = {
+            tip: read_controller(given[tip], arm) if tip in given else ComputedTorque(arm) for tip, arm in self.arms.items()
+        }
         self._arms = ControlledArms(arms, laws, Stepper(arms, plant))
         self.model = self._arms.stepper.model
         self.data = self._arms.stepper.data

@@ -175,7 +175,9 @@ def test_two_plants_of_the_same_kind_have_different_texts_and_keys(first, second
     assert armctl.Plant(**first).key == armctl.Plant(**first).key
 
 
-@pytest.mark.parametrize(("arguments", "sentence"), [(("0", 1), "start: '0' is not"), ((0, 1, [1, 2]), "force: 2 numbers given")])
+@pytest.mark.parametrize(
+    ("arguments", "sentence"), [(("0", 1), "start: '0' is not"), ((0, 1, [1, 2]), "force: 2 numbers given")]
+)
 def test_a_push_that_cannot_be_is_refused(arguments, sentence):
     with pytest.raises(armctl.InputError, match=sentence):
         armctl.Push(*arguments)
