@@ -13,7 +13,8 @@ from armctl.control.pd_gravity import PDGravity, PIDGravity
 from armctl.core.errors import UnknownNameError
 from armctl.robot.arm import Arm
 
-OBSERVED = {"bandwidth": 30.0, "observer_bandwidth": 200.0}  # rad/s; what an observer leaves is forgotten faster
+# rad/s. The higher bandwidth reduces faster the error that builds up before the observer's estimate has converged.
+WITH_OBSERVER = {"bandwidth": 30.0, "observer_bandwidth": 200.0}
 
 CONTROLLERS: dict[str, Callable[[Arm], Controller]] = {
     "pd": PD,
@@ -21,7 +22,7 @@ CONTROLLERS: dict[str, Callable[[Arm], Controller]] = {
     "pid-gravity": PIDGravity,
     "computed-torque": ComputedTorque,
     "computed-torque-textbook": partial(ComputedTorque, form="textbook"),
-    "computed-torque-observer": partial(ComputedTorque, **OBSERVED),
+    "computed-torque-observer": partial(ComputedTorque, **WITH_OBSERVER),
     "operational-space": OperationalSpace,
     "impedance": Impedance,
     "adaptive": Adaptive,
@@ -29,17 +30,10 @@ CONTROLLERS: dict[str, Callable[[Arm], Controller]] = {
 
 
 def controller_by_name(name: str, arm: Arm) -> Controller:
-    """A controller with its default gains.
-
-    Args:
-        name: Its name, one of `CONTROLLERS`.
-        arm: The arm it is for.
-
-    Returns:
-        The controller.
+    """A controller with its default gains, by its name in `CONTROLLERS`.
 
     Raises:
-        UnknownNameError: There is none of that name.
+        UnknownNameError: There is no controller of that name.
     """
     if name not in CONTROLLERS:
         raise UnknownNameError.of("controller", name, CONTROLLERS)

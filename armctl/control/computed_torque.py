@@ -1,35 +1,42 @@
-"""Computed torque: the model's inverse dynamics make every joint a unit mass, and a PD law moves that."""
+"""Computed torque: the model's inverse dynamics turn every joint into a unit mass, which a PD law controls."""
 
 from __future__ import annotations
 
-import math
+from typing import NamedTuple
 
 import numpy as np
 
-from armctl.control import feedforward as model
-from armctl.control.gains import DEFAULT_BANDWIDTH, joint_inertia, raised
-from armctl.control.interface import State
+from armctl.control import feedforward
+from armctl.control.gains import DEFAULT_BANDWIDTH, effective_inertia, floored_inertia
+from armctl.control.interface import State, explains_wrong_arguments
 from armctl.control.observer import DisturbanceObserver
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Setpoint
-from armctl.core.validation import Array, number
-from armctl.robot.arm import Arm
+from armctl.core.validation import Array, choice, number
+from armctl.robot.arm import Arm, check_arm
 from armctl.robot.dynamics import Dynamics
 
 FORMS = ("discrete", "textbook")
+
+
+class _ExtraInertia(NamedTuple):
+    """Inertia, (n,) kg m^2, that the feedback assumes in addition to the model's, at a control period."""
+
+    dt: float
+    inertia: Array
 
 
 class ComputedTorque:
     """Computed torque (inverse dynamics control): tau = ID(q, v, a_ref + k_p (q_ref - q) + k_d (v_ref - v)).
 
     After Siciliano, Sciavicco, Villani, Oriolo, Robotics: Modelling, Planning and Control (2009), 8.5.2. Dry friction is fed
-    forward at the reference's velocity, so that measurement noise does not make it chatter. A joint with almost no inertia of
-    its own gets the feedback of one that has a little (`gains.raised`).
+    forward at the velocity of the reference, so that measurement noise does not make it chatter. The feedback of a joint with
+    negligible inertia is that of a joint with a small one (`gains.floored_inertia`).
 
-    The discrete form (the default) inverts what the plant does over a control period instead of the differential equation: the
-    reference's velocity and acceleration are differences on the tick grid, and damping is taken at the end of the step, or all
-    in the middle of the period where the plant moves on continuously. With an exact model nothing is left but rounding. The
-    textbook form is off by (k_d / k_p) (dt / 2) a_ref.
+    The discrete form (the default) inverts the plant's motion over one control period instead of the differential equation.
+    Velocity and acceleration of the reference are differences on the tick grid. The damping is evaluated at the end of the step,
+    or, if the plant moves continuously, the whole model is evaluated in the middle of the period. With an exact model only
+    rounding errors remain. The textbook form has a tracking error of (k_d / k_p) (dt / 2) a_ref.
 
     Attributes:
         bandwidth: rad/s.
@@ -47,35 +54,46 @@ class ComputedTorque:
         form: str = "discrete",
         observer_bandwidth: float = 0.0,
     ):
-        """A computed-torque controller for an arm.
+        """A computed torque controller for an arm.
 
         Args:
             arm: The arm whose model it uses.
             bandwidth: rad/s, the natural frequency of the error.
             damping_ratio: 1 is critically damped.
             form: "discrete" or "textbook".
-            observer_bandwidth: rad/s up to which unknown torques are estimated and cancelled; 0 leaves them alone.
+            observer_bandwidth: rad/s up to which unknown torques are estimated and cancelled; 0 for no observer.
 
         Raises:
-            InputError: A gain is negative or not finite, there is no such form, or a textbook form is to have an observer.
+            InputError: A gain is negative or not finite, the form is unknown, or the textbook form is combined with an observer.
         """
-        if form not in FORMS:
-            raise InputError(f"form: {form!r} given, one of {', '.join(FORMS)} wanted")
+        check_arm(arm)
+        self.form = choice("form", form, FORMS)
         self.bandwidth = number("bandwidth", bandwidth, 0.0)
         self.damping_ratio = number("damping_ratio", damping_ratio, 0.0)
         self.observer_bandwidth = number("observer_bandwidth", observer_bandwidth, 0.0)
-        if self.observer_bandwidth and form == "textbook":
-            raise InputError("observer_bandwidth: the observer compares ticks, so it needs form='discrete'")
-        self.form = form
-        self.name = "computed-torque" + ("-textbook" if form == "textbook" else "-observer" if observer_bandwidth else "")
-        self._dynamics = Dynamics(arm)
+        self.name = "computed-torque"
+        self._observer = None
+        if self.form == "textbook":
+            self.name = "computed-torque-textbook"
+            if self.observer_bandwidth:
+                raise InputError("observer_bandwidth: the observer compares ticks, so it needs form='discrete'")
+        elif self.observer_bandwidth:
+            self.name = "computed-torque-observer"
+            self._observer = DisturbanceObserver(arm, self.observer_bandwidth)
+        self._dynamics = Dynamics(arm.model, arm.pinocchio_model)
         self._kp = np.full(arm.n, self.bandwidth**2)  # arrays times arrays are faster than floats times arrays
         self._kd = np.full(arm.n, 2 * self.damping_ratio * self.bandwidth)
-        self._observer = DisturbanceObserver(arm, self.observer_bandwidth) if self.observer_bandwidth else None
-        self._arm, self._inertia = arm, joint_inertia(arm).min(axis=0)
-        self._is_raised = bool(self._raised(0.0).any())
-        self._raise, self._raise_for = np.zeros(arm.n), math.nan
+        self._arm = arm
+        self._min_inertia = effective_inertia(arm).min(axis=0)
+        self._extra_inertia = self._extra_inertia_at(0.0)
+        self._has_extra_inertia = bool(self._extra_inertia.inertia.any())
 
+    @property
+    def disturbance(self) -> Array:
+        """The torque (n,) N m that the observer estimates; zero without an observer."""
+        return np.zeros(self._arm.n) if self._observer is None else self._observer.estimate.copy()
+
+    @explains_wrong_arguments
     def torque(self, state: State, setpoint: Setpoint) -> Array:
         """The torque for the coming control period.
 
@@ -87,21 +105,24 @@ class ComputedTorque:
             (n,) N m.
         """
         if self.form == "textbook":
-            instant, v_ref, a_ref = state._replace(dt=0.0, continuous=False), setpoint.v, setpoint.a
+            modelled = state._replace(dt=0.0, continuous=False)
+            v_ref = setpoint.v
+            a_ref = setpoint.a
         else:
-            instant, (v_ref, a_ref) = state, model.sampled(setpoint)
+            modelled = state
+            v_ref, a_ref = feedforward.sampled(setpoint)
         correction = self._kp * (setpoint.q - state.q) + self._kd * (v_ref - state.v)
-        tau = model.inverse(self._dynamics, instant, a_ref + correction)
-        if self._is_raised:
-            if state.dt != self._raise_for:
-                self._raise, self._raise_for = self._raised(state.dt), state.dt
-            tau = tau + self._raise * correction
-        friction = model.friction(self._dynamics, instant, v_ref, a_ref) if self._dynamics.has_friction else None
+        tau = feedforward.inverse_dynamics(self._dynamics, modelled, a_ref + correction)
+        if self._has_extra_inertia:
+            if state.dt != self._extra_inertia.dt:
+                self._extra_inertia = self._extra_inertia_at(state.dt)
+            tau = tau + self._extra_inertia.inertia * correction
+        friction = feedforward.friction(self._dynamics, modelled, v_ref, a_ref) if self._dynamics.has_friction else None
         if self._observer is not None:
             tau = self._observer.corrected(tau, state, friction)
         return tau if friction is None else tau + friction
 
-    def _raised(self, dt: float) -> Array:
-        """What joints of almost no inertia are taken to have besides their own, kg m^2."""
+    def _extra_inertia_at(self, dt: float) -> _ExtraInertia:
         bandwidth = self.bandwidth * max(self.damping_ratio, 1.0)
-        return raised(self._arm, self._inertia, self._inertia, bandwidth, dt) - self._inertia
+        floored = floored_inertia(self._arm, self._min_inertia, self._min_inertia, bandwidth, dt)
+        return _ExtraInertia(dt, floored - self._min_inertia)

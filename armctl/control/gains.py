@@ -1,88 +1,84 @@
-"""Gains in physical units from a bandwidth: the same closed loop on a shoulder as on a wrist."""
+"""Gains in physical units from a bandwidth: the same closed loop for joints of large and of small inertia."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl.core.errors import InputError, ModelError
 from armctl.core.validation import Array, number, vector
-from armctl.robot.arm import Arm
+from armctl.robot.arm import Arm, check_arm
 from armctl.robot.dynamics import Dynamics
 
 DEFAULT_BANDWIDTH = 20.0  # rad/s
-GAIN_TICK = 2e-3  # s: gains that do not know the control period are made for it, and stable at twice of it
-_POSES = 64
-_GREATEST_ACCELERATION = 1000.0  # rad/s^2: a motor that could make more has almost no inertia to move
-_DAMPING_PER_TICK = 0.25  # of a joint's velocity: bears a delay of two ticks; without one, 2 is the limit
+# Gains that do not depend on the control period are designed for this one; they are stable at twice of it.
+DESIGN_PERIOD_S = 2e-3
+SAMPLED_CONFIGURATIONS = 64
+# rad/s^2. A motor that could accelerate its joint faster than this has a joint of negligible inertia.
+MAX_MOTOR_ACCELERATION = 1000.0
+# Damping x dt / inertia. This bound keeps the loop stable with a delay of two periods; without delay the bound would be 2.
+MAX_DAMPING_PER_PERIOD = 0.25
 
 
-def poses(arm: Arm) -> Array:
-    """Where gains are sought: home and 64 poses of the arm, always the same ones.
-
-    Args:
-        arm: The arm.
-
-    Returns:
-        (65, n) rad.
-    """
-    low, high = np.maximum(arm.limits.q_min, -np.pi), np.minimum(arm.limits.q_max, np.pi)
-    return np.vstack([arm.home, np.random.default_rng(0).uniform(low, high, (_POSES, arm.n))])
+def sample_configurations(arm: Arm) -> Array:
+    """Home and 64 random configurations, always the same ones, (65, n) rad: gains are designed for all of them."""
+    home = arm.limits.clamp(arm.home)
+    return np.vstack([arm.home, arm.limits.random(home, SAMPLED_CONFIGURATIONS, np.random.default_rng(0))])
 
 
-def joint_inertia(arm: Arm) -> Array:
-    """The inertia that each joint's motor feels when all other joints are free to move: 1 / (M^-1)_ii, at `poses`.
+def effective_inertia(arm: Arm) -> Array:
+    """The inertia that each motor accelerates if the other joints are free, 1 / (M^-1)_ii, (65, n) kg m^2.
 
-    M_ii, the inertia with all other joints locked, would be up to 21 times too much where joint axes are parallel.
+    M_ii, the inertia with the other joints locked, is up to 21 times larger where joint axes are parallel.
 
     Args:
-        arm: The arm.
+        arm: The arm; evaluated at `sample_configurations`.
 
-    Returns:
-        (65, n) kg m^2.
+    Raises:
+        ModelError: A mass matrix is numerically singular.
     """
-    dynamics = Dynamics(arm)
-    return np.array([1 / np.diag(np.linalg.inv(dynamics.mass_matrix(q))) for q in poses(arm)])
+    dynamics = Dynamics(arm.model, arm.pinocchio_model)
+    matrices = np.array([dynamics.mass_matrix(q) for q in sample_configurations(arm)])
+    try:
+        inverses = np.linalg.inv(matrices)
+    except np.linalg.LinAlgError:
+        raise ModelError(
+            f"{arm.name}: the mass matrix is singular, so no gains follow from it; check the masses and inertias of the model"
+        ) from None
+    return 1 / np.diagonal(inverses, axis1=1, axis2=2)
 
 
-def locked_inertia(dynamics: Dynamics) -> Array:
-    """The most inertia that each joint's motor has to move: the greatest M_ii, all other joints locked, at `poses`.
-
-    Args:
-        dynamics: Of the arm.
-
-    Returns:
-        (n,) kg m^2.
-    """
-    return np.max([np.diag(dynamics.mass_matrix(q)) for q in poses(dynamics.arm)], axis=0)
+def max_locked_inertia(arm: Arm) -> Array:
+    """The largest inertia of each joint if the other joints are locked, max M_ii over `sample_configurations`, (n,) kg m^2."""
+    dynamics = Dynamics(arm.model, arm.pinocchio_model)
+    return np.max([np.diag(dynamics.mass_matrix(q)) for q in sample_configurations(arm)], axis=0)
 
 
-def raised(arm: Arm, inertia: Array, least: Array, bandwidth: float, dt: float) -> Array:
-    """Inertias to scale gains with: those of the joints, but a floor where a joint has almost no inertia.
+def floored_inertia(arm: Arm, inertia: Array, min_inertia: Array, bandwidth: float, dt: float) -> Array:
+    """Joint inertias for gain scaling, with a lower bound for joints of negligible inertia, (n,) kg m^2.
 
-    Gains in proportion to next to nothing give way to any friction or payload. The floor is what the joint's motor accelerates
-    at 1000 rad/s^2. A held torque must not take more than a quarter of the joint's own speed in a tick, wherever the arm is:
-    that is the ceiling.
+    Gains in proportion to a negligible inertia would yield to any friction or payload. The lower bound is the inertia that the
+    joint's motor accelerates at 1000 rad/s^2. It is itself bounded, because the sampled damping must not remove more than a
+    quarter of the joint's velocity in one control period in any configuration.
 
     Args:
         arm: The arm.
         inertia: (n,) kg m^2, the inertia to start from.
-        least: (n,) kg m^2, the least that the joints have anywhere.
+        min_inertia: (n,) kg m^2, the smallest inertia of the joints in any configuration; the result is at least this.
         bandwidth: rad/s, of a critically damped loop.
         dt: s, the control period.
-
-    Returns:
-        (n,) kg m^2, at least `least`.
     """
-    most = max(1.0, _DAMPING_PER_TICK / max(2 * bandwidth * dt, 1e-12))
-    return np.clip(np.maximum(inertia, arm.limits.tau_max / _GREATEST_ACCELERATION), least, most * least)
+    max_factor = max(1.0, MAX_DAMPING_PER_PERIOD / max(2 * bandwidth * dt, 1e-12))
+    floor = arm.limits.tau_max / MAX_MOTOR_ACCELERATION
+    return np.clip(np.maximum(inertia, floor), min_inertia, max_factor * min_inertia)
 
 
 def pd_gains(
     arm: Arm,
     bandwidth: float = DEFAULT_BANDWIDTH,
     damping_ratio: float = 1.0,
-    stiffness: Array | None = None,
-    damping: Array | None = None,
+    stiffness: ArrayLike | None = None,
+    damping: ArrayLike | None = None,
 ) -> tuple[Array, Array]:
     """Stiffness and damping of each joint, from a bandwidth unless given.
 
@@ -90,8 +86,8 @@ def pd_gains(
         arm: The arm.
         bandwidth: rad/s, the natural frequency of each joint's closed loop.
         damping_ratio: 1 is critically damped.
-        stiffness: (n,) N m/rad (the textbook's Kp), instead of bandwidth^2 x inertia.
-        damping: (n,) N m s/rad (Kd), instead of 2 x damping_ratio x sqrt(stiffness x inertia).
+        stiffness: (n,) or one number for all joints, N m/rad (Kp), instead of bandwidth^2 x inertia.
+        damping: (n,) or one number for all joints, N m s/rad (Kd), instead of 2 x damping_ratio x sqrt(stiffness x inertia).
 
     Returns:
         Stiffness and damping, each (n,).
@@ -99,30 +95,23 @@ def pd_gains(
     Raises:
         InputError: A gain is negative, not finite or of the wrong length.
     """
-    felt = joint_inertia(arm)
-    inertia = raised(arm, np.median(felt, axis=0), felt.min(axis=0), bandwidth, GAIN_TICK)
-    if stiffness is None:
-        stiffness = number("bandwidth", bandwidth, 0.0) ** 2 * inertia
-    stiffness = gain("stiffness", stiffness, arm.n)
-    if damping is None:
-        damping = 2 * number("damping_ratio", damping_ratio, 0.0) * np.sqrt(stiffness * inertia)
-    return stiffness, gain("damping", damping, arm.n)
+    check_arm(arm)
+    bandwidth = number("bandwidth", bandwidth, 0.0)
+    damping_ratio = number("damping_ratio", damping_ratio, 0.0)
+    inertia = effective_inertia(arm)
+    scale = floored_inertia(arm, np.median(inertia, axis=0), inertia.min(axis=0), bandwidth, DESIGN_PERIOD_S)
+    stiffness = gain("stiffness", bandwidth**2 * scale if stiffness is None else stiffness, arm.n)
+    damping = gain("damping", 2 * damping_ratio * np.sqrt(stiffness * scale) if damping is None else damping, arm.n)
+    return stiffness, damping
 
 
-def gain(what: str, value: ArrayLike, n: int) -> Array:
-    """A caller's gains, checked.
-
-    Args:
-        what: The name of the argument, for the error.
-        value: (n,) gains.
-        n: How many there must be.
-
-    Returns:
-        (n,), read-only.
+def gain(name: str, value: ArrayLike, n: int) -> Array:
+    """Validated gains, (n,), read-only; one number applies to all n.
 
     Raises:
-        InputError: A gain is negative, not finite, or there is another number of them.
+        InputError: A gain is negative, not finite or not a number, or there are not n of them.
     """
-    checked = vector(what, value, n)
-    number(f"least {what}", checked.min(), 0.0)
-    return checked
+    gains = vector(name, np.full(n, number(name, value)) if np.isscalar(value) else value, n)
+    if (gains < 0.0).any():
+        raise InputError(f"{name}: every value must be at least 0, got {gains.min():g}")
+    return gains

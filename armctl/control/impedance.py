@@ -1,29 +1,31 @@
-"""Cartesian impedance: the tip gives way to forces like a spring and a damper, around where it should be."""
+"""Cartesian impedance: the tip yields to forces like a spring and a damper around its reference."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control import feedforward as model
-from armctl.control.gains import DEFAULT_BANDWIDTH, gain, poses
-from armctl.control.interface import State
+from armctl.control import feedforward
+from armctl.control.gains import DEFAULT_BANDWIDTH, gain, sample_configurations
+from armctl.control.interface import State, explains_wrong_arguments
 from armctl.control.task_space import consistent_inverse, tip_error
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, frozen, number
-from armctl.robot.arm import Arm
+from armctl.robot.arm import Arm, check_arm
 from armctl.robot.dynamics import Dynamics
 
 
 class Impedance:
-    """Cartesian impedance control, the arm's own inertia left as it is.
+    """Cartesian impedance control without inertia shaping.
 
         tau = ID(q, v, a_ref) + J^T K e + D (v_ref - v) + posture
 
-    After Hogan, "Impedance control" (1985); the damping D follows from stiffness and mass matrix by diagonalising both at once,
+    After Hogan, "Impedance control" (1985). The damping D follows from stiffness and mass matrix by simultaneous diagonalization,
     so every mode has the same damping ratio: Albu-Schaeffer, Ott, Hirzinger, "A unified passivity-based control framework for
-    position, torque and impedance control of flexible joint robots" (2007). At rest, a force f moves the tip by K^-1 f. The
-    posture's spring acts in the null space.
+    position, torque and impedance control of flexible joint robots" (2007). At rest, a force f displaces the tip by K^-1 f. The
+    posture spring acts in the null space.
 
     Attributes:
         stiffness: (6,) N/m and N m/rad, of the tip along and about the world's axes.
@@ -46,22 +48,28 @@ class Impedance:
 
         Args:
             arm: The arm whose model it uses.
-            stiffness: (6,) N/m and N m/rad; left out, bandwidth^2 x the least mass and inertia that the tip has anywhere.
+            stiffness: (6,) N/m and N m/rad, or one number for all six. The default is bandwidth^2 x the smallest mass and
+                the smallest inertia of the tip in any direction and configuration.
             damping_ratio: 1 is critically damped.
-            posture_stiffness: (n,) N m/rad; left out, (bandwidth / 2)^2 x the least inertia of each joint.
-            bandwidth: rad/s, where a stiffness is left out.
+            posture_stiffness: (n,) or one number for all joints, N m/rad. The default is (bandwidth / 2)^2 x the smallest
+                inertia of each joint.
+            bandwidth: rad/s, for stiffnesses that are not given.
 
         Raises:
             InputError: A gain is negative, not finite or of the wrong length.
         """
+        check_arm(arm)
         bandwidth = number("bandwidth", bandwidth, 0.0)
-        self._arm, self._dynamics = arm, Dynamics(arm)
-        tip, joints = _least_inertia(arm, self._dynamics)
-        self.stiffness = gain("stiffness", bandwidth**2 * tip if stiffness is None else stiffness, 6)
         self.damping_ratio = number("damping_ratio", damping_ratio, 0.0)
-        default = (0.5 * bandwidth) ** 2 * joints
-        self.posture_stiffness = gain("posture_stiffness", default if posture_stiffness is None else posture_stiffness, arm.n)
+        self._arm = arm
+        self._dynamics = Dynamics(arm.model, arm.pinocchio_model)
+        inertia = _min_inertia(arm, self._dynamics)
+        self.stiffness = gain("stiffness", bandwidth**2 * inertia.tip if stiffness is None else stiffness, 6)
+        if posture_stiffness is None:
+            posture_stiffness = (0.5 * bandwidth) ** 2 * inertia.joints
+        self.posture_stiffness = gain("posture_stiffness", posture_stiffness, arm.n)
 
+    @explains_wrong_arguments
     def torque(self, state: State, setpoint: Setpoint) -> Array:
         """The torque for the coming control period.
 
@@ -72,34 +80,45 @@ class Impedance:
         Returns:
             (n,) N m.
         """
-        q, v, q_ref = state.q, state.v, setpoint.q
-        v_ref, a_ref = model.sampled(setpoint)
+        q = state.q
+        v = state.v
+        q_ref = setpoint.q
+        v_ref, a_ref = feedforward.sampled(setpoint)
         M = self._dynamics.mass_matrix(q)
         error, _, J = tip_error(self._arm, q, q_ref)
         N = np.eye(self._arm.n) - consistent_inverse(J, M) @ J
         posture = N.T * self.posture_stiffness @ N
         stiffness = J.T * self.stiffness @ J + posture
         spring = J.T @ (self.stiffness * error) + posture @ (q_ref - q)
-        damper = self.damping_ratio * _damping(M, stiffness) @ (v_ref - v)
-        return model.torque(self._dynamics, state, a_ref, v_ref, a_ref) + spring + damper
+        damper = self.damping_ratio * _critical_damping(M, stiffness) @ (v_ref - v)
+        return feedforward.inverse_dynamics_with_friction(self._dynamics, state, a_ref, v_ref, a_ref) + spring + damper
 
 
-def _damping(M: Array, K: Array) -> Array:
+def _critical_damping(M: Array, K: Array) -> Array:
     """(n, n) N m s/rad that damps every mode of M and K critically: 2 M^1/2 (M^-1/2 K M^-1/2)^1/2 M^1/2, by Cholesky."""
     L = np.linalg.cholesky(M)
-    half = np.linalg.solve(L, K)
-    squares, modes = np.linalg.eigh(np.linalg.solve(L, half.T))
+    L_inv_K = np.linalg.solve(L, K)
+    eigenvalues, modes = np.linalg.eigh(np.linalg.solve(L, L_inv_K.T))
     L_modes = L @ modes
-    return 2 * L_modes * np.sqrt(np.maximum(squares, 0.0)) @ L_modes.T
+    return 2 * L_modes * np.sqrt(np.maximum(eigenvalues, 0.0)) @ L_modes.T
 
 
-def _least_inertia(arm: Arm, dynamics: Dynamics) -> tuple[Array, Array]:
-    """The least inertia in any direction at any pose: (6,) kg and kg m^2 at the tip, (n,) kg m^2 at the joints."""
-    mobility, joints = np.zeros(2), np.zeros(arm.n)
-    for q in poses(arm):
-        M_inv, J = np.linalg.inv(dynamics.mass_matrix(q)), arm.pinocchio_model.jacobian(q)
-        felt = [np.linalg.eigvalsh(part @ M_inv @ part.T).max() for part in (J[:3], J[3:])]
-        mobility, joints = np.maximum(mobility, felt), np.maximum(joints, np.diag(M_inv))
+class _MinInertia(NamedTuple):
+    """The smallest inertia in any direction and sampled configuration: (6,) kg and kg m^2 of the tip, (n,) kg m^2 of the joints."""
+
+    tip: Array
+    joints: Array
+
+
+def _min_inertia(arm: Arm, dynamics: Dynamics) -> _MinInertia:
+    tip_mobility = np.zeros(2)  # of translation and rotation, 1/kg and 1/(kg m^2)
+    joint_mobility = np.zeros(arm.n)
+    for q in sample_configurations(arm):
+        M_inv = np.linalg.inv(dynamics.mass_matrix(q))
+        J = arm.pinocchio_model.jacobian(q)
+        largest = [np.linalg.eigvalsh(part @ M_inv @ part.T).max() for part in (J[:3], J[3:])]
+        tip_mobility = np.maximum(tip_mobility, largest)
+        joint_mobility = np.maximum(joint_mobility, np.diag(M_inv))
     with np.errstate(divide="ignore"):
-        tip = np.where(mobility > 0.0, 1 / mobility, 0.0)
-    return frozen(np.repeat(tip, 3)), frozen(1 / joints)
+        tip = np.where(tip_mobility > 0.0, 1 / tip_mobility, 0.0)
+    return _MinInertia(frozen(np.repeat(tip, 3)), frozen(1 / joint_mobility))

@@ -1,4 +1,4 @@
-"""Disturbance observer: what torque besides its own made the last tick what it was."""
+"""Disturbance observer: the torque that, besides the commanded one, explains the motion of the last tick."""
 
 from __future__ import annotations
 
@@ -6,59 +6,59 @@ import math
 
 import numpy as np
 
-from armctl.control import feedforward as model
+from armctl.control import feedforward
 from armctl.control.interface import Clock, State
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 from armctl.robot.dynamics import Dynamics
 
-_PER_TICK = 0.3  # rad, the most that bandwidth x dt may be
+# rad. A faster low-pass diverges with a delay of two periods in addition to the observer's own delay of one.
+MAX_BANDWIDTH_TIMES_DT = 0.3
 
 
 class DisturbanceObserver:
     """A one-step disturbance observer of first order, d = LP[ID(q, v, (v_next - v) / dt) - tau].
 
-    After Ohnishi, Shibata, Murakami, "Motion control for advanced mechatronics" (1996), with the whole arm's inverse dynamics
-    in place of a joint's nominal inertia. Unfiltered, a delay of two ticks makes it diverge; the low-pass is therefore never
-    faster than 0.3 / dt, which bears a delay of two ticks besides the observer's own.
+    After Ohnishi, Shibata, Murakami, "Motion control for advanced mechatronics" (1996), with the inverse dynamics of the whole
+    arm instead of a nominal inertia of each joint. Without a low-pass it diverges with a delay of two control periods; the
+    bandwidth of the low-pass is therefore at most 0.3 / dt.
 
     Attributes:
-        bandwidth: rad/s, of the low-pass, where ticks are short enough for it.
-        estimate: (n,) N m, the unknown torque on each joint.
+        bandwidth: rad/s of the low-pass, if the control period is short enough for it.
+        estimate: (n,) N m, the estimated disturbance torque of each joint.
     """
 
     def __init__(self, arm: Arm, bandwidth: float):
-        """An observer of an arm.
-
-        Args:
-            arm: The arm whose model it uses; its torque limits tell what a motor cannot have done.
-            bandwidth: rad/s, of the low-pass.
-        """
+        """An observer for an arm; the bandwidth of its low-pass is in rad/s."""
         self.bandwidth = bandwidth
         self.estimate = np.zeros(arm.n)
-        self._dynamics, self._tau_max, self._clock = Dynamics(arm), arm.limits.tau_max, Clock()
-        self._tau = np.zeros(arm.n)
-        self._before = State(self._tau, self._tau)
+        self._dynamics = Dynamics(arm.model, arm.pinocchio_model)
+        self._tau_max = arm.limits.tau_max
+        self._clock = Clock()
+        self._last_tau = np.zeros(arm.n)
+        self._last_state = State(self._last_tau, self._last_tau)
 
     def corrected(self, tau: Array, state: State, friction: Array | None = None) -> Array:
-        """A torque less the estimated disturbance, which is brought up to date first.
+        """Updates the estimate, and returns a torque minus the estimated disturbance.
 
         Args:
-            tau: (n,) N m that the model would take.
+            tau: (n,) N m, the torque that the model needs.
             state: The measured state.
-            friction: (n,) N m that will be added to overcome dry friction, of which the model here knows nothing.
+            friction: (n,) N m against dry friction, which the caller adds afterwards. The observer's model has no dry friction.
 
         Returns:
             (n,) N m.
         """
         if self._clock.follows(state):
-            unknown = model.inverse(self._dynamics, self._before, (state.v - self._before.v) / state.dt) - self._tau
-            share = -math.expm1(-min(self.bandwidth * state.dt, _PER_TICK))
-            self.estimate = self.estimate + share * (unknown - self.estimate)
+            acceleration = (state.v - self._last_state.v) / state.dt
+            disturbance = feedforward.inverse_dynamics(self._dynamics, self._last_state, acceleration) - self._last_tau
+            weight = -math.expm1(-min(self.bandwidth * state.dt, MAX_BANDWIDTH_TIMES_DT))
+            self.estimate = self.estimate + weight * (disturbance - self.estimate)
         else:
             self.estimate = np.zeros_like(self.estimate)
         tau = tau - self.estimate
-        own = np.zeros_like(tau) if friction is None else friction
-        self._tau = np.clip(tau + own, -self._tau_max, self._tau_max) - own
-        self._before = state._replace(q=state.q.copy(), v=state.v.copy())
+        friction = np.zeros_like(tau) if friction is None else friction
+        # The motors clip the sum of both; what they cut off is not a disturbance.
+        self._last_tau = np.clip(tau + friction, -self._tau_max, self._tau_max) - friction
+        self._last_state = state._replace(q=state.q.copy(), v=state.v.copy())
         return tau

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from numpy.typing import ArrayLike
+
 from armctl.control.gains import DEFAULT_BANDWIDTH, pd_gains
-from armctl.control.interface import State
+from armctl.control.interface import State, explains_wrong_arguments
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
@@ -12,7 +14,8 @@ from armctl.robot.arm import Arm
 class PD:
     """Joint PD: tau = stiffness (q_ref - q) + damping (v_ref - v).
 
-    It knows neither gravity nor inertia, so it sags and lags; its gains are scaled by each joint's inertia.
+    It uses neither gravity nor inertia, so it has a steady-state error under gravity and a tracking error in motion. Its default
+    gains scale with the inertia of each joint.
 
     Attributes:
         stiffness: (n,) N m/rad (Kp).
@@ -27,8 +30,8 @@ class PD:
         *,
         bandwidth: float = DEFAULT_BANDWIDTH,
         damping_ratio: float = 1.0,
-        stiffness: Array | None = None,
-        damping: Array | None = None,
+        stiffness: ArrayLike | None = None,
+        damping: ArrayLike | None = None,
     ):
         """A PD controller for an arm.
 
@@ -36,15 +39,16 @@ class PD:
             arm: The arm.
             bandwidth: rad/s, the natural frequency of each joint's closed loop.
             damping_ratio: 1 is critically damped.
-            stiffness: (n,) N m/rad, instead of the bandwidth.
-            damping: (n,) N m s/rad, instead of the damping ratio.
+            stiffness: (n,) or one number for all joints, N m/rad; replaces the one that follows from the bandwidth.
+            damping: (n,) or one number for all joints, N m s/rad; replaces the one that follows from the damping ratio.
 
         Raises:
             InputError: A gain is negative, not finite or of the wrong length.
         """
-        self._arm = arm
         self.stiffness, self.damping = pd_gains(arm, bandwidth, damping_ratio, stiffness, damping)
+        self._arm = arm
 
+    @explains_wrong_arguments
     def torque(self, state: State, setpoint: Setpoint) -> Array:
         """The torque for the coming control period.
 

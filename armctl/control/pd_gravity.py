@@ -1,27 +1,29 @@
-"""PD and PID with gravity compensation: the arm's weight from the model, all else from feedback."""
+"""PD and PID with gravity compensation: gravity from the model, everything else from feedback."""
 
 from __future__ import annotations
 
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from armctl.control.gains import DEFAULT_BANDWIDTH, gain, locked_inertia
-from armctl.control.interface import Clock, State
+from armctl.control.gains import DEFAULT_BANDWIDTH, gain, max_locked_inertia
+from armctl.control.interface import Clock, State, explains_wrong_arguments
 from armctl.control.pd import PD
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 from armctl.robot.dynamics import Dynamics
 
-_INTEGRAL_SHARE = 0.25  # of the fastest integral that a joint bears: a spring, a damper and a mass bear Kp Kd / m
+# Relative to Kp Kd / m, the stability limit of the integral gain of a mass m with a spring Kp and a damper Kd (Routh-Hurwitz).
+INTEGRAL_GAIN_RATIO = 0.25
 
 
 class PDGravity(PD):
     """PD with gravity compensation: tau = g(q) + stiffness (q_ref - q) + damping (v_ref - v).
 
-    After Takegaki and Arimoto, "A new feedback method for dynamic control of manipulators" (1981): the arm comes to rest
-    exactly where it should, as far as the model's weight is right. In motion it lags.
+    After Takegaki and Arimoto, "A new feedback method for dynamic control of manipulators" (1981). At rest the error is zero if
+    the model's gravity is exact; in motion there is a tracking error.
 
     Attributes:
         stiffness: (n,) N m/rad (Kp).
@@ -32,8 +34,9 @@ class PDGravity(PD):
 
     @cached_property
     def _dynamics(self) -> Dynamics:
-        return Dynamics(self._arm)
+        return Dynamics(self._arm.model, self._arm.pinocchio_model)
 
+    @explains_wrong_arguments
     def torque(self, state: State, setpoint: Setpoint) -> Array:
         """The torque for the coming control period.
 
@@ -48,10 +51,10 @@ class PDGravity(PD):
 
 
 class PIDGravity(PDGravity):
-    """PID with gravity compensation: as PD with gravity, and the integral of the error takes what the model does not know.
+    """PID with gravity compensation: PD with gravity compensation, plus an integral term against constant disturbances.
 
     Anti-windup by conditional integration (Astrom and Hagglund, Advanced PID Control, 2006, 3.5): a joint does not integrate
-    while its motor is at its limit and the error would push it further. The integral starts at zero, and afresh with each run.
+    while its motor is at its limit and the error has the same sign. The integral starts at zero in each run.
 
     Attributes:
         stiffness: (n,) N m/rad (Kp).
@@ -67,29 +70,33 @@ class PIDGravity(PDGravity):
         *,
         bandwidth: float = DEFAULT_BANDWIDTH,
         damping_ratio: float = 1.0,
-        stiffness: Array | None = None,
-        damping: Array | None = None,
-        integral_gain: Array | None = None,
+        stiffness: ArrayLike | None = None,
+        damping: ArrayLike | None = None,
+        integral_gain: ArrayLike | None = None,
     ):
         """A PID controller with gravity compensation for an arm.
 
         Args:
-            arm: The arm whose model tells its weight, and its torque limits.
+            arm: The arm; its model gives the gravity torque, its torque limits are used by the anti-windup.
             bandwidth: rad/s, the natural frequency of each joint's closed loop.
             damping_ratio: 1 is critically damped.
-            stiffness: (n,) N m/rad, instead of the bandwidth.
-            damping: (n,) N m s/rad, instead of the damping ratio.
-            integral_gain: (n,) N m/(rad s), instead of a quarter of stiffness x damping / the most inertia that a joint moves.
+            stiffness: (n,) or one number for all joints, N m/rad; replaces the one that follows from the bandwidth.
+            damping: (n,) or one number for all joints, N m s/rad; replaces the one that follows from the damping ratio.
+            integral_gain: (n,) or one number for all joints, N m/(rad s). The default is a quarter of stiffness x damping /
+                the largest inertia of the joint.
 
         Raises:
             InputError: A gain is negative, not finite or of the wrong length.
         """
         super().__init__(arm, bandwidth=bandwidth, damping_ratio=damping_ratio, stiffness=stiffness, damping=damping)
-        default = _INTEGRAL_SHARE * self.stiffness * self.damping / locked_inertia(self._dynamics)
-        self.integral_gain = gain("integral_gain", default if integral_gain is None else integral_gain, arm.n)
+        if integral_gain is None:
+            integral_gain = INTEGRAL_GAIN_RATIO * self.stiffness * self.damping / max_locked_inertia(arm)
+        self.integral_gain = gain("integral_gain", integral_gain, arm.n)
         self._tau_max = arm.limits.tau_max
-        self._clock, self._integral = Clock(), np.zeros(arm.n)
+        self._clock = Clock()
+        self._integral = np.zeros(arm.n)
 
+    @explains_wrong_arguments
     def torque(self, state: State, setpoint: Setpoint) -> Array:
         """The torque for the coming control period.
 
@@ -103,7 +110,7 @@ class PIDGravity(PDGravity):
         if not self._clock.follows(state):
             self._integral = np.zeros_like(self._integral)
         tau = super().torque(state, setpoint) + self._integral
-        push = self.integral_gain * (setpoint.q - state.q)
-        winds_up = (np.abs(tau) >= self._tau_max) & (push * tau > 0.0)
-        self._integral = self._integral + np.where(winds_up, 0.0, state.dt * push)
+        integral_rate = self.integral_gain * (setpoint.q - state.q)
+        winds_up = (np.abs(tau) >= self._tau_max) & (integral_rate * tau > 0.0)
+        self._integral = self._integral + np.where(winds_up, 0.0, state.dt * integral_rate)
         return tau

@@ -1,6 +1,8 @@
-"""What controllers in task space share: the tip's error, and the dynamically consistent inverse of its Jacobian."""
+"""What task-space controllers share: the tip's pose error, and the dynamically consistent inverse of its Jacobian."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -8,42 +10,45 @@ import pinocchio as pin
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 
-_DAMPING = 1e-3  # of the greatest mobility of the tip: less than that counts as singular
+# Relative to the trace of the tip's mobility, (J M^-1 J^T). Directions of much smaller mobility count as singular.
+SINGULARITY_DAMPING = 1e-3
 
 
-def tip_error(arm: Arm, q: Array, q_ref: Array) -> tuple[Array, Array, Array]:
-    """Where the tip should be, as seen from where it is.
+class TipError(NamedTuple):
+    """The pose error of the tip.
 
-    Args:
-        arm: The arm.
-        q: (n,) rad, where it is.
-        q_ref: (n,) rad, where it should be.
-
-    Returns:
-        (6,) m and rad (a rotation vector in world axes), and the Jacobians (6, n) at q_ref and at q.
+    Attributes:
+        error: (6,) m and rad, translation and rotation vector from the tip's pose to its reference pose, world axes.
+        J_ref: (6, n), the Jacobian at the reference.
+        J: (6, n), the Jacobian at the measured configuration.
     """
-    body = arm.pinocchio_model
-    J_ref = body.jacobian(q_ref)
-    position, rotation = (np.array(x) for x in body.tip(q_ref))
-    J = body.jacobian(q)
-    here, R = body.tip(q)
-    return np.concatenate([position - here, pin.log3(rotation @ R.T)]), J_ref, J
+
+    error: Array
+    J_ref: Array
+    J: Array
+
+
+def tip_error(arm: Arm, q: Array, q_ref: Array) -> TipError:
+    """The pose error of the tip at q with respect to its pose at q_ref, both (n,) rad."""
+    model = arm.pinocchio_model
+    J_ref = model.jacobian(q_ref)
+    position_ref, rotation_ref = (np.array(value) for value in model.tip(q_ref))  # tip() reuses its memory in the next call
+    J = model.jacobian(q)
+    position, rotation = model.tip(q)
+    return TipError(np.concatenate([position_ref - position, pin.log3(rotation_ref @ rotation.T)]), J_ref, J)
 
 
 def consistent_inverse(J: Array, M: Array) -> Array:
-    """M^-1 J^T (J M^-1 J^T)^-1: forces in the null space of its transpose do not move the tip.
+    """M^-1 J^T (J M^-1 J^T)^-1, (n, 6): torques in the null space of its transpose do not accelerate the tip.
 
     Khatib, "A unified approach for motion and force control of robot manipulators: the operational space formulation" (1987),
-    with damping where the tip can hardly move.
+    with damping near singular configurations.
 
     Args:
         J: (6, n).
         M: (n, n) kg m^2.
-
-    Returns:
-        (n, 6).
     """
     M_inv_Jt = np.linalg.solve(M, J.T)
     mobility = J @ M_inv_Jt
-    damping = _DAMPING**2 * np.trace(mobility)
+    damping = SINGULARITY_DAMPING**2 * np.trace(mobility)
     return M_inv_Jt @ np.linalg.inv(mobility + damping * np.eye(6))

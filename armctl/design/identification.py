@@ -111,7 +111,7 @@ def excitation(arm: Arm, payload: float = 1.0, *, pace: float = 0.6, rng: int | 
     check_arm(arm)
     number("pace", pace, 1e-3, 1.0)
     loaded, contacts = arm.with_payload(number("payload", payload, 0.0)), collision_checker(arm)
-    held = Dynamics(loaded)
+    held = Dynamics(loaded.model, loaded.pinocchio_model)
     why, failed = _TOUCHES, [0] * _SIZES
     for size, waypoints in _candidates(arm, np.random.default_rng(rng)):
         straight = np.linspace(waypoints[:-1], waypoints[1:], 10).reshape(-1, arm.n)
@@ -200,7 +200,7 @@ class _Fit:
 
     def _columns(self) -> Array:
         """(T, n, 4 + 2 n): what each parameter adds to each joint's torque, filtered."""
-        dynamics, n = Dynamics(self.arm), self.arm.n
+        dynamics, n = Dynamics(self.arm.model, self.arm.pinocchio_model), self.arm.n
         payload = np.array([dynamics.payload_regressor(*row) for row in zip(self._q, self._v, self._a, strict=True)])
         eye = np.eye(n)
         return np.concatenate(
@@ -217,13 +217,15 @@ class _Fit:
         mass, moment = self.theta[0], self.theta[1:_PAYLOAD]
         coulomb, viscous = self.theta[_PAYLOAD:].reshape(2, -1)
         positive = mass > _UNCERTAIN * 0.5
-        dynamics = Dynamics(self.arm.with_payload(mass, moment / mass) if positive else self.arm)
+        known = self.arm.with_payload(mass, moment / mass) if positive else self.arm
+        dynamics = Dynamics(known.model, known.pinocchio_model)
         rows = zip(self._q, self._v, self._a, strict=True)
-        explained = np.array([dynamics.inverse(q, v, a, self._dt) for q, v, a in rows])
+        explained = np.array([dynamics.discrete_inverse_dynamics(q, v, a, self._dt) for q, v, a in rows])
         explained += np.sign(self._v) * (dynamics.friction_loss + coulomb) + self._v * viscous
         left = self._tau - explained
         if not positive:
-            regressors = (Dynamics(self.arm).payload_regressor(*row) for row in zip(self._q, self._v, self._a, strict=True))
+            bare = Dynamics(self.arm.model, self.arm.pinocchio_model)
+            regressors = (bare.payload_regressor(*row) for row in zip(self._q, self._v, self._a, strict=True))
             left -= np.array([Y @ self.theta[:_PAYLOAD] for Y in regressors])
         return left
 
@@ -248,7 +250,7 @@ def _candidates(arm: Arm, rng: np.random.Generator) -> list[tuple[int, Array]]:
     """
     low, high = (np.clip(x, arm.home - _REACH, arm.home + _REACH) for x in (arm.limits.q_min, arm.limits.q_max))
     low, high = low + _OFF_LIMIT * (high - low), high - _OFF_LIMIT * (high - low)
-    home, still, dynamics = arm.limits.clamp(arm.home), np.zeros(arm.n), Dynamics(arm)
+    home, still, dynamics = arm.limits.clamp(arm.home), np.zeros(arm.n), Dynamics(arm.model, arm.pinocchio_model)
     sets = []
     for k in range(_SETS):
         size = k % _SIZES
@@ -275,7 +277,7 @@ def _judged(fit: _Fit) -> PayloadEstimate:
 
 def _can_show_mass(arm: Arm) -> bool:
     """Whether a payload's mass shows otherwise than its centre does: not where all joints turn about one vertical line."""
-    rng, dynamics, limits = np.random.default_rng(0), Dynamics(arm), arm.limits
+    rng, dynamics, limits = np.random.default_rng(0), Dynamics(arm.model, arm.pinocchio_model), arm.limits
     positions = limits.random(limits.clamp(arm.home), _SHOWN, rng)
     rates = rng.uniform(-1, 1, (_SHOWN, 2, arm.n))
     Y = np.vstack([dynamics.payload_regressor(q, *rows) for q, rows in zip(positions, rates, strict=True)])

@@ -85,7 +85,7 @@ def check_torque(arm: Arm, trajectory: Trajectory) -> TorqueCheck:
     """
     check_arm(arm)
     check_motion(trajectory, arm.joint_names)
-    dynamics = Dynamics(arm)
+    dynamics = Dynamics(arm.model, arm.pinocchio_model)
     ratios = np.zeros(arm.n)
     worst: tuple[float, float, float, int] = (-1.0, 0.0, 0.0, 0)  # share, time, torque, joint
     for times in _sample_times(trajectory):
@@ -146,17 +146,17 @@ class _Torques:
 
     def __init__(self, arm: Arm):
         self._arm = arm
-        self._dynamics = Dynamics(arm)
+        self._dynamics = Dynamics(arm.model, arm.pinocchio_model)
         self._bound = (1 - _TORQUE_MARGIN) * arm.limits.tau_max
 
     def rows(self, q: Array, v: Array, a: Array) -> TorqueRows:
         dynamics = self._dynamics
         zero = np.zeros(self._arm.n)
-        static = np.array([dynamics.inverse(row, zero, zero) for row in q])
+        static = np.array([dynamics.inverse_dynamics(row, zero, zero) for row in q])
         coriolis = np.array([dynamics.bias(row, speed) - dynamics.bias(row, zero) for row, speed in zip(q, v, strict=True)])
-        moving = np.array([dynamics.inverse(row, speed, zero) for row, speed in zip(q, v, strict=True)])
-        alpha = np.array([dynamics.inverse(row, zero, speed) for row, speed in zip(q, v, strict=True)]) - static
-        beta = np.array([dynamics.inverse(row, zero, rate) for row, rate in zip(q, a, strict=True)]) - static + coriolis
+        moving = np.array([dynamics.inverse_dynamics(row, speed, zero) for row, speed in zip(q, v, strict=True)])
+        alpha = np.array([dynamics.inverse_dynamics(row, zero, speed) for row, speed in zip(q, v, strict=True)]) - static
+        beta = np.array([dynamics.inverse_dynamics(row, zero, rate) for row, rate in zip(q, a, strict=True)]) - static + coriolis
         friction = np.sign(v) * dynamics.friction_loss
         low = -self._bound - static - friction
         high = self._bound - static - friction
@@ -173,8 +173,8 @@ class _Torques:
     def overshoot(self, q: Array, v: Array, a: Array) -> Array:
         dynamics = self._dynamics
         zero = np.zeros(self._arm.n)
-        static = np.array([dynamics.inverse(row, zero, zero) for row in q]).reshape(q.shape)
-        dynamic = np.array([dynamics.inverse(*row) for row in zip(q, v, a, strict=True)]).reshape(q.shape) - static
+        static = np.array([dynamics.inverse_dynamics(row, zero, zero) for row in q]).reshape(q.shape)
+        dynamic = np.array([dynamics.inverse_dynamics(*row) for row in zip(q, v, a, strict=True)]).reshape(q.shape) - static
         held = static + np.sign(v) * dynamics.friction_loss
         up = np.maximum(self._bound - held, _TORQUE_MARGIN * self._bound)
         down = np.maximum(self._bound + held, _TORQUE_MARGIN * self._bound)
@@ -199,4 +199,4 @@ def _sample_times(trajectory: Trajectory) -> Iterator[Array]:
 
 def _torques(dynamics: Dynamics, q: Array, v: Array, a: Array) -> Array:
     """(T, n) N m, with dry friction."""
-    return np.array([dynamics.inverse(*row) for row in zip(q, v, a, strict=True)]) + dynamics.friction(q, v, a)
+    return np.array([dynamics.inverse_dynamics(*row) for row in zip(q, v, a, strict=True)]) + dynamics.friction(v, a)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import copy
+import threading
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -15,8 +18,16 @@ from armctl.core.pose import Pose
 from armctl.core.validation import Array, IntArray, instance, matrix, number, vector
 from armctl.mjmodel.edit import add_point_mass
 from armctl.robot.actuation import Actuation
+from armctl.robot.dynamics import Dynamics
 from armctl.robot.joint_map import JointMap
 from armctl.robot.pinocchio_model import PinocchioModel, build_pinocchio_model
+
+
+class _ThreadDynamics(threading.local):
+    """One `Dynamics` for each thread: its scratch memory must not be shared."""
+
+    def __init__(self, model: mujoco.MjModel, pinocchio_model: PinocchioModel):
+        self.dynamics = Dynamics(model, pinocchio_model)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +183,106 @@ class Arm:
             InputError: A wrong length or a number that is not finite.
         """
         return self.pinocchio_model.jacobian(vector("q", q, self.n))
+
+    def mass_matrix(self, q: ArrayLike) -> Array:
+        """The joint-space mass matrix M(q), armature included, as MuJoCo's `mj_fullM`.
+
+        If joints follow a joint of the arm, M contains their inertia: it is the mass matrix of the n joints of the arm.
+
+        Args:
+            q: (n,) rad.
+
+        Returns:
+            (n, n) kg m^2, symmetric and positive definite.
+
+        Raises:
+            InputError: A wrong length or a number that is not finite.
+        """
+        return self._dynamics.mass_matrix(vector("q", q, self.n))
+
+    def gravity(self, q: ArrayLike) -> Array:
+        """The joint torque that holds the arm at rest at q.
+
+        This is gravity, minus gravity compensation in the model (`gravcomp`), plus the torque of joint springs. It equals
+        `inverse_dynamics(q, 0, 0)`.
+
+        Args:
+            q: (n,) rad.
+
+        Returns:
+            (n,) N m.
+
+        Raises:
+            InputError: A wrong length or a number that is not finite.
+        """
+        return self._dynamics.gravity(vector("q", q, self.n))
+
+    def coriolis(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """The Coriolis and centrifugal joint torque C(q, v) v.
+
+        Args:
+            q: (n,) rad.
+            v: (n,) rad/s.
+
+        Returns:
+            (n,) N m.
+
+        Raises:
+            InputError: A wrong length or a number that is not finite.
+        """
+        return self._dynamics.coriolis(vector("q", q, self.n), vector("v", v, self.n))
+
+    def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
+        """The joint torque that gives the arm an acceleration, in continuous time.
+
+            tau = mass_matrix(q) a + coriolis(q, v) + gravity(q) + damping(v)
+
+        Included are armature, joint damping, joint springs and gravity compensation of the MuJoCo model. Dry friction
+        (`frictionloss`), contacts and the forces at joint limits are not included: they are constraint forces, which the state
+        and the acceleration do not determine. Without these three it is MuJoCo's `mj_inverse`.
+
+        Args:
+            q: (n,) rad.
+            v: (n,) rad/s.
+            a: (n,) rad/s^2.
+
+        Returns:
+            (n,) N m.
+
+        Raises:
+            InputError: A wrong length or a number that is not finite.
+        """
+        return self._dynamics.inverse_dynamics(vector("q", q, self.n), vector("v", v, self.n), vector("a", a, self.n))
+
+    def forward_dynamics(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Array:
+        """The acceleration that a joint torque gives the arm, in continuous time: the inverse of `inverse_dynamics`.
+
+        It includes and leaves out the same forces, so `forward_dynamics(q, v, inverse_dynamics(q, v, a))` is a. Torque limits
+        are not applied.
+
+        Args:
+            q: (n,) rad.
+            v: (n,) rad/s.
+            tau: (n,) N m.
+
+        Returns:
+            (n,) rad/s^2.
+
+        Raises:
+            InputError: A wrong length or a number that is not finite.
+        """
+        return self._dynamics.forward_dynamics(vector("q", q, self.n), vector("v", v, self.n), vector("tau", tau, self.n))
+
+    @property
+    def _dynamics(self) -> Dynamics:
+        return self._thread_dynamics.dynamics
+
+    @cached_property
+    def _thread_dynamics(self) -> _ThreadDynamics:
+        return _ThreadDynamics(self.model, self.pinocchio_model)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_thread_dynamics"}
 
     def qpos(self, q: Array) -> Array:
         """The whole model's positions with the arm at q and all else at home.

@@ -52,7 +52,7 @@ def test_dry_friction_is_no_exception_against_a_continuous_plant():
 def test_pd_with_gravity_only_ever_loses_energy(robot):
     """V = v M v / 2 + e K e / 2 falls, after Takegaki and Arimoto."""
     arm = arm_of(robot)
-    law, dynamics = armctl.PDGravity(arm), Dynamics(arm)
+    law, dynamics = armctl.PDGravity(arm), Dynamics(arm.model, arm.pinocchio_model)
     goal = arm.limits.clamp(arm.home)
     simulation = armctl.Simulation(arm, law, armctl.Plant(timestep=0.001, continuous=True))
     simulation.reset(arm.limits.clamp(goal + 0.03))
@@ -66,7 +66,7 @@ def test_pd_with_gravity_only_ever_loses_energy(robot):
 
 def test_an_impedance_gives_back_no_more_than_a_push_put_in():
     arm = arm_of("panda")
-    law, dynamics = armctl.Impedance(arm, stiffness=[500.0] * 3 + [20.0] * 3), Dynamics(arm)
+    law, dynamics = armctl.Impedance(arm, stiffness=[500.0] * 3 + [20.0] * 3), Dynamics(arm.model, arm.pinocchio_model)
     push = armctl.Push(0.0, 0.3, force=[10.0, -15.0, 5.0])
     plant = armctl.Plant(timestep=0.001, continuous=True, pushes=push)
     log = armctl.simulate(arm, law, Still(arm.home, 2.0), plant, dwell=0.0)

@@ -11,7 +11,6 @@ from synthetic import limb, mjcf, motors
 import armctl
 from armctl.control import CONTROLLERS
 from armctl.loading.tip import tip_on
-from armctl.robot.dynamics import Dynamics
 from armctl.robot.parity import PARITY_TOLERANCE, check_parity
 
 PASSIVE = 'stiffness="2" damping="0.5" frictionloss="0.3" armature="0.05"'
@@ -186,10 +185,10 @@ def test_a_payload_of_a_lifted_body_weighs_what_it_weighs(lifted: armctl.Arm):
     mujoco.mj_forward(model, data)
     force = -mass * model.opt.gravity
     wrench = np.concatenate([force, np.cross(lifted.fk(q).rotation @ center, force)])
-    expected = Dynamics(lifted).gravity(q) + lifted.jacobian(q).T @ wrench
+    expected = lifted.gravity(q) + lifted.jacobian(q).T @ wrench
     assert np.abs(lifted.jacobian(q).T @ wrench).max() > 1.0
     assert data.qfrc_bias - data.qfrc_passive == pytest.approx(expected, abs=1e-10)
-    assert Dynamics(lifted.with_payload(mass, center)).gravity(q) == pytest.approx(expected, abs=1e-10)
+    assert lifted.with_payload(mass, center).gravity(q) == pytest.approx(expected, abs=1e-10)
 
 
 def test_a_payload_of_a_lifted_body_is_identified(lifted: armctl.Arm):
@@ -202,6 +201,6 @@ def test_each_of_several_lifted_arms_bears_its_own_payload(tmp_path: Path):
     path.write_text(mjcf(LIFTED + other, motors("a b c a_2 b_2 c_2")))
     arms = armctl.load_arms(path, ["tip", "tip_2"])
     q = np.array([0.4, 0.9, -0.7])
-    first, second = (Dynamics(arm.with_payload(1.0)).gravity(q) for arm in arms)
+    first, second = (arm.with_payload(1.0).gravity(q) for arm in arms)
     assert np.abs(first).max() > 1.0
     assert first == pytest.approx(second, abs=1e-10)

@@ -40,14 +40,14 @@ def test_kinematics_mass_matrix_and_bias_are_mujocos(arm: Arm):
 
 
 def test_inverse_dynamics_is_mujocos_discrete_inverse(arm: Arm):
-    dynamics = Dynamics(arm)
+    dynamics = Dynamics(arm.model, arm.pinocchio_model)
     for q, v, a in states(arm, 30):
         expected = mujoco_inverse(arm, q, v, a, friction=False)
         assert np.allclose(dynamics.inverse(q, v, a, arm.dt), expected, rtol=1e-11, atol=1e-11)
 
 
 def test_dry_friction_is_mujocos(arm: Arm):
-    dynamics = Dynamics(arm)
+    dynamics = Dynamics(arm.model, arm.pinocchio_model)
     for q, v, a in states(arm, 30, seed=1):
         expected = mujoco_inverse(arm, q, v, a, friction=True)
         ours = dynamics.inverse(q, v, a, arm.dt) + dynamics.friction(q, v, a, arm.dt)
@@ -55,7 +55,7 @@ def test_dry_friction_is_mujocos(arm: Arm):
 
 
 def test_the_equations_of_motion_add_up(arm: Arm):
-    dynamics = Dynamics(arm)
+    dynamics = Dynamics(arm.model, arm.pinocchio_model)
     for q, v, a in states(arm, 10, seed=2):
         M = dynamics.mass_matrix(q)
         assert np.array_equal(M, M.T)
@@ -115,7 +115,7 @@ def test_everything_a_joint_can_have_is_in_the_dynamics(tmp_path, gravcomp: floa
     assert check_parity(arm, samples=20, seed=1) <= 1e-12
     motion = armctl.move_j(arm, arm.home, arm.home + np.array([0.5, 0.2, -0.6]))
     assert Report.from_log(armctl.simulate(arm, "computed-torque", motion)).joint_max_rad <= 1e-9
-    dynamics = Dynamics(arm)
+    dynamics = Dynamics(arm.model, arm.pinocchio_model)
     for q, v, a in states(arm, 30, seed=5):
         if eulerdamp == "disable":
             break  # mj_inverse takes damping at the end of the step all the same; the simulation above is the judge

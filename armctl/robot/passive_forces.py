@@ -1,0 +1,113 @@
+"""Forces of the joints themselves: springs, damping and dry friction, as MuJoCo computes them.
+
+All torques here are the torques that a motor needs to overcome the force, so their sign is opposite to MuJoCo's `qfrc_passive`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from armctl.core.validation import Array
+from armctl.robot.joint_map import JointMap
+
+MIN_INVERSE_INERTIA = 1e-15  # 1/(kg m^2), MuJoCo's mjMINVAL: the lower bound of dof_invweight0 in a constraint
+MIN_IMPEDANCE = 1e-4  # MuJoCo's mjMINIMP and mjMAXIMP: bounds of the values in solimp
+MAX_IMPEDANCE = 0.9999
+
+
+def is_enabled(model: mujoco.MjModel, bit: mujoco.mjtDisableBit) -> bool:
+    """Whether the model's options leave a part of the physics enabled."""
+    return not model.opt.disableflags & int(bit)
+
+
+class PassiveForces:
+    """Joint springs and viscous damping, both with MuJoCo's higher-order terms.
+
+    Attributes:
+        damping: (n,) N m s/rad, the linear part of the damping.
+        is_damped: Whether any joint has damping.
+        has_nonlinear_damping: Whether the damping of any joint is not linear.
+        has_springs: Whether any joint has a spring.
+    """
+
+    def __init__(self, model: mujoco.MjModel, joint_map: JointMap):
+        """The passive forces of the joints that an arm moves.
+
+        Args:
+            model: The compiled model.
+            joint_map: The joints of the arm.
+        """
+        dofs = joint_map.dof_adr
+        joints = model.dof_jntid[dofs]
+        ratio = np.abs(joint_map.ratio.T)
+        damper = is_enabled(model, mujoco.mjtDisableBit.mjDSBL_DAMPER)
+        spring = is_enabled(model, mujoco.mjtDisableBit.mjDSBL_SPRING)
+        # A joint that follows with |dq_i/dq| = r contributes r^(k + 1) of its term in v^k, by virtual work.
+        self.damping = ratio**2 @ model.dof_damping[dofs] * damper
+        quadratic, cubic = model.dof_dampingpoly[dofs].T * damper
+        self._quadratic_damping = ratio**3 @ quadratic
+        self._cubic_damping = ratio**4 @ cubic
+        self._stiffness = np.column_stack([model.jnt_stiffness[joints], model.jnt_stiffnesspoly[joints]]) * spring
+        self._rest = model.qpos_spring[joint_map.qpos_adr].copy()
+        self._joint_map = joint_map
+        self.has_nonlinear_damping = bool(self._quadratic_damping.any() or self._cubic_damping.any())
+        self.is_damped = self.has_nonlinear_damping or bool(self.damping.any())
+        self.has_springs = bool(self._stiffness.any())
+
+    def damping_torque(self, v: Array) -> Array:
+        """v (d0 + d1 |v| + d2 v^2), (n,) N m."""
+        if not self.has_nonlinear_damping:
+            return self.damping * v
+        return v * (self.damping + self._quadratic_damping * np.abs(v) + self._cubic_damping * v * v)
+
+    def nonlinear_damping_slope(self, v: Array) -> Array:
+        """Derivative of the damping torque by v without its linear part, (n,) N m s/rad."""
+        return 2 * self._quadratic_damping * np.abs(v) + 3 * self._cubic_damping * v * v
+
+    def spring_torque(self, q: Array) -> Array:
+        """x (k0 + k1 x + k2 x^2) with x the distance from the spring's rest position, (n,) N m."""
+        x = self._joint_map.positions(q) - self._rest
+        k = self._stiffness
+        force = x * (k[:, 0] + x * k[:, 1] + x * x * k[:, 2])
+        return force if self._joint_map.is_plain else force @ self._joint_map.ratio
+
+
+class DryFriction(NamedTuple):
+    """Dry friction by MuJoCo's law: a stiff damper whose force is bounded by the friction loss.
+
+    Source: MuJoCo documentation, Computation, "Constraint model". The constraint force of a joint is
+    -clip((a + rate v) gain, +-loss), where gain and rate follow from `solreffriction` and `solimpfriction`.
+
+    Attributes:
+        loss: (n,) N m, the friction at any but very small speeds.
+        gain: (n,) kg m^2, the inverse of the constraint's regularization R.
+        rate: (n,) 1/s, the damping b of the constraint.
+    """
+
+    loss: Array
+    gain: Array
+    rate: Array
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, joint_map: JointMap) -> DryFriction:
+        """The dry friction of the joints that an arm moves; gain and rate follow MuJoCo's rules at zero constraint violation."""
+        enabled = is_enabled(model, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        enabled &= is_enabled(model, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
+        loss = np.abs(joint_map.ratio.T) @ model.dof_frictionloss[joint_map.dof_adr] * enabled
+        dofs = joint_map.dof_adr[joint_map.leaders]
+        solref = model.dof_solref[dofs]
+        solimp = np.clip(model.dof_solimp[dofs], MIN_IMPEDANCE, MAX_IMPEDANCE)
+        impedance = solimp[:, 0]
+        impedance_max = solimp[:, 1]
+        time_constant = np.maximum(solref[:, 0], 2 * model.opt.timestep)
+        rate = np.where(solref[:, 0] > 0, 2 / (impedance_max * time_constant), -solref[:, 1] / impedance_max)
+        regularization = (1 - impedance) / impedance * np.maximum(model.dof_invweight0[dofs], MIN_INVERSE_INERTIA)
+        return cls(loss, 1 / regularization, rate)
+
+    def torque(self, v: Array, a: Array) -> Array:
+        """(n,) N m; a is the acceleration before implicit damping acts."""
+        force = self.gain * (a + self.rate * v)
+        return np.minimum(np.maximum(force, -self.loss), self.loss)  # faster than clip
