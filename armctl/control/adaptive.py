@@ -12,7 +12,7 @@ from armctl.core.validation import Array, number
 from armctl.robot.arm import Arm, check_arm
 from armctl.robot.dynamics import Dynamics
 
-# Regularization of the adaptation gain, relative to the observability of the mass: less observable parameters adapt more slowly.
+# Regularization of the adaptation gain, relative to the observability of the mass. Less observable parameters adapt slower.
 REGULARIZATION_RATIO = 0.1
 TYPICAL_PAYLOAD_CENTER_M = 0.1  # the distance that converts the observability of a mass to that of a first moment
 MIN_OBSERVABILITY = 1e-12  # m^2/s^4; below this, gravity does not reveal a payload: the value is rounding error
@@ -29,9 +29,9 @@ class Adaptive:
 
     after Slotine and Li, "On the adaptive control of robot manipulators" (1987). The most frequent unknown of an arm is its
     payload, and the torque is linear in four numbers of it. Once estimated, they are correct at any speed and in any
-    configuration, whereas an observer or an integral term must follow a torque that changes all the time. The law uses no measured
-    acceleration, so it tolerates noise and delay, and its stability is proven. It does not estimate friction; use a disturbance
-    observer for that.
+    configuration, whereas an observer or an integral term must follow a torque that changes all the time. The law uses no
+    measured acceleration, so it tolerates noise and delay, and its stability is proven. It does not estimate friction; use a
+    disturbance observer for that.
 
     Attributes:
         bandwidth: rad/s, of the error.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,8 +19,9 @@ from armctl.robot.dynamics import Dynamics
 FORMS = ("discrete", "textbook")
 
 
-class _ExtraInertia(NamedTuple):
-    """Inertia, (n,) kg m^2, that the feedback assumes in addition to the model's, at a control period."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _ExtraInertia:
+    """Inertia, (n,) kg m^2, that the feedback adds to the model's, at a control period of dt."""
 
     dt: float
     inertia: Array
@@ -34,8 +35,8 @@ class ComputedTorque:
     negligible inertia is that of a joint with a small one (`gains.floored_inertia`).
 
     The discrete form (the default) inverts the plant's motion over one control period instead of the differential equation.
-    Velocity and acceleration of the reference are differences on the tick grid. The damping is evaluated at the end of the step,
-    or, if the plant moves continuously, the whole model is evaluated in the middle of the period. With an exact model only
+    Velocity and acceleration of the reference are differences on the tick grid. Damping is evaluated at the end of the step; if
+    the plant moves continuously, the whole model is evaluated in the middle of the period. With an exact model only
     rounding errors remain. The textbook form has a tracking error of (k_d / k_p) (dt / 2) a_ref.
 
     Attributes:
@@ -64,7 +65,7 @@ class ComputedTorque:
             observer_bandwidth: rad/s up to which unknown torques are estimated and cancelled; 0 for no observer.
 
         Raises:
-            InputError: A gain is negative or not finite, the form is unknown, or the textbook form is combined with an observer.
+            InputError: A gain is negative or not finite, the form is unknown, or the textbook form has an observer.
         """
         check_arm(arm)
         self.form = choice("form", form, FORMS)
@@ -73,7 +74,8 @@ class ComputedTorque:
         self.observer_bandwidth = number("observer_bandwidth", observer_bandwidth, 0.0)
         self.name = "computed-torque"
         self._observer = None
-        if self.form == "textbook":
+        self._is_textbook = self.form == "textbook"
+        if self._is_textbook:
             self.name = "computed-torque-textbook"
             if self.observer_bandwidth:
                 raise InputError("observer_bandwidth: the observer compares ticks, so it needs form='discrete'")
@@ -104,19 +106,22 @@ class ComputedTorque:
         Returns:
             (n,) N m.
         """
-        if self.form == "textbook":
+        modelled = state
+        v_ref = setpoint.v_tick
+        a_ref = setpoint.a_tick
+        if self._is_textbook:
             modelled = state._replace(dt=0.0, continuous=False)
+        if self._is_textbook or v_ref is None or a_ref is None:
             v_ref = setpoint.v
             a_ref = setpoint.a
-        else:
-            modelled = state
-            v_ref, a_ref = feedforward.sampled(setpoint)
         correction = self._kp * (setpoint.q - state.q) + self._kd * (v_ref - state.v)
         tau = feedforward.inverse_dynamics(self._dynamics, modelled, a_ref + correction)
         if self._has_extra_inertia:
-            if state.dt != self._extra_inertia.dt:
-                self._extra_inertia = self._extra_inertia_at(state.dt)
-            tau = tau + self._extra_inertia.inertia * correction
+            extra = self._extra_inertia
+            if extra.dt != state.dt:
+                extra = self._extra_inertia_at(state.dt)
+                self._extra_inertia = extra
+            tau = tau + extra.inertia * correction
         friction = feedforward.friction(self._dynamics, modelled, v_ref, a_ref) if self._dynamics.has_friction else None
         if self._observer is not None:
             tau = self._observer.corrected(tau, state, friction)

@@ -13,8 +13,9 @@ def sampled(setpoint: Setpoint) -> tuple[Array, Array]:
 
     Both are the setpoint's own v and a if the reference was not sampled on ticks.
     """
-    _, v, a, v_tick, a_tick = setpoint
-    return (v, a) if v_tick is None or a_tick is None else (v_tick, a_tick)
+    v_tick = setpoint.v_tick
+    a_tick = setpoint.a_tick
+    return (setpoint.v, setpoint.a) if v_tick is None or a_tick is None else (v_tick, a_tick)
 
 
 def inverse_dynamics(dynamics: Dynamics, state: State, a: Array) -> Array:

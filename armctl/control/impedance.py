@@ -22,8 +22,8 @@ class Impedance:
 
         tau = ID(q, v, a_ref) + J^T K e + D (v_ref - v) + posture
 
-    After Hogan, "Impedance control" (1985). The damping D follows from stiffness and mass matrix by simultaneous diagonalization,
-    so every mode has the same damping ratio: Albu-Schaeffer, Ott, Hirzinger, "A unified passivity-based control framework for
+    After Hogan, "Impedance control" (1985). D follows from stiffness and mass matrix by simultaneous diagonalization, so every
+    mode has the same damping ratio: Albu-Schaeffer, Ott, Hirzinger, "A unified passivity-based control framework for
     position, torque and impedance control of flexible joint robots" (2007). At rest, a force f displaces the tip by K^-1 f. The
     posture spring acts in the null space.
 
@@ -104,7 +104,7 @@ def _critical_damping(M: Array, K: Array) -> Array:
 
 
 class _MinInertia(NamedTuple):
-    """The smallest inertia in any direction and sampled configuration: (6,) kg and kg m^2 of the tip, (n,) kg m^2 of the joints."""
+    """The smallest inertia in any direction and sampled configuration: (6,) kg and kg m^2 of the tip, (n,) of the joints."""
 
     tip: Array
     joints: Array

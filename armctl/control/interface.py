@@ -92,7 +92,13 @@ def _check_arguments(state: object, setpoint: object) -> None:
         raise InputError(f"state: {shown(state)} is no State; armctl.State(q, v) is one")
     if not isinstance(setpoint, Setpoint):
         raise InputError(f"setpoint: {shown(setpoint)} is no Setpoint; armctl.Setpoint(q, v, a) is one")
-    values = {"state.q": state.q, "state.v": state.v, "setpoint.q": setpoint.q, "setpoint.v": setpoint.v, "setpoint.a": setpoint.a}
+    values = {
+        "state.q": state.q,
+        "state.v": state.v,
+        "setpoint.q": setpoint.q,
+        "setpoint.v": setpoint.v,
+        "setpoint.a": setpoint.a,
+    }
     for name, value in values.items():
         if not isinstance(value, np.ndarray) or value.ndim != 1 or value.dtype != np.float64:
             raise InputError(f"{name}: {shown(value)} is not a vector of floats; numpy.array([...], dtype=float) is one")

@@ -14,7 +14,7 @@ from armctl.robot.arm import Arm
 class PD:
     """Joint PD: tau = stiffness (q_ref - q) + damping (v_ref - v).
 
-    It uses neither gravity nor inertia, so it has a steady-state error under gravity and a tracking error in motion. Its default
+    It uses neither gravity nor inertia, so it has a steady-state error under gravity and a tracking error in motion. Default
     gains scale with the inertia of each joint.
 
     Attributes:

@@ -47,7 +47,8 @@ class PDGravity(PD):
         Returns:
             (n,) N m.
         """
-        return super().torque(state, setpoint) + self._dynamics.gravity(state.q)
+        feedback = self.stiffness * (setpoint.q - state.q) + self.damping * (setpoint.v - state.v)
+        return feedback + self._dynamics.gravity(state.q)
 
 
 class PIDGravity(PDGravity):

@@ -7,7 +7,7 @@ Pinocchio computes M and bias; M includes armature. Passive forces are joint spr
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -19,8 +19,11 @@ from armctl.mjmodel.queries import joint_name
 from armctl.robot.passive_forces import DryFriction, PassiveForces, is_enabled
 from armctl.robot.pinocchio_model import PinocchioModel
 
+rnea = pin.rnea  # the innermost call of a control period: a look-up in the module takes a noticeable share of it
 
-class Integrator(NamedTuple):
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Integrator:
     """Which forces MuJoCo's integrator evaluates at the velocity at the end of a step.
 
     Source: MuJoCo documentation, Computation, "Numerical integration".
@@ -45,11 +48,13 @@ class Integrator(NamedTuple):
         )
 
 
-class _StepModel(NamedTuple):
-    """A Pinocchio model for one step of dt: implicit damping D acts like an additional armature dt D."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _StepModel:
+    """A Pinocchio model for one step of dt: implicit damping D acts like an additional armature dt D, (n,) kg m^2."""
 
     dt: float
     pin_model: pin.Model
+    damping_armature: Array
 
 
 class Dynamics:
@@ -75,6 +80,8 @@ class Dynamics:
         integrator = Integrator.of(model)
         self._joint_map = joint_map
         self._passive = passive
+        self._is_damped = passive.is_damped
+        self._has_nonlinear_damping = passive.has_nonlinear_damping
         self._dry_friction = DryFriction.of(model, joint_map)
         self.damping = passive.damping
         self.friction_loss = self._dry_friction.loss
@@ -91,7 +98,7 @@ class Dynamics:
         self._implicit_damping = passive.damping * integrator.implicit_damping
         self._implicit_nonlinear = self._implicit_coriolis or (integrator.implicit_damping and passive.has_nonlinear_damping)
         self._implicit_in_velocity = self._implicit_nonlinear or (integrator.implicit_damping and passive.is_damped)
-        self._step = _StepModel(0.0, self._model)
+        self._step = self._new_step_model(0.0)
         self._payload_basis = _payload_basis(pinocchio_model.T_last_tip)
         followers = np.setdiff1d(np.arange(len(joint_map.joints)), joint_map.leaders)
         self._followers = tuple(joint_name(model, joint_map.joints[k]) for k in followers)
@@ -123,9 +130,9 @@ class Dynamics:
 
     def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
         """Torque for an acceleration in continuous time, without dry friction; (n,) N m."""
-        tau = pin.rnea(self._model, self._data, q, v, a)
-        if self._passive.is_damped:
-            tau = tau + self._passive.damping_torque(v)
+        tau = rnea(self._model, self._data, q, v, a)
+        if self._is_damped:
+            tau = tau + (self._passive.damping_torque(v) if self._has_nonlinear_damping else self.damping * v)
         return self._with_position_forces(tau, q) if self._has_position_forces else tau
 
     def discrete_inverse_dynamics(self, q: Array, v: Array, a: Array, dt: float) -> Array:
@@ -134,12 +141,10 @@ class Dynamics:
         This is what `mj_inverse` computes with `mjENBL_INVDISCRETE`. RK4 has no such inverse: it gets the continuous one.
         With dt = 0 this is `inverse_dynamics`.
         """
-        step = self._step
-        if dt != step.dt:
-            step = self._step = self._step_model(dt)  # the last one is kept, because dt rarely changes between calls
-        tau = pin.rnea(step.pin_model, self._data, q, v, a)
-        if self._passive.is_damped:
-            tau = tau + self._passive.damping_torque(v)
+        step = self._step if dt == self._step.dt else self._new_step_model(dt)  # dt rarely changes between calls
+        tau = rnea(step.pin_model, self._data, q, v, a)
+        if self._is_damped:
+            tau = tau + (self._passive.damping_torque(v) if self._has_nonlinear_damping else self.damping * v)
         if self._implicit_nonlinear and dt:
             tau = tau + dt * self._implicit_nonlinear_change(q, v, a)
         return self._with_position_forces(tau, q) if self._has_position_forces else tau
@@ -184,16 +189,20 @@ class Dynamics:
         if not self.has_friction:
             return np.zeros_like(self.friction_loss)
         if dt and self._implicit_in_velocity:
-            implicit = dt * self._implicit_damping * a
+            step = self._step if dt == self._step.dt else self._new_step_model(dt)
+            implicit = step.damping_armature * a
             if self._implicit_nonlinear:
                 implicit = implicit + dt * self._implicit_nonlinear_change(q, v, a)
             a = a + self._solve_mass_matrix(q, implicit)
         return self._dry_friction.torque(v, a)
 
-    def _step_model(self, dt: float) -> _StepModel:
+    def _new_step_model(self, dt: float) -> _StepModel:
+        """Makes the model for dt and keeps it for the next call."""
         pin_model = self._model.copy()
-        pin_model.armature = self._model.armature + dt * self._implicit_damping
-        return _StepModel(dt, pin_model)
+        damping_armature = dt * self._implicit_damping
+        pin_model.armature = self._model.armature + damping_armature
+        self._step = _StepModel(dt, pin_model, damping_armature)
+        return self._step
 
     def _solve_mass_matrix(self, q: Array, tau: Array) -> Array:
         """M(q)^-1 tau."""

@@ -5,7 +5,7 @@ All torques here are the torques that a motor needs to overcome the force, so th
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -75,7 +75,8 @@ class PassiveForces:
         return force if self._joint_map.is_plain else force @ self._joint_map.ratio
 
 
-class DryFriction(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class DryFriction:
     """Dry friction by MuJoCo's law: a stiff damper whose force is bounded by the friction loss.
 
     Source: MuJoCo documentation, Computation, "Constraint model". The constraint force of a joint is
@@ -93,7 +94,7 @@ class DryFriction(NamedTuple):
 
     @classmethod
     def of(cls, model: mujoco.MjModel, joint_map: JointMap) -> DryFriction:
-        """The dry friction of the joints that an arm moves; gain and rate follow MuJoCo's rules at zero constraint violation."""
+        """The dry friction of the joints that an arm moves; gain and rate are those at zero constraint violation."""
         enabled = is_enabled(model, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
         enabled &= is_enabled(model, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
         loss = np.abs(joint_map.ratio.T) @ model.dof_frictionloss[joint_map.dof_adr] * enabled
