@@ -1,4 +1,9 @@
-"""Small synthetic robots, written as text: MJCF from bodies and actuators, URDF from joints."""
+"""Small synthetic robots, written as text: MJCF from bodies and actuators, URDF from joints; and serial arms by their shape."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import armctl
 
 
 def limb(names: str, inside: str = "", joint: str = "", extra: str = "") -> str:
@@ -20,6 +25,45 @@ def motors(names: str, **more: str) -> str:
 
 def mjcf(bodies: str, rest: str = "") -> str:
     return f'<mujoco model="trap"><compiler angle="radian" autolimits="true"/><worldbody>{bodies}</worldbody>{rest}</mujoco>'
+
+
+RIGID = 'solref="0.002 1" solimp="0.9999 0.9999 0.001 0.5 2"'
+FAST = '<option timestep="0.001" integrator="implicitfast"/>'
+FINGERS = limb("left", joint='armature="0.01" damping="0.1"') + limb("right", joint='armature="0.02" stiffness="0.5"')
+
+
+def ties(*pairs: str) -> str:
+    """Equalities: "c b 0.1 -0.5" makes c = 0.1 - 0.5 b."""
+    lines = []
+    for pair in pairs:
+        first, second, offset, ratio = pair.split()
+        lines.append(f'<joint joint1="{first}" joint2="{second}" polycoef="{offset} {ratio} 0 0 0" {RIGID}/>')
+    return f"<equality>{''.join(lines)}</equality>{FAST}"
+
+
+def tendon(**coefficients: float) -> str:
+    joints = "".join(f'<joint joint="{joint}" coef="{coef}"/>' for joint, coef in coefficients.items())
+    return f'<tendon><fixed name="cable">{joints}</fixed></tendon>'
+
+
+PULL = '<motor name="m" tendon="cable" gear="3" ctrlrange="-20 20"/>'
+HAND, GEARED = limb("a b", FINGERS), limb("a", limb("b c") + limb("drive"))
+SLIDES = limb("a s t u b").replace('name="s" axis="0 1 0"', 'name="s" type="slide" axis="1 0 0"')
+SLIDES = SLIDES.replace('name="t" axis="0 0 1"', 'name="t" type="slide" axis="1 0 0"')
+SLIDES = SLIDES.replace('name="u" axis="0 1 0"', 'name="u" axis="0 1 0" stiffness="2" springref="0.3" damping="0.5"')
+
+# What is tied to what, what moves it, and how it is loaded: bodies, rest, keywords, the arm's joints.
+TIED = {
+    "a follower in the chain": (limb("a b c d"), ties("c b 0.1 -0.5") + motors("a b d"), {}, "a b d"),
+    "the motor at the joint nearer the tip": (limb("a b c d"), ties("b c 0.1 -0.5") + motors("a c d"), {}, "a b d"),
+    "one leads several": (limb("a b c d"), ties("c b 0 0.5", "d c 0.1 -1.5") + motors("a b"), {}, "a b"),
+    "a finger beside the chain": (HAND, ties("right left 0 -1") + motors("a b left"), {"tip": "LEFT"}, "a b left"),
+    "the finger without the motor": (HAND, ties("right left 0.2 2") + motors("left"), {"base": "B", "tip": "RIGHT"}, "right"),
+    "a gear beside the arm": (GEARED, ties("b drive 0 -0.8") + motors("a drive c"), {"tip": "C"}, "a b c"),
+    "a tendon on a tied pair": (limb("a b c"), ties("c b 0 2") + tendon(b=0.5, c=0.25) + motors("a c", c=PULL), {}, "a b"),
+    "a tendon on one joint": (limb("a b"), FAST + tendon(b=0.5) + motors("a b", b=PULL), {}, "a b"),
+    "a telescope, and a hinge tied to it": (SLIDES, ties("t s 0 1", "u s 0.2 3") + motors("a s b"), {}, "a s b"),
+}
 
 
 LINK = '<link name="{}"><inertial><origin xyz="0 0 0.1"/><mass value="1"/>{}</inertial>{}</link>'
@@ -45,3 +89,72 @@ SECOND = JOINT.format("j2", "revolute", "one", "two", LIMIT)
 
 THIRD = JOINT.format("j3", "fixed", "two", "three", "")
 TOOL = JOINT.format("mount", "fixed", "three", "tool0", "")
+
+
+AXES = ("0 0 1", "0 1 0", "0 1 0", "0 0 1", "0 1 0", "0 0 1", "0 1 0")
+SERIAL_LINK = """<body pos="0 0 {below:g}"><joint name="j{i}" type="{kind}" axis="{axis}" range="{range}" {joint}/>
+<geom type="capsule" fromto="0 0 0 0 0 {length:g}" size="{radius:g}" mass="{mass:g}" contype="0" conaffinity="0"/>"""
+SERIAL_MOTOR = '<motor joint="j{i}" gear="{gear:g}" ctrlrange="-{torque:g} {torque:g}"/>'
+SERIAL_ARM = """<mujoco><compiler angle="radian"/><option integrator="{integrator}"/>
+<worldbody>{links}<site name="tip" pos="0 0 {length:g}"/>{ends}</worldbody><actuator>{motors}</actuator>{home}</mujoco>"""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A serial arm of capsules: length m, mass kg and motor torque N m of its first link; links shrink by `taper`."""
+
+    length: float
+    mass: float
+    torque: float
+    taper: float = 1.0
+    gear: float = 1.0
+    joint: str = ""
+    slides: int = 0
+    joints: int = 6
+    home: str = ""
+    range: str = "-2 2"
+
+
+SHAPES = {
+    "light": Shape(0.02, 0.003, 0.05),  # 1e-8 to 1e-5 kg m^2
+    "heavy": Shape(2.0, 200.0, 2e6),  # 1 to 1e4 kg m^2
+    "tapering": Shape(0.4, 12.0, 400.0, taper=0.6),  # 1e-7 kg m^2 behind 0.1
+    "damped": Shape(0.3, 2.0, 300.0, joint='damping="10"'),
+    "geared": Shape(0.3, 2.0, 300.0, gear=-100.0, joint='damping="1" armature="5" frictionloss="3"'),
+    "sliding": Shape(0.3, 20.0, 2000.0, taper=0.6, slides=2),
+}
+# Arms for the laws of controllers: home is away from singularities.
+BENT = {
+    "planar": Shape(0.3, 2.0, 100.0, joints=3, joint='damping="0.5"', home="0.2 0.5 0.9"),
+    "six joints": Shape(0.3, 4.0, 200.0, taper=0.8, joint='armature="0.1" damping="1"', home="0.2 0.4 0.9 -0.3 0.8 0.4"),
+    "redundant": Shape(0.25, 4.0, 200.0, taper=0.85, joints=7, joint='armature="0.1"', home="0.2 0.4 0.9 -0.3 0.8 0.4 0.6"),
+    "rubbing": Shape(0.3, 4.0, 200.0, joint='armature="0.2" frictionloss="1"', home="0.2 0.4 0.9 -0.3 0.8 0.4"),
+}
+
+
+def serial_arm(folder: Path, shape: Shape, integrator: str = "implicitfast") -> armctl.Arm:
+    links = ""
+    motors = ""
+    below = 0.0
+    for i, axis in enumerate(AXES[: shape.joints]):
+        size = shape.taper**i
+        length = shape.length * size
+        links += SERIAL_LINK.format(
+            i=i,
+            kind="slide" if i < shape.slides else "hinge",
+            axis=axis,
+            range=shape.range,
+            joint=shape.joint,
+            below=below,
+            length=length,
+            radius=0.1 * length,
+            mass=shape.mass * size**3,
+        )
+        motors += SERIAL_MOTOR.format(i=i, gear=shape.gear, torque=shape.torque * size**4 / abs(shape.gear))
+        below = length
+    home = f'<keyframe><key name="home" qpos="{shape.home}"/></keyframe>' if shape.home else ""
+    ends = "</body>" * shape.joints
+    text = SERIAL_ARM.format(integrator=integrator, links=links, length=below, ends=ends, motors=motors, home=home)
+    path = folder / "serial.xml"
+    path.write_text(text)
+    return armctl.load(path)

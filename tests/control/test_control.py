@@ -1,13 +1,13 @@
-"""Every controller on every arm at hand at 1, 2 and 4 ms: one row a controller. And what each of them promises."""
+"""Every controller on every installed arm at 1, 2 and 4 ms, one row for each controller; and properties of single controllers."""
 
 import numpy as np
 import pytest
-from arms import arm_of
 from motions import Still, Sway
+from synthetic import BENT, limb, motors, serial_arm
 
 import armctl
 from armctl.control import CONTROLLERS, controller_by_name
-from armctl.control.gains import joint_inertia, pd_gains
+from armctl.control.gains import effective_inertia, pd_gains, sample_configurations
 from armctl.core.trajectory import Setpoint, TickReference
 
 TICKS = (0.001, 0.002, 0.004)
@@ -16,6 +16,16 @@ WITH_MEMORY = ("pid-gravity", "computed-torque-observer", "adaptive")
 
 every_controller = pytest.mark.parametrize("name", CONTROLLERS)
 every_tick = pytest.mark.parametrize("dt", TICKS)
+
+
+@pytest.fixture(params=BENT)
+def bent(request: pytest.FixtureRequest, tmp_path) -> armctl.Arm:
+    return serial_arm(tmp_path, BENT[request.param])
+
+
+@pytest.fixture
+def redundant(tmp_path) -> armctl.Arm:
+    return serial_arm(tmp_path, BENT["redundant"])
 
 
 @every_tick
@@ -35,7 +45,7 @@ def test_follows_a_motion_without_chatter(arm, name, dt):
 def test_holds_still_at_rest(arm, name, dt):
     log = armctl.simulate(arm, name, Still(arm.home), armctl.Plant(timestep=dt), dwell=0.0)
     moved = np.abs(log.q - arm.home).max()
-    assert moved < (0.3 if name == "pd" else 1e-9), moved  # PD alone sags under the arm's weight
+    assert moved < (0.3 if name == "pd" else 1e-9), moved  # PD has a steady-state error under gravity
 
 
 @every_controller
@@ -50,24 +60,25 @@ def test_comes_back_after_a_kick(arm, name):
 
 
 @every_tick
-@pytest.mark.parametrize("robot", ["robot_arm_3dof", "panda", "iiwa14", "so_arm100", "gen3"])
-def test_an_observer_bears_a_delay_of_two_ticks(robot, dt):
-    arm = arm_of(robot)
+def test_the_observer_is_stable_with_a_delay_of_two_ticks(bent, dt):
     plant = armctl.Plant(timestep=dt, delay=2, mass_scale=1.2, encoder_noise=1e-5, velocity_noise=1e-3)
-    log = armctl.simulate(arm, "computed-torque-observer", Sway(arm), plant, dwell=1.0)
+    log = armctl.simulate(bent, "computed-torque-observer", Sway(bent), plant, dwell=1.0)
     end = log.t > log.t[-1] - 0.2
     assert not log.failure
     assert np.abs(log.q - log.q_ref)[end].max() < 2e-3
     assert np.abs(log.v[end]).max() < 0.1
 
 
-def test_an_observer_knows_what_a_motor_cannot_have_done(bundled):
-    """Asked for far more than the limits, the observer must not take what was cut off for a disturbance."""
-    zero, controller = np.zeros(bundled.n), armctl.ComputedTorque(bundled, observer_bandwidth=200.0)
+def test_the_observer_does_not_mistake_clipped_torque_for_a_disturbance(bundled):
+    controller = armctl.ComputedTorque(bundled, observer_bandwidth=200.0)
     simulation = armctl.Simulation(bundled, controller, armctl.Plant(timestep=0.001))
     log = simulation.run(Still(bundled.home + np.array([2.0, 0.0, 0.0]), 0.2))
     assert (np.abs(log.tau_cmd) > bundled.limits.tau_max).any()
-    assert np.abs(controller._observer.estimate - zero).max() < 1e-6
+    assert np.abs(controller.disturbance).max() < 1e-6
+
+
+def test_without_an_observer_the_disturbance_is_zero(bundled):
+    assert np.array_equal(armctl.ComputedTorque(bundled).disturbance, np.zeros(bundled.n))
 
 
 @every_controller
@@ -79,9 +90,10 @@ def test_the_same_run_gives_the_same_bits(bundled, name):
 
 
 @pytest.mark.parametrize("name", WITH_MEMORY)
-def test_memory_starts_afresh_when_time_jumps(name):
-    arm = arm_of("panda")
-    controller, fresh = controller_by_name(name, arm), controller_by_name(name, arm)
+def test_memory_is_reset_when_time_jumps(redundant, name):
+    arm = redundant
+    controller = controller_by_name(name, arm)
+    fresh = controller_by_name(name, arm)
     still = np.zeros(arm.n)
     setpoint = Setpoint(arm.home + 0.01, still, still, still, still)
     for k in range(20):
@@ -95,7 +107,8 @@ def test_memory_starts_afresh_when_time_jumps(name):
 
 @every_controller
 def test_works_without_tick_differences(name, bundled):
-    controller, zero = controller_by_name(name, bundled), np.zeros(bundled.n)
+    controller = controller_by_name(name, bundled)
+    zero = np.zeros(bundled.n)
     tau = controller.torque(armctl.State(bundled.home, zero), Setpoint(bundled.home, zero, zero))
     assert np.isfinite(tau).all()
     assert tau.shape == (bundled.n,)
@@ -110,9 +123,19 @@ def test_an_unknown_controller_has_a_suggestion(bundled):
     ("make", "sentence"),
     [
         (lambda arm: armctl.PD(arm, stiffness=[1.0, 2.0]), "stiffness: 2 numbers given, 3 wanted"),
-        (lambda arm: armctl.PD(arm, damping=[-1.0, 2.0, 1.0]), "least damping: -1 given"),
+        (lambda arm: armctl.PD(arm, damping=[-1.0, 2.0, 1.0]), "damping: every value must be at least 0, got -1"),
         (lambda arm: armctl.PDGravity(arm, bandwidth=-1.0), "bandwidth: -1 given, a number at least 0"),
         (lambda arm: armctl.PIDGravity(arm, integral_gain=[1.0]), "integral_gain: 1 numbers given, 3 wanted"),
+        (lambda arm: armctl.PD(arm, bandwidth="20"), "bandwidth: '20' is not a number"),
+        (lambda arm: armctl.PD(arm, stiffness="20"), "stiffness: '20' is not a"),
+        (lambda arm: armctl.PD(arm, stiffness=5.0, bandwidth="20"), "bandwidth: '20' is not a number"),
+        (lambda arm: armctl.PD(arm, damping=-2.0), "damping: every value must be at least 0, got -2"),
+        (lambda arm: armctl.PD(arm, stiffness=[1.0, float("nan"), 1.0]), "stiffness: element .1. is nan"),
+        (lambda arm: armctl.PDGravity(arm, damping_ratio=[1.0]), "damping_ratio: .1.0. is not a number"),
+        (lambda arm: armctl.PIDGravity(arm, integral_gain=float("inf")), "integral_gain: inf given, a finite number"),
+        (lambda arm: armctl.ComputedTorque(arm, observer_bandwidth="9"), "observer_bandwidth: '9' is not a number"),
+        (lambda arm: armctl.Impedance(arm, posture_stiffness=-1.0), "posture_stiffness: every value must be at least 0"),
+        (lambda arm: armctl.Adaptive(arm, bandwidth=1j), "bandwidth: 1j is not a number"),
         (lambda arm: armctl.ComputedTorque(arm, form="exact"), "form: 'exact' given, one of discrete, textbook"),
         (lambda arm: armctl.ComputedTorque(arm, form="textbook", observer_bandwidth=9.0), "needs form='discrete'"),
         (lambda arm: armctl.ComputedTorque(arm, bandwidth=float("nan")), "bandwidth: nan given, a finite number"),
@@ -126,15 +149,85 @@ def test_wrong_gains_are_refused_in_one_sentence(bundled, make, sentence):
         make(bundled)
 
 
-def test_gains_scale_with_what_a_joint_feels(arm):
+@every_controller
+def test_a_controller_of_no_arm_is_rejected(name):
+    with pytest.raises(armctl.InputError, match="arm: 'panda' is no Arm"):
+        controller_by_name(name, "panda")
+
+
+@pytest.mark.parametrize(
+    ("controller", "gain", "size"),
+    [
+        (armctl.PD, "stiffness", 3),
+        (armctl.PD, "damping", 3),
+        (armctl.PDGravity, "stiffness", 3),
+        (armctl.PIDGravity, "integral_gain", 3),
+        (armctl.Impedance, "stiffness", 6),
+        (armctl.Impedance, "posture_stiffness", 3),
+    ],
+)
+@pytest.mark.parametrize("value", [7, 7.0, np.float64(7.0), np.array(7.0)])
+def test_one_number_is_the_gain_of_all_joints(bundled, controller, gain, size, value):
+    single = controller(bundled, **{gain: value})
+    assert np.array_equal(getattr(single, gain), np.full(size, 7.0))
+    state = armctl.State(bundled.home + 0.1, np.ones(bundled.n), 0.0, 0.001)
+    setpoint = Setpoint(bundled.home, np.zeros(bundled.n), np.zeros(bundled.n))
+    listed = controller(bundled, **{gain: [7.0] * size})
+    assert np.array_equal(single.torque(state, setpoint), listed.torque(state, setpoint))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sentence"),
+    [
+        ({"state": "x"}, "state: 'x' is no State; armctl.State"),
+        ({"state": None}, "state: None is no State"),
+        ({"setpoint": [0.0, 0.0, 0.0]}, "setpoint: .* is no Setpoint; armctl.Setpoint"),
+        ({"state": armctl.State("q", np.zeros(3))}, "state.q: 'q' is not a vector of floats"),
+        ({"state": armctl.State([0.0, 0.0, 0.0], None)}, "state.q: .* is not a vector of floats"),
+        ({"setpoint": Setpoint(np.zeros(3), None, np.zeros(3))}, "setpoint.v: None is not a vector of floats"),
+        ({"state": armctl.State(np.zeros(2), np.zeros(2))}, "must have the same length, got {'state.q': 2"),
+    ],
+)
+@every_controller
+def test_wrong_arguments_of_torque_are_rejected_in_one_sentence(bundled, name, wrong, sentence):
+    zero = np.zeros(bundled.n)
+    arguments = {"state": armctl.State(bundled.home, zero), "setpoint": Setpoint(bundled.home, zero, zero), **wrong}
+    with pytest.raises(armctl.InputError, match=sentence):
+        controller_by_name(name, bundled).torque(**arguments)
+
+
+@pytest.mark.parametrize("limits", ["3.5 6", "-6 -3.5", "-9 9"])
+def test_sampled_configurations_are_inside_joint_ranges_beyond_half_a_turn(load, limits):
+    arm = load(limb("a b c").replace('range="-2 2"', f'range="{limits}"'), motors("a b c"))
+    q = sample_configurations(arm)
+    low, high = (float(x) for x in limits.split())
+    assert q.shape == (65, 3)
+    assert arm.limits.contains(q[1:])
+    assert (np.ptp(q[1:], axis=0) > 0.9 * (high - low)).all()
+    assert all(np.isfinite(controller_by_name(name, arm).torque(*at_rest(arm))).all() for name in CONTROLLERS)
+
+
+def at_rest(arm):
+    q = arm.limits.clamp(arm.home)
+    zero = np.zeros(arm.n)
+    return armctl.State(q, zero, 0.0, 0.001), Setpoint(q, zero, zero)
+
+
+def test_gains_of_an_arm_with_a_singular_mass_matrix_are_a_model_error(bundled, monkeypatch):
+    monkeypatch.setattr("armctl.robot.dynamics.Dynamics.mass_matrix", lambda self, q: np.zeros((3, 3)))
+    with pytest.raises(armctl.ModelError, match="the mass matrix is singular"):
+        armctl.PD(bundled)
+
+
+def test_default_gains_scale_with_the_effective_inertia(arm):
     stiffness, damping = pd_gains(arm, 10.0)
-    least = joint_inertia(arm).min(axis=0)
+    least = effective_inertia(arm).min(axis=0)
     assert (stiffness >= 100.0 * least * (1 - 1e-12)).all()
     assert (damping * 0.004 <= 0.5 * least * (1 + 1e-9)).all()
 
 
 def test_the_integral_does_not_wind_up(bundled):
-    """Held at its torque limit for a second, a PID that winds up would overshoot for about as long."""
+    """After a second at its torque limit, a PID that winds up would overshoot for about as long."""
     zero = np.zeros(bundled.n)
     pid = armctl.PIDGravity(bundled)
     far = Setpoint(bundled.home + np.array([100.0, 0.0, 0.0]), zero, zero)
@@ -146,32 +239,32 @@ def test_the_integral_does_not_wind_up(bundled):
     assert np.abs(tau - at_rest).max() < 1e-9
 
 
-def test_an_impedance_gives_way_by_force_over_stiffness():
-    arm = arm_of("panda")
-    zero, K = np.zeros(arm.n), np.array([400.0, 500.0, 600.0, 30.0, 30.0, 30.0])
+def test_an_impedance_yields_by_force_over_stiffness(redundant):
+    arm = redundant
+    zero = np.zeros(arm.n)
+    K = np.array([400.0, 500.0, 600.0, 30.0, 30.0, 30.0])
     controller = armctl.Impedance(arm, stiffness=K)
     q = arm.home + 1e-5 * np.array([1.0, -2.0, 3.0, 1.0, -1.0, 2.0, 1.0])
     tau = controller.torque(armctl.State(q, zero), Setpoint(arm.home, zero, zero))
-    weight = controller._dynamics.gravity(q)
     J = arm.jacobian(q)
-    moved = J @ (q - arm.home)
-    M = controller._dynamics.mass_matrix(q)
-    felt = np.linalg.solve(J @ np.linalg.solve(M, J.T), J @ np.linalg.solve(M, tau - weight))  # the wrench at the tip
-    assert np.abs(felt + K * moved).max() < 1e-3 * np.abs(K * moved).max()
+    M = arm.mass_matrix(q)
+    displacement = J @ (q - arm.home)
+    wrench = np.linalg.solve(J @ np.linalg.solve(M, J.T), J @ np.linalg.solve(M, tau - arm.gravity(q)))
+    assert np.abs(wrench + K * displacement).max() < 1e-3 * np.abs(K * displacement).max()
 
 
-def test_operational_space_moves_the_tip_like_a_spring_whatever_the_posture_does():
-    arm = arm_of("panda")
+def test_operational_space_moves_the_tip_like_a_spring_for_any_posture(redundant):
+    arm = redundant
     zero = np.zeros(arm.n)
     controller = armctl.OperationalSpace(arm, bandwidth=30.0, posture_bandwidth=0.0)
     q = arm.home + 1e-4 * np.array([1.0, -2.0, 3.0, 1.0, -1.0, 2.0, 1.0])
     tau = controller.torque(armctl.State(q, zero), Setpoint(arm.home, zero, zero))
-    M, J = controller._dynamics.mass_matrix(q), arm.jacobian(q)
-    tip_acceleration = J @ np.linalg.solve(M, tau - controller._dynamics.gravity(q))
-    wanted = 900.0 * J @ (arm.home - q)
-    assert np.abs(tip_acceleration - wanted).max() < 1e-3 * np.abs(wanted).max()
+    J = arm.jacobian(q)
+    tip_acceleration = J @ np.linalg.solve(arm.mass_matrix(q), tau - arm.gravity(q))
+    expected = 900.0 * J @ (arm.home - q)
+    assert np.abs(tip_acceleration - expected).max() < 2e-3 * np.abs(expected).max()
 
 
-def test_the_reference_on_ticks_is_what_a_discrete_arm_measures(bundled):
+def test_the_sampled_reference_is_the_velocity_that_a_discrete_arm_measures(bundled):
     reference = TickReference.of(Sway(bundled), 0.002, 50)
     assert np.allclose(reference.v_tick[1:], np.diff(reference.q, axis=0) / 0.002)

@@ -2,16 +2,23 @@
 
 import numpy as np
 import pytest
-from arms import arm_of
 from motions import Still
+from synthetic import BENT, serial_arm
 
 import armctl
 from armctl.analysis.comparison import out_and_back
 from armctl.control import pd
 from armctl.core.trajectory import Setpoint
-from armctl.robot.dynamics import Dynamics
 
-ROBOTS = ("robot_arm_3dof", "panda", "ur5e", "iiwa14")
+
+@pytest.fixture(params=BENT)
+def bent(request: pytest.FixtureRequest, tmp_path) -> armctl.Arm:
+    return serial_arm(tmp_path, BENT[request.param])
+
+
+@pytest.fixture
+def redundant(tmp_path) -> armctl.Arm:
+    return serial_arm(tmp_path, BENT["redundant"])
 
 
 def greatest_error(arm, name, dt, **plant):
@@ -19,19 +26,16 @@ def greatest_error(arm, name, dt, **plant):
     return armctl.Report.from_log(armctl.simulate(arm, name, motion, armctl.Plant(timestep=dt, **plant))).joint_max_rad
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
-def test_the_discrete_form_leaves_rounding(robot):
-    assert greatest_error(arm_of(robot), "computed-torque", 0.001) < 1e-9
+def test_the_discrete_form_leaves_only_rounding_errors(bent):
+    assert greatest_error(bent, "computed-torque", 0.001) < 1e-9
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
-def test_the_textbook_form_is_off_by_an_error_of_first_order(robot):
-    arm = arm_of(robot)
-    coarse, fine = (greatest_error(arm, "computed-torque-textbook", dt) for dt in (0.002, 0.001))
+def test_the_textbook_form_has_an_error_of_first_order(bent):
+    coarse, fine = (greatest_error(bent, "computed-torque-textbook", dt) for dt in (0.002, 0.001))
     assert 1.6 < coarse / fine < 2.4
 
 
-def test_the_textbook_form_is_off_by_what_the_docs_say(bundled):
+def test_the_error_of_the_textbook_form_is_the_documented_one(bundled):
     motion = out_and_back(bundled, 0.2).scaled(0.5)
     log = armctl.simulate(bundled, "computed-torque-textbook", motion, armctl.Plant(timestep=0.001))
     expected = (2 / 20.0) * (0.001 / 2) * np.abs(log.a_ref).max()
@@ -43,44 +47,44 @@ def test_against_a_continuous_plant_the_error_is_of_second_order(bundled):
     assert coarse / fine > 2.8
 
 
-def test_dry_friction_is_no_exception_against_a_continuous_plant():
-    """Taken as the discrete step meets it, it would leave 8e-6 rad wherever a joint sets off or turns back."""
-    assert greatest_error(arm_of("xarm7"), "computed-torque", 0.001, continuous=True) < 5e-7
+def test_dry_friction_is_compensated_on_a_continuous_plant_too(tmp_path):
+    """With the friction of the discrete step, an error would remain wherever a joint starts or reverses."""
+    arm = serial_arm(tmp_path, BENT["rubbing"])
+    assert greatest_error(arm, "computed-torque", 0.001, continuous=True) < 5e-7
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
-def test_pd_with_gravity_only_ever_loses_energy(robot):
-    """V = v M v / 2 + e K e / 2 falls, after Takegaki and Arimoto."""
-    arm = arm_of(robot)
-    law, dynamics = armctl.PDGravity(arm), Dynamics(arm.model, arm.pinocchio_model)
+def test_pd_with_gravity_compensation_only_loses_energy(bent):
+    """V = v M v / 2 + e K e / 2 decreases, after Takegaki and Arimoto."""
+    arm = bent
+    law = armctl.PDGravity(arm)
     goal = arm.limits.clamp(arm.home)
     simulation = armctl.Simulation(arm, law, armctl.Plant(timestep=0.001, continuous=True))
     simulation.reset(arm.limits.clamp(goal + 0.03))
     log = simulation.run(Still(goal, 1.0))
     e = goal - log.q
-    kinetic = [0.5 * v @ dynamics.mass_matrix(q) @ v for q, v in zip(log.q, log.v, strict=True)]
+    kinetic = [0.5 * v @ arm.mass_matrix(q) @ v for q, v in zip(log.q, log.v, strict=True)]
     energy = np.array(kinetic) + 0.5 * (e**2 @ law.stiffness)
     assert (np.diff(energy) <= 1e-4 * energy[0]).all()
     assert energy[-1] < 0.5 * energy[0]
 
 
-def test_an_impedance_gives_back_no_more_than_a_push_put_in():
-    arm = arm_of("panda")
-    law, dynamics = armctl.Impedance(arm, stiffness=[500.0] * 3 + [20.0] * 3), Dynamics(arm.model, arm.pinocchio_model)
+def test_an_impedance_returns_no_more_energy_than_a_push_supplied(redundant):
+    arm = redundant
+    law = armctl.Impedance(arm, stiffness=[500.0] * 3 + [20.0] * 3)
     push = armctl.Push(0.0, 0.3, force=[10.0, -15.0, 5.0])
     plant = armctl.Plant(timestep=0.001, continuous=True, pushes=push)
     log = armctl.simulate(arm, law, Still(arm.home, 2.0), plant, dwell=0.0)
     wrench = np.where((log.t < 0.3)[:, None], push.wrench, 0.0)
     power = [w @ arm.jacobian(q) @ v for w, q, v in zip(wrench, log.q, log.v, strict=True)]
     supplied = np.cumsum(power) * log.dt
-    kinetic = np.array([0.5 * v @ dynamics.mass_matrix(q) @ v for q, v in zip(log.q, log.v, strict=True)])
+    kinetic = np.array([0.5 * v @ arm.mass_matrix(q) @ v for q, v in zip(log.q, log.v, strict=True)])
     spring = 0.5 * 500.0 * ((log.tip - log.tip_ref) ** 2).sum(axis=1)
     assert (kinetic + spring <= supplied + 0.02 * supplied.max()).all()
     assert kinetic[-1] + spring[-1] < 1e-3 * supplied.max()
 
 
-def test_adaptive_control_learns_what_it_holds():
-    arm = arm_of("panda")
+def test_adaptive_control_estimates_the_payload(redundant):
+    arm = redundant
     law = armctl.Adaptive(arm)
     before = armctl.simulate(arm, "computed-torque", out_and_back(arm), armctl.Plant(payload=1.0))
     motion = out_and_back(arm)
@@ -91,11 +95,9 @@ def test_adaptive_control_learns_what_it_holds():
     assert np.abs(after.q - after.q_ref)[last].max() < 0.2 * np.abs(before.q - before.q_ref).max()
 
 
-@pytest.mark.parametrize("robot", ROBOTS)
-def test_an_observer_takes_most_of_an_unknown_payload(robot):
-    arm = arm_of(robot)
+def test_the_observer_removes_most_of_the_error_of_an_unknown_payload(bent):
     without, observed = (
-        greatest_error(arm, name, 0.001, payload=1.0) for name in ("computed-torque", "computed-torque-observer")
+        greatest_error(bent, name, 0.001, payload=1.0) for name in ("computed-torque", "computed-torque-observer")
     )
     assert observed < 0.1 * without
 

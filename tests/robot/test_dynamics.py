@@ -1,10 +1,13 @@
-"""The Pinocchio model and the inverse dynamics are MuJoCo's, on every arm at hand, at random states."""
+"""Kinematics and dynamics agree with MuJoCo on every installed arm and on synthetic ones, at random states."""
 
 import copy
+import pickle
+from concurrent.futures import ThreadPoolExecutor
 
 import mujoco
 import numpy as np
 import pytest
+from synthetic import TIED, limb, mjcf
 
 import armctl
 from armctl import Arm, Report
@@ -16,10 +19,9 @@ DISABLE = mujoco.mjtDisableBit
 
 def states(arm: Arm, count: int, seed: int = 0):
     rng = np.random.default_rng(seed)
-    low, high = np.maximum(arm.limits.q_min, -np.pi), np.minimum(arm.limits.q_max, np.pi)
-    for _ in range(count):
+    for q in arm.limits.random(arm.limits.clamp(arm.home), count, rng):
         scale = 10.0 ** rng.uniform(-3, 0.5)  # dry friction sticks at small speeds and slips at large ones
-        yield rng.uniform(low, high), scale * rng.normal(size=arm.n), scale * rng.normal(size=arm.n)
+        yield q, scale * rng.normal(size=arm.n), scale * rng.normal(size=arm.n)
 
 
 def mujoco_inverse(arm: Arm, q, v, a, *, friction: bool):
@@ -43,14 +45,14 @@ def test_inverse_dynamics_is_mujocos_discrete_inverse(arm: Arm):
     dynamics = Dynamics(arm.model, arm.pinocchio_model)
     for q, v, a in states(arm, 30):
         expected = mujoco_inverse(arm, q, v, a, friction=False)
-        assert np.allclose(dynamics.inverse(q, v, a, arm.dt), expected, rtol=1e-11, atol=1e-11)
+        assert np.allclose(dynamics.discrete_inverse_dynamics(q, v, a, arm.dt), expected, rtol=1e-11, atol=1e-11)
 
 
 def test_dry_friction_is_mujocos(arm: Arm):
     dynamics = Dynamics(arm.model, arm.pinocchio_model)
     for q, v, a in states(arm, 30, seed=1):
         expected = mujoco_inverse(arm, q, v, a, friction=True)
-        ours = dynamics.inverse(q, v, a, arm.dt) + dynamics.friction(q, v, a, arm.dt)
+        ours = dynamics.discrete_inverse_dynamics(q, v, a, arm.dt) + dynamics.discrete_friction(q, v, a, arm.dt)
         assert np.allclose(ours, expected, rtol=1e-9, atol=0.01 * dynamics.friction_loss.max() + 1e-9)
 
 
@@ -61,7 +63,8 @@ def test_the_equations_of_motion_add_up(arm: Arm):
         assert np.array_equal(M, M.T)
         assert np.linalg.eigvalsh(M).min() > 0
         springs = dynamics.gravity(q) - dynamics.bias(q, np.zeros(arm.n))
-        assert np.allclose(dynamics.inverse(q, v, a), M @ a + dynamics.bias(q, v) + dynamics.damping * v + springs, atol=1e-9)
+        tau = M @ a + dynamics.bias(q, v) + dynamics.damping * v + springs
+        assert np.allclose(dynamics.inverse_dynamics(q, v, a), tau, atol=1e-9)
 
 
 def test_the_jacobian_is_the_derivative_of_the_tip(arm: Arm):
@@ -120,5 +123,142 @@ def test_everything_a_joint_can_have_is_in_the_dynamics(tmp_path, gravcomp: floa
         if eulerdamp == "disable":
             break  # mj_inverse takes damping at the end of the step all the same; the simulation above is the judge
         assert np.allclose(
-            dynamics.inverse(q, v, a, arm.dt), mujoco_inverse(arm, q, v, a, friction=False), rtol=1e-11, atol=1e-11
+            dynamics.discrete_inverse_dynamics(q, v, a, arm.dt),
+            mujoco_inverse(arm, q, v, a, friction=False),
+            rtol=1e-11,
+            atol=1e-11,
         )
+
+
+def test_discrete_inverse_dynamics_does_not_depend_on_earlier_calls(bundled: Arm):
+    shared = Dynamics(bundled.model, bundled.pinocchio_model)
+    for q, v, a in states(bundled, 5, seed=6):
+        for dt in (0.001, 0.004, 0.001):
+            fresh = Dynamics(bundled.model, bundled.pinocchio_model)
+            assert np.array_equal(shared.discrete_inverse_dynamics(q, v, a, dt), fresh.discrete_inverse_dynamics(q, v, a, dt))
+            assert np.array_equal(shared.inverse_dynamics(q, v, a), fresh.inverse_dynamics(q, v, a))
+            assert np.array_equal(shared.discrete_friction(q, v, a, dt), fresh.discrete_friction(q, v, a, dt))
+
+
+def test_without_a_time_step_the_discrete_inverse_is_the_continuous_one(bundled: Arm):
+    dynamics = Dynamics(bundled.model, bundled.pinocchio_model)
+    for q, v, a in states(bundled, 5, seed=7):
+        assert np.array_equal(dynamics.discrete_inverse_dynamics(q, v, a, 0.0), dynamics.inverse_dynamics(q, v, a))
+
+
+# ---- the public functions of an arm, against MuJoCo
+
+GEARS = """<actuator><motor joint="a" gear="-50" ctrlrange="-1 1"/><motor joint="b" gear="2" ctrlrange="-9 9"/>
+<motor joint="c" gear="0.1" ctrlrange="-99 99"/></actuator>"""
+SYNTHETIC = {
+    "geared": (mjcf(limb("a b c", joint='armature="0.2" damping="0.3"'), GEARS), {}),
+    "everything a joint can have": (CHAIN.format(integrator="implicit", eulerdamp="enable", gravcomp=0.7), {}),
+    "explicit Euler": (CHAIN.format(integrator="Euler", eulerdamp="disable", gravcomp=0), {}),
+    **{name: (mjcf(bodies, rest), how) for name, (bodies, rest, how, _) in TIED.items()},
+}
+
+
+@pytest.fixture(params=SYNTHETIC)
+def synthetic(request: pytest.FixtureRequest, tmp_path) -> Arm:
+    text, how = SYNTHETIC[request.param]
+    path = tmp_path / "arm.xml"
+    path.write_text(text.strip())
+    return armctl.load(path, **how)
+
+
+def continuous_mujoco(arm: Arm, q, v) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """MuJoCo at a state of the arm, without constraint forces."""
+    model = copy.copy(arm.model)
+    model.opt.disableflags |= int(DISABLE.mjDSBL_CONSTRAINT)
+    data = mujoco.MjData(model)
+    data.qpos[:] = arm.qpos(q)
+    data.qvel[:] = arm.qvel(v)
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+def test_mass_matrix_coriolis_and_gravity_are_mujocos(synthetic: Arm):
+    full = np.zeros((synthetic.model.nv, synthetic.model.nv))
+    zero = np.zeros(synthetic.n)
+    for q, v, _ in states(synthetic, 10, seed=8):
+        model, moving = continuous_mujoco(synthetic, q, v)
+        mujoco.mj_fullM(model, moving, full)
+        joint_map = synthetic.joint_map
+        assert synthetic.mass_matrix(q) == pytest.approx(joint_map.reduced_matrix(full), abs=1e-9)
+        bias = joint_map.reduced(moving.qfrc_bias)
+        _, resting = continuous_mujoco(synthetic, q, zero)
+        assert synthetic.coriolis(q, v) == pytest.approx(bias - joint_map.reduced(resting.qfrc_bias), abs=1e-9)
+        holding = joint_map.reduced(resting.qfrc_bias - resting.qfrc_passive)
+        assert synthetic.gravity(q) == pytest.approx(holding, abs=1e-9)
+
+
+def test_inverse_dynamics_is_mujocos(synthetic: Arm):
+    for q, v, a in states(synthetic, 10, seed=9):
+        model, data = continuous_mujoco(synthetic, q, v)
+        data.qacc[:] = synthetic.qvel(a)  # tied joints accelerate in the ratio of their velocities
+        mujoco.mj_inverse(model, data)
+        expected = synthetic.joint_map.reduced(data.qfrc_inverse)
+        assert synthetic.inverse_dynamics(q, v, a) == pytest.approx(expected, abs=1e-9, rel=1e-11)
+
+
+def test_forward_dynamics_is_mujocos(synthetic: Arm):
+    for q, v, a in states(synthetic, 10, seed=10):
+        tau = 5.0 * a
+        model, data = continuous_mujoco(synthetic, q, v)
+        full = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, full)
+        joint_map = synthetic.joint_map
+        force = tau + joint_map.reduced(data.qfrc_passive - data.qfrc_bias)
+        expected = np.linalg.solve(joint_map.reduced_matrix(full), force)
+        assert synthetic.forward_dynamics(q, v, tau) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+def test_forward_dynamics_of_an_arm_without_tied_joints_is_mujocos_acceleration(tmp_path):
+    path = tmp_path / "arm.xml"
+    path.write_text(SYNTHETIC["everything a joint can have"][0].strip())
+    arm = armctl.load(path)
+    for q, v, a in states(arm, 10, seed=11):
+        model, data = continuous_mujoco(arm, q, v)
+        data.qfrc_applied[arm.dof_adr] = 5.0 * a
+        mujoco.mj_forward(model, data)
+        assert arm.forward_dynamics(q, v, 5.0 * a) == pytest.approx(data.qacc[arm.dof_adr], rel=1e-9, abs=1e-9)
+
+
+def test_forward_dynamics_inverts_inverse_dynamics(synthetic: Arm):
+    for q, v, a in states(synthetic, 10, seed=12):
+        tau = synthetic.inverse_dynamics(q, v, a)
+        assert synthetic.forward_dynamics(q, v, tau) == pytest.approx(a, rel=1e-9, abs=1e-9)
+
+
+def test_inverse_dynamics_is_the_sum_of_its_documented_parts(synthetic: Arm):
+    zero = np.zeros(synthetic.n)
+    for q, v, a in states(synthetic, 10, seed=13):
+        _, data = continuous_mujoco(synthetic, q, v)
+        damping = -synthetic.joint_map.reduced(data.qfrc_damper)
+        parts = synthetic.mass_matrix(q) @ a + synthetic.coriolis(q, v) + synthetic.gravity(q) + damping
+        assert synthetic.inverse_dynamics(q, v, a) == pytest.approx(parts, abs=1e-9)
+        assert synthetic.inverse_dynamics(q, zero, zero) == pytest.approx(synthetic.gravity(q), abs=1e-12)
+
+
+def test_an_arm_gives_the_same_dynamics_in_all_threads_and_after_pickling(bundled: Arm):
+    q = bundled.home + 0.1
+    expected = bundled.inverse_dynamics(q, q, q)
+    with ThreadPoolExecutor(4) as pool:
+        results = list(pool.map(lambda _: bundled.inverse_dynamics(q, q, q), range(200)))
+    assert all(np.array_equal(tau, expected) for tau in results)
+    assert np.array_equal(pickle.loads(pickle.dumps(bundled)).inverse_dynamics(q, q, q), expected)
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda arm: arm.mass_matrix([0.0]), "q: 1 numbers given, 3 wanted"),
+        (lambda arm: arm.gravity("home"), "q: 'home' is not an array of numbers"),
+        (lambda arm: arm.coriolis(arm.home, [0.0, np.nan, 0.0]), "v: element .1. is nan"),
+        (lambda arm: arm.inverse_dynamics(arm.home, arm.home, 1.0), "a: a single number given"),
+        (lambda arm: arm.forward_dynamics(arm.home, arm.home, [1.0]), "tau: 1 numbers given, 3 wanted"),
+    ],
+)
+def test_wrong_arguments_of_the_dynamics_are_rejected_in_one_sentence(bundled: Arm, call, sentence):
+    with pytest.raises(armctl.InputError, match=sentence):
+        call(bundled)

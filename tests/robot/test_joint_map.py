@@ -3,51 +3,13 @@
 import mujoco
 import numpy as np
 import pytest
-from synthetic import limb, mjcf, motors
+from synthetic import FAST, FINGERS, PULL, RIGID, TIED, limb, mjcf, motors, tendon, ties
 
 import armctl
 from armctl.ik import solve_ik_batch
 from armctl.mjmodel.transmissions import Transmission, Transmissions
 from armctl.robot.dynamics import Dynamics
 from armctl.robot.parity import check_parity
-
-RIGID = 'solref="0.002 1" solimp="0.9999 0.9999 0.001 0.5 2"'
-FAST = '<option timestep="0.001" integrator="implicitfast"/>'
-FINGERS = limb("left", joint='armature="0.01" damping="0.1"') + limb("right", joint='armature="0.02" stiffness="0.5"')
-
-
-def ties(*pairs: str) -> str:
-    """Equalities: "c b 0.1 -0.5" makes c = 0.1 - 0.5 b."""
-    lines = []
-    for pair in pairs:
-        first, second, offset, ratio = pair.split()
-        lines.append(f'<joint joint1="{first}" joint2="{second}" polycoef="{offset} {ratio} 0 0 0" {RIGID}/>')
-    return f"<equality>{''.join(lines)}</equality>{FAST}"
-
-
-def tendon(**coefficients: float) -> str:
-    joints = "".join(f'<joint joint="{joint}" coef="{coef}"/>' for joint, coef in coefficients.items())
-    return f'<tendon><fixed name="cable">{joints}</fixed></tendon>'
-
-
-PULL = '<motor name="m" tendon="cable" gear="3" ctrlrange="-20 20"/>'
-HAND, GEARED = limb("a b", FINGERS), limb("a", limb("b c") + limb("drive"))
-SLIDES = limb("a s t u b").replace('name="s" axis="0 1 0"', 'name="s" type="slide" axis="1 0 0"')
-SLIDES = SLIDES.replace('name="t" axis="0 0 1"', 'name="t" type="slide" axis="1 0 0"')
-SLIDES = SLIDES.replace('name="u" axis="0 1 0"', 'name="u" axis="0 1 0" stiffness="2" springref="0.3" damping="0.5"')
-
-# What is tied to what, what moves it, and how it is loaded: bodies, rest, keywords, the arm's joints.
-TIED = {
-    "a follower in the chain": (limb("a b c d"), ties("c b 0.1 -0.5") + motors("a b d"), {}, "a b d"),
-    "the motor at the joint nearer the tip": (limb("a b c d"), ties("b c 0.1 -0.5") + motors("a c d"), {}, "a b d"),
-    "one leads several": (limb("a b c d"), ties("c b 0 0.5", "d c 0.1 -1.5") + motors("a b"), {}, "a b"),
-    "a finger beside the chain": (HAND, ties("right left 0 -1") + motors("a b left"), {"tip": "LEFT"}, "a b left"),
-    "the finger without the motor": (HAND, ties("right left 0.2 2") + motors("left"), {"base": "B", "tip": "RIGHT"}, "right"),
-    "a gear beside the arm": (GEARED, ties("b drive 0 -0.8") + motors("a drive c"), {"tip": "C"}, "a b c"),
-    "a tendon on a tied pair": (limb("a b c"), ties("c b 0 2") + tendon(b=0.5, c=0.25) + motors("a c", c=PULL), {}, "a b"),
-    "a tendon on one joint": (limb("a b"), FAST + tendon(b=0.5) + motors("a b", b=PULL), {}, "a b"),
-    "a telescope, and a hinge tied to it": (SLIDES, ties("t s 0 1", "u s 0.2 3") + motors("a s b"), {}, "a s b"),
-}
 
 
 @pytest.fixture(params=TIED)
