@@ -111,7 +111,8 @@ def gain(name: str, value: ArrayLike, n: int) -> Array:
     Raises:
         InputError: A gain is negative, not finite or not a number, or there are not n of them.
     """
-    gains = vector(name, np.full(n, number(name, value)) if np.isscalar(value) else value, n)
+    is_one_number = np.isscalar(value) or getattr(value, "ndim", None) == 0
+    gains = vector(name, np.full(n, number(name, value)) if is_one_number else value, n)
     if (gains < 0.0).any():
         raise InputError(f"{name}: every value must be at least 0, got {gains.min():g}")
     return gains
