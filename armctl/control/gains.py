@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -112,7 +114,7 @@ def gain(name: str, value: ArrayLike, n: int) -> Array:
         InputError: A gain is negative, not finite or not a number, or there are not n of them.
     """
     is_one_number = np.isscalar(value) or getattr(value, "ndim", None) == 0
-    gains = vector(name, np.full(n, number(name, value)) if is_one_number else value, n)
+    gains = vector(name, np.full(n, number(name, cast(float, value))) if is_one_number else value, n)
     if (gains < 0.0).any():
         raise InputError(f"{name}: every value must be at least 0, got {gains.min():g}")
     return gains

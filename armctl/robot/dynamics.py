@@ -207,7 +207,7 @@ class Dynamics:
     def _solve_mass_matrix(self, q: Array, tau: Array) -> Array:
         """M(q)^-1 tau."""
         if not self._joint_map.is_plain:  # Pinocchio does not factorize M with mimic joints
-            return np.linalg.solve(self.mass_matrix(q), tau)
+            return np.asarray(np.linalg.solve(self.mass_matrix(q), tau), dtype=np.float64)
         pin.crba(self._model, self._data, q)
         pin.cholesky.decompose(self._model, self._data)
         return pin.cholesky.solve(self._model, self._data, tau)
