@@ -156,7 +156,8 @@ class _Torques:
         coriolis = np.array([dynamics.bias(row, speed) - dynamics.bias(row, zero) for row, speed in zip(q, v, strict=True)])
         moving = np.array([dynamics.inverse_dynamics(row, speed, zero) for row, speed in zip(q, v, strict=True)])
         alpha = np.array([dynamics.inverse_dynamics(row, zero, speed) for row, speed in zip(q, v, strict=True)]) - static
-        beta = np.array([dynamics.inverse_dynamics(row, zero, rate) for row, rate in zip(q, a, strict=True)]) - static + coriolis
+        beta = np.array([dynamics.inverse_dynamics(row, zero, rate) for row, rate in zip(q, a, strict=True)])
+        beta = beta - static + coriolis
         friction = np.sign(v) * dynamics.friction_loss
         low = -self._bound - static - friction
         high = self._bound - static - friction
