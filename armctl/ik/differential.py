@@ -110,9 +110,9 @@ class DifferentialIk:
             InputError: An argument has a wrong shape, type or value.
         """
         constraint, numbers = read_target(target, free_axis)
-        return frozen(self.velocity(vector("q", q, self.arm.n), constraint, numbers, number("dt", dt, 1e-9)))
+        return frozen(self._velocity(vector("q", q, self.arm.n), constraint, numbers, number("dt", dt, 1e-9)))
 
-    def velocity(self, q: Array, constraint: int, numbers: Array, dt: float) -> Array:
+    def _velocity(self, q: Array, constraint: int, numbers: Array, dt: float) -> Array:
         """`step` for a target that `armctl.ik.problem.read_target` has read, without checks."""
         low, high = self._bounds(q, dt)
         self.tip.constraint = constraint
@@ -195,3 +195,8 @@ def _checked_list(what: str, value: object, kind: type) -> list:
     if not isinstance(value, Sequence) or not all(isinstance(item, kind) for item in value):
         raise InputError(f"{what}: {shown(value)} given, a list of mink {kind.__name__} objects wanted")
     return list(value)
+
+
+def unchecked_velocity(follower: DifferentialIk, q: Array, constraint: int, numbers: Array, dt: float) -> Array:
+    """`DifferentialIk.step` for a target that `armctl.ik.problem.read_target` has read, without checks."""
+    return follower._velocity(q, constraint, numbers, dt)

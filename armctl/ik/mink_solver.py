@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from armctl.core.validation import Array
-from armctl.ik.differential import DifferentialIk
+from armctl.ik.differential import DifferentialIk, unchecked_velocity
 from armctl.ik.lm import SearchResult
 from armctl.ik.problem import Problem, compiled
 
@@ -73,6 +73,6 @@ def _descend(follower: DifferentialIk, problem: Problem, q: Array) -> _Descent:
             reference = error
             stalled = 0
         if not solved:
-            q = follower.velocity(q, problem.constraint, problem.targets[0], STEP_S) * STEP_S + q
+            q = unchecked_velocity(follower, q, problem.constraint, problem.targets[0], STEP_S) * STEP_S + q
             q = problem.arm.limits.clamp(q)
     return _Descent(best_q, best, solved, steps)
