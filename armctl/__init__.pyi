@@ -8,6 +8,8 @@ from .analysis.plot import four_panels as four_panels
 from .analysis.plot import overlay as overlay
 from .analysis.report import Report as Report
 from .analysis.report import table as table
+from .collision.clearance import ClearanceCheck as ClearanceCheck
+from .collision.clearance import check_clearance as check_clearance
 from .control.adaptive import Adaptive as Adaptive
 from .control.computed_torque import ComputedTorque as ComputedTorque
 from .control.impedance import Impedance as Impedance
@@ -59,6 +61,7 @@ from .motion.torque_limits import check_torque as check_torque
 from .motion.trajectory.joint_trajectory import JointTrajectory as JointTrajectory
 from .motion.trajectory.limit_check import LimitCheck as LimitCheck
 from .motion.trajectory.limit_check import Peak as Peak
+from .planning.move_free import move_free as move_free
 from .render.video import record as record
 from .render.video import still as still
 from .robot.actuation import Actuation as Actuation

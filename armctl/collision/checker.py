@@ -1,68 +1,129 @@
-"""What an arm touches at a position, by MuJoCo's own collision detection."""
+"""What an arm touches, and how far away it is: at a configuration, and proved over a whole motion."""
 
 from __future__ import annotations
 
 import threading
-from dataclasses import replace
+from collections.abc import Iterable, Mapping
+from functools import lru_cache
+from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import mujoco
 import numpy as np
 
-from armctl.core.validation import Array, IntArray
-from armctl.mjmodel.queries import body_name, last_joint_above, name_of
+from armctl.collision.geometry import Geometry, build_geometry, colliding_pairs, frames_above, is_convex
+from armctl.core.errors import InputError, ModelError, UnknownNameError
+from armctl.core.validation import Array, BoolArray, IntArray
+from armctl.mjmodel.queries import body_name, is_below, last_joint_above, name_of
 from armctl.robot.arm import Arm
 
 SAMPLES = 64
+_INTERVALS = 8192  # of one piece of a motion, at most
+_OPEN_PAIRS_PER_PAIR = 400
+_MIN_OPEN_PAIRS = 4096
+_HALF_TURN = np.pi
+_DEPTH_DIRECTIONS = 500
+
+
+class Hit(NamedTuple):
+    """A pair that is not known to be free.
+
+    Attributes:
+        pair: Its row in the checker's geometry.
+        time: s, when.
+    """
+
+    pair: int
+    time: float
 
 
 class _Memory(threading.local):
-    """MuJoCo's memory, one for each thread that asks."""
+    """What queries overwrite; each thread has its own."""
 
-    def __init__(self, model: mujoco.MjModel):
-        self.data = mujoco.MjData(model)
+    def __init__(self, geometry: Geometry):
+        from armctl.collision import kernel
+
+        count = len(geometry.pairs)
+        self.pairs = geometry.pairs.copy()
+        self.frames = np.zeros((len(geometry.tree) + 1, 18))
+        self.spheres = np.zeros((len(geometry.geoms), kernel.MOTION + geometry.depth))
+        self.work = np.zeros((kernel.WORK_ROWS, 3))
+        self.work[kernel.LAST_HIT, 0] = -1.0
+        self.open_pairs = np.empty(_OPEN_PAIRS_PER_PAIR * count + _MIN_OPEN_PAIRS, np.int64)
+        self.intervals = np.empty((_INTERVALS, 4))
+        self.q = np.empty(len(geometry.tree))
+        self.delta = np.empty(len(geometry.tree))
+        self.hits = np.zeros(count, bool)
+        self.data: mujoco.MjData | None = None
 
 
 class CollisionChecker:
-    """CollisionChecker of an arm with itself and with the scene, everything outside its chain at home.
+    """Contacts and distances of an arm with itself and with its scene. Threads may share it.
 
-    Left out are contacts that no motion of the arm changes, pairs that touch in every one of many random positions, and
-    neighbouring links that touch at home: their geoms overlap by design.
+    Everything outside the arm's chain stands where `qpos` has it. Left out are contacts that no motion of the arm changes,
+    pairs that touch at every one of many random configurations, neighboring links that touch at home (their geoms overlap by
+    design), and pairs that one joint alone moves and that are proved apart over its whole range.
+
+    Attributes:
+        geometry: The packed geoms and pairs.
+        not_convex: Names of height fields and other geoms that no proof covers.
     """
 
-    def __init__(self, arm: Arm):
-        """Learns which pairs always touch.
+    def __init__(
+        self,
+        arm: Arm,
+        qpos: Array | None = None,
+        allow: Iterable[tuple[str, str]] = (),
+        held: Mapping[int, int] | None = None,
+    ):
+        """Packs the geoms and learns which pairs always touch.
 
         Args:
             arm: The arm.
-        """
-        self._arm = replace(arm)  # a copy: what is remembered by an arm must not keep it alive
-        self._memory = _Memory(arm.model)
-        self.owner = geom_owners(arm)
-        self.ignored = np.empty(0, np.int64)
-        at_home = self._pairs(arm.home)
-        always = at_home
-        for q in arm.limits.random(arm.home, SAMPLES, np.random.default_rng(0)):
-            always = np.intersect1d(always, self._pairs(q))
-        first, second = (self.owner[geoms] for geoms in divmod(at_home, arm.model.ngeom))
-        self.ignored = np.union1d(always, at_home[np.abs(first - second) == 1])
+            qpos: (nq,) where everything is; home if left out. The arm's own part matters only for what is held.
+            allow: Pairs of names of bodies or geoms that may touch.
+            held: Bodies that the arm carries, and the body that carries each.
 
-    def at(self, q: Array) -> str:
-        """What touches what at a position.
+        Raises:
+            InputError: `allow` is no list of pairs.
+            UnknownNameError: The model has no body or geom of a name in `allow`.
+        """
+        self._model = arm.model
+        self._joint_map = arm.joint_map
+        self._limits = arm.limits
+        self._home = arm.home
+        self._qpos = arm.home_qpos if qpos is None else np.array(qpos)
+        geometry = build_geometry(self._model, self._joint_map, self._qpos, dict(held or {}))
+        allowed = _allowed_geoms(self._model, allow)
+        keep = [tuple(sorted(geometry.pair_geoms(p))) not in allowed for p in range(len(geometry.pairs))]
+        self._set(geometry.with_pairs(np.array(keep, bool)))
+        self._set(self.geometry.with_pairs(~self._touch_by_design()))
+        self._set(self.geometry.with_pairs(~self._proved_by_one_joint()))
+        self.not_convex = self._not_convex_geoms()
+
+    def _set(self, geometry: Geometry) -> None:
+        self.geometry = geometry
+        self._rows = (geometry.geoms, geometry.points, geometry.neighbors)
+        self._memory = _Memory(geometry)
+
+    def at(self, q: Array, clearance: float = 0.0) -> str:
+        """What touches what at a configuration.
 
         Args:
             q: (n,) rad.
+            clearance: m that counts as touching.
 
         Returns:
-            Such as "link7 touches floor", or nothing where nothing touches.
+            Such as "link7 touches floor"; empty where nothing touches.
         """
-        touching = self._pairs(q)
-        if not len(touching):
-            return ""
-        return " touches ".join(self._name(geom) for geom in divmod(int(touching[0]), self._arm.model.ngeom))
+        pair = self.hit(q, clearance)
+        if pair >= 0:
+            first, second = self.names(pair)
+            return f"{second} touches {first}"
+        return self._touches_not_convex(q) if self.not_convex else ""
 
     def along(self, path: Array) -> str:
-        """The first contact along a path.
+        """The first contact at the points of a path.
 
         Args:
             path: (T, n) rad.
@@ -72,20 +133,247 @@ class CollisionChecker:
         """
         return next(filter(None, map(self.at, path)), "")
 
-    def _name(self, geom: int) -> str:
-        """The body a geom is on; in the world, the geom itself."""
-        body = int(self._arm.model.geom_bodyid[geom])
-        return body_name(self._arm.model, body) if body else name_of(self._arm.model, mujoco.mjtObj.mjOBJ_GEOM, geom)
+    def hit(self, q: Array, clearance: float = 0.0) -> int:
+        """A pair that is not farther apart than the clearance at a configuration, or -1.
 
-    def _pairs(self, q: Array) -> IntArray:
-        """The geoms of each contact that counts, the lesser first, as one number."""
-        model, data = self._arm.model, self._memory.data
-        data.qpos[:] = self._arm.qpos(q)
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_collision(model, data)
-        geoms = np.sort(data.contact.geom.astype(np.int64), axis=1)
-        geoms = geoms[(geoms[:, 0] >= 0) & (self.owner[geoms[:, 0]] != self.owner[geoms[:, 1]])]
-        return np.setdiff1d(geoms[:, 0] * model.ngeom + geoms[:, 1], self.ignored)
+        Args:
+            q: (n,) rad.
+            clearance: m.
+
+        Returns:
+            The pair's row.
+        """
+        from armctl.collision import kernel
+
+        memory = self._memory
+        return kernel.first_hit(
+            self._moving(q),
+            clearance,
+            *self._rows,
+            memory.pairs,
+            self.geometry.groups,
+            self.geometry.tree,
+            memory.frames,
+            memory.spheres,
+            memory.work,
+        )
+
+    def nearest(self, q: Array) -> tuple[int, float]:
+        """The pair that is nearest to touching, or -1 where there is no pair, and its distance.
+
+        Args:
+            q: (n,) rad.
+
+        Returns:
+            The pair's row, and m; zero or less if it overlaps, then not the depth.
+        """
+        from armctl.collision import kernel
+
+        memory = self._memory
+        return kernel.nearest_pair(
+            self._moving(q),
+            *self._rows,
+            memory.pairs,
+            self.geometry.groups,
+            self.geometry.tree,
+            memory.frames,
+            memory.spheres,
+            memory.work,
+        )
+
+    def depth(self, q: Array, pair: int) -> float:
+        """How deep a pair overlaps at a configuration: the shortest of many displacements that part it.
+
+        Args:
+            q: (n,) rad.
+            pair: Its row.
+
+        Returns:
+            m, an upper bound; negative if the geoms are apart.
+        """
+        from armctl.collision import kernel
+
+        memory = self._memory
+        kernel.locate_frames(self._moving(q), self.geometry.tree, memory.frames)
+        return kernel.overlap_depth(pair, _directions(), *self._rows, memory.pairs, memory.frames)
+
+    def line_hit(self, start: Array, end: Array, clearance: float = 0.0) -> Hit | None:
+        """Proves that the straight line between two configurations keeps more than a clearance.
+
+        Args:
+            start: (n,) rad.
+            end: (n,) rad.
+            clearance: m.
+
+        Returns:
+            None if it does; else the pair and where on the line, from 0 to 1, it is not known to be free.
+        """
+        coefficients = np.stack([start, end - start])
+        return self._piece_hit(self._moving_coefficients(coefficients), 1.0, clearance)
+
+    def motion_hit(self, knots: Array, coefficients: Array, clearance: float = 0.0) -> Hit | None:
+        """Proves that a motion of piecewise polynomials keeps more than a clearance at all times.
+
+        Args:
+            knots: (K + 1,) s.
+            coefficients: (K, degree + 1, n), each piece's by powers of the time since its knot.
+            clearance: m.
+
+        Returns:
+            None if it does; else the pair and the time at which it is not known to be free.
+        """
+        for begin, end, piece in zip(knots[:-1], knots[1:], coefficients, strict=True):
+            hit = self._piece_hit(self._moving_coefficients(piece), float(end - begin), clearance)
+            if hit is not None:
+                return Hit(hit.pair, float(begin) + hit.time)
+        return None
+
+    def names(self, pair: int) -> tuple[str, str]:
+        """What a pair is called: bodies, or geoms that stand in the world.
+
+        Args:
+            pair: Its row.
+
+        Returns:
+            Both names.
+        """
+        first, second = self.geometry.pair_geoms(pair)
+        return _geom_owner_name(self._model, first), _geom_owner_name(self._model, second)
+
+    def require_provable(self) -> None:
+        """Makes sure that proofs cover everything.
+
+        Raises:
+            ModelError: A geom that the arm could touch is not convex.
+        """
+        if self.not_convex:
+            raise ModelError(
+                f"{self.not_convex[0]}: a height field or signed distance field, for which no clearance can be proved; "
+                "replace it by boxes or meshes"
+            )
+
+    def _piece_hit(self, coefficients: Array, duration: float, clearance: float, pair: int = -1) -> Hit | None:
+        """As `motion_hit`, for one piece of all moving joints, and for one pair or all."""
+        from armctl.collision import kernel
+
+        memory = self._memory
+        memory.open_pairs[0] = pair
+        first, last = (-1, -1) if pair < 0 else (0, 1)
+        found, time = kernel.prove_piece(
+            coefficients,
+            duration,
+            clearance,
+            memory.open_pairs,
+            memory.intervals,
+            memory.q,
+            memory.delta,
+            first,
+            last,
+            *self._rows,
+            memory.pairs,
+            self.geometry.groups,
+            self.geometry.tree,
+            memory.frames,
+            memory.spheres,
+            memory.work,
+        )
+        return None if found < 0 else Hit(found, time)
+
+    def _moving(self, q: Array) -> Array:
+        """(m,) of all joints that move, those that follow others included."""
+        return np.ascontiguousarray(self._joint_map.positions(np.asarray(q, np.float64)))
+
+    def _moving_coefficients(self, coefficients: Array) -> Array:
+        """Polynomials of all joints that move: only the constant has the offset."""
+        moving = np.array(self._joint_map.speeds(coefficients))
+        moving[0] = self._joint_map.positions(coefficients[0])
+        return moving
+
+    def _all_hits(self, q: Array) -> BoolArray:
+        from armctl.collision import kernel
+
+        memory = self._memory
+        kernel.all_hits(
+            self._moving(q),
+            0.0,
+            memory.hits,
+            *self._rows,
+            memory.pairs,
+            self.geometry.groups,
+            self.geometry.tree,
+            memory.frames,
+            memory.spheres,
+            memory.work,
+        )
+        return memory.hits.copy()
+
+    def _touch_by_design(self) -> BoolArray:
+        """(K,) pairs that touch at home and at every sample, or at home between neighboring frames."""
+        at_home = self._all_hits(self._home)
+        always = at_home.copy()
+        for q in self._limits.random(self._home, SAMPLES, np.random.default_rng(0)):
+            always &= self._all_hits(q)
+        are_neighbors = np.array([len(self._joints_between(p)) == 1 for p in range(len(at_home))], bool)
+        return always | (at_home & are_neighbors)
+
+    def _joints_between(self, pair: int) -> list[int]:
+        """The rows of the tree that move one geom of a pair relative to the other."""
+        from armctl.collision import kernel
+
+        row = self.geometry.pairs[pair]
+        common = int(row[kernel.COMMON])
+        joints = []
+        for geom in (int(row[kernel.A]), int(row[kernel.B])):
+            path = frames_above(self.geometry.tree, int(self.geometry.geoms[geom, kernel.FRAME]))
+            joints += [frame - 1 for frame in path[: path.index(common)]]
+        return joints
+
+    def _proved_by_one_joint(self) -> BoolArray:
+        """(K,) pairs that one joint alone moves, and that never touch over its whole range."""
+        from armctl.collision import kernel
+
+        proved = np.zeros(len(self.geometry.pairs), bool)
+        low = self._joint_map.positions(np.maximum(self._limits.q_min, self._home - _HALF_TURN))
+        high = self._joint_map.positions(np.minimum(self._limits.q_max, self._home + _HALF_TURN))
+        is_endless = ~np.isfinite(self._limits.q_max - self._limits.q_min)
+        for pair in range(len(proved)):
+            joints = self._joints_between(pair)
+            if len(joints) != 1:
+                continue
+            row = self.geometry.tree[joints[0]]
+            index = int(row[kernel.JOINT])
+            if row[kernel.KIND] == kernel.SLIDE and is_endless.any():
+                continue
+            coefficients = np.zeros((2, len(self.geometry.tree)))
+            coefficients[0] = self._joint_map.positions(self._home)
+            coefficients[0, index] = low[index]
+            coefficients[1, index] = high[index] - low[index]
+            proved[pair] = self._piece_hit(coefficients, 1.0, 0.0, pair) is None
+        return proved
+
+    def _not_convex_geoms(self) -> list[str]:
+        """Geoms that collide with a link of the arm and are not convex."""
+        pairs = colliding_pairs(self._model)
+        owner = np.array(last_joint_above(self._model, tuple(sorted(self._joint_map.joints))), np.int64)[
+            self._model.geom_bodyid
+        ]
+        moved = pairs[owner[pairs[:, 0]] != owner[pairs[:, 1]]]
+        found = [int(geom) for geom in np.unique(moved) if not is_convex(self._model, int(geom))]
+        return [name_of(self._model, mujoco.mjtObj.mjOBJ_GEOM, geom) for geom in found]
+
+    def _touches_not_convex(self, q: Array) -> str:
+        """Contacts with geoms that are not convex, by MuJoCo."""
+        data = self._memory.data or mujoco.MjData(self._model)
+        self._memory.data = data
+        data.qpos[:] = self._qpos
+        data.qpos[self._joint_map.qpos_adr] = self._joint_map.positions(q)
+        mujoco.mj_kinematics(self._model, data)
+        mujoco.mj_collision(self._model, data)
+        for contact in data.contact:
+            if contact.dist < 0.0 and not all(is_convex(self._model, int(geom)) for geom in contact.geom):
+                first, second = sorted(contact.geom.tolist())
+                return f"{_geom_owner_name(self._model, second)} touches {_geom_owner_name(self._model, first)}"
+        return ""
 
 
 def geom_owners(arm: Arm) -> IntArray:
@@ -100,19 +388,59 @@ def geom_owners(arm: Arm) -> IntArray:
     return np.array(last_joint_above(arm.model, arm.joint_map.joints), np.int64)[arm.model.geom_bodyid]
 
 
-_contacts: WeakKeyDictionary[Arm, CollisionChecker] = WeakKeyDictionary()
+_checkers: WeakKeyDictionary[Arm, CollisionChecker] = WeakKeyDictionary()
 
 
 def collision_checker(arm: Arm) -> CollisionChecker:
-    """The contacts of an arm, learned once.
+    """The checker of an arm in its scene at home, made once.
 
     Args:
         arm: The arm.
 
     Returns:
-        Its contacts.
+        The checker.
     """
-    contacts = _contacts.get(arm)
-    if contacts is None:
-        contacts = _contacts[arm] = CollisionChecker(arm)
-    return contacts
+    checker = _checkers.get(arm)
+    if checker is None:
+        checker = CollisionChecker(arm)
+        _checkers[arm] = checker
+    return checker
+
+
+def _allowed_geoms(model: mujoco.MjModel, allow: Iterable[tuple[str, str]]) -> set[tuple[int, int]]:
+    """The pairs of geoms, the lesser first, that pairs of names allow to touch."""
+    allowed = set()
+    for pair in allow:
+        if isinstance(pair, str) or len(tuple(pair)) != 2:
+            raise InputError(f"allow: {pair!r:.80} is no pair of names; allow=[('cube', 'table')] is one")
+        first, second = (_geoms_named(model, name) for name in pair)
+        allowed |= {(min(a, b), max(a, b)) for a in first for b in second}
+    return allowed
+
+
+def _geoms_named(model: mujoco.MjModel, name: str) -> list[int]:
+    """The geoms of a body and of those below it, or the geom of that name."""
+    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+    if body >= 0:
+        return [geom for geom in range(model.ngeom) if is_below(model, int(model.geom_bodyid[geom]), body)]
+    geom = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name)
+    if geom < 0:
+        bodies = [model.body(i).name for i in range(1, model.nbody)]
+        raise UnknownNameError.of("body or geom in allow", name, [*bodies, *(model.geom(i).name for i in range(model.ngeom))])
+    return [geom]
+
+
+def _geom_owner_name(model: mujoco.MjModel, geom: int) -> str:
+    """The body a geom is on; in the world, the geom itself."""
+    body = int(model.geom_bodyid[geom])
+    return body_name(model, body) if body else name_of(model, mujoco.mjtObj.mjOBJ_GEOM, geom)
+
+
+@lru_cache(maxsize=1)
+def _directions() -> Array:
+    """(D, 3) unit vectors, spread evenly over the sphere (Fibonacci lattice), with the axes of the world."""
+    i = np.arange(_DEPTH_DIRECTIONS) + 0.5
+    polar = np.arccos(1.0 - 2.0 * i / _DEPTH_DIRECTIONS)
+    turn = np.pi * (1.0 + np.sqrt(5.0)) * i
+    lattice = np.column_stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)])
+    return np.vstack([lattice, np.eye(3), -np.eye(3)])

@@ -18,6 +18,7 @@ from armctl.motion.trajectory.piecewise import standing, time_scaled
 from armctl.robot.arm import Arm
 
 _SAME_WAYPOINT = 1e-9  # rad (m); closer waypoints count as one
+_TOO_CLOSE = "move_through: rounding takes every motion through these waypoints outside the limits; place them farther apart"
 
 
 def move_through(arm: Arm, waypoints: ArrayLike, *, speed: float = 1.0) -> JointTrajectory:
@@ -58,14 +59,28 @@ def move_through(arm: Arm, waypoints: ArrayLike, *, speed: float = 1.0) -> Joint
         if stops is not None and (motion is None or stops.duration < motion.duration):
             motion = stops
     if motion is None:
-        raise PlanError(
-            "move_through: rounding takes every motion through these waypoints outside the limits; place them farther apart"
-        )
+        raise PlanError(_TOO_CLOSE)
+    return motion
+
+
+def through_waypoints(arm: Arm, points: Array) -> JointTrajectory:
+    """As `move_through` without the torque limits, for checked points that differ from their neighbors."""
+    search = WaypointSearch(points, arm.limits)
+    stopping = search.stopping()
+    motion = _timed(arm, arm.limits, search, search.fastest(stopping)) or _timed(arm, arm.limits, search, stopping)
+    if motion is None:
+        raise PlanError(_TOO_CLOSE)
     return motion
 
 
 def _planned(arm: Arm, limits: Limits, search: WaypointSearch, candidate: Candidate) -> JointTrajectory | None:
     """The motion of a candidate within all limits; None if rounding takes it out of the position limits."""
+    motion = _timed(arm, limits, search, candidate)
+    return None if motion is None else within_torque(arm, motion)
+
+
+def _timed(arm: Arm, limits: Limits, search: WaypointSearch, candidate: Candidate) -> JointTrajectory | None:
+    """The motion of a candidate within all limits but those of the torque; None as for `_planned`."""
     try:
         pieces = search.pieces(candidate)
     except PlanError:
@@ -73,4 +88,4 @@ def _planned(arm: Arm, limits: Limits, search: WaypointSearch, candidate: Candid
     pieces = time_scaled(pieces, 1 / stretch_needed(pieces, (limits.v_max, limits.a_max, limits.j_max)))
     if not is_inside(pieces, limits):
         return None
-    return within_torque(arm, JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units))
+    return JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)

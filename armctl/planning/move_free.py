@@ -1,0 +1,280 @@
+"""move_free: from one configuration to a goal around everything that is in the way, proved over the whole motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import reduce
+from itertools import pairwise
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.collision.checker import CollisionChecker, collision_checker
+from armctl.core.errors import InputError, PlanError, UnknownNameError
+from armctl.core.pose import Pose
+from armctl.core.validation import Array, number
+from armctl.ik import solve_ik
+from armctl.motion import JointTrajectory, move_j
+from armctl.motion.checks import planning_arm
+from armctl.motion.move_through import through_waypoints
+from armctl.motion.torque_limits import within_torque
+from armctl.planning.path import find_path, sampling_bounds, shorten
+from armctl.robot.arm import Arm, check_arm
+
+CLEARANCE_M = 2e-3
+MAX_SAMPLES = 20_000
+_IK_TRIES = 24  # starts from which solutions for a pose or a point are looked for
+_MAX_ROOTS = 8  # of the goal tree, for each pose or point
+_SAME_CONFIGURATION = 1e-3  # rad
+_MIN_CLEARANCE_M = 1e-5  # the proof does not split intervals in which nothing moves farther than 0.1 mm
+_REPAIRS = 14  # points that are added where a smooth motion leaves the free path
+_REPAIR_MARGIN = 0.25  # of a line: an added point keeps so far from its ends
+
+FreeGoal = Any  # Pose | ArrayLike | Sequence[Pose | ArrayLike]: ArrayLike and Sequence cannot be told apart by type
+
+
+def move_free(
+    arm: Arm,
+    q_start: ArrayLike,
+    goal: FreeGoal,
+    *,
+    clearance: float = CLEARANCE_M,
+    allow: Iterable[tuple[str, str]] = (),
+    holding: str | Iterable[str] | None = None,
+    speed: float = 1.0,
+    seed: int = 0,
+) -> JointTrajectory:
+    """A motion around obstacles, at rest at both ends: jerk-limited, torque-limited, and proved to touch nothing.
+
+    The straight move is taken if it is proved free. Otherwise RRT-Connect finds a path whose every line is proved, it is
+    shortened, and `move_through` times it; where the smooth motion comes too near to something, points of the path are added.
+    The proof covers the whole continuous motion (`check_clearance`), with the geometry that MuJoCo collides and everything
+    outside the chain at home. Nothing depends on a clock: the same seed gives the same bits.
+
+    Args:
+        arm: The arm, in its scene.
+        q_start: (n,) rad, where it is.
+        goal: (n,) rad, a Pose, (3,) m where the orientation does not matter, or a list of these, of which it takes one. For an
+            arm of three joints three numbers are a configuration.
+        clearance: m that the path keeps; the smooth motion keeps half of it. Less where the start or the goal is nearer to
+            something.
+        allow: Pairs of names of bodies or geoms that may touch, such as `[("cube", "table")]`.
+        holding: A body, or several, that the tip carries from where they are at the start.
+        speed: Fraction of the full speed, in (0, 1].
+        seed: Of the random samples.
+
+    Returns:
+        The motion.
+
+    Raises:
+        InputError: An argument of the wrong kind, a negative clearance, or an arm without finite limits.
+        LimitError: A configuration outside the limits.
+        ModelError: The scene has a height field or signed distance field that the arm could touch.
+        PlanError: Start or goal touches something, the goal cannot be reached, or no path was found; the reason names the
+            bodies.
+        UnknownNameError: The model has no body or geom of a name in `allow` or `holding`.
+    """
+    check_arm(arm)
+    start = arm.checked("q_start", q_start)
+    checker = _checker(arm, start, allow, holding)
+    return move_free_with(checker, arm, start, goal, clearance=clearance, speed=speed, seed=seed)
+
+
+def move_free_with(
+    checker: CollisionChecker, arm: Arm, start: Array, goal: FreeGoal, *, clearance: float, speed: float, seed: int
+) -> JointTrajectory:
+    """As `move_free`, with a checker of the scene as it is.
+
+    Args:
+        checker: What may not be touched.
+        arm: The arm.
+        start: (n,) rad, inside the limits.
+        goal: As for `move_free`.
+        clearance: m.
+        speed: Fraction of the full speed.
+        seed: Of the random samples.
+
+    Returns:
+        The motion.
+
+    Raises:
+        InputError: As for `move_free`.
+        PlanError: As for `move_free`.
+    """
+    arm = planning_arm(arm, speed)
+    checker.require_provable()
+    clearance = number("clearance", clearance, 0.0)
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise InputError(f"seed: {seed!r:.80} is no integer of at least 0")
+    rng = np.random.default_rng(seed)
+    start_distance = _distance_at(checker, start, "start")
+    goals, goal_distance = _goals(checker, arm, start, goal, rng)
+    clearance = min(clearance, 0.5 * start_distance, 0.5 * goal_distance)
+    motion_clearance = max(0.5 * clearance, min(_MIN_CLEARANCE_M, 0.5 * min(start_distance, goal_distance)))
+    for configuration in goals:
+        motion = move_j(arm, start, configuration)
+        if _is_free(checker, motion, motion_clearance):
+            return motion
+    low, high = sampling_bounds(arm.limits.q_min, arm.limits.q_max, np.vstack([start, goals]))
+    found = find_path(checker, start, goals, low, high, clearance, rng, MAX_SAMPLES)
+    if found is None:
+        raise PlanError(
+            f"no collision-free path found after {MAX_SAMPLES} samples with a clearance of {1e3 * clearance:.2g} mm; "
+            "another seed, a smaller clearance or a point on the way may help"
+        )
+    points = shorten(checker, found.points, clearance, rng)
+    return _timed(checker, arm, points, motion_clearance)
+
+
+def _checker(arm: Arm, start: Array, allow: Iterable[tuple[str, str]], holding: str | Iterable[str] | None) -> CollisionChecker:
+    allow = tuple(allow)
+    names = (holding,) if isinstance(holding, str) else tuple(holding or ())
+    if not allow and not names:
+        return collision_checker(arm)
+    if not names:
+        return CollisionChecker(arm, allow=allow)
+    held = {_body(arm, name): arm.tip_body for name in names}
+    return CollisionChecker(arm, arm.qpos(start), allow, held)
+
+
+def _body(arm: Arm, name: str) -> int:
+    body = mujoco.mj_name2id(arm.model, mujoco.mjtObj.mjOBJ_BODY, name)
+    if body < 1:
+        raise UnknownNameError.of("body to hold", name, [arm.model.body(i).name for i in range(1, arm.model.nbody)])
+    return body
+
+
+def _distance_at(checker: CollisionChecker, q: Array, what: str) -> float:
+    """m to the nearest pair at a configuration.
+
+    Raises:
+        PlanError: Something touches there.
+    """
+    pair, distance = checker.nearest(q)
+    if pair < 0:
+        return np.inf
+    if distance <= 0.0:
+        raise PlanError(f"{what}: {_overlap(checker, q, pair)}; move it apart or allow the contact")
+    return distance
+
+
+def _overlap(checker: CollisionChecker, q: Array, pair: int) -> str:
+    first, second = checker.names(pair)
+    depth = max(checker.depth(q, pair), 0.0)
+    return f"{second} is {1e3 * depth:.1f} mm inside {first}"
+
+
+def _goals(checker: CollisionChecker, arm: Arm, start: Array, goal: FreeGoal, rng: np.random.Generator) -> tuple[Array, float]:
+    """The configurations that a goal stands for, nearest to the start first, and the distance of the freest from everything.
+
+    Raises:
+        PlanError: None of them can be reached, or all of them touch something.
+    """
+    found: list[Array] = []
+    distances: list[float] = []
+    refusals: list[str] = []
+    for candidate in _goal_list(arm, goal):
+        configurations, refusal = _configurations(arm, start, candidate, rng)
+        refusals += [refusal] if refusal else []
+        for q in configurations:
+            pair, distance = checker.nearest(q)
+            if pair < 0 or distance > 0.0:
+                found.append(q)
+                distances.append(distance if pair >= 0 else np.inf)
+            else:
+                refusals.append(f"the goal cannot be reached without contact: {_overlap(checker, q, pair)}")
+    if not found:
+        raise PlanError(refusals[0])
+    order = np.argsort([np.linalg.norm(q - start) for q in found], kind="stable")
+    return np.array(found)[order], max(distances)
+
+
+def _goal_list(arm: Arm, goal: FreeGoal) -> list[Pose | Array]:
+    """A goal, or a list of goals, as poses, points and configurations."""
+    if isinstance(goal, Pose):
+        return [goal]
+    try:
+        is_numbers = np.ndim(goal) == 1 and np.asarray(goal).dtype.kind in "fiub"
+    except ValueError:  # a list of goals of different lengths
+        is_numbers = False
+    goals = [goal] if is_numbers else list(goal) if isinstance(goal, (Sequence, np.ndarray)) else []
+    checked: list[Pose | Array] = []
+    for item in goals:
+        if isinstance(item, Pose):
+            checked.append(item)
+            continue
+        numbers = np.asarray(item, dtype=object).reshape(-1)
+        if len(numbers) not in (3, arm.n):
+            raise InputError(
+                f"goal: {item!r:.80} is no configuration of {arm.n} joints, no Pose, and no point of three numbers"
+            )
+        checked.append(arm.checked("goal", item) if len(numbers) == arm.n else Pose(item).position)
+    if not checked:
+        raise InputError(f"goal: {goal!r:.80} is no configuration of {arm.n} joints, no Pose, no point, and no list of these")
+    return checked
+
+
+def _configurations(arm: Arm, start: Array, goal: Pose | Array, rng: np.random.Generator) -> tuple[list[Array], str]:
+    """Configurations for one goal, and why there is none."""
+    if not isinstance(goal, Pose) and len(goal) == arm.n:
+        return [goal], ""
+    reason = ""
+    found: list[Array] = []
+    starts = [start, arm.home, *arm.limits.random(arm.home, _IK_TRIES, rng)]
+    for q0 in starts:
+        result = solve_ik(arm, goal, q0)
+        if not result.ok:
+            reason = reason or f"goal: {result.reason}"
+            if not found:
+                break  # the solver has tried all its starts
+            continue
+        if all(np.abs(result.q - q).max() > _SAME_CONFIGURATION for q in found):
+            found.append(result.q)
+        if len(found) == _MAX_ROOTS:
+            break
+    return found, reason if not found else ""
+
+
+def _is_free(checker: CollisionChecker, motion: JointTrajectory, clearance: float) -> bool:
+    return checker.motion_hit(motion.knots, motion.coefficients, clearance) is None
+
+
+def _timed(checker: CollisionChecker, arm: Arm, points: Array, clearance: float) -> JointTrajectory:
+    """The fastest smooth motion along a free path that is proved free, within the torques.
+
+    A smooth motion through the points of the path leaves its lines. Where it touches, a point of the line is added and the
+    timing repeated; with enough points the motion follows the lines.
+    """
+    waypoints = list(points)
+    for _ in range(_REPAIRS):
+        motion = through_waypoints(arm, np.array(waypoints))
+        hit = checker.motion_hit(motion.knots, motion.coefficients, clearance)
+        if hit is None:
+            slowed = within_torque(arm, motion)
+            if slowed is motion or _is_free(checker, slowed, clearance):
+                return slowed
+            break
+        line, share = _nearest_line(waypoints, motion(hit.time).q)
+        added = waypoints[line] + share * (waypoints[line + 1] - waypoints[line])
+        waypoints.insert(line + 1, added)
+    lines = [move_j(arm, a, b) for a, b in pairwise(points)]
+    stopping = reduce(JointTrajectory.then, lines)
+    if _is_free(checker, stopping, clearance):
+        return stopping
+    raise PlanError("the path is free, but no motion along it could be proved; try another seed or a smaller clearance")
+
+
+def _nearest_line(points: list[Array], q: Array) -> tuple[int, float]:
+    """Which line of a path is nearest to a configuration, and where on it, away from its ends."""
+    least = np.inf
+    nearest = (0, 0.5)
+    for line, (begin, end) in enumerate(pairwise(points)):
+        way = end - begin
+        share = float(np.clip((q - begin) @ way / (way @ way), 0.0, 1.0))
+        distance = float(np.linalg.norm(q - begin - share * way))
+        if distance < least:
+            least = distance
+            nearest = (line, float(np.clip(share, _REPAIR_MARGIN, 1.0 - _REPAIR_MARGIN)))
+    return nearest

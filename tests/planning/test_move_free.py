@@ -1,0 +1,148 @@
+"""Motions around obstacles: proved free, inside every limit, the same bits for the same seed, and refusals with names."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from collidable import arm_among, placed
+
+import armctl
+from armctl.collision.checker import collision_checker
+
+WALL = '<geom name="wall" type="box" size="0.3 0.02 0.45" pos="0.45 0 0.45"/>'
+START = np.array([-0.8, 1.0, 0.4, 0.0, 0.3, 0.0])
+GOAL = np.array([0.8, 1.0, 0.4, 0.0, 0.3, 0.0])
+
+pytestmark = pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory) -> armctl.Arm:
+    return arm_among(tmp_path_factory.mktemp("wall"), WALL)
+
+
+def assert_free(arm: armctl.Arm, motion: armctl.JointTrajectory) -> None:
+    assert armctl.check_clearance(arm, motion)
+    assert motion.check_limits().ok
+    assert armctl.check_torque(arm, motion).ok
+    for q in motion.sample(np.arange(0.0, motion.duration, 2e-3)).q:
+        assert not any(contact.dist < 0.0 for contact in placed(arm, q).contact)
+
+
+def test_it_goes_around_a_wall_that_the_straight_move_runs_into(arm):
+    assert not armctl.check_clearance(arm, armctl.move_j(arm, START, GOAL))
+    motion = armctl.move_free(arm, START, GOAL)
+    assert_free(arm, motion)
+    np.testing.assert_allclose(motion(0.0).q, START, atol=1e-12)
+    np.testing.assert_allclose(motion(motion.duration).q, GOAL, atol=1e-12)
+    np.testing.assert_allclose(motion(motion.duration).v, 0.0, atol=1e-12)
+
+
+def test_a_straight_move_that_is_free_is_taken(arm):
+    straight = armctl.move_j(arm, START, START + 0.1)
+    motion = armctl.move_free(arm, START, START + 0.1)
+    np.testing.assert_array_equal(motion.coefficients, straight.coefficients)
+
+
+def test_half_the_speed_takes_twice_as_long_on_a_straight_move(arm):
+    fast = armctl.move_free(arm, START, START + 0.1)
+    slow = armctl.move_free(arm, START, START + 0.1, speed=0.5)
+    assert slow.duration == pytest.approx(2 * fast.duration, rel=0.05)
+
+
+@pytest.mark.parametrize("kind", ["pose", "point", "list"])
+def test_a_goal_is_a_pose_a_point_or_a_list(arm, kind):
+    pose = arm.fk(GOAL)
+    goal = {"pose": pose, "point": pose.position, "list": [arm.fk(START + 9e-2), GOAL]}[kind]
+    motion = armctl.move_free(arm, START, goal)
+    assert_free(arm, motion)
+    reached = arm.fk(motion(motion.duration).q)
+    if kind == "point":
+        np.testing.assert_allclose(reached.position, pose.position, atol=1e-4)
+    if kind == "pose":
+        assert max(reached.distance(pose)) < 1e-3
+
+
+def test_the_same_seed_gives_the_same_bits_in_another_process(arm, tmp_path):
+    code = (
+        "import sys, hashlib, warnings; warnings.simplefilter('ignore'); sys.path.insert(0, 'tests')\n"
+        "from pathlib import Path; from collidable import arm_among; import armctl\n"
+        "from planning.test_move_free import WALL, START, GOAL\n"
+        f"arm = arm_among(Path({str(tmp_path)!r}), WALL)\n"
+        "print(hashlib.sha256(armctl.move_free(arm, START, GOAL, seed=3).coefficients.tobytes()).hexdigest())"
+    )
+    hashes = {subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout for _ in range(2)}
+    assert len(hashes) == 1
+    here = armctl.move_free(arm, START, GOAL, seed=3)
+    again = armctl.move_free(arm, START, GOAL, seed=3)
+    np.testing.assert_array_equal(here.coefficients, again.coefficients)
+
+
+def test_a_start_that_touches_is_refused_with_the_bodies_and_the_depth(arm):
+    inside = np.array([0.0, 1.0, 0.4, 0.0, 0.3, 0.0])
+    with pytest.raises(armctl.PlanError, match=r"^start: link\d is \d+\.\d mm inside wall|^start: wall"):
+        armctl.move_free(arm, inside, GOAL)
+
+
+def test_a_goal_that_touches_is_refused_with_the_bodies(arm):
+    inside = np.array([0.0, 1.0, 0.4, 0.0, 0.3, 0.0])
+    with pytest.raises(armctl.PlanError, match=r"without contact: .*wall"):
+        armctl.move_free(arm, START, inside)
+
+
+def test_a_contact_that_is_allowed_may_be_made(arm):
+    touching = next(
+        GOAL - np.array([angle, 0, 0, 0, 0, 0])
+        for angle in np.linspace(0.0, 0.8, 200)
+        if collision_checker(arm).hit(GOAL - np.array([angle, 0, 0, 0, 0, 0])) >= 0
+    )
+    pairs = [(f"link{i}", "wall") for i in range(6)]
+    motion = armctl.move_free(arm, GOAL, touching, allow=pairs)
+    assert motion.duration > 0.0
+
+
+def test_a_goal_out_of_reach_says_so(arm):
+    with pytest.raises(armctl.PlanError, match="goal"):
+        armctl.move_free(arm, START, [5.0, 0.0, 0.0])
+
+
+def test_a_goal_behind_closed_walls_is_given_up_after_counted_samples(tmp_path, monkeypatch):
+    walls = "".join(f'<geom type="box" size="1 0.01 2" pos="{side * 1.06} 0 1"/>' for side in (-1, 1))
+    arm = arm_among(tmp_path, walls)
+    monkeypatch.setattr("armctl.planning.move_free.MAX_SAMPLES", 300)
+    with pytest.raises(armctl.PlanError, match="no collision-free path found after 300 samples"):
+        armctl.move_free(arm, np.array([-1.4, *START[1:]]), np.array([1.4, *GOAL[1:]]))
+
+
+def test_what_the_tip_holds_must_not_touch_either(tmp_path):
+    stick = '<body name="stick" pos="0 0 1.25"><freejoint/><geom type="capsule" size="0.02 0.15" mass="0.1"/></body>'
+    bar = '<geom name="bar" type="box" size="0.02 0.5 0.02" pos="0.35 0 1.1"/>'
+    arm = arm_among(tmp_path, stick + bar)
+    start = np.zeros(6)
+    goal = np.array([0.0, 0.5, 0.0, 0.0, 0.0, 0.0])
+    empty = armctl.move_free(arm, start, goal, allow=[("stick", f"link{i}") for i in range(6)])
+    assert empty.duration > 0.0
+    carried = armctl.move_free(arm, start, start - 0.05, holding="stick")
+    assert carried.duration > 0.0
+    with pytest.raises(armctl.PlanError, match="stick"):
+        armctl.move_free(arm, start, np.array([0.0, 0.37, 0.0, 0.0, 0.0, 0.0]), holding="stick")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"goal": "home"}, armctl.InputError, "goal"),
+        ({"goal": []}, armctl.InputError, "goal"),
+        ({"goal": [1.0, 2.0]}, armctl.InputError, "goal"),
+        ({"goal": GOAL + 9.0}, armctl.LimitError, "goal"),
+        ({"goal": GOAL, "clearance": -1.0}, armctl.InputError, "clearance"),
+        ({"goal": GOAL, "seed": 0.5}, armctl.InputError, "seed"),
+        ({"goal": GOAL, "speed": 2.0}, armctl.InputError, "speed"),
+        ({"goal": GOAL, "holding": "cup"}, armctl.UnknownNameError, "cup"),
+        ({"goal": GOAL, "allow": ["wall"]}, armctl.InputError, "allow"),
+    ],
+)
+def test_wrong_calls_are_one_sentence(arm, arguments, error, message):
+    with pytest.raises(error, match=message):
+        armctl.move_free(arm, START, **arguments)
