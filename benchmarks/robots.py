@@ -17,7 +17,7 @@ import mujoco_menagerie as menagerie
 import numpy as np
 
 import armctl
-from armctl.collision.checker import collision_checker
+from armctl.collision.checkers import collision_checker
 from armctl.ik import solve_ik_batch
 from armctl.loading.catalog import BUNDLED
 from armctl.robot.parity import check_parity

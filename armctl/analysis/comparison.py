@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from armctl.analysis.report import Report, contacts_in_words
-from armctl.collision.checker import collision_checker
+from armctl.collision.checkers import collision_checker
 from armctl.control import Controller, controller_name
 from armctl.core.errors import InputError, PlanError
 from armctl.core.log import SimulationError

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from armctl.collision.checker import collision_checker
+from armctl.collision.checkers import collision_checker
 from armctl.control import Controller, controller_by_name, controller_name
 from armctl.core.errors import PlanError
 from armctl.core.log import Log

@@ -5,15 +5,15 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
-from typing import NamedTuple
-from weakref import WeakKeyDictionary
 
 import mujoco
 import numpy as np
 
+from armctl.collision import kernel
 from armctl.collision.geometry import Geometry, build_geometry, colliding_pairs, frames_above, is_convex
+from armctl.collision.hit import Hit
 from armctl.core.errors import InputError, ModelError, UnknownNameError
-from armctl.core.validation import Array, BoolArray, IntArray
+from armctl.core.validation import Array, BoolArray
 from armctl.mjmodel.queries import body_name, is_below, last_joint_above, name_of
 from armctl.robot.arm import Arm
 
@@ -25,24 +25,10 @@ _HALF_TURN = np.pi
 _DEPTH_DIRECTIONS = 500
 
 
-class Hit(NamedTuple):
-    """A pair that is not known to be free.
-
-    Attributes:
-        pair: Its row in the checker's geometry.
-        time: s, when.
-    """
-
-    pair: int
-    time: float
-
-
 class _Memory(threading.local):
     """What queries overwrite; each thread has its own."""
 
     def __init__(self, geometry: Geometry):
-        from armctl.collision import kernel
-
         count = len(geometry.pairs)
         self.pairs = geometry.pairs.copy()
         self.frames = np.zeros((len(geometry.tree) + 1, 18))
@@ -143,8 +129,6 @@ class CollisionChecker:
         Returns:
             The pair's row.
         """
-        from armctl.collision import kernel
-
         memory = self._memory
         return kernel.first_hit(
             self._moving(q),
@@ -167,8 +151,6 @@ class CollisionChecker:
         Returns:
             The pair's row, and m; zero or less if it overlaps, then not the depth.
         """
-        from armctl.collision import kernel
-
         memory = self._memory
         return kernel.nearest_pair(
             self._moving(q),
@@ -191,8 +173,6 @@ class CollisionChecker:
         Returns:
             m, an upper bound; negative if the geoms are apart.
         """
-        from armctl.collision import kernel
-
         memory = self._memory
         kernel.locate_frames(self._moving(q), self.geometry.tree, memory.frames)
         return kernel.overlap_depth(pair, _directions(), *self._rows, memory.pairs, memory.frames)
@@ -254,8 +234,6 @@ class CollisionChecker:
 
     def _piece_hit(self, coefficients: Array, duration: float, clearance: float, pair: int = -1) -> Hit | None:
         """As `motion_hit`, for one piece of all moving joints, and for one pair or all."""
-        from armctl.collision import kernel
-
         memory = self._memory
         memory.open_pairs[0] = pair
         first, last = (-1, -1) if pair < 0 else (0, 1)
@@ -290,8 +268,6 @@ class CollisionChecker:
         return moving
 
     def _all_hits(self, q: Array) -> BoolArray:
-        from armctl.collision import kernel
-
         memory = self._memory
         kernel.all_hits(
             self._moving(q),
@@ -318,8 +294,6 @@ class CollisionChecker:
 
     def _joints_between(self, pair: int) -> list[int]:
         """The rows of the tree that move one geom of a pair relative to the other."""
-        from armctl.collision import kernel
-
         row = self.geometry.pairs[pair]
         common = int(row[kernel.COMMON])
         joints = []
@@ -330,8 +304,6 @@ class CollisionChecker:
 
     def _proved_by_one_joint(self) -> BoolArray:
         """(K,) pairs that one joint alone moves, and that never touch over its whole range."""
-        from armctl.collision import kernel
-
         proved = np.zeros(len(self.geometry.pairs), bool)
         low = self._joint_map.positions(np.maximum(self._limits.q_min, self._home - _HALF_TURN))
         high = self._joint_map.positions(np.minimum(self._limits.q_max, self._home + _HALF_TURN))
@@ -374,37 +346,6 @@ class CollisionChecker:
                 first, second = sorted(contact.geom.tolist())
                 return f"{_geom_owner_name(self._model, second)} touches {_geom_owner_name(self._model, first)}"
         return ""
-
-
-def geom_owners(arm: Arm) -> IntArray:
-    """Which joint of the chain moves each geom.
-
-    Args:
-        arm: The arm.
-
-    Returns:
-        (ngeom,) the last joint above it, counted from the base; -1 where none is.
-    """
-    return np.array(last_joint_above(arm.model, arm.joint_map.joints), np.int64)[arm.model.geom_bodyid]
-
-
-_checkers: WeakKeyDictionary[Arm, CollisionChecker] = WeakKeyDictionary()
-
-
-def collision_checker(arm: Arm) -> CollisionChecker:
-    """The checker of an arm in its scene at home, made once.
-
-    Args:
-        arm: The arm.
-
-    Returns:
-        The checker.
-    """
-    checker = _checkers.get(arm)
-    if checker is None:
-        checker = CollisionChecker(arm)
-        _checkers[arm] = checker
-    return checker
 
 
 def _allowed_geoms(model: mujoco.MjModel, allow: Iterable[tuple[str, str]]) -> set[tuple[int, int]]:

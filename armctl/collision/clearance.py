@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
-from armctl.collision.checker import CollisionChecker, Hit, collision_checker
+from armctl.collision.checkers import collision_checker
+from armctl.collision.hit import Hit
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number
 from armctl.robot.arm import Arm, check_arm
+
+if TYPE_CHECKING:
+    from armctl.collision.checker import CollisionChecker
 
 RESOLUTION_M = 2e-4  # of the closest approach: between the proved bound and a distance that is attained
 _SAMPLES = 24  # of a motion, from which the search for the closest approach starts
@@ -105,9 +109,7 @@ def check_clearance(
         raise InputError(
             f"trajectory: it moves {', '.join(trajectory.joint_names)[:80]}, the arm has {', '.join(arm.joint_names)[:80]}"
         )
-    allow = tuple(allow)
-    checker = CollisionChecker(arm, allow=allow) if allow else collision_checker(arm)
-    return clearance_of(checker, trajectory, clearance)
+    return clearance_of(collision_checker(arm, allow=allow), trajectory, clearance)
 
 
 def clearance_of(checker: CollisionChecker, trajectory: PiecewiseTrajectory, clearance: float) -> ClearanceCheck:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armctl.collision.checker import collision_checker
+from armctl.collision.checkers import collision_checker
 from armctl.core.errors import InputError, LimitError, PlanError
 from armctl.core.log import Log
 from armctl.core.validation import Array, frozen, instance, number

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from armctl.collision.checker import geom_owners
+from armctl.collision.checkers import geom_owners
 from armctl.core.validation import BoolArray, IntArray
 from armctl.robot.arm import Arm
 

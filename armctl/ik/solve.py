@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.collision.checker import collision_checker
+from armctl.collision.checkers import collision_checker
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.target import TargetLike
 from armctl.core.validation import Array, frozen, shown

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, PlanError
 from armctl.core.limits import Limits
-from armctl.core.validation import matrix
+from armctl.core.validation import Array, matrix
 from armctl.motion.checks import planning_arm
 from armctl.motion.timing.otg import stretch_needed
 from armctl.motion.timing.waypoint_timing import Candidate, WaypointSearch

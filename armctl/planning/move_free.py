@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from functools import reduce
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.collision.checker import CollisionChecker, collision_checker
+from armctl.collision.checkers import collision_checker
 from armctl.core.errors import InputError, PlanError, UnknownNameError
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, number
@@ -22,6 +22,9 @@ from armctl.motion.move_through import through_waypoints
 from armctl.motion.torque_limits import within_torque
 from armctl.planning.path import find_path, sampling_bounds, shorten
 from armctl.robot.arm import Arm, check_arm
+
+if TYPE_CHECKING:
+    from armctl.collision.checker import CollisionChecker
 
 CLEARANCE_M = 2e-3
 MAX_SAMPLES = 20_000
@@ -129,14 +132,9 @@ def move_free_with(
 
 
 def _checker(arm: Arm, start: Array, allow: Iterable[tuple[str, str]], holding: str | Iterable[str] | None) -> CollisionChecker:
-    allow = tuple(allow)
     names = (holding,) if isinstance(holding, str) else tuple(holding or ())
-    if not allow and not names:
-        return collision_checker(arm)
-    if not names:
-        return CollisionChecker(arm, allow=allow)
     held = {_body(arm, name): arm.tip_body for name in names}
-    return CollisionChecker(arm, arm.qpos(start), allow, held)
+    return collision_checker(arm, arm.qpos(start) if held else None, allow, held)
 
 
 def _body(arm: Arm, name: str) -> int:

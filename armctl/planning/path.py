@@ -7,12 +7,14 @@ high-quality paths for motion planning", IJRR 26 (2007). Samples are counted and
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from armctl.collision.checker import CollisionChecker
 from armctl.core.validation import Array, IntArray
+
+if TYPE_CHECKING:
+    from armctl.collision.checker import CollisionChecker
 
 STEP = 1.0  # rad (m): the longest edge of a tree
 _DOMAIN = 4.0  # rad: a node whose extension failed takes samples from this distance only

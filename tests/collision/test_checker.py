@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from synthetic import limb, mjcf, motors
 
 import armctl
-from armctl.collision.checker import CollisionChecker, collision_checker
+from armctl.collision.checker import CollisionChecker
+from armctl.collision.checkers import collision_checker
 
 BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
@@ -59,7 +60,7 @@ def test_distances_are_mujocos(arm):
 
 
 def segment_box_distance(ends: np.ndarray, half: np.ndarray) -> float:
-    """From a segment to a box at the origin: a convex function of the place on the segment, so by golden section it is exact."""
+    """From a segment to a box at the origin: convex along the segment, so golden section finds it."""
     low, high = 0.0, 1.0
     ratio = 0.5 * (np.sqrt(5.0) - 1.0)
 

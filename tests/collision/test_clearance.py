@@ -1,11 +1,13 @@
 """The certificate: a bound that holds between samples, and is close to what is attained."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from collidable import arm_among
 
 import armctl
-from armctl.collision.checker import collision_checker
+from armctl.collision.checkers import collision_checker
 
 pytestmark = pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")
 
@@ -23,7 +25,7 @@ def free_configurations(arm: armctl.Arm, count: int) -> list[np.ndarray]:
 
 def motions(arm: armctl.Arm):
     points = free_configurations(arm, 30)
-    for a, b in zip(points[:-1], points[1:], strict=True):
+    for a, b in pairwise(points):
         yield armctl.move_j(arm, a, b)
     for i in range(0, 27, 3):
         yield armctl.move_through(arm, points[i : i + 4])

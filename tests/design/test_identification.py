@@ -7,7 +7,7 @@ import pytest
 from arms import arm_of
 
 import armctl
-from armctl.collision.checker import collision_checker
+from armctl.collision.checkers import collision_checker
 from armctl.motion import check_torque
 
 ROBOTS = ("robot_arm_3dof", "panda", "ur5e", "iiwa14", "so_arm100", "gantry")

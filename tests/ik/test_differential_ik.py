@@ -13,7 +13,7 @@ from arms import ARMS, MENAGERIE_ARMS, arm_of
 
 import armctl
 from armctl import Arm, DifferentialIk, InputError, LimitError, Pose, UnknownNameError
-from armctl.collision.checker import collision_checker, geom_owners
+from armctl.collision.checkers import collision_checker, geom_owners
 from armctl.loading.catalog import BUNDLED
 
 every_arm = pytest.mark.parametrize("name", ARMS)

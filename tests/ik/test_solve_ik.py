@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import armctl
 from armctl import Arm, InputError, LimitError, Pose, UnknownNameError, solve_ik
-from armctl.collision.checker import collision_checker
+from armctl.collision.checkers import collision_checker
 from armctl.core.target import Target
 from armctl.ik import kernel, lm, solve_ik_batch
 from armctl.ik.problem import packed_chain, read_problem
@@ -261,12 +261,12 @@ def test_contacts_between_links_that_always_touch_do_not_count(tmp_path):
     arm = armctl.load(model)
     contacts = collision_checker(arm)
     assert contacts.at(np.zeros(2)) == ""
-    assert contacts.at(np.array([2.5, 0.0])) == "floor touches upper"
+    assert contacts.at(np.array([2.5, 0.0])) == "upper touches floor"
     below = arm.fk(np.array([2.5, 0.0])).position
     assert solve_ik(arm, below).ok
     blocked = solve_ik(arm, below, avoid_collisions=True)
     assert not blocked.ok
-    assert "floor touches" in blocked.reason
+    assert "touches floor" in blocked.reason
 
 
 def test_a_batch_is_many_single_calls():

@@ -8,7 +8,7 @@ import pytest
 from collidable import arm_among, placed
 
 import armctl
-from armctl.collision.checker import collision_checker
+from armctl.collision.checkers import collision_checker
 
 WALL = '<geom name="wall" type="box" size="0.3 0.02 0.45" pos="0.45 0 0.45"/>'
 START = np.array([-0.8, 1.0, 0.4, 0.0, 0.3, 0.0])

@@ -1,0 +1,60 @@
+"""The collision checker of each arm, made when it is first needed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from armctl.core.validation import Array, IntArray
+from armctl.mjmodel.queries import last_joint_above
+from armctl.robot.arm import Arm
+
+if TYPE_CHECKING:
+    from armctl.collision.checker import CollisionChecker
+
+
+def geom_owners(arm: Arm) -> IntArray:
+    """Which joint of the chain moves each geom.
+
+    Args:
+        arm: The arm.
+
+    Returns:
+        (ngeom,) the last joint above it, counted from the base; -1 where none is.
+    """
+    return np.array(last_joint_above(arm.model, arm.joint_map.joints), np.int64)[arm.model.geom_bodyid]
+
+
+_checkers: WeakKeyDictionary[Arm, CollisionChecker] = WeakKeyDictionary()
+
+
+def collision_checker(
+    arm: Arm,
+    qpos: Array | None = None,
+    allow: Iterable[tuple[str, str]] = (),
+    held: Mapping[int, int] | None = None,
+) -> CollisionChecker:
+    """A checker of an arm in its scene; with everything at home and nothing allowed or held, it is made once for each arm.
+
+    Args:
+        arm: The arm.
+        qpos: As for `CollisionChecker`, like all that follow.
+        allow: Pairs of names.
+        held: Bodies that the arm carries.
+
+    Returns:
+        The checker.
+    """
+    from armctl.collision.checker import CollisionChecker  # loads numba
+
+    allow = tuple(allow)
+    if qpos is not None or allow or held:
+        return CollisionChecker(arm, qpos, allow, held)
+    checker = _checkers.get(arm)
+    if checker is None:
+        checker = CollisionChecker(arm)
+        _checkers[arm] = checker
+    return checker
