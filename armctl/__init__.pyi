@@ -35,9 +35,9 @@ from .core.pose import Pose as Pose
 from .core.result import MoveResult as MoveResult
 from .core.trajectory import Setpoint as Setpoint
 from .core.trajectory import Trajectory as Trajectory
-from .design.identification import PayloadEstimate as PayloadEstimate
-from .design.identification import excitation as excitation
-from .design.identification import identify_payload as identify_payload
+from .design.excitation import excitation as excitation
+from .design.payload import PayloadEstimate as PayloadEstimate
+from .design.payload import identify_payload as identify_payload
 from .ik.batch import solve_ik_batch as solve_ik_batch
 from .ik.differential import DifferentialIk as DifferentialIk
 from .ik.result import IkBatch as IkBatch

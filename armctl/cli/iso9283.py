@@ -40,7 +40,8 @@ def run(args: argparse.Namespace) -> int:
     from armctl.analysis.iso9283 import iso9283_cycles
     from armctl.cli.plants import plant_by_name
     from armctl.control import controller_by_name
-    from armctl.design.identification import excitation, identify_payload
+    from armctl.design.excitation import excitation
+    from armctl.design.payload import identify_payload
     from armctl.sim.simulate import simulate
 
     arm = load_arm(args)

@@ -1,0 +1,131 @@
+"""Excitation: a motion whose torques show a payload's mass and centre."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from armctl.collision.checkers import CollisionChecker, collision_checker
+from armctl.core.errors import LimitError, PlanError
+from armctl.core.limits import check_speed
+from armctl.core.validation import Array, instance, number
+from armctl.motion import JointTrajectory, check_torque, move_through
+from armctl.robot.arm import Arm, check_arm
+from armctl.robot.dynamics import Dynamics
+
+_PAYLOAD_PARAMETERS = 4  # mass and first moment
+_MAX_PAYLOAD_KG = 1e6
+_SETS = 120  # of configurations, from which the motion is chosen
+_SIZES = 4  # sets of size k keep within 0.5^k of the range around home
+_CONFIGURATIONS = 5  # in a set
+_MAX_FAILED_PLANS = 2  # for each size; more failures have their reason in the arm and not in the set
+_MAX_DISTANCE = 1.5  # rad (m) from home, for each joint
+_LIMIT_MARGIN = 0.05  # of a joint's range
+_REGULARIZATION = 1e-6  # of the information matrix, so that its determinant exists where a parameter is not shown
+_TORQUE_SHARE = 0.9  # of the limits; the controller needs the rest
+_SPEED_FACTORS = (1.0, 0.7, 0.5)  # tried one after another until the torques are small enough
+_CHECK_INTERVAL_S = 0.02  # between checks for collisions, at full speed
+_COLLIDES = "it touches something on every path that was tried"
+_TOO_HEAVY = "its weight there is more than the motors hold"
+
+
+class _Set(NamedTuple):
+    """Waypoints (k, n) from home to home, and how close to home they keep: 0 is the farthest."""
+
+    size: int
+    waypoints: Array
+
+
+def excitation(arm: Arm, payload: float = 1.0, *, speed: float = 0.6, seed: int = 0) -> JointTrajectory:
+    """A motion that shows a payload: from home through configurations that load every joint differently, and back.
+
+    It keeps all limits, torque with the payload included, and touches nothing. Random sets of configurations are tried in the
+    order in which their static torques tell mass and centre apart (the determinant of the information matrix).
+
+    Args:
+        arm: The arm.
+        payload: kg, the largest mass that its tip may be holding.
+        speed: Fraction of the full speed, in (0, 1].
+        seed: Seed of the configurations.
+
+    Returns:
+        The motion, a few seconds long, at rest at both ends.
+
+    Raises:
+        InputError: It is not an arm, or the payload, the speed or the seed is out of its bounds.
+        PlanError: There is no such motion from home.
+    """
+    check_arm(arm)
+    speed = check_speed(speed)
+    payload = number("payload", payload, 0.0, _MAX_PAYLOAD_KG)
+    instance("seed", seed, (int, np.integer), "give an integer")
+    number("seed", seed, 0)
+    loaded = arm.with_payload(payload)
+    collisions = collision_checker(arm)
+    held = _holding_check(loaded)
+    reason = _COLLIDES if held(arm.home) else _TOO_HEAVY
+    failed = [0] * _SIZES
+    for size, waypoints in _ranked_sets(arm, np.random.default_rng(seed)) if reason == _COLLIDES else ():
+        if failed[size] == _MAX_FAILED_PLANS:
+            continue
+        between = np.linspace(waypoints[:-1], waypoints[1:], 10).reshape(-1, arm.n)
+        if not all(held(q) for q in between):
+            reason = _TOO_HEAVY
+            continue
+        if collisions.along(between):
+            continue
+        try:
+            motion, reason = _motion_through(arm, loaded, collisions, waypoints, speed)
+        except (PlanError, LimitError) as error:
+            reason = str(error)
+        else:
+            if motion is not None:
+                return motion
+        failed[size] += 1
+    raise PlanError(f"{arm.name}: no motion from home shows a payload of {payload:g} kg safely: {reason:.200}")
+
+
+def _holding_check(loaded: Arm) -> Callable[[Array], bool]:
+    """Whether the motors hold an arm still at a configuration, with some torque left."""
+    dynamics = Dynamics(loaded.model, loaded.pinocchio_model)
+    bound = _TORQUE_SHARE * loaded.limits.tau_max
+    return lambda q: bool((np.abs(dynamics.gravity(q)) + dynamics.friction_loss <= bound).all())
+
+
+def _motion_through(
+    arm: Arm, loaded: Arm, collisions: CollisionChecker, waypoints: Array, speed: float
+) -> tuple[JointTrajectory | None, str]:
+    """The motion through waypoints that the motors can follow with and without the payload, or why there is none."""
+    fastest = move_through(loaded, waypoints)
+    if collisions.along(fastest.sample(np.arange(0.0, fastest.duration, _CHECK_INTERVAL_S * speed)).q):
+        return None, _COLLIDES
+    for factor in _SPEED_FACTORS:
+        motion = fastest.scaled(factor * speed)
+        if max(check_torque(each, motion).ratio for each in (arm, loaded)) < _TORQUE_SHARE:
+            return motion, ""
+    return None, f"it takes more than {100 * _TORQUE_SHARE:g} % of the torque limits on every path that was tried"
+
+
+def _ranked_sets(arm: Arm, rng: np.random.Generator) -> list[_Set]:
+    """Random sets, those first whose static torques determine a payload's four parameters best."""
+    limits = arm.limits
+    low = np.clip(limits.q_min, arm.home - _MAX_DISTANCE, arm.home + _MAX_DISTANCE)
+    high = np.clip(limits.q_max, arm.home - _MAX_DISTANCE, arm.home + _MAX_DISTANCE)
+    margin = _LIMIT_MARGIN * (high - low)
+    low = low + margin
+    high = high - margin
+    home = limits.clamp(arm.home)
+    zero = np.zeros(arm.n)
+    dynamics = Dynamics(arm.model, arm.pinocchio_model)
+    scores = []
+    sets = []
+    for k in range(_SETS):
+        size = k % _SIZES
+        between = home + 0.5**size * (rng.uniform(low, high, (_CONFIGURATIONS, arm.n)) - home)
+        Y = np.vstack([dynamics.payload_regressor(q, zero, zero) / limits.tau_max[:, None] for q in between])
+        scores.append(float(np.linalg.slogdet(Y.T @ Y + _REGULARIZATION * np.eye(_PAYLOAD_PARAMETERS))[1]))
+        sets.append(_Set(size, np.vstack([home, between, home])))
+    order = sorted(range(_SETS), key=lambda k: -scores[k])
+    return [sets[k] for k in order]

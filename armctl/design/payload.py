@@ -1,0 +1,255 @@
+"""Payload identification: the mass at the tip, its centre, and the friction of the joints, from one run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from armctl.core.errors import InputError
+from armctl.core.log import Log
+from armctl.core.validation import Array, frozen, instance
+from armctl.robot.arm import Arm, check_arm
+from armctl.robot.dynamics import Dynamics
+
+_PAYLOAD_PARAMETERS = 4  # mass and first moment; behind them come Coulomb and viscous friction of each joint
+_CUTOFF_HZ = 10.0  # -3 dB, of the zero-phase filter that both sides of the fit go through
+_FILTER_SIGMAS = 4.0  # at which its Gaussian window ends
+_MIN_WINDOWS = 4  # that a run must last
+_MIN_SPEED = 0.05  # rad/s (m/s): below it the sign of a velocity is noise, and dry friction with it
+_TORQUE_NOISE = 2e-3  # of the torque limit: no joint's torque is known better, however well a fit goes
+_MAX_RELATIVE_ERROR = 0.1  # of the mass; with a larger standard error nothing is identified
+_SMALL_MASS_KG = 0.5  # from which on the error is relative to the mass
+_PRIOR = (50.0, 0.5, 0.5, 0.5)  # kg and kg m, standard deviations: parameters that are not shown stay within them
+_ROUNDS = 4  # of the fit: inertia is not linear in a payload's centre, and joints differ in noise
+_STATES = 20  # random states at which the regressor of the mass is compared with that of the centre
+_MIN_INDEPENDENT_SHARE = 1e-6  # of the mass's regressor that is not round-off
+
+
+@dataclass(frozen=True, eq=False)
+class PayloadEstimate:
+    """A payload, and friction that the model does not have, identified from one run. True if the run showed enough.
+
+    Attributes:
+        ok: Whether the run showed enough.
+        reason: Why not, in words; empty if it did.
+        mass: kg; NaN, like all numbers here, where nothing could be fitted.
+        mass_error: kg, its standard error.
+        center: (3,) m, in the tip's frame.
+        center_error: (3,) m, standard errors; infinite where the run does not show the centre.
+        coulomb_friction: (n,) N m of dry friction.
+        coulomb_error: (n,) N m, standard errors.
+        viscous_friction: (n,) N m s/rad of damping.
+        viscous_error: (n,) N m s/rad, standard errors.
+    """
+
+    ok: bool
+    reason: str
+    mass: float
+    mass_error: float
+    center: Array
+    center_error: Array
+    coulomb_friction: Array
+    coulomb_error: Array
+    viscous_friction: Array
+    viscous_error: Array
+
+    def __bool__(self) -> bool:
+        return self.ok
+
+    def __str__(self) -> str:
+        if not self.ok:
+            return f"not identified: {self.reason}"
+        known = zip(self.center, self.center_error, strict=True)
+        center = ", ".join(f"{1e3 * c:.1f}+-{1e3 * e:.1f}" if math.isfinite(e) else "not shown" for c, e in known)
+        return f"{self.mass:.4f}+-{self.mass_error:.4f} kg at [{center}] mm from the tip"
+
+    def applied_to(self, arm: Arm) -> Arm:
+        """An arm's model with what was identified: give it to a controller.
+
+        Args:
+            arm: The arm that the run was of.
+
+        Returns:
+            The arm with payload and friction; friction that came out negative counts as none.
+
+        Raises:
+            InputError: Nothing was identified.
+        """
+        if not self.ok:
+            raise InputError(f"estimate: {self}")
+        coulomb = np.maximum(self.coulomb_friction, 0.0)
+        viscous = np.maximum(self.viscous_friction, 0.0)
+        return arm.with_payload(max(self.mass, 0.0), self.center, coulomb_friction=coulomb, viscous_friction=viscous)
+
+
+def identify_payload(arm: Arm, log: Log) -> PayloadEstimate:
+    """The payload and the friction that explain a run's torques.
+
+    Least squares of the torques that the arm's model leaves over on {m, m c} at the tip, Coulomb and viscous friction, both
+    sides through the same zero-phase filter; after Swevers, Verdonck, De Schutter, "Dynamic model identification for industrial
+    robots" (2007), and Gautier, "Dynamic identification of robots with power model" (1997) for the filter. All ten inertial
+    parameters of a payload would be ill-conditioned; its inertia is taken to be a point mass's.
+
+    Args:
+        arm: The arm as its model knows it.
+        log: A run of it with the payload, best along `excitation`.
+
+    Returns:
+        The estimate; where the run shows too little, `ok` is False and `reason` says why.
+
+    Raises:
+        InputError: It is not an arm, not a log, or the log is of an arm with other joints.
+    """
+    check_arm(arm)
+    instance("log", log, Log, "armctl.simulate and every move of a Simulation give one")
+    if log.joint_names != arm.joint_names:
+        recorded = ", ".join(log.joint_names)
+        wanted = ", ".join(arm.joint_names)
+        raise InputError(f"log: it is of the joints {recorded:.120}, but the arm has {wanted:.120}")
+    least = _MIN_WINDOWS * (2 * _Filter(log.dt).radius + 1)
+    if len(log) < least:
+        return _nothing(arm, f"the run lasts {len(log) * log.dt:.2f} s, at least {least * log.dt:.2f} s wanted")
+    if not (np.abs(log.v) > 2 * _MIN_SPEED).any():
+        return _nothing(arm, "no joint moves; follow armctl.excitation(arm)")
+    fit = _Fit(arm, log)
+    for _ in range(_ROUNDS):
+        fit.improve()
+    return _judged(fit)
+
+
+class _Filter:
+    """A zero-phase low-pass filter: a Gaussian window whose spectrum is down 3 dB at the cut-off."""
+
+    def __init__(self, dt: float):
+        self._sigma = math.sqrt(math.log(2)) / (2 * math.pi * _CUTOFF_HZ * dt)  # samples
+        self.radius = math.ceil(_FILTER_SIGMAS * self._sigma)
+        self._stride = max(1, round(0.25 / _CUTOFF_HZ / dt))
+
+    def __call__(self, columns: Array) -> Array:
+        """Columns over time (T, k), filtered, without the ends, and with no more rows than the filter lets through."""
+        from scipy.ndimage import gaussian_filter1d
+
+        filtered = gaussian_filter1d(columns, self._sigma, axis=0, radius=self.radius)
+        return filtered[self.radius : len(columns) - self.radius : self._stride]
+
+
+class _Fit:
+    """The equations of one run, the parameters that explain it so far, and how well they are known."""
+
+    def __init__(self, arm: Arm, log: Log):
+        self.arm = arm
+        self._dt = log.dt
+        self._filtered = _Filter(log.dt)
+        self._q = log.q[:-1]
+        self._v = log.v[:-1]
+        self._tau = log.tau[:-1]
+        self._a = np.diff(log.v, axis=0) / log.dt
+        self._prior = np.concatenate([_PRIOR, np.tile(arm.limits.tau_max, 2)])
+        self._noise = _TORQUE_NOISE * arm.limits.tau_max
+        self.theta = np.zeros(len(self._prior))
+        self._used = np.abs(self._filtered(self._v)) > _MIN_SPEED
+        self._X = self._columns()[self._used]
+        self.error = self._prior
+
+    def improve(self) -> None:
+        """A Gauss-Newton step, each joint weighed by its noise, the prior as weak as it is wide."""
+        residual = self._filtered(self._left_over())
+        scale = (1 / np.broadcast_to(self._noise, self._used.shape))[self._used]
+        X = self._X * scale[:, None]
+        r = residual[self._used] * scale
+        information = X.T @ X + np.diag(self._prior**-2.0)
+        self.theta = self.theta + np.linalg.solve(information, X.T @ r - self.theta / self._prior**2)
+        self.error = np.sqrt(np.diag(np.linalg.inv(information)))
+        left = np.zeros(self._used.shape)
+        left[self._used] = residual[self._used] - self._X @ np.linalg.solve(information, X.T @ r)
+        spread = np.sqrt((left**2).sum(axis=0) / np.maximum(self._used.sum(axis=0), 1))
+        self._noise = np.maximum(spread, _TORQUE_NOISE * self.arm.limits.tau_max)
+
+    def _columns(self) -> Array:
+        """(T, n, 4 + 2 n): what each parameter adds to each joint's torque, filtered."""
+        dynamics = Dynamics(self.arm.model, self.arm.pinocchio_model)
+        n = self.arm.n
+        payload = np.array([dynamics.payload_regressor(*row) for row in zip(self._q, self._v, self._a, strict=True)])
+        eye = np.eye(n)
+        return np.concatenate(
+            [
+                self._filtered(payload.reshape(len(payload), -1)).reshape(-1, n, _PAYLOAD_PARAMETERS),
+                self._filtered(np.sign(self._v))[:, :, None] * eye,
+                self._filtered(self._v)[:, :, None] * eye,
+            ],
+            axis=2,
+        )
+
+    def _left_over(self) -> Array:
+        """(T, n) N m that the model with the parameters so far does not explain."""
+        mass = self.theta[0]
+        moment = self.theta[1:_PAYLOAD_PARAMETERS]
+        coulomb, viscous = self.theta[_PAYLOAD_PARAMETERS:].reshape(2, -1)
+        positive = mass > _MAX_RELATIVE_ERROR * _SMALL_MASS_KG
+        known = self.arm.with_payload(mass, moment / mass) if positive else self.arm
+        dynamics = Dynamics(known.model, known.pinocchio_model)
+        rows = zip(self._q, self._v, self._a, strict=True)
+        explained = np.array([dynamics.discrete_inverse_dynamics(q, v, a, self._dt) for q, v, a in rows])
+        explained += np.sign(self._v) * (dynamics.friction_loss + coulomb) + self._v * viscous
+        left = self._tau - explained
+        if not positive:
+            bare = Dynamics(self.arm.model, self.arm.pinocchio_model)
+            regressors = (bare.payload_regressor(*row) for row in zip(self._q, self._v, self._a, strict=True))
+            left -= np.array([Y @ self.theta[:_PAYLOAD_PARAMETERS] for Y in regressors])
+        return left
+
+
+def _judged(fit: _Fit) -> PayloadEstimate:
+    """What was fitted, if the run showed enough of it."""
+    mass = float(fit.theta[0])
+    error = float(fit.error[0])
+    reason = ""
+    if error > _MAX_RELATIVE_ERROR * max(mass, _SMALL_MASS_KG):
+        why = "the joints that carry it hardly move or rub too much; armctl.excitation(arm) shows what this arm can"
+        if not _can_show_mass(fit.arm):
+            why = "and no motion of this arm tells it from the payload's centre"
+        reason = f"the mass is known to {error:.2g} kg only, {why}"
+    elif mass < -2 * error:
+        reason = f"the torques ask for a payload of {mass:.3g} kg: the arm's model has too much mass already"
+    return _estimate(fit.arm, reason, fit.theta, fit.error)
+
+
+def _can_show_mass(arm: Arm) -> bool:
+    """Whether a payload's mass shows otherwise than its centre does: not where all joints turn about one vertical line."""
+    rng = np.random.default_rng(0)
+    dynamics = Dynamics(arm.model, arm.pinocchio_model)
+    limits = arm.limits
+    positions = limits.random(limits.clamp(arm.home), _STATES, rng)
+    rates = rng.uniform(-1, 1, (_STATES, 2, arm.n))
+    Y = np.vstack([dynamics.payload_regressor(q, *rows) for q, rows in zip(positions, rates, strict=True)])
+    explained = Y[:, 1:] @ np.linalg.lstsq(Y[:, 1:], Y[:, 0])[0]
+    return bool(np.linalg.norm(Y[:, 0] - explained) > _MIN_INDEPENDENT_SHARE * np.linalg.norm(Y))
+
+
+def _estimate(arm: Arm, reason: str, theta: Array, error: Array) -> PayloadEstimate:
+    known = abs(theta[0]) > _MAX_RELATIVE_ERROR * _SMALL_MASS_KG
+    center = theta[1:_PAYLOAD_PARAMETERS] / theta[0] if known else np.zeros(3)
+    shown = known & (error[1:_PAYLOAD_PARAMETERS] < 0.5 * np.array(_PRIOR[1:]))  # beyond that it is the prior's
+    center_error = np.full(3, np.inf)
+    center_error[shown] = error[1:_PAYLOAD_PARAMETERS][shown] / abs(theta[0])
+    coulomb, viscous = theta[_PAYLOAD_PARAMETERS:].reshape(2, arm.n)
+    coulomb_error, viscous_error = error[_PAYLOAD_PARAMETERS:].reshape(2, arm.n)
+    return PayloadEstimate(
+        ok=not reason,
+        reason=reason,
+        mass=float(theta[0]),
+        mass_error=float(error[0]),
+        center=frozen(center.copy()),
+        center_error=frozen(center_error),
+        coulomb_friction=frozen(coulomb.copy()),
+        coulomb_error=frozen(coulomb_error.copy()),
+        viscous_friction=frozen(viscous.copy()),
+        viscous_error=frozen(viscous_error.copy()),
+    )
+
+
+def _nothing(arm: Arm, reason: str) -> PayloadEstimate:
+    unknown = np.full(_PAYLOAD_PARAMETERS + 2 * arm.n, np.nan)
+    return _estimate(arm, reason, unknown, unknown)
