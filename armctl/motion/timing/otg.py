@@ -23,8 +23,10 @@ _TOGETHER = ruckig.Synchronization.Time
 _SEPARATELY = ruckig.Synchronization.No
 _MIN_PIECE_S = 1e-12
 _TIGHTENING = (1e-9, 1e-7, 1e-5)  # relative; slightly tighter limits avoid a rounding failure inside ruckig
-_NEGLIGIBLE_JERK = 1e-8  # share of the limit that a correction of the end state may add without a check
-_CORRECTION_TOLERANCE = 1e-7  # relative, of velocity, acceleration and jerk after a correction
+_NEGLIGIBLE = 1e-8  # share of a limit that a correction of the end state may add without a check
+_DERIVATIVE_FACTORS = ((3.0, 4.0, 5.0), (6.0, 12.0, 20.0), (6.0, 24.0, 60.0))  # of x^3, x^4 and x^5 at x = 1
+MAX_EXCESS = 5e-7  # relative, of a move that does not start and end at rest, over velocity, acceleration and jerk limits
+_MAX_STRETCH = 1.2  # of a move from rest to rest; a straight line in closed form replaces one that needs more
 
 
 class JointState(NamedTuple):
@@ -179,17 +181,21 @@ class ProfileSolver:
         self._input.max_jerk = (share * j_max).tolist()
 
 
-def solve_pieces(solver: ProfileSolver, start: JointState, goal: JointState) -> Pieces:
+def solve_pieces(solver: ProfileSolver, start: JointState, goal: JointState, max_excess: float = MAX_EXCESS) -> Pieces:
     """The fastest move between two states as polynomials that end exactly at the goal.
 
-    Raises PlanError if there is none; from rest to rest there always is one.
+    From rest to rest there always is one, inside the limits. Otherwise it may exceed velocity, acceleration and jerk limits by
+    rounding, at most by the factor 1 + max_excess; PlanError is raised if there is none.
     """
     rests = not any(np.any(x) for x in (start.v, start.a, goal.v, goal.a))
     profile = solver.solve(start, goal)
     if profile is not None:
-        pieces = ending_at(profile.pieces(start), goal, solver.bounds)
-        if pieces is not None:
-            return pieces
+        pieces = ending_at(profile.pieces(start), goal)
+        stretch = 1.0 if _is_negligible(pieces.correction, solver.bounds) else stretch_needed(pieces.corrected, solver.bounds)
+        if stretch <= 1 + max_excess:
+            return pieces.corrected
+        if rests and stretch <= _MAX_STRETCH:
+            return time_scaled(pieces.corrected, 1 / stretch)
         if not rests:
             raise PlanError("the move between two states is too short to be computed accurately; place them farther apart")
     if not rests:
@@ -197,14 +203,22 @@ def solve_pieces(solver: ProfileSolver, start: JointState, goal: JointState) -> 
     return straight_rest_to_rest(np.asarray(start.q), np.asarray(goal.q), solver.bounds)
 
 
-def ending_at(pieces: Pieces, goal: JointState, bounds: tuple[Array, Array, Array]) -> Pieces | None:
-    """A move with its end state corrected by a quintic over the whole move; None if that breaks the limits.
+class Corrected(NamedTuple):
+    """A move with a corrected end, and the largest velocity, acceleration and jerk that the correction adds, each (n,)."""
+
+    corrected: Pieces
+    correction: tuple[Array, Array, Array]
+
+
+def ending_at(pieces: Pieces, goal: JointState) -> Corrected:
+    """A move with its end state corrected by a quintic over the whole move.
 
     The quintic and its first two derivatives are 0 at the start; a joint that reaches its goal exactly is not changed.
     """
     duration = float(pieces.knots[-1])
+    zero = np.zeros(pieces.coefficients.shape[2])
     if duration == 0.0:
-        return pieces
+        return Corrected(pieces, (zero, zero, zero))
     row = np.array(basis(float(pieces.knots[-1] - pieces.knots[-2])))
     q, v, a = (np.asarray(want) - have for want, have in zip(goal, row @ pieces.coefficients[-1], strict=True))
     v = v * duration
@@ -219,11 +233,13 @@ def ending_at(pieces: Pieces, goal: JointState, bounds: tuple[Array, Array, Arra
         for order in range(max(power, 3), DEGREE + 1):
             term = math.comb(order, power) * x ** (order - power)
             added[:, power] += term[:, None] * correction[order] / duration**power
-    corrected = Pieces(pieces.knots, pieces.coefficients + added)
-    jerk = np.abs(np.array([6.0, 24.0, 60.0]) @ np.abs(correction[3:])) / duration**3
-    if (jerk <= _NEGLIGIBLE_JERK * bounds[2]).all() or stretch_needed(corrected, bounds) <= 1 + _CORRECTION_TOLERANCE:
-        return corrected
-    return None
+    size = np.abs(correction[3:])
+    largest = tuple(np.array(factors) @ size / duration**order for order, factors in enumerate(_DERIVATIVE_FACTORS, start=1))
+    return Corrected(Pieces(pieces.knots, pieces.coefficients + added), largest)  # type: ignore[arg-type]
+
+
+def _is_negligible(correction: tuple[Array, Array, Array], bounds: tuple[Array, Array, Array]) -> bool:
+    return all((added <= _NEGLIGIBLE * bound).all() for added, bound in zip(correction, bounds, strict=True))
 
 
 def stretch_needed(pieces: Pieces, bounds: tuple[Array, Array, Array]) -> float:

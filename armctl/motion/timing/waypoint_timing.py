@@ -28,6 +28,7 @@ _INITIAL_TIME_FACTOR = 2.0  # relative to stopping at each waypoint, where the s
 _AT_LIMIT = 1e-7  # rad (m); closer to a position limit, a waypoint is passed without acceleration
 _POSITION_ROUNDING = 1e-12  # rad (m)
 _MAX_REPAIRS = 20
+_MAX_SECTION_EXCESS = 0.2  # over the limits, by rounding in very short sections; the whole motion is slowed down for it
 _REPAIR_FACTOR = 0.8  # by which a repair lowers velocity and acceleration at a waypoint
 
 
@@ -99,7 +100,7 @@ class WaypointSearch:
 
     def _sections(self, v: Array, a: Array) -> list[Pieces]:
         states = [JointState(*state) for state in zip(self.q, v, a, strict=True)]
-        return [solve_pieces(self._solver, start, goal) for start, goal in pairwise(states)]
+        return [solve_pieces(self._solver, start, goal, _MAX_SECTION_EXCESS) for start, goal in pairwise(states)]
 
     def _evaluate(self, v: Array, a: Array) -> Candidate | None:
         """The motion with these velocities and accelerations (k, n) at the waypoints; None if ruckig finds none."""
