@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from armctl.collision.checkers import CollisionChecker, collision_checker
+from armctl.collision.checkers import collision_checker
 from armctl.core.errors import LimitError, PlanError
 from armctl.core.limits import check_speed
 from armctl.core.validation import Array, instance, number
 from armctl.motion import JointTrajectory, check_torque, move_through
 from armctl.robot.arm import Arm, check_arm
 from armctl.robot.dynamics import Dynamics
+
+if TYPE_CHECKING:
+    from armctl.collision.checker import CollisionChecker
 
 _PAYLOAD_PARAMETERS = 4  # mass and first moment
 _MAX_PAYLOAD_KG = 1e6
