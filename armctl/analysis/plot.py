@@ -15,7 +15,7 @@ from armctl.core.atomic import atomic_path, file_path
 from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.log import Log
 from armctl.core.target import TOLERANCE
-from armctl.core.validation import Array, instance
+from armctl.core.validation import Array, instance, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -168,7 +168,11 @@ def _check_overlay(logs: Sequence[Log], labels: Sequence[str] | None) -> None:
     _check(logs)
     if any(np.isnan(log.tip_ref).any() for log in logs):
         raise InputError("logs: one of them has no reference, so there is no tracking error to draw; use four_panels")
-    if labels is not None and (isinstance(labels, str) or len(labels) != len(logs)):
+    if labels is None:
+        return
+    if not isinstance(labels, Sequence) or isinstance(labels, str):
+        raise InputError(f"labels: {shown(labels)} given, a list of texts wanted")
+    if len(labels) != len(logs):
         raise InputError(f"labels: {len(labels)} given, {len(logs)} wanted, one for each log")
 
 

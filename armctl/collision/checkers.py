@@ -8,7 +8,8 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from armctl.core.validation import Array, IntArray
+from armctl.core.errors import InputError
+from armctl.core.validation import Array, IntArray, shown
 from armctl.mjmodel.queries import last_joint_above
 from armctl.robot.arm import Arm
 
@@ -50,6 +51,8 @@ def collision_checker(
     """
     from armctl.collision.checker import CollisionChecker  # loads numba
 
+    if not isinstance(allow, Iterable):
+        raise InputError(f"allow: {shown(allow)} given, pairs of names wanted")
     allow = tuple(allow)
     if qpos is not None or allow or held:
         return CollisionChecker(arm, qpos, allow, held)

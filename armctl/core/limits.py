@@ -32,7 +32,7 @@ class Limits:
     tau_max: Array
 
     def __post_init__(self) -> None:
-        n = np.size(self.q_min)
+        n = vector("q_min", self.q_min, finite=False).size
         for field in fields(self):
             value = vector(field.name, getattr(self, field.name), n, finite=False)
             if np.isnan(value).any():

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose
-from armctl.core.validation import Array, number, vector
+from armctl.core.validation import Array, number, shown, vector
 from armctl.motion.checks import planning_arm
 from armctl.motion.path.blending import Blend, Chained, Stretch
 from armctl.motion.path.geometry import Circle, Shape, Straight, Turn
@@ -152,8 +152,8 @@ def move_path(
         LimitError: q_start is outside the limits.
         PlanError: The path leaves the reach or the joint limits, or a motor cannot hold the arm on it.
     """
-    if isinstance(path, (Pose, str)) or not isinstance(path, Iterable):
-        raise InputError(f"path: {path!r} given, a list of lines, arcs, poses or points wanted")
+    if isinstance(path, (Pose, str)) or not isinstance(path, Iterable) or getattr(path, "shape", None) == ():
+        raise InputError(f"path: {shown(path)} given, a list of lines, arcs, poses or points wanted")
     parts = [part if isinstance(part, (Line, Arc)) else Line(part) for part in path]
     return _planned(arm, "move_path", q_start, parts, number("blend", blend, 0.0), speed, tip_speed, tip_angular_speed)
 

@@ -135,7 +135,8 @@ class Arm:
         given, low, high = vector(what, q, self.n), self.limits.q_min, self.limits.q_max
         if ((given >= low) & (given <= high)).all():
             return given
-        outside = (given < low - tolerance) | (given > high + tolerance)
+        margin = number("tolerance", tolerance, 0.0)
+        outside = (given < low - margin) | (given > high + margin)
         if outside.any():
             i = int(outside.argmax())
             name, unit = self.joint_names[i], self.units[i]
@@ -360,10 +361,13 @@ class Arm:
             ("coulomb_friction", coulomb_friction, model.dof_frictionloss),
             ("viscous_friction", viscous_friction, model.dof_damping),
         ):
-            added = vector(what, np.broadcast_to(value, self.n) if np.ndim(value) == 0 else value, self.n)
-            number(f"least {what}", added.min(), 0.0)
+            is_one = isinstance(value, (int, float)) or getattr(value, "ndim", 1) == 0
+            added = np.full(self.n, number(what, value, 0.0)) if is_one else vector(what, value, self.n)  # type: ignore[arg-type]
+            if added.min() < 0.0:
+                raise InputError(f"{what}: every value must be at least 0, got {added.min():g}")
             column[self.dof_adr] += added
-        if number("mass", mass, 0.0) > 0.0:
+        mass = number("mass", mass, 0.0)
+        if mass > 0.0:
             add_point_mass(model, self.tip_body, mass, self.T_body_tip.transform(vector("center", center, 3)))
         mujoco.mj_setConst(model, mujoco.MjData(model))
         body = build_pinocchio_model(

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from armctl.core.errors import InputError
-from armctl.core.validation import number
+from armctl.core.validation import instance, number
 from armctl.mjmodel.queries import body_name
 from armctl.robot.arm import Arm
 from armctl.sim.gripper_model import find_gripper_model, make_servos, pad_distance
@@ -82,8 +82,11 @@ class Gripper:
             hold: Runs the simulation for some seconds while the arm holds its position.
 
         Raises:
+            InputError: An argument of another type.
             ModelError: Nothing moves behind the arm's tip, or it is a hand of many actuators.
         """
+        instance("arm", arm, Arm, "armctl.load(name) gives one")
+        instance("stepper", stepper, Stepper, "sim.gripper is a gripper that is ready to use")
         self.model = find_gripper_model(arm)
         self._stepper = stepper
         self._hold = hold

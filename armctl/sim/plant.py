@@ -70,7 +70,8 @@ class Push:
 
     def acts(self, t: float) -> bool:
         """Tells whether the push acts at time t, s."""
-        return self.start <= t < self.start + self.duration
+        time = number("t", t)
+        return self.start <= time < self.start + self.duration
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,8 +202,9 @@ class Plant:
             A new model. All joints of the robot outside the chain, such as a gripper's, are braked.
 
         Raises:
-            InputError: Friction is given for another number of joints.
+            InputError: It is no arm, or friction is given for another number of joints.
         """
+        instance("arm", arm, Arm, "armctl.load(name) gives one")
         model = plant_model(self, [arm])
         brake(model, held_dofs(arm))
         return model

@@ -19,7 +19,7 @@ from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
 from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE, Target
 from armctl.core.trajectory import TickReference, Trajectory
-from armctl.core.validation import Array, number, shown, vector
+from armctl.core.validation import Array, instance, number, shown, vector
 from armctl.ik import solve_ik
 from armctl.loading.load import load
 from armctl.mjmodel.target_marker import TARGET, set_target, target_pose
@@ -75,6 +75,7 @@ class Simulation:
         self.arm = robot if isinstance(robot, Arm) else load(robot)
         law = ComputedTorque(self.arm) if controller is None else read_controller(controller, self.arm)
         self.plant = read_plant(plant)
+        instance("viewer", viewer, (bool, np.bool_), "True opens a page in the browser")
         self.viewer = hooks.open_viewer(self.arm) if viewer and hooks.open_viewer is not None else None
         self._arms = ControlledArms([self.arm], {self.arm.tip: law}, Stepper([self.arm], self.plant, self.viewer))
         self._gripper: Gripper | None = None

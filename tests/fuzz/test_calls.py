@@ -24,7 +24,7 @@ import armctl
 
 MAX_OTHER_ERRORS_SHARE = 0.001
 MAX_MESSAGE_CHARACTERS = 400
-MAX_CALL_S = 60
+MAX_CALL_S = 300  # a call that hangs; the first call of a compiled function takes some seconds
 CALLS_IN_SUITE = 1500
 CALLS_PER_WORLD = 250  # then all objects are made again, since a call may have moved or spoiled them
 
@@ -345,7 +345,6 @@ def fault_of(target: Target, args: list[object], kwargs: dict[str, object]) -> F
     return None
 
 
-@pytest.mark.xfail(reason="some public functions do not check all arguments yet", strict=False)
 @pytest.mark.usefixtures("no_windows")
 def test_hostile_calls_raise_armctl_errors_with_short_messages(
     fuzz_cases: Callable[[int], Iterator[np.random.Generator]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
