@@ -95,6 +95,14 @@ class PlanError(ArmctlError):
 class ArmctlWarning(UserWarning):
     """armctl had to assume something, such as a limit that the model does not specify."""
 
+    def __init__(self, message: object = "") -> None:
+        """A warning with a message, shortened as that of an ArmctlError.
+
+        Args:
+            message: One sentence.
+        """
+        super().__init__(_one_line(str(message)))
+
 
 def _one_line(message: str) -> str:
     """The message without line breaks; if it is too long, its beginning and its end, which says what to do."""

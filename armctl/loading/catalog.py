@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 BUNDLED = "robot_arm_3dof"
 _CONNECT_TIMEOUT_S = 3.0  # for the server of MuJoCo Menagerie
 _MAX_PATH_CHARACTERS = 120  # of a path in a message
+_REFERRING = ("actuators", "sensors", "equalities", "tendons", "pairs", "excludes", "keys", "skins")
 _MUJOCO_ERRORS = (ValueError, OSError, mujoco.FatalError, mujoco.UnexpectedError)
 
 
@@ -55,8 +56,7 @@ class Source:
             ModelError: MuJoCo cannot read it.
         """
         if self.path is None:
-            assert self.spec is not None
-            return self.spec.copy(), []
+            return self._copied_spec(), []
         try:
             if self.is_urdf:
                 return read_urdf(self.path)
@@ -78,6 +78,15 @@ class Source:
         except _MUJOCO_ERRORS as error:
             raise ModelError(f"{self._label}: MuJoCo cannot compile it: {_one_line(error)}") from None
         return model
+
+    def _copied_spec(self) -> mujoco.MjSpec:
+        """A copy of the caller's specification. MjSpec.copy silently drops elements that refer to others that do not exist."""
+        assert self.spec is not None
+        copy = self.spec.copy()
+        for kind in _REFERRING:
+            if len(getattr(copy, kind)) != len(getattr(self.spec, kind)):
+                raise ModelError(f"{self.name}: one of its {kind} refers to an element that the specification does not have")
+        return copy
 
     @property
     def _label(self) -> str:

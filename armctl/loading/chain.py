@@ -14,6 +14,7 @@ from armctl.mjmodel.queries import (
     Joints,
     actuator_name,
     body_name,
+    branch_counts,
     branches,
     is_below,
     is_free,
@@ -79,8 +80,9 @@ def all_chains(analysis: Transmissions) -> list[SerialChain]:
     model = analysis.model
     runs, refused = _drivable_runs(analysis)
     found: set[_Run] = set()
+    counts = branch_counts(model)
     for run in _longest(runs):
-        end = _end_of_arm(analysis, run.joints)
+        end = _end_of_arm(analysis, run.joints, counts)
         found.add(_Run(run.base, run.joints[:end]))
         found.add(_Run(int(model.jnt_bodyid[run.joints[end - 1]]), run.joints[end:]))
     kept = sorted(_longest({run for run in found if run.joints}), key=lambda run: (run.base, run.joints))
@@ -106,7 +108,8 @@ def find_chain(analysis: Transmissions, base: int = 0) -> Joints:
         ModelError: There is none, or several are equally long.
     """
     model = analysis.model
-    runs = {run[: _end_of_arm(analysis, run)] for run in _actuated_runs(analysis, base)}
+    counts = branch_counts(model)
+    runs = {run[: _end_of_arm(analysis, run, counts)] for run in _actuated_runs(analysis, base)}
     longest = max((len(run) for run in runs), default=0)
     if longest == 0:
         raise ModelError(_why_no_arm(analysis, base))
@@ -243,16 +246,16 @@ def _actuated_runs(analysis: Transmissions, base: int) -> set[Joints]:
     return {r for r in run.values() if r}
 
 
-def _end_of_arm(analysis: Transmissions, run: Joints) -> int:
-    """How many joints of a run come before its fingers."""
+def _end_of_arm(analysis: Transmissions, run: Joints, counts: list[int]) -> int:
+    """How many joints of a run come before its fingers; `counts` are the model's `branch_counts`."""
     model = analysis.model
     for before in range(1, len(run)):
         last = int(model.jnt_bodyid[run[before - 1]])
         following = int(model.jnt_bodyid[run[before]])
-        if last != following and len(run) - before < before and len(branches(model, last)) > 1:
+        if last != following and len(run) - before < before and counts[last] > 1:
             return before
     end = len(run)
-    if not run or branches(model, int(model.jnt_bodyid[run[-1]])):
+    if not run or counts[int(model.jnt_bodyid[run[-1]])]:
         return end  # it carries something that moves: a wrist, whatever its name
     while end > 0 and _is_jaw(analysis, run[end - 1]):
         end -= 1

@@ -110,6 +110,20 @@ def welded_behind(model: mujoco.MjModel, body: int) -> list[int]:
     return rigid
 
 
+def branch_counts(model: mujoco.MjModel) -> list[int]:
+    """(nbody,) the length of `branches` for every body that has joints of its own, in one pass."""
+    root = [0] * model.nbody  # of the welded piece that each body belongs to
+    counts = [0] * model.nbody
+    for body in range(1, model.nbody):
+        parent = int(model.body_parentid[body])
+        if model.body_jntnum[body]:
+            root[body] = body
+            counts[root[parent]] += 1
+        else:
+            root[body] = root[parent]
+    return counts
+
+
 def branches(model: mujoco.MjModel, body: int) -> list[int]:
     """The jointed bodies that hang on a body, or on what is welded to it."""
     rigid = welded_behind(model, body)

@@ -15,7 +15,7 @@ from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.log import Log
 from armctl.core.progress import progress_bar
 from armctl.core.validation import Array, choice, instance, number
-from armctl.mjmodel.target_marker import TARGET
+from armctl.mjmodel.target_marker import find_target, set_target
 from armctl.render.camera import fitted_camera
 from armctl.render.renderer import QUALITIES, Image, Renderer, check_size
 from armctl.robot.arm import Arm, check_arm
@@ -146,7 +146,7 @@ def film_path(path: str | os.PathLike[str]) -> Path:
 def images(logs: Sequence[Log], arm: Arm, times: Array, *, width: int, height: int, quality: str) -> Iterator[Image]:
     """Images of runs, each (height, width, 3), at times (k,) in s since the start of the first run."""
     model = copy.copy(arm.model)
-    model.geom_size[model.geom_bodyid == model.body(TARGET).id] *= _TARGET_SCALE
+    model.geom_size[model.geom_bodyid == find_target(model)] *= _TARGET_SCALE
     qpos = np.concatenate([log.qpos for log in logs])
     tip = np.concatenate([log.tip for log in logs])
     targets = np.repeat([_target(log) for log in logs], [len(log) for log in logs], axis=0)
@@ -191,10 +191,7 @@ def _state(arm: Arm, qpos: Array, target: Array) -> mujoco.MjData:
 
 
 def _pose(arm: Arm, data: mujoco.MjData, qpos: Array, target: Array) -> None:
-    mocap = arm.model.body_mocapid[arm.model.body(TARGET).id]
-    if mocap >= 0:
-        data.mocap_pos[mocap] = target[:3]
-        data.mocap_quat[mocap] = target[3:]
+    set_target(arm.model, data, target[:3], target[3:])
     data.qpos[:] = qpos
     mujoco.mj_kinematics(arm.model, data)
     mujoco.mj_comPos(arm.model, data)

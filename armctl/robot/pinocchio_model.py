@@ -73,6 +73,11 @@ class PinocchioModel:
         pin.framesForwardKinematics(self.pin_model, memory.data, q)
         return memory.tip
 
+    @property
+    def scratch(self) -> pin.Data:
+        """Pinocchio's scratch memory of this thread; what it holds is valid until this thread's next call."""
+        return self._memory.data
+
     @cached_property
     def _memory(self) -> _Memory:
         return _Memory(self.pin_model, self.tip_frame)

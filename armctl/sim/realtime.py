@@ -15,7 +15,7 @@ from armctl.core.pose import Pose
 from armctl.core.target import TOLERANCE, Target
 from armctl.core.validation import Array
 from armctl.ik import DifferentialIk, solve_ik
-from armctl.mjmodel.target_marker import TARGET
+from armctl.mjmodel.target_marker import find_target, target_pose
 from armctl.robot.arm import Arm
 from armctl.sim.clock import RealTimeClock
 from armctl.sim.gripper import Gripper
@@ -257,7 +257,9 @@ class RealTimeSession:
             self.gripper.reset()
         self._stepper.reset(arm.home, np.zeros(arm.n))
         self._guide.stand(arm.home)
-        start = self._stepper.data.xpos[self._stepper.model.body(TARGET).id]
+        stepper = self._stepper
+        has_target = find_target(stepper.model) is not None
+        start = target_pose(stepper.model, stepper.data).position if has_target else stepper.tip.position
         self._steer(solve_ik(arm, start, arm.home).q)
         self.steered = False
         self._look(arm.home)

@@ -11,8 +11,7 @@ import time
 import mujoco
 
 from armctl.core.errors import NotInstalledError
-from armctl.core.pose import Pose
-from armctl.mjmodel.target_marker import TARGET
+from armctl.mjmodel.target_marker import find_target, is_movable, read_target, set_target
 from armctl.robot.arm import Arm
 from armctl.sim.realtime import RealTimeSession
 
@@ -36,9 +35,8 @@ def view_natively(arm: Arm, controller: str) -> None:
     import mujoco.viewer
 
     session, model, data = RealTimeSession(arm, controller), arm.model, mujoco.MjData(arm.model)
-    mocap = model.body_mocapid[model.body(TARGET).id]
     _show(session, model, data)
-    data.mocap_pos[mocap], data.mocap_quat[mocap] = session.target.position, session.target.quat
+    set_target(model, data, session.target.position, session.target.quat)
     session.start()
     others = set(threading.enumerate())
     try:
@@ -46,10 +44,10 @@ def view_natively(arm: Arm, controller: str) -> None:
             contextlib.suppress(KeyboardInterrupt),
             mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False) as window,
         ):
-            window.perturb.select = model.body(TARGET).id
+            window.perturb.select = find_target(model) or 0
             while window.is_running():
                 with window.lock():
-                    wanted = Pose(data.mocap_pos[mocap], quat=data.mocap_quat[mocap])
+                    wanted = read_target(model, data) if is_movable(model) else session.target
                     _show(session, model, data)
                 if wanted != session.target:
                     session.aim(wanted)

@@ -17,7 +17,7 @@ import numpy as np
 
 from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.validation import Array
-from armctl.mjmodel.target_marker import TARGET
+from armctl.mjmodel.target_marker import find_target
 from armctl.render.camera import axes, fitted_camera
 from armctl.robot.arm import Arm
 from armctl.viewer.mesh_decimation import decimated
@@ -158,8 +158,11 @@ class WebScene:
     def _look_at(self, arm: Arm) -> None:
         self._data.qpos[:] = arm.home_qpos
         mujoco.mj_kinematics(self._model, self._data)
-        target = self._data.xpos[self._model.body(TARGET).id]
-        view = fitted_camera(arm, [self._data], np.array([arm.fk(arm.home).position, target]), 0.8)
+        points = [arm.fk(arm.home).position]
+        target = find_target(self._model)
+        if target is not None:
+            points.append(self._data.xpos[target])
+        view = fitted_camera(arm, [self._data], np.array(points), 0.8)
         forward, _, _ = axes(*np.radians([view.azimuth, view.elevation]))
         ratio = np.tan(np.radians(self._model.vis.global_.fovy) / 2) / np.tan(np.radians(_FIELD_OF_VIEW) / 2)
         camera = self.server.initial_camera
