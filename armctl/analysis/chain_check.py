@@ -100,8 +100,8 @@ def check_chain(arm: Arm, base: str, poses: int) -> ChainCheck:
     solved = solve_ik_batch(arm, targets)
     goal, note = _goal_near_home(arm)
     motion = move_j(arm, arm.home, goal)
-    pd = simulate(arm, "pd", motion, **_NO_DWELL)
-    computed_torque = simulate(arm, "computed-torque", motion, **_NO_DWELL)
+    pd = simulate(arm, "pd", motion, None, 0.0)
+    computed_torque = simulate(arm, "computed-torque", motion, None, 0.0)
     error = float(np.abs(computed_torque.q - computed_torque.q_ref).max())
     if not note and error > EXACT_TRACKING and not arm.joint_map.is_plain and not _is_rigid(arm):
         note = "an equality of the model ties joints to each other, and gives way"
