@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armctl.collision.checker import collision_checker
+from armctl.collision.checkers import collision_checker
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, BoolArray
 from armctl.ik.batch import solve_ik_batch
@@ -16,7 +16,7 @@ from armctl.loading.load import chains, load_arms
 from armctl.motion.move_j import move_j
 from armctl.robot.arm import Arm
 from armctl.robot.parity import PARITY_TOLERANCE, check_parity
-from armctl.sim.simulation import simulate
+from armctl.sim.simulate import simulate
 
 EXACT_TRACKING = 1e-6  # rad, m: computed torque in its own model
 EXPLAINED_TRACKING = 5e-3  # rad, m: with a reason, such as an equality that gives way
@@ -100,8 +100,8 @@ def check_chain(arm: Arm, base: str, poses: int) -> ChainCheck:
     solved = solve_ik_batch(arm, targets)
     goal, note = _goal_near_home(arm)
     motion = move_j(arm, arm.home, goal)
-    pd = simulate(arm, "pd", motion, None, 0.0)
-    computed_torque = simulate(arm, "computed-torque", motion, None, 0.0)
+    pd = simulate(arm, "pd", motion, dwell=0.0)
+    computed_torque = simulate(arm, "computed-torque", motion, dwell=0.0)
     error = float(np.abs(computed_torque.q - computed_torque.q_ref).max())
     if not note and error > EXACT_TRACKING and not arm.joint_map.is_plain and not _is_rigid(arm):
         note = "an equality of the model ties joints to each other, and gives way"

@@ -234,7 +234,7 @@ def test_a_slide_joint_is_spoken_of_in_newtons_and_metres(tmp_path: Path):
     report = armctl.Report.from_log(log)
     assert re.search(r"RMS \S+ m, max \S+ m\n", str(report))
     assert re.search(r"chatter \S+ N$", str(report))
-    assert "joint RMS, m |" in armctl.analysis.report.table([report]).replace("  ", "")
+    assert "joint RMS, m |" in armctl.table([report]).replace("  ", "")
     report.plot(tmp_path / "log.svg")
     assert {"joint position, m; dashed: reference", "motor torque, N"} <= set(
         re.findall(r"<!-- (.*?) -->", (tmp_path / "log.svg").read_text())
