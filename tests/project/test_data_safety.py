@@ -1,0 +1,144 @@
+"""Files survive kill -9 and a full disk: the old file or the new one remains, complete, and a message names the file.
+
+The file runs itself as a program that forks: `python test_data_safety.py TRIAL GROUP SEED FOLDER`.
+"""
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import armctl
+from armctl.analysis.comparison_html import write_comparison
+from armctl.render.gl import gl_context
+
+KILLS = 4
+LONGEST_DELAY_S = 0.5
+
+
+def comparison(log: armctl.Log, path: Path) -> None:
+    write_comparison([armctl.Report.from_log(log)], path.parent, "A motion")
+
+
+def film(log: armctl.Log, path: Path) -> None:
+    armctl.record(log, armctl.load("robot_arm_3dof"), path, width=96, height=64, speed=4.0)
+
+
+def still(log: armctl.Log, path: Path) -> None:
+    armctl.still(log, armctl.load("robot_arm_3dof"), path, width=96, height=64)
+
+
+WRITERS: dict[str, Callable[[armctl.Log, Path], object]] = {
+    "run.npz": lambda log, path: log.save(path),
+    "run.csv": lambda log, path: log.save(path),
+    "plot.png": lambda log, path: armctl.four_panels(log, path),
+    "plot.svg": lambda log, path: armctl.overlay([log], path),
+    "comparison.html": comparison,
+    "comparison.json": comparison,
+    "film.gif": film,
+    "film.mp4": film,
+    "still.png": still,
+}
+
+
+def two_logs() -> list[armctl.Log]:
+    arm = armctl.load("robot_arm_3dof")
+    return [armctl.simulate(arm, name, armctl.move_j(arm, arm.home, arm.home + 0.05)) for name in ("pd", "computed-torque")]
+
+
+def survive_kills(kind: str, logs: list[armctl.Log], seed: int, folder: Path) -> None:
+    """Forked processes write two versions in turn and are killed at random moments."""
+    write = WRITERS[kind]
+    versions = whole_files(kind, logs, folder)
+    path = folder / "used" / kind
+    write(logs[0], path)
+    rng = np.random.default_rng(seed)
+    for _ in range(KILLS):
+        process = os.fork()
+        if process == 0:
+            while True:
+                for log in reversed(logs):
+                    write(log, path)
+        time.sleep(LONGEST_DELAY_S * rng.random())
+        os.kill(process, 9)
+        os.waitpid(process, 0)
+        assert path.read_bytes() in versions, "the file is neither the old one nor the new one"
+    print("survived", flush=True)
+
+
+def survive_a_full_disk(kind: str, logs: list[armctl.Log], seed: int, folder: Path) -> None:
+    """A limit on the size of files stops the writer at a random byte, as a full disk does."""
+    import resource
+
+    write = WRITERS[kind]
+    versions = whole_files(kind, logs, folder)
+    path = folder / "used" / kind
+    write(logs[0], path)
+    rng = np.random.default_rng(seed)
+    before = sorted(path.parent.iterdir())
+    for limit in [0, 1, *rng.integers(2, min(map(len, versions)), 3).tolist()]:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+        try:
+            write(logs[1], path)
+        except armctl.ArmctlError as error:
+            message = str(error)
+        else:
+            message = "no error"
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+        assert message.endswith(": cannot be written: File too large"), message
+        assert str(path.with_suffix("")) in message
+        assert path.read_bytes() == versions[0], "the old file is damaged"
+        assert sorted(path.parent.iterdir()) == before, "a temporary file is left"
+    print("survived", flush=True)
+
+
+def whole_files(kind: str, logs: list[armctl.Log], folder: Path) -> list[bytes]:
+    files = []
+    for k, log in enumerate(logs):
+        path = folder / str(k) / kind
+        WRITERS[kind](log, path)
+        files.append(path.read_bytes())
+    assert files[0] != files[1]
+    return files
+
+
+GROUPS = {
+    "logs": ["run.npz", "run.csv"],
+    "plots and pages": ["plot.png", "plot.svg", "comparison.html", "comparison.json"],
+    "films": ["film.gif", "film.mp4", "still.png"],
+}
+TRIALS = {"kill": survive_kills, "full disk": survive_a_full_disk}
+
+
+def can_draw() -> bool:
+    try:
+        gl_context(16, 16).free()
+    except armctl.NotInstalledError:
+        return False
+    return True
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
+@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize("trial", TRIALS)
+def test_files_survive(tmp_path, trial: str, group: str):
+    if group == "films":
+        pytest.importorskip("av", reason="no encoder")
+        if not can_draw():
+            pytest.skip("no OpenGL without a screen")
+    command = [sys.executable, __file__, trial, group, "1", str(tmp_path)]
+    environment = os.environ | {"PYTHONPATH": ":".join(sys.path), "MPLBACKEND": "agg"}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, env=environment)
+    assert done.stdout == "survived\n" * len(GROUPS[group]), done.stderr[-2000:]
+
+
+if __name__ == "__main__":
+    two = two_logs()
+    for each in GROUPS[sys.argv[2]]:
+        TRIALS[sys.argv[1]](each, two, int(sys.argv[3]), Path(sys.argv[4]) / each)
