@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
         film_path(args.video)
     simulation = Simulation(load_arm(args), args.controller)
     target = simulation.target if args.target is None else _target(args.target)
-    result = simulation.move_to(target, **({} if speed == 1.0 else {"speed": speed}))
+    result = simulation.move_to(target, speed=speed)
     if result.log is None:
         figures = {"ok": False, "verdict": str(result), "robot": args.robot, "controller": args.controller}
         print_result(args, str(result), figures)

@@ -211,6 +211,15 @@ def test_half_the_speed_takes_twice_as_long(capsys):
     assert times[1] == pytest.approx(2 * times[0], abs=0.01)
 
 
+def test_reach_takes_a_speed(capsys):
+    durations = []
+    for speed in ("1", "0.5"):
+        status, out, err = run(capsys, "reach", BUNDLED, "--speed", speed, "--json")
+        assert status == 0, err
+        durations.append(json.loads(out)["duration_s"])
+    assert durations[1] > 1.5 * durations[0]
+
+
 def test_compare_refuses_what_it_does_not_know(capsys):
     assert run(capsys, "compare", BUNDLED, "--plants", "paylod=1")[0] == 2
     assert run(capsys, "compare", BUNDLED, "--controllers", "pdd")[0] == 2

@@ -66,7 +66,7 @@ def use_trajectory(path: Path) -> None:
     motion.check_limits()
 
 
-USES = {"log": use_log}
+USES = {"log": use_log, "trajectory": use_trajectory}
 
 
 def damaged_bytes(whole: bytes, rng: np.random.Generator) -> bytes:

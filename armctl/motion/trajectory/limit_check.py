@@ -47,6 +47,14 @@ class Peak:
             return self.ratio <= 1.0 or abs(self.value - self.bound) <= POSITION_TOLERANCE
         return self.ratio <= 1 + RATIO_TOLERANCE
 
+    @property
+    def reason(self) -> str:
+        """Which limit is exceeded; empty if `ok`."""
+        return "" if self.ok else str(self)
+
+    def __bool__(self) -> bool:
+        return self.ok
+
     def __str__(self) -> str:
         return (
             f"{self.joint}: {self.quantity} {self.value:.6g} {self.unit} at {self.time:.4f} s, "
