@@ -21,6 +21,7 @@ import pinocchio as pin
 import armctl
 from armctl.analysis.comparison import out_and_back
 from armctl.analysis.iso9283 import iso9283_cycles
+from armctl.analysis.tables import Table
 from armctl.cli.plants import plant_by_name
 from armctl.control import CONTROLLERS, controller_by_name
 from armctl.core.trajectory import TickReference
@@ -52,8 +53,7 @@ def main() -> None:
 
 
 def table(title: str, columns: list[str], rows: list) -> str:
-    head = [f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}"]
-    return "\n".join([f"**{title}**", "", *head, *(f"| {' | '.join(map(str, row))} |" for row in rows)])
+    return f"**{title}**\n\n{Table(columns, rows).markdown()}"
 
 
 def quintic(arm: armctl.Arm) -> JointTrajectory:

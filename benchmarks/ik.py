@@ -18,6 +18,7 @@ import numpy as np
 
 import armctl
 from armctl import Arm, Pose
+from armctl.analysis.tables import Table
 from armctl.core.jit import njit
 from armctl.ik import DifferentialIk, solve_ik, solve_ik_batch
 
@@ -40,12 +41,12 @@ class Score:
     times: list[float] = field(default_factory=list)
 
 
-def row(scores: list[Score]) -> str:
+def row(scores: list[Score]) -> list[str]:
     """The least share of solved targets in any race, and the median over the races of the median and the 99th percentile."""
     ms, count = 1e3 * np.array([score.times for score in scores]), len(scores[0].times)
     share = 100 * min(score.solved for score in scores) / count
     median, rare = (np.median(np.percentile(ms, q, axis=1)) for q in (50, 99))
-    return f"{share:.2f} % of {count} | {median:.3f} | {rare:.3f}"
+    return [f"{share:.2f} % of {count}", f"{median:.3f}", f"{rare:.3f}"]
 
 
 def armctl_solver(arm: Arm) -> Solver:
@@ -223,8 +224,9 @@ def main() -> None:
     parser.add_argument("--arms", nargs="*", default=ARMS)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
-    table = ["| arm | solver | solved | median ms | p99 ms | solved at joint limits |", "|---|---|---|---|---|---|"]
-    columns = [
+    solver_columns = ["arm", "solver", "solved", "median ms", "p99 ms", "solved at joint limits"]
+    solver_rows = []
+    rate_columns = [
         "arm",
         "batch, solves/s",
         "two threads, times",
@@ -232,8 +234,8 @@ def main() -> None:
         "far out of reach, ms",
         "just out, ms",
     ]
-    columns += ["jumps of warm starts", "mink step, us", "following, us"]
-    more = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
+    rate_columns += ["jumps of warm starts", "mink step, us", "following, us"]
+    rate_rows = []
     for name in options.arms:
         arm = armctl.load(name)
         judge, rng = Judge(arm), np.random.default_rng(2)
@@ -245,13 +247,13 @@ def main() -> None:
         at_limits = race(solvers, judge, poses(arm, options.limit_poses, True, rng))
         for label in solvers:
             limits = at_limits[label]
-            table.append(
-                f"| {name} | {label} | {row([scores[label] for scores in anywhere])} | {limits.solved} of {len(limits.times)} |"
-            )
+            figures = row([scores[label] for scores in anywhere])
+            solver_rows.append([name, label, *figures, f"{limits.solved} of {len(limits.times)}"])
         for label in makers.keys() - solvers.keys():
-            table.append(f"| {name} | {label} | not installed | | | |")
-        more.append(f"| {name} | " + " | ".join(rates(arm, targets)) + " |")
-    text = "\n".join([*table, "", *more, ""])
+            solver_rows.append([name, label, "not installed", "", "", ""])
+        rate_rows.append([name, *rates(arm, targets)])
+    tables = Table(solver_columns, solver_rows), Table(rate_columns, rate_rows)
+    text = "\n\n".join(table.markdown() for table in tables) + "\n"
     print(text)
     RESULTS.parent.mkdir(exist_ok=True)
     RESULTS.write_text(text, encoding="utf-8")

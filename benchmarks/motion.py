@@ -21,6 +21,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 import armctl
+from armctl.analysis.tables import Table
 from armctl.motion import JointTrajectory, move_path
 from armctl.motion.timing.waypoint_timing import WaypointSearch
 
@@ -54,8 +55,7 @@ def untiring(arm: armctl.Arm, jerk: float = 1.0) -> armctl.Arm:
 
 
 def table(title: str, columns: list[str], rows: list) -> str:
-    head = [f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}"]
-    return "\n".join([f"**{title}**", "", *head, *(f"| {' | '.join(map(str, row))} |" for row in rows)])
+    return f"**{title}**\n\n{Table(columns, rows).markdown()}"
 
 
 # Waypoints

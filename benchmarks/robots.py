@@ -15,6 +15,7 @@ import mujoco_menagerie as menagerie
 
 import armctl
 from armctl.analysis.chain_check import GOAL_DISTANCE, ChainCheck, arms_of, check_chain
+from armctl.analysis.tables import Table
 from armctl.loading.catalog import BUNDLED
 
 PAGE = Path(__file__).parent.parent / "docs" / "robots.md"
@@ -29,17 +30,13 @@ Every serial chain of the robots that were installed when this page was made, by
 - Joints in brackets follow the one before them: an equality ties them to it.
 
 """
-COLUMNS = (
-    "| base to tip | joints | torque limits | speed limits | parity | IK | PD, rad | computed torque, rad | |\n"
-    + "|---" * 9
-    + "|\n"
-)
+COLUMNS = ("base to tip", "joints", "torque limits", "speed limits", "parity", "IK", "PD, rad", "computed torque, rad", "")
 
 
-def row(check: ChainCheck) -> str:
-    """A chain as a row of the table."""
+def row(check: ChainCheck) -> list[str]:
+    """The cells of a chain."""
     arm = check.arm
-    cells = [
+    return [
         f"{check.base} to {arm.tip}",
         joints_of(arm),
         arm.sources["tau_max"],
@@ -50,7 +47,6 @@ def row(check: ChainCheck) -> str:
         f"{check.computed_torque_error:.0e}",
         check.tracking_note or check.reason,
     ]
-    return f"| {' | '.join(cells)} |"
 
 
 def joints_of(arm: armctl.Arm) -> str:
@@ -79,7 +75,7 @@ def page(poses: int) -> str:
         refused = [chain for chain in armctl.chains(robot) if not chain.ok]
         text += f"## {robot}\n\n"
         if rows:
-            text += COLUMNS + "".join(f"{line}\n" for line in rows) + "\n"
+            text += Table(COLUMNS, rows).markdown() + "\n\n"
         if refused:
             text += "Refused, with the reason:\n\n"
             text += "".join(f"- {chain.reason}\n" for chain in refused) + "\n"

@@ -23,6 +23,7 @@ import numpy as np
 from PIL import Image
 
 import armctl
+from armctl.analysis.tables import Table
 from armctl.core.pose import Pose
 from armctl.render import Renderer
 from armctl.render.camera import fitted_camera
@@ -130,11 +131,8 @@ def main() -> None:
             " / ".join(f"{t:.1f}" for t in usable) + " s",
         ),
     ]
-    table = [
-        f"| {args.robot}, software OpenGL, {os.cpu_count()} cores | target | measured |",
-        "| --- | --- | --- |",
-    ]
-    text = "\n".join(table + [f"| {' | '.join(row)} |" for row in rows]) + "\n"
+    columns = (f"{args.robot}, software OpenGL, {os.cpu_count()} cores", "target", "measured")
+    text = Table(columns, rows).markdown() + "\n"
     print(text)
     args.out.parent.mkdir(parents=True, exist_ok=True)
     args.out.write_text(text, encoding="utf-8")

@@ -73,8 +73,11 @@ def run(args: argparse.Namespace) -> int:
     runs = len(plants) * len(controllers)
     workers = min(args.workers, runs // _RUNS_PER_WORKER + 1)
     with progress_bar("compare", runs, "runs") as bar:
-        motion = out_and_back(arm, speed=speed)
-        reports = compare(arm, controllers, motion, plants, workers=workers, progress=lambda *_: bar.update())
+
+        def advance(done: int, total: int) -> None:
+            bar.update()
+
+        reports = compare(arm, controllers, out_and_back(arm, speed=speed), plants, workers=workers, progress=advance)
     print_result(args, "\n".join([*remarks(reports), table(reports)]), [r.to_dict() for r in reports])
     if args.save:
         for report, prefix in zip(reports, _file_prefixes(reports), strict=True):

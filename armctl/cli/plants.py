@@ -1,4 +1,4 @@
-"""Plants by name, as the command line takes them: `payload=1`, `friction`, `delay=2`, `noise`, or all at once."""
+"""Plants by name, for the command line: `payload=1`, `friction`, `delay=2`, `noise`, or all at once."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ from armctl.core.validation import number
 from armctl.robot.arm import Arm
 from armctl.sim.plant import NOMINAL, Plant
 
-_ENCODER_NOISE, _VELOCITY_NOISE = 1e-5, 1e-3  # rad, rad/s
-_FRICTION = 0.02  # of the torque limit, dry; and half of that for each rad/s
+_ENCODER_NOISE_RAD = 1e-5
+_VELOCITY_NOISE_RAD_S = 1e-3
+_FRICTION = 0.02  # Coulomb friction as a fraction of the torque limit; viscous friction is half of that per rad/s
 _DEFAULT = {"payload": 1.0, "mass": 1.2, "friction": _FRICTION, "delay": 2.0, "noise": 1.0, "ripple": 0.02}
 PLANTS = {
-    "nominal": "as the model says",
-    "payload": "kg that no controller knows of (1)",
+    "nominal": "the model",
+    "payload": "mass at the tip that no controller knows, kg (1)",
     "mass": "factor on the links' masses (1.2)",
-    "friction": "dry friction, share of the torque limit, and half as much a rad/s viscous (0.02)",
-    "delay": "ticks by which commands come late (2)",
-    "noise": "times 1e-5 rad and 1e-3 rad/s on what is measured (1)",
-    "ripple": "share of the torque (0.02)",
-    "continuous": "near-continuous motion between ticks",
+    "friction": "Coulomb friction as a fraction of the torque limit, and half as much viscous friction per rad/s (0.02)",
+    "delay": "delay of commands, ticks (2)",
+    "noise": "noise of measurements, times 1e-5 rad and 1e-3 rad/s (1)",
+    "ripple": "torque ripple as a fraction of the torque (0.02)",
+    "continuous": "nearly continuous motion between ticks",
     "all": "payload, mass, friction, delay and noise at once",
 }
 
@@ -29,7 +30,7 @@ def plant_by_name(text: str, arm: Arm, timestep: float | None = None) -> Plant:
     """A plant from words such as "payload=1" or "payload=0.5+delay=1".
 
     Args:
-        text: Names of `PLANTS`, joined with "+", each with a value where one is wanted.
+        text: Names from `PLANTS`, joined with "+", with "=" and a value, or without for the default.
         arm: The arm, whose torque limits friction is measured by.
         timestep: s, the tick; None for the model's.
 
@@ -53,10 +54,13 @@ def plant_by_name(text: str, arm: Arm, timestep: float | None = None) -> Plant:
 
 
 def _value(name: str, text: str) -> float:
+    if not text:
+        return _DEFAULT.get(name, 0.0)
     try:
-        return number(f"plant {name}", float(text) if text else _DEFAULT.get(name, 0.0))
-    except ValueError as error:
-        raise error if isinstance(error, InputError) else InputError(f"plant {name}: {text!r} is not a number") from None
+        value = float(text)
+    except ValueError:
+        raise InputError(f"plant {name}: {text!r:.80} is not a number") from None
+    return number(f"plant {name}", value)
 
 
 def _with(plant: Plant, name: str, value: float, arm: Arm) -> Plant:
@@ -64,7 +68,7 @@ def _with(plant: Plant, name: str, value: float, arm: Arm) -> Plant:
         dry = value * arm.limits.tau_max
         return replace(plant, coulomb_friction=dry, viscous_friction=0.5 * dry)
     if name == "noise":
-        return replace(plant, encoder_noise=value * _ENCODER_NOISE, velocity_noise=value * _VELOCITY_NOISE)
+        return replace(plant, encoder_noise=value * _ENCODER_NOISE_RAD, velocity_noise=value * _VELOCITY_NOISE_RAD_S)
     field = {"payload": "payload", "mass": "mass_scale", "delay": "delay", "ripple": "torque_ripple"}.get(name)
     if field is not None:
         return replace(plant, **{field: value})

@@ -202,6 +202,7 @@ def _pose(arm: Arm, data: mujoco.MjData, qpos: Array, target: Array) -> None:
 
 def _write_mp4(path: Path, frames: Iterable[Image], frames_per_second: int, width: int, height: int) -> None:
     import av
+    from av.error import FFmpegError
 
     try:
         with av.open(path, "w") as container:
@@ -213,7 +214,7 @@ def _write_mp4(path: Path, frames: Iterable[Image], frames_per_second: int, widt
             for image in frames:
                 container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")))
             container.mux(stream.encode())
-    except av.error.FFmpegError as error:  # such as a full disk
+    except FFmpegError as error:  # such as a full disk
         raise OSError(error.errno, error.strerror) from None
 
 
