@@ -1,8 +1,8 @@
-"""Controllers on plants that differ: tracking, ISO 9283, identification, and what a tick costs.
+"""Controllers on different plants: tracking, ISO 9283, identification, and the time of a tick.
 
     python benchmarks/control.py [--out benchmarks/results/control.md]
 
-All at 1 ms. Each joint moves 0.6 rad (less where something is in the way) and back in 2 s each, on quintics.
+All at 1 ms. Each joint moves 0.6 rad (less if the path is blocked) and back in 2 s each, on quintics.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from armctl.core.trajectory import TickReference
 from armctl.motion import JointTrajectory
 
 ROBOTS = ("panda", "ur5e", "iiwa14", "xarm7")
-TICK = 0.001  # s
-LEG = 2.0  # s
+TICK_S = 0.001
+LEG_S = 2.0
 PLANTS = {"nominal": "nominal", "continuous": "near-continuous", "payload=1": "1 kg unknown", "all": "everything at once"}
 TARGETS = {  # joint RMS, rad, of computed torque with an observer
     ("1 kg unknown", "iiwa14"): "1e-3",
@@ -57,21 +57,25 @@ def table(title: str, columns: list[str], rows: list) -> str:
 
 
 def quintic(arm: armctl.Arm) -> JointTrajectory:
-    """Out and back, on the way that `armctl compare` takes, each leg a rest-to-rest quintic."""
+    """Out and back on the path of `armctl compare`, each leg a rest-to-rest quintic."""
     way = out_and_back(arm)
     there = way(0.5 * way.duration).q - arm.home
     leg = np.zeros((6, arm.n))
-    leg[3], leg[4], leg[5] = 10 * there / LEG**3, -15 * there / LEG**4, 6 * there / LEG**5
-    out, back = leg.copy(), -leg
-    out[0], back[0] = arm.home, arm.home + there
-    return JointTrajectory(LEG * np.arange(3), np.stack([out, back]), arm.joint_names, arm.limits)
+    leg[3] = 10 * there / LEG_S**3
+    leg[4] = -15 * there / LEG_S**4
+    leg[5] = 6 * there / LEG_S**5
+    out = leg.copy()
+    out[0] = arm.home
+    back = -leg
+    back[0] = arm.home + there
+    return JointTrajectory(LEG_S * np.arange(3), np.stack([out, back]), arm.joint_names, arm.limits)
 
 
 def tracking(arms: dict[str, armctl.Arm]) -> str:
     rows = []
     for words, plant in PLANTS.items():
         reports = {
-            robot: armctl.compare(arm, list(CONTROLLERS), quintic(arm), [plant_by_name(words, arm, TICK)])
+            robot: armctl.compare(arm, list(CONTROLLERS), quintic(arm), [plant_by_name(words, arm, TICK_S)])
             for robot, arm in arms.items()
         }
         for i, name in enumerate(CONTROLLERS):
@@ -84,12 +88,12 @@ def shown(report: armctl.Report) -> str:
 
 
 def observed(arms: dict[str, armctl.Arm]) -> str:
-    """The figures that are promised, beside what is promised."""
+    """The error of computed torque on each plant, beside its target."""
     rows = []
     for robot, arm in arms.items():
         for words, plant in PLANTS.items():
             name = "computed-torque" if words in ("nominal", "continuous") else "computed-torque-observer"
-            report = armctl.compare(arm, [name], quintic(arm), [plant_by_name(words, arm, TICK)])[0]
+            report = armctl.compare(arm, [name], quintic(arm), [plant_by_name(words, arm, TICK_S)])[0]
             target = TARGETS.get((plant, robot), TARGETS.get((plant, ""), ""))
             if words in ("nominal", "continuous"):
                 target = "max 1e-9" if words == "nominal" else "max 5e-7"
@@ -100,7 +104,8 @@ def observed(arms: dict[str, armctl.Arm]) -> str:
 
 
 def iso(panda: armctl.Arm) -> str:
-    nominal, loaded = (armctl.Plant(encoder_noise=1e-5, payload=mass, timestep=TICK) for mass in (0.0, 1.0))
+    nominal = armctl.Plant(encoder_noise=1e-5, timestep=TICK_S)
+    loaded = replace(nominal, payload=1.0)
     log = armctl.simulate(panda, "computed-torque-observer", armctl.excitation(panda), loaded)
     known = armctl.identify_payload(panda, log).applied_to(panda)
     rows = []
@@ -119,17 +124,18 @@ def iso(panda: armctl.Arm) -> str:
 
 
 def identification(arms: dict[str, armctl.Arm]) -> str:
-    rows, rng = [], np.random.default_rng(0)
+    rows = []
+    rng = np.random.default_rng(0)
     for robot, arm in arms.items():
         motion = armctl.excitation(arm, payload=2.0)
         row = [robot, f"{motion.duration:.1f}"]
         for words in ("", "+friction+noise"):
             errors = []
             for mass in (0.5, 1.0, 2.0):
-                plant = replace(plant_by_name(f"payload={mass}{words}", arm, TICK), payload_center=[0.02, 0.01, 0.05])
+                plant = replace(plant_by_name(f"payload={mass}{words}", arm, TICK_S), payload_center=[0.02, 0.01, 0.05])
                 log = armctl.simulate(arm, "computed-torque-observer", motion, plant)
-                noise = (s * rng.standard_normal(log.q.shape) for s in (plant.encoder_noise, plant.velocity_noise))
-                q, v = (x + e for x, e in zip((log.q, log.v), noise, strict=True))
+                q = log.q + plant.encoder_noise * rng.standard_normal(log.q.shape)
+                v = log.v + plant.velocity_noise * rng.standard_normal(log.v.shape)
                 found = armctl.identify_payload(arm, replace(log, q=q, v=v))
                 errors.append(abs(found.mass / mass - 1) if found.ok else np.nan)
             row.append(f"{100 * max(errors):.2f}")
@@ -147,18 +153,24 @@ def speed(arms: dict[str, armctl.Arm]) -> str:
 
 
 def speed_of(name: str, arm: armctl.Arm) -> list:
-    controller, pd, motion, plant = armctl.ComputedTorque(arm), armctl.PD(arm), quintic(arm), armctl.Plant(timestep=TICK)
+    controller = armctl.ComputedTorque(arm)
+    pd = armctl.PD(arm)
+    motion = quintic(arm)
+    plant = armctl.Plant(timestep=TICK_S)
     ticks = len(armctl.simulate(arm, controller, motion, plant))
     model = plant.model(arm)
-    data, step = mujoco.MjData(model), mujoco.mj_step
-    reference = TickReference.of(motion, TICK, 1000)
+    data = mujoco.MjData(model)
+    step = mujoco.mj_step
+    reference = TickReference.of(motion, TICK_S, 1000)
     setpoint = armctl.Setpoint(*(column[500].copy() for column in reference))
-    state = armctl.State(setpoint.q, setpoint.v, 0.5, TICK)
-    pin_model, pin_data = arm.pinocchio_model.pin_model, arm.pinocchio_model.pin_model.createData()
+    state = armctl.State(setpoint.q, setpoint.v, 0.5, TICK_S)
+    pin_model = arm.pinocchio_model.pin_model
+    pin_data = pin_model.createData()
 
     def bare() -> None:
         mujoco.mj_resetData(model, data)
-        data.qpos[:], data.ctrl[:] = arm.home_qpos, arm.home_ctrl
+        data.qpos[:] = arm.home_qpos
+        data.ctrl[:] = arm.home_ctrl
         for _ in range(ticks):
             step(model, data)
 
@@ -180,8 +192,11 @@ def speed_of(name: str, arm: armctl.Arm) -> list:
     for _ in range(15):
         for what in best:
             best[what] = min(best[what], seconds(what))
-    rnea_us, tick_us = 1e3 * best[rnea], 1e3 * best[tick]
-    bare_us, simulated_us, pd_us = (1e6 * best[what] / ticks for what in (bare, simulated, simulated_pd))
+    rnea_us = 1e3 * best[rnea]
+    tick_us = 1e3 * best[tick]
+    bare_us = 1e6 * best[bare] / ticks
+    simulated_us = 1e6 * best[simulated] / ticks
+    pd_us = 1e6 * best[simulated_pd] / ticks
     figures = [rnea_us, tick_us, tick_us / rnea_us, bare_us, simulated_us, simulated_us / bare_us, pd_us, pd_us / bare_us]
     return [name, *(f"{x:.2f}" for x in figures)]
 

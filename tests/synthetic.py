@@ -47,7 +47,8 @@ def tendon(**coefficients: float) -> str:
 
 
 PULL = '<motor name="m" tendon="cable" gear="3" ctrlrange="-20 20"/>'
-HAND, GEARED = limb("a b", FINGERS), limb("a", limb("b c") + limb("drive"))
+HAND = limb("a b", FINGERS)
+GEARED = limb("a", limb("b c") + limb("drive"))
 SLIDES = limb("a s t u b").replace('name="s" axis="0 1 0"', 'name="s" type="slide" axis="1 0 0"')
 SLIDES = SLIDES.replace('name="t" axis="0 0 1"', 'name="t" type="slide" axis="1 0 0"')
 SLIDES = SLIDES.replace('name="u" axis="0 1 0"', 'name="u" axis="0 1 0" stiffness="2" springref="0.3" damping="0.5"')

@@ -32,10 +32,11 @@ def tip_error(arm: Arm, q: Array, q_ref: Array) -> TipError:
     """The pose error of the tip at q with respect to its pose at q_ref, both (n,) rad."""
     model = arm.pinocchio_model
     J_ref = model.jacobian(q_ref)
-    position_ref, rotation_ref = (np.array(value) for value in model.tip(q_ref))  # tip() reuses its memory in the next call
+    position_ref, rotation_ref = model.tip(q_ref)
+    T_ref = pin.SE3(rotation_ref, position_ref)  # a copy: tip() reuses its memory in the next call
     J = model.jacobian(q)
     position, rotation = model.tip(q)
-    return TipError(np.concatenate([position_ref - position, pin.log3(rotation_ref @ rotation.T)]), J_ref, J)
+    return TipError(np.concatenate([T_ref.translation - position, pin.log3(T_ref.rotation @ rotation.T)]), J_ref, J)
 
 
 def consistent_inverse(J: Array, M: Array) -> Array:

@@ -47,9 +47,8 @@ class PassiveForces:
         spring = is_enabled(model, mujoco.mjtDisableBit.mjDSBL_SPRING)
         # A joint that follows with |dq_i/dq| = r contributes r^(k + 1) of its term in v^k, by virtual work.
         self.damping = ratio**2 @ model.dof_damping[dofs] * damper
-        quadratic, cubic = model.dof_dampingpoly[dofs].T * damper
-        self._quadratic_damping = ratio**3 @ quadratic
-        self._cubic_damping = ratio**4 @ cubic
+        self._quadratic_damping = ratio**3 @ (model.dof_dampingpoly[dofs, 0] * damper)
+        self._cubic_damping = ratio**4 @ (model.dof_dampingpoly[dofs, 1] * damper)
         self._stiffness = np.column_stack([model.jnt_stiffness[joints], model.jnt_stiffnesspoly[joints]]) * spring
         self._rest = model.qpos_spring[joint_map.qpos_adr].copy()
         self._joint_map = joint_map

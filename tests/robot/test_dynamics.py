@@ -32,7 +32,9 @@ def mujoco_inverse(arm: Arm, q, v, a, *, friction: bool):
     for flag in off if friction else [*off, DISABLE.mjDSBL_FRICTIONLOSS]:
         model.opt.disableflags |= int(flag)
     data = mujoco.MjData(model)
-    data.qpos[:], data.qvel[arm.dof_adr], data.qacc[arm.dof_adr] = arm.qpos(q), v, a
+    data.qpos[:] = arm.qpos(q)
+    data.qvel[arm.dof_adr] = v
+    data.qacc[arm.dof_adr] = a
     mujoco.mj_inverse(model, data)
     return data.qfrc_inverse[arm.dof_adr]
 
@@ -70,7 +72,8 @@ def test_the_equations_of_motion_add_up(arm: Arm):
 def test_the_jacobian_is_the_derivative_of_the_tip(arm: Arm):
     h = 1e-6
     for q, v, _ in states(arm, 10, seed=3):
-        before, after = arm.fk(q - h * v), arm.fk(q + h * v)
+        before = arm.fk(q - h * v)
+        after = arm.fk(q + h * v)
         twist = arm.jacobian(q) @ v
         turn = after.rotation @ before.rotation.T
         spin = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / (4 * h)
