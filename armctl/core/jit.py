@@ -1,22 +1,85 @@
-"""Compiling scalar loops with numba. Import this only where a function needs it: numba takes long to load."""
+"""Compiling scalar loops with numba. Import this only in a function that needs it, because numba takes long to load."""
 
 from __future__ import annotations
 
+import hashlib
+import pickle
+import warnings
 from collections.abc import Callable
+from contextlib import suppress
 
 import numba
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+
+from armctl.core.errors import ArmctlWarning
+
+_DIGEST_SIZE = hashlib.sha256().digest_size
+
+
+class _DamagedFileError(Exception):
+    """A cache file does not hold what was written."""
+
+
+class _CheckedFile(IndexDataCacheFile):
+    """numba's cache files, with a digest before the compiled code: damaged code would otherwise be executed."""
+
+    def _save_data(self, name: str, data: object) -> None:
+        content = self._dump(data)
+        with self._open_for_write(self._data_path(name)) as file:
+            file.write(hashlib.sha256(content).digest() + content)
+
+    def _load_data(self, name: str) -> object:
+        with open(self._data_path(name), "rb") as file:
+            digest = file.read(_DIGEST_SIZE)
+            content = file.read()
+        if hashlib.sha256(content).digest() != digest:
+            raise _DamagedFileError(f"{name} is damaged")
+        return pickle.loads(content)
+
+
+class _TolerantCache(FunctionCache):
+    """numba's cache on disk. Where it cannot be read or written, the function is compiled in this process."""
+
+    _warned = False
+
+    def __init__(self, function: Callable):
+        super().__init__(function)
+        own = self._cache_file
+        self._cache_file = _CheckedFile(own._cache_path, f"{self._impl.filename_base}.armctl", own._source_stamp)
+
+    def load_overload(self, sig: object, target_context: object) -> object:
+        """The compiled code of a signature, or None. A damaged cache is emptied, so that it is written again."""
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception as error:  # numba unpickles the files: damaged ones may raise anything
+            self._warn(error)
+        with suppress(OSError):  # the folder may not be writable either
+            self.flush()
+        return None
+
+    def save_overload(self, sig: object, data: object) -> None:
+        """Saves compiled code if there is a place for it."""
+        try:
+            super().save_overload(sig, data)
+        except (OSError, pickle.PickleError, EOFError) as error:
+            self._warn(error)
+
+    def _warn(self, error: Exception) -> None:
+        """One warning for all functions of this process."""
+        if _TolerantCache._warned:
+            return
+        _TolerantCache._warned = True
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        warnings.warn(
+            f"the cache of compiled code in {self.cache_path:.150} cannot be used ({reason:.120}); armctl compiles again",
+            ArmctlWarning,
+            stacklevel=2,
+        )
 
 
 def njit(function: Callable) -> Callable:
-    """Compiles, with a cache on disk wherever a folder for it can be written.
-
-    Args:
-        function: Scalar loops over arrays.
-
-    Returns:
-        The compiled function.
-    """
-    try:
-        return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
-    except RuntimeError:  # numba finds no writable folder: compile in every process
-        return numba.njit(nogil=True, error_model="numpy")(function)
+    """The compiled function, with a cache on disk if there is a folder for it."""
+    compiled = numba.njit(nogil=True, error_model="numpy")(function)
+    with suppress(RuntimeError):  # numba finds no folder that can be written: compile in every process
+        compiled._cache = _TolerantCache(function)
+    return compiled

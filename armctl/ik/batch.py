@@ -101,8 +101,12 @@ def _solve(problem: Problem, rows: IntArray, stay_near: bool) -> IkBatch:
         q[failed] = effort.q
         position_error[failed] = effort.position_error
         orientation_error[failed] = effort.orientation_error
+        ok[failed] = (effort.position_error <= part.position_tolerance) & (
+            effort.orientation_error <= part.orientation_tolerance
+        )
         columns = (effort.out_of_reach, effort.position_error, effort.orientation_error, found.next_start[failed])
         reason[failed] = [failure_reason(*row) for row in zip(*columns, strict=True)]
+        reason[ok] = ""
     return IkBatch(
         ok=ok,
         q=q,

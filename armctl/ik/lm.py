@@ -13,6 +13,7 @@ from armctl.ik.problem import Problem, compiled
 TOLERANCE_SHARE = 0.999
 NEARBY_TRIALS = 4
 NEARBY_NOISE = 0.2  # rad, or m for a slide joint
+POSITION_FIRST_WEIGHT = 3e-3  # reaches per rad: an orientation out of reach then moves the tip by little
 REACH_STARTS = 12  # configurations from which the nearest reachable point is looked for
 MIN_REACH_GAIN = 1e-6  # relative: a smaller decrease of the squared error is rounding
 
@@ -147,8 +148,8 @@ def stay_near(problem: Problem, found: SearchResult) -> Array:
 def best_effort(problem: Problem, q: Array) -> BestEffort:
     """The best approximations from q (N, n), the best configurations that the search met.
 
-    If the tip cannot reach its point at all, it is as near to it as possible; else the error of position and orientation is
-    least.
+    The position comes first: if the tip cannot reach its point at all, it is as near to it as possible; else it is at its
+    point, with the least orientation error that a descent finds.
     """
     points = problem._replace(constraint=compiled().POSITION)
     limit = (problem.position_tolerance / problem.chain.reach) ** 2
@@ -163,5 +164,15 @@ def best_effort(problem: Problem, q: Array) -> BestEffort:
         if (least <= limit).all():
             break
     out_of_reach = least > limit
-    q = np.where(out_of_reach[:, None], nearest, refine(problem, q).q)
+    q = np.where(out_of_reach[:, None], nearest, _at_point(problem, points, q))
     return BestEffort(q, *problem.residuals(q), out_of_reach)
+
+
+def _at_point(problem: Problem, points: Problem, q: Array) -> Array:
+    """Configurations near q (N, n) with the tip at its point, if a descent gets there, and the least orientation error."""
+    balanced = refine(problem, q).q
+    if problem.constraint == points.constraint:
+        return balanced
+    turned = refine(problem, balanced, rotation_weight=POSITION_FIRST_WEIGHT).q
+    placed = search(points, 0, 1, turned)
+    return np.where(placed.solved[:, None], placed.q, balanced)

@@ -28,7 +28,7 @@ class PackedChain:
     """A serial chain as the compiled solver takes it, with lengths in units of the reach.
 
     Attributes:
-        rows: (k + 1, 18), one row per joint and a last one for the tip; `armctl.ik.kernel` names the columns.
+        rows: (k + 1, 20), one row per joint and a last one for the tip; `armctl.ik.kernel` names the columns.
         reach: m, the length of the arm stretched out, which is the unit of length.
         unit: (n,) one unit of each joint of the arm: 1 rad, or the reach for a slide joint.
         has_slides: Whether there is a slide joint.
@@ -207,6 +207,8 @@ def _pack(arm: Arm) -> PackedChain:
     rows[:n, kernel.LOW] = limits.q_min / unit
     rows[:n, kernel.HIGH] = limits.q_max / unit
     rows[:n, kernel.PERIOD] = np.where(slides | moves_several_joints, 0.0, 2 * np.pi)
+    rows[:n, kernel.FREE_LOW] = np.where(rows[:n, kernel.PERIOD] > 0, -np.inf, rows[:n, kernel.LOW])
+    rows[:n, kernel.FREE_HIGH] = np.where(rows[:n, kernel.PERIOD] > 0, np.inf, rows[:n, kernel.HIGH])
     return PackedChain(frozen(rows), reach, frozen(unit), bool(slides.any()), limits)
 
 

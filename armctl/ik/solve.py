@@ -18,7 +18,9 @@ from armctl.ik.problem import Problem, read_problem, read_target
 from armctl.ik.result import IkResult, failure_reason
 from armctl.robot.arm import Arm
 
-LM_STARTS = 300
+# Of 760 000 targets with joints at their bounds, on 38 arms, the slowest was solved after 778 starts, the next after 366.
+LM_STARTS = 2000
+CONTACT_STARTS = 300  # in which a solution without contact must be found
 MINK_STARTS = 60
 NEAREST_STARTS = 64
 NEAREST_PULL = 1e-3  # squared reaches per squared radian: small, so that solutions remain solutions
@@ -98,7 +100,10 @@ def solve_ik(
     effort = lm.best_effort(problem, candidate.q[None])
     position_error = float(effort.position_error[0])
     orientation_error = float(effort.orientation_error[0])
-    reason = failure_reason(bool(effort.out_of_reach[0]), position_error, orientation_error, candidate.starts)
+    if position_error <= problem.position_tolerance and orientation_error <= problem.orientation_tolerance:
+        reason = contact_at(effort.q[0]) if contact_at is not None else ""
+    else:
+        reason = failure_reason(bool(effort.out_of_reach[0]), position_error, orientation_error, candidate.starts)
     return _result(candidate._replace(q=effort.q[0]), position_error, orientation_error, reason)
 
 
@@ -136,8 +141,8 @@ def _candidates(problem: Problem, search: Search, max_starts: int, stay_near: bo
     """Solutions in the order they are found; the last may be a best approximation."""
     start = 0
     iterations = 0
-    while start < max_starts:
-        found = search(problem, start, max_starts, None)
+    while start == 0 or start < min(max_starts, CONTACT_STARTS):
+        found = search(problem, start, max_starts if start == 0 else min(max_starts, CONTACT_STARTS), None)
         q = lm.stay_near(problem, found) if start == 0 and stay_near else found.q
         start = int(found.next_start[0])
         iterations += int(found.iterations[0])

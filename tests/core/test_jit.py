@@ -1,0 +1,102 @@
+"""A cache of compiled code that cannot be used leads to compilation and one warning, never to an error."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+KERNEL = """
+from armctl.core.jit import njit
+
+@njit
+def double(x):
+    return 2 * x
+
+@njit
+def triple(x):
+    return x + double(x)
+"""
+CALL = """
+import sys, warnings
+sys.path.insert(0, {folder!r})
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always")
+    {before}
+    import kernels
+    print(kernels.triple(2.0), kernels.double(1.0))
+    print(sum(kernels.triple.stats.cache_hits.values()))
+for warning in caught:
+    print(warning.category.__name__, warning.message)
+"""
+
+
+class Outcome:
+    """What a fresh process printed: the results, the cache hits of `triple`, and the warnings."""
+
+    def __init__(self, folder: Path, before: str = "pass"):
+        (folder / "kernels.py").exists() or (folder / "kernels.py").write_text(KERNEL)
+        code = CALL.format(folder=str(folder), before=before)
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache")}
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+        assert done.returncode == 0, done.stderr
+        self.results, self.hits, *self.warnings = done.stdout.strip().split("\n")
+
+
+def files(folder: Path, ending: str) -> list[Path]:
+    found = sorted((folder / "cache").rglob(f"*.{ending}"))
+    assert len(found) == 2
+    return found
+
+
+def test_the_second_process_takes_the_code_from_the_cache(tmp_path: Path):
+    first = Outcome(tmp_path)
+    assert (first.results, first.hits, first.warnings) == ("6.0 2.0", "0", [])
+    second = Outcome(tmp_path)
+    assert (second.results, second.hits, second.warnings) == ("6.0 2.0", "1", [])
+
+
+@pytest.mark.parametrize("content", [b"", b"\x80\x04rubbish" * 40, os.urandom(4000)], ids=["empty", "rubbish", "random"])
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+def test_a_damaged_cache_leads_to_one_warning_and_is_written_again(tmp_path: Path, ending: str, content: bytes):
+    Outcome(tmp_path)
+    for path in files(tmp_path, ending):
+        path.write_bytes(content)
+    damaged = Outcome(tmp_path)
+    assert damaged.results == "6.0 2.0"
+    assert len(damaged.warnings) == 1
+    assert damaged.warnings[0].startswith("ArmctlWarning the cache of compiled code in ")
+    assert len(damaged.warnings[0]) <= 400
+    after = Outcome(tmp_path)
+    assert (after.results, after.hits, after.warnings) == ("6.0 2.0", "1", [])
+
+
+def test_a_single_changed_byte_of_compiled_code_is_not_executed(tmp_path: Path):
+    Outcome(tmp_path)
+    for path in files(tmp_path, "nbc"):
+        content = bytearray(path.read_bytes())
+        content[len(content) // 2] ^= 0x40
+        path.write_bytes(content)
+    damaged = Outcome(tmp_path)
+    assert damaged.results == "6.0 2.0"
+    assert "is damaged" in damaged.warnings[0]
+
+
+def test_a_full_disk_leads_to_one_warning(tmp_path: Path):
+    full = "from armctl.core.jit import _CheckedFile as file; import errno"
+    fail = "file._open_for_write = lambda *_: (_ for _ in ()).throw(OSError(errno.ENOSPC, 'No space left on device'))"
+    outcome = Outcome(tmp_path, f"{full}; {fail}")
+    assert outcome.results == "6.0 2.0"
+    assert len(outcome.warnings) == 1
+    assert "No space left on device" in outcome.warnings[0]
+
+
+@pytest.mark.parametrize("change", ["self._version = '0.1'", "self._source_stamp = (0.0, 1)"], ids=["numba", "source"])
+def test_a_cache_of_another_version_is_written_again(tmp_path: Path, change: str):
+    foreign = "import armctl.core.jit as jit; save = jit._CheckedFile._save_index"
+    wrap = f"jit._CheckedFile._save_index = lambda self, entries: (exec({change!r}), save(self, entries))[1]"
+    Outcome(tmp_path, f"{foreign}; {wrap}")
+    other = Outcome(tmp_path)
+    assert (other.results, other.hits, other.warnings) == ("6.0 2.0", "0", [])
+    assert Outcome(tmp_path).hits == "1"
