@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import os
+from pathlib import Path
 
 from armctl.cli.common import DONE, Commands, add_arm, add_command, load_arm
 from armctl.core.errors import InputError
+
+_TOKEN_VARIABLE = "ARMCTL_TOKEN"
 
 
 def add(commands: Commands) -> None:
@@ -14,8 +18,12 @@ def add(commands: Commands) -> None:
     add_arm(parser)
     parser.add_argument("--controller", default="computed-torque", help="the first controller (default computed-torque)")
     parser.add_argument("--port", type=int, default=8080, help="where to serve; the next free one if taken (default 8080)")
-    parser.add_argument("--host", help="serve other machines too, at this address; requires --token")
-    parser.add_argument("--token", help="what visitors from other machines must know, at least 8 characters")
+    parser.add_argument("--host", help="serve other machines too, at this address of this machine; requires a token")
+    parser.add_argument("--token", help=f"what visitors must know, at least 8 characters; also read from {_TOKEN_VARIABLE}")
+    parser.add_argument(
+        "--token-file", type=Path, metavar="PATH", help="read the token from a file, since others can list processes"
+    )
+    parser.add_argument("--allow-host", action="append", default=[], metavar="NAME", help="one more name of this machine")
     parser.add_argument("--native", action="store_true", help="MuJoCo's own viewer instead of the browser")
 
 
@@ -24,13 +32,28 @@ def run(args: argparse.Namespace) -> int:
     from armctl import viewer
     from armctl.loading import catalog
 
-    if args.host and not args.token:
-        raise InputError("host: anyone who finds the page could control the arm; choose a --token for your visitors")
-    if args.token and not args.host:
-        raise InputError("token: without --host only this machine can reach the page, which needs no token")
     if args.native:
         viewer.view_natively(load_arm(args), args.controller)
     else:
         catalog.locate(args.robot)  # an unknown name is reported before a browser opens
-        viewer.view(lambda: load_arm(args), args.controller, port=args.port, host=args.host, token=args.token)
+        viewer.view(
+            lambda: load_arm(args),
+            args.controller,
+            port=args.port,
+            host=args.host,
+            token=_token(args.token, args.token_file),
+            allowed_hosts=args.allow_host,
+        )
     return DONE
+
+
+def _token(token: str | None, path: Path | None) -> str | None:
+    """The page's token, from the command line, a file or the environment."""
+    if token is not None and path is not None:
+        raise InputError("token: give --token or --token-file, not both")
+    if path is None:
+        return token if token is not None else os.environ.get(_TOKEN_VARIABLE) or None
+    try:
+        return path.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"token_file: cannot read {str(path)!r:.80}: {error!s:.80}") from None

@@ -1,61 +1,83 @@
-"""RealTimeClock: simulated time kept abreast of the clock on the wall."""
+"""RealTimeClock: keeps simulated time in step with wall-clock time."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
+from typing import NamedTuple
 
-_HOPELESS = 0.5  # s behind: what is lost by then is not caught up
-_IDLE = 0.05  # s without a wait: nothing was going on
-_WINDOW = 2.0  # s that the real-time factor is taken over
+from armctl.core.validation import number
+
+MIN_SPEED = 1e-3
+MAX_SPEED = 1e3
+_MAX_LAG_S = 0.5  # a simulation that is further behind does not catch up
+_MAX_IDLE_S = 0.05  # after a longer time without `wait`, the clock restarts: that time was spent on something else
+_FACTOR_WINDOW_S = 2.0
+
+
+class _Mark(NamedTuple):
+    """What had been simulated at one time."""
+
+    wall: float
+    simulated: float
 
 
 class RealTimeClock:
-    """Waits so that simulated time goes by as fast as time does; behind, it catches up.
-
-    Attributes:
-        speed: Simulated seconds a second.
-    """
+    """Waits so that simulated time passes as fast as wall-clock time, times `speed`. After a delay it catches up."""
 
     def __init__(self, speed: float = 1.0):
-        """A pace that starts now.
+        """A clock that starts now.
 
         Args:
-            speed: Simulated seconds a second.
+            speed: Simulated seconds per second, in [0.001, 1000].
+
+        Raises:
+            InputError: The speed is outside that range.
         """
         self.speed = speed
         self.restart()
 
+    @property
+    def speed(self) -> float:
+        """Simulated seconds per second, in [0.001, 1000]."""
+        return self._speed
+
+    @speed.setter
+    def speed(self, speed: float) -> None:
+        self._speed = number("speed", speed, MIN_SPEED, MAX_SPEED)
+
     def restart(self) -> None:
-        """Starts afresh, as after a pause."""
-        self._due, self._simulated = time.perf_counter(), 0.0
-        self._marks = deque([(self._due, 0.0)])
+        """Starts again, as after a pause."""
+        self._due = time.perf_counter()
+        self._simulated = 0.0
+        self._marks = deque([_Mark(self._due, 0.0)])
 
     def resume(self) -> None:
-        """Starts afresh if nothing has gone on yet, or not for a while: time spent planning is not caught up."""
-        if len(self._marks) == 1 or time.perf_counter() - self._marks[-1][0] > _IDLE:
+        """Restarts if nothing was simulated yet, or not for a while: time spent on planning is not caught up."""
+        if len(self._marks) == 1 or time.perf_counter() - self._marks[-1].wall > _MAX_IDLE_S:
             self.restart()
 
     def wait(self, seconds: float) -> None:
-        """Sleeps until it is time.
+        """Sleeps until the wall clock has caught up with the simulation.
 
         Args:
-            seconds: Simulated since the last call.
+            seconds: Simulated time since the last call, s.
         """
-        self._due += seconds / self.speed
-        self._simulated += seconds / self.speed
-        left = self._due - time.perf_counter()
-        if left > 0:
-            time.sleep(left)
-        elif left < -_HOPELESS:
-            self._due -= left
+        self._due += seconds / self._speed
+        self._simulated += seconds / self._speed
+        remaining = self._due - time.perf_counter()
+        if remaining > 0:
+            time.sleep(remaining)
+        elif remaining < -_MAX_LAG_S:
+            self._due -= remaining
         now = time.perf_counter()
-        self._marks.append((now, self._simulated))
-        while len(self._marks) > 2 and now - self._marks[0][0] > _WINDOW:
+        self._marks.append(_Mark(now, self._simulated))
+        while len(self._marks) > 2 and now - self._marks[0].wall > _FACTOR_WINDOW_S:
             self._marks.popleft()
 
     @property
     def real_time_factor(self) -> float:
-        """How much of the wanted speed the last two seconds kept; 1 is all of it."""
-        (first, begin), (last, end) = self._marks[0], self._marks[-1]
-        return (end - begin) / (last - first) if last > first else 1.0
+        """Share of the set speed that was achieved over the last two seconds; 1 is all of it."""
+        first = self._marks[0]
+        last = self._marks[-1]
+        return (last.simulated - first.simulated) / (last.wall - first.wall) if last.wall > first.wall else 1.0

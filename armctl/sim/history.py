@@ -1,4 +1,4 @@
-"""History: the last seconds of a session, for its plots."""
+"""History: errors and torques of a session's last seconds, for its charts."""
 
 from __future__ import annotations
 
@@ -9,52 +9,53 @@ import numpy as np
 
 from armctl.core.validation import Array
 
-SECONDS = 10.0
+DURATION_S = 10.0
 
 
 class History:
-    """A ring of rows: when, how far off, how hard the motors work. Written by one thread, read by others."""
+    """A ring buffer of samples. One thread writes, others read."""
 
     def __init__(self, n: int, interval: float):
-        """An empty history.
-
-        Args:
-            n: How many joints.
-            interval: s between rows.
-        """
-        self._rows = np.full((int(SECONDS / interval), n + 3), np.nan)
-        self._rows[:, 0] = interval * np.arange(-len(self._rows), 0)
-        self._next, self._interval, self._lock = 0, interval, threading.Lock()
+        """An empty history of `n` joints with a sample every `interval` s."""
+        size = int(DURATION_S / interval)
+        self._t: Array = interval * np.arange(-size, 0, dtype=np.float64)
+        self._to_target = np.full(size, np.nan)
+        self._to_reference = np.full(size, np.nan)
+        self._torque_share = np.full((size, n), np.nan)
+        self._next = 0
+        self._interval = interval
+        self._lock = threading.Lock()
 
     def add(self, to_target: float, to_reference: float, torque_share: Array) -> None:
-        """Writes a row.
-
-        Args:
-            to_target: m from the tip to the target.
-            to_reference: m from the tip to where it should be by now.
-            torque_share: (n,) of each motor's limit.
-        """
+        """Adds a sample: distances of the tip from target and reference in m, and (n,) torques as shares of their limits."""
         with self._lock:
-            row = self._rows[self._next]
-            row[0] = self._rows[self._next - 1, 0] + self._interval
-            row[1], row[2], row[3:] = to_target, to_reference, torque_share
-            self._next = (self._next + 1) % len(self._rows)
+            row = self._next
+            self._t[row] = self._t[row - 1] + self._interval
+            self._to_target[row] = to_target
+            self._to_reference[row] = to_reference
+            self._torque_share[row] = torque_share
+            self._next = (row + 1) % len(self._t)
 
-    def read(self) -> Past:
-        """What happened, oldest first; NaN where nothing has yet."""
+    def read(self) -> Samples:
+        """All samples, oldest first; NaN for times before the session began."""
         with self._lock:
-            rows = np.roll(self._rows, -self._next, axis=0)
-        return Past(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3:])
+            order = np.roll(np.arange(len(self._t)), -self._next)
+            return Samples(
+                t=self._t[order],
+                to_target=self._to_target[order],
+                to_reference=self._to_reference[order],
+                torque_share=self._torque_share[order],
+            )
 
 
-class Past(NamedTuple):
-    """The rows of a history.
+class Samples(NamedTuple):
+    """Columns of a history.
 
     Attributes:
         t: (T,) s.
-        to_target: (T,) m.
-        to_reference: (T,) m.
-        torque_share: (T, n).
+        to_target: (T,) m from the tip to the target.
+        to_reference: (T,) m from the tip to its reference.
+        torque_share: (T, n) torques as shares of their limits.
     """
 
     t: Array

@@ -1,23 +1,26 @@
-"""RealTimeSession: an arm that follows a target in real time, in a thread of its own, while others watch and interfere."""
+"""RealTimeSession: an arm that follows a target in real time, in its own thread, under commands of other threads."""
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
 
-from armctl.control import controller_by_name
+from armctl.control import Controller, controller_by_name
 from armctl.core.errors import ModelError
 from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
 from armctl.core.target import TOLERANCE, Target
-from armctl.core.validation import Array
+from armctl.core.validation import Array, frozen, instance, number, vector
 from armctl.ik import DifferentialIk, solve_ik
 from armctl.mjmodel.target_marker import find_target, target_pose
 from armctl.robot.arm import Arm
-from armctl.sim.clock import RealTimeClock
+from armctl.sim.clock import MAX_SPEED, MIN_SPEED, RealTimeClock
 from armctl.sim.gripper import Gripper
 from armctl.sim.history import History
 from armctl.sim.online_reference import OnlineReference
@@ -25,217 +28,335 @@ from armctl.sim.plant import Plant
 from armctl.sim.recorder import Recorder
 from armctl.sim.stepper import Stepper
 
-INTERVAL = 0.01  # s between looks at the target
-_STILL = 1e-3  # rad/s
-_EASE = 0.3  # share of the acceleration that a hand's jerky target is followed with; its square for the jerk
-_SETTLED = 1e-2  # rad/s: the goal of the joints has arrived
-_WORTH_IT = 0.01  # m by which another posture must be nearer to a target out of reach, to be taken
+UPDATE_INTERVAL_S = 0.01
+_AT_REST_SPEED = 1e-3  # rad/s, of the simulated joints
+_IK_AT_REST_SPEED = 1e-2  # rad/s: differential IK has converged
+_REFERENCE_ARRIVED = 1e-6  # rad
+_MIN_IMPROVEMENT_M = 0.01  # an unreachable target changes the posture only if the new one is nearer by this much
+_JOIN_TIMEOUT_S = 1.0
+_ACCELERATION_SCALE = 0.3  # a target moved by hand jerks; the jerk limits are scaled by its square
+
+_log = logging.getLogger("armctl.sim")
+
+
+class Activity(Enum):
+    """What a session does. After DIVERGED and FAILED it stands until `reset`."""
+
+    FOLLOWING = "following"
+    AT_TARGET = "at target"
+    OUT_OF_REACH = "out of reach"
+    SAGGING = "sagging"
+    PAUSED = "paused"
+    DIVERGED = "diverged"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Status:
+    """A session at one instant. It is never changed: each update makes a new one, so any thread can read it.
+
+    Attributes:
+        activity: What the session does.
+        failure: Why it stands, after DIVERGED and FAILED; else empty.
+        position_error: Distance from the tip to the target, m.
+        reach_error: Distance from the nearest reachable point to the target, m; None while no solver has found it unreachable.
+        target: T_world_tip to reach.
+        oriented: Whether the target's orientation is part of the goal.
+        joint_control: Whether joint angles were commanded, so that the target follows the tip.
+        q: (n,) rad, where the arm is.
+        qpos: (nq,) positions of the whole model.
+        controller: Name of the controller.
+        payload: Mass at the tip, kg.
+        gripper_width: Width between the gripper's pads, m; None without a gripper.
+        paused: Whether time stands still.
+        elapsed: Simulated time since the session began, s; `reset` does not change it.
+        speed: Simulated seconds per second that are commanded.
+        real_time_factor: Share of that speed that is achieved.
+    """
+
+    activity: Activity
+    failure: str
+    position_error: float
+    reach_error: float | None
+    target: Pose
+    oriented: bool
+    joint_control: bool
+    q: Array
+    qpos: Array
+    controller: str
+    payload: float
+    gripper_width: float | None
+    paused: bool
+    elapsed: float
+    speed: float
+    real_time_factor: float
 
 
 class RealTimeSession:
-    """An arm in real time. What others order is done between two looks at the target; the latest of its kind wins.
+    """An arm in real time.
+
+    Commands are queued and executed between control updates; a newer command of the same kind replaces an older one. Other
+    threads read `status` and `history` only.
 
     Attributes:
         arm: The arm.
-        history: The last seconds.
-        pace: Its clock.
-        controller: The name of the controller.
-        payload: kg at the tip.
-        paused: Whether it stands.
-        shown: (nq,) the model's positions, for those who draw.
-        target: T_world_tip that is wanted.
-        oriented: Whether the target's orientation counts.
-        steered: Whether the joints are steered by hand, and the target follows the tip.
-        gripper: The one behind the tip; None where there is none.
-        elapsed: s of simulated time since the session began, whatever was reset meanwhile.
+        history: Errors and torques of the last seconds.
+        gripper_width_max: Largest width of the gripper, m; None without a gripper.
     """
 
     def __init__(self, arm: Arm, controller: str = "computed-torque", payload: float = 0.0):
-        """A session with the arm at home. It stands until `start`.
+        """A session with the arm at home. Time stands still until `start`.
 
         Args:
             arm: The arm.
-            controller: The name of one.
-            payload: kg at the tip.
+            controller: Name of the controller.
+            payload: Mass at the tip, kg.
 
         Raises:
             UnknownNameError: There is no such controller.
             InputError: The payload is negative.
         """
-        self.arm, self.payload, self.controller = arm, payload, controller
-        self._law = controller_by_name(controller, arm)
-        self._stepper = Stepper([arm], Plant(payload=payload))
-        self._ticks = max(1, round(INTERVAL / self._stepper.dt))
-        self.history, self.pace = History(arm.n, self._ticks * self._stepper.dt), RealTimeClock()
-        self._guide = OnlineReference(arm, self._stepper.dt, arm.home, acceleration_scale=_EASE)
+        self.arm = arm
+        self._controller_name = controller
+        self._controller: Controller = controller_by_name(controller, arm)
+        self._payload = number("payload", payload, 0.0)
+        self._stepper = Stepper([arm], Plant(payload=self._payload))
+        self._ticks = max(1, round(UPDATE_INTERVAL_S / self._stepper.dt))
+        self._interval = self._ticks * self._stepper.dt
+        self._reference = OnlineReference(arm, self._stepper.dt, arm.home, acceleration_scale=_ACCELERATION_SCALE)
         self._ik = DifferentialIk(arm)
-        self._orders: dict[str, Callable[[], None]] = {}
-        self._lock, self._stopping, self._thread = threading.Lock(), threading.Event(), None
-        self.paused, self.oriented, self.elapsed = False, arm.n >= 6, 0.0
-        self.gripper = self._gripper_of(self._stepper)
+        self._clock = RealTimeClock()
+        self.history = History(arm.n, self._interval)
+        self._gripper = self._gripper_of(self._stepper)
+        self.gripper_width_max = None if self._gripper is None else self._gripper.width_max
+        self._commands: dict[str, Callable[[], None]] = {}
+        self._commands_lock = threading.Lock()
+        self._stopping = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._paused = False
+        self._oriented = arm.n >= 6
+        self._elapsed = 0.0
+        self._failure = ""
+        self._joint_goal = arm.home
+        self._target = arm.fk(arm.home)
+        self._joint_control = False
+        self._ik_finished = True
+        self._reach_error: float | None = None
         self._restart()
+        self._status = self._observed(arm.home)
+
+    @property
+    def status(self) -> Status:
+        """The session after its last update."""
+        return self._status
 
     def aim(self, target: Pose) -> None:
-        """Sends the tip to a target.
+        """Moves the tip to a target.
 
         Args:
             target: T_world_tip.
-        """
-        self._order("goal", lambda: self._aim(target))
 
-    def steer(self, q: Array) -> None:
-        """Sends the joints somewhere; the target goes where the tip will be.
+        Raises:
+            InputError: It is not a Pose.
+        """
+        instance("target", target, Pose, "give Pose(position, quat)")
+        self._command("goal", lambda: self._aim(target))
+
+    def move_joints(self, q: Array) -> None:
+        """Moves the joints; the target follows the tip.
 
         Args:
-            q: (n,) rad; clamped to the limits.
-        """
-        self._order("goal", lambda: self._steer(self.arm.limits.clamp(q)))
+            q: (n,) rad; values outside the position limits are clamped.
 
-    def orient(self, oriented: bool) -> None:
-        """Says whether the target's orientation counts.
-
-        Args:
-            oriented: Whether it does.
+        Raises:
+            InputError: A wrong length, or a number that is not finite.
         """
+        q = self.arm.limits.clamp(vector("q", q, self.arm.n))
+        self._command("goal", lambda: self._move_joints(q))
+
+    def set_oriented(self, oriented: bool) -> None:
+        """Chooses whether the target's orientation is part of the goal."""
 
         def change() -> None:
-            self.oriented = oriented
-            self._aim(self.target)
+            self._oriented = bool(oriented)
+            self._aim(self._target)
 
-        self._order("orient", change)
+        self._command("orientation", change)
 
-    def control_by(self, controller: str) -> None:
+    def set_controller(self, name: str) -> None:
         """Changes the controller while the arm moves.
 
         Args:
-            controller: The name of one.
+            name: Name of the controller.
 
         Raises:
-            UnknownNameError: There is none of that name.
+            UnknownNameError: There is no such controller.
         """
-        law = controller_by_name(controller, self.arm)
+        controller = controller_by_name(name, self.arm)
 
         def change() -> None:
-            self._law, self.controller = law, controller
+            self._controller = controller
+            self._controller_name = name
 
-        self._order("controller", change)
+        self._command("controller", change)
 
-    def carry(self, payload: float) -> None:
-        """Changes what hangs at the tip; the controller is not told.
+    def set_payload(self, payload: float) -> None:
+        """Changes the mass at the tip. The controller does not know it.
 
         Args:
-            payload: kg.
+            payload: Mass, kg.
 
         Raises:
             InputError: It is negative or not finite.
         """
+        payload = number("payload", payload, 0.0)
         stepper = Stepper([self.arm], Plant(payload=payload))
 
         def change() -> None:
             stepper.reset(self._stepper.state.q, self._stepper.state.v)
             stepper.data.qpos[:] = self._stepper.data.qpos
-            self._stepper, self.payload, self.gripper = stepper, payload, self._gripper_of(stepper)
+            self._stepper = stepper
+            self._payload = payload
+            self._gripper = self._gripper_of(stepper)
 
-        self._order("payload", change)
+        self._command("payload", change)
 
     def grip(self, width: float) -> None:
-        """Moves the gripper; the arm holds its place meanwhile.
+        """Moves the gripper; the arm holds its position meanwhile.
 
         Args:
-            width: m between the pads.
+            width: Width between the pads, m; clamped to the gripper's range.
+
+        Raises:
+            InputError: It is not a finite number.
         """
+        width = number("width", width)
 
         def move() -> None:
-            if self.gripper is not None and not self.paused:
-                self.gripper.move(min(max(width, 0.0), self.gripper.width_max))
+            if self._gripper is not None and not self._paused:
+                self._gripper.move(min(max(width, 0.0), self._gripper.width_max))
 
-        self._order("grip", move)
+        self._command("gripper", move)
 
-    def pause(self, paused: bool) -> None:
-        """Holds time, or lets it go on.
+    def set_speed(self, speed: float) -> None:
+        """Changes how fast simulated time passes.
 
         Args:
-            paused: Whether it stands.
+            speed: Simulated seconds per second, in [0.001, 1000].
+
+        Raises:
+            InputError: It is outside that range.
         """
-        self.paused = paused
+        speed = number("speed", speed, MIN_SPEED, MAX_SPEED)
+
+        def change() -> None:
+            self._clock.speed = speed
+
+        self._command("speed", change)
+
+    def pause(self, paused: bool) -> None:
+        """Stops simulated time, or lets it continue."""
+
+        def change() -> None:
+            self._paused = bool(paused)
+
+        self._command("pause", change)
 
     def reset(self) -> None:
-        """The arm at home again, at rest, and the target where it was at first."""
-        self._order("reset", self._restart)
+        """Puts the arm at home, at rest, with the first target. It also ends DIVERGED and FAILED."""
 
-    @property
-    def status(self) -> str:
-        """What the arm does, in words."""
-        if self._stepper.failure:
-            return f"{self._stepper.failure}: reset"
-        if self.paused:
-            return "paused"
-        millimetres = 1e3 * self._to_target
-        if self._refusal and self._arrived:
-            return self._refusal
-        if self._to_target <= TOLERANCE and self._still:
-            return f"at the target, {max(millimetres, 1e-3):.2g} mm off"
-        if self._arrived and self._still:
-            burden = f" under {self.payload:g} kg" if self.payload else ""
-            return f"{millimetres:.1f} mm off: {self.controller} does not hold it there{burden}"
-        return f"following, {millimetres:.0f} mm to go" + (f"; {self._refusal}" if self._refusal else "")
+        def restart() -> None:
+            self._restart()
+            self._status = self._observed(self.arm.home)
 
-    @property
-    def real_time_factor(self) -> float:
-        """1 where the simulation keeps up with the clock."""
-        return self.pace.real_time_factor
+        self._command("reset", restart)
 
     def start(self) -> None:
-        """Starts the clock."""
+        """Starts the session's thread."""
         self._thread = threading.Thread(target=self._run, name="armctl session", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        """Stops it for good."""
+        """Ends the session's thread."""
         self._stopping.set()
         if self._thread is not None:
-            self._thread.join(timeout=2.0)
-
-    def _run(self) -> None:
-        self._ik.step(self.arm.home, self.target, INTERVAL)  # what waits for its first use is loaded now
-        self.pace.restart()
-        while not self._stopping.is_set():
-            if self.advance():
-                self.pace.wait(self._ticks * self._stepper.dt)
-            else:
-                time.sleep(INTERVAL)
-                self.pace.restart()
+            self._thread.join(timeout=_JOIN_TIMEOUT_S)
 
     def advance(self) -> bool:
-        """Obeys, and goes on by one look at the target.
+        """Executes the queued commands and simulates one update interval.
+
+        No exception leaves this method: a failure appears in the status, and the session stands until `reset`.
 
         Returns:
-            Whether time went by: not so while paused, or after the arm ran away.
+            Whether simulated time passed; False while paused or after a failure.
         """
-        with self._lock:
-            orders, self._orders = self._orders, {}
         try:
-            for order in orders.values():
-                order()
+            advanced = self._advance()
+        except _StoppedError:
+            advanced = False
         except SimulationError:
+            advanced = False  # the stepper says why
+        except Exception as error:
+            _log.exception("the real-time session failed")
+            self._fail(error)
+            advanced = False
+        if not advanced:
+            self._refresh_status()
+        return advanced
+
+    def _advance(self) -> bool:
+        with self._commands_lock:
+            commands = self._commands
+            self._commands = {}
+        for command in commands.values():
+            command()
+        if self._paused or self._failure or self._stepper.failure:
             return False
-        if self.paused or self._stepper.failure:
-            return False
-        if not self._decided:
-            self._follow()
-        reference = self._guide.toward(self._goal, self._ticks)
-        try:
-            self._stepper.run(self._law, reference, Recorder(self._stepper.model, self._stepper.actuation))
-        except SimulationError:
-            return False
-        self._look(self._guide.q)
-        self.elapsed += self._ticks * self._stepper.dt
+        if not self._ik_finished:
+            self._update_joint_goal()
+        reference = self._reference.toward(self._joint_goal, self._ticks)
+        self._stepper.run(self._controller, reference, self._recorder())
+        self._elapsed += self._interval
+        self._status = self._observed(self._reference.q)
         return True
 
-    def _order(self, kind: str, order: Callable[[], None]) -> None:
-        with self._lock:
-            self._orders.pop(kind, None)
-            self._orders[kind] = order
+    def _run(self) -> None:
+        try:
+            self._ik.step(self.arm.home, self._target, UPDATE_INTERVAL_S)  # loads what its first call needs
+            self._clock.restart()
+            while not self._stopping.is_set():
+                if self.advance():
+                    self._clock.wait(self._interval)
+                else:
+                    time.sleep(UPDATE_INTERVAL_S)
+                    self._clock.restart()
+        except BaseException as error:  # the thread ends, and the status must not say otherwise
+            _log.exception("the thread of the real-time session ended")
+            self._fail(error)
+            self._refresh_status()
+
+    def _fail(self, error: BaseException) -> None:
+        self._failure = f"{type(error).__name__}: {error}"[:200]
+
+    def _refresh_status(self) -> None:
+        """Renews what a session that stands can change."""
+        self._status = replace(
+            self._status,
+            activity=self._activity(self._status.position_error, at_rest=False, arrived=False),
+            failure=self._failure or self._stepper.failure,
+            target=self._target,
+            oriented=self._oriented,
+            joint_control=self._joint_control,
+            controller=self._controller_name,
+            payload=self._payload,
+            paused=self._paused,
+            speed=self._clock.speed,
+        )
+
+    def _command(self, kind: str, command: Callable[[], None]) -> None:
+        with self._commands_lock:
+            self._commands.pop(kind, None)
+            self._commands[kind] = command
 
     def _gripper_of(self, stepper: Stepper) -> Gripper | None:
         try:
@@ -245,60 +366,106 @@ class RealTimeSession:
 
     def _hold(self, seconds: float) -> None:
         """Holds the arm while the gripper moves."""
-        recorder = Recorder(self._stepper.model, self._stepper.actuation)
-        self._stepper.run(self._law, self._stepper.hold_reference(seconds), recorder)
-        self._look(self._stepper.q_ref)
+        if self._stopping.is_set():
+            raise _StoppedError
+        self._stepper.run(self._controller, self._stepper.hold_reference(seconds), self._recorder())
+        self._status = self._observed(self._stepper.q_ref)
         if self._thread is threading.current_thread():
-            self.pace.wait(seconds)
+            self._clock.wait(seconds)
+
+    def _recorder(self) -> Recorder:
+        """A session keeps no log, so each record is thrown away."""
+        return Recorder(self._stepper.model, self._stepper.actuation)
 
     def _restart(self) -> None:
         arm = self.arm
-        if self.gripper is not None:
-            self.gripper.reset()
+        if self._gripper is not None:
+            self._gripper.reset()
         self._stepper.reset(arm.home, np.zeros(arm.n))
-        self._guide.stand(arm.home)
+        self._reference.stand(arm.home)
         stepper = self._stepper
         has_target = find_target(stepper.model) is not None
-        start = target_pose(stepper.model, stepper.data).position if has_target else stepper.tip.position
-        self._steer(solve_ik(arm, start, arm.home).q)
-        self.steered = False
-        self._look(arm.home)
+        start = target_pose(stepper.model, stepper.data).position if has_target else stepper.tip_pose(arm).position
+        self._move_joints(solve_ik(arm, start, arm.home).q)
+        self._joint_control = False
+        self._failure = ""
 
     def _aim(self, target: Pose) -> None:
-        self.target, self.steered, self._refusal, self._decided = target, False, "", False
+        self._target = target
+        self._joint_control = False
+        self._reach_error = None
+        self._ik_finished = False
 
-    def _follow(self) -> None:
-        """Moves the joints' goal after the target by differential IK; where that comes to rest, IK has the last word."""
-        wanted, interval = self.target if self.oriented else self.target.position, self._ticks * self._stepper.dt
-        rate = self._ik.step(self._goal, wanted, interval)
-        self._goal = self.arm.limits.clamp(self._goal + interval * rate)
-        if np.abs(rate).max() > _SETTLED:
-            return
-        self._decided = True
-        answer = solve_ik(self.arm, wanted, self._goal)
-        short = answer.position_error
-        nearest = Target.read(wanted).distance(self.arm.fk(self._goal))[0]
-        if answer.ok or short < nearest - _WORTH_IT:
-            self._goal = answer.q
-        if not answer.ok:
-            self._refusal = f"out of reach by {1e3 * short:.0f} mm" if short >= TOLERANCE else "cannot turn that way there"
-
-    def _steer(self, q: Array) -> None:
+    def _move_joints(self, q: Array) -> None:
         self._aim(self.arm.fk(q))
-        self._goal, self.steered, self._decided = q, True, True
+        self._joint_goal = q
+        self._joint_control = True
+        self._ik_finished = True
 
-    def _look(self, q_ref: Array) -> None:
-        """Notes where things are now."""
-        tip, reference, stepper = self._stepper.tip_pose(self.arm), self.arm.fk(q_ref), self._stepper
-        goal = Target(self.target.position, self.target if self.oriented else None)
-        self._to_target = goal.distance(tip)[0]
-        self._still = bool(np.abs(stepper.state.v).max() < _STILL)
-        self._arrived = bool(np.abs(q_ref - self._goal).max() < 1e-6)
-        shares = (
-            stepper.data.qfrc_actuator[self.arm.actuation.torque_adr]
-            * self.arm.actuation.torque_share
-            / self.arm.limits.tau_max
+    def _update_joint_goal(self) -> None:
+        """Moves the joint goal towards the target by differential IK; when that has converged, the global solver decides."""
+        target = self._target if self._oriented else self._target.position
+        rate = self._ik.step(self._joint_goal, target, self._interval)
+        self._joint_goal = self.arm.limits.clamp(self._joint_goal + self._interval * rate)
+        if np.abs(rate).max() > _IK_AT_REST_SPEED:
+            return
+        self._ik_finished = True
+        solution = solve_ik(self.arm, target, self._joint_goal)
+        position_error, _ = Target.read(target).distance(self.arm.fk(self._joint_goal))
+        if solution.ok or solution.position_error < position_error - _MIN_IMPROVEMENT_M:
+            self._joint_goal = solution.q
+        if not solution.ok:
+            self._reach_error = solution.position_error
+
+    def _observed(self, q_ref: Array) -> Status:
+        """The status now; adds a sample to the history."""
+        stepper = self._stepper
+        state = stepper.state
+        tip = stepper.tip_pose(self.arm)
+        goal = Target(self._target.position, self._target if self._oriented else None)
+        position_error, _ = goal.distance(tip)
+        reference_error = float(np.linalg.norm(tip.position - self.arm.fk(q_ref).position))
+        actuation = self.arm.actuation
+        torques = stepper.data.qfrc_actuator[actuation.torque_adr] * actuation.torque_share
+        self.history.add(position_error, reference_error, torques / self.arm.limits.tau_max)
+        return Status(
+            activity=self._activity(
+                position_error,
+                at_rest=bool(np.abs(state.v).max() < _AT_REST_SPEED),
+                arrived=bool(np.abs(q_ref - self._joint_goal).max() < _REFERENCE_ARRIVED),
+            ),
+            failure=self._failure or stepper.failure,
+            position_error=position_error,
+            reach_error=self._reach_error,
+            target=self._target,
+            oriented=self._oriented,
+            joint_control=self._joint_control,
+            q=frozen(state.q.copy()),
+            qpos=frozen(stepper.data.qpos.copy()),
+            controller=self._controller_name,
+            payload=self._payload,
+            gripper_width=None if self._gripper is None else self._gripper.width,
+            paused=self._paused,
+            elapsed=self._elapsed,
+            speed=self._clock.speed,
+            real_time_factor=self._clock.real_time_factor,
         )
-        self.history.add(self._to_target, float(np.linalg.norm(tip.position - reference.position)), shares)
-        self.shown = stepper.data.qpos.copy()
-        self.q = stepper.state.q.copy()
+
+    def _activity(self, position_error: float, *, at_rest: bool, arrived: bool) -> Activity:
+        if self._failure:
+            return Activity.FAILED
+        if self._stepper.failure:
+            return Activity.DIVERGED
+        if self._paused:
+            return Activity.PAUSED
+        if self._reach_error is not None and arrived:
+            return Activity.OUT_OF_REACH
+        if position_error <= TOLERANCE and at_rest:
+            return Activity.AT_TARGET
+        if arrived and at_rest:
+            return Activity.SAGGING
+        return Activity.FOLLOWING
+
+
+class _StoppedError(Exception):
+    """The session ends while the gripper moves."""

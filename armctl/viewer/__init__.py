@@ -1,4 +1,4 @@
-"""Live: an arm that follows a target in real time, in the browser or in MuJoCo's own viewer."""
+"""Live views: an arm that follows a target in real time, in the browser or in MuJoCo's own viewer."""
 
 from armctl.viewer.native import view_natively
 from armctl.viewer.page import view

@@ -1,4 +1,4 @@
-"""Charts: how far off the tip is and how hard the motors work, over the last seconds, on the page."""
+"""Charts: tip error and motor torques over the last seconds, on the page."""
 
 from __future__ import annotations
 
@@ -8,60 +8,60 @@ import numpy as np
 
 from armctl.analysis.plot import COLORS
 from armctl.core.target import TOLERANCE
-from armctl.sim.history import SECONDS, Past
+from armctl.core.validation import Array
+from armctl.sim.history import DURATION_S, Samples
 
 if TYPE_CHECKING:
     import viser
     from viser import uplot
 
-_LEAST_MM = 1e-2  # what is below it is drawn there: the scale is logarithmic
-_MOST_MM = 3e3  # room above the last label, 1000
-_EVERY = 4  # a row of the history in so many is drawn
+_MIN_SHOWN_MM = 1e-2  # the scale is logarithmic: smaller errors are drawn at this value
+_MAX_SHOWN_MM = 3e3  # leaves room above the last label, 1000
+_SAMPLES_PER_POINT = 4
+_ERROR_CHART_HEIGHT_PX = 150
+_TORQUE_CHART_HEIGHT_PX = 190
+_TORQUE_RANGE_PERCENT = (-115.0, 115.0)
 
 
 class Charts:
-    """Two charts over time: tip error with the tolerance, torques with their limits."""
+    """Two charts over time: tip error with its tolerance, torques with their limits."""
 
-    def __init__(self, server: viser.ViserServer, joint_names: tuple[str, ...], past: Past):
-        """Charts at the end of the page's panel.
-
-        Args:
-            server: The page's server.
-            joint_names: The n joints.
-            past: What is to be seen at first.
-        """
-        self._until = past.t[-1]
+    def __init__(self, server: viser.ViserServer, joint_names: tuple[str, ...], samples: Samples):
+        """Adds the charts at the end of the page's panel, with what has been sampled so far."""
+        self._last_t = samples.t[-1]
         joints = [_line(name, COLORS[i % len(COLORS)]) for i, name in enumerate(joint_names)]
         self._error = server.gui.add_uplot(
-            _errors(past),
+            _errors(samples),
             (_TIME, _line("to the target", COLORS[2]), _line("to its reference", COLORS[0]), _bound("tolerance")),
             title=f"tip error, mm; grey: {1e3 * TOLERANCE:g} mm",
-            scales={"x": _SPAN, "y": {"distr": 3, "range": (_LEAST_MM, _MOST_MM)}},
+            scales={"x": _SPAN, "y": {"distr": 3, "range": (_MIN_SHOWN_MM, _MAX_SHOWN_MM)}},
             axes=({}, {"grid": {"show": False}, "ticks": {"show": False}}),
-            height=150,
+            height=_ERROR_CHART_HEIGHT_PX,
         )
         self._torque = server.gui.add_uplot(
-            _torques(past),
+            _torques(samples),
             (_TIME, *joints, _bound("limit"), _bound("limit")),
             title="torque, % of each motor's limit",
-            scales={"x": _SPAN, "y": {"range": (-115.0, 115.0)}},
-            height=190,
+            scales={"x": _SPAN, "y": {"range": _TORQUE_RANGE_PERCENT}},
+            height=_TORQUE_CHART_HEIGHT_PX,
         )
 
-    def update(self, past: Past) -> None:
-        """Draws what happened since.
-
-        Args:
-            past: The last seconds.
-        """
-        if past.t[-1] == self._until:
+    def update(self, samples: Samples) -> None:
+        """Draws new samples."""
+        if samples.t[-1] == self._last_t:
             return
-        self._until = past.t[-1]
-        self._error.data, self._torque.data = _errors(past), _torques(past)
+        self._last_t = samples.t[-1]
+        self._error.data = _errors(samples)
+        self._torque.data = _torques(samples)
+
+    @property
+    def shown_reference_error_mm(self) -> float:
+        """The last value of the tip's distance from its reference, as drawn."""
+        return float(self._error.data[2][-1])
 
 
 _TIME: uplot.Series = {"label": "s"}
-_SPAN: uplot.Scale = {"time": False, "range": (-SECONDS, 0.0)}
+_SPAN: uplot.Scale = {"time": False, "range": (-DURATION_S, 0.0)}
 
 
 def _line(label: str, color: str) -> uplot.Series:
@@ -72,20 +72,21 @@ def _bound(label: str) -> uplot.Series:
     return {**_line(label, "#555555"), "width": 1.0}
 
 
-def _errors(past: Past) -> tuple[np.ndarray, ...]:
-    time, rows = _ago(past)
-    lines = [np.maximum(1e3 * line[rows], _LEAST_MM) for line in (past.to_target, past.to_reference)]
-    return time, *lines, np.full_like(time, 1e3 * TOLERANCE)
+def _errors(samples: Samples) -> tuple[Array, ...]:
+    rows = _shown_rows(samples)
+    age = samples.t[rows] - samples.t[-1]
+    columns = (samples.to_target, samples.to_reference)
+    lines = [np.maximum(1e3 * column[rows], _MIN_SHOWN_MM) for column in columns]
+    return age, *lines, np.full_like(age, 1e3 * TOLERANCE)
 
 
-def _torques(past: Past) -> tuple[np.ndarray, ...]:
-    time, rows = _ago(past)
-    bound = np.full_like(time, 100.0)
-    return time, *np.ascontiguousarray(100 * past.torque_share[rows].T), bound, -bound
+def _torques(samples: Samples) -> tuple[Array, ...]:
+    rows = _shown_rows(samples)
+    age = samples.t[rows] - samples.t[-1]
+    bound = np.full_like(age, 100.0)
+    return age, *np.ascontiguousarray(100 * samples.torque_share[rows].T), bound, -bound
 
 
-def _ago(past: Past) -> tuple[np.ndarray, np.ndarray]:
-    """The rows to draw, and how long ago they were, s."""
-    rows = np.arange(len(past.t))[::-_EVERY][::-1]
-    rows = rows[np.isfinite(past.to_target[rows])]
-    return past.t[rows] - past.t[-1], rows
+def _shown_rows(samples: Samples) -> np.ndarray:
+    rows = np.arange(len(samples.t))[::-_SAMPLES_PER_POINT][::-1]
+    return rows[np.isfinite(samples.to_target[rows])]

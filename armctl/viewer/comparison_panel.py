@@ -1,4 +1,4 @@
-"""ComparisonPanel: the same motion under every controller with the payload of the moment, at the push of a button."""
+"""ComparisonPanel: a button that runs one motion under every controller with the current payload."""
 
 from __future__ import annotations
 
@@ -10,50 +10,59 @@ from armctl.analysis.report import Report
 from armctl.control import CONTROLLERS
 from armctl.sim.plant import Plant
 from armctl.sim.realtime import RealTimeSession
+from armctl.viewer.latest_worker import LatestWorker
 
 if TYPE_CHECKING:
     import viser
 
 
 class ComparisonPanel:
-    """A button, and below it what came out."""
+    """A button with a table and a plot below it."""
 
     def __init__(self, server: viser.ViserServer, session: RealTimeSession):
-        """Adds the button to the page.
-
-        Args:
-            server: The page's server.
-            session: Whose arm and payload are taken; it stands still meanwhile.
-        """
-        self._gui, self._session = server.gui, session
+        """Adds the button to a server's page; the session pauses while a comparison runs."""
+        self._gui = server.gui
+        self._session = session
+        self._worker = LatestWorker("armctl comparison")
         with server.gui.add_folder("Comparison", expand_by_default=False) as self._folder:
             self._button = server.gui.add_button("compare the controllers")
-            self._words = server.gui.add_markdown(
+            self._text = server.gui.add_markdown(
                 "All joints out and back at full speed, under every controller, with this payload."
             )
         self._picture: viser.GuiImageHandle | None = None
-        self._button.on_click(lambda event: self._run())
+        self._button.on_click(self._clicked)
 
-    def _run(self) -> None:
-        session, paused = self._session, self._session.paused
+    def close(self) -> None:
+        """Ends the worker."""
+        self._worker.close()
+
+    async def _clicked(self, event: object) -> None:
         self._button.disabled = True
+        self._worker.submit(self._compare)
+
+    def _compare(self) -> None:
+        session = self._session
+        status = session.status
         session.pause(True)
         try:
-            self._words.content = "comparing ..."
-            plant = Plant(payload=session.payload)
+            self._text.content = "comparing ..."
+            plant = Plant(payload=status.payload)
             reports = compare(session.arm, list(CONTROLLERS), out_and_back(session.arm), [plant])
-            self._words.content = _table(reports)
+            self._text.content = _table(reports)
             if self._picture is not None:
                 self._picture.remove()
             with self._folder:
                 self._picture = self._gui.add_image(overlay_image([report.log for report in reports]))
+        except Exception as error:
+            self._text.content = f"the comparison failed: {error}"[:300]
+            raise
         finally:
-            session.pause(paused)
+            session.pause(status.paused)
             self._button.disabled = False
 
 
 def _table(reports: list[Report]) -> str:
-    """The figures that fit beside the scene, as Markdown."""
+    """The main figures as a Markdown table."""
     rows = [
         f"| {r.controller} | {1e3 * r.tip_rms_m:.3g} | {1e3 * r.final_tip_error_m:.3g} | {100 * r.peak_torque_ratio:.0f} |"
         for r in reports

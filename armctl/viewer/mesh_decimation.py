@@ -1,4 +1,4 @@
-"""Lighten: a model with no more triangles than a page shows, so that it is sent and drawn in no time."""
+"""Mesh decimation: a model with few enough triangles that a page loads and draws it fast."""
 
 from __future__ import annotations
 
@@ -7,40 +7,41 @@ import copy
 import mujoco
 import numpy as np
 
-_GRID = 5e-4  # of the model's extent: corners of triangles nearer than this become one
+_GRID_CELL = 5e-4  # of the model's extent: vertices in one cell become one
+_MAX_DRAWN_GROUP = 2  # MuJoCo draws the geoms of groups 0 to 2 by default; collision shapes are in the others
+_HIDDEN_SITE_GROUP = 5
+_CELL_KEY_WEIGHTS = np.array([1 << 42, 1 << 21, 1])  # makes one integer of three cell indices below 2^21
 
 
 def decimated(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy to draw: without collision shapes and sites, which MuJoCo does not draw by default either, its meshes simplified.
+    """A copy for drawing: meshes simplified, without collision shapes, sites and convex hulls.
 
     Meshes are simplified by clustering their vertices on a grid (Rossignac and Borrel, 1993).
-
-    Args:
-        model: The model.
-
-    Returns:
-        The copy, its hulls left out.
     """
-    model, hidden = copy.copy(model), model.geom_group > 2
+    model = copy.copy(model)
+    hidden = model.geom_group > _MAX_DRAWN_GROUP
     model.geom_rgba[hidden, 3] = 0.0
-    model.site_group[:] = 5
+    model.site_group[:] = _HIDDEN_SITE_GROUP
     model.mesh_polynum[:] = 0
     for mesh in np.unique(model.geom_dataid[~hidden & (model.geom_type == int(mujoco.mjtGeom.mjGEOM_MESH))]):
-        _cluster(model, mesh, _GRID * model.stat.extent)
+        _cluster_vertices(model, mesh, _GRID_CELL * model.stat.extent)
     return model
 
 
-def _cluster(model: mujoco.MjModel, mesh: int, grid: float) -> None:
-    """Makes one vertex of all in a cell of the grid, and leaves out the triangles that vanish."""
-    first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-    start, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
-    vertices, corners = model.mesh_vert[first : first + count], model.mesh_face[start : start + faces]
-    cells = ((vertices - vertices.min(axis=0)) / grid).astype(np.int64) @ np.array([1 << 42, 1 << 21, 1])
-    _, kept, cell_of = np.unique(cells, return_index=True, return_inverse=True)
-    merged = cell_of[corners]
+def _cluster_vertices(model: mujoco.MjModel, mesh: int, cell_size: float) -> None:
+    """Merges all vertices in a cell of the grid into one, and removes the triangles that become degenerate."""
+    first_vertex = model.mesh_vertadr[mesh]
+    first_face = model.mesh_faceadr[mesh]
+    vertices = model.mesh_vert[first_vertex : first_vertex + model.mesh_vertnum[mesh]]
+    faces = model.mesh_face[first_face : first_face + model.mesh_facenum[mesh]]
+    texture_faces = model.mesh_facetexcoord[first_face : first_face + model.mesh_facenum[mesh]]
+    cells = ((vertices - vertices.min(axis=0)) / cell_size).astype(np.int64) @ _CELL_KEY_WEIGHTS
+    _, kept, cell_of_vertex = np.unique(cells, return_index=True, return_inverse=True)
+    merged = cell_of_vertex[faces]
     solid = (merged != np.roll(merged, 1, axis=1)).all(axis=1)
     kept_faces = int(solid.sum())
-    model.mesh_vert[first : first + len(kept)], model.mesh_vertnum[mesh] = vertices[kept], len(kept)
-    model.mesh_face[start : start + kept_faces], model.mesh_facenum[mesh] = merged[solid], kept_faces
-    textured = model.mesh_facetexcoord[start : start + faces]
-    model.mesh_facetexcoord[start : start + kept_faces] = textured[solid]
+    model.mesh_vert[first_vertex : first_vertex + len(kept)] = vertices[kept]
+    model.mesh_vertnum[mesh] = len(kept)
+    model.mesh_face[first_face : first_face + kept_faces] = merged[solid]
+    model.mesh_facetexcoord[first_face : first_face + kept_faces] = texture_faces[solid]
+    model.mesh_facenum[mesh] = kept_faces

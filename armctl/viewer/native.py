@@ -1,4 +1,4 @@
-"""Native: the session in MuJoCo's own viewer, on a machine with a screen. Ctrl and right-drag move the target."""
+"""A real-time session in MuJoCo's own viewer, on a machine with a screen. Ctrl and right-drag move the target."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ import mujoco
 from armctl.core.errors import NotInstalledError
 from armctl.mjmodel.target_marker import find_target, is_movable, read_target, set_target
 from armctl.robot.arm import Arm
-from armctl.sim.realtime import RealTimeSession
+from armctl.sim.realtime import RealTimeSession, Status
+from armctl.viewer.status_text import describe
 
-_INTERVAL = 1 / 60  # s between drawings
-_PATIENCE = 5.0  # s for the window to close
+_DRAW_INTERVAL_S = 1 / 60
+_CLOSE_TIMEOUT_S = 5.0
 
 
 def view_natively(arm: Arm, controller: str) -> None:
@@ -24,21 +25,24 @@ def view_natively(arm: Arm, controller: str) -> None:
 
     Args:
         arm: The arm.
-        controller: The name of the controller.
+        controller: Name of the controller.
 
     Raises:
         NotInstalledError: There is no screen.
         UnknownNameError: There is no such controller.
     """
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise NotInstalledError("there is no screen for MuJoCo's own viewer here; without --native a browser will do")
+        raise NotInstalledError("MuJoCo's own viewer needs a screen; without --native the page opens in a browser")
     import mujoco.viewer
 
-    session, model, data = RealTimeSession(arm, controller), arm.model, mujoco.MjData(arm.model)
-    _show(session, model, data)
-    set_target(model, data, session.target.position, session.target.quat)
+    session = RealTimeSession(arm, controller)
+    model = arm.model
+    data = mujoco.MjData(model)
+    status = session.status
+    _show(status, model, data)
+    set_target(model, data, status.target.position, status.target.quat)
     session.start()
-    others = set(threading.enumerate())
+    other_threads = set(threading.enumerate())
     try:
         with (
             contextlib.suppress(KeyboardInterrupt),
@@ -46,22 +50,23 @@ def view_natively(arm: Arm, controller: str) -> None:
         ):
             window.perturb.select = find_target(model) or 0
             while window.is_running():
+                status = session.status
                 with window.lock():
-                    wanted = read_target(model, data) if is_movable(model) else session.target
-                    _show(session, model, data)
-                if wanted != session.target:
-                    session.aim(wanted)
-                window.set_texts((None, mujoco.mjtGridPos.mjGRID_TOPLEFT, session.status, ""))
+                    target = read_target(model, data) if is_movable(model) else status.target
+                    _show(status, model, data)
+                if target != status.target:
+                    session.aim(target)
+                window.set_texts((None, mujoco.mjtGridPos.mjGRID_TOPLEFT, describe(status), ""))
                 window.sync()
-                time.sleep(_INTERVAL)
+                time.sleep(_DRAW_INTERVAL_S)
     finally:
-        for thread in set(threading.enumerate()) - others:  # the window's: it must not draw on while Python ends
-            thread.join(timeout=_PATIENCE)
+        for thread in set(threading.enumerate()) - other_threads:  # the window's threads must not draw while Python ends
+            thread.join(timeout=_CLOSE_TIMEOUT_S)
         session.stop()
 
 
-def _show(session: RealTimeSession, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    data.qpos[:] = session.shown
+def _show(status: Status, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    data.qpos[:] = status.qpos
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     mujoco.mj_camlight(model, data)

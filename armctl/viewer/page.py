@@ -1,111 +1,138 @@
-"""Page: the session in the browser: a scene with a target to drag, and a panel of all that can be changed and read."""
+"""Page: a real-time session in the browser, with a target to drag and a panel of controls."""
 
 from __future__ import annotations
 
 import contextlib
 import importlib
+import logging
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from armctl.control import CONTROLLERS
-from armctl.core.errors import UnknownNameError
+from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.pose import Pose
 from armctl.robot.arm import Arm
 from armctl.sim.realtime import RealTimeSession
-from armctl.viewer.auth_proxy import AuthProxy
 from armctl.viewer.panel import Panel
-from armctl.viewer.web_scene import INTERVAL, PORT, WebScene
+from armctl.viewer.status_text import describe
+from armctl.viewer.web_scene import DRAW_INTERVAL_S, PORT, WebScene
 
-_GIZMO = 0.15  # m
-_ABOVE = np.array([0.0, 0.0, 0.1])  # m, where the words are, from the target
-_WORDS = 0.15  # s between words and charts
-_MOMENT = 1.0  # s for a page to be drawn before the arm sets out
-_NEEDED_SOON = ("mjviser", "armctl.ik.kernel")  # slow to import: read while MuJoCo compiles the model
+_GIZMO_SIZE_M = 0.15
+_LABEL_OFFSET_M = np.array([0.0, 0.0, 0.1])
+_TEXT_INTERVAL_S = 0.15
+_START_DELAY_S = 1.0  # the first page is drawn before the arm moves
+_JOIN_TIMEOUT_S = 0.5
+_PRELOADED_MODULES = ("mjviser", "armctl.ik.kernel")  # slow to import: loaded while MuJoCo compiles the model
+
+_log = logging.getLogger("armctl.viewer")
 
 
 class Page:
-    """A session on a page of its own.
+    """A session on a web page.
 
     Attributes:
-        session: What it shows.
-        url: Where it is.
-        port: Its port.
+        session: The session.
+        scene: The page's 3D scene.
+        panel: The page's controls.
+        url: Address of the page.
+        port: Port of the page.
     """
 
-    def __init__(self, arm: Arm, stage: WebScene, controller: str = "computed-torque"):
-        """Puts an arm and its controls on a page; `serve` then runs it.
+    def __init__(self, arm: Arm, scene: WebScene, controller: str = "computed-torque"):
+        """Puts an arm and its controls on a page; `serve` then keeps it up to date.
 
         Args:
             arm: The arm.
-            stage: The page, still empty.
-            controller: The name of the controller to begin with.
+            scene: An empty scene.
+            controller: Name of the first controller.
 
         Raises:
             UnknownNameError: There is no such controller.
         """
-        self._stage, self.url, self.port, scene = stage, stage.url, stage.port, stage.server.scene
-        stage.set(arm)
+        self.scene = scene
+        self.url = scene.url
+        self.port = scene.port
+        scene.set(arm)
         self.session = RealTimeSession(arm, controller)
-        target = self._drawn = self.session.target
-        self._gizmo = scene.add_transform_controls(
-            "/goal", scale=_GIZMO, depth_test=False, position=target.position, wxyz=target.quat
+        status = self.session.status
+        self._drawn_target = status.target
+        self._gizmo = scene.server.scene.add_transform_controls(
+            "/goal", scale=_GIZMO_SIZE_M, depth_test=False, position=status.target.position, wxyz=status.target.quat
         )
-        self._label = scene.add_label("/status", self.session.status, position=target.position + _ABOVE, anchor="bottom-center")
+        self._label = scene.server.scene.add_label(
+            "/status", describe(status), position=status.target.position + _LABEL_OFFSET_M, anchor="bottom-center"
+        )
         self._gizmo.on_update(self._dragged)
-        self._panel = Panel(stage.server, stage.words, self.session)
-        self._held, self._closing = threading.Event(), threading.Event()
-        self._starter = threading.Thread(target=self._begin, name="armctl start", daemon=True)
+        self.panel = Panel(scene.server, scene.text, self.session)
+        self._held_by: int | None = None
+        self._closing = threading.Event()
+        self._starter = threading.Thread(target=self._start_session, name="armctl start", daemon=True)
+        self._failed = False
+
+    @property
+    def is_target_held(self) -> bool:
+        """Whether a client drags the target."""
+        return self._held_by is not None
 
     async def _dragged(self, event) -> None:
-        """A target moved by hand. Asynchronous, so that it runs at once and in order."""
-        if event.phase == "end":
-            self._held.clear()
-        else:
-            self._held.set()
+        """The target was dragged. A coroutine, so that viser runs it at once and in order."""
+        self._held_by = None if event.phase == "end" else event.client_id
         self.session.aim(Pose(event.target.position, quat=event.target.wxyz))
 
     def serve(self) -> None:
-        """Keeps the page up to date until `close`; the session runs from a moment after somebody looks on."""
+        """Keeps the page up to date until `close`. The session starts shortly after the first client has connected."""
         self._starter.start()
-        written = 0.0
-        while not self._closing.wait(INTERVAL):
-            self._draw()
-            if time.monotonic() - written > _WORDS:
-                written = time.monotonic()
-                self._write()
+        text_written_at = -np.inf
+        while not self._closing.wait(DRAW_INTERVAL_S):
+            try:
+                self._draw()
+                if time.monotonic() - text_written_at > _TEXT_INTERVAL_S:
+                    text_written_at = time.monotonic()
+                    self._write()
+            except Exception:  # the page must not end while somebody uses it
+                if not self._failed and not self._closing.is_set():
+                    _log.exception("the page could not show the session's status")
+                self._failed = True
 
     def close(self) -> None:
-        """Ends the session and takes the page away. Once is enough, twice does no harm."""
+        """Ends the session and closes the page. It may be called twice."""
         self._closing.set()
+        self.panel.close()
         if self._starter.is_alive():
-            self._starter.join(timeout=2.0)
+            self._starter.join(timeout=_JOIN_TIMEOUT_S)
         self.session.stop()
-        self._stage.close()
+        self.scene.close()
 
-    def _begin(self) -> None:
-        while not self._stage.wait_for_someone(INTERVAL):
+    def _start_session(self) -> None:
+        while not self.scene.wait_for_client(DRAW_INTERVAL_S):
             if self._closing.is_set():
                 return
-        if not self._closing.wait(_MOMENT):
+        if not self._closing.wait(_START_DELAY_S):
             self.session.start()
 
     def _draw(self) -> None:
-        session, target = self.session, self.session.target
-        self._stage.show(session.shown, target.position[None], target.quat[None])
-        if target is self._drawn:
+        status = self.session.status
+        target = status.target
+        self.scene.show_target(status.qpos, target)
+        if self._held_by is not None and self._held_by not in self.scene.server.get_clients():
+            self._held_by = None  # that client left without releasing the target
+        if target is self._drawn_target:
             return
-        self._drawn, self._label.position = target, target.position + _ABOVE
-        if not self._held.is_set():
-            self._gizmo.position, self._gizmo.wxyz = target.position, target.quat
+        self._drawn_target = target
+        self._label.position = target.position + _LABEL_OFFSET_M
+        if self._held_by is None:
+            self._gizmo.position = target.position
+            self._gizmo.wxyz = target.quat
 
     def _write(self) -> None:
-        if self._label.text != self.session.status:
-            self._label.text = self.session.status
-        self._panel.update()
+        text = describe(self.session.status)
+        if self._label.text != text:
+            self._label.text = text
+        self.panel.update()
 
 
 def view(
@@ -115,39 +142,39 @@ def view(
     port: int = PORT,
     host: str | None = None,
     token: str | None = None,
+    allowed_hosts: Sequence[str] = (),
 ) -> None:
     """Serves a page with an arm that follows a target, until Ctrl-C.
 
     Args:
-        load: What gives the arm; the browser gets ready meanwhile.
-        controller: The name of the controller to begin with.
-        port: Where to serve; the next free one if it is taken, any if 0.
-        host: An address of this machine, to serve other machines too; this machine alone if left out.
-        token: What visitors from other machines must know; needed with a host.
+        load: Returns the arm; it is called while the browser opens.
+        controller: Name of the first controller.
+        port: Port of the page. Without a host, the next free one if it is taken; any free one if 0.
+        host: Address of this machine at which other machines reach the page; None for this machine alone.
+        token: What visitors must know. Required with a host.
+        allowed_hosts: More names of this machine under which the page is reached, such as that of a gateway.
 
     Raises:
-        InputError: The token is missing or too short, or nobody can listen there.
+        InputError: The token is missing or too short, or the page cannot listen there.
         NotInstalledError: viser or mjviser is missing.
         UnknownNameError: There is no such controller.
     """
-    if controller not in CONTROLLERS:  # a wrong name is said before anything opens
+    if controller not in CONTROLLERS:  # before a browser opens
         raise UnknownNameError.of("controller", controller, CONTROLLERS)
+    if host is not None and not token:
+        raise InputError("host: everybody who can reach the page can control the arm; give a token of at least 8 characters")
     with contextlib.ExitStack() as stack:
         stack.callback(signal.signal, signal.SIGINT, signal.getsignal(signal.SIGINT))
-        stage = WebScene(port if host is None else 0)
-        stack.callback(stage.close)
-        url = stage.url
-        if host is not None:
-            gate = AuthProxy(host, token or "", stage.port, port)
-            stack.callback(gate.close)
-            url = gate.url
-        threading.Thread(target=stage.open_browser, daemon=True).start()  # some browsers let one wait until they are open
-        for module in _NEEDED_SOON:
+        scene = WebScene(port, host, token, allowed_hosts)
+        stack.callback(scene.close)
+        # some browsers block their caller until they are open
+        threading.Thread(target=scene.open_browser, daemon=True).start()
+        for module in _PRELOADED_MODULES:
             threading.Thread(target=importlib.import_module, args=(module,), daemon=True).start()
-        arm = load()
         with contextlib.suppress(KeyboardInterrupt):
-            print(f"{arm.name} is at {url}; Ctrl-C ends it", flush=True)
-            page = Page(arm, stage, controller)
+            arm = load()
+            print(f"{arm.name} is at {scene.url}; Ctrl-C ends it", flush=True)
+            page = Page(arm, scene, controller)
             stack.callback(page.close)
             page.serve()
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C would tear apart what is being closed
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C must not interrupt the closing

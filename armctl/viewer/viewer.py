@@ -1,4 +1,4 @@
-"""Viewer: whatever a simulation does is seen in the browser, at the speed of the clock on the wall."""
+"""Viewer: shows a simulation in the browser while it runs, at the speed of the wall clock."""
 
 from __future__ import annotations
 
@@ -7,22 +7,24 @@ import threading
 import time
 
 import mujoco
+import numpy as np
 
 from armctl.robot.arm import Arm
 from armctl.sim.clock import RealTimeClock
 from armctl.viewer.web_scene import PORT, WebScene
 
-_WORDS = 0.2  # s between words
-_PATIENCE = 8.0  # s that the browser may take to open
+_TEXT_INTERVAL_S = 0.2
+_BROWSER_TIMEOUT_S = 8.0
 
 
 class Viewer:
-    """The page that a simulation is seen on.
+    """The page of a simulation. It observes the simulation's tick loop.
 
     Attributes:
-        interval: s of simulated time between what is shown.
-        url: Where it is.
-        pace: Its clock; `pace.speed` makes slow motion of it.
+        interval: Simulated time between two drawn states, s.
+        url: Address of the page.
+        clock: The page's clock; `clock.speed = 0.2` is slow motion.
+        scene: The page's 3D scene.
     """
 
     interval = 0.01
@@ -32,60 +34,64 @@ class Viewer:
 
         Args:
             arm: The arm.
-            port: Where to serve; the next free one if it is taken, any if 0.
+            port: Port of the page; the next free one if it is taken, any free one if 0.
 
         Raises:
             NotInstalledError: viser or mjviser is missing.
+            InputError: The port is not a port.
         """
-        self._stage, self.pace = WebScene(port), RealTimeClock()
-        self.url, self._name, self._spoken = self._stage.url, arm.name, 0.0
-        coming = self._stage.open_browser()
-        self._stage.set(arm)
-        self._stage.words.content = "waiting for a move"
+        self.scene = WebScene(port)
+        self.clock = RealTimeClock()
+        self.url = self.scene.url
+        self._arm_name = arm.name
+        self._text_written_at = -np.inf
+        browser_opens = self.scene.open_browser()
+        self.scene.set(arm)
+        self.scene.text.content = "waiting for a move"
         print(f"armctl: {arm.name} is at {self.url}", file=sys.stderr)
-        if coming:
-            self._stage.wait_for_someone(_PATIENCE)
+        if browser_opens:
+            self.scene.wait_for_client(_BROWSER_TIMEOUT_S)
 
     @property
     def real_time_factor(self) -> float:
-        """1 where the simulation keeps up with the clock."""
-        return self.pace.real_time_factor
+        """1 if the simulation keeps up with the clock."""
+        return self.clock.real_time_factor
 
     def wait(self) -> None:
-        """Keeps the page until Ctrl-C."""
+        """Keeps the page open until Ctrl-C."""
         try:
             threading.Event().wait()
         except KeyboardInterrupt:
             self.close()
 
     def close(self) -> None:
-        """Takes the page away."""
-        self._stage.close()
+        """Closes the page."""
+        self.scene.close()
 
     def after_reset(self, data: mujoco.MjData) -> None:
         """Shows the new state.
 
         Args:
-            data: The plant's state.
+            data: State of the simulated model.
         """
         self._show(data)
 
     def before_run(self) -> None:
         """Starts the clock, unless the last run ended a moment ago."""
-        self.pace.resume()
+        self.clock.resume()
 
     def after_ticks(self, data: mujoco.MjData, seconds: float) -> None:
-        """Shows the state, and waits until it is time.
+        """Shows the state, and waits for the wall clock.
 
         Args:
-            data: The plant's state.
+            data: State of the simulated model.
             seconds: Simulated time since the last call, s.
         """
         self._show(data)
-        self.pace.wait(seconds)
+        self.clock.wait(seconds)
 
     def _show(self, data: mujoco.MjData) -> None:
-        self._stage.show(data.qpos, data.mocap_pos, data.mocap_quat)
-        if time.monotonic() - self._spoken > _WORDS:
-            self._spoken = time.monotonic()
-            self._stage.words.content = f"**{self._name}**\n\nt = {data.time:.1f} s, real time x {self.real_time_factor:.2f}"
+        self.scene.show(data.qpos, data.mocap_pos, data.mocap_quat)
+        if time.monotonic() - self._text_written_at > _TEXT_INTERVAL_S:
+            self._text_written_at = time.monotonic()
+            self.scene.text.content = f"**{self._arm_name}**\n\nt = {data.time:.1f} s, real time x {self.real_time_factor:.2f}"

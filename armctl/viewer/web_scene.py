@@ -1,4 +1,4 @@
-"""WebScene: a MuJoCo model on a page in the browser, drawn at its own rate in a thread of its own."""
+"""WebScene: a MuJoCo model on a web page, drawn at its own rate in its own thread."""
 
 from __future__ import annotations
 
@@ -6,90 +6,128 @@ import atexit
 import contextlib
 import importlib.util
 import io
+import logging
 import os
+import socket
 import sys
 import threading
 import webbrowser
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
 import numpy as np
 
 from armctl.core.errors import InputError, NotInstalledError
+from armctl.core.pose import Pose
 from armctl.core.validation import Array
-from armctl.mjmodel.target_marker import find_target
+from armctl.mjmodel.target_marker import find_target, is_movable
 from armctl.render.camera import axes, fitted_camera
 from armctl.robot.arm import Arm
+from armctl.viewer.access_control import AccessControl, check_token
 from armctl.viewer.mesh_decimation import decimated
 
 if TYPE_CHECKING:
     import viser
 
-LOCAL = "127.0.0.1"
 PORT = 8080
-INTERVAL = 1 / 30  # s between drawings
-_SAME = 1e-6  # rad, m: what moves less is not drawn again
-_FIELD_OF_VIEW = 45.0  # degrees, vertical
-_LAMPS = (((2.0, -1.5, 4.0), 3.0), ((-3.0, 2.0, 1.5), 1.5), ((-1.0, -2.0, -3.0), 0.8))  # where each shines from, and how bright
+DRAW_INTERVAL_S = 1 / 30
+_MIN_MOTION = 1e-6  # rad, m: smaller changes are not drawn
+_FIELD_OF_VIEW_DEG = 45.0  # vertical
+_DISTANCE_FACTOR = 1.15
+_SKY_TOP_RGB = (72.0, 93.0, 115.0)
+_SKY_BOTTOM_RGB = (172.0, 186.0, 199.0)
+_SKY_HEIGHT_PX = 256
+_SKY_WIDTH_PX = 16
+_MAX_PORT = 65535
+_DRAWING_JOIN_TIMEOUT_S = 1.0
+
+_log = logging.getLogger("armctl.viewer")
+
+
+class _Lamp(NamedTuple):
+    """A directional light that shines from `position` towards the origin."""
+
+    position: tuple[float, float, float]
+    intensity: float
+
+
+_LAMPS = (_Lamp((2.0, -1.5, 4.0), 3.0), _Lamp((-3.0, 2.0, 1.5), 1.5), _Lamp((-1.0, -2.0, -3.0), 0.8))
+
+
+class _Frame(NamedTuple):
+    """What is drawn: positions of the model and of its mocap bodies."""
+
+    qpos: Array
+    mocap_pos: Array
+    mocap_quat: Array
+
+    def is_close(self, other: _Frame) -> bool:
+        """Whether no number differs visibly."""
+        return all(np.abs(a - b).max(initial=0.0) < _MIN_MOTION for a, b in zip(self, other, strict=True))
 
 
 class WebScene:
-    """The scene of an arm on a page. Whoever moves the arm calls `show`; the drawing never makes them wait.
+    """The scene of an arm on a web page. The thread that moves the arm calls `show` and never waits for the drawing.
 
     Attributes:
-        server: viser's server, to put more on the page.
-        words: What the page says first.
-        port: Where it serves.
-        url: Where the page is.
+        server: viser's server, for more controls on the page.
+        text: The text at the top of the panel.
+        port: Port of the page.
+        url: Address of the page, with the token if there is one.
     """
 
-    def __init__(self, port: int = PORT):
-        """An empty page. It is served at once: a browser takes as long to get ready for it as an arm to load.
+    def __init__(self, port: int = PORT, host: str | None = None, token: str | None = None, allowed_hosts: Sequence[str] = ()):
+        """Serves an empty page at once: the browser opens while an arm is loaded.
 
         Args:
-            port: Where to serve; the next free one if it is taken, any if 0.
+            port: Port of the page. Without a host, the next free one if it is taken; any free one if 0.
+            host: Address of this machine at which other machines reach the page; None for this machine alone.
+            token: What visitors must know; None if no token is needed.
+            allowed_hosts: More names of this machine that a request may carry in its Host header.
 
         Raises:
             NotInstalledError: viser or mjviser is missing.
-            InputError: The port is no port.
+            InputError: The port is not a port, the token is too short, or the page cannot listen there.
         """
-        if not 0 <= port <= 65535:
-            raise InputError(f"port: {port} given, a number in [0, 65535] wanted")
+        if not 0 <= port <= _MAX_PORT:
+            raise InputError(f"port: {port} given, a number in [0, {_MAX_PORT}] required")
+        if token is not None:
+            check_token(token)
         if importlib.util.find_spec("mjviser") is None:
             raise _missing("mjviser")
         try:
-            import viser
+            from armctl.viewer import page_server
         except ImportError as error:
             raise _missing(error.name) from None
-        with contextlib.redirect_stdout(io.StringIO()):  # it announces itself with a table
-            self.server = viser.ViserServer(host=LOCAL, port=port, verbose=False)
+        listener = page_server.listen(port, host)
+        self.port = int(listener.getsockname()[1])
+        self._access = AccessControl(self.port, host, token, allowed_hosts)
+        self._root = f"http://{_shown_host(host)}:{self.port}"
+        self.url = self._root + self._access.query()
+        self.server = page_server.start_server(listener, self._access)
         atexit.register(self.close)
-        self.port = self.server.get_port()
-        self.url = f"http://{LOCAL}:{self.port}"
         self.server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         self.server.gui.main_panel.dock_right()
-        self.words = self.server.gui.add_markdown("loading")
-        _light(self.server.scene)
-        self._latest: tuple[Array, Array, Array] | None = None
-        self._drawn: tuple[Array, Array, Array] | None = None
-        self._looking, self._closing = threading.Event(), threading.Event()
-        self.server.on_client_connect(lambda client: self._looking.set())
-        self._thread = threading.Thread(target=self._draw, name="armctl drawing", daemon=True)
+        self.text = self.server.gui.add_markdown("loading")
+        _add_background_and_lamps(self.server.scene)
+        self._latest: _Frame | None = None
+        self._drawn: _Frame | None = None
+        self._client_connected = threading.Event()
+        self._closing = threading.Event()
+        self.server.on_client_connect(self._note_client)
+        self._thread = threading.Thread(target=self._run, name="armctl drawing", daemon=True)
+
+    async def _note_client(self, client: object) -> None:
+        self._client_connected.set()
 
     def open_browser(self) -> bool:
-        """Opens a browser at the page, where there is a screen.
-
-        Returns:
-            Whether one is on its way.
-        """
+        """Opens a browser at the page, where there is a screen. Returns whether a browser starts."""
         screen = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-        return bool(screen) and webbrowser.open(self.url)
+        return bool(screen) and webbrowser.open(self._root + self._access.one_time_query())
 
     def set(self, arm: Arm) -> None:
         """Puts an arm on the page, at home.
-
-        Args:
-            arm: The arm.
 
         Raises:
             NotInstalledError: mjviser is missing.
@@ -98,7 +136,7 @@ class WebScene:
 
         self._model = decimated(arm.model)
         self._data = mujoco.MjData(self._model)
-        self._look_at(arm)
+        self._set_camera(arm)
         self._scene = mjviser.ViserMujocoScene(self.server, self._model, 1)
         self._scene.camera_tracking_enabled = False
         self.server.scene.configure_environment_map(None)
@@ -106,56 +144,68 @@ class WebScene:
         self._thread.start()
 
     def show(self, qpos: Array, mocap_pos: Array | None = None, mocap_quat: Array | None = None) -> None:
-        """Says what is to be drawn next. What is not drawn in time is left out.
+        """Sets what is drawn next. States that come faster than they are drawn are left out.
 
         Args:
             qpos: (nq,).
-            mocap_pos: (nmocap, 3) m; where they were if left out.
-            mocap_quat: (nmocap, 4) wxyz; likewise.
+            mocap_pos: (nmocap, 3) m; unchanged if None.
+            mocap_quat: (nmocap, 4) wxyz; unchanged if None.
         """
         position = self._data.mocap_pos if mocap_pos is None else mocap_pos
         quat = self._data.mocap_quat if mocap_quat is None else mocap_quat
-        self._latest = (np.array(qpos), np.array(position), np.array(quat))
+        self._latest = _Frame(np.array(qpos), np.array(position), np.array(quat))
 
-    def wait_for_someone(self, seconds: float) -> bool:
-        """Waits until a page looks on.
+    def show_target(self, qpos: Array, target: Pose) -> None:
+        """Sets what is drawn next, with the target marker at a pose. A model without a movable marker shows none."""
+        position = np.array(self._data.mocap_pos)
+        quat = np.array(self._data.mocap_quat)
+        if is_movable(self._model):
+            marker = self._model.body_mocapid[find_target(self._model)]
+            position[marker] = target.position
+            quat[marker] = target.quat
+        self.show(qpos, position, quat)
 
-        Args:
-            seconds: How long at most.
-
-        Returns:
-            Whether one does.
-        """
-        return self._looking.wait(seconds)
+    def wait_for_client(self, timeout: float) -> bool:
+        """Waits up to `timeout` s for the first client. Returns whether one has connected."""
+        return self._client_connected.wait(timeout)
 
     def close(self) -> None:
-        """Takes the page away. Once is enough, twice does no harm."""
+        """Closes the page. It may be called twice."""
         if self._closing.is_set():
             return
         atexit.unregister(self.close)
         self._closing.set()
         if self._thread.is_alive():
-            self._thread.join(timeout=2.0)
+            self._thread.join(timeout=_DRAWING_JOIN_TIMEOUT_S)
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
 
-    def _draw(self) -> None:
-        while not self._closing.wait(INTERVAL):
-            if self._latest is not None:
+    def _run(self) -> None:
+        while not self._closing.wait(DRAW_INTERVAL_S):
+            if self._latest is None:
+                continue
+            try:
                 self.draw()
+            except Exception:  # the drawing continues with the next state
+                _log.exception("the page could not draw the scene")
 
     def draw(self) -> None:
-        """Sends what was shown last to the pages."""
-        latest, self._latest, data = self._latest, None, self._data
-        if latest is None or (self._drawn is not None and _same(latest, self._drawn)):
+        """Sends the latest state to the clients."""
+        latest = self._latest
+        self._latest = None
+        if latest is None or (self._drawn is not None and latest.is_close(self._drawn)):
             return
-        self._drawn = data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = latest
-        mujoco.mj_kinematics(self._model, data)
+        self._drawn = latest
+        self._data.qpos[:] = latest.qpos
+        self._data.mocap_pos[:] = latest.mocap_pos
+        self._data.mocap_quat[:] = latest.mocap_quat
+        mujoco.mj_kinematics(self._model, self._data)
         with self.server.atomic():
-            self._scene.update_from_mjdata(data)
+            self._scene.update_from_mjdata(self._data)
         self.server.flush()
 
-    def _look_at(self, arm: Arm) -> None:
+    def _set_camera(self, arm: Arm) -> None:
+        """Points the page's first view at the arm and its target."""
         self._data.qpos[:] = arm.home_qpos
         mujoco.mj_kinematics(self._model, self._data)
         points = [arm.fk(arm.home).position]
@@ -164,29 +214,37 @@ class WebScene:
             points.append(self._data.xpos[target])
         view = fitted_camera(arm, [self._data], np.array(points), 0.8)
         forward, _, _ = axes(*np.radians([view.azimuth, view.elevation]))
-        ratio = np.tan(np.radians(self._model.vis.global_.fovy) / 2) / np.tan(np.radians(_FIELD_OF_VIEW) / 2)
+        model_fov = np.radians(self._model.vis.global_.fovy)
+        fov = np.radians(_FIELD_OF_VIEW_DEG)
+        distance = _DISTANCE_FACTOR * view.distance * np.tan(model_fov / 2) / np.tan(fov / 2)
         camera = self.server.initial_camera
         camera.look_at = view.lookat
-        camera.position = view.lookat - 1.15 * ratio * view.distance * forward
-        camera.fov = np.radians(_FIELD_OF_VIEW)
+        camera.position = view.lookat - distance * forward
+        camera.fov = fov
 
 
 def _missing(module: str | None) -> NotInstalledError:
     return NotInstalledError.of_extra(f"the page in the browser needs {module}", "view")
 
 
-def _light(scene: viser.SceneApi) -> None:
-    """A sky that white arms and black ones stand out from, and lamps all round.
+def _shown_host(host: str | None) -> str:
+    if host is None:
+        return "127.0.0.1"
+    if host in ("", "0.0.0.0", "::"):
+        return socket.gethostname()
+    return f"[{host}]" if ":" in host else host
 
-    No shadows and no mirrored surroundings: a browser without a graphics card would draw three pictures a second.
+
+def _add_background_and_lamps(scene: viser.SceneApi) -> None:
+    """A sky with enough contrast to white and to black arms, and lamps on all sides.
+
+    There are no shadows and no reflections: a browser without a graphics card would draw three pictures a second.
     """
-    top, bottom = np.array([72.0, 93.0, 115.0]), np.array([172.0, 186.0, 199.0])
-    share = np.linspace(0.0, 1.0, 256)[:, None, None]
-    scene.set_background_image(np.broadcast_to(top + share * (bottom - top), (256, 16, 3)).astype(np.uint8))
+    top = np.array(_SKY_TOP_RGB)
+    bottom = np.array(_SKY_BOTTOM_RGB)
+    share = np.linspace(0.0, 1.0, _SKY_HEIGHT_PX)[:, None, None]
+    sky = np.broadcast_to(top + share * (bottom - top), (_SKY_HEIGHT_PX, _SKY_WIDTH_PX, 3))
+    scene.set_background_image(sky.astype(np.uint8))
     scene.configure_default_lights(False, cast_shadow=False)
-    for k, (direction, intensity) in enumerate(_LAMPS):
-        scene.add_light_directional(f"/lamps/{k}", intensity=intensity, position=direction)
-
-
-def _same(one: tuple[Array, ...], other: tuple[Array, ...]) -> bool:
-    return all(np.abs(a - b).max(initial=0.0) < _SAME for a, b in zip(one, other, strict=True))
+    for k, lamp in enumerate(_LAMPS):
+        scene.add_light_directional(f"/lamps/{k}", intensity=lamp.intensity, position=lamp.position)

@@ -1,62 +1,60 @@
-"""The session behind the page, stepped by hand: what it follows, what it says, what it does when told otherwise meanwhile."""
+"""The real-time session, stepped by hand: it follows its target, executes commands, and reports what it does."""
 
-import socket
 import time
+from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
 import pytest
 from arms import BUNDLED, arm_of
 
 from armctl import InputError, Pose, UnknownNameError
-from armctl.cli.main import main
-from armctl.sim.clock import RealTimeClock
-from armctl.sim.history import SECONDS
+from armctl.sim.clock import MAX_SPEED, MIN_SPEED, RealTimeClock
+from armctl.sim.history import DURATION_S
 from armctl.sim.online_reference import OnlineReference
-from armctl.sim.realtime import INTERVAL, RealTimeSession
-from armctl.viewer.auth_proxy import AuthProxy
+from armctl.sim.realtime import UPDATE_INTERVAL_S, Activity, RealTimeSession
+from armctl.viewer.status_text import describe
 
 SOME = ["robot_arm_3dof", "panda", "ur5e", "xarm7", "so_arm100", "endless", "gantry"]
 
 
 def go(session: RealTimeSession, seconds: float) -> None:
-    for _ in range(round(seconds / INTERVAL)):
+    for _ in range(round(seconds / UPDATE_INTERVAL_S)):
         session.advance()
 
 
 def tip_error(session: RealTimeSession) -> float:
-    return float(np.linalg.norm(session.arm.fk(session.q).position - session.target.position))
+    return float(np.linalg.norm(session.arm.fk(session.status.q).position - session.status.target.position))
 
 
 @pytest.mark.parametrize("name", SOME)
 def test_the_arm_goes_to_the_target_and_follows_it(name: str):
     session = RealTimeSession(arm_of(name))
     go(session, 4.0)
-    assert session.status.startswith("at the target")
-    away = session.arm.fk(session.arm.limits.clamp(session.q + 0.15))
+    assert session.status.activity is Activity.AT_TARGET
+    away = session.arm.fk(session.arm.limits.clamp(session.status.q + 0.15))
     session.aim(away)
     go(session, 4.0)
     assert tip_error(session) < 1e-3, session.status
-    assert session.target is away
+    assert session.status.target is away
 
 
 @pytest.mark.parametrize("name", SOME)
 def test_what_is_out_of_reach_is_said_and_the_arm_comes_to_rest(name: str):
     session = RealTimeSession(arm_of(name))
-    far = session.target.position + np.array([50.0, 0.0, 0.0])
-    session.aim(Pose(far, quat=session.target.quat))
+    far = session.status.target.position + np.array([50.0, 0.0, 0.0])
+    session.aim(Pose(far, quat=session.status.target.quat))
     go(session, 20.0 if name == "gantry" else 8.0)
-    assert session.status.startswith("out of reach by")
-    millimetres = float(session.status.split()[4])
-    assert millimetres == pytest.approx(1e3 * tip_error(session), rel=0.01, abs=2.0)
-    before = session.q
+    assert session.status.activity is Activity.OUT_OF_REACH
+    assert session.status.reach_error == pytest.approx(tip_error(session), rel=0.01, abs=2e-3)
+    before = session.status.q
     go(session, 0.5)
-    assert np.abs(session.q - before).max() < 1e-3
+    assert np.abs(session.status.q - before).max() < 1e-3
 
 
 def test_a_target_that_keeps_moving_is_followed():
     session = RealTimeSession(arm_of("panda"))
     go(session, 2.0)
-    center, errors = session.target, []
+    center, errors = session.status.target, []
     for k in range(400):
         angle = 2 * np.pi * k / 200
         session.aim(Pose(center.position + 0.05 * np.array([0.0, np.sin(angle), np.cos(angle) - 1.0]), quat=center.quat))
@@ -87,16 +85,17 @@ def test_switching_the_controller_and_the_payload_shows_in_the_error():
     session = RealTimeSession(arm_of("panda"))
     go(session, 2.0)
     exact = session.history.read().to_reference[-1]
-    session.carry(2.0)
+    session.set_payload(2.0)
     go(session, 2.0)
     burdened = session.history.read().to_reference[-1]
-    session.control_by("pd")
+    session.set_controller("pd")
     go(session, 4.0)
     sagging = session.history.read().to_reference[-1]
     assert exact < 1e-6 < 5e-3 < burdened < sagging
-    assert "pd does not hold it there under 2 kg" in session.status
-    session.carry(0.0)
-    session.control_by("computed-torque")
+    assert session.status.activity is Activity.SAGGING
+    assert (session.status.controller, session.status.payload) == ("pd", 2.0)
+    session.set_payload(0.0)
+    session.set_controller("computed-torque")
     go(session, 3.0)
     assert session.history.read().to_reference[-1] < 1e-6
 
@@ -104,188 +103,219 @@ def test_switching_the_controller_and_the_payload_shows_in_the_error():
 def test_the_joints_can_be_steered_and_the_target_follows():
     session = RealTimeSession(arm_of("panda"))
     goal = session.arm.home + 0.2
-    session.steer(goal)
+    session.move_joints(goal)
     go(session, 2.0)
-    np.testing.assert_allclose(session.q, goal, atol=1e-6)
-    assert session.steered
-    assert session.target.distance(session.arm.fk(goal))[0] < 1e-9
+    np.testing.assert_allclose(session.status.q, goal, atol=1e-6)
+    assert session.status.joint_control
+    assert session.status.target.distance(session.arm.fk(goal))[0] < 1e-9
 
 
 def test_the_gripper_moves_while_the_arm_holds_its_place():
     session = RealTimeSession(arm_of("panda"))
     go(session, 2.0)
-    assert session.gripper is not None
-    assert RealTimeSession(arm_of(BUNDLED)).gripper is None
+    assert session.status.gripper_width is not None
+    assert RealTimeSession(arm_of(BUNDLED)).status.gripper_width is None
     for width in (0.02, 0.06):
         session.grip(width)
         go(session, 0.1)
-        assert session.gripper.width == pytest.approx(width, abs=2e-3)
+        assert session.status.gripper_width == pytest.approx(width, abs=2e-3)
         assert tip_error(session) < 1e-3
-    session.carry(0.5)
+    session.set_payload(0.5)
     go(session, 0.1)
-    assert session.gripper.width == pytest.approx(0.06, abs=2e-3)
+    assert session.status.gripper_width == pytest.approx(0.06, abs=2e-3)
     session.reset()
     go(session, 2.0)
-    assert session.status.startswith("at the target") or "0.5 kg" in session.status
+    assert session.status.activity is Activity.SAGGING  # under 0.5 kg that the controller does not know
+    assert session.status.payload == 0.5
 
 
 def test_pause_holds_time_and_reset_starts_afresh():
     session = RealTimeSession(arm_of(BUNDLED))
     go(session, 0.1)
     session.pause(True)
-    before = session.q
+    before = session.status.q
     go(session, 0.5)
-    assert session.status == "paused"
-    np.testing.assert_array_equal(session.q, before)
+    assert session.status.activity is Activity.PAUSED
+    np.testing.assert_array_equal(session.status.q, before)
     session.pause(False)
-    first = RealTimeSession(arm_of(BUNDLED)).target
+    first = RealTimeSession(arm_of(BUNDLED)).status.target
     session.aim(Pose([0.2, -0.2, 0.4]))
     go(session, 1.0)
     session.reset()
     session.advance()
-    assert session.target == first
-    np.testing.assert_allclose(session.q, session.arm.home, atol=0.01)
+    assert session.status.target == first
+    np.testing.assert_allclose(session.status.q, session.arm.home, atol=0.01)
 
 
 def test_an_arm_that_runs_away_says_so_and_reset_brings_it_back():
     session = RealTimeSession(arm_of(BUNDLED))
-    session._law = type("Wild", (), {"torque": lambda self, state, setpoint: np.full(3, np.nan)})()
+    session._controller = type("Wild", (), {"torque": lambda self, state, setpoint: np.full(3, np.nan)})()
     go(session, 0.1)
-    assert "no finite torque" in session.status
-    assert session.status.endswith("reset")
-    session.control_by("computed-torque")
+    assert session.status.activity is Activity.DIVERGED
+    assert "no finite torque" in session.status.failure
+    session.set_controller("computed-torque")
     session.reset()
     go(session, 3.0)
-    assert session.status.startswith("at the target")
+    assert session.status.activity is Activity.AT_TARGET
 
 
 def test_orientation_counts_only_where_it_is_said_to():
     session = RealTimeSession(arm_of("panda"))
-    assert session.oriented
-    assert not RealTimeSession(arm_of(BUNDLED)).oriented
-    upside_down = Pose(session.target.position, rpy=[0.0, 0.0, 0.0])
+    assert session.status.oriented
+    assert not RealTimeSession(arm_of(BUNDLED)).status.oriented
+    upside_down = Pose(session.status.target.position, rpy=[0.0, 0.0, 0.0])
     session.aim(upside_down)
-    session.orient(False)
+    session.set_oriented(False)
     go(session, 4.0)
-    assert session.status.startswith("at the target")
+    assert session.status.activity is Activity.AT_TARGET
 
 
 def test_the_history_is_the_last_ten_seconds():
     session = RealTimeSession(arm_of(BUNDLED))
-    go(session, SECONDS + 1.0)
+    go(session, DURATION_S + 1.0)
     past = session.history.read()
     assert np.isfinite(past.to_target).all()
-    np.testing.assert_allclose(np.diff(past.t), INTERVAL)
+    np.testing.assert_allclose(np.diff(past.t), UPDATE_INTERVAL_S)
     assert past.torque_share.shape == (len(past.t), 3)
 
 
-@pytest.mark.parametrize(
-    ("call", "error"), [(lambda s: s.control_by("pdd"), UnknownNameError), (lambda s: s.carry(-1.0), InputError)]
-)
-def test_a_wrong_order_is_refused_at_once(call, error):
+WRONG_CALLS = {
+    "set_controller": ["pdd"],
+    "set_payload": [-1.0, float("nan"), "heavy"],
+    "set_speed": [0.0, 5e-324, -1.0, 1e300, float("nan"), float("inf")],
+    "grip": [float("nan"), "wide"],
+    "move_joints": [[0.0, 0.0], [float("nan"), 0.0, 0.0], "home"],
+    "aim": [[0.2, 0.0, 0.4], None],
+}
+
+
+@pytest.mark.parametrize(("method", "value"), [(method, value) for method, values in WRONG_CALLS.items() for value in values])
+def test_a_wrong_command_is_refused_at_once_and_changes_nothing(method: str, value):
     session = RealTimeSession(arm_of(BUNDLED))
-    with pytest.raises(error):
-        call(session)
+    with pytest.raises(UnknownNameError if method == "set_controller" else InputError):
+        getattr(session, method)(value)
+    go(session, 2.0)
+    assert session.status.activity is Activity.AT_TARGET
 
 
-def test_pace_keeps_abreast_of_the_clock_and_catches_up():
-    pace, started = RealTimeClock(), time.perf_counter()
+@pytest.mark.parametrize("broken", ["_controller", "_reference", "_ik", "_gripper"])
+def test_a_defect_anywhere_is_reported_and_reset_repairs_the_session(broken: str, monkeypatch, caplog):
+    session = RealTimeSession(arm_of("panda"))
+
+    class Broken:
+        def __getattr__(self, name: str):
+            raise ZeroDivisionError("a defect")
+
+    go(session, 0.1)
+    with monkeypatch.context() as patch:
+        patch.setattr(session, broken, Broken())
+        session.aim(Pose([0.4, 0.2, 0.4]))
+        session.grip(0.02)
+        go(session, 0.1)
+        assert session.status.activity in (Activity.FAILED, Activity.DIVERGED)
+        assert "a defect" in session.status.failure
+        assert not session.advance()
+    session.reset()
+    go(session, 3.0)
+    assert session.status.activity is Activity.AT_TARGET
+    assert session.status.failure == ""
+
+
+def test_a_failing_thread_is_never_shown_as_at_the_target(monkeypatch, caplog):
+    session = RealTimeSession(arm_of(BUNDLED))
+    go(session, 3.0)
+    assert session.status.activity is Activity.AT_TARGET
+
+    def broken(*args) -> None:
+        raise SystemExit("the thread ends")
+
+    monkeypatch.setattr(session._clock, "wait", broken)
+    session.start()
+    assert session._thread is not None
+    session._thread.join(timeout=60.0)
+    assert not session._thread.is_alive()
+    assert session.status.activity is Activity.FAILED
+
+
+def test_a_status_is_a_snapshot_that_nobody_can_change():
+    session = RealTimeSession(arm_of(BUNDLED))
+    before = session.status
+    q = before.q.copy()
+    go(session, 0.5)
+    np.testing.assert_array_equal(before.q, q)
+    assert session.status is not before
+    with pytest.raises(FrozenInstanceError):
+        before.payload = 1.0  # type: ignore[misc]
+    with pytest.raises(ValueError, match="read-only"):
+        before.q[0] = 1.0
+
+
+def test_a_newer_command_of_the_same_kind_replaces_an_older_one():
+    session = RealTimeSession(arm_of(BUNDLED))
+    for payload in (0.1, 0.2, 0.3):
+        session.set_payload(payload)
+    assert len(session._commands) == 1
+    session.advance()
+    assert session.status.payload == 0.3
+
+
+def test_stopping_does_not_wait_for_the_gripper():
+    session = RealTimeSession(arm_of("panda"))
+    session.start()
+    session.grip(0.0)
+    while session.status.gripper_width is None or session.status.gripper_width > 0.07:
+        time.sleep(0.001)
+    session.stop()
+    assert session._thread is not None
+    session._thread.join(timeout=60.0)
+    assert not session._thread.is_alive()
+    assert session.status.gripper_width > 0.0
+
+
+def test_the_clock_keeps_time_and_catches_up():
+    clock = RealTimeClock()
+    started = time.perf_counter()
     time.sleep(0.03)
     for _ in range(20):
-        pace.wait(0.01)
+        clock.wait(0.01)
     assert time.perf_counter() - started >= 0.2
-    assert 0.0 < pace.real_time_factor <= 1.05
+    assert 0.0 < clock.real_time_factor <= 1.05
 
 
-# The gate: what has no token gets nothing.
+@pytest.mark.parametrize("speed", [0.0, MIN_SPEED / 2, 2 * MAX_SPEED, float("nan"), -1.0])
+def test_the_clock_refuses_a_speed_out_of_range(speed: float):
+    clock = RealTimeClock(0.5)
+    with pytest.raises(InputError, match="speed"):
+        clock.speed = speed
+    assert clock.speed == 0.5
 
 
-@pytest.fixture
-def gate():
-    """A gate before a page that says only 'inside'."""
-    inner = socket.create_server(("127.0.0.1", 0))
-    gate = AuthProxy("127.0.0.1", "open sesame", inner.getsockname()[1], 0)
-    yield gate, inner
-    gate.close()
-    inner.close()
+STATUS_SENTENCES = {
+    Activity.FOLLOWING: "following, 12 mm to go",
+    Activity.AT_TARGET: "at the target, error 12 mm",
+    Activity.OUT_OF_REACH: "out of reach by 34 mm",
+    Activity.SAGGING: "steady-state error 12.0 mm with pd and 2 kg",
+    Activity.PAUSED: "paused",
+    Activity.DIVERGED: "a defect; press reset",
+    Activity.FAILED: "a defect; press reset",
+}
 
 
-def request(gate: AuthProxy, text: bytes) -> bytes:
-    port = int(gate.url.split(":")[2].split("/")[0])
-    with socket.create_connection(("127.0.0.1", port), timeout=5) as connection:
-        connection.sendall(text)
-        connection.shutdown(socket.SHUT_WR)
-        answer = b""
-        while chunk := connection.recv(4096):
-            answer += chunk
-    return answer
+@pytest.mark.parametrize("activity", Activity)
+def test_each_activity_has_its_sentence(activity: Activity):
+    status = replace(
+        RealTimeSession(arm_of(BUNDLED)).status,
+        activity=activity,
+        failure="a defect" if activity in (Activity.DIVERGED, Activity.FAILED) else "",
+        position_error=0.012,
+        reach_error=0.034 if activity is Activity.OUT_OF_REACH else None,
+        controller="pd",
+        payload=2.0,
+    )
+    assert describe(status) == STATUS_SENTENCES[activity]
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        b"GET / HTTP/1.1\r\nHost: x\r\n\r\n",
-        b"GET /?token=open HTTP/1.1\r\nHost: x\r\n\r\n",
-        b"GET /?token= HTTP/1.1\r\nHost: x\r\n\r\n",
-        b"GET / HTTP/1.1\r\nCookie: armctl=wrong\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\r\n",
-        b"GET / HTTP/1.1\r\nCookie: =;;\xff=\r\n\r\n",
-        b"\x16\x03\x01 nonsense \r\n\r\n",
-        b"",
-    ],
-)
-def test_without_the_token_nothing_gets_through(gate, text: bytes):
-    gate, inner = gate
-    answer = request(gate, text)
-    assert answer == b"" or answer.startswith(b"HTTP/1.1 403 ")
-    inner.settimeout(0.1)
-    with pytest.raises(TimeoutError):
-        inner.accept()
-
-
-def test_the_token_gets_a_cookie_and_the_cookie_gets_through(gate):
-    gate, inner = gate
-    answer = request(gate, b"GET /?token=open%20sesame HTTP/1.1\r\nHost: x\r\n\r\n")
-    assert answer.startswith(b"HTTP/1.1 303 ")
-    cookie = answer.split(b"Set-Cookie: ")[1].split(b";")[0]
-    assert b"HttpOnly; SameSite=Strict" in answer
-    port = int(gate.url.split(":")[2].split("/")[0])
-    with socket.create_connection(("127.0.0.1", port), timeout=5) as visitor:
-        visitor.sendall(b"GET / HTTP/1.1\r\nCookie: " + cookie + b"\r\n\r\n")
-        page, _ = inner.accept()
-        assert page.recv(4096).startswith(b"GET / HTTP/1.1")
-        page.sendall(b"inside")
-        page.close()
-        assert visitor.recv(4096) == b"inside"
-
-
-def test_a_short_token_and_a_taken_port_are_refused(gate):
-    with pytest.raises(InputError, match="token: 5 characters given, at least 8 wanted"):
-        AuthProxy("127.0.0.1", "short", 1, 0)
-    with pytest.raises(InputError, match="nobody can listen at"):
-        AuthProxy("127.0.0.1", "long enough", 1, gate[1].getsockname()[1])
-
-
-@pytest.mark.parametrize(
-    ("argv", "sentence"),
-    [
-        (["--host", "0.0.0.0"], "whoever finds the page could drive the arm; choose a --token"),
-        (["--token", "open sesame"], "without --host only this machine can reach the page"),
-        (["--host", "0.0.0.0", "--token", "short"], "at least 8 wanted"),
-        (["--port", "70000"], "port: 70000 given"),
-        (["--controller", "pdd"], "unknown controller 'pdd'"),
-    ],
-)
-def test_the_command_line_refuses_in_one_sentence(argv: list[str], sentence: str, capsys: pytest.CaptureFixture[str]):
-    pytest.importorskip("mjviser", reason="pip install -e '.[view]'")
-    assert main(["view", BUNDLED, *argv]) == 2
-    assert sentence in capsys.readouterr().err
-
-
-def test_native_without_a_screen_says_so_in_one_line(monkeypatch, capsys: pytest.CaptureFixture[str]):
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    monkeypatch.setattr("sys.platform", "linux")
-    assert main(["view", BUNDLED, "--native"]) == 2
-    err = capsys.readouterr().err
-    assert "no screen" in err
-    assert err.count("\n") == 1
+def test_an_unreachable_orientation_has_its_sentence():
+    status = RealTimeSession(arm_of(BUNDLED)).status
+    status = replace(status, activity=Activity.FOLLOWING, reach_error=0.0, position_error=0.012)
+    assert describe(status) == "following, 12 mm to go; this orientation is out of reach here"

@@ -4,13 +4,13 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
 from arms import BUNDLED
+from commands import armctl_command
 from PIL import ImageGrab
 
 TOOLS = ("Xvfb", "xdotool")
@@ -34,8 +34,9 @@ def screen() -> Iterator[dict[str, str]]:
 
 @pytest.fixture
 def window(screen: dict[str, str]) -> Iterator[subprocess.Popen]:
-    command = [sys.executable, "-m", "armctl", "view", BUNDLED, "--native"]
-    process = subprocess.Popen(command, env=screen, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        armctl_command("view", BUNDLED, "--native"), env=screen, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     until(lambda: ordered(screen, "search", "--name", "MuJoCo") != "" and green(seen(screen)).any(), "no window shows a target")
     yield process
     process.kill()

@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 from arms import BUNDLED, arm_of
 from scipy.spatial import KDTree
+from synthetic import limb, mjcf, motors
 
+import armctl
 from armctl import Simulation
 from armctl.sim.clock import RealTimeClock
 from armctl.viewer.mesh_decimation import decimated
+from armctl.viewer.web_scene import WebScene
 
 pytest.importorskip("mjviser", reason="pip install -e '.[view]'")
 
@@ -37,29 +40,29 @@ def test_a_watched_move_takes_its_time_and_computes_the_same(watched: Simulation
 
 
 def test_time_before_the_first_move_is_not_caught_up():
-    pace = RealTimeClock()
+    clock = RealTimeClock()
     begun = time.perf_counter()
-    pace.resume()
-    assert pace._due >= begun
+    clock.resume()
+    assert clock._due >= begun
 
 
 def test_the_page_draws_what_the_simulation_ended_with(watched: Simulation):
     watched.reset()
     watched.move_to([0.2, -0.2, 0.4])
-    stage = watched.viewer._stage
+    scene = watched.viewer.scene
     deadline = time.monotonic() + 10
-    while stage._latest is not None and time.monotonic() < deadline:
+    while scene._latest is not None and time.monotonic() < deadline:
         time.sleep(0.01)
     time.sleep(0.1)
-    np.testing.assert_allclose(stage._data.qpos, watched.data.qpos, atol=2e-6)
-    np.testing.assert_array_equal(stage._data.mocap_pos, watched.data.mocap_pos)
+    np.testing.assert_allclose(scene._data.qpos, watched.data.qpos, atol=2e-6)
+    np.testing.assert_array_equal(scene._data.mocap_pos, watched.data.mocap_pos)
 
 
 def test_it_says_where_it_is_and_how_fast_it_goes(watched: Simulation):
     assert watched.viewer.url.startswith("http://127.0.0.1:")
-    watched.viewer._spoken = 0.0
+    watched.viewer._text_written_at = 0.0
     watched.viewer.after_reset(watched.data)
-    assert "real time x" in watched.viewer._stage.words.content
+    assert "real time x" in watched.viewer.scene.text.content
 
 
 # Two fine spheres; the cells of the grid are 5e-4 of the extent wide, here 0.1 m.
@@ -86,3 +89,15 @@ def test_a_simplified_model_looks_the_same():
 
 def test_without_a_viewer_there_is_none():
     assert Simulation(arm_of(BUNDLED)).viewer is None
+
+
+def test_a_model_without_a_target_marker_has_a_page():
+    arm = armctl.load(mujoco.MjModel.from_xml_string(mjcf(limb("a b c"), motors("a b c"))))
+    scene = WebScene(0)
+    try:
+        scene.set(arm)
+        scene.show_target(arm.home_qpos, arm.fk(arm.home))
+        scene.draw()
+        np.testing.assert_array_equal(scene._data.qpos, arm.home_qpos)
+    finally:
+        scene.close()

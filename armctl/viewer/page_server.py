@@ -1,0 +1,166 @@
+"""viser's server behind access control and a message filter.
+
+viser serves HTTP and WebSocket with one call of `websockets.asyncio.server.serve`. viser offers no hook for requests or
+messages, but `serve` does. So this module replaces that call by one with our hooks and limits, for viser alone and only while
+viser starts. The page has one port, there is no second server behind it, and no proxy copies its bytes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import io
+import logging
+import socket
+import threading
+import types
+from typing import Any
+
+import viser
+import websockets.asyncio.server
+from viser import _messages
+from viser.infra import _infra
+from websockets.asyncio.server import ServerConnection
+from websockets.http11 import Request, Response
+
+from armctl.core.errors import InputError, NotInstalledError
+from armctl.viewer.access_control import AccessControl, add_security_headers
+from armctl.viewer.message_filter import MAX_MESSAGE_BYTES, MessageFilter
+
+LOCAL = "127.0.0.1"
+_MAX_PORTS_TRIED = 100
+_CLOSE_TIMEOUT_S = 0.5  # for a client that does not answer when the page closes
+_OPEN_TIMEOUT_S = 10.0
+_TOO_MANY_CLIENTS = 1013  # WebSocket close code "try again later"
+_start_lock = threading.Lock()
+
+_log = logging.getLogger("armctl.viewer")
+_silent_log = logging.getLogger("armctl.viewer.websockets")  # a client must not be able to fill the terminal
+_silent_log.addHandler(logging.NullHandler())
+_silent_log.propagate = False
+
+
+def listen(port: int, host: str | None) -> socket.socket:
+    """A socket that listens at an address, or at the next free port of this machine if no host is given.
+
+    Raises:
+        InputError: The address does not belong to this machine, or the port is taken.
+    """
+    last = port if host is not None or port == 0 else min(port + _MAX_PORTS_TRIED, 65535)
+    while True:
+        try:
+            return _listen_at(LOCAL if host is None else host, port)
+        except OSError as error:
+            if port >= last:
+                name = "port" if host is None else "host"
+                raise InputError(f"{name}: cannot listen at {host or LOCAL}:{port} ({error.strerror or error})") from None
+            port += 1
+
+
+def _listen_at(host: str, port: int) -> socket.socket:
+    addresses = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+    family, _, _, _, address = addresses[0]
+    return socket.create_server(address[:2], family=family)
+
+
+def start_server(listener: socket.socket, access: AccessControl) -> viser.ViserServer:
+    """Starts viser's server on a socket, behind access control and a message filter.
+
+    Raises:
+        NotInstalledError: This version of viser serves in another way, so that it cannot be protected.
+    """
+    messages = MessageFilter()
+    calls: list[str] = []
+
+    def serve(handler, host, port, *, process_request, **options: Any):
+        calls.append("serve")
+        options.update(_options(messages))
+        return websockets.asyncio.server.serve(
+            _counted(handler, access), sock=listener, process_request=_checked(process_request, access), **options
+        )
+
+    with _start_lock, contextlib.redirect_stdout(io.StringIO()):  # viser prints a table
+        setattr(_infra, "websockets", _replaced_serve(serve))  # noqa: B010 (for the type checker, a module is not a variable)
+        try:
+            server = viser.ViserServer(host=LOCAL, port=listener.getsockname()[1], verbose=False)
+        finally:
+            setattr(_infra, "websockets", websockets)  # noqa: B010
+    if calls != ["serve"]:
+        listener.close()
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
+        raise NotInstalledError(f"armctl cannot protect the page of viser {viser.__version__}; install viser 1.1")
+    # These two would publish the page through a tunnel. The filter drops them too.
+    for message_class in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
+        server._websock_server.unregister_handler(message_class)
+    server._event_loop.call_soon_threadsafe(server._event_loop.set_exception_handler, _ErrorLog())
+    messages.inputs = server.gui._gui_input_handle_from_uuid
+    return server
+
+
+def _options(messages: MessageFilter) -> dict[str, Any]:
+    class FilteredConnection(ServerConnection):
+        """A connection whose receiver sees checked messages only."""
+
+        async def recv(self, decode: bool | None = None) -> Any:
+            while True:
+                message = messages.checked(await super().recv(decode))
+                if message is not None:
+                    return message
+
+    return {
+        "create_connection": FilteredConnection,
+        "max_size": MAX_MESSAGE_BYTES,
+        "open_timeout": _OPEN_TIMEOUT_S,
+        "close_timeout": _CLOSE_TIMEOUT_S,
+        "server_header": None,
+        "logger": _silent_log,
+    }
+
+
+def _counted(handler, access: AccessControl):
+    async def handle(connection: ServerConnection) -> None:
+        if not access.add_client(connection):
+            await connection.close(_TOO_MANY_CLIENTS)
+            return
+        try:
+            await handler(connection)
+        finally:
+            access.remove_client(connection)
+
+    return handle
+
+
+def _checked(process_request, access: AccessControl):
+    async def answer(connection: ServerConnection, request: Request) -> Response | None:
+        response = await access.answer(connection, request)
+        if response is None:
+            response = process_request(connection, request)
+        return response if response is None else add_security_headers(response)
+
+    return answer
+
+
+def _replaced_serve(serve) -> types.ModuleType:
+    """The module `websockets` with another `asyncio.server.serve`."""
+    server = _copied(websockets.asyncio.server, serve=serve)
+    return _copied(websockets, asyncio=_copied(websockets.asyncio, server=server))
+
+
+def _copied(module: types.ModuleType, **replacements: object) -> types.ModuleType:
+    copy = types.ModuleType(module.__name__)
+    vars(copy).update(vars(module) | replacements)
+    return copy
+
+
+class _ErrorLog:
+    """Writes each kind of error on viser's event loop to the log once."""
+
+    def __init__(self) -> None:
+        self._seen: set[str] = set()
+
+    def __call__(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        kind = f"{context.get('message')}: {type(context.get('exception')).__name__}"
+        if kind not in self._seen:
+            self._seen.add(kind)
+            _log.warning("the page's server had an error: %s (%s)", kind, context.get("exception"))

@@ -1,0 +1,232 @@
+"""What a client may send: checked values reach the session, everything else is dropped, and nothing ends the viewer."""
+
+import msgspec
+import numpy as np
+import pytest
+
+pytest.importorskip("mjviser", reason="pip install -e '.[view]'")
+
+from viewer_client import CAMERA, connected, control_id, follows, open_page, until
+
+from armctl.sim.realtime import Activity
+from armctl.viewer.message_filter import MAX_COORDINATE_M, limited_value
+
+NUMBERS = [
+    0.0,
+    5e-324,
+    -1.0,
+    1e300,
+    1e308,
+    -1e308,
+    float("nan"),
+    float("inf"),
+    -float("inf"),
+    2**63,
+    True,
+    None,
+    "1",
+    [],
+    [1.0],
+    {},
+]
+VECTORS = [
+    [1, 2],
+    [1, 2, 3, 4],
+    [],
+    [float("nan"), 0, 0],
+    [1e308, 0, 0],
+    [None, 0, 0],
+    ["a", 0, 0],
+    [[0], [0], [0]],
+    "abc",
+    3,
+    {},
+]
+LABELS = [
+    "speed",
+    "payload, kg",
+    "shoulder_yaw",
+    "elbow",
+    "position, m",
+    "roll, pitch, yaw, deg",
+    "controller",
+    "pause",
+    "reset",
+]
+ATTRIBUTES = [
+    {"removed": True},
+    {"update_cb": "boom"},
+    {"__dict__": {}},
+    {"__class__": "x"},
+    {"min": 5.0},
+    {"uuid": "x"},
+    {"props": None},
+    {"value": 1.0, "removed": True},
+    {"is_button": True},
+    {"sync_cb": None},
+    {"gui_api": None},
+    {"disabled": True},
+    {},
+]
+
+
+@pytest.fixture(scope="module")
+def page():
+    with open_page() as page:
+        yield page
+
+
+@pytest.fixture(scope="module")
+def client(page):
+    with connected(page) as client:
+        until(lambda: page.session.status.elapsed > 0.0, "the session does not start")
+        yield client
+
+
+def settled(page, client) -> None:
+    """Waits until everything that was sent before has been handled: messages of a client are handled in order."""
+    x = 0.2 + 0.01 * float(np.random.default_rng().uniform())
+    client.set(page, "position, m", [x, 0.0, 0.4])
+    until(lambda: page.session.status.target.position[0] == x, "a message is not handled")
+
+
+@pytest.mark.parametrize("label", LABELS)
+def test_no_value_of_a_control_ends_the_session(page, client, label: str):
+    for value in [*NUMBERS, *VECTORS]:
+        client.set(page, label, value)
+    settled(page, client)
+    status = page.session.status
+    assert status.activity not in (Activity.FAILED, Activity.DIVERGED)
+    assert 0.05 <= status.speed <= 2.0
+    assert 0.0 <= status.payload <= 5.0
+    follows(page, client)
+
+
+@pytest.mark.parametrize("attributes", ATTRIBUTES, ids=str)
+def test_a_client_changes_no_property_of_a_control(page, client, attributes: dict):
+    controls = page.scene.server.gui._gui_input_handle_from_uuid
+    before = {uuid: (control.label, control.visible, control.disabled) for uuid, control in controls.items()}
+    for label in LABELS:
+        uuid = control_id(page, label)
+        state = controls[uuid]._impl
+        callbacks = state.update_cb
+        client.send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": attributes})
+        settled(page, client)
+        assert controls[uuid]._impl is state
+        assert not state.removed
+        assert state.update_cb is callbacks
+    assert {uuid: (control.label, control.visible, control.disabled) for uuid, control in controls.items()} == before
+    follows(page, client)
+
+
+@pytest.mark.parametrize(
+    "pose",
+    [
+        {"position": [float("nan"), 0, 0]},
+        {"position": [1, 2]},
+        {"position": None},
+        {"wxyz": [0, 0, 0, 0]},
+        {"wxyz": [float("inf"), 0, 0, 0]},
+        {"wxyz": [1, 0, 0]},
+        {"wxyz": [1e-300, 0, 0, 0]},
+        {"name": "/other"},
+        {"name": "x" * 100},
+        {"owner": "me"},
+    ],
+    ids=str,
+)
+def test_a_wrong_pose_of_the_target_is_dropped(page, client, pose: dict):
+    settled(page, client)
+    target = page.session.status.target
+    message = {"name": "/goal", "wxyz": [1, 0, 0, 0], "position": [0.9, 0.9, 0.9], "owner": ""}
+    client.send({"type": "TransformControlsUpdateMessage"} | message | pose)
+    client.send(CAMERA)
+    client.set(page, "speed", 0.75)
+    until(lambda: page.session.status.speed == 0.75, "the message after it is not handled")
+    assert page.session.status.target is target
+    client.set(page, "speed", 1.0)
+
+
+def test_a_far_target_is_limited_and_the_arm_says_that_it_is_out_of_reach(page, client):
+    message = {"name": "/goal", "wxyz": [1, 0, 0, 0], "position": [1e300, 0, 0], "owner": ""}
+    client.send({"type": "TransformControlsUpdateMessage"} | message)
+    until(lambda: page.session.status.activity is Activity.OUT_OF_REACH, "it is not called out of reach")
+    assert page.session.status.target.position[0] == MAX_COORDINATE_M
+    follows(page, client)
+
+
+def test_a_target_whose_holder_leaves_is_released(page, client):
+    with connected(page) as holder:
+        drag = {"type": "TransformControlsDragStartMessage", "name": "/goal", "owner": ""}
+        until(lambda: len(page.scene.server.get_clients()) == 2, "the second client is not connected")
+        holder.send(drag)
+        until(lambda: page.is_target_held, "the target is not held")
+    until(lambda: not page.is_target_held, "the target is still held")
+    follows(page, client)
+
+
+def test_a_disabled_button_cannot_be_pressed(page, client, monkeypatch: pytest.MonkeyPatch):
+    button = page.panel._comparison._button
+    ordered = []
+    monkeypatch.setattr(page.panel._comparison._worker, "submit", ordered.append)
+    button.disabled = True
+    client.set(page, "compare the controllers", True)
+    settled(page, client)
+    assert ordered == []
+    button.disabled = False
+    client.set(page, "compare the controllers", True)
+    settled(page, client)
+    assert len(ordered) == 1
+    button.disabled = False
+
+
+def test_a_failure_while_drawing_or_writing_does_not_end_the_page(page, client, monkeypatch: pytest.MonkeyPatch, caplog):
+    calls = []
+
+    def broken(*args) -> None:
+        calls.append(args)
+        raise RuntimeError("a defect")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(page.panel, "update", broken)
+        until(lambda: len(calls) > 2, "the page has ended")
+    assert "could not show" in caplog.text
+    follows(page, client)
+
+
+def test_a_failed_session_is_shown_and_reset_repairs_it(page, client, monkeypatch: pytest.MonkeyPatch, caplog):
+    def broken(*args) -> None:
+        raise ZeroDivisionError("a defect")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(page.session._reference, "toward", broken)
+        until(lambda: page.session.status.activity is Activity.FAILED, "the failure is not noticed")
+        until(lambda: "ZeroDivisionError: a defect" in page.scene.text.content, "the page does not show the failure")
+        assert "at the target" not in page._label.text
+    assert page.session._thread is not None
+    assert page.session._thread.is_alive()
+    client.set(page, "reset", True)
+    follows(page, client)
+
+
+def test_a_number_outside_a_sliders_range_becomes_its_bound(page):
+    slider = page.scene.server.gui._gui_input_handle_from_uuid[control_id(page, "speed")]
+    assert [limited_value(slider, value) for value in (-1, 0.5, 1e300)] == [0.05, 0.5, 2.0]
+    assert limited_value(slider, float("nan")) is None
+    assert limited_value(slider, True) is None
+    assert limited_value(None, 1.0) is None
+
+
+def test_a_message_is_encoded_again_from_what_was_checked(page):
+    from armctl.viewer.message_filter import MessageFilter
+
+    messages = MessageFilter()
+    messages.inputs = page.scene.server.gui._gui_input_handle_from_uuid
+    update = {"type": "GuiUpdateMessage", "uuid": control_id(page, "speed"), "updates": {"value": 9.0, "removed": True}, "x": 1}
+    checked = messages.checked(msgspec.msgpack.encode(update))
+    assert checked is not None
+    assert msgspec.msgpack.decode(checked) == {
+        "type": "GuiUpdateMessage",
+        "uuid": control_id(page, "speed"),
+        "updates": {"value": 2.0},
+    }
