@@ -168,6 +168,7 @@ class ControlledArms:
 
     def hold(self, seconds: float) -> None:
         """Holds all arms at their last references, for at least one tick; not recorded unless it fails."""
+        self.resume()
         recorder = Recorder(self.stepper.model, self.stepper.actuation)
         try:
             self.stepper.run(self._controller, self.stepper.hold_reference(seconds), recorder)
