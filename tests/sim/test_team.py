@@ -86,6 +86,103 @@ def test_wrong_calls_are_refused(pair, bundled: armctl.Arm):
         armctl.Team(arms, plant=armctl.Plant(payload=1.0))
 
 
+class Failing:
+    """Raises an exception, or returns something that is no torque, from a time on."""
+
+    name = "failing"
+
+    def __init__(self, value=None, error: BaseException | None = None):
+        self.value = value
+        self.error = error
+
+    def torque(self, state, setpoint):
+        if state.t < 0.1 - 1e-9:
+            return np.zeros(3)
+        if self.error is not None:
+            raise self.error
+        return self.value
+
+
+@pytest.mark.parametrize("tip", ["C", "F"])
+@pytest.mark.parametrize(
+    ("law", "cause"),
+    [
+        (Failing(error=ZeroDivisionError("division by zero")), "division by zero"),
+        (Failing(None), "torque: None returned, 3 numbers wanted"),
+        (Failing(np.zeros(2)), "torque: 2 numbers given, 3 wanted"),
+        (Failing(["a", "b", "c"]), "torque: .* is not an array of numbers"),
+    ],
+)
+@pytest.mark.parametrize("command", ["run", "move_to"])
+def test_a_controller_that_fails_raises_simulation_error_with_the_log_of_its_arm(pair, tip, law, cause, command):
+    arms = pair()
+    team = armctl.Team(arms, {tip: law})
+    motions = {arm.tip: armctl.move_j(arm, arm.home, arm.home + 0.5) for arm in arms}
+    targets = {arm.tip: arm.fk(arm.home + 0.5).position for arm in arms}
+    with pytest.raises(armctl.SimulationError, match=f"the controller failing of '{tip}' failed at 0.100 s: {cause}") as caught:
+        team.run(motions) if command == "run" else team.move_to(targets)
+    assert caught.value.log is team.logs[tip]
+    assert caught.value.log.controller == "failing"
+    assert {name: len(log) for name, log in team.logs.items()} == {"C": 50, "F": 50}
+    team.controllers[tip] = armctl.PD(team.arms[tip])
+    assert team.run({}, dwell=0.1)[tip].failure == ""
+    team.reset()
+    assert team.data.time == 0
+
+
+def test_ctrl_c_leaves_the_logs_of_all_arms(pair):
+    team = armctl.Team(pair(), {"F": Failing(error=KeyboardInterrupt())})
+    with pytest.raises(KeyboardInterrupt):
+        team.run({}, dwell=1.0)
+    assert {tip: len(log) for tip, log in team.logs.items()} == {"C": 50, "F": 50}
+    assert team.logs["C"].failure == "interrupted at 0.100 s by KeyboardInterrupt"
+
+
+def test_a_team_prefers_a_solution_without_contact_as_a_simulation_does(pair):
+    arms = pair()
+    target = arms[0].fk(arms[0].home + 0.4).position
+    alone = armctl.Simulation(arms[0]).move_to(target)
+    together = armctl.Team(arms).move_to({"C": target})["C"]
+    rows = min(len(alone.log), len(together.log))
+    assert np.array_equal(alone.log.q_ref[:rows], together.log.q_ref[:rows])
+
+
+def test_speed_slows_a_team(pair):
+    arms = pair()
+    target = {"C": arms[0].fk(arms[0].home + 0.4).position}
+    full = armctl.Team(arms).move_to(target)["C"]
+    half = armctl.Team(arms).move_to(target, speed=0.5)["C"]
+    assert half.log.motion_duration == pytest.approx(2 * full.log.motion_duration, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda arms: armctl.Team(arms, {"C": 3}), "controller: 3 has no method torque"),
+        (lambda arms: armctl.Team(arms, {"C": None}), "controller: None has no method torque"),
+        (lambda arms: armctl.Team(arms, ["pd", "pd"]), "controllers: .* is no mapping by tip"),
+        (lambda arms: armctl.Team(arms, plant=3), "plant: 3 is no Plant"),
+        (lambda arms: armctl.Team(arms).run([]), r"trajectories: \[\] is no mapping by tip"),
+        (lambda arms: armctl.Team(arms).run({"C": 3}), "trajectory: 3 is not a trajectory"),
+        (lambda arms: armctl.Team(arms).run({}, dwell=1e9), "at most 10,000,000 fit into a log"),
+        (lambda arms: armctl.Team(arms).run({}, dwell="1"), "dwell: '1' is not a number"),
+        (lambda arms: armctl.Team(arms).move_to([0, 0, 0]), "targets: .* is no mapping by tip"),
+        (lambda arms: armctl.Team(arms).move_to({"C": [0, 0]}), "target: 2 numbers given, 3 wanted"),
+        (lambda arms: armctl.Team(arms).move_to({"C": [0, 0, 9]}, speed=0), "speed: 0 given"),
+        (lambda arms: armctl.Team(arms).tip(["C"]), r"tip: \['C'\] is no name"),
+        (lambda arms: armctl.Team(arms).gripper("X"), "unknown tip 'X'; known: C, F"),
+        (
+            lambda arms: armctl.Team(arms).run({"C": armctl.move_j(arms[1], arms[1].home, arms[1].home)}),
+            "planned for the joints",
+        ),
+    ],
+)
+def test_a_wrong_call_of_a_team_is_one_sentence(pair, call, sentence: str):
+    with pytest.raises(armctl.ArmctlError, match=sentence) as caught:
+        call(pair())
+    assert len(str(caught.value)) <= 400
+
+
 TEAMS = {
     "aloha": (["left/gripper", "right/gripper"], {}),
     "anybotics_anymal_c/anymal_c": (["LF_SHANK", "RF_SHANK", "LH_SHANK", "RH_SHANK"], {"hold_base": True}),
