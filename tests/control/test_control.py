@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from motions import Still, Sway
-from synthetic import BENT, limb, motors, serial_arm
+from synthetic import limb, motors
 
 import armctl
 from armctl.control import CONTROLLERS, controller_by_name
@@ -16,16 +16,6 @@ WITH_MEMORY = ("pid-gravity", "computed-torque-observer", "adaptive")
 
 every_controller = pytest.mark.parametrize("name", CONTROLLERS)
 every_tick = pytest.mark.parametrize("dt", TICKS)
-
-
-@pytest.fixture(params=BENT)
-def bent(request: pytest.FixtureRequest, tmp_path) -> armctl.Arm:
-    return serial_arm(tmp_path, BENT[request.param])
-
-
-@pytest.fixture
-def redundant(tmp_path) -> armctl.Arm:
-    return serial_arm(tmp_path, BENT["redundant"])
 
 
 @every_tick

@@ -11,16 +11,6 @@ from armctl.control import pd
 from armctl.core.trajectory import Setpoint
 
 
-@pytest.fixture(params=BENT)
-def bent(request: pytest.FixtureRequest, tmp_path) -> armctl.Arm:
-    return serial_arm(tmp_path, BENT[request.param])
-
-
-@pytest.fixture
-def redundant(tmp_path) -> armctl.Arm:
-    return serial_arm(tmp_path, BENT["redundant"])
-
-
 def greatest_error(arm, name, dt, **plant):
     motion = out_and_back(arm, 0.2).scaled(0.5)
     return armctl.Report.from_log(armctl.simulate(arm, name, motion, armctl.Plant(timestep=dt, **plant))).joint_max_rad
