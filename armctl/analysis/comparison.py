@@ -53,7 +53,10 @@ def compare(
         UnknownNameError: There is no such controller.
         SimulationError: A controller failed at its first tick.
     """
-    if isinstance(controllers, str) or not controllers or not plants:
+    lists = [
+        values for values in (controllers, plants) if isinstance(values, Sequence) and not isinstance(values, str) and values
+    ]
+    if len(lists) < 2:
         raise InputError("controllers, plants: a list of at least one of each wanted, such as ['pd', 'computed-torque']")
     pairs = [
         _Pair(controller, plant, controller_label, plant_label)

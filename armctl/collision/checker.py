@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 
 import mujoco
@@ -352,9 +352,10 @@ def _allowed_geoms(model: mujoco.MjModel, allow: Iterable[tuple[str, str]]) -> s
     """The pairs of geoms, the lesser first, that pairs of names allow to touch."""
     allowed = set()
     for pair in allow:
-        if isinstance(pair, str) or len(tuple(pair)) != 2:
+        names = list(pair) if isinstance(pair, Sequence) and not isinstance(pair, str) else []
+        if len(names) != 2 or not all(isinstance(name, str) for name in names):
             raise InputError(f"allow: {pair!r:.80} is no pair of names; allow=[('cube', 'table')] is one")
-        first, second = (_geoms_named(model, name) for name in pair)
+        first, second = (_geoms_named(model, name) for name in names)
         allowed |= {(min(a, b), max(a, b)) for a in first for b in second}
     return allowed
 

@@ -102,7 +102,7 @@ def pd_gains(
     damping_ratio = number("damping_ratio", damping_ratio, 0.0)
     inertia = effective_inertia(arm)
     scale = floored_inertia(arm, np.median(inertia, axis=0), inertia.min(axis=0), bandwidth, DESIGN_PERIOD_S)
-    stiffness = gain("stiffness", bandwidth**2 * scale if stiffness is None else stiffness, arm.n)
+    stiffness = gain("stiffness", bandwidth * bandwidth * scale if stiffness is None else stiffness, arm.n)
     damping = gain("damping", 2 * damping_ratio * np.sqrt(stiffness * scale) if damping is None else damping, arm.n)
     return stiffness, damping
 

@@ -207,6 +207,24 @@ def _bounds(low: float, high: float) -> str:
     return f"at least {low:g}" if high == np.inf else f"in [{low:g}, {high:g}]"
 
 
+def flag(what: str, value: object) -> bool:
+    """Checks that an argument is True or False.
+
+    Args:
+        what: The name of the argument, for the error.
+        value: The argument.
+
+    Returns:
+        The argument as a bool.
+
+    Raises:
+        InputError: It is something else, such as an array, whose truth would be ambiguous.
+    """
+    if not isinstance(value, (bool, np.bool_)):
+        raise InputError(f"{what}: {shown(value)} given, True or False wanted")
+    return bool(value)
+
+
 def frozen(value: NDArray[_Scalar]) -> NDArray[_Scalar]:
     """Makes an array read-only and returns it."""
     value.setflags(write=False)

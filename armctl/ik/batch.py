@@ -130,7 +130,7 @@ def _read_targets(targets: Sequence[Pose] | ArrayLike, free_axis: str | None) ->
     numbers = cast(ArrayLike, targets)
     try:
         dimensions = np.ndim(numbers)
-    except ValueError:
+    except Exception:  # a caller's object may raise anything while NumPy converts it
         raise InputError(f"targets: {shown(targets)} is not an array of numbers") from None
     if dimensions == 3:
         return constraint_of(True, free_axis), _read_transforms(array("targets", numbers, 3))

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.target import TargetLike
-from armctl.core.validation import Array, frozen, number, shown, vector
+from armctl.core.validation import Array, flag, frozen, number, shown, vector
 from armctl.ik.problem import read_target
 from armctl.ik.quadratic_program import QuadraticProgram
 from armctl.robot.arm import Arm, check_arm
@@ -90,7 +90,7 @@ class DifferentialIk:
         self._constraints = _checked_list("constraints", constraints, mink.Task)
         self._is_alone = len(self._tasks) == 1
         clearance = number("clearance", clearance, 0.0)
-        self._clearance = ClearanceLimit(arm, clearance) if avoid_collisions else None
+        self._clearance = ClearanceLimit(arm, clearance) if flag("avoid_collisions", avoid_collisions) else None
         self._all_limits = [*self._limits, self._clearance] if self._clearance is not None else self._limits
         self._needs_kinematics = bool(self._all_limits or self._constraints or not self._is_alone)
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.collision.checkers import collision_checker
-from armctl.core.errors import InputError, UnknownNameError
+from armctl.core.errors import UnknownNameError
 from armctl.core.target import TargetLike
-from armctl.core.validation import Array, frozen, shown
+from armctl.core.validation import Array, flag, frozen
 from armctl.ik import lm
 from armctl.ik.problem import Problem, read_problem, read_target
 from armctl.ik.result import IkResult, failure_reason
@@ -79,9 +79,9 @@ def solve_ik(
     constraint, numbers = read_target(target, free_axis)
     problem = read_problem(arm, constraint, numbers[None], q0, position_tolerance, orientation_tolerance, seed)
     search, max_starts = _method(method)
-    contact_at = collision_checker(arm).at if _flag("avoid_collisions", avoid_collisions) else None
+    contact_at = collision_checker(arm).at if flag("avoid_collisions", avoid_collisions) else None
     candidates = _candidates(problem, search, max_starts, stay_near=q0 is not None)
-    if _flag("nearest", nearest):
+    if flag("nearest", nearest):
         candidates = chain(_nearest_candidates(problem, search), candidates)
     in_contact: IkResult | None = None
     candidate = Candidate(problem.q0[0], 0, 0)
@@ -118,12 +118,6 @@ def _result(candidate: Candidate, position_error: float, orientation_error: floa
         iterations=candidate.iterations,
         starts=candidate.starts,
     )
-
-
-def _flag(what: str, value: bool) -> bool:
-    if not isinstance(value, (bool, np.bool_)):
-        raise InputError(f"{what}: {shown(value)} given, True or False wanted")
-    return bool(value)
 
 
 def _method(name: str) -> tuple[Search, int]:

@@ -12,11 +12,10 @@ import warnings
 from collections.abc import Iterator, Sequence
 
 import mujoco
-import numpy as np
 
 from armctl.core.errors import ArmctlWarning, InputError, ModelError
 from armctl.core.pose import Pose
-from armctl.core.validation import instance, shown
+from armctl.core.validation import flag, instance, shown
 from armctl.loading.build import make_arms
 from armctl.loading.catalog import Source, locate
 from armctl.loading.chain import SerialChain, all_chains
@@ -72,7 +71,7 @@ def load(
     """
     if tip_offset is not None:
         instance("tip_offset", tip_offset, Pose, "armctl.Pose([0, 0, 0.1]) is 0.1 m along z")
-    hold_base = _flag("hold_base", hold_base)
+    hold_base = flag("hold_base", hold_base)
     if isinstance(robot, mujoco.MjModel):
         _refuse_additions(hold_base=hold_base, tool=tool is not None, scene=scene is not None)
         return _load_compiled(robot, [ArmEnds(tip, base, tip_offset)])[0]
@@ -126,7 +125,7 @@ def load_arms(
         raise InputError(f"base: {shown(base)} is neither the name of a body nor a list of names")
     if len(bases) != len(tips):
         raise InputError(f"base: {len(bases)} given for {len(tips)} tips; give one for each, or one for all")
-    hold_base = _flag("hold_base", hold_base)
+    hold_base = flag("hold_base", hold_base)
     ends = [ArmEnds(named_tip, named_base) for named_tip, named_base in zip(tips, bases, strict=True)]
     if isinstance(robot, mujoco.MjModel):
         _refuse_additions(hold_base=hold_base, scene=scene is not None)
@@ -204,12 +203,6 @@ def _add_scene(spec: mujoco.MjSpec, scene: Scene | str | os.PathLike[str] | None
     """Puts a scene around a robot."""
     if scene is not None:
         (scene if isinstance(scene, Scene) else Scene(scene)).build(spec)
-
-
-def _flag(what: str, value: object) -> bool:
-    """A caller's bool."""
-    instance(what, value, (bool, np.bool_), "give True or False")
-    return bool(value)
 
 
 def _refuse_additions(**given: bool) -> None:

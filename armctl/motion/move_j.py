@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, LimitError
-from armctl.core.validation import Array
+from armctl.core.validation import Array, flag
 from armctl.motion.checks import planning_arm, start_velocity
 from armctl.motion.timing.otg import JointState, ProfileSolver, at_rest, solve_pieces
 from armctl.motion.torque_limits import within_torque
@@ -53,7 +53,7 @@ def move_j(
     start = arm.checked("q_start", q_start)
     goal = arm.checked("q_goal", q_goal)
     v = start_velocity(planning, v_start)
-    if straight:
+    if flag("straight", straight):
         pieces = _line(planning, start, goal, v)
     else:
         pieces = solve_pieces(ProfileSolver.of(planning.limits), JointState(start, v, np.zeros(arm.n)), at_rest(goal))

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from armctl.collision.checkers import collision_checker
 from armctl.core.errors import InputError, PlanError, UnknownNameError
 from armctl.core.pose import Pose
-from armctl.core.validation import Array, number
+from armctl.core.validation import Array, number, shown
 from armctl.ik import solve_ik
 from armctl.motion import JointTrajectory, move_j
 from armctl.motion.checks import planning_arm
@@ -132,7 +132,14 @@ def move_free_with(
 
 
 def _checker(arm: Arm, start: Array, allow: Iterable[tuple[str, str]], holding: str | Iterable[str] | None) -> CollisionChecker:
-    names = (holding,) if isinstance(holding, str) else tuple(holding or ())
+    if holding is None:
+        names = []
+    elif isinstance(holding, str):
+        names = [holding]
+    elif isinstance(holding, Sequence) and all(isinstance(name, str) for name in holding):
+        names = list(holding)
+    else:
+        raise InputError(f"holding: {shown(holding)} given, the name of a body or a list of names wanted")
     held = {_body(arm, name): arm.tip_body for name in names}
     return collision_checker(arm, arm.qpos(start) if held else None, allow, held)
 

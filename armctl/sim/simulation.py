@@ -19,7 +19,7 @@ from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
 from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE, Target
 from armctl.core.trajectory import TickReference, Trajectory
-from armctl.core.validation import Array, instance, number, shown, vector
+from armctl.core.validation import Array, flag, number, shown, vector
 from armctl.ik import solve_ik
 from armctl.loading.load import load
 from armctl.mjmodel.target_marker import TARGET, set_target, target_pose
@@ -75,8 +75,7 @@ class Simulation:
         self.arm = robot if isinstance(robot, Arm) else load(robot)
         law = ComputedTorque(self.arm) if controller is None else read_controller(controller, self.arm)
         self.plant = read_plant(plant)
-        instance("viewer", viewer, (bool, np.bool_), "True opens a page in the browser")
-        self.viewer = hooks.open_viewer(self.arm) if viewer and hooks.open_viewer is not None else None
+        self.viewer = hooks.open_viewer(self.arm) if flag("viewer", viewer) and hooks.open_viewer is not None else None
         self._arms = ControlledArms([self.arm], {self.arm.tip: law}, Stepper([self.arm], self.plant, self.viewer))
         self._gripper: Gripper | None = None
         self.model = self._arms.stepper.model
@@ -416,7 +415,7 @@ class Simulation:
             Every tick of it. `log.target` is the target at the end, which `Report` compares with the tip.
 
         Raises:
-            InputError: A negative time, or a function that returns neither a pose nor three finite numbers.
+            InputError: A negative time, or a function that raises, or returns neither a pose nor three finite numbers.
             UnknownNameError: The model has no such body.
             SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
@@ -469,7 +468,15 @@ class Simulation:
     def _target_function(self, target: str | Callable[[float], Pose | ArrayLike]) -> Callable[[float], Pose | ArrayLike]:
         """The target as a function of time."""
         if callable(target):
-            return target
+
+            def called(time: float) -> Pose | ArrayLike:
+                try:
+                    return target(time)
+                except Exception as error:
+                    reason = f"{type(error).__name__}: {error!s:.200}"
+                    raise InputError(f"target: the function failed at {time:g} s: {reason}") from error
+
+            return called
         if not isinstance(target, str):
             raise InputError(f"target: {shown(target)} is neither the name of a body nor a function of the time")
         body = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, target)
