@@ -1,8 +1,10 @@
 """The command line as a stranger uses it: what it prints, what it exits with, and how it says no."""
 
 import json
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from arms import BUNDLED, MISSING, at_hand
@@ -230,3 +232,36 @@ def test_iso9283_prints_the_figures_with_units(capsys):
     assert status == 0
     assert "pose accuracy AP" in out
     assert " um" in out
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+def test_a_full_disk_behind_the_output_is_one_sentence():
+    with open("/dev/full", "w") as full:
+        command = [sys.executable, "-m", "armctl", "robots"]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, env=os.environ | _paths())
+    assert done.returncode == 2
+    assert done.stderr == "armctl: output: No space left on device\n"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="limits of POSIX")
+def test_a_full_disk_names_the_file(tmp_path):
+    code = (
+        "import resource, sys\nfrom armctl.cli.main import main\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (4000, resource.RLIM_INFINITY))\n"
+        "sys.exit(main(sys.argv[1:]))"
+    )
+    command = [sys.executable, "-c", code, "reach", BUNDLED, "--save", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, env=os.environ | _paths())
+    assert done.returncode == 2
+    assert done.stderr == f"armctl: {tmp_path / 'log.npz'}: cannot be written: File too large\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_reader_that_leaves_early_is_no_error():
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "armctl", "robots"]
+    done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, env=os.environ | _paths())
+    os.close(writing)
+    assert done.returncode == 0
+    assert done.stderr == b""
