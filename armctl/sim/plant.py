@@ -69,7 +69,17 @@ class Push:
         return np.concatenate([self.force, self.torque])
 
     def acts(self, t: float) -> bool:
-        """Tells whether the push acts at time t, s."""
+        """Tells whether the push acts at a time.
+
+        Args:
+            t: s.
+
+        Returns:
+            Whether it acts.
+
+        Raises:
+            InputError: The time is no finite number.
+        """
         time = number("t", t)
         return self.start <= time < self.start + self.duration
 

@@ -77,7 +77,9 @@ def public_api() -> Iterator[Documented]:
                 yield Documented(name if home is value else f"{name}({home.__name__})", node)
                 for member in node.body:
                     if isinstance(member, Function) and (not member.name.startswith("_") or member.name == "__init__"):
-                        yield Documented(f"{name}.{member.name}", member, is_method=True)
+                        method = Documented(f"{name}.{member.name}", member, is_method=True)
+                        if "setter" not in method.decorators:  # the property says what it is
+                            yield method
         elif inspect.isfunction(value):
             yield Documented(name, tree_of(value))
 

@@ -47,7 +47,6 @@ CALLS: dict[str, tuple[Callable[[], object], str]] = {
     "an arm's name to excite": (lambda: armctl.excitation(ARM.name), "arm: .* is no Arm"),  # type: ignore
     "a position to run": (lambda: armctl.Simulation(ARM).run([0, 0, 0]), "trajectory: .* is not a trajectory; armctl.move_j"),  # type: ignore
     "a report before any move": (lambda: armctl.Report.from_log(armctl.Simulation(ARM).log), "None .* every move of a Sim"),  # type: ignore
-    "one gain for all joints": (lambda: armctl.PD(ARM, stiffness=100.0), "stiffness: a single number given, a list"),  # type: ignore
     "no path": (lambda: move_path(ARM, ARM.home, None), "path: None given, a list of"),  # type: ignore
 }
 
