@@ -12,16 +12,16 @@ from armctl.core.errors import InputError
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, number, shown, vector
 from armctl.motion.checks import planning_arm
-from armctl.motion.path.blending import Blend, Chained, Stretch
+from armctl.motion.path.blending import Blend, CompositePath, SubPath
 from armctl.motion.path.geometry import Circle, Shape, Straight, Turn
-from armctl.motion.path.joint_path import track
-from armctl.motion.timing.path_timing import fastest
+from armctl.motion.path.joint_path import joint_path_along
+from armctl.motion.timing.path_timing import time_optimal
 from armctl.motion.torque_limits import within_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory, joined
 from armctl.motion.trajectory.piecewise import standing
 from armctl.robot.arm import Arm
 
-_COINCIDE = 1e-9  # m
+_MIN_LENGTH = 1e-9  # m
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ def move_l(
         LimitError: q_start is outside the limits.
         PlanError: The line leaves the reach or the joint limits, or a motor cannot hold the arm on it.
     """
-    return _planned(arm, "move_l", q_start, [Line(target)], 0.0, speed, tip_speed, tip_angular_speed)
+    return _plan(arm, "move_l", q_start, [Line(target)], 0.0, speed, tip_speed, tip_angular_speed)
 
 
 def move_c(
@@ -118,7 +118,7 @@ def move_c(
         LimitError: q_start is outside the limits.
         PlanError: The arc leaves the reach or the joint limits, or a motor cannot hold the arm on it.
     """
-    return _planned(arm, "move_c", q_start, [Arc(via, target, angle)], 0.0, speed, tip_speed, tip_angular_speed)
+    return _plan(arm, "move_c", q_start, [Arc(via, target, angle)], 0.0, speed, tip_speed, tip_angular_speed)
 
 
 def move_path(
@@ -155,10 +155,10 @@ def move_path(
     if isinstance(path, (Pose, str)) or not isinstance(path, Iterable) or getattr(path, "shape", None) == ():
         raise InputError(f"path: {shown(path)} given, a list of lines, arcs, poses or points wanted")
     parts = [part if isinstance(part, (Line, Arc)) else Line(part) for part in path]
-    return _planned(arm, "move_path", q_start, parts, number("blend", blend, 0.0), speed, tip_speed, tip_angular_speed)
+    return _plan(arm, "move_path", q_start, parts, number("blend", blend, 0.0), speed, tip_speed, tip_angular_speed)
 
 
-def _planned(
+def _plan(
     arm: Arm,
     what: str,
     q_start: ArrayLike,
@@ -175,11 +175,11 @@ def _planned(
     oriented = isinstance(parts[0].target, Pose)
     blends = [number("blend", blend if part.blend is None else part.blend, 0.0) for part in parts]
     legs = list(zip(_shapes(arm.fk(q), parts, oriented), blends, strict=True))
-    legs = [leg for leg in legs if leg[0].length > _COINCIDE]  # to where the tip is already is no leg
+    legs = [leg for leg in legs if leg[0].length > _MIN_LENGTH]  # to where the tip is already is no leg
     motions = []
-    for path in _chains(legs):
-        joint_path = track(arm, what, path, q, oriented)
-        pieces = fastest(joint_path, planning.limits, _caps(path, speed, tip_speed, tip_angular_speed))
+    for path in _sections(legs):
+        joint_path = joint_path_along(arm, what, path, q, oriented)
+        pieces = time_optimal(joint_path, planning.limits, _caps(path, speed, tip_speed, tip_angular_speed))
         motions.append(within_torque(arm, JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)))
         q = motions[-1](motions[-1].duration).q
     return joined(motions) if motions else JointTrajectory(*standing(q), arm.joint_names, arm.limits, units=arm.units)
@@ -187,7 +187,8 @@ def _planned(
 
 def _shapes(start: Pose, parts: list[Line | Arc], oriented: bool) -> list[Shape]:
     shapes: list[Shape] = []
-    position, rotation = start.position, start.rotation
+    position = start.position
+    rotation = start.rotation
     for part in parts:
         if isinstance(part.target, Pose) != oriented:
             raise InputError("path: some targets are poses and some are points; give all of one kind")
@@ -200,18 +201,19 @@ def _shapes(start: Pose, parts: list[Line | Arc], oriented: bool) -> list[Shape]
             end = shapes[-1].at(shapes[-1].length).position
         else:
             shapes.append(Straight(position, end, turn))
-        position, rotation = end, turn.at(1.0)
+        position = end
+        rotation = turn.at(1.0)
     return shapes
 
 
-def _chains(legs: list[tuple[Shape, float]]) -> list[Chained]:
+def _sections(legs: list[tuple[Shape, float]]) -> list[CompositePath]:
     """What is gone through without stopping: stretches of the shapes, and blends between them."""
     chains: list[list[Shape]] = [[]]
     begin = 0.0
     for i, (shape, radius) in enumerate(legs):
         after = legs[i + 1][0] if i + 1 < len(legs) else None
         if after is None or radius == 0.0:
-            chains[-1].append(Stretch(shape, begin, shape.length))
+            chains[-1].append(SubPath(shape, begin, shape.length))
             chains.append([])
             begin = 0.0
             continue
@@ -220,9 +222,9 @@ def _chains(legs: list[tuple[Shape, float]]) -> list[Chained]:
             raise InputError(
                 f"blend: {radius:g} m at corner {i + 1} is more than half of the shorter side, {0.5 * shorter:.4g} m"
             )
-        chains[-1] += [Stretch(shape, begin, shape.length - radius), Blend(shape, after, radius)]
+        chains[-1] += [SubPath(shape, begin, shape.length - radius), Blend(shape, after, radius)]
         begin = radius
-    return [Chained(chain) for chain in chains if chain]
+    return [CompositePath(chain) for chain in chains if chain]
 
 
 def _caps(

@@ -75,9 +75,9 @@ def _line(arm: Arm, start: Array, goal: Array, v: Array) -> Pieces:
         raise InputError("v_start: it leads off the straight line from q_start to q_goal; plan with straight=False")
     limits = arm.limits
     with np.errstate(divide="ignore"):
-        v_max, a_max, j_max = (
-            np.array([(bound / np.abs(direction)).min()]) for bound in (limits.v_max, limits.a_max, limits.j_max)
-        )
+        v_max = np.array([(limits.v_max / np.abs(direction)).min()])
+        a_max = np.array([(limits.a_max / np.abs(direction)).min()])
+        j_max = np.array([(limits.j_max / np.abs(direction)).min()])
     zero = np.zeros(1)
     knots, s = solve_pieces(ProfileSolver(v_max, a_max, j_max), JointState(zero, zero + speed, zero), at_rest(zero + length))
     coefficients = s * direction

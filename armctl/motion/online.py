@@ -124,7 +124,9 @@ class OnlineMotion:
 
     def _require_feasible(self, v: Array, a: Array) -> None:
         """Refuses a start from which a joint would have to exceed its speed or acceleration."""
-        limits, names, units = self._arm.limits, self._arm.joint_names, self._arm.units
+        limits = self._arm.limits
+        names = self._arm.joint_names
+        units = self._arm.units
         over = np.abs(a) > limits.a_max * (1 + _LIMIT_ROUNDING)
         if over.any():
             i = int(over.argmax())
@@ -139,7 +141,7 @@ class OnlineMotion:
             )
 
     def _checked(self, q: ArrayLike) -> Array:
-        """A caller's goal, checked: one that is plainly good is seen to be so in less time than what is wrong takes to tell."""
+        """A caller's goal, checked. A correct array takes a short path, because `go_to` is called in real time."""
         if isinstance(q, np.ndarray) and q.shape == (self._arm.n,) and q.dtype == np.float64:
             inside = [low <= x <= high for low, x, high in zip(self._q_min, q.tolist(), self._q_max, strict=True)]
             if all(inside):

@@ -16,7 +16,7 @@ import numpy as np
 from armctl.core.errors import PlanError
 from armctl.core.trajectory import Trajectory, check_motion
 from armctl.core.validation import Array
-from armctl.motion.timing.path_timing import TorqueRows, slower
+from armctl.motion.timing.path_timing import TorqueRows, slowed_down
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory, Slowdown
 from armctl.robot.arm import Arm, check_arm
 from armctl.robot.dynamics import Dynamics
@@ -118,7 +118,7 @@ def within_torque(arm: Arm, trajectory: JointTrajectory) -> JointTrajectory:
         return trajectory
     if trajectory(0.0).v.any() or trajectory(0.0).a.any():
         raise PlanError(f"{needed}, and a motion that starts moving cannot start slower; stop first, or go less far")
-    pieces = slower(_AsPath(trajectory), trajectory.limits, trajectory.knots, _Torques(arm))
+    pieces = slowed_down(_AsPath(trajectory), trajectory.limits, trajectory.knots, _Torques(arm))
     feasible = JointTrajectory(*pieces, trajectory.joint_names, trajectory.limits, units=trajectory.units)
     for _ in range(_MAX_STRETCHES):
         if check_torque(arm, feasible).ok:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armctl.motion.path.geometry import Shape, TipState
+from armctl.motion.path.geometry import PathPoint, Shape
 
-_COINCIDE = 1e-9  # m
+_MIN_LENGTH = 1e-9  # m
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class Blend:
         """Its length, m."""
         return 2 * self.radius
 
-    def at(self, s: float) -> TipState:
+    def at(self, s: float) -> PathPoint:
         """The place at a length.
 
         Args:
@@ -50,11 +50,11 @@ class Blend:
         corner = self.after.at(0.0)
         turned = a.rotation @ corner.rotation.T
         twist = a.twist * speed + np.concatenate([b.twist[:3], turned @ b.twist[3:]]) * ahead_speed
-        return TipState(a.position + b.position - corner.position, turned @ b.rotation, twist)
+        return PathPoint(a.position + b.position - corner.position, turned @ b.rotation, twist)
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class SubPath:
     """Part of a shape.
 
     Attributes:
@@ -72,7 +72,7 @@ class Stretch:
         """Its length, m."""
         return self.end - self.start
 
-    def at(self, s: float) -> TipState:
+    def at(self, s: float) -> PathPoint:
         """The place at a length.
 
         Args:
@@ -84,7 +84,7 @@ class Stretch:
         return self.shape.at(self.start + s)
 
 
-class Chained:
+class CompositePath:
     """Shapes one after another."""
 
     def __init__(self, shapes: list[Shape]):
@@ -93,7 +93,7 @@ class Chained:
         Args:
             shapes: Each starts where the one before it ends.
         """
-        self._shapes = [shape for shape in shapes if shape.length > _COINCIDE]
+        self._shapes = [shape for shape in shapes if shape.length > _MIN_LENGTH]
         self.ends = np.cumsum([shape.length for shape in self._shapes])
 
     @property
@@ -101,7 +101,7 @@ class Chained:
         """Its length, m."""
         return float(self.ends[-1]) if len(self.ends) else 0.0
 
-    def at(self, s: float) -> TipState:
+    def at(self, s: float) -> PathPoint:
         """The place at a length.
 
         Args:

@@ -19,7 +19,7 @@ from armctl.core.validation import Array
 TURN_RADIUS = 0.2  # m: what a radian of turning counts as
 
 
-class TipState(NamedTuple):
+class PathPoint(NamedTuple):
     """A place on a path.
 
     Attributes:
@@ -41,7 +41,7 @@ class Shape(Protocol):
         """Its length, m."""
         ...
 
-    def at(self, s: float) -> TipState:
+    def at(self, s: float) -> PathPoint:
         """The place at a length.
 
         Args:
@@ -114,7 +114,7 @@ class Straight:
         """Its length, m."""
         return max(float(np.linalg.norm(self.end - self.start)), self.turn.length)
 
-    def at(self, s: float) -> TipState:
+    def at(self, s: float) -> PathPoint:
         """The place at a length.
 
         Args:
@@ -123,9 +123,10 @@ class Straight:
         Returns:
             The place.
         """
-        share, way = s / self.length, self.end - self.start
+        share = s / self.length
+        way = self.end - self.start
         twist = np.concatenate([way, self.turn.vector]) / self.length
-        return TipState(self.start + share * way, self.turn.at(share), twist)
+        return PathPoint(self.start + share * way, self.turn.at(share), twist)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +164,8 @@ class Circle:
         Raises:
             InputError: The points are on one line, so no circle goes through them.
         """
-        a, b = via - start, end - start
+        a = via - start
+        b = end - start
         normal = np.cross(a, b)
         size = float(normal @ normal)
         if size <= 1e-12 * float(a @ a) * float(b @ b) or size == 0.0:
@@ -173,7 +175,8 @@ class Circle:
         center = start + np.cross((a @ a) * b - (b @ b) * a, normal) / (2 * size)
         axis = normal / math.sqrt(size)
         if angle is None:
-            arm, last = start - center, end - center
+            arm = start - center
+            last = end - center
             angle = math.atan2(float(axis @ np.cross(arm, last)), float(arm @ last)) % (2 * math.pi)
         return cls(start, center, axis, angle, turn)
 
@@ -182,7 +185,7 @@ class Circle:
         """Its length, m."""
         return max(self.angle * float(np.linalg.norm(self.start - self.center)), self.turn.length)
 
-    def at(self, s: float) -> TipState:
+    def at(self, s: float) -> PathPoint:
         """The place at a length.
 
         Args:
@@ -194,4 +197,4 @@ class Circle:
         share = s / self.length
         arm = rotation_from_vector(share * self.angle * self.axis) @ (self.start - self.center)
         linear = np.cross(self.axis, arm) * self.angle
-        return TipState(self.center + arm, self.turn.at(share), np.concatenate([linear, self.turn.vector]) / self.length)
+        return PathPoint(self.center + arm, self.turn.at(share), np.concatenate([linear, self.turn.vector]) / self.length)

@@ -1,4 +1,4 @@
-"""From a path of the tip to a path of the joints: dense inverse kinematics on one branch, settled before anything moves.
+"""From a path of the tip to a path of the joints: dense inverse kinematics on one branch, computed before the arm moves.
 
 The joints follow the path's twist through the Jacobian's weighted pseudo-inverse (Chan and Dubey, "A weighted least-norm
 solution based scheme for avoiding joint limits", IEEE Trans. Robotics and Automation 11(2), 1995) by Runge and Kutta's
@@ -14,18 +14,20 @@ import numpy as np
 from armctl.core.errors import PlanError
 from armctl.core.pose import rotation_vector
 from armctl.core.validation import Array
-from armctl.motion.path.geometry import Shape, TipState
+from armctl.motion.path.geometry import PathPoint, Shape
 from armctl.robot.arm import Arm
 
-_JOINT_STEP = 0.02  # rad (m), the longest step of a joint
-_STEPS = 60  # of a path, at least
-_LEAST_STEP = 1e-6  # of the path
-_SHORT, _MOST_SHORT = 1 / 64, 30  # of the step that was tried first, and how many so short make a crawl
-_NEWTON, _CONVERGED = 8, 1e-10  # m and rad
-_DAMPING = 1e-12
-_OFF_PATH = 1e-6  # m and rad, between the steps
-_STRAY = 0.5  # of the longest step, from the middle of a step
-_FINEST = 0.25  # of the steps
+_MAX_JOINT_STEP = 0.02  # rad (m), of any joint
+_MIN_STEPS = 60  # of a path
+_MIN_STEP_FRACTION = 1e-6  # of the path
+_SHORT_STEP_FRACTION = 1 / 64  # of the step that was tried first
+_MAX_SHORT_STEPS = 30  # more of them mean that the path cannot be followed
+_MAX_NEWTON_ITERATIONS = 8
+_NEWTON_TOLERANCE = 1e-10  # m and rad
+_DAMPING = 1e-12  # of the pseudo-inverse
+_PATH_TOLERANCE = 1e-6  # m and rad, of the spline between the steps
+_MAX_SPLINE_DEVIATION = 0.5  # of the longest step: the spline from the middle of the chord
+_MIN_FINENESS = 0.25  # factor on the length of the steps
 
 
 class JointPath(NamedTuple):
@@ -51,7 +53,7 @@ class JointPath(NamedTuple):
         return tuple(self.spline(s, order) for order in range(4))  # type: ignore[operator, return-value]
 
 
-def track(arm: Arm, what: str, path: Shape, q_start: Array, oriented: bool) -> JointPath:
+def joint_path_along(arm: Arm, what: str, path: Shape, q_start: Array, oriented: bool) -> JointPath:
     """The joints that keep the tip on a path.
 
     Args:
@@ -69,16 +71,18 @@ def track(arm: Arm, what: str, path: Shape, q_start: Array, oriented: bool) -> J
     """
     from scipy.interpolate import make_interp_spline
 
-    tracker, fineness = _Tracker(arm, what, path, oriented), 1.0
+    tracker = _Tracker(arm, what, path, oriented)
+    fineness = 1.0
     while True:
         lengths, q = tracker.run(q_start, fineness)
         joint_path = JointPath(make_interp_spline(lengths, q, k=5), path.length)
-        between, middle = 0.5 * (lengths[1:] + lengths[:-1]), 0.5 * (q[1:] + q[:-1])
+        between = 0.5 * (lengths[1:] + lengths[:-1])
+        middle = 0.5 * (q[1:] + q[:-1])
         stray = np.abs(np.asarray(joint_path.spline(between)) - middle).max(axis=1)  # type: ignore[operator]
-        if stray.max() <= _STRAY * _JOINT_STEP:
-            if fineness <= _FINEST or max(tracker.off_path(joint_path, s) for s in between) <= _OFF_PATH:
+        if stray.max() <= _MAX_SPLINE_DEVIATION * _MAX_JOINT_STEP:
+            if fineness <= _MIN_FINENESS or max(tracker.off_path(joint_path, s) for s in between) <= _PATH_TOLERANCE:
                 return joint_path
-        elif fineness <= _FINEST:
+        elif fineness <= _MIN_FINENESS:
             raise tracker.stuck(q[stray.argmax()], float(lengths[stray.argmax()]))
         fineness *= 0.5
 
@@ -87,28 +91,37 @@ class _Tracker:
     """One walk along a path."""
 
     def __init__(self, arm: Arm, what: str, path: Shape, oriented: bool):
-        self.arm, self.what, self.path = arm, what, path
+        self.arm = arm
+        self.what = what
+        self.path = path
         self.rows = 6 if oriented else 3
-        q_min, q_max = arm.limits.q_min, arm.limits.q_max
+        q_min = arm.limits.q_min
+        q_max = arm.limits.q_max
         self._is_bounded = np.isfinite(q_min) & np.isfinite(q_max) & (q_max > q_min)
-        self._low, self._range = np.where(self._is_bounded, q_min, 0.0), np.where(self._is_bounded, q_max - q_min, 1.0)
+        self._low = np.where(self._is_bounded, q_min, 0.0)
+        self._range = np.where(self._is_bounded, q_max - q_min, 1.0)
 
     def run(self, q: Array, fineness: float) -> tuple[Array, Array]:
         """Lengths (k,) and joint positions (k, n) along the path."""
         total = self.path.length
-        longest = fineness * total / _STEPS
-        s, lengths, rows, crawled = 0.0, [0.0], [q], 0
+        longest = fineness * total / _MIN_STEPS
+        s = 0.0
+        lengths = [0.0]
+        rows = [q]
+        short_steps = 0
         while s < total:
             slope = self._slope(q, s)
-            h = min(longest, fineness * _JOINT_STEP / max(float(np.abs(slope).max()), 1e-12), total - s)
-            tried, stepped = h, self._step(q, s, h, slope)
-            while stepped is None and h > _LEAST_STEP * total:
+            h = min(longest, fineness * _MAX_JOINT_STEP / max(float(np.abs(slope).max()), 1e-12), total - s)
+            tried = h
+            stepped = self._step(q, s, h, slope)
+            while stepped is None and h > _MIN_STEP_FRACTION * total:
                 h *= 0.5
                 stepped = self._step(q, s, h, slope)
-            crawled += h < _SHORT * tried
-            if stepped is None or h < min(_LEAST_STEP * total, total - s) or crawled > _MOST_SHORT:
+            short_steps += h < _SHORT_STEP_FRACTION * tried
+            if stepped is None or h < min(_MIN_STEP_FRACTION * total, total - s) or short_steps > _MAX_SHORT_STEPS:
                 raise self.stuck(q, s)
-            q, s = stepped, total if total - s - h < 1e-9 * total else s + h
+            q = stepped
+            s = total if total - s - h < 1e-9 * total else s + h
             self._require_limits(q, s)
             lengths.append(s)
             rows.append(q)
@@ -124,13 +137,13 @@ class _Tracker:
         k3 = self._slope(q + h / 2 * k2, s + h / 2)
         k4 = self._slope(q + h * k3, s + h)
         moved = h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        if np.abs(moved).max() > 4 * _JOINT_STEP:
+        if np.abs(moved).max() > 4 * _MAX_JOINT_STEP:
             return None
         q = q + moved
         place = self.path.at(s + h)
-        for _ in range(_NEWTON):
+        for _ in range(_MAX_NEWTON_ITERATIONS):
             error = self._error(q, place)
-            if np.abs(error).max() < _CONVERGED:
+            if np.abs(error).max() < _NEWTON_TOLERANCE:
                 return q
             q = q + self._inverse(q, error)
         return None
@@ -148,7 +161,7 @@ class _Tracker:
         A.flat[:: len(A) + 1] += _DAMPING
         return W @ np.linalg.solve(A, twist)
 
-    def _error(self, q: Array, place: TipState) -> Array:
+    def _error(self, q: Array, place: PathPoint) -> Array:
         """From the tip to the place, (rows,) m and rad."""
         position, rotation = self.arm.pinocchio_model.tip(q)
         off = place.position - position

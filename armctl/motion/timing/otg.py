@@ -16,7 +16,7 @@ from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
 from armctl.motion.trajectory.limit_check import piece_extremes
-from armctl.motion.trajectory.piecewise import DEGREE, Pieces, basis, time_scaled
+from armctl.motion.trajectory.piecewise import DEGREE, Pieces, basis, standing, time_scaled
 
 _SOLVED = {ruckig.Result.Working, ruckig.Result.Finished}
 _TOGETHER = ruckig.Synchronization.Time
@@ -220,9 +220,10 @@ def ending_at(pieces: Pieces, goal: JointState) -> Corrected:
     if duration == 0.0:
         return Corrected(pieces, (zero, zero, zero))
     row = np.array(basis(float(pieces.knots[-1] - pieces.knots[-2])))
-    q, v, a = (np.asarray(want) - have for want, have in zip(goal, row @ pieces.coefficients[-1], strict=True))
-    v = v * duration
-    a = a * duration**2
+    end = row @ pieces.coefficients[-1]
+    q = np.asarray(goal.q) - end[0]
+    v = (np.asarray(goal.v) - end[1]) * duration
+    a = (np.asarray(goal.a) - end[2]) * duration**2
     correction = np.zeros((DEGREE + 1, len(q)))  # of powers of t / duration
     correction[3] = 10 * q - 4 * v + 0.5 * a
     correction[4] = -15 * q + 7 * v - a
@@ -260,9 +261,12 @@ def straight_rest_to_rest(start: Array, goal: Array, bounds: tuple[Array, Array,
     way = goal - start
     length = float(np.abs(way).max())
     with np.errstate(divide="ignore", over="ignore"):
-        v, a, j = (float((bound / np.abs(way)).min()) * length for bound in bounds)
-    if length == 0.0 or not all(map(math.isfinite, (v, a, j))):
-        return Pieces(np.zeros(2), np.concatenate([start[None, None], np.zeros((1, DEGREE, len(start)))], axis=1))
+        along = [float((bound / np.abs(way)).min()) * length for bound in bounds]
+    if length == 0.0 or not all(map(math.isfinite, along)):
+        return standing(start)
+    v = along[0]
+    a = along[1]
+    j = along[2]
     ramp = min(a / j, math.sqrt(v / j), (length / (2 * j)) ** (1 / 3))
     # the acceleration lasts until the speed limit or until half of the way, whichever comes first
     a = j * ramp
@@ -282,7 +286,8 @@ def straight_rest_to_rest(start: Array, goal: Array, bounds: tuple[Array, Array,
 
 def phase_nodes(phases: list[Phases], start: JointState) -> PhaseNodes:
     """The states at the start of each phase of K profiles that start from (K, n) states, each (P, K, n)."""
-    steps, jerks = (np.moveaxis(np.array(x), -1, 0) for x in zip(*phases, strict=True))
+    steps = np.moveaxis(np.array([each.durations for each in phases]), -1, 0)
+    jerks = np.moveaxis(np.array([each.jerks for each in phases]), -1, 0)
     q = np.empty_like(steps)
     v = np.empty_like(steps)
     a = np.empty_like(steps)

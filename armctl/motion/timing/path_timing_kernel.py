@@ -1,7 +1,7 @@
-"""The compiled solver behind `pace`: the fastest pace along a given motion, by an interior-point method on a band matrix.
+"""The compiled solver of path timing: the time-optimal speed along a given motion, by an interior-point method.
 
-A motion q(u) is run at another pace, du/dt = w(u). What is sought is b = w^2, a quadratic B-spline over intervals of length h
-with coefficients c. With ' for d/du:
+A motion q(u) runs at another speed, du/dt = w(u). The unknown is b = w^2, a quadratic B-spline over intervals of length h with
+coefficients c. With ' for d/du:
 
     v = q' w,   a = q'' b + q' b'/2,   j = w (q''' b + 3/2 q'' b' + q' b''/2)
 
@@ -23,9 +23,14 @@ import numpy as np
 from armctl.core.jit import njit
 from armctl.core.validation import Array
 
-COLD, WARM, BARRIER_LAST, BARRIER_SHARE = 1e-4, 1e-6, 1e-9, 0.2  # of the motion's time, and from one to the next
-NEWTON_STEPS = 12
-HALVINGS = 30
+# Weights of the logarithmic barrier relative to the duration: the first from any start, the first from near the solution, the
+# last, and the factor from one to the next.
+BARRIER_COLD = 1e-4
+BARRIER_WARM = 1e-6
+BARRIER_LAST = 1e-9
+BARRIER_FACTOR = 0.2
+MAX_NEWTON_STEPS = 12
+MAX_HALVINGS = 30
 
 
 class Problem(NamedTuple):
@@ -33,7 +38,7 @@ class Problem(NamedTuple):
 
     Attributes:
         h: s, the length of an interval.
-        b_max: (N,) greatest square of the pace.
+        b_max: (N,) greatest square of the path speed.
         q1: (N, n) first derivative.
         q2: (N, n) second.
         q3: (N, n) third.
@@ -62,9 +67,11 @@ class Problem(NamedTuple):
 def value(c, p, barrier):
     """Time plus barrier; infinite outside the bounds."""
     last = len(c) - 2
-    logs, time = 0.0, 0.0
+    logs = 0.0
+    time = 0.0
     for e in range(last + 1):
-        b, first = 0.5 * (c[e] + c[e + 1]), (c[e + 1] - c[e]) / p.h
+        b = 0.5 * (c[e] + c[e + 1])
+        first = (c[e + 1] - c[e]) / p.h
         room = p.b_max[e] - b
         if room <= 0 or b <= 0:
             return math.inf
@@ -73,7 +80,8 @@ def value(c, p, barrier):
         time += (1.0 if e == 0 or e == last else 2.0) * p.h / (6.0 * w)
         for i in range(p.alpha.shape[1]):
             y = 0.5 * p.alpha[e, i] * first + p.beta[e, i] * b + p.delta[e, i] * w
-            above, below = p.high[e, i] - y, y - p.low[e, i]
+            above = p.high[e, i] - y
+            below = y - p.low[e, i]
             if above <= 0 or below <= 0:
                 return math.inf
             logs += math.log(above * below / (p.high[e, i] * p.high[e, i]))
@@ -100,35 +108,48 @@ def assemble(c, p, barrier, gradient, band):
     band[:] = 0.0
     g = np.zeros(3)
     for e in range(last + 1):
-        b, first = 0.5 * (c[e] + c[e + 1]), (c[e + 1] - c[e]) / p.h
+        b = 0.5 * (c[e] + c[e + 1])
+        first = (c[e + 1] - c[e]) / p.h
         w = math.sqrt(b)
         share = (1.0 if e == 0 or e == last else 2.0) * p.h / 6.0
         room = p.b_max[e] - b
-        g[0], g[1], g[2] = 0.5, 0.5, 0.0
+        g[0] = 0.5
+        g[1] = 0.5
+        g[2] = 0.0
         _add(e, g, -0.5 * share / (b * w) + barrier / room, 0.75 * share / (b * b * w) + barrier / room**2, gradient, band)
         for i in range(p.alpha.shape[1]):
             y = 0.5 * p.alpha[e, i] * first + p.beta[e, i] * b + p.delta[e, i] * w
-            side, middle = 0.5 * p.alpha[e, i] / p.h, 0.5 * (p.beta[e, i] + 0.5 * p.delta[e, i] / w)
-            g[0], g[1] = middle - side, middle + side
-            above, below = p.high[e, i] - y, y - p.low[e, i]
+            side = 0.5 * p.alpha[e, i] / p.h
+            middle = 0.5 * (p.beta[e, i] + 0.5 * p.delta[e, i] / w)
+            g[0] = middle - side
+            g[1] = middle + side
+            above = p.high[e, i] - y
+            below = y - p.low[e, i]
             _add(e, g, barrier / above - barrier / below, barrier / above**2 + barrier / below**2, gradient, band)
         for m in range(max(e - 1, 0), min(e, last - 1) + 1):
             second = (c[m + 2] - 2 * c[m + 1] + c[m]) / (p.h * p.h)
             at = e - m  # the edge is the interval's left or right one
             for i in range(p.q1.shape[1]):
                 y = p.q3[e, i] * b + 1.5 * p.q2[e, i] * first + 0.5 * p.q1[e, i] * second
-                bound, slope = p.j_max[e, i] / w, -0.25 * p.j_max[e, i] / (w * b)
-                bend, side = 0.5 * p.q1[e, i] / (p.h * p.h), 1.5 * p.q2[e, i] / p.h
+                bound = p.j_max[e, i] / w
+                slope = -0.25 * p.j_max[e, i] / (w * b)
+                bend = 0.5 * p.q1[e, i] / (p.h * p.h)
+                side = 1.5 * p.q2[e, i] / p.h
                 for sign in (-1.0, 1.0):
                     room = bound - sign * y
-                    g[0], g[1], g[2] = sign * bend, -2 * sign * bend, sign * bend
+                    g[0] = sign * bend
+                    g[1] = -2 * sign * bend
+                    g[2] = sign * bend
                     g[at] += sign * (0.5 * p.q3[e, i] - side) - slope
                     g[at + 1] += sign * (0.5 * p.q3[e, i] + side) - slope
                     _add(m, g, barrier / room, barrier / room**2, gradient, band)
     for m in range(last):
         b = (c[m] + 6 * c[m + 1] + c[m + 2]) / 8
-        w, share = math.sqrt(b), 4.0 * p.h / 6.0
-        g[0], g[1], g[2] = 0.125, 0.75, 0.125
+        w = math.sqrt(b)
+        share = 4.0 * p.h / 6.0
+        g[0] = 0.125
+        g[1] = 0.75
+        g[2] = 0.125
         _add(m, g, -0.5 * share / (b * w), 0.75 * share / (b * b * w), gradient, band)
 
 
@@ -166,25 +187,30 @@ def newton_step(gradient, band, step):
 
 @njit
 def solve(p, c, first):
-    """The fastest pace from a feasible one; c is changed in place. Returns how many Newton steps it took.
+    """The time-optimal path speed from a feasible one; c is changed in place. Returns how many Newton steps it took.
 
-    The first barrier is a share of the time: `COLD` from anywhere, `WARM` from near the solution.
+    The first barrier is a share of the time: `BARRIER_COLD` from anywhere, `BARRIER_WARM` from near the solution.
     """
     count = len(c)
-    gradient, band, step, trial = np.empty(count), np.empty((count, 3)), np.empty(count), np.empty(count)
+    gradient = np.empty(count)
+    band = np.empty((count, 3))
+    step = np.empty(count)
+    trial = np.empty(count)
     time = p.h * (count - 2)
-    barrier, total = first * time, 0
+    barrier = first * time
+    total = 0
     while True:
         cost = value(c, p, barrier)
-        for _ in range(NEWTON_STEPS):
+        for _ in range(MAX_NEWTON_STEPS):
             assemble(c, p, barrier, gradient, band)
             newton_step(gradient, band, step)
             total += 1
             decrement = -np.dot(gradient, step)
             if decrement < barrier:
                 break
-            share, trial_cost = 1.0, math.inf
-            for _ in range(HALVINGS):
+            share = 1.0
+            trial_cost = math.inf
+            for _ in range(MAX_HALVINGS):
                 trial[:] = c + share * step
                 trial_cost = value(trial, p, barrier)
                 if trial_cost < cost - 1e-4 * share * decrement:
@@ -196,4 +222,4 @@ def solve(p, c, first):
             cost = trial_cost
         if barrier <= BARRIER_LAST * time:
             return total
-        barrier *= BARRIER_SHARE
+        barrier *= BARRIER_FACTOR

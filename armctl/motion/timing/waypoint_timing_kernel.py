@@ -2,8 +2,8 @@
 
 A joint with given states at both ends of a section of given time can cover any displacement between a least and a greatest one.
 The greatest is concave in those states: its acceleration rises to its limit, falls along a line c - j t and rises again, and if
-that is too fast it cruises at its greatest speed. So a motion is possible exactly if every joint's way in every section lies
-between the two, and the fastest one is found by an interior-point method: the sum of the times plus a logarithmic barrier.
+that is too fast it cruises at its greatest speed. So a motion is possible exactly if the displacement of every joint in every
+section lies between the two, and the fastest one is found by an interior-point method: the sum of the times plus a logarithmic barrier.
 Given the times the joints are independent of each other and each is a chain, so that a Newton step factorises one band matrix
 for each joint and a small dense one for the times. Its Hessian leaves out the curvature of the bounds.
 
@@ -21,12 +21,15 @@ import numpy as np
 from armctl.core.jit import njit
 from armctl.core.validation import Array
 
-BARRIER_FIRST, BARRIER_LAST, BARRIER_SHARE = 10.0, 3e-4, 0.2  # all barriers together, of the time; from one to the next
-NEWTON_STEPS = 30
-CENTERED = 0.3  # of the barrier, what a Newton step must at least promise
-HALVINGS = 30
-BAND = 4
-MARGIN = 1e-9  # rad, of every way, against rounding
+# Weights of all logarithmic barriers together, relative to the duration: the first, the last, the factor from one to the next.
+BARRIER_FIRST = 10.0
+BARRIER_LAST = 3e-4
+BARRIER_FACTOR = 0.2
+MAX_NEWTON_STEPS = 30
+CENTERED_SHARE = 0.3  # of the barrier: a Newton step that promises less ends the centering
+MAX_HALVINGS = 30
+BANDWIDTH = 4
+MARGIN_RAD = 1e-9  # kept from every displacement, against rounding
 RIDGE = 1e-10  # of the Hessian's diagonal, against rounding
 
 
@@ -51,20 +54,24 @@ class Problem(NamedTuple):
 @njit
 def _line(time, v0, a0, v1, a1, a_max, j_max):
     """The c of the falling line c - j t of the acceleration that goes furthest; NaN if no acceleration makes this change."""
-    below, above = a0, a1 + j_max * time
+    below = a0
+    above = a1 + j_max * time
     if above < below or a1 - j_max * time > a0:
         return math.nan
-    flat_top, flat_bottom = 2 * a_max - a0, j_max * time - a1 - 2 * a_max  # c above and below which a limit is reached
+    flat_top = 2 * a_max - a0  # c above and below which a limit is reached
+    flat_bottom = j_max * time - a1 - 2 * a_max
     left = below
     for right in (min(flat_top, flat_bottom), max(flat_top, flat_bottom), above):
         right = min(max(right, below), above)
-        top, bottom = min(a_max, 0.5 * (right + a0)), max(-a_max, 0.5 * (right + a1) - 0.5 * j_max * time)
+        top = min(a_max, 0.5 * (right + a0))
+        bottom = max(-a_max, 0.5 * (right + a1) - 0.5 * j_max * time)
         change = (2 * (top * top - bottom * bottom) + a1 * a1 - a0 * a0) / (2 * j_max)
         change += a_max * (max(0.0, right - flat_top) - max(0.0, flat_bottom - right)) / j_max
         if change >= v1 - v0:  # between left and right the change of velocity is quadratic in c
             middle = 0.5 * (left + right)
             bend = (0.5 if middle < flat_top else 0.0) - (0.5 if middle > flat_bottom else 0.0)
-            slope, over = top - bottom, j_max * (change - v1 + v0)
+            slope = top - bottom
+            over = j_max * (change - v1 + v0)
             root = slope + math.sqrt(max(slope * slope - 2 * bend * over, 0.0))
             c = right - (2 * over / root if over > 0 else 0.0)
             return c if c >= left - 1e-9 * (1 + abs(left)) else math.nan
@@ -73,15 +80,17 @@ def _line(time, v0, a0, v1, a1, a_max, j_max):
 
 
 @njit
-def _late(u, a, a_max, j_max):
+def _lag(u, a, a_max, j_max):
     """How far behind a joint falls on its way to a speed u above its own, with acceleration a; the slopes for u and a."""
     top = math.sqrt(max(j_max * u + 0.5 * a * a, 0.0))
     if top < 1e-12:
         return 0.0, 0.0, 0.0
     flat = 0.0
     if top > a_max:
-        top, flat = a_max, (u - (a_max * a_max - 0.5 * a * a) / j_max) / a_max
-    rise, lag = (top - a) / j_max, top * top / (2 * j_max)
+        top = a_max
+        flat = (u - (a_max * a_max - 0.5 * a * a) / j_max) / a_max
+    rise = (top - a) / j_max
+    lag = top * top / (2 * j_max)
     behind = lag * top / (3 * j_max) + flat * (lag + 0.5 * top * flat)
     behind += rise * (lag + top * flat + rise * (0.5 * top - j_max * rise / 6))
     if flat > 0.0:
@@ -100,16 +109,22 @@ def farthest(time, v0, a0, v1, a1, v_max, a_max, j_max, slopes):
     c = _line(time, v0, a0, v1, a1, a_max, j_max)
     if math.isnan(c):
         return c
-    top, bottom = min(a_max, 0.5 * (c + a0)), max(-a_max, 0.5 * (c + a1) - 0.5 * j_max * time)
-    rise, fall, end = (top - a0) / j_max, (top - bottom) / j_max, (a1 - bottom) / j_max
+    top = min(a_max, 0.5 * (c + a0))
+    bottom = max(-a_max, 0.5 * (c + a1) - 0.5 * j_max * time)
+    rise = (top - a0) / j_max
+    fall = (top - bottom) / j_max
+    end = (a1 - bottom) / j_max
     high = max(0.0, (c + a0 - 2 * a_max) / j_max)
     low = max(0.0, (j_max * time - a1 - 2 * a_max - c) / j_max)
     if top > 0.0 > bottom and v0 + (2 * top * top - a0 * a0) / (2 * j_max) + top * high > v_max:
-        before, slopes[1], slope = _late(v_max - v0, a0, a_max, j_max)
-        after, slopes[3], slopes[4] = _late(v_max - v1, -a1, a_max, j_max)
-        slopes[0], slopes[2] = v_max, -slope
+        before, slopes[1], slope = _lag(v_max - v0, a0, a_max, j_max)
+        after, slopes[3], slopes[4] = _lag(v_max - v1, -a1, a_max, j_max)
+        slopes[0] = v_max
+        slopes[2] = -slope
         return v_max * time - before - after
-    q, v, a = 0.0, v0, a0
+    q = 0.0
+    v = v0
+    a = a0
     for h, j in ((rise, j_max), (high, 0.0), (fall, -j_max), (low, 0.0), (end, j_max)):
         q += h * (v + h * (a / 2 + h * j / 6))
         v += h * (a + h * j / 2)
@@ -117,23 +132,29 @@ def farthest(time, v0, a0, v1, a1, v_max, a_max, j_max, slopes):
     middle = rise + high + 0.5 * fall  # of the fall: what an earlier or later line moves
     left = time - middle
     slopes[0] = v1 - 0.5 * j_max * end * end - left * bottom
-    slopes[1], slopes[2] = middle, rise * (middle - 0.5 * rise)
-    slopes[3], slopes[4] = left, -end * (left - 0.5 * end)
+    slopes[1] = middle
+    slopes[2] = rise * (middle - 0.5 * rise)
+    slopes[3] = left
+    slopes[4] = -end * (left - 0.5 * end)
     return q
 
 
 @njit
 def _room(p, x, times, k, i, sign, slopes):
     """How much further a joint could go in a section, forwards (sign 1) or backwards (-1); NaN if it cannot."""
-    v0, a0, v1, a1 = sign * x[k, i, 0], sign * x[k, i, 1], sign * x[k + 1, i, 0], sign * x[k + 1, i, 1]
+    v0 = sign * x[k, i, 0]
+    a0 = sign * x[k, i, 1]
+    v1 = sign * x[k + 1, i, 0]
+    a1 = sign * x[k + 1, i, 1]
     way = sign * (p.q[k + 1, i] - p.q[k, i])
-    return farthest(times[k], v0, a0, v1, a1, p.v_max[i], p.a_max[i], p.j_max[i], slopes) - way - MARGIN
+    return farthest(times[k], v0, a0, v1, a1, p.v_max[i], p.a_max[i], p.j_max[i], slopes) - way - MARGIN_RAD
 
 
 @njit
 def value(x, times, p, barrier):
     """Time plus barrier; infinite outside the bounds."""
-    slopes, logs = np.empty(5), 0.0
+    slopes = np.empty(5)
+    logs = 0.0
     for k in range(len(p.q)):
         for i in range(len(p.v_max)):
             for r in range(2):
@@ -160,17 +181,20 @@ def _bounds(k, i, x, p, barrier, gradient, band):
     """Adds the barriers on the velocity and acceleration of a joint at a waypoint."""
     j_max = p.j_max[i]
     for r in range(2):
-        y, most = x[k, i, r], p.most[k, i, r]
+        y = x[k, i, r]
+        most = p.most[k, i, r]
         if most == 0.0:
             band[2 * k + r, 0] += 1.0
         else:
             room = most * most - y * y
             gradient[2 * k + r] += barrier * 2 * y / room
             band[2 * k + r, 0] += barrier * 2 * (most * most + y * y) / room**2
-    v_free, a_free = p.most[k, i, 0] > 0.0, p.most[k, i, 1] > 0.0
+    v_free = p.most[k, i, 0] > 0.0
+    a_free = p.most[k, i, 1] > 0.0
     for sign in (-1.0, 1.0):
         room = p.v_max[i] - sign * x[k, i, 0] - x[k, i, 1] ** 2 / (2 * j_max)
-        v_slope, a_slope = -sign * v_free, -x[k, i, 1] / j_max * a_free
+        v_slope = -sign * v_free
+        a_slope = -x[k, i, 1] / j_max * a_free
         gradient[2 * k] -= barrier / room * v_slope
         gradient[2 * k + 1] -= barrier / room * a_slope
         band[2 * k, 0] += barrier / room**2 * v_slope * v_slope
@@ -181,7 +205,9 @@ def _bounds(k, i, x, p, barrier, gradient, band):
 @njit
 def assemble(i, x, times, p, barrier, gradient, band, border, time_gradient, time_diagonal):
     """One joint's gradient and Hessian: a band, `band[r, d]` its element (r, r + d), and its border with the times."""
-    gradient[:], band[:], border[:] = 0.0, 0.0, 0.0
+    gradient[:] = 0.0
+    band[:] = 0.0
+    border[:] = 0.0
     slopes = np.empty(5)
     for k in range(len(p.q)):
         _bounds(k, i, x, p, barrier, gradient, band)
@@ -193,7 +219,8 @@ def assemble(i, x, times, p, barrier, gradient, band, border, time_gradient, tim
             for r in range(4):
                 slopes[1 + r] *= sign if p.most[k + r // 2, i, r % 2] > 0.0 else 0.0
             for r in range(4):
-                row, slope = 2 * k + r, slopes[1 + r]
+                row = 2 * k + r
+                slope = slopes[1 + r]
                 gradient[row] -= barrier / room * slope
                 border[row, k] += barrier / room**2 * slope * slopes[0]
                 for d in range(4 - r):
@@ -206,14 +233,14 @@ def _solve_band(band, columns):
     """Solves band . y = columns by an LDL^T factorisation, both in place."""
     count = len(columns)
     for r in range(count):
-        for d in range(1, min(BAND, count - r)):
+        for d in range(1, min(BANDWIDTH, count - r)):
             factor = band[r, d] / band[r, 0]
             if factor != 0.0:
-                for e in range(d, min(BAND, count - r)):
+                for e in range(d, min(BANDWIDTH, count - r)):
                     band[r + d, e - d] -= factor * band[r, e]
                 columns[r + d] -= factor * columns[r]
     for r in range(count - 1, -1, -1):
-        for d in range(1, min(BAND, count - r)):
+        for d in range(1, min(BANDWIDTH, count - r)):
             columns[r] -= band[r, d] * columns[r + d]
         columns[r] /= band[r, 0]
 
@@ -222,14 +249,20 @@ def _solve_band(band, columns):
 def newton_step(x, times, p, barrier, dx, dtimes):
     """A Newton step into `dx` and `dtimes`; returns what it promises."""
     points, n = p.q.shape
-    sections, rows = points - 1, 2 * points
-    gradient, columns = np.empty((n, rows)), np.empty((n, rows, sections + 1))
-    band, border = np.empty((rows, BAND)), np.empty((rows, sections))
-    time_gradient, diagonal, schur = np.ones(sections), np.zeros(sections), np.zeros((sections, sections))
+    sections = points - 1
+    rows = 2 * points
+    gradient = np.empty((n, rows))
+    columns = np.empty((n, rows, sections + 1))
+    band = np.empty((rows, BANDWIDTH))
+    border = np.empty((rows, sections))
+    time_gradient = np.ones(sections)
+    diagonal = np.zeros(sections)
+    schur = np.zeros((sections, sections))
     reduced = np.zeros(sections)
     for i in range(n):
         assemble(i, x, times, p, barrier, gradient[i], band, border, time_gradient, diagonal)
-        columns[i, :, :sections], columns[i, :, sections] = border, gradient[i]
+        columns[i, :, :sections] = border
+        columns[i, :, sections] = gradient[i]
         _solve_band(band, columns[i])
         for k in range(sections):
             for row in range(2 * k, 2 * k + 4):
@@ -252,17 +285,19 @@ def newton_step(x, times, p, barrier, dx, dtimes):
 @njit
 def solve(p, x, times):
     """The fastest motion from a feasible one; x (k, n, 2) and times (k - 1,) are changed in place."""
-    dx, dtimes = np.zeros_like(x), np.zeros_like(times)
+    dx = np.zeros_like(x)
+    dtimes = np.zeros_like(times)
     barriers = 4.0 * len(times) * len(p.v_max)
     barrier = BARRIER_FIRST * times.sum() / barriers
     while True:
         cost = value(x, times, p, barrier)
-        for _ in range(NEWTON_STEPS):
+        for _ in range(MAX_NEWTON_STEPS):
             promise = newton_step(x, times, p, barrier, dx, dtimes)
-            if not promise > CENTERED * barrier:
+            if not promise > CENTERED_SHARE * barrier:
                 break
-            share, trial = 1.0, math.inf
-            for _ in range(HALVINGS):
+            share = 1.0
+            trial = math.inf
+            for _ in range(MAX_HALVINGS):
                 trial = value(x + share * dx, times + share * dtimes, p, barrier)
                 if trial < cost - 1e-4 * share * promise:
                     break
@@ -274,4 +309,4 @@ def solve(p, x, times):
             cost = trial
         if barriers * barrier <= BARRIER_LAST * times.sum():
             return
-        barrier *= BARRIER_SHARE
+        barrier *= BARRIER_FACTOR

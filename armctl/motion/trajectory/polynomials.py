@@ -10,11 +10,11 @@ _BISECTIONS = 46
 
 
 def value(p: Array, x: Array) -> Array:
-    """Polynomials at places.
+    """Polynomials at points.
 
     Args:
         p: (..., d + 1) coefficients, constant first.
-        x: (..., k) places.
+        x: (..., k) points.
 
     Returns:
         (..., k).
@@ -40,7 +40,7 @@ def derivative(p: Array) -> Array:
 
 
 def extremes(p: Array) -> tuple[Array, Array]:
-    """The places where polynomials may be greatest or least on [0, 1], and their values there.
+    """The points where polynomials may be greatest or least on [0, 1], and their values there.
 
     Args:
         p: (..., d + 1) coefficients, constant first.
@@ -50,8 +50,8 @@ def extremes(p: Array) -> tuple[Array, Array]:
     """
     inner = _roots(_trimmed(derivative(p)))
     ends = np.broadcast_to(np.array([0.0, 1.0]), (*p.shape[:-1], 2))
-    places = np.concatenate([ends, inner], axis=-1)
-    return places, value(p, places)
+    points = np.concatenate([ends, inner], axis=-1)
+    return points, value(p, points)
 
 
 def _roots(p: Array) -> Array:
@@ -66,12 +66,14 @@ def _roots(p: Array) -> Array:
         return _closed_form(p)
     turns = np.sort(_roots(derivative(p)), axis=-1)
     ends = np.zeros((*p.shape[:-1], 1))
-    low, high = np.concatenate([ends, turns], axis=-1), np.concatenate([turns, ends + 1.0], axis=-1)
+    low = np.concatenate([ends, turns], axis=-1)
+    high = np.concatenate([turns, ends + 1.0], axis=-1)
     sign = value(p, low) > 0
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         same = (value(p, middle) > 0) == sign
-        low, high = np.where(same, middle, low), np.where(same, high, middle)
+        low = np.where(same, middle, low)
+        high = np.where(same, high, middle)
     return 0.5 * (low + high)
 
 
@@ -81,7 +83,9 @@ def _closed_form(p: Array) -> Array:
         if p.shape[-1] == 2:
             x = -p[..., :1] / p[..., 1:]
         else:
-            c, b, a = p[..., 0], p[..., 1], p[..., 2]
+            c = p[..., 0]
+            b = p[..., 1]
+            a = p[..., 2]
             root = np.sqrt(np.maximum(b * b - 4 * a * c, 0.0))
             half = -0.5 * (b + np.where(b < 0, -root, root))
             x = np.stack([half / a, c / half], axis=-1)
