@@ -26,9 +26,8 @@ _MIN_INTERVALS = 60
 _MAX_INTERVALS = 500
 _MAX_TIGHTENINGS = 3
 _MAX_TORQUE_TIGHTENINGS = 6
-_STRETCH_EXPONENTS = np.array(
-    [1, 1 / 2, 1 / 3, 1 / 2]
-)  # of the overshoot of velocity, acceleration, jerk and torque: the stretch in time that removes it
+# Exponents of the overshoot of velocity, acceleration, jerk and torque that give the stretch in time which removes it.
+_STRETCH_EXPONENTS = np.array([1, 1 / 2, 1 / 3, 1 / 2])
 _OVERSHOOT_TOLERANCE = 1e-4  # relative; a stretch in time removes the rest
 _MIN_NODE_DISTANCE_S = 2e-5  # rounding decides the jerk of a shorter piece
 _MAX_SQUARED_SPEED = 1e12  # of the path speed, where nothing bounds it

@@ -3,9 +3,9 @@
 A joint with given states at both ends of a section of given time can cover any displacement between a least and a greatest one.
 The greatest is concave in those states: its acceleration rises to its limit, falls along a line c - j t and rises again, and if
 that is too fast it cruises at its greatest speed. So a motion is possible exactly if the displacement of every joint in every
-section lies between the two, and the fastest one is found by an interior-point method: the sum of the times plus a logarithmic barrier.
-Given the times the joints are independent of each other and each is a chain, so that a Newton step factorises one band matrix
-for each joint and a small dense one for the times. Its Hessian leaves out the curvature of the bounds.
+section lies between the two, and the fastest one is found by an interior-point method: the sum of the times plus a logarithmic
+barrier. Given the times the joints are independent of each other and each is a chain, so that a Newton step factorises one band
+matrix for each joint and a small dense one for the times. Its Hessian leaves out the curvature of the bounds.
 
 For barriers see Boyd and Vandenberghe, "Convex Optimization", ch. 11; that optimal profiles are such ramps and plateaus is
 Pontryagin's principle, e.g. Bryson and Ho, "Applied Optimal Control", ch. 3.
