@@ -1,8 +1,8 @@
-"""The arms that tests run on: whatever is at hand, without downloading anything, each loaded once a session.
+"""The arms that tests run on: those that are installed, without any download, each loaded once per session.
 
 `ARMS` are their names: the bundled arm, every arm of MuJoCo Menagerie under MENAGERIE_ROOT or in its cache, and the chains in
-`tests/models/` that no robot there has: slides, joints without limits, axes and anchors off the usual, a URDF. `ROBOTS` are all
-robots at hand, legged ones and hands included.
+`tests/models/` with what no robot there has: slides, joints without limits, unusual axes and anchors, a URDF. `ROBOTS` are all
+installed robots, with legs and hands.
 """
 
 import re
@@ -32,7 +32,8 @@ def at_hand(robot: str) -> bool:
     """
     if robot == BUNDLED:
         return True
-    store, row = menagerie.Cache(), menagerie.get(ALIASES.get(robot, robot))
+    store = menagerie.Cache()
+    row = menagerie.get(ALIASES.get(robot, robot))
     return (store.root / row.name).is_dir() if store.root else store.is_cached(row)
 
 

@@ -14,16 +14,19 @@ from armctl.core.pose import Pose
 from armctl.core.validation import Array, instance, number, vector
 from armctl.loading.scene_file import SceneFile
 
-_LOOSE, _FIXED = (0.85, 0.45, 0.2, 1.0), (0.6, 0.6, 0.65, 1.0)  # rgba
-_TIMESTEP = 1e-3  # s, at most, where something is loose
-_HARD = (0.95, 0.99, 0.001, 0.5, 2.0)  # MuJoCo's solimp
-_FRICTION_RATIO = 10.0  # how much stiffer friction is than contact: what is held must not creep
-_BOX, _BALL, _CYLINDER = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER
+_LOOSE_COLOR = (0.85, 0.45, 0.2, 1.0)  # rgba
+_FIXED_COLOR = (0.6, 0.6, 0.65, 1.0)
+_MAX_TIMESTEP_S = 1e-3  # in a scene with loose objects
+_STIFF_SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)
+_FRICTION_RATIO = 10.0  # stiffness of friction relative to contact, so that a held object does not creep
+_BOX = mujoco.mjtGeom.mjGEOM_BOX
+_BALL = mujoco.mjtGeom.mjGEOM_SPHERE
+_CYLINDER = mujoco.mjtGeom.mjGEOM_CYLINDER
 
 
 @dataclass(frozen=True, eq=False)
 class Item:
-    """One thing in a scene.
+    """One object in a scene.
 
     Attributes:
         name: Its name.
@@ -41,9 +44,9 @@ class Item:
 
 
 class Scene:
-    """What stands and lies around a robot; `armctl.load(robot, scene=scene)` puts the robot into it.
+    """The objects around a robot; `armctl.load(robot, scene=scene)` puts the robot among them.
 
-    Without a mass a thing is fixed, such as a table; with one it is loose. Each `add_...` returns the scene itself.
+    An object without a mass is fixed, such as a table; an object with a mass is loose. Each `add_...` returns the scene itself.
 
     Attributes:
         items: What was added to it, in order.
@@ -134,20 +137,20 @@ class Scene:
         if any(item.mass is not None for item in self.items) or (self._file and self._file.is_loose):
             spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
             spec.option.impratio = max(spec.option.impratio, _FRICTION_RATIO)
-            spec.option.timestep = min(spec.option.timestep, _TIMESTEP)
-        # As stiff as the time step allows: fingers do not sink in, and what is held hardly creeps where it is carried round a
-        # bend, which MuJoCo's friction lets it by its centripetal acceleration x time constant / 2. Condim 4: what two fingers
-        # hold does not spin between them. Priority: so it is whatever holds it.
-        gripped = {"solref": (2 * spec.option.timestep, 1.0), "solimp": _HARD, "condim": 4, "priority": 1}
+            spec.option.timestep = min(spec.option.timestep, _MAX_TIMESTEP_S)
+        # The contact is as stiff as the time step allows. Fingers then do not sink in, and a held object hardly creeps in a
+        # bend: MuJoCo's friction creeps at the centripetal acceleration x time constant / 2. With condim 4 an object held by two
+        # fingers does not spin between them. With priority 1 these parameters hold for every gripper.
+        gripped = {"solref": (2 * spec.option.timestep, 1.0), "solimp": _STIFF_SOLIMP, "condim": 4, "priority": 1}
         if self._file:
             self._file.build(spec, gripped)
         for item in self.items:
             body = spec.worldbody.add_body(name=item.name, pos=item.pose.position, quat=item.pose.quat)
             if item.mass is None:
-                body.add_geom(name=item.name, type=item.shape, size=item.size, rgba=_FIXED)
+                body.add_geom(name=item.name, type=item.shape, size=item.size, rgba=_FIXED_COLOR)
                 continue
             body.add_freejoint(name=item.name)
-            body.add_geom(name=item.name, type=item.shape, size=item.size, rgba=_LOOSE, mass=item.mass, **gripped)
+            body.add_geom(name=item.name, type=item.shape, size=item.size, rgba=_LOOSE_COLOR, mass=item.mass, **gripped)
 
     def _add(self, name: str, shape: mujoco.mjtGeom, size: Array, at: Pose | ArrayLike, mass: float | None) -> Scene:
         instance("name", name, str, "such as 'table'")

@@ -1,4 +1,4 @@
-"""SceneFile: a scene that somebody wrote as MJCF, to be put around a robot."""
+"""SceneFile: a scene in an MJCF file, to be put around a robot."""
 
 from __future__ import annotations
 
@@ -61,11 +61,11 @@ class SceneFile:
         self.is_loose = bool((model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).any())
 
     def build(self, spec: mujoco.MjSpec, contact: Mapping[str, object]) -> None:
-        """Adds everything in it to a specification; options, sensors and keyframes stay behind, since the robot's hold.
+        """Adds everything in it to a specification, except options, sensors and keyframes: the robot's are used.
 
         Args:
             spec: The specification, changed in place; none of its bodies has the name of one of these.
-            contact: What loose geoms get whose contact the file leaves at MuJoCo's defaults.
+            contact: Contact parameters of loose geoms for which the file keeps MuJoCo's defaults.
         """
         child = self._spec.copy()
         for element in [*child.keys, *child.sensors]:
@@ -86,13 +86,16 @@ class SceneFile:
                     setattr(element, attribute, names[kind].get(name, name))
 
     def _own_names(self, elements: Iterable[Any]) -> dict[str, str]:
-        """Gives elements their own names back, where the robot has none of the same; before to after."""
+        """Removes the prefix from the elements' names unless the robot uses the same name; returns old to new names."""
         elements = list(elements)
-        taken, renamed = {element.name for element in elements}, {}
+        taken = {element.name for element in elements}
+        renamed: dict[str, str] = {}
         for element in elements:
-            before, own = element.name, element.name.removeprefix(self._prefix)
+            before = element.name
+            own = before.removeprefix(self._prefix)
             if before != own and own not in taken:
-                renamed[before] = element.name = own
+                element.name = own
+                renamed[before] = own
         return renamed
 
 

@@ -1,4 +1,4 @@
-"""What MuJoCo leaves out of a URDF: motors, speed limits, and meshes that are found by package or in formats it cannot read."""
+"""What MuJoCo leaves out of a URDF: motors, speed limits, and meshes by package path or in formats that it cannot read."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from armctl.core.errors import ModelError
 from armctl.loading.limits import JointData, default_speed
-from armctl.loading.urdf_inertia import mend_masses
+from armctl.loading.urdf_inertia import correct_inertias
 from armctl.mjmodel.queries import joint_name
 from armctl.mjmodel.transmissions import Transmission
 
@@ -23,14 +23,14 @@ _READABLE = (".stl", ".obj", ".msh")
 def read_urdf(path: Path) -> tuple[mujoco.MjSpec, list[str]]:
     """A URDF as a specification with a motor on each joint that has one of its own.
 
-    Every link stays a body, so that tool frames keep their names. Meshes serve collisions only; one that cannot be had is
-    left out, since kinematics and dynamics do not need it.
+    Every link stays a body, so that tool frames keep their names. Meshes are used for collisions only; one that cannot be read
+    is left out, because kinematics and dynamics do not need it.
 
     Args:
         path: The file.
 
     Returns:
-        The specification, and what was left out or mended, one sentence each.
+        The specification, and what was left out or corrected, one sentence each.
 
     Raises:
         ModelError: It is no well-formed XML.
@@ -39,10 +39,11 @@ def read_urdf(path: Path) -> tuple[mujoco.MjSpec, list[str]]:
     spec = mujoco.MjSpec.from_file(str(path))
     spec.compiler.fusestatic = False
     root = _parsed(path)
-    notes = _find_meshes(spec, path, root) + mend_masses(spec)
+    notes = _find_meshes(spec, path, root) + correct_inertias(spec)
     followers = {joint.get("name") for joint in root.findall("joint") if joint.find("mimic") is not None}
-    for mimic in spec.equalities:  # as rigid as MuJoCo can: a URDF knows no give
-        mimic.solref, mimic.solimp = (2 * spec.option.timestep, 1.0), _RIGID
+    for mimic in spec.equalities:  # as rigid as MuJoCo allows: a URDF's mimic joints do not give way
+        mimic.solref = (2 * spec.option.timestep, 1.0)
+        mimic.solimp = _RIGID
     for joint in spec.joints:
         is_scalar = joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
         if is_scalar and joint.name not in followers:
@@ -53,13 +54,7 @@ def read_urdf(path: Path) -> tuple[mujoco.MjSpec, list[str]]:
 def speed_limits(path: Path | None, model: mujoco.MjModel, transmissions: Sequence[Transmission]) -> JointData | None:
     """The speed limits of a URDF, which MuJoCo does not keep; the default for a joint that has none.
 
-    Args:
-        path: The file.
-        model: The model compiled from it.
-        transmissions: What moves the joints.
-
-    Returns:
-        The limits; None where no joint has one, or the file is no URDF.
+    None if no joint has one, or if the file is no URDF.
 
     Raises:
         ModelError: A limit is no number.
@@ -86,7 +81,7 @@ def _parsed(path: Path) -> ElementTree.Element:
 
 
 def _speed(joint: str, limit: ElementTree.Element | None) -> float:
-    """A joint's speed limit; 0 where it has none."""
+    """A joint's speed limit; 0 if it has none."""
     text = "0" if limit is None else limit.get("velocity", "0")
     try:
         speed = float(text)
@@ -96,32 +91,32 @@ def _speed(joint: str, limit: ElementTree.Element | None) -> float:
 
 
 def _find_meshes(spec: mujoco.MjSpec, path: Path, root: ElementTree.Element) -> list[str]:
-    """Points each mesh to its file, or takes it out; says which were taken out, and why."""
+    """Points each mesh to its file, or removes it; one sentence for each reason of removal."""
     names = [mesh.get("filename") or "" for mesh in root.iter("mesh")]
-    wanted = {Path(name).name: name for name in names}
+    by_file = {Path(name).name: name for name in names}
     left_out: dict[str, list[str]] = {}
     for mesh in list(spec.meshes):
         file = Path(mesh.file).name
-        found = _locate(path, wanted.get(file) or mesh.file)
-        why = "not found" if found is None else _unreadable(found)
-        if not why:
+        found = _locate(path, by_file.get(file) or mesh.file)
+        reason = "not found" if found is None else _unreadable(found)
+        if not reason:
             mesh.file = str(found)
             continue
-        left_out.setdefault(why, []).append(file)
+        left_out.setdefault(reason, []).append(file)
         for geom in list(spec.geoms):
             if geom.meshname == mesh.name:
                 spec.delete(geom)
         spec.delete(mesh)
     notes = []
-    for why, files in left_out.items():
+    for reason, files in left_out.items():
         names = ", ".join(map(repr, dict.fromkeys(files)))
         noun = "meshes" if "," in names else "mesh"
-        notes.append(f"collision {noun} {names:.120} left out: {why:.240}")
+        notes.append(f"collision {noun} {names:.120} left out: {reason:.240}")
     return notes
 
 
 def _unreadable(mesh: Path) -> str:
-    """Why MuJoCo cannot use a mesh; empty where it can."""
+    """Why MuJoCo cannot use a mesh; empty if it can."""
     if mesh.suffix.lower() not in _READABLE:
         return f"MuJoCo reads {', '.join(_READABLE)}, not {mesh.suffix}"
     probe = mujoco.MjSpec()
@@ -135,7 +130,7 @@ def _unreadable(mesh: Path) -> str:
 
 
 def _locate(path: Path, name: str) -> Path | None:
-    """A mesh by its path or by its ROS package: package://name/rest is sought in every folder above the URDF."""
+    """The file of a mesh by its path or its ROS package: package://name/rest is searched in every folder above the URDF."""
     package, _, rest = name.removeprefix("package://").removeprefix("model://").partition("/")
     tails = (Path(package, rest), Path(rest or package)) if "://" in name and "file://" not in name else ()
     direct = Path(name.removeprefix("file://"))

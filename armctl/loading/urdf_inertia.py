@@ -1,4 +1,4 @@
-"""Masses and inertias that URDFs leave out or get wrong, made such that MuJoCo can simulate them; each change is said."""
+"""Corrects masses and inertias that a URDF leaves out or gets wrong, so that MuJoCo can simulate it; notes each change."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ import numpy as np
 
 from armctl.core.validation import Array
 
-LEAST_MASS, LEAST_INERTIA = 1e-3, 1e-6  # kg and kg m^2, of a moving link without any: a ball of 1 g and 5 cm
-_ROUND_OFF = 1e-9  # of the greatest moment, by which an inertia is kept off the edge of what MuJoCo takes
+# Of a moving link without any: a ball of 1 g with a radius of 5 cm.
+MIN_MASS_KG = 1e-3
+MIN_INERTIA_KG_M2 = 1e-6
+_MIN_RELATIVE_SPREAD = 1e-9  # of the greatest second moment: MuJoCo refuses an inertia at the limit of what is possible
 
-_NONE = (np.nan, 0.0, 0.0, 0.0, 0.0, 0.0)  # no full inertia, as MuJoCo writes it
+_NO_INERTIA = (np.nan, 0.0, 0.0, 0.0, 0.0, 0.0)  # no full inertia, as MuJoCo writes it
 
 
-def mend_masses(spec: mujoco.MjSpec) -> list[str]:
+def correct_inertias(spec: mujoco.MjSpec) -> list[str]:
     """Gives every link the nearest inertia that a body can have, and moving links without a mass a small one.
 
     Args:
@@ -22,15 +24,15 @@ def mend_masses(spec: mujoco.MjSpec) -> list[str]:
     Returns:
         What was changed or had to be assumed, one sentence each.
     """
-    unphysical = [body.name for body in spec.bodies if body.explicitinertial and _mend_inertia(body)]
+    unphysical = [body.name for body in spec.bodies if body.explicitinertial and _correct_inertia(body)]
     moving = {body.name: _welded(body) for body in spec.bodies if body.joints}
     massless = [name for name, parts in moving.items() if not any(map(_has_mass, parts))]
     inferred = [part.name for parts in moving.values() for part in parts if not part.explicitinertial and part.geoms]
     for name in massless:
         _give_mass(moving[name][0])
     sentences = {
-        "the inertia of {} is one that no body has: the nearest possible one is taken": unphysical,
-        f"no mass or inertia given for {{}}: {LEAST_MASS:g} kg and {LEAST_INERTIA:g} kg m^2 at least are taken": massless,
+        "the inertia of {} is one that no body has: armctl uses the nearest possible one": unphysical,
+        f"no mass or inertia given for {{}}: {MIN_MASS_KG:g} kg and {MIN_INERTIA_KG_M2:g} kg m^2 at least are used": massless,
         "no inertial given for {}: mass and inertia are those of the collision shapes at 1000 kg/m^3": inferred,
     }
     return [sentence.format(", ".join(names)) for sentence, names in sentences.items() if names]
@@ -48,21 +50,21 @@ def nearest_inertia(inertia: Array) -> Array:
         (3, 3) kg m^2; the same one where it is possible already.
     """
     spread, axes = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
-    floor = _ROUND_OFF * np.abs(spread).max()
+    floor = _MIN_RELATIVE_SPREAD * np.abs(spread).max()
     if spread[0] >= 0.0 and spread[0] + spread[1] > floor:  # the latter is the least moment
         return inertia
     spread = np.maximum(spread, floor)
     return axes @ np.diag(spread.sum() - spread) @ axes.T
 
 
-def _mend_inertia(body: mujoco.MjsBody) -> bool:
-    """Makes a link's inertia possible; whether that changed it."""
+def _correct_inertia(body: mujoco.MjsBody) -> bool:
+    """Makes a link's inertia physically possible; returns whether that changed it."""
     xx, yy, zz, xy, xz, yz = body.fullinertia
     if np.isnan(xx):
         return False
     given = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     if np.abs(given).max() <= mujoco.mjMINVAL:
-        body.fullinertia = _NONE
+        body.fullinertia = _NO_INERTIA
         return False
     near = nearest_inertia(given)
     body.fullinertia = (*near.diagonal(), near[0, 1], near[0, 2], near[1, 2])
@@ -70,13 +72,15 @@ def _mend_inertia(body: mujoco.MjsBody) -> bool:
 
 
 def _give_mass(body: mujoco.MjsBody) -> None:
-    body.explicitinertial, body.mass = True, max(body.mass, LEAST_MASS)
+    body.explicitinertial = True
+    body.mass = max(body.mass, MIN_MASS_KG)
     body.ipos = np.nan_to_num(body.ipos)
-    body.inertia, body.fullinertia = np.full(3, LEAST_INERTIA), _NONE
+    body.inertia = np.full(3, MIN_INERTIA_KG_M2)
+    body.fullinertia = _NO_INERTIA
 
 
 def _has_mass(body: mujoco.MjsBody) -> bool:
-    """Whether MuJoCo will find both mass and inertia in a link."""
+    """Whether a link has both mass and inertia for MuJoCo."""
     if not body.explicitinertial:
         return bool(body.geoms)
     return body.mass > mujoco.mjMINVAL and body.fullinertia[0] > mujoco.mjMINVAL

@@ -106,8 +106,8 @@ def dofs_of_equality(model: mujoco.MjModel, equality: int) -> list[int]:
         return [dof for tendon in ends if tendon >= 0 for dof in dofs_of_tendon(model, tendon)]
     if kind in _LOOP_EQUALITIES:
         of_site = model.eq_objtype[equality] == int(mujoco.mjtObj.mjOBJ_SITE)
-        first, second = (_dofs_above(model, int(model.site_bodyid[i]) if of_site else i) for i in ends)
-        return sorted(first ^ second)
+        bodies = [int(model.site_bodyid[i]) if of_site else i for i in ends]
+        return sorted(_dofs_above(model, bodies[0]) ^ _dofs_above(model, bodies[1]))
     return list(range(model.nv))
 
 

@@ -132,14 +132,17 @@ class Arm:
             InputError: A wrong length or a number that is not finite.
             LimitError: A position outside its limits.
         """
-        given, low, high = vector(what, q, self.n), self.limits.q_min, self.limits.q_max
+        given = vector(what, q, self.n)
+        low = self.limits.q_min
+        high = self.limits.q_max
         if ((given >= low) & (given <= high)).all():
             return given
         margin = number("tolerance", tolerance, 0.0)
         outside = (given < low - margin) | (given > high + margin)
         if outside.any():
             i = int(outside.argmax())
-            name, unit = self.joint_names[i], self.units[i]
+            name = self.joint_names[i]
+            unit = self.units[i]
             raise LimitError(f"{what}: {name}: {given[i]:g} {unit} is outside [{low[i]:.3f}, {high[i]:.3f}] {unit}")
         return self.limits.clamp(given)
 
@@ -342,7 +345,7 @@ class Arm:
         coulomb_friction: ArrayLike = 0.0,
         viscous_friction: ArrayLike = 0.0,
     ) -> Arm:
-        """The same arm as one knows it with something in its hand: what a controller's model should be.
+        """The same arm with a known payload at the tip: the model that a controller should use.
 
         Args:
             mass: kg, of a point mass at the tip.
@@ -351,7 +354,7 @@ class Arm:
             viscous_friction: N m s/rad of damping besides the model's, on each joint or (n,) for each.
 
         Returns:
-            The arm; a simulation of it carries the payload as well, so give a plant's payload with the bare arm.
+            The arm. A simulation of it carries the payload as well: do not give the plant the same payload again.
 
         Raises:
             InputError: The mass or a friction is negative, or a number is not finite or a list of a wrong length.
@@ -380,7 +383,7 @@ class Arm:
 
 
 def check_arm(arm: object) -> None:
-    """Makes sure that an argument is an arm.
+    """Checks that an argument is an arm.
 
     Args:
         arm: The argument.

@@ -1,8 +1,8 @@
 """The Pinocchio model of one serial chain, built from the compiled MuJoCo model, body by body.
 
-Every joint frame is laid so that its joint turns about, or slides along, its own z axis. Joints outside the chain are held
-where they are, so whatever hangs on them is one rigid body with the link it hangs on; those that follow a joint of the chain
-are Pinocchio's mimic joints.
+Every joint turns about, or slides along, the z axis of its own frame. Joints outside the chain are held where they are, so the
+bodies behind them are rigidly connected to the link that carries them. Joints that follow a joint of the chain are Pinocchio's
+mimic joints.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ WORLD_AXES_AT_TIP = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 
 class _Memory(threading.local):
-    """Pinocchio's scratch memory, and where in it the tip is: one for each thread that asks."""
+    """Pinocchio's scratch memory and the place of the tip in it, one for each thread."""
 
     def __init__(self, pin_model: pin.Model, tip_frame: int):
         self.data = pin_model.createData()
@@ -112,10 +112,13 @@ class PinocchioModel:
             if slides:
                 p = p + R[:, 2] * qi
             else:
-                c, s = np.cos(qi), np.sin(qi)
-                x, y = R[:, 0], R[:, 1]
+                c = np.cos(qi)
+                s = np.sin(qi)
+                x = R[:, 0]
+                y = R[:, 1]
                 R = np.stack([c * x + s * y, c * y - s * x, R[:, 2]], axis=1)
-        p, R = p + self.T_last_tip[:3, 3] @ R, self.T_last_tip[:3, :3].T @ R
+        p = p + self.T_last_tip[:3, 3] @ R
+        R = self.T_last_tip[:3, :3].T @ R
         return np.ascontiguousarray(p.T), np.ascontiguousarray(R.transpose(2, 0, 1))
 
     def __reduce__(self):
@@ -152,7 +155,7 @@ def build_pinocchio_model(
     placements = []
     for i, (joint, above) in enumerate(zip(joints, _joints_behind(model, joints), strict=True)):
         previous = frames[above] if above >= 0 else pin.SE3.Identity()
-        back_to_zero = _along_z(-zero[i]) if is_slide[i] else _about_z(-zero[i])
+        back_to_zero = _joint_displacement(-zero[i], bool(is_slide[i]))
         placement = previous.actInv(frames[i]) * back_to_zero
         kind = pin.JointModelPZ() if is_slide[i] else pin.JointModelRZ()
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or f"joint{joint}"
@@ -166,7 +169,8 @@ def build_pinocchio_model(
         if owner < 0 or not (model.body_mass[body] or model.body_inertia[body].any()):
             continue
         T_joint_inertia = frames[owner].actInv(_se3(data.xipos[body], data.ximat[body]))
-        mass, moments = model.body_mass[body], model.body_inertia[body]
+        mass = model.body_mass[body]
+        moments = model.body_inertia[body]
         pin_model.appendBodyToJoint(owner + 1, pin.Inertia(mass, np.zeros(3), np.diag(moments)), T_joint_inertia)
         if support is not None:
             lifted = pin.Inertia(mass * model.body_gravcomp[body], np.zeros(3), np.zeros((3, 3)))
@@ -188,7 +192,8 @@ def build_pinocchio_model(
 
 def _joints_behind(model: mujoco.MjModel, joints: tuple[int, ...]) -> list[int]:
     """For every joint, the position in `joints` of the one it hangs on, -1 where it hangs on none."""
-    carried, behind = last_joint_above(model, joints), []
+    carried = last_joint_above(model, joints)
+    behind: list[int] = []
     for i, joint in enumerate(joints):
         body = int(model.jnt_bodyid[joint])
         before = [k for k, other in enumerate(joints[:i]) if model.jnt_bodyid[other] == body]
@@ -222,13 +227,11 @@ def _joint_frame(anchor: Array, axis: Array) -> pin.SE3:
     return pin.SE3(np.column_stack([x, np.cross(z, x), z]), anchor.copy())
 
 
-def _about_z(angle: float) -> pin.SE3:
-    c, s = np.cos(angle), np.sin(angle)
-    return pin.SE3(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3))
-
-
-def _along_z(distance: float) -> pin.SE3:
-    return pin.SE3(np.eye(3), np.array([0.0, 0.0, distance]))
+def _joint_displacement(q: float, slides: bool) -> pin.SE3:
+    """The displacement of a joint at position q: along z if it slides, else about z."""
+    if slides:
+        return pin.SE3(np.eye(3), np.array([0.0, 0.0, q]))
+    return pin.SE3(pin.utils.rotate("z", q), np.zeros(3))
 
 
 def _se3(position: Array, rotation: Array) -> pin.SE3:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from synthetic import FIRST, INERTIA, JOINT, LIMIT, LINK, MESH, SECOND, THIRD, TOOL, urdf
 
 import armctl
-from armctl.loading.urdf_inertia import LEAST_INERTIA, LEAST_MASS, nearest_inertia
+from armctl.loading.urdf_inertia import MIN_INERTIA_KG_M2, MIN_MASS_KG, nearest_inertia
 from armctl.robot.parity import PARITY_TOLERANCE, check_parity
 
 TRANSMISSIONS = "".join(f'<transmission name="t{j}"><joint name="{j}"/></transmission>' for j in ("j1", "j2"))
@@ -91,8 +91,8 @@ def test_links_without_mass_or_shape_get_a_small_mass_aloud(load):
         text = text.replace(LINK.format(name, INERTIA, ""), f'<link name="{name}"/>')
     with pytest.warns(armctl.ArmctlWarning, match="no mass or inertia given for one, two: 0.001 kg and 1e-06 kg m"):
         arm = load(text)
-    assert arm.model.body("one").mass == pytest.approx(LEAST_MASS)
-    assert arm.model.body("two").inertia == pytest.approx(np.full(3, LEAST_INERTIA))
+    assert arm.model.body("one").mass == pytest.approx(MIN_MASS_KG)
+    assert arm.model.body("two").inertia == pytest.approx(np.full(3, MIN_INERTIA_KG_M2))
     assert armctl.solve_ik(arm, arm.fk([0.3, 0.4]).position).ok
 
 
