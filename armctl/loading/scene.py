@@ -139,8 +139,8 @@ class Scene:
             spec.option.impratio = max(spec.option.impratio, _FRICTION_RATIO)
             spec.option.timestep = min(spec.option.timestep, _MAX_TIMESTEP_S)
         # The contact is as stiff as the time step allows. Fingers then do not sink in, and a held object hardly creeps in a
-        # bend: MuJoCo's friction creeps at the centripetal acceleration x time constant / 2. With condim 4 an object held by two
-        # fingers does not spin between them. With priority 1 these parameters hold for every gripper.
+        # bend: MuJoCo's friction creeps at the centripetal acceleration x time constant / 2. With condim 4 an object held by
+        # two fingers does not spin between them. With priority 1 these parameters hold for every gripper.
         gripped = {"solref": (2 * spec.option.timestep, 1.0), "solimp": _STIFF_SOLIMP, "condim": 4, "priority": 1}
         if self._file:
             self._file.build(spec, gripped)
