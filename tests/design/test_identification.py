@@ -207,7 +207,7 @@ WRONG = [
 ]
 
 
-@pytest.mark.parametrize("arguments", WRONG, ids=str)
+@pytest.mark.parametrize("arguments", WRONG, ids=" ".join)
 def test_wrong_arguments_are_refused(bundled, arguments):
     with pytest.raises(armctl.InputError, match=f"{next(iter(arguments))}: "):
         armctl.excitation(bundled, **arguments)

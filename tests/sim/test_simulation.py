@@ -12,7 +12,7 @@ from arms import arm_of
 import armctl
 from armctl import PD, Arm, ComputedTorque, InputError, Plant, Pose, Report, Simulation, SimulationError
 from armctl.analysis.comparison import out_and_back
-from armctl.collision.checker import collision_checker
+from armctl.collision.checkers import collision_checker
 from armctl.sim.plant import held_dofs
 
 NAMED = ["robot_arm_3dof", "panda", "ur5e", "iiwa14", "xarm7", "gen3", "so_arm100"]
