@@ -79,7 +79,7 @@ def walk(arm: armctl.Arm, rng: np.random.Generator, memory: float = 0.6, step: f
 
 
 def jumpy(arm: armctl.Arm, rng: np.random.Generator) -> Array:
-    """A random walk whose steps know nothing of each other: half of the joints turn round at each waypoint."""
+    """A random walk of independent steps: half of the joints turn round at each waypoint."""
     return walk(arm, rng, memory=0.0)
 
 

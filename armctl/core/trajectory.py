@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -117,7 +117,8 @@ def check_motion(trajectory: object, joint_names: Sequence[str], *, what: str = 
         raise InputError(f"{what}: {shown(trajectory)} is not a trajectory; armctl.move_j(arm, arm.home, q) returns one")
     names = getattr(trajectory, "joint_names", None)
     if names is None:
-        moved = np.size(trajectory(0.0).q)
+        start: Any = trajectory(0.0)
+        moved = np.size(start.q)
         if moved != len(joint_names):
             raise InputError(f"{what}: it moves {moved} joints, but the arm has {len(joint_names)}")
     elif tuple(names) != tuple(joint_names):

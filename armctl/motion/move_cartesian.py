@@ -22,6 +22,7 @@ from armctl.motion.trajectory.piecewise import standing
 from armctl.robot.arm import Arm
 
 _MIN_LENGTH = 1e-9  # m
+_MAX_ANGLE = 200 * np.pi  # rad, a hundred turns
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +197,7 @@ def _shapes(start: Pose, parts: list[Line | Arc], oriented: bool) -> list[Shape]
         turn = Turn.between(rotation, part.target.rotation if isinstance(part.target, Pose) else rotation)
         if isinstance(part, Arc):
             via = part.via.position if isinstance(part.via, Pose) else vector("via", part.via, 3)
-            angle = None if part.angle is None else number("angle", part.angle, 1e-6)
+            angle = None if part.angle is None else number("angle", part.angle, 1e-6, _MAX_ANGLE)
             shapes.append(Circle.through(position, via, end, angle, turn))
             end = shapes[-1].at(shapes[-1].length).position
         else:

@@ -200,6 +200,12 @@ def test_a_motion_is_of_its_own_joints(bundled):
     check_motion(Still(bundled.home), bundled.joint_names)
 
 
+@pytest.mark.parametrize("angle", [1e308, -1.0, 0.0, np.nan, np.inf, "x"])
+def test_an_arc_of_no_sensible_angle_is_rejected(bundled, angle):
+    with pytest.raises(armctl.InputError, match="angle: "):
+        armctl.move_c(bundled, bundled.home, tip(bundled, 0.03, 0.03), tip(bundled, 0.06), angle=angle)
+
+
 # Speed
 
 PLANS = {

@@ -91,7 +91,7 @@ class LimitCheck:
     @property
     def reason(self) -> str:
         """The worst violation, in words; empty if there is none."""
-        outside = self.violations
+        outside = list(self.violations)
         if not outside:
             return ""
         more = f" (and {len(outside) - 1} more)" if len(outside) > 1 else ""

@@ -123,7 +123,7 @@ def check_continuous(pieces: Pieces, names: Sequence[str]) -> None:
     if not (np.isfinite(ends).all() and np.isfinite(largest).all()):
         raise InputError("coefficients: the motion leaves the range of floating-point numbers")
     if (jumps > 1.0).any():
-        k, i = np.unravel_index(int(jumps.argmax()), jumps.shape)
+        k, i = divmod(int(jumps.argmax()), jumps.shape[1])
         raise InputError(f"coefficients: the position of {names[i]} jumps at {pieces.knots[k + 1]:.6g} s")
 
 
