@@ -217,13 +217,25 @@ def rates(arm: Arm, targets: list[Pose]) -> list[str]:
     ]
 
 
+def misses(arm: Arm, count: int) -> str:
+    """How many poses with joints at their limits `solve_ik_batch` misses, and how many starts the slowest takes."""
+    targets = poses(arm, count, True, np.random.default_rng(9))
+    found = solve_ik_batch(arm, targets if arm.n >= 6 else np.array([T.position for T in targets]))
+    return f"{arm.name}: {int((~found.ok).sum())} of {count} missed; at most {found.starts.max()} starts"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--poses", type=int, default=2000, help="random poses an arm")
     parser.add_argument("--limit-poses", type=int, default=600, help="poses with joints at their limits")
     parser.add_argument("--arms", nargs="*", default=ARMS)
+    parser.add_argument("--misses", type=int, metavar="N", help="only count the misses among N poses at joint limits per arm")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
+    if options.misses:
+        for name in options.arms:
+            print(misses(armctl.load(name), options.misses), flush=True)
+        return
     solver_columns = ["arm", "solver", "solved", "median ms", "p99 ms", "solved at joint limits"]
     solver_rows = []
     rate_columns = [

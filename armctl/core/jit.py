@@ -7,6 +7,7 @@ import pickle
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
+from typing import Any
 
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
@@ -79,7 +80,7 @@ class _TolerantCache(FunctionCache):
 
 def njit(function: Callable) -> Callable:
     """The compiled function, with a cache on disk if there is a folder for it."""
-    compiled = numba.njit(nogil=True, error_model="numpy")(function)
+    compiled: Any = numba.njit(nogil=True, error_model="numpy")(function)
     with suppress(RuntimeError):  # numba finds no folder that can be written: compile in every process
         compiled._cache = _TolerantCache(function)
     return compiled

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from functools import cache
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -55,7 +57,8 @@ class Pose:
 
     def _fill(self, position: ArrayLike, quat: Array, rotation: Array) -> None:
         rows = np.empty((4, 3))
-        rows[:3], rows[3] = rotation, position
+        rows[:3] = rotation
+        rows[3] = position
         object.__setattr__(self, "rows", frozen(rows))
         object.__setattr__(self, "rotation", rows[:3])
         object.__setattr__(self, "position", rows[3])
@@ -182,70 +185,60 @@ class Pose:
         return hash((self.position.tobytes(), self.rotation.tobytes()))
 
     def __repr__(self) -> str:
-        p, q = ([round(float(x), 6) + 0.0 for x in a] for a in (self.position, self.quat))
-        return f"Pose({p}, quat={q})"
+        return f"Pose({_rounded(self.position)}, quat={_rounded(self.quat)})"
+
+
+def _rounded(values: Array) -> list[float]:
+    return [round(float(x), 6) + 0.0 for x in values]  # + 0.0 turns -0.0 into 0.0
 
 
 def rotation_vector(R: Array) -> Array:
-    """The rotation vector (axis times angle) of a rotation matrix, accurate at 0 and at pi.
-
-    Args:
-        R: (3, 3) rotation matrix.
-
-    Returns:
-        (3,) rad, its norm in [0, pi].
-    """
-    w, *xyz = _quat_from_matrix(R)
-    s = math.sqrt(xyz[0] ** 2 + xyz[1] ** 2 + xyz[2] ** 2)
-    scale = 2.0 if s < 1e-300 else 2.0 * math.atan2(s, w) / s
-    return np.array(xyz) * scale
+    """The rotation vector (3,), axis times angle in rad, of a rotation matrix; it is accurate at 0 and at pi, its longest."""
+    return _pinocchio().log3(R)
 
 
 def rotation_angle(R: Array) -> float:
-    """The angle of a rotation matrix.
-
-    Args:
-        R: (3, 3) rotation matrix.
-
-    Returns:
-        rad, in [0, pi].
-    """
+    """The angle of a rotation matrix, in rad, in [0, pi]."""
     return float(np.linalg.norm(rotation_vector(R)))
 
 
 def rotation_from_vector(w: Array) -> Array:
-    """The rotation matrix of a rotation vector.
-
-    Args:
-        w: (3,) rad, axis times angle.
-
-    Returns:
-        (3, 3) rotation matrix.
-    """
-    angle = float(np.linalg.norm(w))
-    half = 0.5 * angle
-    s = 0.5 if angle < 1e-12 else math.sin(half) / angle
-    return _matrix_from_quat(np.array([math.cos(half), *(s * w)]))
+    """The rotation matrix of a rotation vector (3,), rad."""
+    return _pinocchio().exp3(w)
 
 
 def quats_from_rotations(R: Array) -> Array:
-    """The quaternions of many rotation matrices.
-
-    Args:
-        R: (T, 3, 3) rotation matrices.
-
-    Returns:
-        (T, 4) wxyz, with w >= 0.
-    """
-    x, y, z = (R[:, i, i] for i in range(3))
-    a, b, c = R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]
-    d, e, f = R[:, 1, 0] + R[:, 0, 1], R[:, 0, 2] + R[:, 2, 0], R[:, 2, 1] + R[:, 1, 2]
-    rows = [[1 + x + y + z, a, b, c], [a, 1 + x - y - z, d, e], [b, d, 1 - x + y - z, f], [c, e, f, 1 - x - y + z]]
-    candidates = np.moveaxis(np.array(rows), -1, 0)  # (T, 4, 4), each row a multiple of the quaternion
+    """Quaternions (T, 4) wxyz, with w >= 0, of rotation matrices (T, 3, 3)."""
+    diagonal = np.diagonal(R, axis1=1, axis2=2)
+    difference = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
+    candidates = np.empty((len(R), 4, 4))  # each row a multiple of the quaternion (Shepperd's method)
+    candidates[:, 1:, 1:] = R + R.transpose(0, 2, 1)
+    candidates[:, 0, 1:] = difference
+    candidates[:, 1:, 0] = difference
+    trace = diagonal.sum(axis=1)
+    candidates[:, 0, 0] = 1 + trace
+    for i in range(3):
+        candidates[:, i + 1, i + 1] = 1 + 2 * diagonal[:, i] - trace
     best = np.diagonal(candidates, axis1=1, axis2=2).argmax(axis=1)
     quats = candidates[np.arange(len(R)), best]
     quats /= np.linalg.norm(quats, axis=1, keepdims=True)
     return np.where(quats[:, :1] < 0, -quats, quats)
+
+
+@cache
+def _pinocchio() -> ModuleType:
+    """Pinocchio, imported when a rotation vector is first needed: `armctl.Pose` alone loads in half the time without it."""
+    import pinocchio
+
+    return pinocchio
+
+
+@cache
+def _mujoco() -> ModuleType:
+    """MuJoCo, imported when a quaternion is first computed."""
+    import mujoco
+
+    return mujoco
 
 
 def _rebuilt(position: Array, rotation: Array) -> Pose:
@@ -258,7 +251,8 @@ def _canonical(wxyz: Array) -> Array:
 
 
 def _quat_from_rpy(rpy: Array) -> Array:
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy / 2), np.sin(rpy / 2)
+    cr, cp, cy = np.cos(rpy / 2)
+    sr, sp, sy = np.sin(rpy / 2)
     return np.array(
         [
             cr * cp * cy + sr * sp * sy,
@@ -281,17 +275,7 @@ def _matrix_from_quat(wxyz: Array) -> Array:
 
 
 def _quat_from_matrix(R: Array) -> Array:
-    """Shepperd's method (J. Guidance and Control 1(3), 1978): divide by the largest of four candidates."""
-    r00, r01, r02, r10, r11, r12, r20, r21, r22 = R.ravel().tolist()
-    squares = (1 + r00 + r11 + r22, 1 + r00 - r11 - r22, 1 - r00 + r11 - r22, 1 - r00 - r11 + r22)
-    k = squares.index(max(squares))
-    if k == 0:
-        q = (squares[0], r21 - r12, r02 - r20, r10 - r01)
-    elif k == 1:
-        q = (r21 - r12, squares[1], r10 + r01, r02 + r20)
-    elif k == 2:
-        q = (r02 - r20, r10 + r01, squares[2], r21 + r12)
-    else:
-        q = (r10 - r01, r02 + r20, r21 + r12, squares[3])
-    wxyz = np.array(q)
-    return _canonical(wxyz / math.sqrt(float(wxyz @ wxyz)))
+    """The unit quaternion wxyz, with w >= 0, of a rotation matrix."""
+    wxyz = np.empty(4)
+    _mujoco().mju_mat2Quat(wxyz, R.ravel())
+    return _canonical(wxyz)

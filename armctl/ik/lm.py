@@ -164,15 +164,21 @@ def best_effort(problem: Problem, q: Array) -> BestEffort:
         if (least <= limit).all():
             break
     out_of_reach = least > limit
-    q = np.where(out_of_reach[:, None], nearest, _at_point(problem, points, q))
+    q = np.where(out_of_reach[:, None], nearest, _at_point(problem, points, q, nearest))
     return BestEffort(q, *problem.residuals(q), out_of_reach)
 
 
-def _at_point(problem: Problem, points: Problem, q: Array) -> Array:
-    """Configurations near q (N, n) with the tip at its point, if a descent gets there, and the least orientation error."""
+def _at_point(problem: Problem, points: Problem, q: Array, at_point: Array) -> Array:
+    """Configurations with the tip at its point and a locally least orientation error, near q (N, n) if a descent gets there.
+
+    `at_point` (N, n) are configurations with the tip at its point, for descents that do not get there from q.
+    """
     balanced = refine(problem, q).q
     if problem.constraint == points.constraint:
         return balanced
-    turned = refine(problem, balanced, rotation_weight=POSITION_FIRST_WEIGHT).q
-    placed = search(points, 0, 1, turned)
-    return np.where(placed.solved[:, None], placed.q, balanced)
+    best = at_point
+    for begin in (at_point, balanced):
+        turned = refine(problem, begin, rotation_weight=POSITION_FIRST_WEIGHT).q
+        placed = search(points, 0, 1, turned)
+        best = np.where(placed.solved[:, None], placed.q, best)
+    return best

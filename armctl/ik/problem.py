@@ -105,12 +105,13 @@ def read_target(target: TargetLike, free_axis: str | None) -> tuple[int, Array]:
 
     It is checked unless it is a Pose or a Target, which were checked when they were made.
     """
-    pose = target.pose if isinstance(target, Target) else target
-    if isinstance(pose, Pose):
-        return constraint_of(True, free_axis), pose.rows.reshape(12)
+    if isinstance(target, Target):
+        target = target.position if target.pose is None else target.pose
+    if isinstance(target, Pose):
+        return constraint_of(True, free_axis), target.rows.reshape(12)
     constraint = constraint_of(False, free_axis)
     numbers = np.zeros(12)
-    numbers[9:] = target.position if isinstance(target, Target) else vector("target", target, 3)
+    numbers[9:] = vector("target", target, 3)
     return constraint, frozen(numbers)
 
 

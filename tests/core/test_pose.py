@@ -58,6 +58,26 @@ def test_the_angle_is_exact_at_zero_and_at_half_a_turn(angle: float):
     assert measured == pytest.approx(angle, rel=1e-9, abs=1e-15)
 
 
+@pytest.mark.parametrize("angle", [0.0, 1e-15, 1e-9, 1e-3, 1.0, 3.0, np.pi - 1e-3, np.pi - 1e-9, np.pi])
+def test_a_rotation_vector_is_found_again_up_to_its_sign_at_half_a_turn(angle: float):
+    rng = np.random.default_rng(0)
+    for axis in [*np.eye(3), *rng.normal(size=(100, 3))]:
+        w = angle * axis / np.linalg.norm(axis)
+        found = rotation_vector(rotation_from_vector(w))
+        if angle == np.pi:
+            found = found * np.sign(found @ w)
+        assert np.abs(found - w).max() <= (2e-15 if angle < 2 else 1e-13)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1.0, 3.0, np.pi - 1e-9, np.pi])
+def test_a_quaternion_has_half_the_angle_and_its_matrix_is_the_same_again(angle: float):
+    for axis in [*np.eye(3), *np.random.default_rng(1).normal(size=(100, 3))]:
+        R = rotation_from_vector(angle * axis / np.linalg.norm(axis))
+        T = Pose.from_rotation([0, 0, 0], R)
+        assert T.quat[0] == pytest.approx(np.cos(angle / 2), abs=1e-15)
+        assert np.abs(Pose([0, 0, 0], T.quat).rotation - R).max() <= 2e-15
+
+
 def test_many_quaternions_are_what_one_is():
     rng = np.random.default_rng(0)
     Rs = np.array([rotation_from_vector(w) for w in rng.uniform(-4, 4, (200, 3))] + [np.diag([1.0, -1, -1]), np.eye(3)])

@@ -227,6 +227,8 @@ def test_runs_into_nothing(name: str, walled: bool, tmp_path: Path):
         ({"solver": "dacp"}, UnknownNameError, "unknown QP solver 'dacp'; did you mean 'daqp'?"),
         ({"posture": [0.0, 9.0, 0.0]}, LimitError, "posture: shoulder_pitch: 9 rad is outside [-1.570, 1.570] rad"),
         ({"clearance": -1.0}, InputError, "clearance: -1 given, a number at least 0 wanted"),
+        ({"limits": 1.0}, InputError, "limits: 1.0 given, a list of mink Limit objects wanted"),
+        ({"tasks": ["tip"]}, InputError, "tasks: ['tip'] given, a list of mink BaseTask objects wanted"),
     ],
 )
 def test_a_wrong_follower_is_one_sentence(arguments, error, sentence):
