@@ -216,7 +216,8 @@ def test_a_torque_limit_that_nobody_gives_is_assumed_aloud(one):
 
 
 def test_a_slide_joint_is_spoken_of_in_newtons_and_metres(tmp_path: Path):
-    path, joint = tmp_path / "one.xml", '<joint name="a" type="slide" axis="0 0 1" range="0 1"/>'
+    path = tmp_path / "one.xml"
+    joint = '<joint name="a" type="slide" axis="0 0 1" range="0 1"/>'
     actuator = '<actuator><position joint="a" kp="50"/></actuator>'
     path.write_text(mjcf(f'<body name="A">{joint}<geom size="0.05" mass="2"/></body>', actuator))
     with pytest.warns(armctl.ArmctlWarning, match=r"assumed [\d.]+ N \(twice gravity at rest plus 10 m/s\^2\)"):
@@ -393,3 +394,25 @@ def test_a_broken_urdf_is_one_clear_sentence(tmp_path: Path, text: str):
 
 def test_the_model_of_an_arm_is_mujocos(arm: armctl.Arm):
     assert check_parity(arm, samples=20, seed=1) <= PARITY_TOLERANCE
+
+
+WRONG_TYPES = {
+    "hold_base": np.ones(3),
+    "scene": 3,
+    "tool": 4,
+    "tip_offset": [0, 0, 1],
+    "tip": 3,
+    "base": ["base"],
+}
+
+
+@pytest.mark.parametrize("argument", WRONG_TYPES)
+def test_an_argument_of_a_wrong_type_is_an_input_error(argument: str):
+    with pytest.raises(armctl.InputError, match=f"^{argument}: "):
+        armctl.load("robot_arm_3dof", **{argument: WRONG_TYPES[argument]})
+
+
+@pytest.mark.parametrize("tips", [3, "end_effector", [], {"end_effector": 1}, None])
+def test_tips_that_are_no_list_of_names_are_an_input_error(tips: object):
+    with pytest.raises(armctl.InputError, match=r"^tips: "):
+        armctl.load_arms("robot_arm_3dof", tips)  # pyright: ignore[reportArgumentType]

@@ -178,7 +178,9 @@ def lifted(request: pytest.FixtureRequest, load) -> armctl.Arm:
 
 
 def test_a_payload_of_a_lifted_body_weighs_what_it_weighs(lifted: armctl.Arm):
-    center, mass, q = np.array([0.05, -0.02, 0.1]), 1.5, np.array([0.4, 0.9, -0.7])
+    center = np.array([0.05, -0.02, 0.1])
+    mass = 1.5
+    q = np.array([0.4, 0.9, -0.7])
     model = armctl.Plant(payload=mass, payload_center=center).model(lifted)
     data = mujoco.MjData(model)
     data.qpos[lifted.qpos_adr] = q
@@ -197,10 +199,12 @@ def test_a_payload_of_a_lifted_body_is_identified(lifted: armctl.Arm):
 
 
 def test_each_of_several_lifted_arms_bears_its_own_payload(tmp_path: Path):
-    path, other = tmp_path / "two.xml", re.sub(r'name="(\w+)"', r'name="\1_2"', LIFTED)
+    path = tmp_path / "two.xml"
+    other = re.sub(r'name="(\w+)"', r'name="\1_2"', LIFTED)
     path.write_text(mjcf(LIFTED + other, motors("a b c a_2 b_2 c_2")))
     arms = armctl.load_arms(path, ["tip", "tip_2"])
     q = np.array([0.4, 0.9, -0.7])
-    first, second = (arm.with_payload(1.0).gravity(q) for arm in arms)
+    first = arms[0].with_payload(1.0).gravity(q)
+    second = arms[1].with_payload(1.0).gravity(q)
     assert np.abs(first).max() > 1.0
     assert first == pytest.approx(second, abs=1e-10)

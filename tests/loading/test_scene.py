@@ -115,11 +115,14 @@ def test_a_scene_can_be_a_file(load, cell: Path):
 def test_a_file_and_the_same_things_added_hold_the_same_scene(load, cell: Path):
     added = armctl.Scene().add_box("table", [0.4, 0.4, 0.2], [0.6, 0, 0.1])
     added.add_box("cube", [0.04] * 3, armctl.Pose([0.6, 0, 0.22], rpy=[0, 0, np.pi / 2]), mass=0.1)
-    mine, theirs = (load(limb("a b"), motors("a b"), scene=scene).model for scene in (added, cell))
+    mine = load(limb("a b"), motors("a b"), scene=added).model
+    theirs = load(limb("a b"), motors("a b"), scene=cell).model
     for body in ("table", "cube"):
-        first, second = mine.body(body), theirs.body(body)
+        first = mine.body(body)
+        second = theirs.body(body)
         assert np.allclose([*first.pos, *first.quat, *first.inertia], [*second.pos, *second.quat, *second.inertia])
-        one, other = (int(m.body_geomadr[m.body(body).id]) for m in (mine, theirs))
+        one = int(mine.body_geomadr[mine.body(body).id])
+        other = int(theirs.body_geomadr[theirs.body(body).id])
         for what in ("geom_size", "geom_solref", "geom_solimp", "geom_condim", "geom_priority"):
             assert np.array_equal(getattr(mine, what)[one], getattr(theirs, what)[other]), what
     assert (mine.opt.cone, mine.opt.impratio) == (theirs.opt.cone, theirs.opt.impratio)

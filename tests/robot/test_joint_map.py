@@ -32,7 +32,8 @@ def test_the_model_is_mujocos(tied: armctl.Arm):
 
 
 def test_forward_kinematics_and_jacobian_agree(tied: armctl.Arm):
-    rng, step = np.random.default_rng(0), 1e-6
+    rng = np.random.default_rng(0)
+    step = 1e-6
     many = tied.limits.random(tied.home, 5, rng)
     positions, rotations = tied.fk_many(many)
     for q, position, rotation in zip(many, positions, rotations, strict=True):
