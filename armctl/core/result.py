@@ -34,7 +34,8 @@ class MoveResult:
         if not self.ok:
             return f"not reached: {self.reason}"
         reached = f"reached within {max(1e3 * self.position_error, 0.01):.2g} mm in {self.duration:.2f} s"
-        return "; ".join([reached, *map(str, self.contacts)])
+        touched = ", ".join(dict.fromkeys(contact.other for contact in self.contacts))
+        return f"{reached}; touched {touched}" if touched else reached
 
     @property
     def contacts(self) -> tuple[Contact, ...]:

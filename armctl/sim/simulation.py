@@ -88,6 +88,15 @@ class Simulation:
 
     @controller.setter
     def controller(self, controller: Controller | str) -> None:
+        """Replaces the controller.
+
+        Args:
+            controller: A controller or its name.
+
+        Raises:
+            InputError: It has no method `torque`.
+            UnknownNameError: There is no such controller.
+        """
         self._arms.controllers[self.arm.tip] = read_controller(controller, self.arm)
 
     @property
