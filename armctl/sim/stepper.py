@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
+from math import hypot, inf  # hypot of a short list is faster than numpy's norm
 from typing import Protocol
 
 import mujoco
 import numpy as np
+from mujoco import mj_step
+from numpy import ndarray
 from numpy.typing import ArrayLike
 
 from armctl.control import Controller, State, controller_name
@@ -260,10 +262,6 @@ class Stepper:
         v_seen_rows = _read_only(v_rows)
         q_seen_rows = _read_only(qpos_rows[:, self._joints]) if isinstance(self._joints, slice) else None
         torque = controller.torque
-        mj_step = mujoco.mj_step
-        ndarray = np.ndarray
-        hypot = math.hypot  # of a short list it is faster than numpy's norm
-        inf = math.inf
         new = tuple.__new__  # a NamedTuple's own constructor takes twice as long
         touching = rows.contacts[-1][1] if rows.contacts else b""
         row = first
