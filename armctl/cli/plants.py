@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.validation import number
 from armctl.robot.arm import Arm
@@ -50,7 +52,9 @@ def plant_by_name(text: str, arm: Arm, timestep: float | None = None) -> Plant:
             raise InputError(f"plant: {name!r} takes no value, {word!r} given")
         for each in ("payload", "mass", "friction", "delay", "noise") if name == "all" else (name,):
             plant = _with(plant, each, _value(each, value), arm)
-    return plant
+    # Friction is a number for each joint, which no table has room for: such a plant is called by the words that describe it.
+    has_friction = bool(np.any(plant.coulomb_friction))
+    return replace(plant, name=text) if has_friction else plant
 
 
 def _value(name: str, text: str) -> float:
