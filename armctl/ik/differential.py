@@ -128,6 +128,7 @@ class DifferentialIk:
 
     def _bounds(self, q: Array, dt: float) -> tuple[Array, Array]:
         """The least and the greatest move of each joint in one step; outside its limits it must move back as fast as it can."""
+        # Not mink's ConfigurationLimit and VelocityLimit: from outside the joint limits their program has no solution.
         limits = self.arm.limits
         rounding = POSITION_ROUNDING * (1 + np.abs(q))
         longest = limits.v_max * dt * (1 - VELOCITY_ROUNDING)
