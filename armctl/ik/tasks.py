@@ -43,7 +43,7 @@ class TipTask(BaseTask):
     108(3), 1986), and it damps towards a step in the null space that leads to the posture, so that neither disturbs the
     other. Lengths are in reaches.
 
-    Measured on a Panda 5 s after a point 4 m out of reach was set: joints still move at 2.6 rad/s with mink's FrameTask, at 0 here.
+    On a Panda 5 s after a point 4 m out of reach was set, joints still move at 2.6 rad/s with mink's FrameTask, and at 0 here.
     """
 
     def __init__(self, arm: Arm, posture: Array):
