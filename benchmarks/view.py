@@ -98,16 +98,18 @@ def real_time(robot: str, seconds: float) -> tuple[float, float]:
         tab = browser.new_page(viewport={"width": 1280, "height": 800})
         tab.goto(page.url)
         tab.get_by_text("real time").wait_for(timeout=60e3)
-        while session.elapsed == 0.0:
+        while session.status.elapsed == 0.0:
             time.sleep(0.1)
-        center, started, begin = session.target, time.perf_counter(), session.elapsed
+        center = session.status.target
+        started = time.perf_counter()
+        begin = session.status.elapsed
         while time.perf_counter() - started < seconds:
             angle = 2 * np.pi * (time.perf_counter() - started) / 4
             offset = 0.1 * np.array([0.0, np.sin(angle), 0.5 * np.sin(2 * angle)])
             session.aim(Pose(center.position + offset, quat=center.quat))
             time.sleep(1 / 30)
-            least = min(least, session.real_time_factor)
-        factor = (session.elapsed - begin) / (time.perf_counter() - started)
+            least = min(least, session.status.real_time_factor)
+        factor = (session.status.elapsed - begin) / (time.perf_counter() - started)
         browser.close()
     page.close()
     return factor, least

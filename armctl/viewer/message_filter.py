@@ -134,8 +134,8 @@ def _limit_pose(message: _GizmoMoved) -> bool:
         return False
     if not _MIN_QUATERNION_NORM < math.hypot(*message.wxyz) < 1 / _MIN_QUATERNION_NORM:
         return False
-    x, y, z = (_limited_coordinate(number) for number in message.position)
-    message.position = (x, y, z)
+    x, y, z = message.position
+    message.position = (_limited_coordinate(x), _limited_coordinate(y), _limited_coordinate(z))
     return True
 
 

@@ -31,6 +31,7 @@ LOCAL = "127.0.0.1"
 _MAX_PORTS_TRIED = 100
 _CLOSE_TIMEOUT_S = 0.5  # for a client that does not answer when the page closes
 _OPEN_TIMEOUT_S = 10.0
+_MAX_CONNECTIONS = 256  # of browsers that load the page, and of others that have not sent a request yet
 _TOO_MANY_CLIENTS = 1013  # WebSocket close code "try again later"
 _start_lock = threading.Lock()
 
@@ -63,18 +64,43 @@ def _listen_at(host: str, port: int) -> socket.socket:
     return socket.create_server(address[:2], family=family)
 
 
-def start_server(listener: socket.socket, access: AccessControl) -> viser.ViserServer:
+class PageServer:
+    """viser's server with the connections that it serves.
+
+    Attributes:
+        viser: viser's server.
+    """
+
+    def __init__(self, server: viser.ViserServer, connections: set[ServerConnection]):
+        """Use `start_server`."""
+        self.viser = server
+        self._connections = connections
+
+    def stop(self) -> None:
+        """Ends all connections at once and stops the server: a client that does not answer must not delay the end."""
+        with contextlib.suppress(RuntimeError):  # the event loop is closed already
+            self.viser.get_event_loop().call_soon_threadsafe(self._abort_connections)
+        with contextlib.redirect_stdout(io.StringIO()):  # viser announces its end
+            self.viser.stop()
+
+    def _abort_connections(self) -> None:
+        for connection in list(self._connections):
+            connection.transport.abort()
+
+
+def start_server(listener: socket.socket, access: AccessControl) -> PageServer:
     """Starts viser's server on a socket, behind access control and a message filter.
 
     Raises:
         NotInstalledError: This version of viser serves in another way, so that it cannot be protected.
     """
     messages = MessageFilter()
+    connections: set[ServerConnection] = set()
     calls: list[str] = []
 
     def serve(handler, host, port, *, process_request, **options: Any):
         calls.append("serve")
-        options.update(_options(messages))
+        options.update(_options(messages, connections))
         return websockets.asyncio.server.serve(
             _counted(handler, access), sock=listener, process_request=_checked(process_request, access), **options
         )
@@ -87,20 +113,29 @@ def start_server(listener: socket.socket, access: AccessControl) -> viser.ViserS
             setattr(_infra, "websockets", websockets)  # noqa: B010
     if calls != ["serve"]:
         listener.close()
-        with contextlib.redirect_stdout(io.StringIO()):
-            server.stop()
+        PageServer(server, connections).stop()
         raise NotInstalledError(f"armctl cannot protect the page of viser {viser.__version__}; install viser 1.1")
     # These two would publish the page through a tunnel. The filter drops them too.
     for message_class in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
         server._websock_server.unregister_handler(message_class)
     server._event_loop.call_soon_threadsafe(server._event_loop.set_exception_handler, _ErrorLog())
     messages.inputs = server.gui._gui_input_handle_from_uuid
-    return server
+    return PageServer(server, connections)
 
 
-def _options(messages: MessageFilter) -> dict[str, Any]:
+def _options(messages: MessageFilter, connections: set[ServerConnection]) -> dict[str, Any]:
     class FilteredConnection(ServerConnection):
         """A connection whose receiver sees checked messages only."""
+
+        def connection_made(self, transport: asyncio.BaseTransport) -> None:
+            super().connection_made(transport)
+            connections.add(self)
+            if len(connections) > _MAX_CONNECTIONS:
+                self.transport.abort()
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            connections.discard(self)
+            super().connection_lost(exc)
 
         async def recv(self, decode: bool | None = None) -> Any:
             while True:

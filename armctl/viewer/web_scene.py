@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import atexit
-import contextlib
 import importlib.util
-import io
 import logging
 import os
 import socket
@@ -105,7 +103,8 @@ class WebScene:
         self._access = AccessControl(self.port, host, token, allowed_hosts)
         self._root = f"http://{_shown_host(host)}:{self.port}"
         self.url = self._root + self._access.query()
-        self.server = page_server.start_server(listener, self._access)
+        self._page_server = page_server.start_server(listener, self._access)
+        self.server = self._page_server.viser
         atexit.register(self.close)
         self.server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         self.server.gui.main_panel.dock_right()
@@ -177,8 +176,7 @@ class WebScene:
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join(timeout=_DRAWING_JOIN_TIMEOUT_S)
-        with contextlib.redirect_stdout(io.StringIO()):
-            self.server.stop()
+        self._page_server.stop()
 
     def _run(self) -> None:
         while not self._closing.wait(DRAW_INTERVAL_S):

@@ -1,5 +1,7 @@
 """Who reaches the page: Host, Origin, token, session cookie, number of clients, size of messages, and no way to publish it."""
 
+import contextlib
+import http.client
 import os
 import re
 import resource
@@ -19,9 +21,9 @@ pytest.importorskip("mjviser", reason="pip install -e '.[view]'")
 
 import viser
 import websockets.exceptions
-from viewer_client import CAMERA, Client, connected, control_id, follows, get, open_page, until
+from viewer_client import CAMERA, TIMEOUT_S, Client, connected, control_id, follows, get, open_page, until
 
-from armctl.viewer import access_control
+from armctl.viewer import access_control, page_server
 from armctl.viewer.access_control import MAX_CLIENTS, AccessControl
 from armctl.viewer.message_filter import MAX_MESSAGE_BYTES
 from armctl.viewer.page_server import listen
@@ -394,3 +396,45 @@ def _memory_mb() -> float:
     """Memory that this process holds now."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * resource.getpagesize() / 1e6
+
+
+def test_the_page_closes_at_once_whatever_its_clients_do(monkeypatch: pytest.MonkeyPatch):
+    """Neither a client that does not answer nor one that never sends its request delays the end."""
+    monkeypatch.setattr(page_server, "_OPEN_TIMEOUT_S", 1e6)
+    monkeypatch.setattr(page_server, "_CLOSE_TIMEOUT_S", 1e6)
+    with open_page() as page:
+        address = f"127.0.0.1:{page.port}"
+        silent = socket.create_connection(("127.0.0.1", page.port))
+        silent.sendall(
+            f"GET / HTTP/1.1\r\nHost: {address}\r\nOrigin: http://{address}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+            "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
+            f"Sec-WebSocket-Protocol: viser-v{viser.__version__}\r\n\r\n".encode()
+        )
+        assert silent.recv(12) == b"HTTP/1.1 101"
+        mute = socket.create_connection(("127.0.0.1", page.port))
+        mute.sendall(b"GET / HT")
+        assert get(page).status == 200
+        server_thread = page.scene.server._websock_server._server_thread
+        page.close()
+        assert server_thread is not None
+        server_thread.join(timeout=TIMEOUT_S)
+        assert not server_thread.is_alive()
+        for connection in (silent, mute):
+            connection.close()
+
+
+def test_too_many_connections_are_cut(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(page_server, "_MAX_CONNECTIONS", 5)
+    with open_page() as page:
+        silent = [socket.create_connection(("127.0.0.1", page.port), timeout=TIMEOUT_S) for _ in range(6)]
+        with contextlib.suppress(ConnectionResetError):
+            assert silent[-1].recv(1) == b""
+        for connection in silent:
+            connection.close()
+        until(lambda: served(page), "the page is not served again")
+
+
+def served(page) -> bool:
+    with contextlib.suppress(OSError, http.client.HTTPException):
+        return get(page).status == 200
+    return False
