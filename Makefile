@@ -93,5 +93,5 @@ pictures: $(VENV)/dev.stamp
 	@$(BIN)/python docs/pictures/make.py
 
 clean:
-	rm -rf $(VENV) build dist docs/_build run out .pytest_cache .ruff_cache .hypothesis MUJOCO_LOG.TXT
+	rm -rf $(VENV) build dist docs/_build run out .pytest_cache .ruff_cache .import_linter_cache .hypothesis MUJOCO_LOG.TXT
 	find armctl tests -name __pycache__ -type d -prune -exec rm -rf {} +

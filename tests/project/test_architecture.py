@@ -3,8 +3,10 @@
 `make lint` checks the rest: the layers and cycles (import-linter) and the length of functions (ruff).
 """
 
+import ast
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -34,6 +36,56 @@ def test_a_module_is_short():
     lines = {module: len(text.splitlines()) for module, text in SOURCES.items()}
     long = {module for module, count in lines.items() if count > MAX_MODULE_LINES}
     assert long == set(LONG_MODULES)
+
+
+def bare_names(node: ast.expr) -> list[str]:
+    return (
+        sorted(ast.unparse(element) for element in node.elts) if isinstance(node, ast.Tuple | ast.List) else [ast.unparse(node)]
+    )
+
+
+def is_text_or_list(node: ast.expr) -> bool:
+    return isinstance(node, ast.List | ast.JoinedStr) or (isinstance(node, ast.Constant) and isinstance(node.value, str))
+
+
+def is_condition(node: ast.expr) -> bool:
+    return isinstance(node, ast.Compare | ast.BoolOp) or (isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not))
+
+
+def unclear_statements(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Lines that assign several values at once, except swaps, and lines that multiply a text or a list by a condition."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assign):
+            target = node.targets[0]
+            literal = isinstance(node.value, ast.Tuple | ast.List | ast.ListComp | ast.GeneratorExp)
+            swap = literal and bare_names(target) == bare_names(node.value)
+            if len(node.targets) > 1 or (isinstance(target, ast.Tuple) and literal and not swap):
+                yield node.lineno, ast.unparse(node)
+        elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
+            sides = (node.left, node.right)
+            if any(map(is_text_or_list, sides)) and any(map(is_condition, sides)):
+                yield node.lineno, ast.unparse(node)
+
+
+def test_one_statement_does_one_thing():
+    found = [
+        f"{module}:{line}: {code}" for module, text in SOURCES.items() for line, code in unclear_statements(ast.parse(text))
+    ]
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize(
+    "code", ["a, b = 1, 2", "a = b = 0", "x.a, x.b = [0, 1]", "a = ['note'] * (b > 0)", "a = 'note' * (not b)"]
+)
+def test_an_unclear_statement_is_found(code: str):
+    assert list(unclear_statements(ast.parse(code)))
+
+
+@pytest.mark.parametrize(
+    "code", ["a, b = b, a", "low, high = bounds(q)", "a[i], a[j] = a[j], a[i]", "a = [0] * n", "a = (1, 2)"]
+)
+def test_a_clear_statement_is_not(code: str):
+    assert not list(unclear_statements(ast.parse(code)))
 
 
 def test_every_public_name_is_listed_by_dir():
