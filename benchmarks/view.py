@@ -60,7 +60,8 @@ def seconds_until_usable(robot: str) -> list[float]:
         tab = browser.new_page(viewport={"width": 1280, "height": 800})
         opening = {**os.environ, "DISPLAY": "any", "BROWSER": "echo %s"}  # what would open the page says which one
         command = [sys.executable, "-m", "armctl", "view", robot, "--port", "0"]
-        started, times = time.perf_counter(), []
+        started = time.perf_counter()
+        times = []
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=opening) as view:
             assert view.stdout is not None
             url = view.stdout.readline().strip()
@@ -92,7 +93,8 @@ def real_time(robot: str, seconds: float) -> tuple[float, float]:
 
     page = Page(armctl.load(robot), WebScene(0))
     threading.Thread(target=page.serve, daemon=True).start()
-    session, least = page.session, np.inf
+    session = page.session
+    least = np.inf
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=SOFTWARE_GL.split())
         tab = browser.new_page(viewport={"width": 1280, "height": 800})
