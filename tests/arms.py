@@ -18,7 +18,7 @@ from armctl.loading.catalog import BUNDLED
 from armctl.loading.datasheets import ALIASES
 
 MODELS = Path(__file__).parent / "models"
-MISSING = "its model is not at hand"
+MISSING = "its model is not installed"
 
 
 def at_hand(robot: str) -> bool:
@@ -39,7 +39,7 @@ def at_hand(robot: str) -> bool:
 
 @cache
 def arm_of(name: str) -> armctl.Arm:
-    """An arm by name, the same object all session; the test is skipped where its model is not at hand.
+    """An arm by name, the same object all session; the test is skipped where its model is not installed.
 
     Args:
         name: One of `ARMS`, or what `armctl.load` takes; "aloha:left/gripper" is a chain by its tip.

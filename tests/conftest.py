@@ -68,7 +68,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     if robots:
         count = sum(MISSING in reason for reason in reasons)
         terminalreporter.write_line(
-            f"{count} tests skipped, since these robots are not at hand: {', '.join(robots)}. "
+            f"{count} tests skipped, since these robots are not installed: {', '.join(robots)}. "
             "Set MENAGERIE_ROOT to a checkout of MuJoCo Menagerie, or run `mujoco-menagerie prefetch` with their names there.",
             yellow=True,
         )

@@ -13,6 +13,7 @@ from arms import ARMS, MENAGERIE_ARMS, arm_of
 
 import armctl
 from armctl import Arm, DifferentialIk, InputError, LimitError, Pose, UnknownNameError
+from armctl.collision.checker import SAMPLES
 from armctl.collision.checkers import collision_checker, geom_owners
 from armctl.loading.catalog import BUNDLED
 
@@ -180,17 +181,30 @@ class Depth:
     """How deep the arm is in itself or in the scene, m, by MuJoCo's contacts."""
 
     def __init__(self, arm: Arm):
-        self.arm, self.data = arm, mujoco.MjData(arm.model)
-        self.owner, self.ignored = geom_owners(arm), collision_checker(arm).ignored
+        self.arm = arm
+        self.data = mujoco.MjData(arm.model)
+        self.owner = geom_owners(arm)
+        at_home = set(self.pairs(arm.home))
+        always = at_home.copy()
+        for q in arm.limits.random(arm.home, SAMPLES, np.random.default_rng(0)):
+            always &= set(self.pairs(q))
+        # Neighboring links that touch at home overlap by design.
+        self.ignored = always | {(a, b) for a, b in at_home if abs(self.owner[a] - self.owner[b]) == 1}
 
-    def at(self, q: np.ndarray) -> float:
+    def pairs(self, q: np.ndarray) -> dict[tuple[int, int], float]:
+        """The depth of each pair of geoms that touch and that the arm moves relative to each other."""
         self.data.qpos[:] = self.arm.qpos(q)
         mujoco.mj_kinematics(self.arm.model, self.data)
         mujoco.mj_collision(self.arm.model, self.data)
-        geoms = np.sort(self.data.contact.geom.astype(np.int64), axis=1)
-        one, other = self.owner[geoms[:, 0]], self.owner[geoms[:, 1]]
-        counts = (one != other) & ~np.isin(geoms[:, 0] * self.arm.model.ngeom + geoms[:, 1], self.ignored)
-        return float(max(-self.data.contact.dist[counts], default=0.0))
+        found: dict[tuple[int, int], float] = {}
+        for contact in self.data.contact:
+            first, second = sorted(int(geom) for geom in contact.geom)
+            if self.owner[first] != self.owner[second]:
+                found[first, second] = max(found.get((first, second), 0.0), -float(contact.dist))
+        return found
+
+    def at(self, q: np.ndarray) -> float:
+        return max((depth for pair, depth in self.pairs(q).items() if pair not in self.ignored), default=0.0)
 
 
 def with_wall(arm: Arm, name: str, folder: Path) -> Arm:

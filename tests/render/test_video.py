@@ -90,7 +90,7 @@ def test_the_trace_of_the_tip_is_in_the_picture(sim: Simulation):
     assert 50 < changed.sum() < 5000
 
 
-@pytest.mark.skipif(not at_hand("panda"), reason="panda: its model is not at hand")
+@pytest.mark.skipif(not at_hand("panda"), reason="panda: its model is not installed")
 def test_a_film_shows_what_the_gripper_carries(tmp_path: Path):
     start, down = np.array([0.5, 0.1, 0.02]), [np.pi, 0, 0]
     arm = armctl.load("panda", scene=armctl.Scene().add_box("cube", [0.04] * 3, start, mass=0.05))

@@ -185,7 +185,7 @@ def test_grippers_at_hand(robot: str):
     assert str(gripper.close()) == "closed on nothing"
 
 
-@pytest.mark.skipif(not (at_hand("ur5e") and at_hand("robotiq_2f85")), reason="ur5e: its model is not at hand")
+@pytest.mark.skipif(not (at_hand("ur5e") and at_hand("robotiq_2f85")), reason="ur5e: its model is not installed")
 def test_the_controller_knows_the_mass_of_a_tool():
     bare, arm = armctl.load("ur5e"), armctl.load("ur5e", tool="robotiq_2f85")
     assert arm.tip == "robotiq_2f85/pinch"
