@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import socket
 from dataclasses import dataclass
+from functools import cached_property
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,13 +18,18 @@ from armctl.core.errors import ArmctlError, InputError, ModelError, UnknownNameE
 from armctl.core.validation import shown
 from armctl.loading.datasheets import ALIASES, BY_CATEGORY, BY_ROBOT, ROWS, Row
 from armctl.loading.urdf import read_urdf
+from armctl.loading.urdf_file import UrdfFile, is_urdf, read_urdf_file, shown_path
 
 if TYPE_CHECKING:
     import mujoco_menagerie as menagerie
 
 BUNDLED = "robot_arm_3dof"
 _CONNECT_TIMEOUT_S = 3.0  # for the server of MuJoCo Menagerie
-_MAX_PATH_CHARACTERS = 120  # of a path in a message
+_ENDINGS = (".xml", ".mjcf", ".urdf", ".xacro", ".sdf", ".usd", ".usda", ".usdc", ".usdz")
+_CONVERTERS = {
+    ".sdf": "sdformat2mjcf (pip install sdformat-mjcf)",
+    ".usd": "usd_to_urdf (pip install nvidia-srl-usd-to-urdf)",
+}
 _REFERRING = ("actuators", "sensors", "equalities", "tendons", "pairs", "excludes", "keys", "skins")
 _MUJOCO_ERRORS = (ValueError, OSError, mujoco.FatalError, mujoco.UnexpectedError)
 
@@ -44,10 +50,14 @@ class Source:
     row: Row | None = None
     spec: mujoco.MjSpec | None = None
 
-    @property
-    def is_urdf(self) -> bool:
-        """Whether it is a URDF file."""
-        return self.path is not None and self.path.suffix.lower() == ".urdf"
+    @cached_property
+    def urdf(self) -> UrdfFile | None:
+        """The file as XML if it is a URDF or a xacro, else None.
+
+        Raises:
+            ModelError: It is one and cannot be read.
+        """
+        return read_urdf_file(self.path) if self.path is not None and is_urdf(self.path) else None
 
     def read(self) -> tuple[mujoco.MjSpec, list[str]]:
         """The description as a new specification that can be changed, and what was left out of it, one sentence each.
@@ -58,8 +68,8 @@ class Source:
         if self.path is None:
             return self._copied_spec(), []
         try:
-            if self.is_urdf:
-                return read_urdf(self.path)
+            if self.urdf is not None:
+                return read_urdf(self.urdf)
             return mujoco.MjSpec.from_file(str(self.path)), []
         except _MUJOCO_ERRORS as error:
             raise ModelError(f"{self._label}: MuJoCo cannot read it: {_one_line(error)}") from None
@@ -114,20 +124,25 @@ def locate(robot: str | os.PathLike[str] | mujoco.MjSpec, *, tool: bool = False)
     given = os.fspath(robot)
     if not isinstance(given, str):
         raise InputError(f"{'tool' if tool else 'robot'}: {shown(robot)} is a path in bytes; give it as text")
-    if given.lower().endswith((".xml", ".mjcf", ".urdf")) or isinstance(robot, os.PathLike):
+    if given.lower().endswith(_ENDINGS) or isinstance(robot, os.PathLike):
         path = Path(given)
         if not _is_file(path):
             raise ModelError(f"{shown_path(path)}: no such file")
-        return Source(path.stem, path)
+        _refuse_other_formats(path)
+        return Source(path.stem.removesuffix(".urdf"), path)
     if given == BUNDLED:
         return Source(given, bundled_models() / f"{BUNDLED}.xml")
     return _in_menagerie(given, tool)
 
 
-def shown_path(path: Path) -> str:
-    """A path for a message: its end, if it is long."""
-    text = str(path)
-    return text if len(text) <= _MAX_PATH_CHARACTERS else f"...{text[-_MAX_PATH_CHARACTERS:]}"
+def _refuse_other_formats(path: Path) -> None:
+    """Refuses the formats that MuJoCo cannot read, and names a converter."""
+    ending = path.suffix.lower()[:4]
+    if ending in _CONVERTERS:
+        format_name = ending[1:].upper()
+        raise ModelError(
+            f"{shown_path(path)}: MuJoCo reads no {format_name}; convert it first, for example by {_CONVERTERS[ending]}"
+        )
 
 
 def bundled_models() -> Path:

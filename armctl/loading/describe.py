@@ -120,7 +120,7 @@ def check_independent(analysis: Transmissions, chains: Sequence[Joints]) -> None
 def _described(source: Source, analysis: Transmissions, joints: Joints, tip: Tip) -> ArmPlan:
     model = analysis.model
     transmissions = analysis.of_chain(joints)
-    datasheet = speed_limits(source.path, model, transmissions) or datasheet_limits(source.row, len(transmissions))
+    datasheet = speed_limits(source.urdf, model, transmissions) or datasheet_limits(source.row, len(transmissions))
     torques = torque_limits(model, transmissions, datasheet)
     return ArmPlan(
         joints=joints,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import mujoco
 
 from armctl.core.validation import Array, IntArray, frozen
-from armctl.mjmodel.queries import Joints
+from armctl.mjmodel.queries import Joints, joint_range
 
 
 def keyframe_qpos(model: mujoco.MjModel) -> Array:
@@ -22,11 +24,12 @@ def home_qpos(model: mujoco.MjModel, joints: Joints) -> Array:
     has_home = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home") >= 0
     for joint in joints:
         address = model.jnt_qposadr[joint]
-        if not model.jnt_limited[joint]:
-            qpos[address] = qpos[address] if has_home else model.qpos0[address]
-            continue
-        low, high = model.jnt_range[joint]
-        qpos[address] = min(max(qpos[address], low), high) if has_home else 0.5 * (low + high)
+        low, high = joint_range(model, joint)
+        if has_home or math.isinf(high - low):
+            drawn = qpos[address] if has_home else model.qpos0[address]
+            qpos[address] = min(max(drawn, low), high)
+        else:
+            qpos[address] = 0.5 * (low + high)
     return frozen(qpos)
 
 

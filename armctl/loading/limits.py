@@ -14,7 +14,7 @@ from armctl.core.limits import Limits
 from armctl.core.validation import Array, shown
 from armctl.loading.datasheets import Row
 from armctl.mjmodel.couplings import tendon_coefficients
-from armctl.mjmodel.queries import joint_name
+from armctl.mjmodel.queries import joint_name, joint_range
 from armctl.mjmodel.transmissions import Mimic, Transmission
 
 DEFAULT_SPEED = {mujoco.mjtJoint.mjJNT_HINGE: 2.0, mujoco.mjtJoint.mjJNT_SLIDE: 0.5}  # rad/s, m/s
@@ -99,7 +99,9 @@ def torque_limits(model: mujoco.MjModel, transmissions: Sequence[Transmission], 
         tau[unknown] = datasheet.tau_max[unknown]
         sources.add(datasheet.source)
     elif unknown.any():
-        tau[unknown] = _assumed_torque(model, transmissions)[unknown]
+        published = None if datasheet is None else datasheet.v_max
+        v_max = default_speeds(model, transmissions) if published is None else published
+        tau[unknown] = _assumed_torque(model, transmissions, v_max)[unknown]
         sources.add("assumed")
         joints = [transmissions[i].joint for i in np.flatnonzero(unknown).tolist()]
         notes = (_assumed_torque_note(model, joints, tau[unknown]),)
@@ -198,7 +200,7 @@ def _scaled(factor: float, bounds: Array) -> tuple[float, float]:
 def _range(model: mujoco.MjModel, transmission: Transmission) -> tuple[float, float]:
     """How far a joint can go before it, or one that follows it, reaches a limit."""
     coupled = transmission.coupled
-    ranges = [(mimic, model.jnt_range[joint]) for joint, mimic in coupled.items() if model.jnt_limited[joint]]
+    ranges = [(mimic, np.array(joint_range(model, joint))) for joint, mimic in coupled.items() if model.jnt_limited[joint]]
     for tendon in np.flatnonzero(model.tendon_limited).tolist():
         parts = {joint: c for joint, c in tendon_coefficients(model, tendon).items() if c != 0}
         if parts and parts.keys() <= coupled.keys():
@@ -218,8 +220,8 @@ def _range(model: mujoco.MjModel, transmission: Transmission) -> tuple[float, fl
     return low, high
 
 
-def _assumed_torque(model: mujoco.MjModel, transmissions: Sequence[Transmission]) -> Array:
-    """(n,) N m: twice gravity at rest, at worst over the joints' ranges, plus the torque of a moderate acceleration."""
+def _assumed_torque(model: mujoco.MjModel, transmissions: Sequence[Transmission], v_max: Array) -> Array:
+    """(n,) N m: twice gravity at rest, at worst over the joints' ranges, a moderate acceleration, and friction at full speed."""
     joints = [transmission.joint for transmission in transmissions]
     worst = np.zeros(len(joints))
     q_min, q_max = position_limits(model, transmissions)
@@ -231,7 +233,20 @@ def _assumed_torque(model: mujoco.MjModel, transmissions: Sequence[Transmission]
         qpos[model.jnt_qposadr[joints]] = q
         M, gravity = _inertia_and_gravity(model, transmissions, qpos)
         worst = np.maximum(worst, 2 * np.abs(gravity) + _ASSUMED_ACCELERATION * np.diag(M))
-    return worst
+    return worst + _friction_torque(model, transmissions, v_max)
+
+
+def _friction_torque(model: mujoco.MjModel, transmissions: Sequence[Transmission], v_max: Array) -> Array:
+    """(n,) N m: what dry friction and damping take from each joint at its full speed, those of coupled joints included."""
+    torques = []
+    for transmission, speed in zip(transmissions, v_max, strict=True):
+        torque = 0.0
+        for joint, mimic in transmission.coupled.items():
+            dof = int(model.jnt_dofadr[joint])
+            ratio = abs(mimic.ratio)
+            torque += ratio * float(model.dof_frictionloss[dof]) + ratio**2 * float(model.dof_damping[dof]) * float(speed)
+        torques.append(torque)
+    return np.array(torques)
 
 
 def _assumed_torque_note(model: mujoco.MjModel, joints: Sequence[int], tau: Array) -> str:
@@ -239,7 +254,7 @@ def _assumed_torque_note(model: mujoco.MjModel, joints: Sequence[int], tau: Arra
     joint_units = units.of_joints(model.jnt_type[list(joints)] == int(mujoco.mjtJoint.mjJNT_SLIDE))
     values = ", ".join(f"{x:.3g} {unit}" for x, unit in zip(tau, units.of_torque(joint_units), strict=True))
     rates = units.label(joint_units, "/s^2")
-    return f"no torque limit given for {names}: assumed {values} (twice gravity at rest plus 10 {rates})"
+    return f"no torque limit given for {names}: assumed {values} (twice gravity at rest plus 10 {rates} plus friction)"
 
 
 def _inertia_and_gravity(model: mujoco.MjModel, transmissions: Sequence[Transmission], qpos: Array) -> tuple[Array, Array]:

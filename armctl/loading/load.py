@@ -25,6 +25,7 @@ from armctl.loading.model_checks import check_mass_matrix, check_timestep, drag_
 from armctl.loading.prepare import PreparedModel, make_arm_model, make_arm_model_from_compiled
 from armctl.loading.scene import Scene
 from armctl.loading.tool import mount
+from armctl.loading.undriven import add_missing_motors
 from armctl.mjmodel.queries import model_name
 from armctl.mjmodel.transmissions import Transmissions
 from armctl.robot.arm import Arm
@@ -153,7 +154,7 @@ def chains(robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel) -> li
     if isinstance(robot, mujoco.MjModel):
         return all_chains(Transmissions(robot))
     source = locate(robot)
-    spec, _ = source.read()
+    spec, _ = _read(source, hold_base=False)
     return all_chains(Transmissions(source.compile(spec)))
 
 
@@ -194,6 +195,7 @@ def _arms(name: str, prepared: PreparedModel, notes: Sequence[str]) -> tuple[Arm
 def _read(source: Source, hold_base: bool) -> tuple[mujoco.MjSpec, list[str]]:
     """A robot's specification, and what is noted about it."""
     spec, notes = source.read()
+    notes = [*notes, *add_missing_motors(spec)]
     if hold_base:
         remove_free_joints(spec, source.compile(spec))
     return spec, notes

@@ -12,6 +12,7 @@ import numpy as np
 
 from armctl.core.errors import ModelError
 from armctl.loading.limits import JointData, default_speed
+from armctl.loading.urdf_file import UrdfFile
 from armctl.loading.urdf_inertia import correct_inertias
 from armctl.mjmodel.queries import joint_name
 from armctl.mjmodel.transmissions import Transmission
@@ -20,26 +21,25 @@ _RIGID = (0.9999, 0.9999, 0.001, 0.5, 2.0)  # MuJoCo's solimp
 _READABLE = (".stl", ".obj", ".msh")
 
 
-def read_urdf(path: Path) -> tuple[mujoco.MjSpec, list[str]]:
+def read_urdf(file: UrdfFile) -> tuple[mujoco.MjSpec, list[str]]:
     """A URDF as a specification with a motor on each joint that has one of its own.
 
     Every link stays a body, so that tool frames keep their names. Meshes are used for collisions only; one that cannot be read
     is left out, because kinematics and dynamics do not need it.
 
     Args:
-        path: The file.
+        file: The URDF as XML.
 
     Returns:
         The specification, and what was left out or corrected, one sentence each.
 
     Raises:
-        ModelError: It is no well-formed XML.
         ValueError: MuJoCo cannot read it.
     """
-    spec = mujoco.MjSpec.from_file(str(path))
+    root = file.root
+    spec = mujoco.MjSpec.from_file(str(file.path)) if file.text is None else mujoco.MjSpec.from_string(file.text)
     spec.compiler.fusestatic = False
-    root = _parsed(path)
-    notes = _find_meshes(spec, path, root) + correct_inertias(spec)
+    notes = [*file.notes, *_find_meshes(spec, file.path, root), *correct_inertias(spec)]
     followers = {joint.get("name") for joint in root.findall("joint") if joint.find("mimic") is not None}
     for mimic in spec.equalities:  # as rigid as MuJoCo allows: a URDF's mimic joints do not give way
         mimic.solref = (2 * spec.option.timestep, 1.0)
@@ -51,17 +51,17 @@ def read_urdf(path: Path) -> tuple[mujoco.MjSpec, list[str]]:
     return spec, notes
 
 
-def speed_limits(path: Path | None, model: mujoco.MjModel, transmissions: Sequence[Transmission]) -> JointData | None:
+def speed_limits(file: UrdfFile | None, model: mujoco.MjModel, transmissions: Sequence[Transmission]) -> JointData | None:
     """The speed limits of a URDF, which MuJoCo does not keep; the default for a joint that has none.
 
-    None if no joint has one, or if the file is no URDF.
+    None if no joint has one, or without a URDF.
 
     Raises:
         ModelError: A limit is no number.
     """
-    if path is None or path.suffix.lower() != ".urdf":
+    if file is None:
         return None
-    given = {joint.get("name"): joint.find("limit") for joint in _parsed(path).findall("joint")}  # transmissions name them too
+    given = {joint.get("name"): joint.find("limit") for joint in file.root.findall("joint")}  # transmissions name them too
     names = {joint: joint_name(model, joint) for each in transmissions for joint in each.coupled}
     speeds = {joint: _speed(name, given.get(name)) for joint, name in names.items()}
     if not any(speed > 0 for speed in speeds.values()):
@@ -71,13 +71,6 @@ def speed_limits(path: Path | None, model: mujoco.MjModel, transmissions: Sequen
     v_max = np.array([min(speeds[joint] / abs(mimic.ratio) for joint, mimic in each.coupled.items()) for each in transmissions])
     source = f"URDF; default for {', '.join(missing)}" if missing else "URDF"
     return JointData(source, v_max)
-
-
-def _parsed(path: Path) -> ElementTree.Element:
-    try:
-        return ElementTree.fromstring(path.read_bytes().lstrip())  # MuJoCo allows for blanks before the declaration too
-    except (ElementTree.ParseError, LookupError) as error:
-        raise ModelError(f"{path}: no well-formed XML: {error}") from None
 
 
 def _speed(joint: str, limit: ElementTree.Element | None) -> float:
@@ -100,7 +93,7 @@ def _find_meshes(spec: mujoco.MjSpec, path: Path, root: ElementTree.Element) -> 
         found = _locate(path, by_file.get(file) or mesh.file)
         reason = "not found" if found is None else _unreadable(found)
         if not reason:
-            mesh.file = str(found)
+            mesh.file = str(found.resolve())
             continue
         left_out.setdefault(reason, []).append(file)
         for geom in list(spec.geoms):

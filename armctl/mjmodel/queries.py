@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import mujoco
 
 # As numbers: `numpy.int32(3) in (mjtJoint.mjJNT_HINGE,)` is False, although the two compare equal with ==.
 SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+
+_UNLIMITED_TRAVEL_M = 1000.0  # of a sliding joint; no axis of a robot is that long
 
 Joints = tuple[int, ...]
 
@@ -55,6 +59,20 @@ def joint_actuators(model: mujoco.MjModel) -> dict[int, int]:
         if is_on_joint(model, actuator) and model.jnt_type[joint] in SCALAR and not is_damper(model, actuator):
             found.setdefault(joint, actuator)
     return found
+
+
+def joint_range(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
+    """How far a joint can go, rad or m; infinite where it has no limit, or one that stands for "no limit".
+
+    Files without a notation for an unlimited sliding joint write 999999 m; such a range would set the scale of every length.
+    """
+    if not model.jnt_limited[joint]:
+        return -math.inf, math.inf
+    low, high = model.jnt_range[joint].tolist()
+    if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
+        low = low if low > -_UNLIMITED_TRAVEL_M else -math.inf
+        high = high if high < _UNLIMITED_TRAVEL_M else math.inf
+    return low, high
 
 
 def is_free(model: mujoco.MjModel, joint: int) -> bool:

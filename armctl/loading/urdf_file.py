@@ -1,0 +1,171 @@
+"""Reads the XML of a URDF: prefixes may be undeclared, xacro is expanded, entities are refused."""
+
+from __future__ import annotations
+
+import importlib
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
+from pathlib import Path
+from xml.parsers import expat
+
+from armctl.core.errors import ModelError
+
+_HEAD_BYTES = 65536  # in which the first element of a file is expected
+_MAX_PATH_CHARACTERS = 120  # of a path in a message
+_ZERO_INERTIA = {"ixx": "0", "ixy": "0", "ixz": "0", "iyy": "0", "iyz": "0", "izz": "0"}
+
+
+@dataclass(frozen=True, eq=False)
+class UrdfFile:
+    """A URDF as XML.
+
+    Attributes:
+        path: The file; its meshes are searched from here.
+        root: The element <robot>, with xacro expanded. Prefixes are part of the names.
+        text: What MuJoCo reads instead of the file; None if it can read the file itself.
+        notes: What was changed in the text, one sentence each.
+    """
+
+    path: Path
+    root: ElementTree.Element
+    text: str | None = None
+    notes: tuple[str, ...] = ()
+
+
+def is_urdf(path: Path) -> bool:
+    """Whether a file is a URDF or a xacro: by its name, or because its first element is <robot>."""
+    return path.suffix.lower() in (".urdf", ".xacro") or _first_tag(path) == "robot"
+
+
+def read_urdf_file(path: Path) -> UrdfFile:
+    """Reads a URDF, or expands a xacro.
+
+    Raises:
+        ModelError: The file is no well-formed XML, declares entities, or is a xacro that cannot be expanded; or it has a planar
+            joint.
+    """
+    root = parse_xml(_content(path), path)
+    text = None
+    if _is_xacro(root):
+        text = _expanded(path)
+        root = parse_xml(text.encode(), path)
+    _refuse_planar(root, path)
+    notes = _complete_inertials(root)
+    if notes:
+        text = ElementTree.tostring(root, encoding="unicode")
+    return UrdfFile(path, root, text, tuple(notes))
+
+
+def parse_xml(content: bytes, path: Path) -> ElementTree.Element:
+    """The root element of an XML document whose namespace prefixes need no declaration, as in MuJoCo and other URDF readers.
+
+    Args:
+        content: The document; blanks before its declaration are allowed, as in MuJoCo.
+        path: Its file, for messages.
+
+    Raises:
+        ModelError: It is no well-formed XML, or declares entities, which could expand to gigabytes.
+    """
+    builder = ElementTree.TreeBuilder()
+    try:
+        parser = expat.ParserCreate()  # without a separator, expat leaves namespaces alone
+        parser.buffer_text = True
+        parser.StartElementHandler = builder.start
+        parser.EndElementHandler = builder.end
+        parser.CharacterDataHandler = builder.data
+        parser.EntityDeclHandler = _refuse_entity
+        parser.Parse(content.lstrip(), True)
+        return builder.close()
+    except _EntityError as error:
+        raise ModelError(
+            f"{shown_path(path)}: it declares the XML entity {error.args[0]!r:.80}; write the text itself instead"
+        ) from None
+    except (expat.ExpatError, LookupError) as error:
+        raise ModelError(f"{shown_path(path)}: no well-formed XML: {error}") from None
+
+
+class _EntityError(Exception):
+    """A document declares an entity."""
+
+
+def _refuse_entity(name: str, *_: object) -> None:
+    raise _EntityError(name)
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ModelError(f"{shown_path(path)}: it cannot be read: {error.strerror or error}") from None
+
+
+def _first_tag(path: Path) -> str:
+    """The name of a document's first element; empty if there is none."""
+    tags: list[str] = []
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = lambda tag, _attributes: tags.append(tag)
+    try:
+        with path.open("rb") as file:
+            parser.Parse(file.read(_HEAD_BYTES).lstrip(), False)
+    except (expat.ExpatError, OSError, LookupError):
+        pass  # MuJoCo reports what is wrong; elements before the error count
+    return tags[0] if tags else ""
+
+
+def _is_xacro(root: ElementTree.Element) -> bool:
+    return any(element.tag.startswith("xacro:") for element in root.iter())
+
+
+def _expanded(path: Path) -> str:
+    """The URDF of a xacro.
+
+    Raises:
+        ModelError: xacrodoc is not installed, or it cannot expand the file.
+    """
+    try:
+        xacrodoc = importlib.import_module("xacrodoc")
+    except ImportError:
+        raise ModelError(
+            f"{shown_path(path)}: a xacro, which must be expanded to a URDF: `pip install xacrodoc` lets armctl do it, "
+            f"or run `xacro FILE -o robot.urdf` of ROS"
+        ) from None
+    try:
+        document = xacrodoc.XacroDoc.from_file(str(path), resolve_packages=False)
+        return document.to_urdf_string()
+    except Exception as error:  # xacro evaluates expressions of the file, which can raise anything
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise ModelError(f"{shown_path(path)}: xacrodoc cannot expand it: {reason:.200}") from None
+
+
+def _refuse_planar(root: ElementTree.Element, path: Path) -> None:
+    """Refuses planar joints: three degrees of freedom, for which a URDF has neither three limits nor three motors."""
+    for joint in root.findall("joint"):
+        if joint.get("type") == "planar":
+            name = joint.get("name", "")
+            raise ModelError(
+                f"{shown_path(path)}: joint {name!r:.80} is planar and has three degrees of freedom, without a motor for each; "
+                'write type="fixed" to hold it, or two prismatic joints and a continuous one'
+            )
+
+
+def _complete_inertials(root: ElementTree.Element) -> list[str]:
+    """Adds the elements of an <inertial> that MuJoCo demands, as zeros; one sentence, or none."""
+    names = []
+    for link in root.findall("link"):
+        inertial = link.find("inertial")
+        if inertial is None:
+            continue
+        if inertial.find("inertia") is not None and inertial.find("mass") is not None:
+            continue
+        names.append(link.get("name", ""))
+        if inertial.find("mass") is None:
+            link.remove(inertial)
+        else:
+            inertial.append(ElementTree.Element("inertia", _ZERO_INERTIA))
+    return [f"the inertial of {', '.join(names):.200} has no mass or no inertia"] if names else []
+
+
+def shown_path(path: Path) -> str:
+    """A path for a message: its end, if it is long."""
+    text = str(path)
+    return text if len(text) <= _MAX_PATH_CHARACTERS else f"...{text[-_MAX_PATH_CHARACTERS:]}"
