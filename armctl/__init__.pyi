@@ -33,6 +33,7 @@ from .core.log import Log as Log
 from .core.log import SimulationError as SimulationError
 from .core.pose import Pose as Pose
 from .core.result import MoveResult as MoveResult
+from .core.target import Target as Target
 from .core.trajectory import Setpoint as Setpoint
 from .core.trajectory import Trajectory as Trajectory
 from .design.excitation import excitation as excitation

@@ -17,7 +17,7 @@ SHAPES = """
 """
 
 
-def mjcf(things: str = SHAPES) -> str:
+def mjcf(things: str = SHAPES, assets: str = "") -> str:
     """The arm among things that stand in the world."""
     rng = np.random.default_rng(5)
     rock = " ".join(f"{x:.4f}" for x in rng.uniform(-0.15, 0.15, 3 * 60))
@@ -33,15 +33,15 @@ def mjcf(things: str = SHAPES) -> str:
     motors = "".join(f'<motor joint="j{i}" ctrlrange="-100 100"/>' for i in range(len(axes)))
     return (
         '<mujoco model="collidable"><compiler angle="radian"/>'
-        f'<asset><mesh name="rock" vertex="{rock}"/></asset>'
+        f'<asset><mesh name="rock" vertex="{rock}"/>{assets}</asset>'
         f"<worldbody>{things}{arm}</worldbody><actuator>{motors}</actuator></mujoco>"
     )
 
 
-def arm_among(folder, things: str = SHAPES) -> armctl.Arm:
+def arm_among(folder, things: str = SHAPES, assets: str = "") -> armctl.Arm:
     """The arm, loaded from a file in a folder."""
     path = folder / "collidable.xml"
-    path.write_text(mjcf(things))
+    path.write_text(mjcf(things, assets))
     return armctl.load(path)
 
 

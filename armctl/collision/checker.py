@@ -14,7 +14,7 @@ from armctl.collision.geometry import Geometry, build_geometry, colliding_pairs,
 from armctl.collision.hit import Hit
 from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.validation import Array, BoolArray
-from armctl.mjmodel.queries import body_name, is_below, last_joint_above, name_of
+from armctl.mjmodel.queries import geom_owner_name, is_below, last_joint_above, name_of
 from armctl.robot.arm import Arm
 
 SAMPLES = 64
@@ -218,7 +218,7 @@ class CollisionChecker:
             Both names.
         """
         first, second = self.geometry.pair_geoms(pair)
-        return _geom_owner_name(self._model, first), _geom_owner_name(self._model, second)
+        return geom_owner_name(self._model, first), geom_owner_name(self._model, second)
 
     def require_provable(self) -> None:
         """Makes sure that proofs cover everything.
@@ -344,7 +344,7 @@ class CollisionChecker:
         for contact in data.contact:
             if contact.dist < 0.0 and not all(is_convex(self._model, int(geom)) for geom in contact.geom):
                 first, second = sorted(contact.geom.tolist())
-                return f"{_geom_owner_name(self._model, second)} touches {_geom_owner_name(self._model, first)}"
+                return f"{geom_owner_name(self._model, second)} touches {geom_owner_name(self._model, first)}"
         return ""
 
 
@@ -371,12 +371,6 @@ def _geoms_named(model: mujoco.MjModel, name: str) -> list[int]:
         bodies = [model.body(i).name for i in range(1, model.nbody)]
         raise UnknownNameError.of("body or geom in allow", name, [*bodies, *(model.geom(i).name for i in range(model.ngeom))])
     return [geom]
-
-
-def _geom_owner_name(model: mujoco.MjModel, geom: int) -> str:
-    """The body a geom is on; in the world, the geom itself."""
-    body = int(model.geom_bodyid[geom])
-    return body_name(model, body) if body else name_of(model, mujoco.mjtObj.mjOBJ_GEOM, geom)
 
 
 @lru_cache(maxsize=1)

@@ -28,9 +28,20 @@ _NO_PAIRS_M = np.inf
 class PiecewiseTrajectory(Protocol):
     """A trajectory of polynomial pieces, such as every planner of armctl returns."""
 
-    knots: Array
-    coefficients: Array
-    joint_names: tuple[str, ...]
+    @property
+    def knots(self) -> Array:
+        """(K + 1,) s."""
+        ...
+
+    @property
+    def coefficients(self) -> Array:
+        """(K, degree + 1, n) of each piece, by powers of the time since its knot."""
+        ...
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """The n joints."""
+        ...
 
     @property
     def duration(self) -> float:

@@ -31,7 +31,7 @@ class Contact(NamedTuple):
 
     Attributes:
         body: The body of the arm.
-        other: The body that it touched.
+        other: The body that it touched; the geom, if it belongs to the world.
         start: s, when they touched first.
         duration: s, how long they touched in total.
     """

@@ -72,12 +72,26 @@ class Target:
         return frozen(np.concatenate([self.position, quat]))
 
     def distance(self, tip: Pose) -> tuple[float, float]:
-        """Position error, m, and orientation error, rad, of a tip; 0 rad if any orientation is accepted."""
+        """The errors of a tip.
+
+        Args:
+            tip: T_world_tip.
+
+        Returns:
+            Position error, m, and orientation error, rad; 0 rad if any orientation is accepted.
+        """
         angle = 0.0 if self.pose is None else rotation_angle(tip.rotation.T @ self.pose.rotation)
         return float(np.linalg.norm(tip.position - self.position)), angle
 
     def is_reached(self, tip: Pose) -> bool:
-        """Whether both errors of a tip are within the tolerances."""
+        """Whether both errors of a tip are within the tolerances.
+
+        Args:
+            tip: T_world_tip.
+
+        Returns:
+            True if they are.
+        """
         position_error, orientation_error = self.distance(tip)
         return position_error <= self.tolerance and orientation_error <= self.angle_tolerance
 

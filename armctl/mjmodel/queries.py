@@ -30,6 +30,12 @@ def body_name(model: mujoco.MjModel, body: int) -> str:
     return name_of(model, mujoco.mjtObj.mjOBJ_BODY, body)
 
 
+def geom_owner_name(model: mujoco.MjModel, geom: int) -> str:
+    """The name of the body that a geom is on; for a geom of the world, its own."""
+    body = int(model.geom_bodyid[geom])
+    return body_name(model, body) if body else name_of(model, mujoco.mjtObj.mjOBJ_GEOM, geom)
+
+
 def actuator_name(model: mujoco.MjModel, actuator: int) -> str:
     """The name of an actuator, or "actuator3" for a nameless one."""
     return name_of(model, mujoco.mjtObj.mjOBJ_ACTUATOR, actuator)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from armctl.collision.checkers import collision_checker
 from armctl.core.errors import InputError, PlanError, UnknownNameError
 from armctl.core.pose import Pose
+from armctl.core.target import Target
 from armctl.core.validation import Array, number, shown
 from armctl.ik import solve_ik
 from armctl.motion import JointTrajectory, move_j
@@ -60,7 +61,7 @@ def move_free(
         arm: The arm, in its scene.
         q_start: (n,) rad, where it is.
         goal: (n,) rad, a Pose, (3,) m where the orientation does not matter, or a list of these, of which it takes one. For an
-            arm of three joints three numbers are a configuration.
+            arm of three joints three numbers are a configuration; `Target.read(point)` is a point.
         clearance: m that the path keeps; the smooth motion keeps half of it. Less where the start or the goal is nearer to
             something.
         allow: Pairs of names of bodies or geoms that may touch, such as `[("cube", "table")]`.
@@ -196,18 +197,18 @@ def _goals(checker: CollisionChecker, arm: Arm, start: Array, goal: FreeGoal, rn
     return np.array(found)[order], max(distances)
 
 
-def _goal_list(arm: Arm, goal: FreeGoal) -> list[Pose | Array]:
+def _goal_list(arm: Arm, goal: FreeGoal) -> list[Pose | Target | Array]:
     """A goal, or a list of goals, as poses, points and configurations."""
-    if isinstance(goal, Pose):
+    if isinstance(goal, (Pose, Target)):
         return [goal]
     try:
         is_numbers = np.ndim(goal) == 1 and np.asarray(goal).dtype.kind in "fiub"
     except ValueError:  # a list of goals of different lengths
         is_numbers = False
     goals = [goal] if is_numbers else list(goal) if isinstance(goal, (Sequence, np.ndarray)) else []
-    checked: list[Pose | Array] = []
+    checked: list[Pose | Target | Array] = []
     for item in goals:
-        if isinstance(item, Pose):
+        if isinstance(item, (Pose, Target)):
             checked.append(item)
             continue
         numbers = np.asarray(item, dtype=object).reshape(-1)
@@ -215,15 +216,15 @@ def _goal_list(arm: Arm, goal: FreeGoal) -> list[Pose | Array]:
             raise InputError(
                 f"goal: {item!r:.80} is no configuration of {arm.n} joints, no Pose, and no point of three numbers"
             )
-        checked.append(arm.checked("goal", item) if len(numbers) == arm.n else Pose(item).position)
+        checked.append(arm.checked("goal", item) if len(numbers) == arm.n else Target.read(item))
     if not checked:
         raise InputError(f"goal: {goal!r:.80} is no configuration of {arm.n} joints, no Pose, no point, and no list of these")
     return checked
 
 
-def _configurations(arm: Arm, start: Array, goal: Pose | Array, rng: np.random.Generator) -> tuple[list[Array], str]:
+def _configurations(arm: Arm, start: Array, goal: Pose | Target | Array, rng: np.random.Generator) -> tuple[list[Array], str]:
     """Configurations for one goal, and why there is none."""
-    if not isinstance(goal, Pose) and len(goal) == arm.n:
+    if isinstance(goal, np.ndarray):
         return [goal], ""
     reason = ""
     found: list[Array] = []
@@ -231,7 +232,7 @@ def _configurations(arm: Arm, start: Array, goal: Pose | Array, rng: np.random.G
     for q0 in starts:
         result = solve_ik(arm, goal, q0)
         if not result.ok:
-            reason = reason or f"goal: {result.reason}"
+            reason = reason or result.reason
             if not found:
                 break  # the solver has tried all its starts
             continue

@@ -105,6 +105,11 @@ class Gripper:
         """The distance between the pads when open, m."""
         return float(self.model.width[-1])
 
+    @property
+    def held(self) -> str:
+        """The body that both sides touch now; empty if there is none."""
+        return self._grasped()[0]
+
     def open(self) -> GripResult:
         """Opens the gripper completely.
 

@@ -6,12 +6,14 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl.collision.clearance import clearance_of
 from armctl.control import Controller, State, controller_by_name, controller_name
-from armctl.core.errors import InputError, PlanError
+from armctl.core.errors import InputError, ModelError, PlanError
 from armctl.core.log import Log, SimulationError
 from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
@@ -20,9 +22,13 @@ from armctl.core.trajectory import Setpoint, TickReference, Trajectory, check_mo
 from armctl.core.validation import Array, shown
 from armctl.ik import solve_ik
 from armctl.motion import JointTrajectory, move_j
+from armctl.planning.move_free import CLEARANCE_M, move_free_with
 from armctl.robot.arm import Arm
 from armctl.sim.recorder import Recorder, TickRows, ticks_for
 from armctl.sim.stepper import ConstantTorque, ControllerFailure, Stepper, checked_torque
+
+if TYPE_CHECKING:
+    from armctl.collision.checker import CollisionChecker
 
 SETTLED_SPEED = 1e-3  # rad/s (m/s): every joint below it counts as at rest
 SETTLE_CHECK_INTERVAL_S = 0.02
@@ -46,32 +52,56 @@ class PlannedMove:
     refusal: str = ""
 
 
-def plan_move(arm: Arm, target: Target, planner: Callable[[], JointTrajectory], ends_at_target: bool = True) -> PlannedMove:
-    """A move by a planner; a PlanError becomes a refusal.
+def plan_move(
+    arm: Arm,
+    target: Target,
+    planner: Callable[[], JointTrajectory],
+    *,
+    ends_at_target: bool = True,
+    checker: CollisionChecker | None = None,
+) -> PlannedMove:
+    """A move by a planner; a PlanError becomes a refusal, and so does a motion that the checker does not prove free.
 
     An arc of a given angle does not end at the target that defines it: then the target is where the motion ends.
     """
     try:
         trajectory = planner()
-    except PlanError as error:
+        if checker is not None:
+            check = clearance_of(checker, trajectory, 0.0)
+            if not check.ok:
+                return PlannedMove(target, refusal=check.reason)
+    except (PlanError, ModelError) as error:
         return PlannedMove(target, refusal=str(error))
     if not ends_at_target:
         target = Target.read(arm.fk(trajectory(trajectory.duration).q))
     return PlannedMove(target, trajectory)
 
 
-def plan_to(arm: Arm, target: Target, q_start: Array, speed: float = 1.0) -> PlannedMove:
-    """A move to a target by inverse kinematics and a joint motion.
+def plan_to(
+    arm: Arm, target: Target, q_start: Array, speed: float = 1.0, checker: CollisionChecker | None = None
+) -> PlannedMove:
+    """A move to a target by inverse kinematics and a joint motion, around obstacles if there is a checker.
 
-    A solution without contact is preferred. If there is none, contact may be intended, so any solution is accepted.
+    Without a checker a solution without contact is preferred. If there is none, any solution is accepted.
     """
     arm.limits.at_speed(speed)  # a wrong speed is an error even if the target is out of reach
+    if checker is not None:
+        return plan_free(arm, target, q_start, target, speed, checker)
     solution = solve_ik(arm, target, q_start, avoid_collisions=True)
     if not solution.ok:
         solution = solve_ik(arm, target, q_start)
     if not solution.ok:
         return PlannedMove(target, refusal=solution.reason)
     return plan_move(arm, target, lambda: move_j(arm, q_start, solution.q, speed=speed))
+
+
+def plan_free(
+    arm: Arm, target: Target, q_start: Array, goal: Target | Array, speed: float, checker: CollisionChecker
+) -> PlannedMove:
+    """A move around obstacles to a target or a configuration."""
+    return plan_move(
+        arm, target, lambda: move_free_with(checker, arm, q_start, goal, clearance=CLEARANCE_M, speed=speed, seed=0)
+    )
 
 
 def read_controller(given: Controller | str, arm: Arm) -> Controller:

@@ -12,7 +12,7 @@ from armctl.core.log import Contact, Log
 from armctl.core.pose import quats_from_rotations
 from armctl.core.trajectory import TickReference
 from armctl.core.validation import Array, frozen
-from armctl.mjmodel.queries import body_name, is_below
+from armctl.mjmodel.queries import body_name, geom_owner_name, is_below
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
 
@@ -150,7 +150,7 @@ class Recorder:
                     ticks[pair] = ticks.get(pair, 0) + max(0, end - row)
             offset += part.count
         return tuple(
-            Contact(body_name(self._model, pair[0]), body_name(self._model, pair[1]), dt * start[pair], dt * ticks[pair])
+            Contact(body_name(self._model, pair[0]), _other_name(self._model, pair[1]), dt * start[pair], dt * ticks[pair])
             for pair in sorted(start, key=lambda pair: start[pair])
             if ticks[pair]
         )
@@ -178,13 +178,20 @@ def _moving_bodies(arm: Arm) -> tuple[frozenset[int], frozenset[int]]:
 
 
 def _touching(model: mujoco.MjModel, geoms: bytes, moving: frozenset[int], gripper: frozenset[int]) -> set[tuple[int, int]]:
-    """The pairs of bodies that touch, the arm's body first."""
+    """The pairs that touch: the arm's body, and the other body, or -1 - geom for a geom of the world."""
     pairs = set()
-    for first, second in model.geom_bodyid[np.frombuffer(geoms, np.int32).reshape(-1, 2)].tolist():
+    for first_geom, second_geom in np.frombuffer(geoms, np.int32).reshape(-1, 2).tolist():
+        first = int(model.geom_bodyid[first_geom])
+        second = int(model.geom_bodyid[second_geom])
         if first == second or (first in gripper and second in gripper):
             continue
         if first in moving:
-            pairs.add((first, second))
+            pairs.add((first, second or -1 - second_geom))
         elif second in moving:
-            pairs.add((second, first))
+            pairs.add((second, first or -1 - first_geom))
     return pairs
+
+
+def _other_name(model: mujoco.MjModel, other: int) -> str:
+    """The name of what a body of the arm touched, as `_touching` numbers it."""
+    return geom_owner_name(model, -1 - other) if other < 0 else body_name(model, other)

@@ -3,43 +3,44 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control import ComputedTorque, Controller, State
 from armctl.core import hooks
-from armctl.core.errors import InputError, LimitError, UnknownNameError
+from armctl.core.errors import InputError
 from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
 from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE, Target
 from armctl.core.trajectory import TickReference, Trajectory
 from armctl.core.validation import Array, flag, number, shown, vector
-from armctl.ik import solve_ik
 from armctl.loading.load import load
 from armctl.mjmodel.target_marker import TARGET, set_target, target_pose
 from armctl.motion import Arc, JointTrajectory, Line, move_c, move_j, move_l, move_path
 from armctl.robot.arm import Arm
+from armctl.sim.follow import follow
 from armctl.sim.gripper import Gripper
 from armctl.sim.move import (
     ControlledArms,
     PlannedMove,
+    plan_free,
     plan_move,
     plan_to,
     read_controller,
 )
-from armctl.sim.online_reference import OnlineReference
+from armctl.sim.obstacles import Obstacles
 from armctl.sim.plant import Plant, read_plant
 from armctl.sim.recorder import ticks_for
-from armctl.sim.stepper import ConstantTorque, Stepper
+from armctl.sim.stepper import Stepper, constant_controls
 
-_FOLLOW_INTERVAL_S = 0.02  # between two readings of a moving target
-_CONTROL_TOLERANCE = 1e-9  # relative, for controls at a motor's limit
+if TYPE_CHECKING:
+    from armctl.collision.checker import CollisionChecker
 
 
 class Simulation:
@@ -80,6 +81,7 @@ class Simulation:
         self._gripper: Gripper | None = None
         self.model = self._arms.stepper.model
         self.data = self._arms.stepper.data
+        self._obstacles = Obstacles(self.arm, self.data)
 
     @property
     def controller(self) -> Controller:
@@ -211,15 +213,9 @@ class Simulation:
             InputError: A wrong length, a number that is not finite, or a negative time.
             LimitError: A control outside its motor's range.
         """
-        ctrl = vector("ctrl", ctrl, self.arm.n)
-        bound = self.arm.limits.tau_max / np.abs(self.arm.gear)
-        outside = np.abs(ctrl) > bound * (1 + _CONTROL_TOLERANCE)
-        if outside.any():
-            i = int(outside.argmax())
-            raise LimitError(f"ctrl: {self.arm.joint_names[i]}: {ctrl[i]:g} is outside [{-bound[i]:g}, {bound[i]:g}]")
+        constant = constant_controls(self.arm, ctrl)
         seconds = number("seconds", seconds, 0.0)
         nothing = np.full((ticks_for(seconds, self.dt), self.arm.n), np.nan)
-        constant = ConstantTorque(ctrl * self.arm.gear)
         with self._arms.recording({self.arm.tip: seconds}, controller=constant) as recorder:
             self._arms.stepper.run(constant, TickReference(nothing, nothing, nothing, nothing, nothing), recorder)
         return self._arms.logs[self.arm.tip]
@@ -232,6 +228,8 @@ class Simulation:
         tolerance: float = TOLERANCE,
         angle_tolerance: float = ANGLE_TOLERANCE,
         settle_timeout: float = 1.0,
+        avoid: bool = True,
+        allow: Iterable[tuple[str, str]] = (),
     ) -> MoveResult:
         """Moves the tip to a target by inverse kinematics and a jerk-limited motion of the joints.
 
@@ -241,6 +239,8 @@ class Simulation:
             tolerance: m, the largest position error at which the target counts as reached.
             angle_tolerance: rad, likewise.
             settle_timeout: s that the arm may take to come to rest after the motion.
+            avoid: Whether to go around everything that is in the way, where it is now; otherwise the move is straight.
+            allow: Pairs of names of bodies or geoms that may touch.
 
         Returns:
             How it ended. It does not raise if the target cannot be reached: `ok` is False, and `reason` tells why.
@@ -250,15 +250,26 @@ class Simulation:
             SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
         goal = Target.read(target, tolerance, angle_tolerance)
-        return self._move(goal, lambda: plan_to(self.arm, goal, self._start, speed), settle_timeout)
+        checker = self._checker(avoid, allow)
+        return self._move(goal, lambda: plan_to(self.arm, goal, self._start, speed, checker), settle_timeout)
 
-    def move_j(self, q: ArrayLike, *, speed: float = 1.0, settle_timeout: float = 1.0) -> MoveResult:
+    def move_j(
+        self,
+        q: ArrayLike,
+        *,
+        speed: float = 1.0,
+        settle_timeout: float = 1.0,
+        avoid: bool = True,
+        allow: Iterable[tuple[str, str]] = (),
+    ) -> MoveResult:
         """Moves the joints to a configuration, on a straight line in joint space.
 
         Args:
             q: (n,) rad, inside the limits.
             speed: Fraction of the full speed, in (0, 1].
             settle_timeout: s that the arm may take to come to rest after the motion.
+            avoid: Whether to go around everything that is in the way, where it is now; otherwise the move is straight.
+            allow: Pairs of names of bodies or geoms that may touch.
 
         Returns:
             How it ended, measured at the tip.
@@ -268,10 +279,15 @@ class Simulation:
             LimitError: A position outside the limits.
             SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
-        goal = Target.read(self.arm.fk(self.arm.checked("q", q)))
+        configuration = self.arm.checked("q", q)
+        goal = Target.read(self.arm.fk(configuration))
+        self.arm.limits.at_speed(speed)
+        checker = self._checker(avoid, allow)
 
         def plan() -> PlannedMove:
-            return plan_move(self.arm, goal, lambda: move_j(self.arm, self._start, q, speed=speed))
+            if checker is not None:
+                return plan_free(self.arm, goal, self._start, configuration, speed, checker)
+            return plan_move(self.arm, goal, lambda: move_j(self.arm, self._start, configuration, speed=speed))
 
         return self._move(goal, plan, settle_timeout)
 
@@ -283,6 +299,8 @@ class Simulation:
         tip_speed: float | None = None,
         tip_angular_speed: float | None = None,
         settle_timeout: float = 1.0,
+        avoid: bool = True,
+        allow: Iterable[tuple[str, str]] = (),
     ) -> MoveResult:
         """Moves the tip to a target on a straight line.
 
@@ -292,6 +310,8 @@ class Simulation:
             tip_speed: m/s, the highest speed of the tip; by default only the joints limit it.
             tip_angular_speed: rad/s, likewise.
             settle_timeout: s that the arm may take to come to rest after the motion.
+            avoid: Whether a motion that would touch something is refused.
+            allow: Pairs of names of bodies or geoms that may touch.
 
         Returns:
             How it ended. A line outside the workspace or the limits is not started, and `reason` says where it leaves them.
@@ -302,17 +322,11 @@ class Simulation:
         """
         goal = Target.read(target)
 
-        def planner() -> JointTrajectory:
-            return move_l(
-                self.arm,
-                self._start,
-                target,
-                tip_speed=tip_speed,
-                tip_angular_speed=tip_angular_speed,
-                speed=speed,
-            )
+        planner = partial(
+            move_l, self.arm, self._start, target, tip_speed=tip_speed, tip_angular_speed=tip_angular_speed, speed=speed
+        )
 
-        return self._move(goal, lambda: plan_move(self.arm, goal, planner), settle_timeout)
+        return self._move_along(goal, planner, settle_timeout, self._checker(avoid, allow))
 
     def move_c(
         self,
@@ -324,6 +338,8 @@ class Simulation:
         tip_speed: float | None = None,
         tip_angular_speed: float | None = None,
         settle_timeout: float = 1.0,
+        avoid: bool = True,
+        allow: Iterable[tuple[str, str]] = (),
     ) -> MoveResult:
         """Moves the tip on an arc through one point to another.
 
@@ -335,6 +351,8 @@ class Simulation:
             tip_speed: m/s, the highest speed of the tip; by default only the joints limit it.
             tip_angular_speed: rad/s, likewise.
             settle_timeout: s that the arm may take to come to rest after the motion.
+            avoid: Whether a motion that would touch something is refused.
+            allow: Pairs of names of bodies or geoms that may touch.
 
         Returns:
             How it ended. An arc outside the workspace or the limits is not started, and `reason` says where it leaves them.
@@ -346,20 +364,20 @@ class Simulation:
         """
         goal = Target.read(target)
 
-        def planner() -> JointTrajectory:
-            return move_c(
-                self.arm,
-                self._start,
-                via,
-                target,
-                angle=angle,
-                tip_speed=tip_speed,
-                tip_angular_speed=tip_angular_speed,
-                speed=speed,
-            )
+        planner = partial(
+            move_c,
+            self.arm,
+            self._start,
+            via,
+            target,
+            angle=angle,
+            tip_speed=tip_speed,
+            tip_angular_speed=tip_angular_speed,
+            speed=speed,
+        )
 
         ends_at_target = angle is None
-        return self._move(goal, lambda: plan_move(self.arm, goal, planner, ends_at_target), settle_timeout)
+        return self._move_along(goal, planner, settle_timeout, self._checker(avoid, allow), ends_at_target)
 
     def move_path(
         self,
@@ -370,6 +388,8 @@ class Simulation:
         tip_speed: float | None = None,
         tip_angular_speed: float | None = None,
         settle_timeout: float = 1.0,
+        avoid: bool = True,
+        allow: Iterable[tuple[str, str]] = (),
     ) -> MoveResult:
         """Moves the tip along lines and arcs with rounded corners.
 
@@ -380,6 +400,8 @@ class Simulation:
             tip_speed: m/s, the highest speed of the tip; by default only the joints limit it.
             tip_angular_speed: rad/s, likewise.
             settle_timeout: s that the arm may take to come to rest after the motion.
+            avoid: Whether a motion that would touch something is refused.
+            allow: Pairs of names of bodies or geoms that may touch.
 
         Returns:
             How it ended. A path outside the workspace or the limits is not started, and `reason` says where it leaves them.
@@ -397,18 +419,18 @@ class Simulation:
         goal = Target.read(last.target if isinstance(last, (Line, Arc)) else last)
         ends_at_target = not (isinstance(last, Arc) and last.angle is not None)
 
-        def planner() -> JointTrajectory:
-            return move_path(
-                self.arm,
-                self._start,
-                path,
-                blend=blend,
-                tip_speed=tip_speed,
-                tip_angular_speed=tip_angular_speed,
-                speed=speed,
-            )
+        planner = partial(
+            move_path,
+            self.arm,
+            self._start,
+            path,
+            blend=blend,
+            tip_speed=tip_speed,
+            tip_angular_speed=tip_angular_speed,
+            speed=speed,
+        )
 
-        return self._move(goal, lambda: plan_move(self.arm, goal, planner, ends_at_target), settle_timeout)
+        return self._move_along(goal, planner, settle_timeout, self._checker(avoid, allow), ends_at_target)
 
     def follow(self, target: str | Callable[[float], Pose | ArrayLike] = TARGET, *, seconds: float = 10.0) -> Log:
         """Follows a moving target: reads it 50 times a second, and keeps every joint limit on the way to it.
@@ -428,22 +450,7 @@ class Simulation:
             UnknownNameError: The model has no such body.
             SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
-        target_at = self._target_function(target)
-        seconds = number("seconds", seconds, 0.0)
-        ticks_for(seconds, self.dt)
-        stepper = self._arms.stepper
-        begin = self.data.time
-        online = OnlineReference(self.arm, self.dt, self._start, continuous=stepper.continuous)
-        ticks = ticks_for(_FOLLOW_INTERVAL_S, self.dt) - 1
-        targets: dict[str, Array] = {}
-        with self._arms.recording({self.arm.tip: seconds}, targets) as recorder:
-            while not stepper.failure and self.data.time - begin < seconds - 1e-9:
-                goal = Target.read(target_at(self.data.time - begin))
-                targets[self.arm.tip] = goal.numbers
-                solution = solve_ik(self.arm, goal, online.q)
-                stepper.run(self.controller, online.toward(solution.q, ticks), recorder)
-            targets[self.arm.tip] = Target.read(target_at(self.data.time - begin)).numbers
-        return self._arms.logs[self.arm.tip]
+        return follow(self._arms, self.arm, target, number("seconds", seconds, 0.0))
 
     def record(self, path: str | os.PathLike[str], **options: Any) -> Path:
         """Makes a video of the last run: the arm, the target, and the path of the tip.
@@ -474,26 +481,20 @@ class Simulation:
         set_target(self.model, self.data, goal.position, None if goal.pose is None else goal.pose.quat)
         return self._arms.move({self.arm.tip: self._arms.planned(goal, plan)}, settle_timeout)[self.arm.tip]
 
-    def _target_function(self, target: str | Callable[[float], Pose | ArrayLike]) -> Callable[[float], Pose | ArrayLike]:
-        """The target as a function of time."""
-        if callable(target):
+    def _move_along(
+        self,
+        goal: Target,
+        planner: Callable[[], JointTrajectory],
+        settle_timeout: float,
+        checker: CollisionChecker | None,
+        ends_at_target: bool = True,
+    ) -> MoveResult:
+        """Moves along a given path, if it is free."""
+        plan = partial(plan_move, self.arm, goal, planner, ends_at_target=ends_at_target, checker=checker)
+        return self._move(goal, plan, settle_timeout)
 
-            def called(time: float) -> Pose | ArrayLike:
-                try:
-                    return target(time)
-                except Exception as error:
-                    reason = f"{type(error).__name__}: {error!s:.200}"
-                    raise InputError(f"target: the function failed at {time:g} s: {reason}") from error
-
-            return called
-        if not isinstance(target, str):
-            raise InputError(f"target: {shown(target)} is neither the name of a body nor a function of the time")
-        body = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, target)
-        if body < 0:
-            raise UnknownNameError.of("body", target, [self.model.body(i).name for i in range(1, self.model.nbody)])
-
-        def position(_: float) -> Array:
-            mujoco.mj_kinematics(self.model, self.data)
-            return self.data.xpos[body].copy()
-
-        return position
+    def _checker(self, avoid: bool, allow: Iterable[tuple[str, str]]) -> CollisionChecker | None:
+        """What a move must not touch, where everything is now; None if it may touch anything."""
+        if not flag("avoid", avoid):
+            return None
+        return self._obstacles.checker(allow, self._gripper.held if self._gripper is not None else "")

@@ -13,7 +13,7 @@ from numpy import ndarray
 from numpy.typing import ArrayLike
 
 from armctl.control import Controller, State, controller_name
-from armctl.core.errors import InputError
+from armctl.core.errors import InputError, LimitError
 from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
@@ -24,6 +24,7 @@ from armctl.sim.disturbances import Disturbances
 from armctl.sim.plant import Brake, Plant, held_dofs, plant_model
 from armctl.sim.recorder import Recorder, TickRows
 
+_CONTROL_TOLERANCE = 1e-9  # relative, for controls at a limit of their motor
 _MAX_SPEED = 1e4  # rad/s (m/s), of all joints together; above it a run counts as diverged
 _FLOAT64 = np.dtype(np.float64)
 
@@ -353,6 +354,22 @@ class ConstantTorque:
     def torque(self, state: State, setpoint: Setpoint) -> Array:
         """The torque, (n,) N m."""
         return self.tau
+
+
+def constant_controls(arm: Arm, ctrl: ArrayLike) -> ConstantTorque:
+    """Constant controls (n,) of an arm's motors, checked.
+
+    Raises:
+        InputError: A wrong length or a number that is not finite.
+        LimitError: A control outside its motor's range.
+    """
+    checked = vector("ctrl", ctrl, arm.n)
+    bound = arm.limits.tau_max / np.abs(arm.gear)
+    outside = np.abs(checked) > bound * (1 + _CONTROL_TOLERANCE)
+    if outside.any():
+        i = int(outside.argmax())
+        raise LimitError(f"ctrl: {arm.joint_names[i]}: {checked[i]:g} is outside [{-bound[i]:g}, {bound[i]:g}]")
+    return ConstantTorque(checked * arm.gear)
 
 
 def checked_torque(tau: object, n: int) -> Array:

@@ -36,7 +36,7 @@ def test_a_run_that_touches_nothing_says_so(slider):
 def test_a_run_that_touches_something_says_what_and_for_how_long(slider):
     arm = slider(0.3)
     sim = Simulation(arm, "pd-gravity")
-    result = sim.move_j([0.5])
+    result = sim.move_j([0.5], avoid=False)
     assert not result.ok
     (contact,) = result.contacts
     assert (contact.body, contact.other) == ("slider", "block")
@@ -80,14 +80,14 @@ def test_a_team_gives_each_arm_its_own_contacts(tmp_path):
 
 
 def test_contacts_are_saved_and_loaded_with_the_log(slider, tmp_path):
-    log = Simulation(slider(0.3), "pd").move_j([0.5]).log
+    log = Simulation(slider(0.3), "pd").move_j([0.5], avoid=False).log
     assert log.contacts
     assert Log.load(log.save(tmp_path / "run.npz")).contacts == log.contacts
 
 
 def test_contact_of_neighbouring_runs_does_not_leak_into_the_next(slider):
     sim = Simulation(slider(0.3), "pd")
-    assert sim.move_j([0.5]).contacts
+    assert sim.move_j([0.5], avoid=False).contacts
     sim.reset()
     assert sim.move_j([0.1]).contacts == ()
 
