@@ -221,7 +221,7 @@ def _range(model: mujoco.MjModel, transmission: Transmission) -> tuple[float, fl
 
 
 def _assumed_torque(model: mujoco.MjModel, transmissions: Sequence[Transmission], v_max: Array) -> Array:
-    """(n,) N m: twice gravity at rest, at worst over the joints' ranges, a moderate acceleration, and friction at full speed."""
+    """(n,) N m: twice gravity at rest, at worst over the ranges, a moderate acceleration, and friction at full speed."""
     joints = [transmission.joint for transmission in transmissions]
     worst = np.zeros(len(joints))
     q_min, q_max = position_limits(model, transmissions)

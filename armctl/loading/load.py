@@ -10,6 +10,8 @@ import contextlib
 import os
 import warnings
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import mujoco
 
@@ -24,12 +26,42 @@ from armctl.loading.fixed_base import remove_free_joints
 from armctl.loading.model_checks import check_mass_matrix, check_timestep, drag_notes, reversed_range_notes
 from armctl.loading.prepare import PreparedModel, make_arm_model, make_arm_model_from_compiled
 from armctl.loading.scene import Scene
+from armctl.loading.srdf import Srdf, apply_srdf, find_srdf, read_srdf
 from armctl.loading.tool import mount
 from armctl.loading.undriven import add_missing_motors
+from armctl.loading.urdf_file import UrdfFile
 from armctl.mjmodel.queries import model_name
 from armctl.mjmodel.transmissions import Transmissions
 from armctl.robot.arm import Arm
 from armctl.robot.parity import check_parity
+
+
+@dataclass(frozen=True, eq=False)
+class _Robot:
+    """A robot as it was read, before a tool or a scene is added.
+
+    Attributes:
+        spec: The specification.
+        notes: What was assumed, one sentence each; they are reported as warnings.
+        quiet_notes: What needs no warning, one sentence each.
+        srdf: The SRDF that belongs to it, or None.
+        loose_links: Its links, if no file says which of them may touch.
+    """
+
+    spec: mujoco.MjSpec
+    notes: tuple[str, ...]
+    quiet_notes: tuple[str, ...]
+    srdf: Srdf | None
+    loose_links: frozenset[str]
+
+    def resolved(self, ends: ArmEnds) -> ArmEnds:
+        """The ends of an arm whose tip can be the name of a group of the SRDF."""
+        if self.srdf is None or not isinstance(ends.tip, str) or ends.tip not in self.srdf.groups:
+            return ends
+        if any(element.name == ends.tip for element in (*self.spec.bodies, *self.spec.sites, *self.spec.geoms)):
+            return ends
+        base, tip = self.srdf.groups[ends.tip]
+        return replace(ends, tip=tip, base=base if ends.base is None else ends.base)
 
 
 def load(
@@ -41,6 +73,7 @@ def load(
     hold_base: bool = False,
     tool: str | os.PathLike[str] | mujoco.MjSpec | None = None,
     scene: Scene | str | os.PathLike[str] | None = None,
+    srdf: str | os.PathLike[str] | None = None,
 ) -> Arm:
     """An arm: any serial chain of any robot, its actuators turned into torque motors.
 
@@ -58,6 +91,8 @@ def load(
         hold_base: Whether to hold a robot that floats or walks, such as a quadruped, where its keyframe puts it.
         tool: The gripper or hand to mount at the tip: by name, MJCF file or MjSpec. The tip is then the tool's.
         scene: The objects around the robot: a Scene, or the path of an MJCF file that holds one.
+        srdf: The path of an SRDF, which says which links may touch, where home is, and which groups `tip` can name. Left out,
+            armctl uses the one beside a URDF; without any, links of a URDF that touch at home may touch.
 
     Returns:
         The arm.
@@ -74,17 +109,19 @@ def load(
         instance("tip_offset", tip_offset, Pose, "armctl.Pose([0, 0, 0.1]) is 0.1 m along z")
     hold_base = flag("hold_base", hold_base)
     if isinstance(robot, mujoco.MjModel):
-        _refuse_additions(hold_base=hold_base, tool=tool is not None, scene=scene is not None)
+        _refuse_additions(hold_base=hold_base, tool=tool is not None, scene=scene is not None, srdf=srdf is not None)
         return _load_compiled(robot, [ArmEnds(tip, base, tip_offset)])[0]
     source = locate(robot)
-    spec, notes = _read(source, hold_base)
+    robot_model = _read(source, hold_base, srdf)
+    spec = robot_model.spec
+    ends = robot_model.resolved(ArmEnds(tip, base, tip_offset))
     if tool is not None:
         with _naming(source.name):
-            _, flange = find_ends(source, Transmissions(source.compile(spec)), ArmEnds(tip, base))
+            _, flange = find_ends(source, Transmissions(source.compile(spec)), ArmEnds(ends.tip, ends.base))
         body = next(b for b in spec.bodies if b.id == flange.body)
-        tip = mount(spec, body, flange.T_body_tip, locate(tool, tool=True))
+        ends = replace(ends, tip=mount(spec, body, flange.T_body_tip, locate(tool, tool=True)))
     _add_scene(spec, scene)
-    return _load_spec(source, spec, [ArmEnds(tip, base, tip_offset)], notes)[0]
+    return _load_spec(source, robot_model, [ends])[0]
 
 
 def load_arms(
@@ -94,6 +131,7 @@ def load_arms(
     base: str | Sequence[str | None] | None = None,
     hold_base: bool = False,
     scene: Scene | str | os.PathLike[str] | None = None,
+    srdf: str | os.PathLike[str] | None = None,
 ) -> tuple[Arm, ...]:
     """Several chains of one robot that move at once: two arms, four legs, five fingers.
 
@@ -103,6 +141,7 @@ def load_arms(
         base: The body they all stand on, or one for each: joints above it are held. Left out (None), they start at the world.
         hold_base: As for `load`.
         scene: As for `load`.
+        srdf: As for `load`.
 
     Returns:
         An arm for each tip; all share one model, in which all of them have torque motors.
@@ -129,12 +168,12 @@ def load_arms(
     hold_base = flag("hold_base", hold_base)
     ends = [ArmEnds(named_tip, named_base) for named_tip, named_base in zip(tips, bases, strict=True)]
     if isinstance(robot, mujoco.MjModel):
-        _refuse_additions(hold_base=hold_base, scene=scene is not None)
+        _refuse_additions(hold_base=hold_base, scene=scene is not None, srdf=srdf is not None)
         return _load_compiled(robot, ends)
     source = locate(robot)
-    spec, notes = _read(source, hold_base)
-    _add_scene(spec, scene)
-    return _load_spec(source, spec, ends, notes)
+    robot_model = _read(source, hold_base, srdf)
+    _add_scene(robot_model.spec, scene)
+    return _load_spec(source, robot_model, [robot_model.resolved(each) for each in ends])
 
 
 def chains(robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel) -> list[SerialChain]:
@@ -154,19 +193,21 @@ def chains(robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel) -> li
     if isinstance(robot, mujoco.MjModel):
         return all_chains(Transmissions(robot))
     source = locate(robot)
-    spec, _ = _read(source, hold_base=False)
+    spec = _read(source, hold_base=False).spec
     return all_chains(Transmissions(source.compile(spec)))
 
 
-def _load_spec(source: Source, spec: mujoco.MjSpec, ends: Sequence[ArmEnds], notes: Sequence[str]) -> tuple[Arm, ...]:
+def _load_spec(source: Source, robot: _Robot, ends: Sequence[ArmEnds]) -> tuple[Arm, ...]:
     """The arms of a specification, which is changed in place."""
+    spec = robot.spec
     original = source.compile(spec)
     with _naming(source.name):
         check_timestep(original)
         analysis = Transmissions(original)
         plans = describe_arms(source, analysis, ends)
-    prepared = make_arm_model(source, spec, analysis, plans)
-    return _arms(source.name, prepared, [*notes, *drag_notes(original), *reversed_range_notes(original)])
+    prepared = make_arm_model(source, spec, analysis, plans, robot.loose_links)
+    prepared = replace(prepared, quiet_notes=(*robot.quiet_notes, *prepared.quiet_notes))
+    return _arms(source.name, prepared, [*robot.notes, *drag_notes(original), *reversed_range_notes(original)])
 
 
 def _load_compiled(model: mujoco.MjModel, ends: Sequence[ArmEnds]) -> tuple[Arm, ...]:
@@ -192,13 +233,29 @@ def _arms(name: str, prepared: PreparedModel, notes: Sequence[str]) -> tuple[Arm
     return arms
 
 
-def _read(source: Source, hold_base: bool) -> tuple[mujoco.MjSpec, list[str]]:
-    """A robot's specification, and what is noted about it."""
+def _read(source: Source, hold_base: bool, srdf: str | os.PathLike[str] | None = None) -> _Robot:
+    """A robot's specification, with what its SRDF says, and what is noted about it."""
     spec, notes = source.read()
     notes = [*notes, *add_missing_motors(spec)]
     if hold_base:
         remove_free_joints(spec, source.compile(spec))
-    return spec, notes
+    if srdf is not None:
+        instance("srdf", srdf, (str, os.PathLike), "give the path of an SRDF")
+        semantics = read_srdf(Path(srdf))
+    else:
+        semantics = find_srdf(source.urdf) if source.urdf is not None else None
+    quiet_notes = apply_srdf(spec, semantics) if semantics is not None else []
+    loose_links: frozenset[str] = frozenset()
+    if source.urdf is not None and not _lists_all_pairs(semantics, source.urdf, is_given=srdf is not None):
+        loose_links = frozenset(link.get("name", "") for link in source.urdf.root.findall("link"))
+    return _Robot(spec, tuple(notes), tuple(quiet_notes), semantics, loose_links)
+
+
+def _lists_all_pairs(srdf: Srdf | None, urdf: UrdfFile, is_given: bool) -> bool:
+    """Whether an SRDF lists the links that may touch: one of another file name can describe a variant of the robot."""
+    if srdf is None or not srdf.disabled:
+        return False
+    return is_given or srdf.path.stem == urdf.path.stem.removesuffix(".urdf")
 
 
 def _add_scene(spec: mujoco.MjSpec, scene: Scene | str | os.PathLike[str] | None) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -11,11 +11,13 @@ import mujoco
 from armctl.loading.catalog import Source
 from armctl.loading.describe import ArmPlan
 from armctl.loading.motors import make_motors, make_motors_in_model
-from armctl.loading.neighbor_contacts import overlapping_neighbors
+from armctl.loading.neighbor_contacts import overlapping_neighbors, touching_links
 from armctl.mjmodel.edit import add_payload_bodies, payload_body
 from armctl.mjmodel.queries import body_name
 from armctl.mjmodel.target_marker import add_target, find_target
 from armctl.mjmodel.transmissions import Transmissions
+
+_MAX_NAMES_CHARACTERS = 200  # of links in a note
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +37,9 @@ class PreparedModel:
     quiet_notes: tuple[str, ...]
 
 
-def make_arm_model(source: Source, spec: mujoco.MjSpec, analysis: Transmissions, plans: Sequence[ArmPlan]) -> PreparedModel:
+def make_arm_model(
+    source: Source, spec: mujoco.MjSpec, analysis: Transmissions, plans: Sequence[ArmPlan], loose_links: Collection[str] = ()
+) -> PreparedModel:
     """Gives the arms torque motors, adds the target and compiles; `spec` is changed in place.
 
     Args:
@@ -43,6 +47,7 @@ def make_arm_model(source: Source, spec: mujoco.MjSpec, analysis: Transmissions,
         spec: The specification that `analysis.model` was compiled from.
         analysis: The analysis of the compiled model.
         plans: The arms.
+        loose_links: Bodies of which no file says which of them may touch: those that touch at home may.
 
     Raises:
         ModelError: MuJoCo cannot compile the result.
@@ -57,11 +62,32 @@ def make_arm_model(source: Source, spec: mujoco.MjSpec, analysis: Transmissions,
         for first, second in overlapping_neighbors(original, plan.joints):
             spec.add_exclude(bodyname1=first, bodyname2=second)
             excluded.append(f"contact of {first} with {second} left out: neighbours that overlap at home")
+    if loose_links:
+        notes += _exclude_touching(spec, original, plans, loose_links)
     add_target(spec)
     add_payload_bodies(spec, original, {plan.tip.body: bodies[plan.tip.body] for plan in plans})
     model = source.compile(spec)
     renumbered = tuple(plan.with_tip_body(bodies[plan.tip.body].id) for plan in plans)
     return PreparedModel(model, renumbered, tuple(notes), tuple(excluded))
+
+
+def _exclude_touching(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, plans: Sequence[ArmPlan], links: Collection[str]
+) -> list[str]:
+    """Excludes the contacts of links that touch at home, in place; one sentence, or none."""
+    joints = tuple(joint for plan in plans for joint in plan.joints)
+    present = {frozenset((exclude.bodyname1, exclude.bodyname2)) for exclude in spec.excludes}
+    pairs = [pair for pair in touching_links(model, joints, links) if frozenset(pair) not in present]
+    for first, second in pairs:
+        spec.add_exclude(bodyname1=first, bodyname2=second)
+    if not pairs:
+        return []
+    names = ", ".join(f"{first} with {second}" for first, second in pairs)
+    shown_names = names if len(names) <= _MAX_NAMES_CHARACTERS else f"{names[:_MAX_NAMES_CHARACTERS]}..."
+    noun = "pair of links" if len(pairs) == 1 else "pairs of links"
+    return [
+        f"contacts of {len(pairs)} {noun} left out, since they touch at home ({shown_names}); srdf= can give the right pairs"
+    ]
 
 
 def make_arm_model_from_compiled(analysis: Transmissions, plans: Sequence[ArmPlan]) -> PreparedModel:
