@@ -92,7 +92,7 @@ def _find_meshes(spec: mujoco.MjSpec, path: Path, root: ElementTree.Element) -> 
         file = Path(mesh.file).name
         found = _locate(path, by_file.get(file) or mesh.file)
         reason = "not found" if found is None else _unreadable(found)
-        if not reason:
+        if found is not None and not reason:
             mesh.file = str(found.resolve())
             continue
         left_out.setdefault(reason, []).append(file)
