@@ -17,6 +17,7 @@ import mujoco
 from armctl.core.errors import ArmctlError, InputError, ModelError, UnknownNameError
 from armctl.core.validation import shown
 from armctl.loading.datasheets import ALIASES, BY_CATEGORY, BY_ROBOT, ROWS, Row
+from armctl.loading.robot_descriptions import description_file, is_description_name
 from armctl.loading.urdf import read_urdf
 from armctl.loading.urdf_file import UrdfFile, is_urdf, read_urdf_file, shown_path
 
@@ -72,6 +73,8 @@ class Source:
                 return read_urdf(self.urdf)
             return mujoco.MjSpec.from_file(str(self.path)), []
         except _MUJOCO_ERRORS as error:
+            if "'mujocoinclude'" in str(error):
+                raise ModelError(f"{self._label}: a part of an MJCF; load the file that includes it") from None
             raise ModelError(f"{self._label}: MuJoCo cannot read it: {_one_line(error)}") from None
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -132,6 +135,8 @@ def locate(robot: str | os.PathLike[str] | mujoco.MjSpec, *, tool: bool = False)
         return Source(path.stem.removesuffix(".urdf"), path)
     if given == BUNDLED:
         return Source(given, bundled_models() / f"{BUNDLED}.xml")
+    if is_description_name(given):
+        return Source(given, description_file(given))
     return _in_menagerie(given, tool)
 
 

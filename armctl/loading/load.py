@@ -81,10 +81,10 @@ def load(
 
     Args:
         robot: The bundled arm ("robot_arm_3dof"), an alias ("panda"), a Menagerie name ("franka_emika_panda", or
-            "franka_emika_panda/panda_nohand" for another of its entry points), the path of an .xml or .urdf file, an MjSpec, or
-            an MjModel. An MjSpec or MjModel is copied and never changed. A compiled MjModel cannot get further elements: its
-            arm has no target marker unless the model has a mocap body named "target", and `hold_base`, `tool` and `scene` need
-            the MjSpec or the file.
+            "franka_emika_panda/panda_nohand" for another of its entry points), a name of the package robot_descriptions
+            ("panda_description"), the path of an .xml, .urdf or .xacro file, an MjSpec, or an MjModel. An MjSpec or MjModel is
+            copied and never changed. A compiled MjModel cannot get further elements: its arm has no target marker unless the
+            model has a mocap body named "target", and `hold_base`, `tool`, `scene` and `srdf` need the MjSpec or the file.
         tip: The site, body or geom at the end of the chain. Left out, armctl finds the chain and its tip.
         tip_offset: The tip in that element's frame.
         base: The body the chain stands on: joints above it are held. Left out, the chain starts at the world.

@@ -39,6 +39,11 @@ def test_a_urdf_named_xml_is_a_urdf(load):
     assert arm.limits.tau_max == pytest.approx([40, 40])
 
 
+def test_a_part_of_an_mjcf_says_what_to_load(load):
+    with pytest.raises(armctl.ModelError, match=r"r\.xml: a part of an MJCF; load the file that includes it"):
+        load("<mujocoinclude><body/></mujocoinclude>", "r.xml")
+
+
 BOMB = "".join(f'<!ENTITY e{i} "{f"&e{i - 1};" * 10}">' for i in range(1, 12))
 
 

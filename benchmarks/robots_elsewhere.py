@@ -1,0 +1,119 @@
+"""Robots that others describe: which files of installed packages load, and how well the arms in them do.
+
+    python benchmarks/robots_elsewhere.py [--folder FOLDER ...] [--poses 50] [--limit 60]
+
+Every MJCF, URDF and xacro with a joint in the folders is loaded; without --folder, in the packages of this Python. Of several
+equally long chains the first is taken, and a free base is held.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import signal
+import sysconfig
+import time
+import warnings
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+
+import armctl
+from armctl.analysis.tables import Table
+from armctl.robot.parity import check_parity
+
+COLUMNS = ("file", "joints", "tip", "parity", "IK", "load, s", "warnings", "reason")
+_ENDINGS = (".urdf", ".xml", ".mjcf", ".xacro")
+_HEAD_CHARACTERS = 200_000  # of a file, in which its first joint is expected
+_SHOWN_CHARACTERS = 60
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one file; `kind` is "loaded", "no arm" for a file without a drivable joint, or "refused"."""
+
+    path: Path
+    kind: str
+    cells: tuple[str, ...]
+
+
+class TooSlowError(Exception):
+    """A file took longer than the limit."""
+
+
+def robot_files(folder: Path) -> list[Path]:
+    """The files below a folder that describe something with joints."""
+    return [path for path in sorted(folder.rglob("*")) if path.suffix.lower() in _ENDINGS and _has_joints(path)]
+
+
+def _has_joints(path: Path) -> bool:
+    try:
+        head = path.read_text(errors="replace")[:_HEAD_CHARACTERS]
+    except OSError:
+        return False
+    return "<joint" in head and ("<mujoco" in head or "<robot" in head)
+
+
+def load_any(path: Path) -> armctl.Arm:
+    """The arm of a file; the first of several equally long chains; with a held base if it is free."""
+    keywords: dict[str, object] = {}
+    for _ in range(3):
+        try:
+            return armctl.load(path, **keywords)
+        except armctl.ModelError as error:
+            choice = re.search(r"choose one with tip=: '([^']*)'", str(error))
+            if "hold_base=True" in str(error) and "hold_base" not in keywords:
+                keywords["hold_base"] = True
+            elif choice is not None and "tip" not in keywords:
+                keywords["tip"] = choice[1]
+            else:
+                raise
+    raise AssertionError("unreachable: each hint is followed once")
+
+
+def checked(path: Path, folder: Path, poses: int) -> Outcome:
+    """Loads a file; compares its models and solves poses of random configurations."""
+    name = str(path.relative_to(folder))[-_SHOWN_CHARACTERS:]
+    started = time.perf_counter()
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            arm = load_any(path)
+        seconds = time.perf_counter() - started
+        targets = [arm.fk(q) for q in arm.limits.random(arm.home, poses, np.random.default_rng(0))]
+        solved = sum(armctl.solve_ik(arm, target).ok for target in targets)
+        count = sum(issubclass(each.category, armctl.ArmctlWarning) for each in caught)
+        cells = (name, str(arm.n), arm.tip, f"{check_parity(arm):.0e}", f"{solved}/{poses}", f"{seconds:.2f}", str(count), "")
+        return Outcome(path, "loaded", cells)
+    except (armctl.ArmctlError, TooSlowError) as error:
+        kind = "no arm" if "no joints" in str(error) else "refused"
+        return Outcome(path, kind, (name, "", "", "", "", "", "", str(error)[-2 * _SHOWN_CHARACTERS :]))
+
+
+def _stop(_signal: int, _frame: FrameType | None) -> None:
+    raise TooSlowError("longer than the limit")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--folder", type=Path, nargs="+", default=[Path(sysconfig.get_path("purelib"))])
+    parser.add_argument("--poses", type=int, default=50)
+    parser.add_argument("--limit", type=int, default=60, help="seconds for each file")
+    args = parser.parse_args()
+    signal.signal(signal.SIGALRM, _stop)
+    outcomes = []
+    for folder in args.folder:
+        for path in robot_files(folder):
+            signal.alarm(args.limit)
+            outcomes.append(checked(path, folder, args.poses))
+            signal.alarm(0)
+    print(Table(COLUMNS, [outcome.cells for outcome in outcomes]).markdown())
+    counts = Counter(outcome.kind for outcome in outcomes)
+    print(f"\n{len(outcomes)} files: " + ", ".join(f"{count} {kind}" for kind, count in sorted(counts.items())))
+
+
+if __name__ == "__main__":
+    main()
