@@ -11,11 +11,10 @@ import numpy as np
 
 from armctl.collision import kernel
 from armctl.collision.geometry import Geometry, build_geometry, colliding_pairs, frames_above, is_convex
-from armctl.collision.hit import Hit
+from armctl.collision.interface import Hit, MovingJoints
 from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.validation import Array, BoolArray
 from armctl.mjmodel.queries import geom_owner_name, is_below, last_joint_above, name_of
-from armctl.robot.arm import Arm
 
 SAMPLES = 64
 _INTERVALS = 8192  # of one piece of a motion, at most
@@ -57,7 +56,7 @@ class CollisionChecker:
 
     def __init__(
         self,
-        arm: Arm,
+        arm: MovingJoints,
         qpos: Array | None = None,
         allow: Iterable[tuple[str, str]] = (),
         held: Mapping[int, int] | None = None,
@@ -65,7 +64,7 @@ class CollisionChecker:
         """Packs the geoms and learns which pairs always touch.
 
         Args:
-            arm: The arm.
+            arm: The arm, or several as one.
             qpos: (nq,) where everything is; home if left out. The arm's own part matters only for what is held.
             allow: Pairs of names of bodies or geoms that may touch.
             held: Bodies that the arm carries, and the body that carries each.

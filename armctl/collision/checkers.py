@@ -8,6 +8,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from armctl.collision.interface import MovingJoints
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, IntArray, shown
 from armctl.mjmodel.queries import last_joint_above
@@ -29,11 +30,11 @@ def geom_owners(arm: Arm) -> IntArray:
     return np.array(last_joint_above(arm.model, arm.joint_map.joints), np.int64)[arm.model.geom_bodyid]
 
 
-_checkers: WeakKeyDictionary[Arm, CollisionChecker] = WeakKeyDictionary()
+_checkers: WeakKeyDictionary[MovingJoints, CollisionChecker] = WeakKeyDictionary()
 
 
 def collision_checker(
-    arm: Arm,
+    arm: MovingJoints,
     qpos: Array | None = None,
     allow: Iterable[tuple[str, str]] = (),
     held: Mapping[int, int] | None = None,
@@ -41,7 +42,7 @@ def collision_checker(
     """A checker of an arm in its scene; with everything at home and nothing allowed or held, it is made once for each arm.
 
     Args:
-        arm: The arm.
+        arm: The arm, or several as one.
         qpos: As for `CollisionChecker`, like all that follow.
         allow: Pairs of names.
         held: Bodies that the arm carries.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 
 from armctl.collision.checkers import collision_checker
-from armctl.collision.hit import Hit
+from armctl.collision.interface import Hit
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number

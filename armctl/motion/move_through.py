@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -63,7 +65,26 @@ def move_through(arm: Arm, waypoints: ArrayLike, *, speed: float = 1.0) -> Joint
     return motion
 
 
-def through_waypoints(arm: Arm, points: Array) -> JointTrajectory:
+class TimedJoints(Protocol):
+    """Joints with names, limits and units: an arm, or several."""
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """The n joints."""
+        ...
+
+    @property
+    def limits(self) -> Limits:
+        """Their limits."""
+        ...
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """What each is measured in."""
+        ...
+
+
+def through_waypoints(arm: TimedJoints, points: Array) -> JointTrajectory:
     """As `move_through` without the torque limits, for checked points that differ from their neighbors."""
     search = WaypointSearch(points, arm.limits)
     stopping = search.stopping()
@@ -79,7 +100,7 @@ def _planned(arm: Arm, limits: Limits, search: WaypointSearch, candidate: Candid
     return None if motion is None else within_torque(arm, motion)
 
 
-def _timed(arm: Arm, limits: Limits, search: WaypointSearch, candidate: Candidate) -> JointTrajectory | None:
+def _timed(arm: TimedJoints, limits: Limits, search: WaypointSearch, candidate: Candidate) -> JointTrajectory | None:
     """The motion of a candidate within all limits but those of the torque; None as for `_planned`."""
     try:
         pieces = search.pieces(candidate)

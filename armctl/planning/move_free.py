@@ -19,7 +19,7 @@ from armctl.core.validation import Array, number, shown
 from armctl.ik import solve_ik
 from armctl.motion import JointTrajectory, move_j
 from armctl.motion.checks import planning_arm
-from armctl.motion.move_through import through_waypoints
+from armctl.motion.move_through import TimedJoints, through_waypoints
 from armctl.motion.torque_limits import within_torque
 from armctl.planning.path import find_path, sampling_bounds, shorten
 from armctl.robot.arm import Arm, check_arm
@@ -162,11 +162,12 @@ def _distance_at(checker: CollisionChecker, q: Array, what: str) -> float:
     if pair < 0:
         return np.inf
     if distance <= 0.0:
-        raise PlanError(f"{what}: {_overlap(checker, q, pair)}; move it apart or allow the contact")
+        raise PlanError(f"{what}: {overlap_in_words(checker, q, pair)}; move it apart or allow the contact")
     return distance
 
 
-def _overlap(checker: CollisionChecker, q: Array, pair: int) -> str:
+def overlap_in_words(checker: CollisionChecker, q: Array, pair: int) -> str:
+    """Which bodies of a pair overlap, and how deep."""
     first, second = checker.names(pair)
     depth = max(checker.depth(q, pair), 0.0)
     return f"{second} is {1e3 * depth:.1f} mm inside {first}"
@@ -182,7 +183,7 @@ def _goals(checker: CollisionChecker, arm: Arm, start: Array, goal: FreeGoal, rn
     distances: list[float] = []
     refusals: list[str] = []
     for candidate in _goal_list(arm, goal):
-        configurations, refusal = _configurations(arm, start, candidate, rng)
+        configurations, refusal = configurations_for(arm, start, candidate, rng)
         refusals += [refusal] if refusal else []
         for q in configurations:
             pair, distance = checker.nearest(q)
@@ -190,7 +191,7 @@ def _goals(checker: CollisionChecker, arm: Arm, start: Array, goal: FreeGoal, rn
                 found.append(q)
                 distances.append(distance if pair >= 0 else np.inf)
             else:
-                refusals.append(f"the goal cannot be reached without contact: {_overlap(checker, q, pair)}")
+                refusals.append(f"the goal cannot be reached without contact: {overlap_in_words(checker, q, pair)}")
     if not found:
         raise PlanError(refusals[0])
     order = np.argsort([np.linalg.norm(q - start) for q in found], kind="stable")
@@ -222,7 +223,9 @@ def _goal_list(arm: Arm, goal: FreeGoal) -> list[Pose | Target | Array]:
     return checked
 
 
-def _configurations(arm: Arm, start: Array, goal: Pose | Target | Array, rng: np.random.Generator) -> tuple[list[Array], str]:
+def configurations_for(
+    arm: Arm, start: Array, goal: Pose | Target | Array, rng: np.random.Generator
+) -> tuple[list[Array], str]:
     """Configurations for one goal, and why there is none."""
     if isinstance(goal, np.ndarray):
         return [goal], ""
@@ -248,7 +251,21 @@ def _is_free(checker: CollisionChecker, motion: JointTrajectory, clearance: floa
 
 
 def _timed(checker: CollisionChecker, arm: Arm, points: Array, clearance: float) -> JointTrajectory:
-    """The fastest smooth motion along a free path that is proved free, within the torques.
+    """The fastest smooth motion along a free path that is proved free, within the torques; at worst it stops at each point."""
+    motion = flowing_motion(checker, arm, points, clearance)
+    if motion is not None:
+        slowed = within_torque(arm, motion)
+        if slowed is motion or _is_free(checker, slowed, clearance):
+            return slowed
+    lines = [move_j(arm, a, b) for a, b in pairwise(points)]
+    stopping = reduce(JointTrajectory.then, lines)
+    if _is_free(checker, stopping, clearance):
+        return stopping
+    raise PlanError("the path is free, but no motion along it could be proved; try another seed or a smaller clearance")
+
+
+def flowing_motion(checker: CollisionChecker, arm: TimedJoints, points: Array, clearance: float) -> JointTrajectory | None:
+    """A smooth motion along a free path that is proved free, without regard to the torques; None if there is none.
 
     A smooth motion through the points of the path leaves its lines. Where it touches, a point of the line is added and the
     timing repeated; with enough points the motion follows the lines.
@@ -258,18 +275,11 @@ def _timed(checker: CollisionChecker, arm: Arm, points: Array, clearance: float)
         motion = through_waypoints(arm, np.array(waypoints))
         hit = checker.motion_hit(motion.knots, motion.coefficients, clearance)
         if hit is None:
-            slowed = within_torque(arm, motion)
-            if slowed is motion or _is_free(checker, slowed, clearance):
-                return slowed
-            break
+            return motion
         line, share = _nearest_line(waypoints, motion(hit.time).q)
         added = waypoints[line] + share * (waypoints[line + 1] - waypoints[line])
         waypoints.insert(line + 1, added)
-    lines = [move_j(arm, a, b) for a, b in pairwise(points)]
-    stopping = reduce(JointTrajectory.then, lines)
-    if _is_free(checker, stopping, clearance):
-        return stopping
-    raise PlanError("the path is free, but no motion along it could be proved; try another seed or a smaller clearance")
+    return None
 
 
 def _nearest_line(points: list[Array], q: Array) -> tuple[int, float]:

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TypeVar
 
+import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl.collision.checkers import collision_checker
 from armctl.control import ComputedTorque, Controller
-from armctl.core.errors import InputError, UnknownNameError
+from armctl.core.errors import InputError, ModelError, PlanError, UnknownNameError
 from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
 from armctl.core.target import Target
 from armctl.core.trajectory import Trajectory
-from armctl.core.validation import number, shown
+from armctl.core.validation import flag, number, shown
+from armctl.motion import JointTrajectory
+from armctl.planning.move_free import CLEARANCE_M, configurations_for
+from armctl.planning.team import ArmGroup, plan_together
 from armctl.robot.arm import Arm
 from armctl.sim.gripper import Gripper
 from armctl.sim.move import ControlledArms, PlannedMove, plan_to, read_controller
@@ -135,14 +140,25 @@ class Team:
         return self._arms.run(trajectories, number("dwell", dwell, 0.0))
 
     def move_to(
-        self, targets: Mapping[str, Pose | ArrayLike], *, speed: float = 1.0, settle_timeout: float = 1.0
+        self,
+        targets: Mapping[str, Pose | ArrayLike],
+        *,
+        speed: float = 1.0,
+        settle_timeout: float = 1.0,
+        avoid: bool = True,
+        allow: Iterable[tuple[str, str]] = (),
     ) -> dict[str, MoveResult]:
         """Moves each tip to a target of its own, all at once.
+
+        With `avoid` the motions are planned together, around everything in the way, and proved to touch neither each other
+        nor anything else. If there are no such motions, no arm moves, and every `reason` tells why.
 
         Args:
             targets: T_world_tip, or (3,) m if any orientation is accepted, by tip.
             speed: Fraction of the full speed, in (0, 1].
             settle_timeout: s that the arms may take to come to rest after the longest motion.
+            avoid: Whether to go around everything that is in the way, where it is now; otherwise each arm moves straight.
+            allow: Pairs of names of bodies or geoms that may touch.
 
         Returns:
             How it ended for each. An arm whose target cannot be reached holds its position, and its `reason` tells why.
@@ -154,8 +170,33 @@ class Team:
         """
         goals = {tip: Target.read(target) for tip, target in self._by_tip("targets", targets, "{tip: [0.4, 0, 0.3]}").items()}
         settle_timeout = number("settle_timeout", settle_timeout, 0.0)
-        moves = {tip: self._planned(tip, goal, speed) for tip, goal in goals.items()}
+        if flag("avoid", avoid):
+            moves = self._planned_together(goals, speed, allow)
+        else:
+            moves = {tip: self._planned(tip, goal, speed) for tip, goal in goals.items()}
         return self._arms.move(moves, settle_timeout)
+
+    def _planned_together(
+        self, goals: Mapping[str, Target], speed: float, allow: Iterable[tuple[str, str]]
+    ) -> dict[str, PlannedMove]:
+        """Moves of all arms that are proved together; refusals of all if there are none."""
+        if self._arms.stepper.diverged or not goals:
+            return {tip: self._planned(tip, goal, speed) for tip, goal in goals.items()}
+        group = ArmGroup.of(list(self.arms.values()), speed)
+        checker = collision_checker(group, np.array(self.data.qpos), allow)
+        starts = {tip: self._arms.start(tip) for tip in self.arms}
+        found = {
+            tip: configurations_for(self.arms[tip], starts[tip], goal, np.random.default_rng(0)) for tip, goal in goals.items()
+        }
+        solutions = {tip: configurations for tip, (configurations, _) in found.items() if configurations}
+        refusals = {tip: reason for tip, (_, reason) in found.items()}
+        motions: dict[str, JointTrajectory] = {}
+        try:
+            checker.require_provable()
+            motions = plan_together(checker, self.arms, starts, solutions, clearance=CLEARANCE_M, speed=speed, seed=0)
+        except (PlanError, ModelError) as error:
+            refusals |= {tip: str(error) for tip in solutions}
+        return {tip: PlannedMove(goal, motions.get(tip), refusals[tip]) for tip, goal in goals.items()}
 
     def _planned(self, tip: str, goal: Target, speed: float) -> PlannedMove:
         return self._arms.planned(goal, lambda: plan_to(self.arms[tip], goal, self._arms.start(tip), speed))

@@ -1,0 +1,52 @@
+"""What a collision checker takes and returns."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import mujoco
+
+from armctl.core.limits import Limits
+from armctl.core.validation import Array
+from armctl.robot.joint_map import JointMap
+
+
+class MovingJoints(Protocol):
+    """What a checker needs of an arm, or of several: the joints that move, their limits, and where everything is at home."""
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The compiled model."""
+        ...
+
+    @property
+    def joint_map(self) -> JointMap:
+        """The joints that move."""
+        ...
+
+    @property
+    def limits(self) -> Limits:
+        """Their limits."""
+        ...
+
+    @property
+    def home(self) -> Array:
+        """(n,) rad."""
+        ...
+
+    @property
+    def home_qpos(self) -> Array:
+        """(nq,)."""
+        ...
+
+
+class Hit(NamedTuple):
+    """A pair that is not known to be free.
+
+    Attributes:
+        pair: Its row in the checker's geometry.
+        time: s, when.
+    """
+
+    pair: int
+    time: float

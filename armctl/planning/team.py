@@ -1,0 +1,197 @@
+"""Several arms of one model to goals of their own at once, proved to touch neither each other nor anything else."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice, product
+from math import comb
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from armctl.core.errors import PlanError
+from armctl.core.limits import Limits
+from armctl.core.validation import Array
+from armctl.motion import JointTrajectory, check_torque, move_j
+from armctl.planning.move_free import MAX_SAMPLES, flowing_motion, overlap_in_words
+from armctl.planning.path import find_path, sampling_bounds, shorten
+from armctl.robot.actuation import Actuation
+from armctl.robot.arm import Arm
+from armctl.robot.joint_map import JointMap
+
+if TYPE_CHECKING:
+    from armctl.collision.checker import CollisionChecker
+
+_MAX_COMBINATIONS = 256  # of the solutions of all arms
+_MAX_ROOTS = 8
+_TORQUE_STRETCH = 1.05
+_MAX_STRETCHES = 60
+
+
+@dataclass(frozen=True, eq=False)
+class ArmGroup:
+    """Several arms as one: their joints one after another. It has what planning needs of an Arm.
+
+    Attributes:
+        model: The compiled model of all.
+        joint_names: The N joints.
+        joint_map: How they move all joints that are coupled to them.
+        limits: Their limits.
+        units: What each is measured in.
+        home: (N,) rad.
+        home_qpos: (nq,) the whole model at home.
+    """
+
+    model: mujoco.MjModel
+    joint_names: tuple[str, ...]
+    joint_map: JointMap
+    limits: Limits
+    units: tuple[str, ...]
+    home: Array
+    home_qpos: Array
+
+    @classmethod
+    def of(cls, arms: Sequence[Arm], speed: float = 1.0) -> ArmGroup:
+        """The group of some arms of one model, with the limits of a fraction of the full speed."""
+        actuation = Actuation.concatenated([arm.actuation for arm in arms])
+        return cls(
+            model=arms[0].model,
+            joint_names=actuation.joint_names,
+            joint_map=actuation.joint_map,
+            limits=actuation.limits.at_speed(speed),
+            units=actuation.units,
+            home=np.concatenate([arm.home for arm in arms]),
+            home_qpos=arms[0].home_qpos,
+        )
+
+
+def plan_together(
+    checker: CollisionChecker,
+    arms: Mapping[str, Arm],
+    starts: Mapping[str, Array],
+    solutions: Mapping[str, Sequence[Array]],
+    *,
+    clearance: float,
+    speed: float,
+    seed: int,
+) -> dict[str, JointTrajectory]:
+    """Motions of several arms that start at once and are proved together.
+
+    Each arm goes straight if all together are proved free. Otherwise one path is planned in the joint space of all arms.
+
+    Args:
+        checker: What may not be touched; its joints are those of all arms, in order.
+        arms: All arms by their tips.
+        starts: (n,) rad of each.
+        solutions: Configurations, each (n,) rad, of which some of the arms take one; the other arms stay.
+        clearance: m that the path keeps, as for `move_free`.
+        speed: Fraction of the full speed.
+        seed: Of the random samples.
+
+    Returns:
+        A motion for each arm that has solutions.
+
+    Raises:
+        PlanError: The arms touch something at the start or with every combination of solutions, or no path was found.
+    """
+    rng = np.random.default_rng(seed)
+    group = ArmGroup.of(list(arms.values()), speed)
+    start = np.concatenate([starts[tip] for tip in arms])
+    nearest, start_distance = checker.nearest(start)
+    if nearest >= 0 and start_distance <= 0.0:
+        raise PlanError(f"start: {overlap_in_words(checker, start, nearest)}; move it apart or allow the contact")
+    goals, goal_distance = _goals(checker, arms, starts, solutions)
+    clearance = min(clearance, 0.5 * start_distance, 0.5 * goal_distance)
+    columns = _columns(arms)
+    for goal in goals:
+        motions = {tip: move_j(arms[tip], starts[tip], goal[columns[tip]], speed=speed) for tip in solutions}
+        knots, coefficients = combined(motions, columns, start)
+        if checker.motion_hit(knots, coefficients, 0.5 * clearance) is None:
+            return motions
+    low, high = sampling_bounds(group.limits.q_min, group.limits.q_max, np.vstack([start, goals]))
+    found = find_path(checker, start, goals, low, high, clearance, rng, MAX_SAMPLES)
+    if found is None:
+        raise PlanError(
+            f"no collision-free path of the arms together found after {MAX_SAMPLES} samples; move one after the other"
+        )
+    points = shorten(checker, found.points, clearance, rng)
+    motion = flowing_motion(checker, group, points, 0.5 * clearance)
+    if motion is None:
+        raise PlanError("the path of the arms is free, but no motion along it could be proved; move one after the other")
+    return _within_torques({tip: _part(motion, arms[tip], columns[tip]) for tip in solutions}, arms)
+
+
+def combined(motions: Mapping[str, JointTrajectory], columns: Mapping[str, slice], start: Array) -> tuple[Array, Array]:
+    """Motions that start at once as one: knots (K + 1,) s, coefficients (K, 6, N). Joints without a motion stay at `start`."""
+    knots = np.unique(np.concatenate([[0.0, 1e-9], *(motion.knots for motion in motions.values())]))
+    coefficients = np.zeros((len(knots) - 1, 6, len(start)))
+    coefficients[:, 0] = start
+    for tip, motion in motions.items():
+        for k, begin in enumerate(knots[:-1]):
+            coefficients[k][:, columns[tip]] = _shifted(motion, float(begin))
+    return knots, coefficients
+
+
+def _shifted(motion: JointTrajectory, begin: float) -> Array:
+    """(6, n): the piece at a time, by powers of the time since then; standing after the end."""
+    if begin >= motion.duration:
+        standing = np.zeros(motion.coefficients.shape[1:])
+        standing[0] = motion(motion.duration).q
+        return standing
+    k = min(int(np.searchsorted(motion.knots, begin, side="right")), len(motion.knots) - 1) - 1
+    offset = begin - motion.knots[k]
+    piece = motion.coefficients[k]
+    powers = range(len(piece))
+    shift = np.array([[comb(j, i) * offset ** (j - i) if j >= i else 0.0 for j in powers] for i in powers])
+    return shift @ piece
+
+
+def _goals(
+    checker: CollisionChecker,
+    arms: Mapping[str, Arm],
+    starts: Mapping[str, Array],
+    solutions: Mapping[str, Sequence[Array]],
+) -> tuple[Array, float]:
+    """(g, N) combinations of the arms' solutions that touch nothing, the nearest first, and the distance of the freest."""
+    choices = [solutions.get(tip, [starts[tip]]) for tip in arms]
+    start = np.concatenate([starts[tip] for tip in arms])
+    candidates = [np.concatenate(parts) for parts in islice(product(*choices), _MAX_COMBINATIONS)]
+    candidates.sort(key=lambda q: float(np.linalg.norm(q - start)))
+    free: list[Array] = []
+    distances: list[float] = []
+    for q in candidates:
+        pair, distance = checker.nearest(q)
+        if pair < 0 or distance > 0.0:
+            free.append(q)
+            distances.append(distance)
+        if len(free) == _MAX_ROOTS:
+            break
+    if not free:
+        pair, _ = checker.nearest(candidates[0])
+        words = overlap_in_words(checker, candidates[0], pair)
+        raise PlanError(f"the goals cannot be reached together without contact: {words}")
+    return np.array(free), max(distances)
+
+
+def _columns(arms: Mapping[str, Arm]) -> dict[str, slice]:
+    """Which of all joints are an arm's."""
+    ends = np.cumsum([arm.n for arm in arms.values()]).tolist()
+    return {tip: slice(end - arm.n, end) for (tip, arm), end in zip(arms.items(), ends, strict=True)}
+
+
+def _part(motion: JointTrajectory, arm: Arm, columns: slice) -> JointTrajectory:
+    """One arm's part of a motion of all."""
+    coefficients = np.ascontiguousarray(motion.coefficients[:, :, columns])
+    return JointTrajectory(motion.knots, coefficients, arm.joint_names, arm.limits, units=arm.units)
+
+
+def _within_torques(motions: dict[str, JointTrajectory], arms: Mapping[str, Arm]) -> dict[str, JointTrajectory]:
+    """All motions slower by one factor, so that they stay together, until no motor saturates."""
+    for _ in range(_MAX_STRETCHES):
+        worst = max((check_torque(arms[tip], motion) for tip, motion in motions.items()), key=lambda check: check.ratio)
+        if worst.ok:
+            return motions
+        motions = {tip: motion.scaled(1 / _TORQUE_STRETCH) for tip, motion in motions.items()}
+    raise PlanError("the motors saturate however slowly the arms move; take a lighter payload or another path")
