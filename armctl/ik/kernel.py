@@ -494,7 +494,8 @@ def _turn_inside(chain, q):
 
 @njit
 def _unwind(chain, q0, q):
-    """Adds or removes whole turns of the hinges if that is nearer to q0 and inside the bounds."""
+    """Adds or removes whole turns of the hinges if that is nearer to q0 and inside the bounds. Returns whether q changed."""
+    changed = False
     for i in range(len(q)):
         period = chain[i, PERIOD]
         if period > 0:
@@ -502,6 +503,8 @@ def _unwind(chain, q0, q):
             while turns != 0 and not chain[i, LOW] <= q[i] + turns * period <= chain[i, HIGH]:
                 turns -= np.sign(turns)
             q[i] += turns * period
+            changed = changed or turns != 0
+    return changed
 
 
 @njit
@@ -547,55 +550,137 @@ def _is_promising(starts, free_solved, squared_error):
 
 
 @njit
-def search(chain, reach, targets, constraint, position_tolerance, orientation_tolerance, q0, first, last, seed, q, report):
-    """For each target descends from the starts `first` to `last` until one is solved; beyond the reach one start is enough.
+def _huge_distance(target, position):
+    """The distance of a target whose square overflows, in the unit of length."""
+    largest = 0.0
+    for r in range(3):
+        largest = max(largest, abs(position[r] - target[9 + r]))
+    total = 0.0
+    for r in range(3):
+        total += ((position[r] - target[9 + r]) / largest) ** 2
+    return min(largest * np.sqrt(total), MAX_LENGTH)
 
-    Start 0 is q (N, n), the others are random; whole turns are counted from q0. Fills q with the solutions, or else the best
-    configurations met, and `report` (SEARCH_ROWS, N): whether it is solved, the start after the last one used, the steps, and
-    whether q is far from q0 although the tip began near the target.
+
+@njit
+def residual(constraint, target, position, rotation):
+    """The errors of a tip (3,), (3, 3): in the unit of length, and in rad."""
+    squared = 0.0
+    squared_chord = 0.0
+    for r in range(3):
+        squared += (position[r] - target[9 + r]) ** 2
+        for k in range(3):
+            if constraint == POSE or constraint - FREE_X == k:
+                squared_chord += (rotation[r, k] - target[3 * r + k]) ** 2
+    distance = np.sqrt(squared) if squared < np.inf else _huge_distance(target, position)
+    return distance, 2.0 * np.arcsin(min(1.0, np.sqrt(squared_chord / (8.0 if constraint == POSE else 4.0))))
+
+
+@njit
+def _search_target(chain, reach, target, constraint, tolerance, orientation_tolerance, q0, first, last, seed, q, trial, work):
+    """Descends from the starts `first` to `last` until one is solved; beyond the reach one start is enough.
+
+    Start 0 is q, the others are random; whole turns are counted from q0. Fills q with the solution, or else the best
+    configuration met. `tolerance` is in reaches. Returns whether q is a solution, the start after the last one used, the steps,
+    whether q is far from q0 although the tip began near the target, and whether `work` holds the tip at q.
     """
+    n = len(q)
+    target = _aim(chain, reach, target, work)
+    best = np.inf
+    steps = 0
+    start = first
+    solved = False
+    near = False
+    free_solved = False
+    end = first + 1 if _beyond(chain, target, tolerance) else last
+    while start < end and not solved and _is_promising(start - first, free_solved, best):
+        if start == 0:
+            for i in range(n):
+                trial[i] = q[i]
+        else:
+            _random_start(chain, q0, start, seed, trial)
+        if start > 0 and start % 2 == 0:
+            solved, size, more = _descend(chain, FREE_LOW, target, constraint, tolerance, orientation_tolerance, trial, work)
+            steps += more
+            free_solved = free_solved or solved
+            _turn_inside(chain, trial)
+        solved, size, more = _descend(chain, LOW, target, constraint, tolerance, orientation_tolerance, trial, work)
+        steps += more
+        near = near or (start == 0 and work[len(work) - 1, FIRST_ERROR] < NEAR_TARGET_REACHES * NEAR_TARGET_REACHES)
+        start += 1
+        if solved or size < best:
+            best = size
+            for i in range(n):
+                q[i] = trial[i]
+    unwound = _unwind(chain, q0, q)
+    farthest = 0.0
+    for i in range(n):
+        farthest = max(farthest, abs(q[i] - q0[i]))
+    return solved, start, steps, near and farthest > JUMP_RAD, solved and not unwound
+
+
+@njit
+def search(chain, reach, targets, constraint, position_tolerance, orientation_tolerance, q0, first, last, seed, q, report):
+    """`_search_target` for each of N targets (N, 12), from q (N, n): fills q, and `report` (SEARCH_ROWS, N)."""
     n = q.shape[1]
     work = scratch(len(chain) - 1, n)
     trial = np.empty(n)
     tolerance = position_tolerance / reach
     for t in range(len(targets)):
-        target = _aim(chain, reach, targets[t], work)
-        best = np.inf
-        steps = 0
-        start = first
-        solved = False
-        near = False
-        free_solved = False
-        end = first + 1 if _beyond(chain, target, tolerance) else last
-        while start < end and not solved and _is_promising(start - first, free_solved, best):
-            if start == 0:
-                for i in range(n):
-                    trial[i] = q[t, i]
-            else:
-                _random_start(chain, q0[t], start, seed, trial)
-            if start > 0 and start % 2 == 0:
-                solved, size, more = _descend(
-                    chain, FREE_LOW, target, constraint, tolerance, orientation_tolerance, trial, work
-                )
-                steps += more
-                free_solved = free_solved or solved
-                _turn_inside(chain, trial)
-            solved, size, more = _descend(chain, LOW, target, constraint, tolerance, orientation_tolerance, trial, work)
-            steps += more
-            near = near or (start == 0 and work[len(work) - 1, FIRST_ERROR] < NEAR_TARGET_REACHES * NEAR_TARGET_REACHES)
-            start += 1
-            if solved or size < best:
-                best = size
-                for i in range(n):
-                    q[t, i] = trial[i]
-        _unwind(chain, q0[t], q[t])
-        farthest = 0.0
-        for i in range(n):
-            farthest = max(farthest, abs(q[t, i] - q0[t, i]))
+        solved, start, steps, jumped, _ = _search_target(
+            chain,
+            reach,
+            targets[t],
+            constraint,
+            tolerance,
+            orientation_tolerance,
+            q0[t],
+            first,
+            last,
+            seed,
+            q[t],
+            trial,
+            work,
+        )
         report[SOLVED, t] = 1 if solved else 0
         report[NEXT_START, t] = start
         report[ITERATIONS, t] = steps
-        report[JUMPED, t] = 1 if near and farthest > JUMP_RAD else 0
+        report[JUMPED, t] = 1 if jumped else 0
+
+
+@njit
+def search_one(chain, reach, rows, constraint, position_tolerance, orientation_tolerance, q0, last, seed, q):
+    """`search` for one target (4, 3), from q (n,), and the errors of its answer: all of a `solve_ik` call that succeeds.
+
+    It allocates its own scratch memory, so that threads share nothing. Fills q. Returns
+    whether q is a solution, whether it is far from q0 although the tip began near the target, the start after the last one
+    used, the steps, and the errors of position, m, and orientation, rad.
+    """
+    n = len(q)
+    joints = len(chain) - 1
+    work = scratch(joints, n)
+    trial = np.empty(n)
+    target = rows.reshape(12)
+    solved, start, steps, jumped, tip_is_known = _search_target(
+        chain,
+        reach,
+        target,
+        constraint,
+        position_tolerance / reach,
+        orientation_tolerance,
+        q0,
+        0,
+        last,
+        seed,
+        q,
+        trial,
+        work,
+    )
+    if not tip_is_known:
+        forward(chain, q, work)
+    for k in range(9, 12):
+        work[joints, k] *= reach
+    errors = residual(constraint, target, work[joints, 9:12], work[joints, :9].reshape(3, 3))
+    return solved, jumped, start, steps, errors[0], errors[1]
 
 
 @njit
@@ -700,32 +785,6 @@ def null_step(constraint, desired, low, high, step, work):
             for i in range(n):
                 step[i] = share * work[i, STEP]
             return
-
-
-@njit
-def _huge_distance(target, position):
-    """The distance of a target whose square overflows, in the unit of length."""
-    largest = 0.0
-    for r in range(3):
-        largest = max(largest, abs(position[r] - target[9 + r]))
-    total = 0.0
-    for r in range(3):
-        total += ((position[r] - target[9 + r]) / largest) ** 2
-    return min(largest * np.sqrt(total), MAX_LENGTH)
-
-
-@njit
-def residual(constraint, target, position, rotation):
-    """The errors of a tip (3,), (3, 3): in the unit of length, and in rad."""
-    squared = 0.0
-    squared_chord = 0.0
-    for r in range(3):
-        squared += (position[r] - target[9 + r]) ** 2
-        for k in range(3):
-            if constraint == POSE or constraint - FREE_X == k:
-                squared_chord += (rotation[r, k] - target[3 * r + k]) ** 2
-    distance = np.sqrt(squared) if squared < np.inf else _huge_distance(target, position)
-    return distance, 2.0 * np.arcsin(min(1.0, np.sqrt(squared_chord / (8.0 if constraint == POSE else 4.0))))
 
 
 @njit

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cache
 from types import ModuleType
 from typing import NamedTuple
-from weakref import WeakKeyDictionary
+from weakref import finalize
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,7 @@ from armctl.core.validation import Array, BoolArray, IntArray, choice, frozen, i
 from armctl.robot.arm import Arm, check_arm
 
 _FREE_AXES = {"x": 0, "y": 1, "z": 2}
-_MIN_TOLERANCE = 1e-12  # m or rad: below it rounding decides
+MIN_TOLERANCE = 1e-12  # m or rad: below it rounding decides
 _LIMIT_ROUNDING = 1e-9  # rad or m: a start that much outside the limits is moved to the limit
 
 
@@ -33,6 +33,8 @@ class PackedChain:
         unit: (n,) one unit of each joint of the arm: 1 rad, or the reach for a slide joint.
         has_slides: Whether there is a slide joint.
         limits: The arm's limits.
+        home: (n,) the arm's home, in the solver's units.
+        kernel: `armctl.ik.kernel`, which is faster to read here than to look up.
     """
 
     rows: Array
@@ -40,6 +42,8 @@ class PackedChain:
     unit: Array
     has_slides: bool
     limits: Limits
+    home: Array
+    kernel: ModuleType
 
     def to_units(self, q: Array) -> Array:
         """Configurations (N, n) in the solver's units."""
@@ -135,23 +139,33 @@ def read_problem(
     seed: int,
 ) -> Problem:
     """The problem of a call with targets (N, 12), checked; q0 is (n,), (N, n) or None for the arm's home."""
-    check_arm(arm)
-    if type(seed) is not int or seed < 0:
-        seed = integer("seed", seed, 0)
+    chain = packed_chain(arm)
     return Problem(
         arm,
-        packed_chain(arm),
+        chain,
         constraint,
         targets,
-        _read_starts(arm, q0, len(targets)),
-        number("position_tolerance", position_tolerance, _MIN_TOLERANCE),
-        number("orientation_tolerance", orientation_tolerance, _MIN_TOLERANCE),
-        seed % 2**63,
+        read_starts(arm, q0, len(targets)),
+        read_tolerance("position_tolerance", position_tolerance),
+        read_tolerance("orientation_tolerance", orientation_tolerance),
+        read_seed(seed),
     )
 
 
-def _read_starts(arm: Arm, q0: ArrayLike | None, count: int) -> Array:
-    """Where to start for each of `count` targets, (count, n)."""
+def read_tolerance(what: str, value: float) -> float:
+    """A checked tolerance, m or rad."""
+    return number(what, value, MIN_TOLERANCE)
+
+
+def read_seed(seed: int) -> int:
+    """A checked seed, as the kernels take it."""
+    if type(seed) is not int or seed < 0:
+        seed = integer("seed", seed, 0)
+    return seed % 2**63
+
+
+def read_starts(arm: Arm, q0: ArrayLike | None, count: int) -> Array:
+    """Where to start for each of `count` targets, (count, n), read-only."""
     if q0 is None:
         return arm.home[None] if count == 1 else np.broadcast_to(arm.home, (count, arm.n))
     try:
@@ -169,18 +183,21 @@ def _read_starts(arm: Arm, q0: ArrayLike | None, count: int) -> Array:
     outside = ~((rows >= lowest) & (rows <= highest)).all(axis=1)
     for row in rows[outside]:
         arm.checked("q0", row)
-    return arm.limits.clamp(rows)
+    return frozen(arm.limits.clamp(rows))
 
 
-_packed_chains: WeakKeyDictionary[Arm, PackedChain] = WeakKeyDictionary()
+# By id, because a look-up in a WeakKeyDictionary takes four times as long. An arm's entry ends with the arm.
+_packed_chains: dict[int, PackedChain] = {}
 
 
 def packed_chain(arm: Arm) -> PackedChain:
-    """The packed chain of an arm, made once for each arm."""
-    chain = _packed_chains.get(arm)
+    """The packed chain of an arm, made once for each arm; an InputError if it is no arm."""
+    chain = _packed_chains.get(id(arm))
     if chain is None:
+        check_arm(arm)
         chain = _pack(arm)
-        _packed_chains[arm] = chain
+        _packed_chains[id(arm)] = chain
+        finalize(arm, _packed_chains.pop, id(arm), None)
     return chain
 
 
@@ -210,7 +227,15 @@ def _pack(arm: Arm) -> PackedChain:
     rows[:n, kernel.PERIOD] = np.where(slides | moves_several_joints, 0.0, 2 * np.pi)
     rows[:n, kernel.FREE_LOW] = np.where(rows[:n, kernel.PERIOD] > 0, -np.inf, rows[:n, kernel.LOW])
     rows[:n, kernel.FREE_HIGH] = np.where(rows[:n, kernel.PERIOD] > 0, np.inf, rows[:n, kernel.HIGH])
-    return PackedChain(frozen(rows), reach, frozen(unit), bool(slides.any()), limits)
+    return PackedChain(
+        rows=frozen(rows),
+        reach=reach,
+        unit=frozen(unit),
+        has_slides=bool(slides.any()),
+        limits=limits,
+        home=frozen(arm.home / unit),
+        kernel=kernel,
+    )
 
 
 def _joint_transforms(displacements: Array, is_slide: BoolArray) -> Array:

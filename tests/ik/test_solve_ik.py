@@ -6,6 +6,7 @@ import subprocess
 import sys
 import warnings
 import weakref
+from concurrent.futures import ThreadPoolExecutor
 
 import mujoco
 import numpy as np
@@ -515,3 +516,38 @@ def test_solves_without_a_warning_where_no_folder_for_compiled_code_can_be_writt
     )
     done = run(code)
     assert (done.returncode, done.stdout.strip(), done.stderr) == (0, "True", "")
+
+
+@every_arm
+def test_the_compiled_call_measures_the_errors_that_the_arm_measures(name: str):
+    arm = arm_of(name)
+    for q in positions(arm, 20, seed=7):
+        target = target_of(arm, q)
+        result = solve_ik(arm, target)
+        tip = arm.fk(result.q)
+        errors = tip.distance(target) if isinstance(target, Pose) else (np.linalg.norm(tip.position - target), 0.0)
+        assert (result.position_error, result.orientation_error) == pytest.approx(errors, abs=1e-7 * packed_chain(arm).reach)
+
+
+@pytest.mark.parametrize("name", ["endless", "robot_arm_3dof"])
+def test_threads_share_nothing(name: str):
+    arm = arm_of(name)
+    targets = [target_of(arm, q) for q in positions(arm, 400, seed=8)]
+    alone = [solve_ik(arm, target) for target in targets]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda target: solve_ik(arm, target), targets))
+    for one, other in zip(alone, together, strict=True):
+        assert one.q.tobytes() == other.q.tobytes()
+        assert (one.position_error, one.iterations, one.starts) == (other.position_error, other.iterations, other.starts)
+
+
+def test_all_kinds_of_targets_and_starts_use_one_compiled_function():
+    arm = arm_of("endless")
+    pose = arm.fk(arm.home)
+    solve_ik(arm, pose)
+    compiled = list(kernel.search_one.signatures)
+    q0 = arm.home + 0.1
+    for start in (q0, list(q0), q0[None], np.repeat(q0, 2)[::2], np.float32(q0)):
+        for target in (pose, pose.position, list(pose.position), Target.read(pose)):
+            assert solve_ik(arm, target, start, seed=True + 1, position_tolerance=np.float64(1e-5)).ok
+    assert kernel.search_one.signatures == compiled
