@@ -39,6 +39,7 @@ from .core.trajectory import Trajectory as Trajectory
 from .design.excitation import excitation as excitation
 from .design.payload import PayloadEstimate as PayloadEstimate
 from .design.payload import identify_payload as identify_payload
+from .ik.all_solutions import solve_ik_all as solve_ik_all
 from .ik.batch import solve_ik_batch as solve_ik_batch
 from .ik.differential import DifferentialIk as DifferentialIk
 from .ik.result import IkBatch as IkBatch

@@ -72,7 +72,8 @@ def solve_ik_batch(
         finally:
             pool.shutdown(cancel_futures=True)
     in_order = [parts[i] for i in range(len(chunks))]
-    columns = {field.name: [getattr(part, field.name) for part in in_order] for field in fields(IkBatch)}
+    names = [field.name for field in fields(IkBatch) if field.name != "is_complete"]
+    columns = {name: [getattr(part, name) for part in in_order] for name in names}
     return IkBatch(**{name: frozen(np.concatenate(arrays)) for name, arrays in columns.items()})
 
 

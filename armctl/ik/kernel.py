@@ -80,6 +80,9 @@ MAX_STARTS_WITHOUT_FREE_SOLUTION = 110
 MAX_STARTS_FAR = 300
 FAR_ERROR = 0.03  # reaches
 
+EXACT = 1e-10  # reaches or rad: tolerance of the solutions that `find_all` compares with each other
+SAME_SOLUTION = 1e-3  # rad, or reaches: at a double root, EXACT leaves 1e-5
+
 MAX_REFINE_STEPS = 200
 REFINE_DAMPING = 0.1  # initial, relative to the error
 REFINE_CONVEX_DAMPING = 1e-2  # smallest that makes the Hessian definite, relative to the error
@@ -681,6 +684,101 @@ def search_one(chain, reach, rows, constraint, position_tolerance, orientation_t
         work[joints, k] *= reach
     errors = residual(constraint, target, work[joints, 9:12], work[joints, :9].reshape(3, 3))
     return solved, jumped, start, steps, errors[0], errors[1]
+
+
+@njit
+def _is_known(chain, q, known, count):
+    """Whether q is one of the first `count` rows of `known`, up to whole turns of the hinges."""
+    for k in range(count):
+        farthest = 0.0
+        for i in range(len(q)):
+            difference = q[i] - known[k, i]
+            if chain[i, PERIOD] > 0:
+                difference -= chain[i, PERIOD] * np.round(difference / chain[i, PERIOD])
+            farthest = max(farthest, abs(difference))
+        if farthest < SAME_SOLUTION:
+            return True
+    return False
+
+
+@njit
+def _add_solution(chain, target, constraint, tolerance, orientation_tolerance, q, known, count, work):
+    """Descends from q without bounds and appends the solution to `known` if it is new. Returns their number and the steps."""
+    solved, _, steps = _descend(chain, FREE_LOW, target, constraint, EXACT, EXACT, q, work)
+    if not solved:  # next to a singularity convergence is slow: an answer within the tolerances is a solution all the same
+        position_error, orientation_error = _linearize(chain, target, constraint, ROTATION_WEIGHT, 0.0, q, work)
+        solved = position_error <= tolerance and orientation_error <= orientation_tolerance
+    if solved and count < len(known) and not _is_known(chain, q, known, count):
+        for i in range(len(q)):
+            known[count, i] = q[i]
+        return count + 1, steps
+    return count, steps
+
+
+@njit
+def find_all(
+    chain,
+    whole,
+    reach,
+    target,
+    constraint,
+    position_tolerance,
+    orientation_tolerance,
+    q0,
+    begin,
+    bound,
+    patience,
+    quarters,
+    seed,
+    known,
+):
+    """Fills `known` (M, n) with distinct solutions, without regard to the bounds of hinges; their whole turns are arbitrary.
+
+    Descends from each row of `begin` (B, n); then from random configurations, in turns inside the bounds of `chain` and of
+    `whole`, whose hinges turn fully; and with `quarters` from every solution with one joint turned by quarters. It ends with
+    `bound` solutions, or when `patience` random starts in a row found nothing new. Returns the numbers of solutions, starts
+    and steps.
+    """
+    n = len(q0)
+    work = scratch(len(chain) - 1, n)
+    trial = np.empty(n)
+    goal = _aim(chain, reach, target, work)
+    tolerance = position_tolerance / reach
+    count = 0
+    starts = 0
+    steps = 0
+    fruitless = 0
+    turned = 0  # solutions whose joints have been turned
+    drawn = 0
+    bound = min(bound, len(known))
+    while count < bound and (fruitless < patience or (quarters and turned < count)):
+        before = count
+        if starts < len(begin):
+            trial[:] = begin[starts]
+            starts += 1
+            count, more = _add_solution(chain, goal, constraint, tolerance, orientation_tolerance, trial, known, count, work)
+            steps += more
+        elif fruitless < patience:
+            drawn += 1
+            _random_start(chain if drawn % 2 == 1 else whole, q0, 2 * drawn, seed, trial)
+            starts += 1
+            count, more = _add_solution(chain, goal, constraint, tolerance, orientation_tolerance, trial, known, count, work)
+            steps += more
+            fruitless = 0 if count > before else fruitless + 1
+        else:
+            for i in range(n):
+                for quarter in range(1, 4):
+                    if chain[i, PERIOD] > 0:
+                        trial[:] = known[turned]
+                        trial[i] += 0.25 * quarter * chain[i, PERIOD]
+                        starts += 1
+                        count, more = _add_solution(
+                            chain, goal, constraint, tolerance, orientation_tolerance, trial, known, count, work
+                        )
+                        steps += more
+            turned += 1
+            fruitless = 0 if count > before else fruitless
+    return count, starts, steps
 
 
 @njit

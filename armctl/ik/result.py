@@ -54,6 +54,7 @@ class IkBatch:
         reason: (N,) strings.
         iterations: (N,) int.
         starts: (N,) int.
+        is_complete: Whether the rows are proved to be all solutions of one target; only `solve_ik_all` sets it.
     """
 
     ok: BoolArray
@@ -63,6 +64,7 @@ class IkBatch:
     reason: TextArray
     iterations: IntArray
     starts: IntArray
+    is_complete: bool = False
 
     def __len__(self) -> int:
         return len(self.ok)

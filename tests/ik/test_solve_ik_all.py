@@ -1,0 +1,203 @@
+"""solve_ik_all: every branch is found and is a solution by MuJoCo's kinematics; `is_complete` is claimed only with a proof."""
+
+import mujoco
+import numpy as np
+import pytest
+
+import armctl
+from armctl import Arm, InputError, LimitError, Pose, solve_ik, solve_ik_all
+from armctl.collision.checkers import collision_checker
+from armctl.ik import solve_ik_batch
+
+LINK = """<body pos="{x:g} {y:g} {z:g}"><joint name="j{i}" axis="{axis}" range="{range}"/>
+<geom type="capsule" fromto="0 0 0 0.01 0.01 0.02" size="0.01" mass="1" contype="0" conaffinity="0"/>"""
+# Of each joint the position in the frame of the joint before, m, and its axis.
+CHAINS = {
+    "three parallel axes": [  # as a UR
+        ((0, 0, 0.089), "0 0 1"),
+        ((0, 0.136, 0), "0 1 0"),
+        ((0.425, -0.12, 0), "0 1 0"),
+        ((0.392, 0, 0), "0 1 0"),
+        ((0, 0.093, 0), "0 0 1"),
+        ((0, 0, -0.095), "0 1 0"),
+    ],
+    "a spherical wrist": [  # as a PUMA 560
+        ((0, 0, 0.67), "0 0 1"),
+        ((0, 0.244, 0), "0 1 0"),
+        ((0.432, -0.093, 0), "0 1 0"),
+        ((0.02, 0, 0.433), "0 0 1"),
+        ((0, 0, 0), "0 1 0"),
+        ((0, 0, 0), "0 0 1"),
+    ],
+    "no special axes": [
+        ((0, 0, 0.3), "0 0 1"),
+        ((0.1, 0.05, 0), "0 1 0.2"),
+        ((0.4, -0.1, 0), "0.1 1 0"),
+        ((0.1, 0, 0.3), "0 0.2 1"),
+        ((0.05, 0, 0.1), "0.1 1 0.3"),
+        ((0, 0.06, 0.05), "1 0 0.2"),
+    ],
+    "seven joints": [
+        ((0, 0, 0.3), "0 0 1"),
+        ((0, 0, 0), "0 1 0"),
+        ((0, 0, 0.3), "0 0 1"),
+        ((0.08, 0, 0), "0 1 0"),
+        ((-0.08, 0, 0.38), "0 0 1"),
+        ((0, 0, 0), "0 1 0"),
+        ((0.08, 0, 0), "0 0 1"),
+    ],
+}
+SIX_JOINTS = [name for name in CHAINS if name != "seven joints"]
+GENERIC = np.array([0.4, -0.9, 1.1, 0.5, 0.8, -0.3, 0.6])
+
+
+def arm_of(folder, name: str, bounds: str = "-3.1 3.1") -> Arm:
+    links = "".join(
+        LINK.format(x=x, y=y, z=z, i=i, axis=axis, range=bounds) for i, ((x, y, z), axis) in enumerate(CHAINS[name])
+    )
+    count = len(CHAINS[name])
+    motors = "".join(f'<motor joint="j{i}" ctrlrange="-200 200"/>' for i in range(count))
+    path = folder / "chain.xml"
+    path.write_text(
+        f"""<mujoco><compiler angle="radian"/><worldbody>{links}<site name="tip" pos="0.02 0.01 0.08"/>
+        {"</body>" * count}</worldbody><actuator>{motors}</actuator></mujoco>"""
+    )
+    return armctl.load(path)
+
+
+def mujoco_error(arm: Arm, q: np.ndarray, target: Pose) -> tuple[float, float]:
+    data = mujoco.MjData(arm.model)
+    data.qpos[:] = arm.qpos(q)
+    mujoco.mj_kinematics(arm.model, data)
+    T = Pose.from_rotation(data.xpos[arm.tip_body], data.xmat[arm.tip_body].reshape(3, 3)) @ arm.T_body_tip
+    return T.distance(target)
+
+
+def distance(q: np.ndarray, others: np.ndarray) -> float:
+    """The largest joint difference to the nearest of the others, up to whole turns."""
+    difference = np.abs(others - q)
+    return float(np.minimum(difference, 2 * np.pi - difference).max(axis=1).min())
+
+
+@pytest.mark.parametrize("name", ["three parallel axes", "a spherical wrist"])
+def test_an_arm_with_a_special_geometry_has_eight_solutions_and_they_are_proved_to_be_all(tmp_path, name: str):
+    arm = arm_of(tmp_path, name, "-6.2 6.2")
+    target = arm.fk(GENERIC[: arm.n])
+    found = solve_ik_all(arm, target)
+    assert found
+    assert len(found) == 8
+    assert found.is_complete
+    for k, q in enumerate(found.q):
+        off, turned = mujoco_error(arm, q, target)
+        assert off <= 1e-5
+        assert turned <= 1e-4
+        assert (off, turned) == pytest.approx((found.position_error[k], found.orientation_error[k]), abs=1e-7)
+        assert arm.limits.contains(q)
+        assert distance(q, np.delete(found.q, k, axis=0)) > 0.01
+    assert distance(GENERIC[: arm.n], found.q) < 1e-6
+
+
+@pytest.mark.parametrize("name", SIX_JOINTS)
+def test_all_that_five_thousand_random_starts_find_is_found(tmp_path, name: str):
+    arm = arm_of(tmp_path, name)
+    rng = np.random.default_rng(1)
+    for q in arm.limits.random(arm.home, 6, rng):
+        target = arm.fk(q)
+        starts = arm.limits.random(arm.home, 5000, rng)
+        tight = {"position_tolerance": 1e-9, "orientation_tolerance": 1e-9}
+        brute = solve_ik_batch(arm, [target] * len(starts), starts, **tight)
+        found = solve_ik_all(arm, target)
+        assert found
+        assert max(distance(one, found.q) for one in brute.q[brute.ok]) < 1e-3
+        assert distance(q, found.q) < 1e-3
+
+
+def test_a_general_chain_of_six_joints_has_more_than_eight_solutions_at_some_poses_and_none_is_proved(tmp_path):
+    arm = arm_of(tmp_path, "no special axes")
+    found = [solve_ik_all(arm, arm.fk(q)) for q in arm.limits.random(arm.home, 10, np.random.default_rng(2))]
+    assert all(found)
+    assert all(len(each) % 2 == 0 or not each.is_complete for each in found)
+    assert not any(each.is_complete for each in found if len(each) < 16)
+
+
+def test_limits_remove_solutions_and_whole_turns_are_no_solutions_of_their_own(tmp_path):
+    target = arm_of(tmp_path, "three parallel axes", "-6.2 6.2").fk(GENERIC[:6])
+    wide = solve_ik_all(arm_of(tmp_path, "three parallel axes", "-60 60"), target)
+    narrow_arm = arm_of(tmp_path, "three parallel axes", "-1.5 1.5")
+    narrow = solve_ik_all(narrow_arm, target)
+    assert len(wide) == 8
+    assert 1 <= len(narrow) < 8
+    assert narrow_arm.limits.contains(narrow.q)
+    inside = [q for q in wide.q if (np.abs(np.remainder(q + np.pi, 2 * np.pi) - np.pi) <= 1.5).all()]
+    assert len(narrow) == len(inside)
+
+
+def test_solutions_are_sorted_by_their_distance_from_q0_and_turned_towards_it(tmp_path):
+    arm = arm_of(tmp_path, "three parallel axes", "-20 20")
+    q0 = np.full(6, 7.0)
+    found = solve_ik_all(arm, arm.fk(GENERIC[:6]), q0=q0)
+    distances = np.linalg.norm(found.q - q0, axis=1)
+    assert len(found) == 8
+    assert (np.diff(distances) >= 0).all()
+    assert (np.abs(found.q - q0) <= np.pi + 1e-9).all()
+    assert len(solve_ik_all(arm, arm.fk(GENERIC[:6]), 3, q0)) == 3
+    assert np.array_equal(solve_ik_all(arm, arm.fk(GENERIC[:6]), 3, q0).q, found.q[:3])
+
+
+def test_an_arm_of_seven_joints_is_swept_over_its_self_motion(tmp_path):
+    arm = arm_of(tmp_path, "seven joints", "-2.8 2.8")
+    target = arm.fk(GENERIC)
+    found = solve_ik_all(arm, target, 256, GENERIC)
+    assert len(found) >= 64
+    assert not found.is_complete
+    assert max(mujoco_error(arm, q, target)[0] for q in found.q) <= 1e-5
+    assert arm.limits.contains(found.q)
+    assert np.abs(found.q[0] - GENERIC).max() < 1e-3
+    assert min(distance(q, np.delete(found.q, k, axis=0)) for k, q in enumerate(found.q)) > 1e-4
+    brute = solve_ik_batch(arm, [target] * 2000, arm.limits.random(arm.home, 2000, np.random.default_rng(0)))
+    assert max(distance(q, found.q) for q in brute.q[brute.ok]) < 0.6
+
+
+def test_a_point_is_reached_in_many_ways_by_six_joints(tmp_path):
+    arm = arm_of(tmp_path, "three parallel axes")
+    point = arm.fk(GENERIC[:6]).position
+    found = solve_ik_all(arm, point, 100)
+    assert 50 <= len(found) <= 100
+    assert np.linalg.norm(arm.fk_many(found.q)[0] - point, axis=1).max() <= 1e-5
+
+
+def test_without_a_solution_there_is_one_row_with_the_reason(tmp_path):
+    arm = arm_of(tmp_path, "a spherical wrist")
+    found = solve_ik_all(arm, Pose([3.0, 0.0, 0.0]))
+    assert not found
+    assert len(found) == 1
+    assert not found.is_complete
+    assert found.reason[0] == solve_ik(arm, Pose([3.0, 0.0, 0.0])).reason
+
+
+def test_solutions_in_contact_are_left_out():
+    arm = armctl.load("robot_arm_3dof")
+    contacts = collision_checker(arm)
+    touching = next(q for q in arm.limits.random(arm.home, 500, np.random.default_rng(0)) if contacts.at(q))
+    point = arm.fk(touching).position
+    anywhere = solve_ik_all(arm, point)
+    free = solve_ik_all(arm, point, avoid_collisions=True)
+    assert len([q for q in anywhere.q if not contacts.at(q)]) == (len(free) if free else 0)
+    assert free or "no solution without contact" in free.reason[0]
+
+
+def test_the_same_call_gives_the_same_bits(tmp_path):
+    arm = arm_of(tmp_path, "a spherical wrist")
+    first, second = (solve_ik_all(arm, arm.fk(GENERIC[:6])) for _ in range(2))
+    assert first.q.tobytes() == second.q.tobytes()
+    assert not first.q.flags.writeable
+
+
+def test_a_wrong_call_is_one_sentence():
+    arm = armctl.load("robot_arm_3dof")
+    with pytest.raises(InputError, match=r"^limit: 0 given, a number at least 1 wanted$"):
+        solve_ik_all(arm, [0.3, 0.2, 0.3], 0)
+    with pytest.raises(InputError, match=r"^target: 2 numbers given, 3 wanted$"):
+        solve_ik_all(arm, [0.3, 0.2])
+    with pytest.raises(LimitError, match=r"^q0: "):
+        solve_ik_all(arm, [0.3, 0.2, 0.3], q0=[9.0, 0.0, 0.0])
