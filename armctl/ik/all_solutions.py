@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from armctl.collision.checkers import collision_checker
 from armctl.core.target import TargetLike
-from armctl.core.validation import Array, BoolArray, IntArray, flag, frozen, integer
+from armctl.core.validation import Array, IntArray, flag, frozen, integer
 from armctl.ik.lm import TOLERANCE_SHARE
 from armctl.ik.problem import PackedChain, Problem, compiled, read_problem, read_target
 from armctl.ik.result import IkBatch, IkResult
@@ -151,7 +151,8 @@ def _sweep(problem: Problem, swept: tuple[int, ...], begin: Array, limit: int) -
     samples = max(MIN_SAMPLES, -(-limit // SOLUTIONS_PER_SAMPLE))
     joints = list(swept)
     q0 = chain.to_units(problem.q0)[0]
-    low, high = chain.rows[joints, kernel.LOW], chain.rows[joints, kernel.HIGH]
+    low = chain.rows[joints, kernel.LOW]
+    high = chain.rows[joints, kernel.HIGH]
     periodic = (chain.rows[joints, kernel.PERIOD] > 0) & (high - low > 2 * np.pi)
     unbounded = periodic | ~np.isfinite(high - low)
     low = np.where(unbounded, np.maximum(low, q0[joints] - np.pi), low)
@@ -237,7 +238,7 @@ def _inside_limits(problem: Problem, q: Array) -> Array:
     q = q + period * np.round((chain.to_units(problem.q0) - q) / turn)
     q = q - period * np.ceil(np.maximum(0.0, q - high) / turn)
     q = q + period * np.ceil(np.maximum(0.0, low - q) / turn)
-    inside: BoolArray = ((q >= low) & (q <= high)).all(axis=1)
+    inside = np.all((q >= low) & (q <= high), axis=1)
     return chain.limits.clamp(q[inside] * chain.unit)
 
 
@@ -284,7 +285,9 @@ def _jacobian(chain: PackedChain, constraint: int, q: Array) -> Array:
     kernel.forward(chain.rows, q, work)
     target = work[-2, :12].copy()
     target[9:] *= chain.reach
-    hessian, gradient, J = np.empty((n, n)), np.empty(n), np.empty((6, n))
+    hessian = np.empty((n, n))
+    gradient = np.empty(n)
+    J = np.empty((6, n))
     kernel.objective(chain.rows, chain.reach, target, constraint, 0.0, False, q, hessian, gradient, J, work)
     return J[:3] if constraint == kernel.POSITION else J
 

@@ -74,7 +74,7 @@ def solve_ik_batch(
     in_order = [parts[i] for i in range(len(chunks))]
     names = [field.name for field in fields(IkBatch) if field.name != "is_complete"]
     columns = {name: [getattr(part, name) for part in in_order] for name in names}
-    return IkBatch(**{name: frozen(np.concatenate(arrays)) for name, arrays in columns.items()})
+    return IkBatch(is_complete=False, **{name: frozen(np.concatenate(arrays)) for name, arrays in columns.items()})
 
 
 def _chunks(count: int, workers: int) -> list[IntArray]:

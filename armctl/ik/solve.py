@@ -121,7 +121,7 @@ def solve_ik(
     if chain.has_slides:
         q = chain.from_units(q)
     if position_error <= position_tolerance and orientation_error <= orientation_tolerance and (q0 is None or not jumped):
-        q.setflags(False)
+        q.setflags(write=False)
         return IkResult(True, q, position_error, orientation_error, "", iterations, next_start)  # by names: 0.2 us longer
     starts = read_starts(arm, q0, 1)
     problem = Problem(arm, chain, constraint, rows.reshape(1, 12), starts, position_tolerance, orientation_tolerance, seed)

@@ -104,8 +104,7 @@ def test_all_that_five_thousand_random_starts_find_is_found(tmp_path, name: str)
     for q in arm.limits.random(arm.home, 6, rng):
         target = arm.fk(q)
         starts = arm.limits.random(arm.home, 5000, rng)
-        tight = {"position_tolerance": 1e-9, "orientation_tolerance": 1e-9}
-        brute = solve_ik_batch(arm, [target] * len(starts), starts, **tight)
+        brute = solve_ik_batch(arm, [target] * len(starts), starts, position_tolerance=1e-9, orientation_tolerance=1e-9)
         found = solve_ik_all(arm, target)
         assert found
         assert max(distance(one, found.q) for one in brute.q[brute.ok]) < 1e-3
