@@ -2,6 +2,9 @@
 
 from .analysis.comparison import compare as compare
 from .analysis.comparison import out_and_back as out_and_back
+from .analysis.diagnose import Diagnosis as Diagnosis
+from .analysis.diagnose import Finding as Finding
+from .analysis.diagnose import diagnose as diagnose
 from .analysis.iso9283 import Iso9283 as Iso9283
 from .analysis.iso9283 import iso9283_cycles as iso9283_cycles
 from .analysis.plot import four_panels as four_panels

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import mujoco
@@ -74,15 +75,15 @@ def _add_motors(spec: mujoco.MjSpec, joints: list[mujoco.MjsJoint], driven: set[
         if joint.type not in _SCALAR or joint.name in driven or joint.name in followers:
             continue
         if not joint.name:
-            joint.name = _free_name(f"joint{joint.id}", taken)
+            joint.name = _free_name(taken)
         spec.add_actuator(name=f"motor of {joint.name}", target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         driven.add(joint.name)
         added.append(joint.name)
     return added
 
 
-def _free_name(wanted: str, taken: set[str]) -> str:
-    while wanted in taken:
-        wanted += "_"
-    taken.add(wanted)
-    return wanted
+def _free_name(taken: set[str]) -> str:
+    """A name for a nameless joint, which is added to those taken."""
+    name = next(name for number in itertools.count() if (name := f"joint{number}") not in taken)
+    taken.add(name)
+    return name

@@ -150,7 +150,7 @@ def test_a_wrong_call_exits_2_with_one_sentence(capsys, argv: list[str], sentenc
         (BROKEN, "MuJoCo cannot read it"),
         ("not xml at all", "MuJoCo cannot read it"),
         ("<mujoco/>", "no arm: the model has no joints"),
-        ("<mujoco><worldbody><body><joint/><geom size='.1'/></body></worldbody></mujoco>", "has an actuator"),
+        ("<mujoco><worldbody><body><joint type='ball'/><geom size='.1'/></body></worldbody></mujoco>", "has an actuator"),
         ("<mujoco><worldbody><body><freejoint name='f'/><geom size='.1'/></body></worldbody></mujoco>", "no arm"),
     ],
 )

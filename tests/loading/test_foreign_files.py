@@ -207,3 +207,9 @@ def test_what_xacrodoc_raises_is_one_sentence(load, monkeypatch: pytest.MonkeyPa
     with_xacrodoc(monkeypatch, fail)
     with pytest.raises(armctl.ModelError, match="xacrodoc cannot expand it: package 'arms' not found"):
         load(XACRO, "r.xacro")
+
+
+@pytest.mark.filterwarnings("ignore:r. (no torque limit|no actuator)")
+def test_a_nameless_joint_without_an_actuator_gets_a_name_and_a_motor(load):
+    nameless = mjcf(limb("a b c").replace('name="b" ', "").replace('name="c" ', 'name="joint0" '))
+    assert load(nameless, "r.xml").joint_names == ("a", "joint1", "joint0")

@@ -1,0 +1,225 @@
+"""What is doubtful in a robot's file, and what to write into it."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from armctl.core.errors import ArmctlWarning, ModelError
+from armctl.core.validation import Array
+from armctl.loading.load import load
+from armctl.mjmodel.queries import body_name, joint_name
+from armctl.robot.arm import Arm
+
+_POSES = 300  # random configurations in which the torque limits are compared with gravity
+_MAX_OWN_WEIGHTS = 5.0  # an arm that could hold more than so many times its own mass has doubtful torque limits
+_MAX_MASS_RATIO = 1000.0  # greatest mass of a link over the smallest
+
+_SEVERITIES = ("error", "warning", "note")
+
+# What to write, by a phrase of the warning that armctl gives while it loads the file.
+_ADVICE = {
+    "left out: not found": "copy the meshes beside the file, or convert them to .stl or .obj",
+    "left out: MuJoCo reads": "convert the meshes to .stl or .obj",
+    "inertia of": 'correct <inertia ixx="..." ixy="..." .../> of these links from the CAD model',
+    "has no mass or no inertia": 'write <mass value="..."/> and <inertia .../> into the <inertial> of these links',
+    "no mass or inertia given": 'write <inertial><mass value="..."/><inertia .../></inertial> into these links',
+    "no inertial given": 'write <inertial><mass value="..."/><inertia .../></inertial> into these links',
+    "no torque limit given": 'write <limit effort="..."/> (URDF) or forcerange="..." (MJCF) from the data sheet',
+    "no actuator in the file": "add <actuator><motor joint=.../></actuator> for each joint",
+    "touch at home": "list the pairs in an SRDF, or as <contact><exclude .../></contact> (MJCF)",
+    "ends below its start": "exchange the two ends of the range",
+    "drag (": 'set density="0" viscosity="0" in <option>',
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is doubtful in a robot's file.
+
+    Attributes:
+        severity: "error" if the arm cannot work so, "warning" if results can be wrong, "note" for an assumption.
+        text: What was found.
+        advice: What to write or to give instead; empty if armctl knows none.
+    """
+
+    severity: str
+    text: str
+    advice: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.severity}: {self.text}" + (f"\n    {self.advice}" if self.advice else "")
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What `diagnose` found.
+
+    Attributes:
+        name: The robot.
+        findings: Errors first, then warnings, then notes.
+        payload: kg, the static payload at the tip that the torque limits hold in all but the worst 5 % of random
+            configurations; NaN if the robot could not be loaded.
+    """
+
+    name: str
+    findings: tuple[Finding, ...]
+    payload: float
+
+    @property
+    def ok(self) -> bool:
+        """Whether there is no error."""
+        return not self.reason
+
+    @property
+    def reason(self) -> str:
+        """The first error; empty if there is none."""
+        return next((finding.text for finding in self.findings if finding.severity == "error"), "")
+
+    def __bool__(self) -> bool:
+        return self.ok
+
+    def __str__(self) -> str:
+        counts = [(severity, sum(f.severity == severity for f in self.findings)) for severity in _SEVERITIES]
+        head = f"{self.name}: " + ", ".join(f"{n} {severity}" + ("" if n == 1 else "s") for severity, n in counts)
+        return "\n".join([head, *map(str, self.findings)])
+
+
+def diagnose(
+    robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel,
+    *,
+    tip: str | None = None,
+    base: str | None = None,
+    hold_base: bool = False,
+    srdf: str | os.PathLike[str] | None = None,
+) -> Diagnosis:
+    """Examines a robot's file: what is missing, impossible or assumed, and what to write.
+
+    Args:
+        robot: As for `load`.
+        tip: As for `load`.
+        base: As for `load`.
+        hold_base: As for `load`.
+        srdf: As for `load`.
+
+    Returns:
+        The findings. A file that does not load is a finding, too.
+
+    Raises:
+        InputError: An argument has a wrong type.
+        UnknownNameError: No robot, or nothing in the model, has that name.
+    """
+    name = os.path.basename(os.fspath(robot)) if isinstance(robot, (str, os.PathLike)) else "model"
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            arm = load(robot, tip=tip, base=base, hold_base=hold_base, srdf=srdf)
+        except ModelError as error:
+            return Diagnosis(name, (Finding("error", str(error)),), float("nan"))
+    texts = [str(each.message) for each in caught if issubclass(each.category, ArmctlWarning)]
+    capacity = _static_payloads(arm)
+    found = [Finding("warning", text, _advice(text)) for text in texts]
+    found += _torque_findings(arm, capacity)
+    found += _contact_findings(arm)
+    found += _mass_findings(arm)
+    found += _assumptions(arm, is_tip_given=tip is not None)
+    found.sort(key=lambda finding: _SEVERITIES.index(finding.severity))
+    return Diagnosis(arm.name, tuple(found), float(np.percentile(capacity, 5)))
+
+
+def _advice(text: str) -> str:
+    return next((advice for phrase, advice in _ADVICE.items() if phrase in text), "")
+
+
+def _static_payloads(arm: Arm) -> Array:
+    """(k,) kg, the greatest point mass at the tip that the torque limits hold, in random configurations; below 0 if none.
+
+    Holding a mass m takes the torques g(q) + m c(q), where c = -J_v^T (gravity vector) is the torque for 1 kg.
+    """
+    payloads = []
+    for q in arm.limits.random(arm.home, _POSES, np.random.default_rng(0)):
+        own = arm.gravity(q)
+        per_kg = -arm.jacobian(q)[:3].T @ arm.model.opt.gravity
+        margin = arm.limits.tau_max - np.sign(per_kg) * own
+        with np.errstate(divide="ignore"):
+            payloads.append(float(np.min(np.where(per_kg == 0.0, np.inf, margin / np.abs(per_kg)))))
+        if np.any(np.abs(own) > arm.limits.tau_max):
+            payloads[-1] = -1.0
+    return np.array(payloads)
+
+
+def _torque_findings(arm: Arm, payloads: Array) -> Iterator[Finding]:
+    """Torque limits that are too weak or too strong for the arm."""
+    source = arm.sources["tau_max"]
+    home = arm.gravity(arm.home)
+    for name, torque, limit in zip(arm.joint_names, home, arm.limits.tau_max, strict=True):
+        if abs(torque) > limit:
+            text = f"holding {name} still at home takes {abs(torque):.3g}, and its torque limit is {limit:.3g} ({source})"
+            yield Finding("error", text, "correct the torque limit or the masses behind this joint")
+    weak = float(np.mean(payloads < 0))
+    if weak > 0:
+        text = f"the torque limits ({source}) cannot hold the arm itself in {100 * weak:.0f} % of random configurations"
+        yield Finding("warning", text, "compare effort or forcerange, and the masses, with the data sheet")
+    low, middle = np.percentile(payloads, [5, 50])
+    own = _moving_mass(arm)
+    if np.isfinite(low) and low > _MAX_OWN_WEIGHTS * own:
+        text = f"the torque limits ({source}) hold {low:.3g} kg at the tip of an arm of {own:.3g} kg"
+        yield Finding("warning", text, "these limits are doubtful; take them from the data sheet")
+    elif np.isfinite(middle) and low >= 0:
+        yield Finding("note", f"the torque limits ({source}) hold {low:.3g} kg at the tip (median {middle:.3g} kg)")
+
+
+def _moving_mass(arm: Arm) -> float:
+    """kg, the mass behind the first joint."""
+    return float(arm.model.body_subtreemass[arm.model.jnt_bodyid[arm.joint_map.joints[0]]])
+
+
+def _contact_findings(arm: Arm) -> Iterator[Finding]:
+    """Bodies that touch each other at home."""
+    model = arm.model
+    data = mujoco.MjData(model)
+    data.qpos[:] = arm.home_qpos
+    mujoco.mj_forward(model, data)
+    pairs = {tuple(sorted(int(model.geom_bodyid[g]) for g in contact.geom)) for contact in data.contact if contact.dist < 0}
+    for first, second in sorted(pairs):
+        text = f"{body_name(model, first)} and {body_name(model, second)} overlap at home"
+        yield Finding(
+            "warning", text, "write <contact><exclude body1=... body2=.../></contact>, or <disable_collisions> in an SRDF"
+        )
+
+
+def _mass_findings(arm: Arm) -> Iterator[Finding]:
+    """Masses that differ too much, and joints without rotor inertia."""
+    model = arm.model
+    joints = list(arm.joint_map.joints)
+    masses = {int(body): float(model.body_mass[body]) for body in model.jnt_bodyid[joints] if model.body_mass[body] > 0}
+    if masses and max(masses.values()) > _MAX_MASS_RATIO * min(masses.values()):
+        heavy = max(masses, key=masses.__getitem__)
+        light = min(masses, key=masses.__getitem__)
+        text = (
+            f"the masses of the links differ by more than {_MAX_MASS_RATIO:g} times: {masses[heavy]:.3g} kg of "
+            f"{body_name(model, heavy)}, {masses[light]:.3g} kg of {body_name(model, light)}"
+        )
+        yield Finding("warning", text, "check their units: kg, and meshes in m rather than mm")
+    bare = [joint_name(model, joint) for joint in joints if model.dof_armature[model.jnt_dofadr[joint]] == 0]
+    if bare:
+        text = f"no rotor inertia at {', '.join(bare):.200}: light links then react too fast to a torque"
+        yield Finding("note", text, 'write armature="gear^2 x rotor inertia" at these joints (MJCF)')
+
+
+def _assumptions(arm: Arm, is_tip_given: bool) -> Iterator[Finding]:
+    """What armctl chose because the file does not say it."""
+    if not is_tip_given:
+        yield Finding("note", f"the tip is {arm.tip!r:.80}, chosen by armctl", "tip= names another site or body")
+    assumed = [name for name, source in arm.sources.items() if source.startswith("default") or "default for" in source]
+    if assumed:
+        text = f"{', '.join(assumed)}: defaults, at least for some joints"
+        yield Finding("note", text, "a URDF's <limit velocity=...>, or arm.with_limits(...), sets them")
+    for note in arm.notes:
+        if ".srdf: " in note:
+            yield Finding("note", note)

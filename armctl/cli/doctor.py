@@ -1,0 +1,30 @@
+"""`armctl doctor ROBOT`: what is doubtful in a robot's file."""
+
+from __future__ import annotations
+
+import argparse
+
+from armctl.cli.common import DONE, NOT_REACHED, Commands, add_command, add_json, add_robot, print_result
+
+
+def add(commands: Commands) -> None:
+    """Adds the command to the parser."""
+    parser = add_command(commands, "doctor", run, "say what is missing, impossible or assumed in a robot's file")
+    add_robot(parser)
+    parser.add_argument("--tip", help="site, body or geom at the end of the chain")
+    parser.add_argument("--base", help="body the chain stands on")
+    parser.add_argument("--srdf", help="path of an SRDF")
+    parser.add_argument("--hold-base", action="store_true", help="hold a floating or walking robot at its keyframe")
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Runs the command."""
+    from dataclasses import asdict
+
+    from armctl.analysis.diagnose import diagnose
+
+    found = diagnose(args.robot, tip=args.tip, base=args.base, hold_base=args.hold_base, srdf=args.srdf)
+    payload = found.payload if found else None
+    print_result(args, str(found), {"name": found.name, "payload": payload, "findings": [asdict(f) for f in found.findings]})
+    return DONE if found else NOT_REACHED
