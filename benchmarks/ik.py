@@ -1,5 +1,6 @@
 """Inverse kinematics beside its peers: TRAC-IK and the Robotics Toolbox's `ik_LM`, taking turns on the same poses.
 
+Hot: each solver answers 250 poses in a row; cold: the solvers take turns call by call.
 Every answer is checked with MuJoCo's own kinematics and the joint limits. Prints the tables and writes them to
 `benchmarks/results/ik.md`, which the docs include. The peers are an extra, `pip install -e .[benchmark]`; one that is not
 installed is left out. `python benchmarks/ik.py --poses 200` is quick.
@@ -20,14 +21,16 @@ import armctl
 from armctl import Arm, Pose
 from armctl.analysis.tables import Table
 from armctl.core.jit import njit
-from armctl.ik import DifferentialIk, solve_ik, solve_ik_batch
+from armctl.ik import DifferentialIk, solve_ik, solve_ik_all, solve_ik_batch
 
 ARMS = ["panda", "ur5e", "iiwa14", "xarm7", "gen3"]
 POSITION_TOLERANCE, ORIENTATION_TOLERANCE = 1e-5, 1e-4
 TRAC_IK_BUDGET = 0.05
+TRAC_IK_EPSILON = POSITION_TOLERANCE / 3**0.5  # m, of each coordinate
 ROUNDS = 6  # of what another process on the machine may disturb for a while
 RACES = 3  # whose medians count: what disturbs one of them does not decide
-TURN = 250  # so that few calls are the first after another solver emptied the caches
+HOT_TURN = 250  # calls of a solver in a row: few are the first after another solver emptied the caches
+COLD_TURN = 1  # call by call: each call is the first after the other solvers, as in most programs
 RESULTS = Path(__file__).parent / "results" / "ik.md"
 
 Solver = Callable[[Pose], np.ndarray | None]
@@ -71,7 +74,7 @@ def trac_ik_solver(arm: Arm) -> Solver | None:
         import pytracik
     except ImportError:
         return None
-    solver = pytracik.TRAC_IK("base", "tip", urdf(arm), TRAC_IK_BUDGET, POSITION_TOLERANCE / 10, pytracik.SolveType.Speed)
+    solver = pytracik.TRAC_IK("base", "tip", urdf(arm), TRAC_IK_BUDGET, TRAC_IK_EPSILON, pytracik.SolveType.Speed)
 
     def solve(T: Pose) -> np.ndarray | None:
         w, x, y, z = T.quat
@@ -130,11 +133,11 @@ def poses(arm: Arm, count: int, at_limits: bool, rng: np.random.Generator) -> li
     return [arm.fk(q) for q in Q]
 
 
-def race(solvers: dict[str, Solver], judge: Judge, targets: list[Pose]) -> dict[str, Score]:
-    """Every solver on every target, in turns of TURN targets."""
+def race(solvers: dict[str, Solver], judge: Judge, targets: list[Pose], turn_length: int = HOT_TURN) -> dict[str, Score]:
+    """Every solver on every target, in turns of `turn_length` targets."""
     scores = {name: Score() for name in solvers}
-    for first in range(0, len(targets), TURN):
-        turn = targets[first : first + TURN]
+    for first in range(0, len(targets), turn_length):
+        turn = targets[first : first + turn_length]
         for name, solver in solvers.items():
             answers = []
             for target in turn:
@@ -200,6 +203,7 @@ def rates(arm: Arm, targets: list[Pose]) -> list[str]:
     for threads in [1, 2] * ROUNDS:
         rate[threads] = max(rate[threads], len(T) / seconds(solve_ik_batch, arm, T, threads=threads))
         plain[threads] = min(plain[threads], seconds(arithmetic, threads))
+    every = [seconds(solve_ik_all, arm, target) for target in targets[:50]]
     far = np.median([seconds(solve_ik, arm, Pose([3.0, 1.0, 1.0])) for _ in range(50)])
     edge = np.median([seconds(solve_ik, arm, pose) for pose in unreachable(arm, targets, np.random.default_rng(4))])
     rng, jumps = np.random.default_rng(5), 0
@@ -210,6 +214,7 @@ def rates(arm: Arm, targets: list[Pose]) -> list[str]:
         f"{rate[1]:.0f}",
         f"{rate[2] / rate[1]:.2f}",
         f"{plain[1] / plain[2]:.2f}",
+        f"{1e3 * np.median(every):.2f}",
         f"{1e3 * far:.2f}",
         f"{1e3 * edge:.2f}",
         f"{jumps} of 1000",
@@ -236,13 +241,14 @@ def main() -> None:
         for name in options.arms:
             print(misses(armctl.load(name), options.misses), flush=True)
         return
-    solver_columns = ["arm", "solver", "solved", "median ms", "p99 ms", "solved at joint limits"]
+    solver_columns = ["arm", "solver", "solved", "median ms", "p99 ms", "cold median ms", "solved at joint limits"]
     solver_rows = []
     rate_columns = [
         "arm",
         "batch, solves/s",
         "two threads, times",
         "plain arithmetic, times",
+        "all solutions, ms",
         "far out of reach, ms",
         "just out, ms",
     ]
@@ -256,13 +262,16 @@ def main() -> None:
         race(solvers, judge, poses(arm, 20, False, rng))  # compiles, warms caches
         targets = poses(arm, options.poses, False, rng)
         anywhere = [race(solvers, judge, targets) for _ in range(RACES)]
+        cold = race(solvers, judge, targets, COLD_TURN)
         at_limits = race(solvers, judge, poses(arm, options.limit_poses, True, rng))
         for label in solvers:
             limits = at_limits[label]
             figures = row([scores[label] for scores in anywhere])
-            solver_rows.append([name, label, *figures, f"{limits.solved} of {len(limits.times)}"])
+            solver_rows.append(
+                [name, label, *figures, f"{1e3 * np.median(cold[label].times):.3f}", f"{limits.solved} of {len(limits.times)}"]
+            )
         for label in makers.keys() - solvers.keys():
-            solver_rows.append([name, label, "not installed", "", "", ""])
+            solver_rows.append([name, label, "not installed", "", "", "", ""])
         rate_rows.append([name, *rates(arm, targets)])
     tables = Table(solver_columns, solver_rows), Table(rate_columns, rate_rows)
     text = "\n\n".join(table.markdown() for table in tables) + "\n"
