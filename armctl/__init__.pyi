@@ -40,8 +40,15 @@ from .core.target import Target as Target
 from .core.trajectory import Setpoint as Setpoint
 from .core.trajectory import Trajectory as Trajectory
 from .design.excitation import excitation as excitation
+from .design.frequency_response import FrequencyResponse as FrequencyResponse
+from .design.frequency_response import frequency_response as frequency_response
+from .design.linearization import linearize as linearize
+from .design.loop import Loop as Loop
+from .design.margins import Margins as Margins
+from .design.margins import margins as margins
 from .design.payload import PayloadEstimate as PayloadEstimate
 from .design.payload import identify_payload as identify_payload
+from .design.stability import LoopMargins as LoopMargins
 from .ik.all_solutions import solve_ik_all as solve_ik_all
 from .ik.batch import solve_ik_batch as solve_ik_batch
 from .ik.differential import DifferentialIk as DifferentialIk

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import io
 import json
 from collections.abc import Sequence
 from itertools import groupby
@@ -14,11 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from armctl.analysis.comparison import remarks
-from armctl.analysis.plot import COLORS, STYLE
 from armctl.analysis.report import Report, report_table, table
 from armctl.core import units
 from armctl.core.atomic import write_text
 from armctl.core.log import Log
+from armctl.core.plotting import COLORS, figure_svg
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -92,16 +91,7 @@ def _page(title: str, conditions: str, notes: Sequence[str], reports: Sequence[R
 
 def _svg(reports: Sequence[Report]) -> str:
     """A figure of runs on one plant: error over time, the torque nearest to its limit, the path of the tip."""
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(13, 4.2), layout="constrained")
-        _draw(figure, reports)
-        text = io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None})
-    svg = text.getvalue()
-    return svg[svg.index("<svg") :]
+    return figure_svg(lambda figure: _draw(figure, reports), (13, 4.2))
 
 
 def _draw(figure: Figure, reports: Sequence[Report]) -> None:

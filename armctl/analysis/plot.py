@@ -3,45 +3,23 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armctl.core import units
-from armctl.core.atomic import atomic_path, file_path
-from armctl.core.errors import InputError, NotInstalledError
+from armctl.core.errors import InputError
 from armctl.core.log import Log
+from armctl.core.plotting import COLORS, STYLE, finish_figure
 from armctl.core.target import TOLERANCE
 from armctl.core.validation import Array, instance, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-# The palette of Okabe and Ito (Color Universal Design, 2008), which colour-blind readers can tell apart.
-COLORS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8C6D00", "#000000", "#999999")
-STYLE: dict[Any, Any] = {
-    "axes.grid": True,
-    "axes.labelcolor": "#222222",
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "axes.titlesize": 10,
-    "axes.titlelocation": "left",
-    "axes.xmargin": 0.0,
-    "figure.titlesize": 11,
-    "font.size": 9,
-    "grid.alpha": 0.25,
-    "legend.fontsize": 8,
-    "legend.frameon": False,
-    "lines.linewidth": 1.5,
-    "lines.solid_capstyle": "round",
-    "savefig.dpi": 120,
-    "svg.hashsalt": "armctl",
-}
-ENDINGS = (".png", ".svg", ".pdf")
 
 _BOUND = {"color": "#555555", "linestyle": (0, (4, 3)), "linewidth": 0.9, "zorder": 1}
 _MIN_TIP_ERROR_SHOWN_M = 1e-9  # the axis is logarithmic
@@ -92,7 +70,7 @@ def four_panels(log: Log, path: str | os.PathLike[str] | None = None) -> Path | 
             f"{log.robot}, {log.controller}" + (f": {log.failure}" if log.failure else ""), fontweight="bold", x=0.01, ha="left"
         )
 
-    return _finish(draw, (10, 7), path)
+    return finish_figure(draw, (10, 7), path)
 
 
 def overlay(
@@ -115,7 +93,7 @@ def overlay(
         NotInstalledError: There is no screen for a window.
     """
     _check_overlay(logs, labels)
-    return _finish(lambda figure: _overlay(figure, logs, labels), (8, 6), path)
+    return finish_figure(lambda figure: _overlay(figure, logs, labels), (8, 6), path)
 
 
 def overlay_image(logs: Sequence[Log], labels: Sequence[str] | None = None) -> NDArray[np.uint8]:
@@ -174,34 +152,6 @@ def _check_overlay(logs: Sequence[Log], labels: Sequence[str] | None) -> None:
         raise InputError(f"labels: {shown(labels)} given, a list of texts wanted")
     if len(labels) != len(logs):
         raise InputError(f"labels: {len(labels)} given, {len(logs)} wanted, one for each log")
-
-
-def _finish(draw: Callable[[Figure], None], size: tuple[float, float], path: str | os.PathLike[str] | None) -> Path | None:
-    """Draws into a file or a window."""
-    if path is not None:
-        path = file_path("path", path, ENDINGS)
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    with matplotlib.rc_context(STYLE):
-        if path is None:
-            return _window(draw, size)
-        figure = Figure(figsize=size, layout="constrained")
-        draw(figure)
-        with atomic_path(path) as temporary:
-            figure.savefig(temporary, metadata={"Date": None} if path.suffix == ".svg" else None)
-    return path
-
-
-def _window(draw: Callable[[Figure], None], size: tuple[float, float]) -> None:
-    import matplotlib
-    import matplotlib.pyplot as plt
-    from matplotlib.backends.registry import BackendFilter, backend_registry
-
-    if matplotlib.get_backend().lower() not in backend_registry.list_builtin(BackendFilter.INTERACTIVE):
-        raise NotInstalledError("there is no screen for a window here; name a file to draw into, such as plot.png")
-    draw(plt.figure(figsize=size, layout="constrained"))
-    plt.show()
 
 
 def _lines(ax: Axes, t: Array, values: Array, reference: Array | None = None, names: tuple[str, ...] | None = None) -> None:

@@ -33,7 +33,8 @@ def add(commands: Commands) -> None:
 def run(args: argparse.Namespace) -> int:
     """Runs the command."""
     from armctl.analysis.describe import describe_end
-    from armctl.analysis.plot import ENDINGS, four_panels
+    from armctl.analysis.plot import four_panels
+    from armctl.core.plotting import ENDINGS
     from armctl.sim.simulation import Simulation
 
     log = Simulation(load_arm(args)).apply_ctrl(numbers("ctrl", args.ctrl), one_number("seconds", args.seconds))

@@ -18,7 +18,8 @@ DESIGN_PERIOD_S = 2e-3
 SAMPLED_CONFIGURATIONS = 64
 # rad/s^2. A motor that could accelerate its joint faster than this has a joint of negligible inertia.
 MAX_MOTOR_ACCELERATION = 1000.0
-# Damping x dt / inertia. This bound keeps the loop stable with a delay of two periods; without delay the bound would be 2.
+# Damping x dt / inertia. Without delay the bound would be 2; a joint alone is stable with a delay of two periods at this one.
+# An arm with light wrists bears less: `armctl.margins` measures it.
 MAX_DAMPING_PER_PERIOD = 0.25
 
 

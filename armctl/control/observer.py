@@ -12,7 +12,8 @@ from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 from armctl.robot.dynamics import Dynamics
 
-# rad. A faster low-pass diverges with a delay of two periods in addition to the observer's own delay of one.
+# rad. A faster low-pass diverges with a delay of two periods in addition to the observer's own delay of one. With light wrists
+# two periods can be too much at this bound, too: `armctl.margins` measures it.
 MAX_BANDWIDTH_TIMES_DT = 0.3
 
 

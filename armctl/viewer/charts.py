@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armctl.analysis.plot import COLORS
+from armctl.core.plotting import COLORS
 from armctl.core.target import TOLERANCE
 from armctl.core.validation import Array
 from armctl.sim.history import DURATION_S, Samples

@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 
 import armctl
 from armctl.analysis.comparison import compare, out_and_back
-from armctl.analysis.plot import COLORS, STYLE, overlay
+from armctl.analysis.plot import overlay
+from armctl.core.plotting import COLORS, STYLE
 from armctl.render import record, still
 
 HERE = Path(__file__).parent

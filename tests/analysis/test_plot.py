@@ -8,7 +8,8 @@ from arms import BUNDLED, arm_of
 from PIL import Image
 
 from armctl import InputError, Log, NotInstalledError, Simulation
-from armctl.analysis.plot import COLORS, four_panels, overlay, overlay_image
+from armctl.analysis.plot import four_panels, overlay, overlay_image
+from armctl.core.plotting import COLORS
 
 
 @pytest.fixture(scope="module")

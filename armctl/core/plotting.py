@@ -1,0 +1,81 @@
+"""One style for all plots, and figures as files, windows or SVG text. matplotlib is imported when the first plot is drawn."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from armctl.core.atomic import atomic_path, file_path
+from armctl.core.errors import NotInstalledError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# The palette of Okabe and Ito (Color Universal Design, 2008), which colour-blind readers can tell apart.
+COLORS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8C6D00", "#000000", "#999999")
+STYLE: dict[Any, Any] = {
+    "axes.grid": True,
+    "axes.labelcolor": "#222222",
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlesize": 10,
+    "axes.titlelocation": "left",
+    "axes.xmargin": 0.0,
+    "figure.titlesize": 11,
+    "font.size": 9,
+    "grid.alpha": 0.25,
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+    "lines.linewidth": 1.5,
+    "lines.solid_capstyle": "round",
+    "savefig.dpi": 120,
+    "svg.hashsalt": "armctl",
+}
+ENDINGS = (".png", ".svg", ".pdf")
+
+
+def finish_figure(
+    draw: Callable[[Figure], None], size: tuple[float, float], path: str | os.PathLike[str] | None
+) -> Path | None:
+    """Draws into a file or a window."""
+    if path is not None:
+        path = file_path("path", path, ENDINGS)
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(STYLE):
+        if path is None:
+            return _window(draw, size)
+        figure = Figure(figsize=size, layout="constrained")
+        draw(figure)
+        with atomic_path(path) as temporary:
+            figure.savefig(temporary, metadata={"Date": None} if path.suffix == ".svg" else None)
+    return path
+
+
+def _window(draw: Callable[[Figure], None], size: tuple[float, float]) -> None:
+    import matplotlib
+    import matplotlib.pyplot as plt
+    from matplotlib.backends.registry import BackendFilter, backend_registry
+
+    if matplotlib.get_backend().lower() not in backend_registry.list_builtin(BackendFilter.INTERACTIVE):
+        raise NotInstalledError("there is no screen for a window here; name a file to draw into, such as plot.png")
+    draw(plt.figure(figsize=size, layout="constrained"))
+    plt.show()
+
+
+def figure_svg(draw: Callable[[Figure], None], size: tuple[float, float]) -> str:
+    """Draws into an SVG element for an HTML page; the size is in inches."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=size, layout="constrained")
+        draw(figure)
+        text = io.StringIO()
+        figure.savefig(text, format="svg", metadata={"Date": None})
+    svg = text.getvalue()
+    return svg[svg.index("<svg") :]

@@ -1,0 +1,199 @@
+"""Frequency response: the sensitivity of one joint, measured in simulation with a multisine, beside its prediction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.control import Controller, State, controller_name
+from armctl.core.errors import InputError
+from armctl.core.trajectory import Setpoint
+from armctl.core.validation import Array, IntArray, integer
+from armctl.design.linearization import loop_at
+from armctl.design.state_space import ComplexArray
+from armctl.motion import JointTrajectory
+from armctl.robot.arm import Arm, check_arm
+from armctl.sim.move import read_controller
+from armctl.sim.plant import Plant, read_plant
+from armctl.sim.simulate import simulate
+
+_PERIOD_S = 2.0  # its inverse is the resolution in Hz
+_MEASURED_PERIODS = 6
+# Periods before these, in which the transient decays to this fraction if the limit permits.
+_MIN_SETTLING_PERIODS = 2
+_MAX_SETTLING_PERIODS = 20
+_TRANSIENT = 1e-6
+_LINES = 60
+_MIN_FREQUENCY_HZ = 1.0
+_MAX_FREQUENCY_SHARE = 0.8  # of the Nyquist frequency
+# Root mean square of the excitation, as a fraction of the torque limit. A small one keeps the arm in its linear range; where
+# measurements have noise, it has to be larger.
+_AMPLITUDE = 2e-4
+_AMPLITUDE_WITH_NOISE = 0.02
+_MIN_COHERENCE = 0.5
+_SEED = 0  # of the phases
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrequencyResponse:
+    """The sensitivity of one joint, measured and predicted. True if the measurement can be trusted.
+
+    Attributes:
+        ok: Whether the run was complete, no motor was saturated and the coherence is at least 0.5 at every frequency.
+        joint: The name of the joint.
+        frequency: (k,) rad/s.
+        measured: (k,) complex, the sensitivity S_ii from the simulation.
+        predicted: (k,) complex, from the linear loop.
+        coherence: (k,) in [0, 1], the share of the measured torque that follows from the excitation.
+        reason: Why it is not ok, in words; empty if it is.
+    """
+
+    ok: bool
+    joint: str
+    frequency: Array
+    measured: ComplexArray
+    predicted: ComplexArray
+    coherence: Array
+    reason: str
+
+    def __bool__(self) -> bool:
+        return self.ok
+
+    @property
+    def error(self) -> Array:
+        """(k,) the difference of measurement and prediction, relative to the prediction."""
+        return np.abs(self.measured - self.predicted) / np.abs(self.predicted)
+
+    def __str__(self) -> str:
+        if not self.ok:
+            return f"{self.joint}: {self.reason}"
+        return (
+            f"{self.joint}: |S| at most {np.abs(self.measured).max():.3f} measured, "
+            f"{np.abs(self.predicted).max():.3f} predicted; "
+            f"relative difference {np.median(self.error):.1e} median, {self.error.max():.1e} maximum; "
+            f"coherence at least {self.coherence.min():.4f}"
+        )
+
+
+class Excited:
+    """A controller whose torque at one joint is disturbed by a signal; it records what the controller commanded there.
+
+    A constant torque is added: the arm is at rest from the first tick, also if the controller does not compensate gravity.
+    """
+
+    def __init__(self, controller: Controller, holding_torque: Array, joint: int, signal: Array):
+        self.name = controller_name(controller)
+        self.commands: list[float] = []
+        self._controller = controller
+        self._holding_torque = holding_torque
+        self._offset: Array | None = None
+        self._joint = joint
+        self._signal = signal
+
+    def torque(self, state: State, setpoint: Setpoint) -> Array:
+        tau = np.array(self._controller.torque(state, setpoint), dtype=np.float64)
+        tick = len(self.commands)
+        if self._offset is None:
+            self._offset = self._holding_torque - tau
+        tau += self._offset
+        self.commands.append(float(tau[self._joint]))
+        tau[self._joint] += self._signal[tick % len(self._signal)]
+        return tau
+
+
+def frequency_response(
+    arm: Arm, controller: Controller | str, q: ArrayLike, joint: int | str, plant: Plant | None = None
+) -> FrequencyResponse:
+    """Measures the sensitivity of one joint in simulation, and predicts it from the linear loop.
+
+    The controller holds the arm at q while a multisine disturbs the torque of the joint: periods of 2 s, first until the
+    transient has decayed (at most 40 s), then six that are measured. Its size is 0.02 % of the torque limit, or 2 % if the
+    plant has noise. See Pintelon and Schoukens, System Identification: A Frequency Domain Approach (2012), chapter 2.
+
+    Args:
+        arm: The arm.
+        controller: A controller or its name.
+        q: (n,) rad, the configuration.
+        joint: The joint's name, or its index from the base.
+        plant: How the simulated arm differs from the model; by default it does not.
+
+    Returns:
+        Measurement, prediction and coherence at 60 frequencies or fewer.
+
+    Raises:
+        InputError: An argument has a wrong type, length or value.
+        LimitError: A position outside the limits.
+        ModelError: The controller fails, or no linear model describes it.
+        SimulationError: The controller failed in the simulation.
+        UnknownNameError: There is no such controller.
+    """
+    check_arm(arm)
+    law = read_controller(controller, arm)
+    q = arm.checked("q", q)
+    plant = read_plant(plant)
+    index = _joint_index(arm, joint)
+    loop = loop_at(arm, law, q, plant)
+    ticks = round(_PERIOD_S / loop.dt)
+    lines = _lines(ticks)
+    amplitude = _AMPLITUDE_WITH_NOISE if plant.encoder_noise or plant.velocity_noise else _AMPLITUDE
+    signal = _multisine(ticks, lines, amplitude * arm.limits.tau_max[index])
+    excited = Excited(law, loop.holding_torque, index, signal)
+    settling = _settling_periods(loop.margins().spectral_radius, ticks)
+    periods = settling + _MEASURED_PERIODS
+    log = simulate(arm, excited, standstill(arm, q, periods * ticks * loop.dt), plant, dwell=0.0)
+    frequency = np.asarray(2 * np.pi * lines / (ticks * loop.dt), dtype=np.float64)
+    predicted = loop.sensitivity(frequency)[:, index, index]
+    if log.failure or len(excited.commands) < periods * ticks:
+        nothing = np.full(len(lines), np.nan)
+        reason = log.failure or "the run was too short"
+        return FrequencyResponse(False, arm.joint_names[index], frequency, nothing.astype(complex), predicted, nothing, reason)
+    total = np.array(excited.commands[: periods * ticks]).reshape(periods, ticks) + signal
+    spectrum = np.fft.fft(total[settling:], axis=1)[:, lines]
+    excitation = np.fft.fft(signal)[lines]
+    measured = spectrum.mean(axis=0) / excitation
+    coherence = np.abs(spectrum.mean(axis=0)) ** 2 / (np.abs(spectrum) ** 2).mean(axis=0)
+    reason = ""
+    if (np.abs(log.tau_cmd) > log.tau_max).any():
+        reason = "a motor reached its torque limit"
+    elif log.contacts:
+        reason = f"the arm touched {log.contacts[0].other:.80}"
+    elif coherence.min() < _MIN_COHERENCE:
+        worst = int(coherence.argmin())
+        reason = f"the coherence is {coherence[worst]:.2f} at {frequency[worst] / (2 * np.pi):.3g} Hz"
+    return FrequencyResponse(not reason, arm.joint_names[index], frequency, measured, predicted, coherence, reason)
+
+
+def _joint_index(arm: Arm, joint: int | str) -> int:
+    if isinstance(joint, str):
+        if joint not in arm.joint_names:
+            raise InputError(f"joint: {arm.name} has no joint {joint!r:.80}; it has {', '.join(arm.joint_names):.200}")
+        return arm.joint_names.index(joint)
+    return integer("joint", joint, 0, arm.n - 1)
+
+
+def _settling_periods(spectral_radius: float, ticks: int) -> int:
+    decay = -np.log(min(spectral_radius, 1 - 1e-9)) * ticks  # in one period
+    return int(np.clip(np.ceil(-np.log(_TRANSIENT) / decay), _MIN_SETTLING_PERIODS, _MAX_SETTLING_PERIODS))
+
+
+def _lines(ticks: int) -> IntArray:
+    """The excited lines of the spectrum: geometric, whole multiples of 1 / period."""
+    highest = _MAX_FREQUENCY_SHARE * ticks / 2
+    return np.unique(np.round(np.geomspace(_MIN_FREQUENCY_HZ * _PERIOD_S, highest, _LINES)).astype(np.int64))
+
+
+def _multisine(ticks: int, lines: IntArray, amplitude: float) -> Array:
+    """(ticks,) N m, one period of sines with random phases and the given root mean square."""
+    phases = np.random.default_rng(_SEED).uniform(0.0, 2 * np.pi, len(lines))
+    angles = 2 * np.pi * np.arange(ticks)[:, None] * lines / ticks + phases
+    signal = np.sin(angles).sum(axis=1)
+    return amplitude * signal / np.std(signal)
+
+
+def standstill(arm: Arm, q: Array, duration: float) -> JointTrajectory:
+    """A trajectory that stays at q."""
+    coefficients = np.zeros((1, 6, arm.n))
+    coefficients[0, 0] = q
+    return JointTrajectory(np.array([0.0, duration]), coefficients, arm.joint_names, arm.limits)

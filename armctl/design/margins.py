@@ -1,0 +1,176 @@
+"""Margins of a controller over the workspace of an arm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import degrees, isfinite
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.control import Controller, controller_name
+from armctl.core.errors import InputError
+from armctl.core.validation import Array, frozen, integer, matrix, shown
+from armctl.design.linearization import loop_at
+from armctl.design.loop import Loop
+from armctl.design.stability import LoopMargins
+from armctl.robot.arm import Arm, check_arm
+from armctl.sim.move import read_controller
+from armctl.sim.plant import NOMINAL, Plant, read_plant
+
+_MAX_POSES = 10_000
+_SEED = 0  # of the random configurations; every controller is judged at the same ones
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WorstMargin:
+    """The worst value of one margin, and where it occurs.
+
+    Attributes:
+        value: The margin.
+        q: (n,) rad, the configuration.
+        plant: The plant, in words.
+    """
+
+    value: float
+    q: Array
+    plant: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Margins:
+    """The worst margins of an arm with a controller, over configurations and plants. True if the loop is stable in all of them.
+
+    Attributes:
+        ok: Whether the closed loop is stable everywhere.
+        robot: The name of the arm.
+        controller: The name of the controller.
+        dt: s, the control period of the plant with the least delay margin.
+        delay: The smallest delay margin, s.
+        gain: The smallest gain margin, a factor above 1.
+        phase: The smallest phase margin, rad.
+        peak_sensitivity: The largest Ms.
+        loops: How many loops were examined.
+        reason: Why it is not ok, in words; empty if it is.
+    """
+
+    ok: bool
+    robot: str
+    controller: str
+    dt: float
+    delay: WorstMargin
+    gain: WorstMargin
+    phase: WorstMargin
+    peak_sensitivity: WorstMargin
+    loops: int
+    reason: str
+
+    def __bool__(self) -> bool:
+        return self.ok
+
+    def __str__(self) -> str:
+        if not self.ok:
+            return f"{self.controller} on {self.robot}: {self.reason}"
+        return (
+            f"{self.controller} on {self.robot}, worst of {self.loops} loops: delay margin {1e3 * self.delay.value:.3g} ms, "
+            f"gain margin {self.gain.value:.3g}, phase margin {degrees(self.phase.value):.3g} deg, "
+            f"Ms {self.peak_sensitivity.value:.3g}"
+        )
+
+    def to_dict(self) -> dict[str, object]:
+        """All figures for JSON; an infinite margin is None.
+
+        Returns:
+            A dictionary of numbers, texts and lists.
+        """
+        figures: dict[str, object] = {
+            "ok": self.ok,
+            "reason": self.reason,
+            "robot": self.robot,
+            "controller": self.controller,
+            "dt": self.dt,
+            "loops": self.loops,
+        }
+        for name in ("delay", "gain", "phase", "peak_sensitivity"):
+            worst: WorstMargin = getattr(self, name)
+            value = worst.value if isfinite(worst.value) else None
+            figures[name] = {"value": value, "q": worst.q.tolist(), "plant": worst.plant}
+        return figures
+
+
+def margins(
+    arm: Arm,
+    controller: Controller | str,
+    poses: int | ArrayLike = 20,
+    plants: Sequence[Plant] = (),
+) -> Margins:
+    """Linearizes the loop of an arm and a controller at many configurations, and finds the worst margins.
+
+    Args:
+        arm: The arm.
+        controller: A controller or its name.
+        poses: Number of configurations: home and random ones, always the same; or the configurations themselves, (k, n) rad.
+        plants: The simulated plants; by default the one that does not differ from the model.
+
+    Returns:
+        The worst margins, and the configurations at which they occur.
+
+    Raises:
+        InputError: An argument has a wrong type or value.
+        LimitError: A configuration outside the limits.
+        ModelError: The controller fails at a configuration, or no linear model describes it.
+        UnknownNameError: There is no such controller.
+    """
+    check_arm(arm)
+    law = read_controller(controller, arm)
+    if not isinstance(plants, Sequence):
+        raise InputError(f"plants: {shown(plants)} given, a list of plants wanted, such as [armctl.Plant(payload=1.0)]")
+    loops = [loop_at(arm, law, q, read_plant(plant)) for plant in (plants or (NOMINAL,)) for q in configurations(arm, poses)]
+    return _worst(arm, law, loops)
+
+
+def configurations(arm: Arm, poses: int | ArrayLike) -> Array:
+    """(k, n) rad, the configurations at which a controller is judged: home and random ones, or the given ones, checked."""
+    if np.ndim(poses) > 0:
+        given = matrix("poses", poses, arm.n)  # type: ignore[arg-type]
+        if not len(given):
+            raise InputError("poses: no configuration given, at least one wanted")
+        return np.array([arm.checked("poses", q) for q in given])
+    count = integer("poses", poses, 1, _MAX_POSES)  # type: ignore[arg-type]
+    home = arm.limits.clamp(arm.home)
+    return np.vstack([home, arm.limits.random(home, count - 1, np.random.default_rng(_SEED))])
+
+
+def _worst(arm: Arm, law: Controller, loops: list[Loop]) -> Margins:
+    found = [loop.margins() for loop in loops]
+    unstable = [(loop, each) for loop, each in zip(loops, found, strict=True) if not each]
+    reason = ""
+    if unstable:
+        loop, first = unstable[0]
+        reason = f"{first.reason} at q = {loop.q.round(3).tolist()!s:.120}, plant {loop.plant:.80}"
+        if len(unstable) > 1:
+            reason += f", and in {len(unstable) - 1} more of {len(loops)} loops"
+    delays = [each.delay_margin for each in found]
+    return Margins(
+        ok=not unstable,
+        robot=arm.name,
+        controller=controller_name(law),
+        dt=loops[int(np.argmin(delays))].dt,
+        delay=_smallest(loops, delays),
+        gain=_smallest(loops, [each.gain_margin for each in found]),
+        phase=_smallest(loops, [each.phase_margin for each in found]),
+        peak_sensitivity=_largest_sensitivity(loops, found),
+        loops=len(loops),
+        reason=reason,
+    )
+
+
+def _smallest(loops: list[Loop], values: list[float]) -> WorstMargin:
+    i = int(np.argmin(values))
+    return WorstMargin(values[i], frozen(loops[i].q.copy()), loops[i].plant)
+
+
+def _largest_sensitivity(loops: list[Loop], found: list[LoopMargins]) -> WorstMargin:
+    i = int(np.argmax([each.peak_sensitivity for each in found]))
+    return WorstMargin(found[i].peak_sensitivity, frozen(loops[i].q.copy()), loops[i].plant)

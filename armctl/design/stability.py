@@ -1,0 +1,130 @@
+"""Margins of one linear loop: how much delay, gain and phase it bears, and its peak sensitivity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from math import inf, pi
+
+import numpy as np
+
+from armctl.core.validation import Array
+from armctl.design.state_space import ComplexArray, StateSpace
+
+_MIN_FREQUENCY = 0.3  # rad/s; below it, arms do not move
+_GRID_POINTS = 400
+_BISECTIONS = 40
+_MAX_GAIN = 100.0  # a larger gain margin is reported as infinite
+_GAIN_STEPS = 60  # between 1 and the largest gain, geometric
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopMargins:
+    """Margins of the loop of an arm and a controller at one configuration. True if the closed loop is stable.
+
+    Delay, gain and phase change in all joints at once. An unstable loop has margins of zero and an infinite peak sensitivity.
+
+    Attributes:
+        ok: Whether the closed loop is stable.
+        delay_margin: s, the smallest additional delay that makes it unstable; infinite if there is none.
+        gain_margin: The smallest factor above 1 on all torques that makes it unstable; infinite above 100.
+        phase_margin: rad, the smallest phase shift, lag or lead, that makes it unstable; infinite if there is none.
+        peak_sensitivity: Ms, the largest sensitivity of any joint at any frequency, with the loops of the other joints closed.
+        spectral_radius: The largest magnitude of an eigenvalue of the closed loop; below 1 if it is stable.
+        reason: Why it is not ok, in words; empty if it is.
+    """
+
+    ok: bool
+    delay_margin: float
+    gain_margin: float
+    phase_margin: float
+    peak_sensitivity: float
+    spectral_radius: float
+    reason: str
+
+    def __bool__(self) -> bool:
+        return self.ok
+
+
+def frequency_grid(dt: float, points: int = _GRID_POINTS) -> Array:
+    """(points,) rad/s, geometric, up to the Nyquist frequency of a control period dt in s."""
+    return np.geomspace(_MIN_FREQUENCY, (1 - 1e-6) * pi / dt, points)
+
+
+def loop_margins(loop: StateSpace, dt: float) -> LoopMargins:
+    """The margins of a strictly proper loop transfer function L with negative feedback, and a control period dt in s.
+
+    The loop is on the verge of instability where an eigenvalue of L(jw) is -1; see MacFarlane and Postlethwaite, "The
+    generalized Nyquist stability criterion and multivariable root loci" (1977).
+    """
+    radius = _spectral_radius(loop, 1.0)
+    if not radius < 1.0:
+        reason = f"the closed loop is unstable: an eigenvalue has the magnitude {radius:.4g}"
+        return LoopMargins(False, 0.0, 1.0, 0.0, inf, radius, reason)
+    frequencies = frequency_grid(dt)
+    transfer = loop.transfer(np.exp(1j * frequencies * dt))
+    sensitivity = np.linalg.inv(np.eye(transfer.shape[1]) + transfer)
+    delay_margin = inf
+    phase_margin = inf
+    for crossing in _unit_crossings(loop, dt, frequencies, transfer):
+        lag = (np.angle(crossing.eigenvalue) + pi) % (2 * pi)
+        delay_margin = min(delay_margin, lag / crossing.frequency)
+        phase_margin = min(phase_margin, lag, 2 * pi - lag)
+    return LoopMargins(
+        ok=True,
+        delay_margin=float(delay_margin),
+        gain_margin=_gain_margin(loop),
+        phase_margin=float(phase_margin),
+        peak_sensitivity=float(np.abs(np.diagonal(sensitivity, axis1=1, axis2=2)).max()),
+        spectral_radius=radius,
+        reason="",
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Crossing:
+    """A frequency, rad/s, at which an eigenvalue of the loop has the magnitude 1."""
+
+    frequency: float
+    eigenvalue: complex
+
+
+def _unit_crossings(loop: StateSpace, dt: float, frequencies: Array, transfer: ComplexArray) -> list[_Crossing]:
+    """All crossings of the unit circle. Sorted magnitudes are continuous, so eigenvalues need not be told apart on the way."""
+    magnitudes = np.sort(np.abs(np.linalg.eigvals(transfer)), axis=1)
+    outside = magnitudes > 1.0
+    intervals, ranks = np.nonzero(outside[1:] != outside[:-1])
+    low = frequencies[intervals].copy()
+    high = frequencies[intervals + 1].copy()
+    starts_outside = outside[intervals, ranks]
+    rows = np.arange(len(ranks))
+    for _ in range(_BISECTIONS if len(ranks) else 0):
+        middle = np.sqrt(low * high)
+        values = np.sort(np.abs(np.linalg.eigvals(loop.transfer(np.exp(1j * middle * dt)))), axis=1)
+        is_before = (values[rows, ranks] > 1.0) == starts_outside
+        low = np.where(is_before, middle, low)
+        high = np.where(is_before, high, middle)
+    if not len(ranks):
+        return []
+    eigenvalues = np.linalg.eigvals(loop.transfer(np.exp(1j * low * dt)))
+    nearest = np.abs(np.abs(eigenvalues) - 1.0).argmin(axis=1)
+    return [_Crossing(float(w), complex(e)) for w, e in zip(low, eigenvalues[rows, nearest], strict=True)]
+
+
+def _gain_margin(loop: StateSpace) -> float:
+    gains = np.geomspace(1.0, _MAX_GAIN, _GAIN_STEPS + 1)
+    for low, high in pairwise(gains.tolist()):
+        if _spectral_radius(loop, high) < 1.0:
+            continue
+        for _ in range(_BISECTIONS // 2):
+            middle = 0.5 * (low + high)
+            if _spectral_radius(loop, middle) < 1.0:
+                low = middle
+            else:
+                high = middle
+        return float(low)
+    return inf
+
+
+def _spectral_radius(loop: StateSpace, gain: float) -> float:
+    return float(np.abs(np.linalg.eigvals(loop.A - gain * loop.B @ loop.C)).max())

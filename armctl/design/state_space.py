@@ -1,0 +1,170 @@
+"""Discrete linear systems, and the linear model of any controller from its response to impulses."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.control import Controller, State, controller_name
+from armctl.core.errors import InputError, ModelError
+from armctl.core.trajectory import Setpoint
+from armctl.core.validation import Array
+from armctl.robot.arm import Arm
+from armctl.sim.stepper import checked_torque
+
+ComplexArray = NDArray[np.complex128]
+
+# Size of an impulse. The error of a central difference is of the order of the size squared, that of rounding of its inverse.
+_POSITION_IMPULSE = 1e-4  # rad (m)
+_VELOCITY_IMPULSE = 1e-3  # rad/s (m/s)
+_HORIZONS_TICKS = (16, 128)  # length of an impulse response; the longer one is for controllers with long delay lines
+_RANK_TOLERANCE = 1e-7  # of singular values of the scaled Hankel matrix; rounding is below 1e-8
+_MAX_MODEL_ERROR = 1e-4  # relative; a controller that differs more from its linear model is not linear around this state
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StateSpace:
+    """A discrete linear system x[k + 1] = A x[k] + B u[k], y[k] = C x[k] + D u[k].
+
+    Attributes:
+        A: (k, k).
+        B: (k, inputs).
+        C: (outputs, k).
+        D: (outputs, inputs).
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+
+    def response(self, inputs: Array) -> Array:
+        """(T, outputs), the outputs for (T, inputs), from rest."""
+        outputs = np.empty((len(inputs), len(self.C)))
+        x = np.zeros(len(self.A))
+        for k, u in enumerate(inputs):
+            outputs[k] = self.C @ x + self.D @ u
+            x = self.A @ x + self.B @ u
+        return outputs
+
+    def transfer(self, z: ComplexArray) -> ComplexArray:
+        """(len(z), outputs, inputs), the transfer function C (z - A)^-1 B + D."""
+        identity = np.eye(len(self.A))
+        B = np.broadcast_to(self.B.astype(complex), (len(z), *self.B.shape))
+        return self.C @ np.linalg.solve(z[:, None, None] * identity - self.A, B) + self.D
+
+
+def linear_controller(arm: Arm, controller: Controller, q: Array, dt: float, continuous: bool) -> StateSpace:
+    """The linear model of a controller that holds an arm at q: from measured positions and velocities (2n) to torques (n).
+
+    The controller is called like in a simulation, on a copy of it, so its memory need not be known: the model follows from the
+    responses to an impulse in each measured signal, after Ho and Kalman (1966) in the balanced form of Kung (1978). At last the
+    model is compared with the controller on a random signal.
+
+    Raises:
+        InputError: The controller keeps its memory at a new start and cannot be copied.
+        ModelError: The controller fails at this state, or no linear model describes it.
+    """
+    run = _runs(arm, controller, q, dt, continuous)
+    error = np.inf
+    for horizon in _HORIZONS_TICKS:
+        model = _realization(_impulse_responses(run, arm.n, horizon))
+        error = _model_error(run, model, arm.n, 3 * horizon)
+        if error <= _MAX_MODEL_ERROR:
+            return model
+    raise ModelError(
+        f"{controller_name(controller):.80}: no linear model describes this controller at rest (relative error {error:.1g}); "
+        "its torque jumps, varies with time or is random"
+    )
+
+
+_Run = Callable[[Array], Array]
+
+
+def _runs(arm: Arm, controller: Controller, q: Array, dt: float, continuous: bool) -> _Run:
+    """A function that returns the torques (T, n) for deviations (T, 2n) of the measured state, each time from a fresh start."""
+    n = arm.n
+    rest = np.zeros(n)
+    setpoint = Setpoint(q, rest, rest, rest, rest)
+
+    def torques(law: Controller, deviations: Array) -> Array:
+        rows = np.empty((len(deviations), n))
+        for k, deviation in enumerate(deviations):
+            state = State(q + deviation[:n], deviation[n:].copy(), k * dt, dt, continuous)
+            try:
+                rows[k] = checked_torque(law.torque(state, setpoint), n)
+            except Exception as error:
+                name = controller_name(law)
+                raise ModelError(
+                    f"{name:.80}: the controller failed at q = {q.round(3).tolist()!s:.80}: {error!s:.80}"
+                ) from error
+        return rows
+
+    shared = {id(arm): arm}  # a copy of an arm takes long, and no controller changes it
+    try:
+        original = copy.deepcopy(controller, dict(shared))
+    except Exception:
+        original = None
+    law = controller if original is None else copy.deepcopy(original, dict(shared))
+    probe = np.full((4, 2 * n), _POSITION_IMPULSE)
+    if np.array_equal(torques(law, probe), torques(law, probe)):
+        return lambda deviations: torques(law, deviations)
+    if original is None:
+        raise InputError(
+            f"{controller_name(controller):.80}: the controller keeps its memory when state.t starts again at 0, and cannot be "
+            "copied; reset the memory if state.t is not one state.dt later than in the previous call"
+        )
+    return lambda deviations: torques(copy.deepcopy(original, dict(shared)), deviations)
+
+
+def _impulse_responses(run: _Run, n: int, horizon: int) -> Array:
+    """(horizon, n, 2n), the torques after a unit impulse in each measured signal."""
+    warm_up = horizon // 2  # until the first ticks after a start, which are different, have passed
+    responses = np.empty((horizon, n, 2 * n))
+    for column in range(2 * n):
+        size = _POSITION_IMPULSE if column < n else _VELOCITY_IMPULSE
+        deviations = np.zeros((warm_up + horizon, 2 * n))
+        deviations[warm_up, column] = size
+        difference = run(deviations) - run(-deviations)
+        responses[:, :, column] = difference[warm_up:] / (2 * size)
+    return responses
+
+
+def _realization(responses: Array) -> StateSpace:
+    """The smallest system with these impulse responses (horizon, outputs, inputs)."""
+    horizon, outputs, inputs = responses.shape
+    # All signals are scaled to the same size, so that one tolerance decides on the order.
+    by_output = 1 / np.maximum(np.abs(responses).max(axis=(0, 2)), np.finfo(float).tiny)
+    by_input = 1 / np.maximum((np.abs(responses) * by_output[:, None]).max(axis=(0, 1)), np.finfo(float).tiny)
+    scaled = responses * by_output[:, None] * by_input
+    blocks = (horizon - 1) // 2
+    rows = np.arange(blocks)[:, None]
+    columns = np.arange(blocks)
+    hankel = scaled[1 + rows + columns].transpose(0, 2, 1, 3).reshape(blocks * outputs, blocks * inputs)
+    shifted = scaled[2 + rows + columns].transpose(0, 2, 1, 3).reshape(blocks * outputs, blocks * inputs)
+    U, sizes, V = np.linalg.svd(hankel, full_matrices=False)
+    order = int((sizes > _RANK_TOLERANCE).sum())
+    root = np.sqrt(sizes[:order])
+    observability = U[:, :order] * root
+    reachability = root[:, None] * V[:order]
+    A = (U[:, :order] / root).T @ shifted @ (V[:order].T / root)
+    return StateSpace(
+        A=A, B=reachability[:, :inputs] / by_input, C=observability[:outputs] / by_output[:, None], D=responses[0].copy()
+    )
+
+
+def _model_error(run: _Run, model: StateSpace, n: int, ticks: int) -> float:
+    """The largest difference of controller and model on a random signal, relative to the largest torque of each joint."""
+    warm_up = ticks // 6
+    rng = np.random.default_rng(0)
+    sizes = np.repeat([_POSITION_IMPULSE, _VELOCITY_IMPULSE], n)
+    deviations = np.zeros((warm_up + ticks, 2 * n))
+    deviations[warm_up:] = sizes * rng.uniform(-1.0, 1.0, (ticks, 2 * n))
+    measured = 0.5 * (run(deviations) - run(-deviations))[warm_up:]
+    predicted = model.response(deviations[warm_up:])
+    size = np.abs(measured).max(axis=0)
+    return float((np.abs(measured - predicted).max(axis=0) / np.maximum(size, np.finfo(float).tiny)).max())

@@ -1,0 +1,227 @@
+"""The linear loop of an arm and any controller predicts its margins and its frequency response."""
+
+import math
+from collections import deque
+
+import numpy as np
+import pytest
+from instability import grows
+from synthetic import BENT, serial_arm
+
+import armctl
+from armctl.control import CONTROLLERS
+
+PLANT = armctl.Plant(timestep=0.004)
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    return serial_arm(tmp_path_factory.mktemp("planar"), BENT["planar"])
+
+
+class Filtered(armctl.PD):
+    """A PD whose velocity goes through a low-pass and whose torque is late: memory in a list, a deque and a float."""
+
+    def __init__(self, arm):
+        super().__init__(arm)
+        self.memory = {"v": np.zeros(arm.n)}
+        self.late = deque([np.zeros(arm.n)] * 2)
+        self.next_time = 0.0
+
+    def torque(self, state, setpoint):
+        if abs(state.t - self.next_time) > 0.5 * state.dt:
+            self.memory["v"] = np.zeros_like(state.v)
+            self.late = deque([np.zeros_like(state.v)] * 2)
+        self.next_time = state.t + state.dt
+        self.memory["v"] = 0.8 * self.memory["v"] + 0.2 * state.v
+        self.late.append(super().torque(state._replace(v=self.memory["v"]), setpoint))
+        return self.late.popleft()
+
+
+class Averaging(Filtered):
+    """It never resets its memory, and averages over the last twelve measurements in a ring."""
+
+    def __init__(self, arm):
+        super().__init__(arm)
+        self.ring = np.tile(np.concatenate([arm.home, np.zeros(arm.n)]), (12, 1))
+        self.row = 0
+
+    def torque(self, state, setpoint):
+        self.ring[self.row] = np.concatenate([state.q, state.v])
+        self.row = (self.row + 1) % len(self.ring)
+        q, v = np.split(self.ring.mean(axis=0), 2)
+        return self.stiffness * (setpoint.q - q) - self.damping * v
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_the_predicted_delay_margin_is_that_of_the_simulation_to_the_tick(arm, controller):
+    loop = armctl.linearize(arm, controller, arm.home, PLANT)
+    ticks = int(loop.margins().delay_margin / loop.dt)
+    assert not grows(arm, controller, loop, ticks)
+    assert grows(arm, controller, loop, ticks + 1)
+
+
+@pytest.mark.parametrize("shape", ["six joints", "redundant"])
+def test_the_delay_margin_is_exact_for_arms_of_many_joints(shape, tmp_path):
+    arm = serial_arm(tmp_path, BENT[shape])
+    loop = armctl.linearize(arm, "computed-torque-observer", arm.home, armctl.Plant(timestep=0.002))
+    ticks = int(loop.margins().delay_margin / loop.dt)
+    assert not grows(arm, "computed-torque-observer", loop, ticks)
+    assert grows(arm, "computed-torque-observer", loop, ticks + 1)
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_margins_agree_with_the_eigenvalues_of_the_closed_loop(arm, controller):
+    rng = np.random.default_rng(1)
+    for q in arm.limits.random(arm.home, 3, rng):
+        for dt in (0.001, 0.002, 0.004):
+            loop = armctl.linearize(arm, controller, q, armctl.Plant(timestep=dt))
+            found = loop.margins()
+            ticks = int(found.delay_margin / dt)
+            assert loop.delayed(ticks).margins().ok
+            assert not loop.delayed(ticks + 1).margins().ok
+            for factor, is_stable in ((0.999, True), (1.001, False)):
+                closed = loop.A - factor * found.gain_margin * loop.B @ loop.C
+                assert (np.abs(np.linalg.eigvals(closed)).max() < 1.0) == is_stable
+
+
+@pytest.mark.parametrize(
+    ("controller", "tolerance"),
+    [("pd", 1e-4), ("pid-gravity", 1e-4), ("computed-torque-observer", 1e-4), ("adaptive", 2e-3)],  # adaptation is bilinear
+)
+def test_the_measured_sensitivity_is_the_predicted_one(arm, controller, tolerance):
+    found = armctl.frequency_response(arm, controller, arm.home, 1, PLANT)
+    assert found.ok, found.reason
+    assert found.error.max() < tolerance
+    assert found.coherence.min() > 0.9999
+    assert np.abs(found.predicted).max() > 1.0
+
+
+@pytest.mark.parametrize("make", [Filtered, Averaging])
+def test_the_memory_of_any_controller_is_part_of_the_loop(arm, make):
+    loop = armctl.linearize(arm, make(arm), arm.home, PLANT)
+    assert len(loop.A) > 2 * arm.n
+    measured = armctl.frequency_response(arm, make(arm), arm.home, 0, PLANT)
+    assert measured.ok, measured.reason
+    assert measured.error.max() < 1e-3
+    assert measured.error.max() < 0.1 * error_without_memory(arm, measured)
+
+
+def error_without_memory(arm, measured):
+    """The error of a prediction that takes a filtering PD for a plain one."""
+    plain = armctl.linearize(arm, "pd", arm.home, PLANT).sensitivity(measured.frequency)[:, 0, 0]
+    return np.abs(measured.measured / plain - 1).max()
+
+
+def test_a_controller_keeps_its_memory(arm):
+    law = armctl.PIDGravity(arm)
+    z = np.zeros(arm.n)
+    armctl.linearize(arm, law, arm.home, PLANT)
+    fresh = armctl.PIDGravity(arm)
+    state = armctl.State(arm.home + 0.1, z, 0.0, 0.001)
+    setpoint = armctl.Setpoint(arm.home, z, z, z, z)
+    for k in range(3):
+        later = state._replace(t=k * 0.001)
+        assert np.array_equal(law.torque(later, setpoint), fresh.torque(later, setpoint))
+
+
+def test_a_delay_in_seconds_is_that_of_the_plant_in_ticks(arm):
+    late = armctl.linearize(arm, "computed-torque", arm.home, PLANT, delay=0.008)
+    plant = armctl.linearize(arm, "computed-torque", arm.home, armctl.Plant(timestep=0.004, delay=2))
+    none = armctl.linearize(arm, "computed-torque", arm.home, PLANT)
+    assert late.delay == plant.delay == 2
+    assert np.array_equal(late.A, plant.A)
+    assert late.margins().delay_margin == pytest.approx(none.margins().delay_margin - 0.008, abs=1e-9)
+    w = np.array([1.0, 30.0])
+    assert np.allclose(late.transfer(w), none.transfer(w) * np.exp(-1j * w * 0.008)[:, None, None])
+
+
+def test_the_compliance_at_low_frequency_is_that_of_the_springs(arm):
+    law = armctl.PDGravity(arm, stiffness=300.0, damping=20.0)
+    J = arm.jacobian(arm.home)[:3]
+    static = np.linalg.norm(J @ J.T / 300.0, 2)
+    assert armctl.linearize(arm, law, arm.home, PLANT).compliance([1e-3])[0] == pytest.approx(static, rel=1e-3)
+
+
+def test_an_unstable_loop_has_no_margins(arm):
+    loop = armctl.linearize(arm, armctl.PD(arm, damping=1e4, stiffness=0.0), arm.home, PLANT)
+    found = loop.margins()
+    assert not found
+    assert "unstable" in found.reason
+    assert found.delay_margin == 0.0
+    assert found.peak_sensitivity == math.inf
+    everywhere = armctl.margins(arm, armctl.PD(arm, damping=1e4, stiffness=0.0), poses=2)
+    assert not everywhere
+    assert "unstable" in everywhere.reason
+
+
+def test_the_worst_margins_name_their_configuration_and_plant(arm):
+    plants = [PLANT, armctl.Plant(timestep=0.004, payload=1.0)]
+    worst = armctl.margins(arm, "pd-gravity", 4, plants)
+    assert worst.ok
+    assert worst.loops == 8
+    assert len(str(worst)) > 20
+    for each, of in (
+        (worst.delay, lambda m: m.delay_margin),
+        (worst.gain, lambda m: m.gain_margin),
+        (worst.phase, lambda m: m.phase_margin),
+        (worst.peak_sensitivity, lambda m: m.peak_sensitivity),
+    ):
+        (plant,) = [p for p in plants if str(p) == each.plant]
+        assert of(armctl.linearize(arm, "pd-gravity", each.q, plant).margins()) == each.value
+    given = armctl.margins(arm, "pd-gravity", [arm.home], [PLANT])
+    assert given.delay.value >= worst.delay.value
+    assert given.to_dict()["delay"]["value"] == given.delay.value
+
+
+def test_python_control_computes_the_same_loop(arm):
+    control = pytest.importorskip("control", reason="python-control is an extra")
+    loop = armctl.linearize(arm, "pid-gravity", arm.home, PLANT, delay=0.004)
+    w = np.array([1.0, 20.0, 300.0])
+    answer = control.frequency_response(loop.to_control(), w).complex
+    assert np.allclose(np.moveaxis(answer, 2, 0), loop.transfer(w))
+
+
+def test_a_loop_is_drawn(arm, tmp_path):
+    picture = armctl.linearize(arm, "pd", arm.home, PLANT).plot(tmp_path / "loop.svg")
+    text = picture.read_text()
+    assert "Nyquist" in text or text.count("<path") > 20
+
+
+class Switching:
+    def torque(self, state, setpoint):
+        return 0.1 * np.sign(setpoint.q - state.q)
+
+
+class Broken:
+    def torque(self, state, setpoint):
+        raise RuntimeError("no data")
+
+
+def test_a_controller_without_a_linear_model_is_refused(arm):
+    with pytest.raises(armctl.ModelError, match="no linear model"):
+        armctl.linearize(arm, Switching(), arm.home)
+    with pytest.raises(armctl.ModelError, match="no data"):
+        armctl.linearize(arm, Broken(), arm.home)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda arm: armctl.linearize(arm, "pd", arm.home[:-1]),
+        lambda arm: armctl.linearize(arm, "pd", arm.home, delay=0.0001),
+        lambda arm: armctl.linearize(arm, "pd", arm.home, delay=-1.0),
+        lambda arm: armctl.linearize(arm, 3, arm.home),
+        lambda arm: armctl.linearize(arm, "pd", arm.home).sensitivity([0.0]),
+        lambda arm: armctl.linearize(arm, "pd", arm.home).delayed(-1),
+        lambda arm: armctl.margins(arm, "pd", 0),
+        lambda arm: armctl.margins(arm, "pd", plants=3),
+        lambda arm: armctl.margins(arm, "pd", plants=["nominal"]),
+        lambda arm: armctl.margins(arm, "pd", "many"),
+        lambda arm: armctl.frequency_response(arm, "pd", arm.home, "elbow"),
+        lambda arm: armctl.frequency_response(arm, "pd", arm.home, 3),
+    ],
+)
+def test_a_wrong_call_is_an_input_error(arm, call):
+    with pytest.raises(armctl.InputError):
+        call(arm)

@@ -1,0 +1,29 @@
+"""Whether the simulation of an arm at rest is unstable with a delay: a small deviation grows instead of decaying."""
+
+import numpy as np
+
+import armctl
+from armctl.control import controller_by_name
+from armctl.design.frequency_response import Excited, standstill
+from armctl.design.loop import Loop
+
+DEVIATION = 1e-6  # rad, small enough for the linear model
+
+
+def grows(arm: armctl.Arm, controller: str, loop: Loop, ticks: int) -> bool:
+    """Simulates a controller that holds the arm near a loop's configuration, with a delay of some ticks."""
+    radius = loop.delayed(ticks).margins().spectral_radius
+    steps = int(np.clip(8 / abs(np.log(radius)), 1000, 30000))
+    plant = armctl.Plant(timestep=loop.dt, delay=ticks)
+    held = Excited(controller_by_name(controller, arm), loop.holding_torque, 0, np.zeros(1))
+    sim = armctl.Simulation(arm, held, plant)
+    kick = np.random.default_rng(0).normal(size=arm.n) * DEVIATION
+    sim.reset(loop.q + kick)
+    log = sim.run(standstill(arm, loop.q, steps * loop.dt))
+    if log.failure:
+        return True
+    deviation = np.abs(log.q - loop.q).max(axis=1)
+    if deviation.max() > 1e4 * DEVIATION:
+        return True
+    quarter = len(deviation) // 4
+    return deviation[-quarter:].max() > deviation[quarter : 2 * quarter].max()
