@@ -5,6 +5,7 @@ from .analysis.comparison import out_and_back as out_and_back
 from .analysis.diagnose import Diagnosis as Diagnosis
 from .analysis.diagnose import Finding as Finding
 from .analysis.diagnose import diagnose as diagnose
+from .analysis.identification_page import identification_page as identification_page
 from .analysis.iso9283 import Iso9283 as Iso9283
 from .analysis.iso9283 import iso9283_cycles as iso9283_cycles
 from .analysis.plot import four_panels as four_panels
@@ -39,9 +40,13 @@ from .core.result import MoveResult as MoveResult
 from .core.target import Target as Target
 from .core.trajectory import Setpoint as Setpoint
 from .core.trajectory import Trajectory as Trajectory
+from .design.arm_estimate import ArmEstimate as ArmEstimate
+from .design.arm_estimate import Validation as Validation
+from .design.arm_excitation import Excitation as Excitation
 from .design.excitation import excitation as excitation
 from .design.frequency_response import FrequencyResponse as FrequencyResponse
 from .design.frequency_response import frequency_response as frequency_response
+from .design.identify import identify as identify
 from .design.linearization import linearize as linearize
 from .design.loop import Loop as Loop
 from .design.margins import Margins as Margins

@@ -6,7 +6,7 @@ import csv
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,8 +15,10 @@ import numpy as np
 
 from armctl.core.atomic import atomic_path, file_path
 from armctl.core.errors import ArmctlError, InputError
-from armctl.core.validation import Array, frozen, number, shown
+from armctl.core.log_csv import Columns, read_recording
+from armctl.core.validation import Array, frozen, instance, number, shown
 
+RECORDED = "recorded"  # the controller of a real robot's recording, which armctl does not know
 _ENDINGS = (".npz", ".csv")
 # The columns per joint, in the order of the .csv.
 _STATE = ("q", "v", "tau", "tau_cmd")
@@ -177,6 +179,71 @@ class Log:
         except Exception as error:  # damaged bytes raise whatever zipfile, zlib, NumPy or JSON run into
             raise InputError(f"{path}: no log that armctl wrote ({type(error).__name__}: {error!s:.120})") from None
 
+    @classmethod
+    def from_csv(
+        cls,
+        path: str | os.PathLike[str],
+        columns: Columns | None = None,
+        *,
+        units: Mapping[str, str] | None = None,
+        joint_names: Sequence[str] | None = None,
+        robot: str = "",
+    ) -> Log:
+        """Reads the recording of a real robot: time, joint positions and joint torques.
+
+        Time steps may be uneven, and rows may repeat: repeated rows are left out, and the others are interpolated on a grid of
+        the median time step. The velocity follows from the positions by a zero-phase filter; its cut-off is chosen from the
+        spectrum of the positions, and `plant` reports it. Columns of velocities are not read: robots filter and delay them.
+
+        Args:
+            path: The file: a first line with names, then numbers; separated by commas, semicolons or tabs.
+            columns: The columns of "t", "q" and "tau": a name, a list of names from the base to the tip, or a name in which "*"
+                stands for the number of the joint. The default is `{"t": "t", "q": "q*", "tau": "tau*"}`.
+            units: The units of "t" (s, ms, us, ns), "q" (rad, deg, m, mm) and "tau" (N m, mN m, N, N mm). The default is SI.
+            joint_names: The n joints, such as `arm.joint_names`; the names of the columns of q if left out.
+            robot: The name of the robot.
+
+        Returns:
+            The log. What the file does not contain (references, the tip) is NaN; torque limits are infinite.
+
+        Raises:
+            InputError: The file cannot be read, a column or unit is unknown, or the numbers are no recording.
+        """
+        instance("robot", robot, str, "give a name")
+        recording = read_recording(path, columns, units)
+        names = recording.joint_names if joint_names is None else tuple(joint_names)
+        if len(names) != len(recording.joint_names):
+            raise InputError(f"{path!s:.80}: {len(recording.joint_names)} joints are recorded, {len(names)} are named")
+        ticks, n = recording.q.shape
+        nothing = np.full((ticks, n), np.nan)
+        nowhere = np.full((ticks, 3), np.nan)
+        no_rotation = np.full((ticks, 4), np.nan)
+        return cls(
+            robot=robot,
+            controller=RECORDED,
+            joint_names=names,
+            dt=recording.dt,
+            tau_max=np.full(n, np.inf),
+            motion_duration=float(recording.t[-1]),
+            target=np.full(7, np.nan),
+            real_time_factor=1.0,
+            failure="",
+            t=recording.t,
+            q=recording.q,
+            v=recording.v,
+            q_ref=nothing,
+            v_ref=nothing,
+            a_ref=nothing,
+            tau=recording.tau,
+            tau_cmd=recording.tau,
+            tip=nowhere,
+            tip_quat=no_rotation,
+            tip_ref=nowhere,
+            tip_ref_quat=no_rotation,
+            plant=str(recording),
+            units=recording.units,
+        )
+
     def _save_csv(self, path: Path) -> None:
         header = ["t", *(f"{k}_{j}" for k in _PER_JOINT for j in self.joint_names)]
         header += [f"{k}_{axis}" for k in ("tip", "tip_ref") for axis in "xyz"]
@@ -228,7 +295,8 @@ def _check_arrays(arrays: Mapping[str, Array], n: int, dt: float) -> None:
         if column.dtype != np.float64 or column.shape != shape or len(nq) != 1:
             raise InputError(f"{name}: {column.dtype} of shape {column.shape}, float64 of shape {shape} wanted")
     for name in ("t", *_STATE, "tip", "tip_quat", "qpos"):
-        if not np.isfinite(arrays[name]).all():
+        unknown = name.startswith("tip") and np.isnan(arrays[name]).all()  # a recording does not contain the tip
+        if not np.isfinite(arrays[name]).all() and not unknown:
             raise InputError(f"{name}: a number is not finite")
     for name in ("t", "q", "v", "tip", "qpos"):
         if (np.abs(arrays[name]) > _MAX_STATE).any():

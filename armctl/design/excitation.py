@@ -1,4 +1,4 @@
-"""Excitation: a motion whose torques show a payload's mass and centre."""
+"""Excitation: a motion whose torques show the parameters of an arm, or a payload's mass and centre."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy as np
 from armctl.collision.checkers import collision_checker
 from armctl.core.errors import LimitError, PlanError
 from armctl.core.limits import check_speed
-from armctl.core.validation import Array, instance, number
+from armctl.core.validation import Array, choice, instance, number
+from armctl.design.arm_excitation import Excitation, arm_excitation
 from armctl.motion import JointTrajectory, check_torque, move_through
 from armctl.robot.arm import Arm, check_arm
 from armctl.robot.dynamics import Dynamics
@@ -29,6 +30,9 @@ _LIMIT_MARGIN = 0.05  # of a joint's range
 _REGULARIZATION = 1e-6  # of the information matrix, so that its determinant exists where a parameter is not shown
 _TORQUE_SHARE = 0.9  # of the limits; the controller needs the rest
 _SPEED_FACTORS = (1.0, 0.7, 0.5)  # tried one after another until the torques are small enough
+_MIN_SECONDS = 1.0
+_MAX_SECONDS = 120.0
+_CONDITION_SAMPLES = 100
 _CHECK_INTERVAL_S = 0.02  # between checks for collisions, at full speed
 _COLLIDES = "it touches something on every path that was tried"
 _TOO_HEAVY = "its weight there is more than the motors hold"
@@ -41,30 +45,68 @@ class _Set(NamedTuple):
     waypoints: Array
 
 
-def excitation(arm: Arm, payload: float = 1.0, *, speed: float = 0.6, seed: int = 0) -> JointTrajectory:
-    """A motion that shows a payload: from home through configurations that load every joint differently, and back.
+def excitation(
+    arm: Arm, payload: float = 1.0, *, seconds: float = 5.0, for_: str = "payload", speed: float = 0.6, seed: int = 0
+) -> Excitation:
+    """A motion for identification: from home, so that every joint moves and is loaded differently, and back.
 
-    It keeps all limits, torque with the payload included, and touches nothing. Random sets of configurations are tried in the
-    order in which their static torques tell mass and centre apart (the determinant of the information matrix).
+    It keeps all limits, torque included, and touches nothing. For a payload it goes through random configurations, in the
+    order in which their static torques tell mass and centre apart (the determinant of the information matrix). For the arm it
+    is the most informative of several such motions, by the dynamic regressor of all base parameters, and a proof with 5 mm
+    of clearance covers the whole motion.
 
     Args:
         arm: The arm.
-        payload: kg, the largest mass that its tip may be holding.
-        speed: Fraction of the full speed, in (0, 1].
+        payload: kg, the largest mass that its tip may be holding; only for a payload.
+        seconds: s, the duration of a motion for the arm; one for a payload takes as long as it needs.
+        for_: "arm" for `identify`, "payload" for `identify_payload`.
+        speed: Fraction of the full speed, in (0, 1]; for the arm the largest that the motion may have.
         seed: Seed of the configurations.
 
     Returns:
-        The motion, a few seconds long, at rest at both ends.
+        The motion, at rest at both ends, with its condition number.
 
     Raises:
-        InputError: It is not an arm, or the payload, the speed or the seed is out of its bounds.
+        InputError: It is not an arm, or another argument is out of its bounds.
+        ModelError: For the arm: a joint follows another one, or no clearance can be proved in this scene.
         PlanError: There is no such motion from home.
     """
     check_arm(arm)
     speed = check_speed(speed)
     payload = number("payload", payload, 0.0, _MAX_PAYLOAD_KG)
+    seconds = number("seconds", seconds, _MIN_SECONDS, _MAX_SECONDS)
+    for_ = choice("for_", for_, ("arm", "payload"))
     instance("seed", seed, (int, np.integer), "give an integer")
     number("seed", seed, 0)
+    if for_ == "arm":
+        return arm_excitation(arm, seconds, speed, int(seed))
+    motion = _payload_excitation(arm, payload, speed, int(seed))
+    return Excitation(
+        motion.knots,
+        motion.coefficients,
+        motion.joint_names,
+        motion.limits,
+        motion.slowed,
+        motion.units,
+        excites="payload",
+        condition_number=_condition_number(arm, motion),
+    )
+
+
+def _condition_number(arm: Arm, motion: JointTrajectory) -> float:
+    """The condition number of a payload's mass and first moment along a motion, columns of equal length."""
+    if not arm.joint_map.is_plain:
+        return float("inf")
+    dynamics = Dynamics(arm.model, arm.pinocchio_model)
+    states = motion.sample(np.linspace(0.0, motion.duration, _CONDITION_SAMPLES))[:3]
+    Y = np.vstack([dynamics.payload_regressor(*row) / arm.limits.tau_max[:, None] for row in zip(*states, strict=True)])
+    lengths = np.linalg.norm(Y, axis=0)
+    singular = np.linalg.svd(Y / np.maximum(lengths, np.finfo(float).tiny), compute_uv=False)
+    return float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
+
+
+def _payload_excitation(arm: Arm, payload: float, speed: float, seed: int) -> JointTrajectory:
+    """A motion through random configurations that shows a payload."""
     loaded = arm.with_payload(payload)
     collisions = collision_checker(arm)
     held = _holding_check(loaded)

@@ -60,12 +60,17 @@ def add_point_mass(model: mujoco.MjModel, body: int, mass: float, point: Array) 
     own_inertia = rotation @ np.diag(model.body_inertia[body]) @ rotation.T
     own = pin.Inertia(float(model.body_mass[body]), model.body_ipos[body].copy(), own_inertia)
     total = own + pin.Inertia(mass, np.asarray(point, dtype=np.float64), np.zeros((3, 3)))
-    moments, axes = np.linalg.eigh(total.inertia)
+    set_body_inertia(model, body, total)
+
+
+def set_body_inertia(model: mujoco.MjModel, body: int, inertia: pin.Inertia) -> None:
+    """Sets the inertia of a body, given in the body's frame, in place. The caller must call `mj_setConst` afterwards."""
+    moments, axes = np.linalg.eigh(inertia.inertia)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, axes.ravel())
-    model.body_mass[body] = total.mass
-    model.body_ipos[body] = total.lever
+    model.body_mass[body] = inertia.mass
+    model.body_ipos[body] = inertia.lever
     model.body_inertia[body] = np.maximum(moments, 0.0)  # rounding can leave -1e-20 of a point mass
     model.body_iquat[body] = quat
     _clear_shortcuts(model, body)

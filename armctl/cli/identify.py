@@ -1,0 +1,75 @@
+"""`armctl identify ROBOT FILE.csv`: inertia and friction of an arm from a recording."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from armctl.cli.common import (
+    DONE,
+    NOT_REACHED,
+    Commands,
+    add_arm,
+    add_command,
+    add_json,
+    load_arm,
+    one_number,
+    print_result,
+    say_written,
+)
+from armctl.core.errors import InputError
+
+_QUANTITIES = ("t", "q", "tau")
+
+
+def add(commands: Commands) -> None:
+    """Adds the command to the parser."""
+    parser = add_command(commands, "identify", run, "inertia and friction of an arm from a recording")
+    add_arm(parser)
+    parser.add_argument("file", type=Path, help="the recording: a .csv of t, q and tau, or a log of armctl (.npz)")
+    parser.add_argument("--friction", default="coulomb+viscous", help="none, coulomb+viscous (the default) or stribeck")
+    parser.add_argument("--columns", nargs="+", metavar="QUANTITY=NAME", help="columns, such as t=time q=pos* tau=torque*")
+    parser.add_argument("--units", nargs="+", metavar="QUANTITY=UNIT", help="units, such as t=ms q=deg")
+    parser.add_argument("--holdout", default="0.2", help="share of the recording that validates the result (default 0.2)")
+    parser.add_argument("--any-inertia", action="store_true", help="accept inertia that no rigid body can have")
+    parser.add_argument("--page", type=Path, metavar="FILE", help="write the torques and figures into this .html")
+    parser.add_argument("--mjcf", type=Path, metavar="FILE", help="write the robot with the result into this .xml")
+    parser.add_argument("--urdf", type=Path, metavar="FILE", help="write the chain with the result into this .urdf")
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Runs the command."""
+    from armctl.analysis.identification_page import identification_page
+    from armctl.core.log import Log
+    from armctl.design.identify import identify
+
+    columns = _table("columns", args.columns)
+    units = _table("units", args.units)
+    holdout = one_number("holdout", args.holdout)
+    arm = load_arm(args)
+    is_log = args.file.suffix == ".npz"
+    log = Log.load(args.file) if is_log else Log.from_csv(args.file, columns, units=units, robot=arm.name)
+    estimate = identify(arm, log, args.friction, not args.any_inertia, holdout=holdout)
+    print_result(args, str(estimate), estimate.to_dict())
+    if args.page:
+        say_written(identification_page(estimate, args.page))
+    if not estimate:
+        return NOT_REACHED
+    if args.mjcf:
+        say_written(estimate.to_mjcf(args.mjcf, args.robot))
+    if args.urdf:
+        say_written(estimate.to_urdf(args.urdf))
+    return DONE
+
+
+def _table(what: str, words: Sequence[str] | None) -> dict[str, str] | None:
+    """{"t": "time"} of ["t=time"]."""
+    table = {}
+    for word in words or ():
+        quantity, _, name = word.partition("=")
+        if quantity not in _QUANTITIES or not name:
+            raise InputError(f"{what}: {word!r:.60} given, such as {what} t=... q=... tau=... wanted")
+        table[quantity] = name
+    return table or None

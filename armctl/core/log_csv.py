@@ -1,0 +1,251 @@
+"""The recording of a real robot from a CSV file: time, positions and torques, on an even time grid.
+
+Velocities are not read, since robots report them filtered and delayed. They follow from the positions by a zero-phase filter.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from armctl.core.atomic import file_path
+from armctl.core.errors import InputError
+from armctl.core.filtering import choose_cutoff, derivatives, low_pass
+from armctl.core.validation import Array, shown
+
+Columns = Mapping[str, str | Sequence[str]]
+
+_QUANTITIES = ("t", "q", "tau")
+_DEFAULT_COLUMNS: dict[str, str] = {"t": "t", "q": "q*", "tau": "tau*"}
+_UNITS: dict[str, dict[str, float]] = {
+    "t": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "q": {"rad": 1.0, "deg": np.pi / 180, "m": 1.0, "mm": 1e-3},
+    "tau": {"N m": 1.0, "mN m": 1e-3, "N": 1.0, "N mm": 1e-3},
+}
+_DEFAULT_UNITS = {"t": "s", "q": "rad", "tau": "N m"}
+_SLIDE_UNITS = ("m", "mm")
+_MAX_BYTES = 2_000_000_000
+_MAX_ROWS = 20_000_000  # on the even time grid; more is taken for a wrong unit of time
+_MIN_ROWS = 50
+_MAX_GAP_S = 0.1  # over which positions are interpolated
+_MAX_GAP_STEPS = 5.0  # a slow recording may have longer steps throughout
+_MAX_REPEATS = 3  # equal rows in sequence that are a repeated transmission; more are an arm at rest
+_MAX_VALUE = 1e9  # SI units; more is a damaged number
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """A recording on an even time grid.
+
+    Attributes:
+        joint_names: The n names of the position columns.
+        units: The unit of each joint, "rad" or "m".
+        dt: s, the interval of the grid.
+        t: (T,) s, from 0.
+        q: (T, n) rad, not filtered.
+        v: (T, n) rad/s, of the filtered positions.
+        tau: (T, n) N m, not filtered.
+        cutoff: Hz, of the zero-phase filter.
+        repeated: The number of repeated rows that were left out.
+    """
+
+    joint_names: tuple[str, ...]
+    units: tuple[str, ...]
+    dt: float
+    t: Array
+    q: Array
+    v: Array
+    tau: Array
+    cutoff: float
+    repeated: int
+
+    def __str__(self) -> str:
+        return f"a recording; {self.repeated} repeated rows left out, velocity by a zero-phase filter of {self.cutoff:.3g} Hz"
+
+
+def read_recording(path: str | os.PathLike[str], columns: Columns | None, units: Mapping[str, str] | None) -> Recording:
+    """Reads a CSV file of a real robot.
+
+    Args:
+        path: The file.
+        columns: The names of the columns of "t", "q" and "tau"; see `Log.from_csv`.
+        units: The units of "t", "q" and "tau".
+
+    Returns:
+        The recording.
+
+    Raises:
+        InputError: The file cannot be read, a column is missing, or the numbers are no recording.
+    """
+    path = file_path("path", path)
+    wanted = _merged("columns", columns, _DEFAULT_COLUMNS)
+    scales, slides = _scales(units)
+    try:
+        header, table = _read_table(path, wanted)
+        return _on_even_grid(header, table, scales, slides)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except InputError as error:
+        raise InputError(f"{path!s:.80}: {error}") from None
+
+
+def _merged(what: str, given: object, defaults: Mapping[str, str]) -> dict[str, str | list[str]]:
+    """The caller's entries, and the defaults for those that are missing."""
+    if given is not None and not isinstance(given, Mapping):
+        raise InputError(f"{what}: {shown(given)} is no table; {dict(defaults)} is the default")
+    out: dict[str, str | list[str]] = dict(defaults)
+    for key, value in (given or {}).items():
+        if key not in _QUANTITIES:
+            raise InputError(f"{what}: {shown(key)} is not one of {', '.join(_QUANTITIES)}")
+        if isinstance(value, str):
+            out[key] = value
+        elif isinstance(value, Sequence) and value and all(isinstance(name, str) for name in value):
+            out[key] = list(value)
+        else:
+            raise InputError(f"{what}: {key}: {shown(value)} is neither a name nor a list of names")
+    return out
+
+
+def _scales(units: Mapping[str, str] | None) -> tuple[dict[str, float], bool]:
+    """Factors to SI units, and whether the joints slide."""
+    names = _merged("units", units, _DEFAULT_UNITS)
+    for quantity, unit in names.items():
+        if not isinstance(unit, str) or unit not in _UNITS[quantity]:
+            raise InputError(f"units: {quantity}: {shown(unit)} given, one of {', '.join(_UNITS[quantity])} wanted")
+    scales = {quantity: _UNITS[quantity][str(unit)] for quantity, unit in names.items()}
+    return scales, names["q"] in _SLIDE_UNITS
+
+
+def _read_table(path: os.PathLike[str], wanted: Mapping[str, str | list[str]]) -> tuple[dict[str, list[str]], Array]:
+    """The names of the columns of each quantity, and their numbers (T, 1 + 2 n)."""
+    if os.path.getsize(path) > _MAX_BYTES:
+        raise InputError(f"it is larger than {_MAX_BYTES / 1e9:g} GB")
+    try:
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            first = file.readline()
+            delimiter = max(",;\t", key=first.count)
+            header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
+            names = {quantity: _matching(quantity, wanted[quantity], header) for quantity in _QUANTITIES}
+            _check_counts(names)
+            order = [header.index(name) for quantity in _QUANTITIES for name in names[quantity]]
+            rows = csv.reader(file, delimiter=delimiter)
+            table = _numbers(rows, order, len(header))
+    except (UnicodeDecodeError, csv.Error, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"it is no CSV file of text in UTF-8 ({str(error)[:100]})") from None
+    return names, table
+
+
+def _matching(quantity: str, wanted: str | list[str], header: list[str]) -> list[str]:
+    """The columns of a quantity. "*" in a name stands for a joint's number or name, in the order of the file."""
+    if len(set(header)) < len(header):
+        raise InputError("its first row has two columns of one name")
+    if isinstance(wanted, str) and "*" in wanted:
+        before, _, after = wanted.partition("*")
+        pattern = re.compile(re.escape(before) + r"(_?\d+|_.+|\[\d+\])" + re.escape(after))
+        found = [name for name in header if pattern.fullmatch(name) and not name.startswith(("q_ref_", "tau_cmd_"))]
+    else:
+        found = [wanted] if isinstance(wanted, str) else wanted
+    missing = [name for name in found if name not in header]
+    if missing or not found:
+        name = missing[0] if missing else str(wanted)
+        raise InputError(f"there is no column {name!r:.40} for {quantity}; its columns are {', '.join(header):.120}")
+    if len(set(found)) < len(found):
+        raise InputError(f"columns: {quantity}: a name is given twice")
+    return found
+
+
+def _check_counts(names: Mapping[str, list[str]]) -> None:
+    if len(names["t"]) != 1:
+        raise InputError(f"{len(names['t'])} columns for t, 1 wanted")
+    if len(names["q"]) != len(names["tau"]):
+        raise InputError(f"{len(names['q'])} columns for q and {len(names['tau'])} for tau, equal numbers wanted")
+
+
+def _numbers(rows, order: list[int], width: int) -> Array:
+    """The numbers of the chosen columns."""
+    table = []
+    for line, row in enumerate(rows, start=2):
+        if not row or (len(row) == 1 and not row[0].strip()):
+            continue
+        if len(row) != width:
+            raise InputError(f"line {line} has {len(row)} columns, the first line {width}")
+        try:
+            table.append([float(row[k]) for k in order])
+        except ValueError:
+            text = next((row[k] for k in order if not _is_number(row[k])), "")
+            raise InputError(f"line {line}: {text!r:.40} is not a number") from None
+    if len(table) < _MIN_ROWS:
+        raise InputError(f"it has {len(table)} rows, at least {_MIN_ROWS} wanted")
+    out = np.array(table)
+    bad = ~np.isfinite(out).all(axis=1)
+    if bad.any():
+        raise InputError(f"a number in row {int(bad.argmax()) + 1} is not finite")
+    return out
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _on_even_grid(names: Mapping[str, list[str]], table: Array, scales: Mapping[str, float], slides: bool) -> Recording:
+    """Repeated rows left out, the rest interpolated on a grid of the median interval."""
+    n = len(names["q"])
+    t = table[:, 0] * scales["t"]
+    if (np.diff(t) < 0).any():
+        row = int((np.diff(t) < 0).argmax()) + 2
+        raise InputError(f"t: the time of row {row} is before that of row {row - 1}")
+    new = ~_is_repeated(t, table[:, 1:])
+    t = t[new] - t[0]
+    values = table[new, 1:] * np.repeat([scales["q"], scales["tau"]], n)
+    if len(t) < _MIN_ROWS:
+        raise InputError(f"only {len(t)} rows differ from the one before, at least {_MIN_ROWS} wanted")
+    if np.abs(values).max() > _MAX_VALUE:
+        raise InputError(f"a position or torque is above {_MAX_VALUE:g} in SI units")
+    steps = np.diff(t)
+    dt = float(np.median(steps))
+    gap = int(steps.argmax())
+    if steps[gap] > max(_MAX_GAP_S, _MAX_GAP_STEPS * dt):
+        raise InputError(f"t: nothing is recorded for {steps[gap]:.3g} s after {t[gap]:.3f} s; give one run without a gap")
+    count = int(t[-1] / dt) + 1
+    if count > _MAX_ROWS:
+        raise InputError(f"t: the median interval of {dt:.3g} s is too short for {t[-1]:.3g} s; check the unit of time")
+    grid = dt * np.arange(count)
+    even = np.column_stack([np.interp(grid, t, column) for column in values.T])
+    q = even[:, :n]
+    cutoff = choose_cutoff(q, dt)
+    velocity, _ = derivatives(low_pass(q, cutoff, dt), dt)
+    return Recording(
+        joint_names=tuple(names["q"]),
+        units=("m" if slides else "rad",) * n,
+        dt=dt,
+        t=grid,
+        q=q,
+        v=velocity,
+        tau=even[:, n:],
+        cutoff=cutoff,
+        repeated=int((~new).sum()),
+    )
+
+
+def _is_repeated(t: Array, values: Array) -> Array:
+    """(T,) bool, rows with the time of the row before, and short runs of rows with its values."""
+    same_time = np.concatenate([[False], np.diff(t) == 0])
+    same_values = np.concatenate([[False], (np.diff(values, axis=0) == 0).all(axis=1)])
+    starts = np.flatnonzero(np.diff(np.concatenate([[False], same_values]).astype(int)) == 1)
+    ends = np.flatnonzero(np.diff(np.concatenate([same_values, [False]]).astype(int)) == -1)
+    repeated = same_time.copy()
+    for start, end in zip(starts, ends, strict=True):
+        if end - start + 1 <= _MAX_REPEATS:
+            repeated[start : end + 1] = True
+    return repeated

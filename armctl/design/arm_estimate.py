@@ -1,0 +1,258 @@
+"""ArmEstimate: the identified parameters of an arm, what supports them, and models with them."""
+
+from __future__ import annotations
+
+import copy
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from armctl.core.atomic import file_path, write_text
+from armctl.core.errors import InputError
+from armctl.core.validation import Array, shown
+from armctl.design.identified_model import consistent_model, edited_spec, urdf_text
+from armctl.design.regressor import FrictionShape
+from armctl.robot.arm import Arm, check_arm
+from armctl.robot.pinocchio_model import build_pinocchio_model
+
+_MANY_NAMES = 3  # more names are counted in a sentence
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Validation:
+    """Measured and predicted torques on the part of a recording that the fit did not use.
+
+    Attributes:
+        ok: Whether the prediction is good enough on every joint.
+        reason: Which joint it is not good enough on; empty if it is.
+        t: (K,) s.
+        measured: (K, n) N m, low-pass filtered as in the fit.
+        predicted: (K, n) N m, by the identified parameters.
+        by_model: (K, n) N m, by the arm's model before identification.
+        rms: (n,) N m, RMS of measured - predicted.
+        model_rms: (n,) N m, RMS of measured - by_model.
+        relative: (n,) rms divided by the standard deviation of the measured torque.
+    """
+
+    ok: bool
+    reason: str
+    t: Array
+    measured: Array
+    predicted: Array
+    by_model: Array
+    rms: Array
+    model_rms: Array
+    relative: Array
+
+    def __bool__(self) -> bool:
+        return self.ok
+
+    def __str__(self) -> str:
+        known = ", ".join(f"{100 * share:.1f}" for share in self.relative)
+        return f"held-out torque error [{known}] % of its standard deviation" + (f"; {self.reason}" if self.reason else "")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmEstimate:
+    """The parameters of an arm, identified from a recording. True if the recording supports them.
+
+    Single parameters of a link are partly without effect on any torque; those stay near the model's values. Base parameters are
+    the combinations that torques depend on.
+
+    Attributes:
+        ok: Whether the motion excited all parameters that matter, and the prediction of held-out torques is good.
+        reason: Why not, in words; empty if so.
+        arm: The arm as its model knows it.
+        friction: The friction model: "none", "coulomb+viscous" or "stribeck".
+        inertia: (n, 10) of the link behind each joint, in the frame of the joint in `arm.pinocchio_model`: m, m c (3), Ixx,
+            Ixy, Iyy, Ixz, Iyz, Izz, in kg, kg m and kg m^2; inertia about the origin of that frame.
+        inertia_error: (n, 10) standard errors; as large as the uncertainty before the fit where the motion shows nothing.
+        consistent: (n,) bool, whether a rigid body can have these parameters.
+        rotor_inertia: (n,) kg m^2, reflected to the joint (MuJoCo's armature).
+        rotor_inertia_error: (n,) standard errors.
+        viscous_friction: (n,) N m s/rad.
+        viscous_error: (n,) standard errors.
+        coulomb_friction: (n,) N m.
+        coulomb_error: (n,) standard errors.
+        breakaway: (n,) N m above Coulomb friction at low speed; 0 unless friction is "stribeck".
+        friction_speeds: Coulomb friction is proportional to tanh(v / smoothing), breakaway decays as exp(-(v / stribeck)^2).
+        torque_offset: (n,) N m, of the torque measurement; not a part of the model.
+        delay: s, by which torques are recorded later than positions.
+        cutoff: Hz, of the zero-phase filter, chosen from the data.
+        base_names: Names of the base parameters, each by the parameter that leads the combination.
+        base_values: Their values, SI units.
+        base_errors: Their standard errors.
+        unexcited: Names of base parameters that matter for torques and that the motion did not show.
+        condition_number: Of the regressor of the base parameters, with columns of equal length.
+        findings: What differs most from the arm's model, one sentence each.
+        validation: Measured and predicted torques on held-out data.
+    """
+
+    ok: bool
+    reason: str
+    arm: Arm
+    friction: str
+    inertia: Array
+    inertia_error: Array
+    consistent: Array
+    rotor_inertia: Array
+    rotor_inertia_error: Array
+    viscous_friction: Array
+    viscous_error: Array
+    coulomb_friction: Array
+    coulomb_error: Array
+    breakaway: Array
+    friction_speeds: FrictionShape
+    torque_offset: Array
+    delay: float
+    cutoff: float
+    base_names: tuple[str, ...]
+    base_values: Array
+    base_errors: Array
+    unexcited: tuple[str, ...]
+    condition_number: float
+    findings: tuple[str, ...]
+    validation: Validation
+
+    def __bool__(self) -> bool:
+        return self.ok
+
+    def __str__(self) -> str:
+        lines = [f"{self.arm.name}: " + ("identified" if self.ok else f"not identified: {self.reason}")]
+        lines.append(
+            f"{len(self.base_names)} base parameters, condition number {self.condition_number:.3g}, "
+            f"cut-off {self.cutoff:.3g} Hz, delay {1e3 * self.delay:.2f} ms"
+        )
+        lines.append(str(self.validation))
+        lines += self.findings
+        return "\n".join(lines)
+
+    def friction_torque(self, v: Array) -> Array:
+        """The torque that overcomes the identified friction.
+
+        Args:
+            v: (..., n) rad/s.
+
+        Returns:
+            (..., n) N m, viscous, Coulomb and breakaway friction together.
+        """
+        speeds = self.friction_speeds
+        breakaway = self.breakaway * np.exp(-((v / speeds.stribeck) ** 2))
+        return self.viscous_friction * v + (self.coulomb_friction + breakaway) * np.tanh(v / speeds.smoothing)
+
+    def applied_to(self, arm: Arm) -> Arm:
+        """The arm with the identified inertia, rotor inertia and friction: give it to a controller.
+
+        `inverse_dynamics` of the result contains the identified viscous friction. Its Coulomb friction is MuJoCo's
+        `frictionloss`, which `inverse_dynamics` leaves out by definition and controllers compensate. Breakaway friction and
+        torque offsets have no place in a MuJoCo model and are left out; `friction_torque` contains breakaway friction.
+
+        Args:
+            arm: The arm that the recording is of.
+
+        Returns:
+            The arm. If a link consists of several bodies, all of them change alike.
+
+        Raises:
+            InputError: Nothing was identified, the arm has other joints, or a link is not physically consistent.
+        """
+        model = self._model(arm)
+        body = build_pinocchio_model(
+            model, arm.pinocchio_model.chain_length, arm.joint_map, arm.home_qpos, arm.tip_body, arm.T_body_tip
+        )
+        return replace(arm, model=model, pinocchio_model=body)
+
+    def to_mjcf(self, path: str | os.PathLike[str], source: str | os.PathLike[str] | None = None) -> Path:
+        """Writes the robot's MJCF with the identified parameters; its own actuators and meshes stay as they are.
+
+        Args:
+            path: The .xml file; it is written atomically, and its folder is made. Meshes are referred to by absolute paths.
+            source: The name or file that the arm was loaded from; the name of the arm if left out.
+
+        Returns:
+            The path.
+
+        Raises:
+            InputError: As for `applied_to`, or the source is not that of the arm.
+            UnknownNameError: There is no robot of the name of the arm; give `source`.
+            ArmctlError: The file cannot be written.
+        """
+        path = file_path("path", path, (".xml",))
+        write_text(path, edited_spec(self.arm, self._model(self.arm), source).to_xml())
+        return path
+
+    def to_urdf(self, path: str | os.PathLike[str]) -> Path:
+        """Writes the arm's chain as a URDF with the identified parameters: joints, limits, inertia and friction, no meshes.
+
+        URDF has no rotor inertia; it is left out.
+
+        Args:
+            path: The .urdf file; it is written atomically, and its folder is made.
+
+        Returns:
+            The path.
+
+        Raises:
+            InputError: As for `applied_to`.
+            ArmctlError: The file cannot be written.
+        """
+        path = file_path("path", path, (".urdf",))
+        write_text(path, urdf_text(self.applied_to(self.arm)))
+        return path
+
+    def to_dict(self) -> dict[str, object]:
+        """The figures as plain values for JSON."""
+        validation = self.validation
+        return {
+            "ok": self.ok,
+            "reason": self.reason,
+            "robot": self.arm.name,
+            "joints": list(self.arm.joint_names),
+            "friction": self.friction,
+            "inertia": self.inertia.tolist(),
+            "consistent": self.consistent.tolist(),
+            "rotor_inertia": self.rotor_inertia.tolist(),
+            "viscous_friction": self.viscous_friction.tolist(),
+            "coulomb_friction": self.coulomb_friction.tolist(),
+            "breakaway": self.breakaway.tolist(),
+            "torque_offset": self.torque_offset.tolist(),
+            "delay_s": self.delay,
+            "cutoff_hz": self.cutoff,
+            "condition_number": self.condition_number,
+            "unexcited": list(self.unexcited),
+            "findings": list(self.findings),
+            "held_out_rms": validation.rms.tolist(),
+            "held_out_rms_of_model": validation.model_rms.tolist(),
+            "held_out_relative": validation.relative.tolist(),
+        }
+
+    def _model(self, arm: Arm) -> mujoco.MjModel:
+        """The arm's MuJoCo model with the identified parameters."""
+        check_arm(arm)
+        if not self.ok:
+            raise InputError(f"estimate: {self.arm.name:.40}: not identified: {self.reason:.250}")
+        if arm.joint_names != self.arm.joint_names:
+            raise InputError(
+                f"arm: its joints are {', '.join(arm.joint_names):.120}, identified are {shown(self.arm.joint_names)}"
+            )
+        if not self.consistent.all():
+            wrong = [name for name, fits in zip(self.arm.joint_names, self.consistent, strict=True) if not fits]
+            raise InputError(f"estimate: no body can have the inertia behind {', '.join(wrong):.120}; use consistent=True")
+        model = copy.copy(arm.model)
+        consistent_model(arm, model, self.inertia)
+        model.dof_armature[arm.dof_adr] = self.rotor_inertia
+        if self.friction != "none":
+            model.dof_damping[arm.dof_adr] = self.viscous_friction
+            model.dof_frictionloss[arm.dof_adr] = self.coulomb_friction
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        return model
+
+
+def counted(names: tuple[str, ...]) -> str:
+    """Names for a sentence, the first few of many."""
+    if len(names) <= _MANY_NAMES:
+        return ", ".join(names)
+    return f"{', '.join(names[:_MANY_NAMES])} and {len(names) - _MANY_NAMES} more"

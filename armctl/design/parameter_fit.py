@@ -1,0 +1,309 @@
+"""The fit of all parameters of an arm to recorded torques: filtered regressor, delay, friction, physical consistency."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from armctl.core.filtering import choose_cutoff, derivatives, low_pass
+from armctl.core.log import RECORDED, Log
+from armctl.core.validation import Array
+from armctl.design.pseudo_inertia import PARAMETERS, from_log_cholesky, is_consistent, regularized, to_log_cholesky
+from armctl.design.regressor import ArmRegressor, FrictionShape
+
+_REGRESSOR_SAMPLES_PER_PERIOD = 8  # of the cut-off: products of positions and velocities have higher frequencies
+_ROWS_PER_PERIOD = 4
+_TRIMMED_PERIODS = 1.0  # at both ends, where the filter has no data on one side
+_MAX_DELAY_S = 0.05
+_ROUNDS = 3  # delay, shape of the friction and noise depend on each other
+_SHAPE_SPEEDS = np.geomspace(0.003, 0.3, 9)  # rad/s, candidates for the smoothing of Coulomb friction
+_STRIBECK_SPEEDS = np.geomspace(0.02, 1.0, 7)  # rad/s, candidates
+_MIN_NOISE_SHARE = 1e-4  # of the typical torque: no joint's torque is known better
+_MIN_MASS_KG = 1e-6
+_MIN_LENGTH_M = 1e-4
+_MAX_EVALUATIONS = 80
+_DIAGONAL = 4  # of a Cholesky factor's ten parameters
+# Standard deviation of the logarithm of a link's size before any data. It keeps links away from points and rods, which no
+# simulator accepts.
+_LOG_SIZE_PRIOR = 1.0
+_MAX_CORRELATED_ROWS = 30
+_SIGNIFICANT_ERRORS = 3.0  # standard errors
+_DROPPED_PRIOR = 1e-4  # factor on the standard deviation of the prior
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """Filtered rows of a recording.
+
+    Attributes:
+        t: (K,) s.
+        v: (K, n) rad/s.
+        tau: (K, n) N m, measured.
+        model: (K, n) N m, by the model.
+        W: (K, n, p), the regressor.
+    """
+
+    t: Array
+    v: Array
+    tau: Array
+    model: Array
+    W: Array
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def part(self, rows: slice) -> Rows:
+        """Some of the rows."""
+        return Rows(self.t[rows], self.v[rows], self.tau[rows], self.model[rows], self.W[rows])
+
+
+class ParameterFit:
+    """A fit to the first rows of a recording; the others are held out.
+
+    Attributes:
+        x: (p,) the parameters.
+        noise: (n,) N m, RMS of the residuals of the fit.
+        torque_noise: (n,) N m, RMS of the white noise in the filtered torques.
+        inflation: (n,) factors by which correlated residuals increase the variance of an estimate.
+        delay: s, by which torques were recorded later than positions.
+        cutoff: Hz.
+        shape: The shape of the friction.
+    """
+
+    def __init__(self, regressor: ArmRegressor, log: Log, holdout: float, consistent: bool):
+        self.regressor = regressor
+        self._dt = log.dt
+        self._t = log.t
+        self._holdout = holdout
+        self._may_be_delayed = log.controller == RECORDED  # positions and torques of a simulation are of the same tick
+        n = regressor.arm.n
+        self.cutoff = choose_cutoff(log.q, log.dt)
+        q = low_pass(log.q, self.cutoff, log.dt)
+        v, a = derivatives(q, log.dt)
+        white = np.diff(log.tau, axis=0).std(axis=0) / np.sqrt(2)
+        self.torque_noise = white * np.sqrt(min(1.0, 2 * self.cutoff * log.dt))
+        self._tau = low_pass(log.tau, self.cutoff, log.dt)
+        self._stride = max(1, int(1 / (_REGRESSOR_SAMPLES_PER_PERIOD * self.cutoff * log.dt)))
+        self._q = q[:: self._stride]
+        self._v = v[:: self._stride]
+        self._a = a[:: self._stride]
+        self.shape = FrictionShape(np.full(n, _SHAPE_SPEEDS[4]), np.full(n, _STRIBECK_SPEEDS[3]))
+        self._raw = regressor.rows(self._q, self._v, self._a, self.shape)
+        self._model = regressor.model_torques(self._q, self._v, self._a)
+        self.delay = 0.0
+        self.x = regressor.start.copy()
+        self._scale = regressor.torque_scale()
+        self.noise = 0.02 * self._scale
+        for _ in range(_ROUNDS):
+            self._improve()
+        self.inflation = self._inflation()
+        self._drop_insignificant()
+        self._consistent = consistent
+        self.x = self._solution(self.training)
+        self._set_noise()
+        self.inflation = self._inflation()
+
+    @property
+    def training(self) -> Rows:
+        """The rows that the fit uses."""
+        return self.rows.part(slice(0, self._count_used()))
+
+    @property
+    def held_out(self) -> Rows:
+        """The other rows, without a filter's length between."""
+        gap = round(_ROWS_PER_PERIOD * _TRIMMED_PERIODS)
+        return self.rows.part(slice(self._count_used() + gap, None))
+
+    def predicted(self, rows: Rows) -> Array:
+        """(K, n) N m, by the fitted parameters."""
+        return rows.model + rows.W @ (self.x - self.regressor.model_values)
+
+    def start_predicted(self, rows: Rows) -> Array:
+        """(K, n) N m, by the arm's own model, dry friction included."""
+        return rows.model + rows.W @ (self.regressor.start - self.regressor.model_values)
+
+    def weighted(self, rows: Rows) -> Array:
+        """(K n, p): the regressor in units of the noise, for each standard deviation of the prior."""
+        return (rows.W / self.noise[:, None]).reshape(-1, rows.W.shape[2]) * self.regressor.prior
+
+    def covariance(self) -> Array:
+        """(p, p), in units of the prior's standard deviations."""
+        rows = self.training
+        W = self.weighted(rows) / np.tile(np.sqrt(self.inflation), len(rows))[:, None]
+        return np.linalg.inv(W.T @ W + np.eye(W.shape[1]))
+
+    def _drop_insignificant(self) -> None:
+        """Keeps dry friction and offsets that the data do not confirm at the model's values; they would only absorb noise."""
+        regressor = self.regressor
+        layout = regressor.layout
+        errors = regressor.prior * np.sqrt(np.diag(self.covariance()))
+        for part in (layout.coulomb, layout.stribeck, layout.offset):
+            small = np.abs(self.x[part] - regressor.start[part]) < _SIGNIFICANT_ERRORS * errors[part]
+            regressor.prior[part] = np.where(small, _DROPPED_PRIOR * regressor.prior[part], regressor.prior[part])
+
+    def _count_used(self) -> int:
+        return round((1 - self._holdout) * len(self.rows))
+
+    def _improve(self) -> None:
+        """One round: rows with the delay and the friction so far, parameters, then delay, friction and noise."""
+        self.rows = self._filtered_rows()
+        training = self.training
+        self.x = self._linear_solution(training)
+        self._set_noise()
+        if self._may_be_delayed:
+            self._improve_delay(training)
+        if self.regressor.layout.has_friction:
+            self._improve_shape()
+
+    def _filtered_rows(self) -> Rows:
+        """Regressor, model and torques through the same filter; torques moved back by the delay."""
+        dt = self._dt * self._stride
+        K, n, p = self._raw.shape
+        times = self._t[:: self._stride][:K]
+        delayed = low_pass(self._tau, self.cutoff, self._dt)
+        tau = np.column_stack([np.interp(times + self.delay, self._t, column) for column in delayed.T])
+        together = np.concatenate([self._raw.reshape(K, n * p), self._model, self._v], axis=1)
+        filtered = low_pass(together, self.cutoff, dt)
+        trimmed = int(_TRIMMED_PERIODS / self.cutoff / dt) + 1
+        rows = slice(trimmed, K - trimmed, max(1, round(_REGRESSOR_SAMPLES_PER_PERIOD / _ROWS_PER_PERIOD)))
+        W = filtered[:, : n * p].reshape(K, n, p)
+        model = filtered[:, n * p : n * p + n]
+        return Rows(times[rows], filtered[rows, n * p + n :], tau[rows], model[rows], W[rows])
+
+    def _set_noise(self) -> None:
+        training = self.training
+        residual = training.tau - self.predicted(training)
+        self.noise = np.maximum(np.sqrt((residual**2).mean(axis=0)), _MIN_NOISE_SHARE * self._scale)
+
+    def _improve_delay(self, rows: Rows) -> None:
+        """A Gauss-Newton step: a delay d changes a torque by -d times its rate."""
+        predicted = self.predicted(rows)
+        rate = np.gradient(predicted, rows.t, axis=0) / self.noise
+        W = np.column_stack([self.weighted(rows), -rate.ravel()])
+        y = ((rows.tau - predicted) / self.noise).ravel()
+        information = W.T @ W
+        information[:-1, :-1] += np.eye(W.shape[1] - 1)
+        regularized = information + 1e-9 * np.trace(information) / len(information) * np.eye(len(information))
+        inverse = np.linalg.inv(regularized)
+        delay = self.delay + float((inverse @ (W.T @ y))[-1])
+        error = float(np.sqrt(inverse[-1, -1] * self._inflation().max()))
+        is_certain = abs(delay) > _SIGNIFICANT_ERRORS * error
+        self.delay = float(np.clip(delay, -_MAX_DELAY_S, _MAX_DELAY_S)) if is_certain else 0.0
+
+    def _improve_shape(self) -> None:
+        """For each joint the speeds of the friction that explain its torques best, the other parameters as they are."""
+        rows = self.training
+        layout = self.regressor.layout
+        columns = [s for s in (layout.viscous, layout.coulomb, layout.stribeck, layout.offset) if s.stop > s.start]
+        without = self.x - self.regressor.model_values
+        without = without.copy()
+        for part in columns:
+            without[part] = 0.0
+        rest = rows.tau - rows.model - rows.W @ without
+        smoothing = self.shape.smoothing.copy()
+        stribeck = self.shape.stribeck.copy()
+        used = slice(0, self._count_used())
+        dt = self._dt * self._stride
+        trimmed = int(_TRIMMED_PERIODS / self.cutoff / dt) + 1
+        kept = slice(trimmed, len(self._v) - trimmed, max(1, round(_REGRESSOR_SAMPLES_PER_PERIOD / _ROWS_PER_PERIOD)))
+        signs = {s: low_pass(np.tanh(self._v / s), self.cutoff, dt)[kept][used] for s in _SHAPE_SPEEDS}
+        decays = {}
+        if layout.has_stribeck:
+            for s in _SHAPE_SPEEDS:
+                for w in _STRIBECK_SPEEDS:
+                    decay = np.tanh(self._v / s) * np.exp(-((self._v / w) ** 2))
+                    decays[s, w] = low_pass(decay, self.cutoff, dt)[kept][used]
+        for j in range(layout.n):
+            best = np.inf
+            for s in _SHAPE_SPEEDS:
+                for w in _STRIBECK_SPEEDS if layout.has_stribeck else _STRIBECK_SPEEDS[3:4]:
+                    A = [signs[s][:, j], rows.v[:, j], np.ones(len(rows))]
+                    if layout.has_stribeck:
+                        A.append(decays[s, w][:, j])
+                    A = np.column_stack(A)
+                    cost = float(((rest[:, j] - A @ np.linalg.lstsq(A, rest[:, j])[0]) ** 2).sum())
+                    if cost < best:
+                        best = cost
+                        smoothing[j] = s
+                        stribeck[j] = w
+        self.shape = FrictionShape(smoothing, stribeck)
+        self.regressor.set_friction(self._raw, self._v, self.shape)
+        self.rows = self._filtered_rows()
+
+    def _targets(self, rows: Rows) -> Array:
+        """(K n,) what the start leaves of the torques, in units of the noise."""
+        return ((rows.tau - self.start_predicted(rows)) / self.noise).ravel()
+
+    def _linear_solution(self, rows: Rows) -> Array:
+        """Least squares with the prior, without bounds."""
+        W = self.weighted(rows)
+        dx = np.linalg.solve(W.T @ W + np.eye(W.shape[1]), W.T @ self._targets(rows))
+        return self.regressor.start + self.regressor.prior * dx
+
+    def _solution(self, rows: Rows) -> Array:
+        """Least squares with the prior; friction and rotor inertias at least 0; links that exist, if wanted."""
+        from scipy.optimize import least_squares
+
+        layout = self.regressor.layout
+        n = layout.n
+        linear = self._linear_solution(rows)
+        positive = np.zeros(layout.size, bool)
+        for part in (layout.rotor, layout.viscous, layout.coulomb, layout.stribeck):
+            positive[part] = True
+        links = [linear[layout.link(i)] for i in range(n)]
+        all_consistent = not self._consistent or all(is_consistent(link) for link in links)
+        if all_consistent and (linear[positive] >= 0).all():
+            return linear
+        start = self.regressor.start
+        prior = self.regressor.prior
+        R = np.linalg.qr(np.column_stack([self.weighted(rows), self._targets(rows)]), mode="r")
+        A = R[:, :-1]
+        b = R[:, -1]
+
+        def parameters(z: Array) -> Array:
+            if not self._consistent:
+                return z
+            x = z.copy()
+            for i in range(n):
+                x[layout.link(i)] = from_log_cholesky(z[layout.link(i)])[0]
+            return x
+
+        def residual(z: Array) -> Array:
+            dx = (parameters(z) - start) / prior
+            return np.concatenate([A @ dx - b, dx, (z - first)[sizes] / _LOG_SIZE_PRIOR])
+
+        def jacobian(z: Array) -> Array:
+            change = np.eye(layout.size) / prior[:, None]
+            for i in range(n if self._consistent else 0):
+                link = layout.link(i)
+                change[link, link] = from_log_cholesky(z[link])[1] / prior[link, None]
+            return np.vstack([A @ change, change, np.eye(layout.size)[sizes] / _LOG_SIZE_PRIOR])
+
+        z = np.maximum(linear, 1e-6 * prior)
+        z[~positive] = start[~positive]
+        for i in range(n if self._consistent else 0):
+            z[layout.link(i)] = to_log_cholesky(regularized(start[layout.link(i)], _MIN_MASS_KG, _MIN_LENGTH_M))
+        first = z.copy()
+        sizes = np.flatnonzero(np.arange(layout.size) % PARAMETERS < _DIAGONAL)  # the logarithms in the Cholesky factors
+        sizes = sizes[sizes < layout.rotor.start] if self._consistent else sizes[:0]
+        low = np.where(positive, 0.0, -np.inf)
+        found = least_squares(
+            residual, z, jacobian, bounds=(low, np.inf), x_scale="jac", max_nfev=_MAX_EVALUATIONS, ftol=1e-7, xtol=1e-9
+        )
+        return parameters(found.x)
+
+    def _inflation(self) -> Array:
+        """1 + 2 times the sum of the residuals' autocorrelations, until they are first negative; at least 1."""
+        training = self.training
+        residual = training.tau - self.predicted(training)
+        out = np.ones(residual.shape[1])
+        for j, column in enumerate(residual.T):
+            column = column - column.mean()
+            power = max(float(column @ column), np.finfo(float).tiny)
+            for lag in range(1, min(_MAX_CORRELATED_ROWS, len(column) - 1)):
+                correlation = float(column[lag:] @ column[:-lag]) / power
+                if correlation <= 0:
+                    break
+                out[j] += 2 * correlation
+        return out

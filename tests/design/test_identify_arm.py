@@ -1,0 +1,296 @@
+"""An arm is identified from a recording: inertia, friction, offsets and delay, or a reason why not."""
+
+import copy
+import json
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from synthetic import BENT, limb, motors, serial_arm, ties
+
+import armctl
+from armctl.cli.main import main
+from armctl.design.pseudo_inertia import from_log_cholesky, inertial_parameters, pseudo_inertia, to_log_cholesky
+from armctl.robot.pinocchio_model import build_pinocchio_model
+
+TICK = 0.002
+
+
+def changed(arm, seed=1, coulomb=0.0):
+    """The arm with masses, centres, inertia, rotor inertia and damping up to 20 % wrong."""
+    rng = np.random.default_rng(seed)
+    model = copy.copy(arm.model)
+    for body in range(1, model.nbody):
+        model.body_mass[body] *= 1 + 0.2 * rng.uniform(-1, 1)
+        model.body_ipos[body] *= 1 + 0.2 * rng.uniform(-1, 1, 3)
+        model.body_inertia[body] *= 1 + 0.2 * rng.uniform(-1, 1)
+        model.body_simple[body] = 0
+        model.body_sameframe[body] = 0
+    model.dof_simplenum[:] = 0
+    model.dof_armature[arm.dof_adr] *= 1 + 0.2 * rng.uniform(-1, 1, arm.n)
+    model.dof_damping[arm.dof_adr] *= 1 + 0.2 * rng.uniform(-1, 1, arm.n)
+    model.dof_frictionloss[arm.dof_adr] += coulomb
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    body = build_pinocchio_model(
+        model, arm.pinocchio_model.chain_length, arm.joint_map, arm.home_qpos, arm.tip_body, arm.T_body_tip
+    )
+    return replace(arm, model=model, pinocchio_model=body)
+
+
+def recorded(real, motion, seed=0, noise=0.1):
+    log = armctl.simulate(real, "computed-torque-observer", motion, armctl.Plant(timestep=TICK), dwell=0.0)
+    rng = np.random.default_rng(seed)
+    q = log.q + noise * 1e-5 * rng.standard_normal(log.q.shape)
+    tau = log.tau + noise * 2e-3 * log.tau_max * rng.standard_normal(log.tau.shape)
+    return replace(log, q=q, tau=tau, v=np.full_like(q, np.nan))
+
+
+@pytest.fixture(scope="module")
+def arms(tmp_path_factory):
+    return {name: serial_arm(tmp_path_factory.mktemp("arm"), BENT[name]) for name in ("planar", "six joints")}
+
+
+@pytest.fixture(scope="module")
+def motions(arms):
+    return {name: armctl.excitation(arm, for_="arm") for name, arm in arms.items()}
+
+
+@pytest.fixture(scope="module")
+def planar(arms, motions):
+    """The arm, the real one, and the estimate."""
+    arm = arms["planar"]
+    real = changed(arm, coulomb=0.3)
+    return arm, real, armctl.identify(arm, recorded(real, motions["planar"]))
+
+
+def tracking_error(real, model):
+    motion = armctl.move_j(real, real.home, real.home + 0.5)
+    log = armctl.simulate(real, armctl.ComputedTorque(model), motion, armctl.Plant(timestep=TICK))
+    return armctl.Report.from_log(log).joint_rms_rad
+
+
+@pytest.mark.parametrize("name", ["planar", "six joints"])
+def test_an_identified_model_tracks_far_better(arms, motions, name):
+    arm = arms[name]
+    real = changed(arm)
+    found = armctl.identify(arm, recorded(real, motions[name]))
+    assert found.ok, found.reason
+    assert tracking_error(real, found.applied_to(arm)) < 0.1 * tracking_error(real, arm)
+
+
+def test_dry_friction_is_identified(planar):
+    _, _, found = planar
+    assert found.ok, found.reason
+    assert found.coulomb_friction == pytest.approx(0.3, rel=0.1)
+    assert any("frictionloss" in sentence and "too low" in sentence for sentence in found.findings)
+
+
+@pytest.mark.parametrize("name", ["planar", "six joints"])
+def test_every_link_is_one_that_a_body_can_be(arms, motions, name):
+    """Checked by the principal moments and by the linear matrix inequality, both written out here."""
+    arm = arms[name]
+    found = armctl.identify(arm, recorded(changed(arm), motions[name], noise=5.0))
+    assert found.consistent.all()
+    for m, hx, hy, hz, xx, xy, yy, xz, yz, zz in found.inertia:
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        h = np.array([hx, hy, hz])
+        matrix = np.block([[np.trace(inertia) / 2 * np.eye(3) - inertia, h[:, None]], [h[None], np.array([[m]])]])
+        assert np.linalg.eigvalsh(matrix).min() > 0
+        skew = np.array([[0, -hz, hy], [hz, 0, -hx], [-hy, hx, 0]])
+        moments = np.linalg.eigvalsh(inertia + skew @ skew / m)
+        assert m > 0
+        assert moments.min() > 0
+        assert moments[0] + moments[1] > moments[2]
+
+
+def test_the_applied_model_has_the_identified_parameters(planar):
+    arm, _, found = planar
+    known = found.applied_to(arm)
+    for i in range(arm.n):
+        assert known.pinocchio_model.pin_model.inertias[i + 1].toDynamicParameters() == pytest.approx(
+            found.inertia[i], abs=1e-9
+        )
+    assert known.model.dof_damping[arm.dof_adr] == pytest.approx(found.viscous_friction)
+    assert known.model.dof_frictionloss[arm.dof_adr] == pytest.approx(found.coulomb_friction)
+    q = arm.home
+    v = np.full(arm.n, 0.5)
+    zero = np.zeros(arm.n)
+    viscous = known.inverse_dynamics(q, v, zero) - known.inverse_dynamics(q, zero, zero) - known.coriolis(q, v)
+    assert viscous == pytest.approx(0.5 * found.viscous_friction)
+    assert found.friction_torque(v) == pytest.approx(0.5 * found.viscous_friction + found.coulomb_friction, rel=1e-3)
+
+
+def test_a_written_urdf_is_the_identified_arm(planar, tmp_path):
+    arm, _, found = planar
+    known = found.applied_to(arm)
+    q = arm.home + 0.1
+    written = armctl.load(found.to_urdf(tmp_path / "arm.urdf"), tip="tip")
+    assert written.gravity(q) == pytest.approx(known.gravity(q), abs=1e-6)
+    assert written.fk(q).position == pytest.approx(known.fk(q).position, abs=1e-9)
+
+
+def test_a_written_mjcf_is_the_identified_arm(tmp_path):
+    arm = serial_arm(tmp_path, BENT["planar"])
+    found = armctl.identify(arm, recorded(changed(arm), armctl.excitation(arm, for_="arm")))
+    known = found.applied_to(arm)
+    written = armctl.load(found.to_mjcf(tmp_path / "out" / "arm.xml", tmp_path / "serial.xml"))
+    q = arm.home + 0.1
+    assert written.mass_matrix(q) == pytest.approx(known.mass_matrix(q), abs=1e-6)
+    assert written.gravity(q) == pytest.approx(known.gravity(q), abs=1e-4)
+    with pytest.raises(armctl.ArmctlError):
+        found.to_mjcf(tmp_path / "other.xml", "robot_arm_3dof")
+    assert not (tmp_path / "other.xml").exists()
+
+
+def test_the_validation_uses_torques_that_the_fit_has_not_seen(arms, motions):
+    arm = arms["planar"]
+    log = recorded(changed(arm), motions["planar"])
+    tau = log.tau.copy()
+    last = int(0.8 * len(tau))
+    tau[last:] = 0.0
+    found = armctl.identify(arm, log)
+    spoiled = armctl.identify(arm, replace(log, tau=tau))
+    assert found.validation.ok
+    assert found.validation.rms == pytest.approx(
+        np.sqrt(((found.validation.measured - found.validation.predicted) ** 2).mean(axis=0))
+    )
+    assert not spoiled
+    assert spoiled.reason.startswith("validation failed: ")
+    assert found.validation.t[0] >= 0.79 * log.t[-1]
+    assert spoiled.inertia == pytest.approx(found.inertia, abs=0.3)
+
+
+def test_a_joint_that_stands_still_is_named(arms):
+    arm = arms["planar"]
+    step = np.array([0.8, 0.0, 0.5])
+    motion = armctl.move_through(arm, [arm.home, arm.home + step, arm.home - step, arm.home])
+    found = armctl.identify(arm, recorded(arm, motion.scaled(0.4)))
+    assert not found
+    assert found.reason.startswith(f"these joints do not move: {arm.joint_names[1]};")
+    assert any(arm.joint_names[1] in name for name in found.unexcited)
+    with pytest.raises(armctl.InputError, match="not identified"):
+        found.applied_to(arm)
+
+
+def test_a_motion_that_conditions_the_regressor_badly_is_refused(arms):
+    arm = arms["six joints"]
+    motion = armctl.move_j(arm, arm.home, arm.home + 0.15, speed=0.05)
+    found = armctl.identify(arm, recorded(arm, motion))
+    assert not found
+    assert found.reason.startswith("the condition number is ")
+    assert found.condition_number > 1e4
+
+
+def test_a_recording_that_is_delayed_is_aligned(arms, motions, tmp_path):
+    arm = arms["planar"]
+    log = recorded(changed(arm), motions["planar"], noise=0.1)
+    shift = 4
+    table = np.column_stack([log.t[shift:], log.q[shift:], log.tau[:-shift] + np.array([0.0, 0.5, -0.3])])
+    path = tmp_path / "run.csv"
+    header = "t,q1,q2,q3,tau1,tau2,tau3"
+    np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.9g")
+    found = armctl.identify(arm, path)
+    assert found.ok, found.reason
+    assert found.delay == pytest.approx(shift * TICK, abs=0.25 * TICK * shift)
+    page = tmp_path / "page.html"
+    assert armctl.identification_page(found, page) == page
+    assert "<svg" in page.read_text()
+    assert f"{found.cutoff:.3g} Hz" in page.read_text()
+
+
+@pytest.mark.parametrize("friction", ["none", "stribeck"])
+def test_other_friction_models(arms, motions, friction):
+    arm = arms["planar"]
+    found = armctl.identify(arm, recorded(arm, motions["planar"]), friction)
+    assert found.friction == friction
+    assert found.validation.ok, found.validation.reason
+    assert (found.breakaway >= 0).all()
+    assert friction != "none" or not found.coulomb_friction.any()
+
+
+def test_the_command_identifies_and_writes(arms, motions, tmp_path, capsys):
+    arm = serial_arm(tmp_path, BENT["planar"])
+    log = recorded(changed(arm), motions["planar"])
+    np.savetxt(
+        tmp_path / "run.csv",
+        np.column_stack([1e3 * log.t, log.q, log.tau]),
+        delimiter=",",
+        header="time,a1,a2,a3,m1,m2,m3",
+        comments="",
+        fmt="%.9g",
+    )
+    words = ["identify", str(tmp_path / "serial.xml"), str(tmp_path / "run.csv"), "--json"]
+    words += ["--columns", "t=time", "q=a*", "tau=m*", "--units", "t=ms"]
+    files = [tmp_path / "page.html", tmp_path / "arm.xml", tmp_path / "arm.urdf"]
+    status = main([*words, "--page", str(files[0]), "--mjcf", str(files[1]), "--urdf", str(files[2])])
+    out, _ = capsys.readouterr()
+    assert json.loads(out)["ok"] == (status == 0)
+    assert status == 0
+    assert all(file.is_file() for file in files)
+    assert main(["identify", str(tmp_path / "serial.xml"), str(tmp_path / "run.csv"), "--columns", "x=y"]) == 2
+
+
+@pytest.mark.parametrize("name", ["planar", "six joints"])
+def test_an_excitation_of_the_arm_is_safe_and_reports_its_condition(arms, motions, name):
+    arm = arms[name]
+    motion = motions[name]
+    assert motion.duration == pytest.approx(5.0)
+    assert motion.check_limits().ok
+    assert armctl.check_torque(arm, motion).ok
+    assert armctl.check_clearance(arm, motion, 0.004).ok
+    assert motion.clearance > 0.004
+    assert 1.0 < motion.condition_number < 1e4
+    assert motion.excites == "arm"
+    assert np.allclose(motion(0.0).q, motion(5.0).q)
+
+
+def test_an_excitation_for_a_payload_reports_its_condition(bundled):
+    motion = armctl.excitation(bundled)
+    assert motion.excites == "payload"
+    assert 1.0 <= motion.condition_number < 1e3
+
+
+def test_coupled_joints_are_refused_with_the_reason(load):
+    arm = load(limb("a b c d"), ties("c b 0.1 -0.5") + motors("a b d"))
+    with pytest.raises(armctl.ModelError, match="follows another joint"):
+        armctl.excitation(arm, for_="arm")
+
+
+WRONG = [
+    ({"friction": "viscous"}, "friction: 'viscous' given"),
+    ({"consistent": 1}, "consistent: 1 given"),
+    ({"holdout": 0.0}, "holdout: 0 given"),
+    ({"log": 3}, "log: 3 is no Log"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "reason"), WRONG)
+def test_wrong_arguments_are_refused(arms, motions, arguments, reason):
+    arm = arms["planar"]
+    given = {"log": recorded(arm, armctl.move_j(arm, arm.home, arm.home + 0.1))} | arguments
+    with pytest.raises(armctl.InputError, match=reason):
+        armctl.identify(arm, **given)
+
+
+def test_a_short_or_foreign_log_is_refused(arms, bundled):
+    arm = arms["six joints"]
+    log = recorded(arm, armctl.move_j(arm, arm.home, arm.home + 0.1))
+    with pytest.raises(armctl.InputError, match="at least 2 s wanted"):
+        armctl.identify(arm, log)
+    with pytest.raises(armctl.InputError, match="6 joints are recorded"):
+        armctl.identify(bundled, log)
+
+
+def test_log_cholesky_factors_are_the_inverse_and_their_jacobian_is_exact():
+    rng = np.random.default_rng(0)
+    A = rng.standard_normal((4, 4))
+    parameters = inertial_parameters(A @ A.T)
+    assert pseudo_inertia(parameters) == pytest.approx(A @ A.T)
+    z = to_log_cholesky(parameters)
+    value, jacobian = from_log_cholesky(z)
+    assert value == pytest.approx(parameters)
+    for k in range(10):
+        step = 1e-6 * np.eye(10)[k]
+        slope = (from_log_cholesky(z + step)[0] - from_log_cholesky(z - step)[0]) / 2e-6
+        assert jacobian[:, k] == pytest.approx(slope, abs=1e-6)
