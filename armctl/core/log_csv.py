@@ -16,7 +16,7 @@ import numpy as np
 from armctl.core.atomic import file_path
 from armctl.core.errors import InputError
 from armctl.core.filtering import choose_cutoff, derivatives, low_pass
-from armctl.core.validation import Array, shown
+from armctl.core.validation import Array, BoolArray, shown
 
 Columns = Mapping[str, str | Sequence[str]]
 
@@ -220,7 +220,7 @@ def _on_even_grid(names: Mapping[str, list[str]], table: Array, scales: Mapping[
     count = int(t[-1] / dt) + 1
     if count > _MAX_ROWS:
         raise InputError(f"t: the median interval of {dt:.3g} s is too short for {t[-1]:.3g} s; check the unit of time")
-    grid = dt * np.arange(count)
+    grid = np.asarray(dt * np.arange(count), dtype=np.float64)
     even = np.column_stack([np.interp(grid, t, column) for column in values.T])
     q = even[:, :n]
     cutoff = choose_cutoff(q, dt)
@@ -238,7 +238,7 @@ def _on_even_grid(names: Mapping[str, list[str]], table: Array, scales: Mapping[
     )
 
 
-def _is_repeated(t: Array, values: Array) -> Array:
+def _is_repeated(t: Array, values: Array) -> BoolArray:
     """(T,) bool, rows with the time of the row before, and short runs of rows with its values."""
     same_time = np.concatenate([[False], np.diff(t) == 0])
     same_values = np.concatenate([[False], (np.diff(values, axis=0) == 0).all(axis=1)])

@@ -11,7 +11,7 @@ from armctl.collision.checkers import collision_checker
 from armctl.collision.clearance import clearance_of
 from armctl.core.errors import LimitError, PlanError
 from armctl.core.validation import Array, IntArray
-from armctl.design.regressor import ArmRegressor, FrictionShape
+from armctl.design.regressor import ArmRegressor, FrictionShape, pivoted_qr
 from armctl.motion import JointTrajectory, check_torque, move_through
 from armctl.robot.arm import Arm
 
@@ -27,7 +27,6 @@ _CLEARANCE_M = 0.005  # for the error of the controller
 _SCORE_SAMPLES = 100
 _SMOOTHING_SPEED = 0.02  # rad/s, of Coulomb friction in the score
 _REGULARIZATION = 1e-6  # of the information matrix, so that its determinant exists
-_BASE_TOLERANCE = 1e-7
 _PATH_SAMPLES = 10  # between two configurations, for a first check for collisions
 
 
@@ -132,12 +131,9 @@ def _waypoints(arm: Arm, count: int, size: float, rng: np.random.Generator) -> A
 
 def _base_columns(regressor: ArmRegressor) -> IntArray:
     """The parameters that lead the base parameters."""
-    from scipy.linalg import qr
-
     rows = regressor.rows(*regressor.random_states(), _shape(regressor.arm.n)) / regressor.torque_scale()[:, None]
-    R, order = qr(rows.reshape(-1, regressor.layout.size) * regressor.prior, mode="r", pivoting=True)
-    diagonal = np.abs(np.diag(R))
-    return order[: int((diagonal > _BASE_TOLERANCE * diagonal[0]).sum())]
+    _, order, rank = pivoted_qr(rows.reshape(-1, regressor.layout.size) * regressor.prior)
+    return order[:rank]
 
 
 def _shape(n: int) -> FrictionShape:

@@ -13,7 +13,7 @@ from armctl.core.validation import Array, BoolArray, IntArray, choice, flag, fro
 from armctl.design.arm_estimate import ArmEstimate, Validation, counted
 from armctl.design.parameter_fit import ParameterFit
 from armctl.design.pseudo_inertia import PARAMETERS, is_consistent
-from armctl.design.regressor import ArmRegressor
+from armctl.design.regressor import ArmRegressor, pivoted_qr
 from armctl.robot.arm import Arm, check_arm
 
 FRICTION_MODELS = ("none", "coulomb+viscous", "stribeck")
@@ -21,7 +21,6 @@ _MIN_DURATION_S = 2.0
 _MIN_ROWS = 50  # filtered, of the fit
 _MIN_HELD_OUT_ROWS = 10
 _MIN_SPEED = 0.02  # rad/s (m/s): a joint that never moves faster stands still
-_BASE_TOLERANCE = 1e-7  # of the pivoted QR factor's largest diagonal element
 # A base parameter counts as excited if the data reduce its standard deviation to this share of that before any data.
 _MAX_UNCERTAINTY_SHARE = 0.5
 _SIGNIFICANT_SHARE = 0.1  # of a joint's typical torque: the uncertainty of the torques of random states that is accepted
@@ -162,14 +161,10 @@ def _judged(fit: ParameterFit, friction: str) -> ArmEstimate:
 
 def _base_parameters(fit: ParameterFit) -> _Base:
     """Base parameters by QR with pivoting of the regressor of random states, its columns in units of the prior."""
-    from scipy.linalg import qr
-
     regressor = fit.regressor
     rows = regressor.rows(*regressor.random_states(), fit.shape) / _typical_torque(fit)[:, None]
     W = rows.reshape(-1, regressor.layout.size) * regressor.prior
-    R, order = qr(W, mode="r", pivoting=True)
-    diagonal = np.abs(np.diag(R))
-    count = int((diagonal > _BASE_TOLERANCE * diagonal[0]).sum())
+    R, order, count = pivoted_qr(W)
     dependent = np.linalg.solve(R[:count, :count], R[:count, count:])
     combination = np.zeros((count, len(order)))
     combination[np.arange(count), order[:count]] = 1.0

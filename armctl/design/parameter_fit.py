@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -131,7 +132,7 @@ class ParameterFit:
         """(p, p), in units of the prior's standard deviations."""
         rows = self.training
         W = self.weighted(rows) / np.tile(np.sqrt(self.inflation), len(rows))[:, None]
-        return np.linalg.inv(W.T @ W + np.eye(W.shape[1]))
+        return np.asarray(np.linalg.inv(W.T @ W + np.eye(W.shape[1])), dtype=np.float64)
 
     def _drop_insignificant(self) -> None:
         """Keeps dry friction and offsets that the data do not confirm at the model's values; they would only absorb noise."""
@@ -257,7 +258,7 @@ class ParameterFit:
             return linear
         start = self.regressor.start
         prior = self.regressor.prior
-        R = np.linalg.qr(np.column_stack([self.weighted(rows), self._targets(rows)]), mode="r")
+        R: Any = np.linalg.qr(np.column_stack([self.weighted(rows), self._targets(rows)]), mode="r")
         A = R[:, :-1]
         b = R[:, -1]
 
@@ -288,7 +289,8 @@ class ParameterFit:
         sizes = np.flatnonzero(np.arange(layout.size) % PARAMETERS < _DIAGONAL)  # the logarithms in the Cholesky factors
         sizes = sizes[sizes < layout.rotor.start] if self._consistent else sizes[:0]
         low = np.where(positive, 0.0, -np.inf)
-        found = least_squares(
+        solve: Any = least_squares  # its stubs demand a name for the Jacobian
+        found = solve(
             residual, z, jacobian, bounds=(low, np.inf), x_scale="jac", max_nfev=_MAX_EVALUATIONS, ftol=1e-7, xtol=1e-9
         )
         return parameters(found.x)

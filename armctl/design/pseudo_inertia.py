@@ -60,7 +60,7 @@ def regularized(parameters: Array, mass_floor: float, length_floor: float) -> Ar
 
 def upper_factor(P: Array) -> Array:
     """The upper triangular U with P = U U^T."""
-    return np.ascontiguousarray(np.linalg.cholesky(P[::-1, ::-1])[::-1, ::-1])
+    return np.array(np.linalg.cholesky(P[::-1, ::-1])[::-1, ::-1], dtype=np.float64)
 
 
 def to_log_cholesky(parameters: Array) -> Array:

@@ -5,13 +5,13 @@ tau = inverse_dynamics(q, v, a) + W(q, v, a) (x - x_model)
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from armctl.core.errors import ModelError
-from armctl.core.validation import Array
+from armctl.core.validation import Array, IntArray
 from armctl.design.pseudo_inertia import PARAMETERS, pseudo_inertia
 from armctl.mjmodel.queries import joint_name, last_joint_above
 from armctl.robot.arm import Arm
@@ -24,6 +24,7 @@ _MIN_MASS_SHARE = 0.02  # of the arm's mass: the least mass from which prior dev
 _MIN_LENGTH_M = 0.03
 _FRICTION_PRIOR = 0.1  # of the torque limit, for Coulomb friction and offset, and for viscous friction at 1 rad/s
 _ROTOR_PRIOR = 0.3  # of the joint's inertia
+_RANK_TOLERANCE = 1e-7  # of the QR factor's largest diagonal element
 _STATES = 200  # random ones, from which structural properties and typical torques follow
 _STATE_ACCELERATION = 5.0  # rad/s^2 (m/s^2)
 _MAX_STATE_SPEED = 3.0  # rad/s (m/s)
@@ -207,6 +208,16 @@ class ArmRegressor:
         torques = self.model_torques(*self.random_states())
         rms = np.sqrt((torques**2).mean(axis=0))
         return np.minimum(np.maximum(rms, 1e-3 * max(float(rms.max()), 1e-9)), self.arm.limits.tau_max)
+
+
+def pivoted_qr(W: Array) -> tuple[Array, IntArray, int]:
+    """R and the order of the columns of a QR factorization with pivoting, and the rank."""
+    from scipy.linalg import qr
+
+    factors: Any = qr(W, mode="r", pivoting=True)
+    R, order = factors
+    diagonal = np.abs(np.diag(R))
+    return R, np.asarray(order, dtype=np.int64), int((diagonal > _RANK_TOLERANCE * diagonal[0]).sum())
 
 
 def _lifted_shares(arm: Arm) -> Array:
