@@ -111,11 +111,11 @@ def test_all_that_five_thousand_random_starts_find_is_found(tmp_path, name: str)
         assert distance(q, found.q) < 1e-3
 
 
-def test_a_general_chain_of_six_joints_has_more_than_eight_solutions_at_some_poses_and_none_is_proved(tmp_path):
+def test_without_special_axes_fewer_than_sixteen_solutions_are_not_proved_to_be_all(tmp_path):
     arm = arm_of(tmp_path, "no special axes")
     found = [solve_ik_all(arm, arm.fk(q)) for q in arm.limits.random(arm.home, 10, np.random.default_rng(2))]
     assert all(found)
-    assert all(len(each) % 2 == 0 or not each.is_complete for each in found)
+    assert any(len(each) < 16 for each in found)
     assert not any(each.is_complete for each in found if len(each) < 16)
 
 
