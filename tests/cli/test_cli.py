@@ -104,6 +104,19 @@ def test_robots_lists_every_name(capsys):
     assert {BUNDLED, "panda", "ur5e", "iiwa14", "xarm7", "gen3", "so_arm100"} <= {line.split()[0] for line in out.splitlines()}
 
 
+def test_margins_are_a_table_and_a_page(capsys, tmp_path):
+    chosen = ("--controllers", "pd,adaptive", "--poses", "3", "--timestep", "0.002")
+    status, out, err = run(capsys, "margins", BUNDLED, *chosen, "--report", str(tmp_path))
+    assert status == 0, err
+    assert [line.split()[1] for line in out.splitlines()[2:]] == ["pd", "adaptive"]
+    page = (tmp_path / "margins.html").read_text()
+    assert page.count("<svg") == 2
+    status, out, _ = run(capsys, "margins", BUNDLED, *chosen, "--json")
+    for figures in json.loads(out):
+        again = armctl.margins(armctl.load(BUNDLED), figures["controller"], 3, [armctl.Plant(timestep=0.002)])
+        assert figures["delay"]["value"] == again.delay.value
+
+
 def test_compare_shows_every_controller(capsys):
     status, out, _ = run(capsys, "compare", BUNDLED, "--controllers", "all")
     assert status == 0

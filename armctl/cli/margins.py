@@ -1,0 +1,62 @@
+"""`armctl margins ROBOT`: how much delay, gain and phase the controllers bear, and where they are worst."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from armctl.cli.common import (
+    DONE,
+    NOT_REACHED,
+    PLANTS_HELP,
+    Commands,
+    add_arm,
+    add_command,
+    add_json,
+    load_arm,
+    names,
+    one_number,
+    print_result,
+    say_written,
+)
+from armctl.core.errors import UnknownNameError
+
+
+def add(commands: Commands) -> None:
+    """Adds the command to the parser."""
+    parser = add_command(commands, "margins", run, "delay, gain and phase margins of controllers over the workspace")
+    add_arm(parser)
+    parser.add_argument("--controllers", default="all", metavar="A,B,...", help="their names (default all)")
+    parser.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{PLANTS_HELP} (default nominal)")
+    parser.add_argument("--poses", type=int, default=20, help="number of configurations (default 20)")
+    parser.add_argument("--timestep", help="the control period, s (default the model's)")
+    parser.add_argument(
+        "--report", type=Path, metavar="DIR", help="write a page with Nyquist, sensitivity and compliance plots"
+    )
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Runs the command."""
+    from armctl.analysis.margins_html import margins_table, write_margins
+    from armctl.cli.plants import plant_by_name
+    from armctl.control import CONTROLLERS
+    from armctl.core.progress import progress_bar
+    from armctl.design.margins import margins
+
+    arm = load_arm(args)
+    timestep = one_number("timestep", args.timestep) if args.timestep else None
+    controllers = list(CONTROLLERS) if args.controllers == "all" else names(args.controllers)
+    for name in controllers:
+        if name not in CONTROLLERS:
+            raise UnknownNameError.of("controller", name, CONTROLLERS)
+    plants = [plant_by_name(name, arm, timestep) for name in names(args.plants)]
+    found = []
+    with progress_bar("margins", len(controllers), "controllers") as bar:
+        for name in controllers:
+            found.append(margins(arm, name, args.poses, plants))
+            bar.update()
+    print_result(args, margins_table(found).markdown(), [each.to_dict() for each in found])
+    if args.report:
+        say_written(write_margins(arm, found, plants, args.report))
+    return DONE if all(found) else NOT_REACHED
