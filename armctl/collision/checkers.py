@@ -18,6 +18,13 @@ if TYPE_CHECKING:
     from armctl.collision.checker import CollisionChecker
 
 
+def read_pairs(allow: object) -> tuple[tuple[str, str], ...]:
+    """What a caller allows to touch, as a tuple; the pairs themselves are checked where they are used."""
+    if not isinstance(allow, Iterable):
+        raise InputError(f"allow: {shown(allow)} given, pairs of names wanted")
+    return tuple(allow)
+
+
 def geom_owners(arm: Arm) -> IntArray:
     """Which joint of the chain moves each geom.
 
@@ -52,9 +59,7 @@ def collision_checker(
     """
     from armctl.collision.checker import CollisionChecker  # loads numba
 
-    if not isinstance(allow, Iterable):
-        raise InputError(f"allow: {shown(allow)} given, pairs of names wanted")
-    allow = tuple(allow)
+    allow = read_pairs(allow)
     if qpos is not None or allow or held:
         return CollisionChecker(arm, qpos, allow, held)
     checker = _checkers.get(arm)

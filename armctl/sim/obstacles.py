@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from armctl.collision.checkers import collision_checker
+from armctl.collision.checkers import collision_checker, read_pairs
 from armctl.core.validation import Array
 from armctl.mjmodel.queries import body_name
 from armctl.robot.arm import Arm
@@ -43,7 +43,7 @@ class Obstacles:
             InputError: `allow` is no list of pairs.
             UnknownNameError: The model has no body or geom of a name in `allow`.
         """
-        allowed = [*allow, *(self._touched_by(held) if held else ())]
+        allowed = [*read_pairs(allow), *(self._touched_by(held) if held else ())]
         qpos = np.array(self._data.qpos)
         outside = qpos[~self._is_own]
         is_home = not held and np.abs(outside - self._arm.home_qpos[~self._is_own]).max(initial=0.0) < _SAME_M
