@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from armctl.control import feedforward
-from armctl.control.gains import DEFAULT_BANDWIDTH, sample_configurations
+from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH, sample_configurations
 from armctl.control.interface import Clock, State, explains_wrong_arguments
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number
@@ -54,7 +54,7 @@ class Adaptive:
             ModelError: A joint of the arm follows another one.
         """
         check_arm(arm)
-        self.bandwidth = number("bandwidth", bandwidth, 0.0)
+        self.bandwidth = number("bandwidth", bandwidth, 0.0, MAX_BANDWIDTH)
         self.adaptation_rate = number("adaptation_rate", adaptation_rate, 0.0)
         self.payload = np.zeros(4)
         self._dynamics = Dynamics(arm.model, arm.pinocchio_model)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from armctl.control import feedforward
-from armctl.control.gains import DEFAULT_BANDWIDTH, effective_inertia, floored_inertia
+from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH, effective_inertia, floored_inertia
 from armctl.control.interface import State, explains_wrong_arguments
 from armctl.control.observer import DisturbanceObserver
 from armctl.core.errors import InputError
@@ -69,9 +69,9 @@ class ComputedTorque:
         """
         check_arm(arm)
         self.form = choice("form", form, FORMS)
-        self.bandwidth = number("bandwidth", bandwidth, 0.0)
-        self.damping_ratio = number("damping_ratio", damping_ratio, 0.0)
-        self.observer_bandwidth = number("observer_bandwidth", observer_bandwidth, 0.0)
+        self.bandwidth = number("bandwidth", bandwidth, 0.0, MAX_BANDWIDTH)
+        self.damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
+        self.observer_bandwidth = number("observer_bandwidth", observer_bandwidth, 0.0, MAX_BANDWIDTH)
         self.name = "computed-torque"
         self._observer = None
         self._is_textbook = self.form == "textbook"

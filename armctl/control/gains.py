@@ -22,6 +22,8 @@ MAX_MOTOR_ACCELERATION = 1000.0
 # An arm with light wrists bears less: `armctl.margins` measures it.
 MAX_DAMPING_PER_PERIOD = 0.25
 
+MAX_BANDWIDTH = 1e6  # rad/s, and the bound of damping ratios: a thousand times what any control period can use
+
 
 def sample_configurations(arm: Arm) -> Array:
     """Home and 64 random configurations, always the same ones, (65, n) rad: gains are designed for all of them."""
@@ -99,8 +101,8 @@ def pd_gains(
         InputError: A gain is negative, not finite or of the wrong length.
     """
     check_arm(arm)
-    bandwidth = number("bandwidth", bandwidth, 0.0)
-    damping_ratio = number("damping_ratio", damping_ratio, 0.0)
+    bandwidth = number("bandwidth", bandwidth, 0.0, MAX_BANDWIDTH)
+    damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
     inertia = effective_inertia(arm)
     scale = floored_inertia(arm, np.median(inertia, axis=0), inertia.min(axis=0), bandwidth, DESIGN_PERIOD_S)
     stiffness = gain("stiffness", bandwidth * bandwidth * scale if stiffness is None else stiffness, arm.n)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control import feedforward
-from armctl.control.gains import DEFAULT_BANDWIDTH, gain, sample_configurations
+from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH, gain, sample_configurations
 from armctl.control.interface import State, explains_wrong_arguments
 from armctl.control.task_space import consistent_inverse, tip_error
 from armctl.core.trajectory import Setpoint
@@ -59,8 +59,8 @@ class Impedance:
             InputError: A gain is negative, not finite or of the wrong length.
         """
         check_arm(arm)
-        bandwidth = number("bandwidth", bandwidth, 0.0)
-        self.damping_ratio = number("damping_ratio", damping_ratio, 0.0)
+        bandwidth = number("bandwidth", bandwidth, 0.0, MAX_BANDWIDTH)
+        self.damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
         self._arm = arm
         self._dynamics = Dynamics(arm.model, arm.pinocchio_model)
         inertia = _min_inertia(arm, self._dynamics)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from armctl.control import feedforward
-from armctl.control.gains import DEFAULT_BANDWIDTH
+from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH
 from armctl.control.interface import State, explains_wrong_arguments
 from armctl.control.task_space import consistent_inverse, tip_error
 from armctl.core.trajectory import Setpoint
@@ -49,9 +49,9 @@ class OperationalSpace:
             InputError: A gain is negative or not finite.
         """
         check_arm(arm)
-        self.bandwidth = number("bandwidth", bandwidth, 0.0)
-        self.damping_ratio = number("damping_ratio", damping_ratio, 0.0)
-        self.posture_bandwidth = number("posture_bandwidth", posture_bandwidth, 0.0)
+        self.bandwidth = number("bandwidth", bandwidth, 0.0, MAX_BANDWIDTH)
+        self.damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
+        self.posture_bandwidth = number("posture_bandwidth", posture_bandwidth, 0.0, MAX_BANDWIDTH)
         self._arm = arm
         self._dynamics = Dynamics(arm.model, arm.pinocchio_model)
 

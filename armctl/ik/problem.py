@@ -170,7 +170,7 @@ def read_starts(arm: Arm, q0: ArrayLike | None, count: int) -> Array:
         return arm.home[None] if count == 1 else np.broadcast_to(arm.home, (count, arm.n))
     try:
         dimensions = np.ndim(q0)
-    except ValueError:
+    except Exception:  # an object's own conversion may raise anything
         raise InputError(f"q0: {shown(q0)} is not an array of numbers") from None
     if dimensions < 2:
         start = arm.checked("q0", q0)
