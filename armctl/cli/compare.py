@@ -78,7 +78,10 @@ def run(args: argparse.Namespace) -> int:
             bar.update()
 
         reports = compare(arm, controllers, out_and_back(arm, speed=speed), plants, workers=workers, progress=advance)
-    print_result(args, "\n".join([*remarks(reports), table(reports)]), [r.to_dict() for r in reports])
+    notes = remarks(reports)
+    if notes:
+        notes.append("")  # a table in Markdown starts after an empty line
+    print_result(args, "\n".join([*notes, table(reports)]), [r.to_dict() for r in reports])
     if args.save:
         for report, prefix in zip(reports, _file_prefixes(reports), strict=True):
             save_report(report, args.save, prefix)
