@@ -43,7 +43,7 @@ class Obstacles:
             InputError: `allow` is no list of pairs.
             UnknownNameError: The model has no body or geom of a name in `allow`.
         """
-        allowed = [*read_pairs(allow), *(self._touched_by(held) if held else ())]
+        allowed = [*read_pairs(allow), *(touched_by(self._arm.model, self._data, held) if held else ())]
         qpos = np.array(self._data.qpos)
         outside = qpos[~self._is_own]
         is_home = not held and np.abs(outside - self._arm.home_qpos[~self._is_own]).max(initial=0.0) < _SAME_M
@@ -64,15 +64,15 @@ class Obstacles:
         qpos[self._arm.joint_map.qpos_adr] = self._arm.joint_map.positions(own)
         return qpos
 
-    def _touched_by(self, held: str) -> tuple[tuple[str, str], ...]:
-        """What a held body touches now, besides the gripper."""
-        model = self._arm.model
-        body = model.body(held).id
-        touched = set()
-        for contact in self._data.contact:
-            bodies = [int(model.geom_bodyid[geom]) for geom in contact.geom]
-            if body in bodies:
-                other = int(contact.geom[1 - bodies.index(body)])
-                owner = int(model.geom_bodyid[other])
-                touched.add((held, body_name(model, owner) if owner else model.geom(other).name))
-        return tuple(sorted(pair for pair in touched if pair[1]))
+
+def touched_by(model: mujoco.MjModel, data: mujoco.MjData, held: str) -> list[tuple[str, str]]:
+    """What a held body touches now, as pairs of names that may touch."""
+    body = model.body(held).id
+    touched = set()
+    for contact in data.contact:
+        bodies = [int(model.geom_bodyid[geom]) for geom in contact.geom]
+        if body in bodies:
+            other = int(contact.geom[1 - bodies.index(body)])
+            owner = int(model.geom_bodyid[other])
+            touched.add((held, body_name(model, owner) if owner else model.geom(other).name))
+    return sorted(pair for pair in touched if pair[1])

@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.collision.checkers import collision_checker
+from armctl.collision.checkers import collision_checker, read_pairs
 from armctl.control import ComputedTorque, Controller
 from armctl.core.errors import InputError, ModelError, PlanError, UnknownNameError
 from armctl.core.log import Log
@@ -23,6 +23,7 @@ from armctl.planning.team import ArmGroup, plan_together
 from armctl.robot.arm import Arm
 from armctl.sim.gripper import Gripper
 from armctl.sim.move import ControlledArms, PlannedMove, plan_to, read_controller
+from armctl.sim.obstacles import touched_by
 from armctl.sim.plant import Plant, read_plant
 from armctl.sim.stepper import Stepper
 
@@ -183,7 +184,10 @@ class Team:
         if self._arms.stepper.diverged or not goals:
             return {tip: self._planned(tip, goal, speed) for tip, goal in goals.items()}
         group = ArmGroup.of(list(self.arms.values()), speed)
-        checker = collision_checker(group, np.array(self.data.qpos), allow)
+        held = {tip: gripper.held for tip, gripper in self._grippers.items() if gripper.held}
+        carried = {self.model.body(body).id: self.arms[tip].tip_body for tip, body in held.items()}
+        kept = [pair for body in held.values() for pair in touched_by(self.model, self.data, body)]
+        checker = collision_checker(group, np.array(self.data.qpos), [*read_pairs(allow), *kept], carried)
         starts = {tip: self._arms.start(tip) for tip in self.arms}
         found = {
             tip: configurations_for(self.arms[tip], starts[tip], goal, np.random.default_rng(0)) for tip, goal in goals.items()

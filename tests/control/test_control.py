@@ -114,7 +114,7 @@ def test_an_unknown_controller_has_a_suggestion(bundled):
     [
         (lambda arm: armctl.PD(arm, stiffness=[1.0, 2.0]), "stiffness: 2 numbers given, 3 wanted"),
         (lambda arm: armctl.PD(arm, damping=[-1.0, 2.0, 1.0]), "damping: every value must be at least 0, got -1"),
-        (lambda arm: armctl.PDGravity(arm, bandwidth=-1.0), "bandwidth: -1 given, a number at least 0"),
+        (lambda arm: armctl.PDGravity(arm, bandwidth=-1.0), "bandwidth: -1 given, a number in"),
         (lambda arm: armctl.PIDGravity(arm, integral_gain=[1.0]), "integral_gain: 1 numbers given, 3 wanted"),
         (lambda arm: armctl.PD(arm, bandwidth="20"), "bandwidth: '20' is not a number"),
         (lambda arm: armctl.PD(arm, stiffness="20"), "stiffness: '20' is not a"),

@@ -76,9 +76,11 @@ def test_a_source_distribution_holds_the_tests_and_what_they_read(tmp_path: Path
 
 
 def declared() -> set[str]:
-    """The distributions that pyproject.toml names as dependencies, or in the extra of the viewer."""
+    """The distributions that pyproject.toml names as dependencies, or in the extras that armctl imports."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    return {re.split(r"[<>=\[]", line)[0] for line in [*project["dependencies"], *project["optional-dependencies"]["view"]]}
+    extras = project["optional-dependencies"]
+    lines = [*project["dependencies"], *extras["view"], *extras["design"]]
+    return {re.split(r"[<>=\[]", line)[0] for line in lines}
 
 
 def test_every_package_that_armctl_imports_is_a_declared_dependency():
