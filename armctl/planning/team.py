@@ -125,6 +125,7 @@ def plan_together(
 
 def combined(motions: Mapping[str, JointTrajectory], columns: Mapping[str, slice], start: Array) -> tuple[Array, Array]:
     """Motions that start at once as one: knots (K + 1,) s, coefficients (K, 6, N). Joints without a motion stay at `start`."""
+    # Motions that take no time at all still need one interval, in which the arms stand.
     knots = np.unique(np.concatenate([[0.0, 1e-9], *(motion.knots for motion in motions.values())]))
     coefficients = np.zeros((len(knots) - 1, 6, len(start)))
     coefficients[:, 0] = start
