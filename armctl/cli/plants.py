@@ -12,7 +12,6 @@ from armctl.robot.arm import Arm
 from armctl.sim.plant import NOMINAL, Plant
 
 _ENCODER_NOISE_RAD = 1e-5
-_VELOCITY_NOISE_RAD_S = 1e-3
 _FRICTION = 0.02  # Coulomb friction as a fraction of the torque limit; viscous friction is half of that per rad/s
 _DEFAULT = {"payload": 1.0, "mass": 1.2, "friction": _FRICTION, "delay": 2.0, "noise": 1.0, "ripple": 0.02}
 PLANTS = {
@@ -21,7 +20,7 @@ PLANTS = {
     "mass": "factor on the links' masses (1.2)",
     "friction": "Coulomb friction as a fraction of the torque limit, and half as much viscous friction per rad/s (0.02)",
     "delay": "delay of commands, ticks (2)",
-    "noise": "noise of measurements, times 1e-5 rad and 1e-3 rad/s (1)",
+    "noise": "noise of encoders, times 1e-5 rad (1); velocities are differenced from them",
     "ripple": "torque ripple as a fraction of the torque (0.02)",
     "continuous": "nearly continuous motion between ticks",
     "all": "payload, mass, friction, delay and noise at once",
@@ -72,7 +71,7 @@ def _with(plant: Plant, name: str, value: float, arm: Arm) -> Plant:
         dry = value * arm.limits.tau_max
         return replace(plant, coulomb_friction=dry, viscous_friction=0.5 * dry)
     if name == "noise":
-        return replace(plant, encoder_noise=value * _ENCODER_NOISE_RAD, velocity_noise=value * _VELOCITY_NOISE_RAD_S)
+        return replace(plant, encoder_noise=value * _ENCODER_NOISE_RAD)
     field = {"payload": "payload", "mass": "mass_scale", "delay": "delay", "ripple": "torque_ripple"}.get(name)
     if field is not None:
         return replace(plant, **{field: value})

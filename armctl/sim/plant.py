@@ -98,7 +98,8 @@ class Plant:
         viscous_friction: N m s/rad of damping added to the model's; a number for all joints or (n,).
         delay: Ticks by which commands are delayed.
         encoder_noise: rad, standard deviation of the noise on measured positions.
-        velocity_noise: rad/s, standard deviation of the noise on measured velocities.
+        velocity_noise: rad/s, standard deviation of the noise of a velocity sensor. By default there is none, and the velocity
+            is differenced from the measured positions: its noise is that of two positions divided by the tick.
         torque_ripple: Amplitude of the torque's variation with the joint angle, as a fraction of the torque.
         pushes: External forces, each a `Push`.
         continuous: Whether the arm moves almost continuously between ticks while the torque is held, as a real arm does
@@ -116,7 +117,7 @@ class Plant:
     viscous_friction: ArrayLike = 0.0
     delay: int = 0
     encoder_noise: float = 0.0
-    velocity_noise: float = 0.0
+    velocity_noise: float | None = None
     torque_ripple: float = 0.0
     pushes: Push | Sequence[Push] = ()
     continuous: bool = False
@@ -126,9 +127,10 @@ class Plant:
 
     def __post_init__(self) -> None:
         checked: dict[str, object] = {
-            what: number(what, getattr(self, what), 0.0)
-            for what in ("payload", "encoder_noise", "velocity_noise", "torque_ripple")
+            what: number(what, getattr(self, what), 0.0) for what in ("payload", "encoder_noise", "torque_ripple")
         }
+        if self.velocity_noise is not None:
+            checked["velocity_noise"] = number("velocity_noise", self.velocity_noise, 0.0)
         checked["mass_scale"] = number("mass_scale", self.mass_scale, 1e-3)
         checked["payload_center"] = vector("payload_center", self.payload_center, 3)
         checked["coulomb_friction"] = _friction("coulomb_friction", self.coulomb_friction)
@@ -164,7 +166,7 @@ class Plant:
             found.append(f"delay {self.delay}")
         if self.encoder_noise:
             found.append(f"encoder noise {_text(self.encoder_noise)} rad")
-        if self.velocity_noise:
+        if self.velocity_noise or (self.encoder_noise and self.velocity_noise is not None):
             found.append(f"velocity noise {_text(self.velocity_noise)} rad/s")
         if self.seed and (self.encoder_noise or self.velocity_noise):
             found.append(f"seed {self.seed}")

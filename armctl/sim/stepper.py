@@ -169,7 +169,7 @@ class Stepper:
         self._measurement = None
         self._unobserved = 0.0
         if self.plant.has_signal_disturbances:
-            self._disturbances = Disturbances(self.plant, self.data, self.actuation.dof_adr, self._tip_jacobian)
+            self._disturbances = Disturbances(self.plant, self.data, self.actuation.dof_adr, self._tip_jacobian, self.dt)
         if self._observer is not None:
             self._observer.after_reset(self.data)
 

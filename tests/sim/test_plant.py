@@ -92,6 +92,15 @@ def test_noise_has_its_size_and_the_log_the_truth(bundled):
     assert np.abs(log.q - bundled.home).max() < 1e-9
 
 
+def test_without_a_velocity_sensor_the_velocity_is_differenced_from_noisy_positions(bundled):
+    holding = Holding(bundled)
+    log = armctl.simulate(bundled, holding, Still(bundled.home, 0.1), armctl.Plant(encoder_noise=1e-4), dwell=0.0)
+    q = np.array([state.q for state in holding.states])
+    v = np.array([state.v for state in holding.states])
+    assert np.allclose(np.diff(q, axis=0) / log.dt, v[1:], atol=1e-9)
+    assert np.std(v) == pytest.approx(np.sqrt(2) * 1e-4 / log.dt, rel=0.2)
+
+
 def test_the_same_seed_gives_the_same_bits(bundled):
     first, second, other = (
         armctl.simulate(bundled, "pd-gravity", Still(bundled.home), armctl.Plant(encoder_noise=1e-4, seed=seed))
