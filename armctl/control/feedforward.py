@@ -20,7 +20,7 @@ def sampled(setpoint: Setpoint) -> tuple[Array, Array]:
 
 def inverse_dynamics(dynamics: Dynamics, state: State, a: Array) -> Array:
     """The torque that changes the velocity by a dt over the coming control period, without dry friction; (n,) N m."""
-    q, v, _, dt, continuous = state
+    q, v, _, dt, continuous, _ = state
     return dynamics.inverse_midpoint(q, v, a, dt) if continuous else dynamics.discrete_inverse_dynamics(q, v, a, dt)
 
 
@@ -35,7 +35,7 @@ def friction(dynamics: Dynamics, state: State, v_ref: Array, a_ref: Array) -> Ar
 
     It uses the reference velocity, because the sign of a noisy measured velocity would make the torque chatter.
     """
-    q, _, _, dt, continuous = state
+    q, _, _, dt, continuous, _ = state
     if continuous:
         return dynamics.friction(v_ref + 0.5 * dt * a_ref, a_ref)
     return dynamics.discrete_friction(q, v_ref, a_ref, dt)

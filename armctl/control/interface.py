@@ -24,6 +24,8 @@ class State(NamedTuple):
         dt: The control period, s, during which the torque is held constant; 0 means continuous time.
         continuous: Whether the arm moves continuously during the control period, as a real arm does. If False, the control
             period is one step of the simulator.
+        wrench: (6,) N and N m, the measured wrench of the environment on the tip: force first, world axes, at the tip. None if
+            nobody measures it: a simulation does for controllers with the attribute `needs_wrench = True`.
     """
 
     q: Array
@@ -31,6 +33,7 @@ class State(NamedTuple):
     t: float = 0.0
     dt: float = 0.0
     continuous: bool = False
+    wrench: Array | None = None
 
 
 @runtime_checkable

@@ -78,6 +78,8 @@ class Log:
         qpos: (T, nq) the positions of the whole model as in MjData.qpos, with grippers and loose objects, for films.
         units: The unit of each joint, "rad" or "m"; rad for all joints if left out.
         contacts: What the arm touched, in the order of time; empty if it touched nothing.
+        wrench: (T, 6) N and N m, the true wrench of the environment on the tip: force first, world axes, at the tip; NaN at
+            ticks at which the controller did not measure it, (0, 6) if it never did.
     """
 
     robot: str
@@ -105,6 +107,7 @@ class Log:
     qpos: Array = field(default_factory=lambda: np.zeros((0, 0)))
     units: tuple[str, ...] = ()
     contacts: tuple[Contact, ...] = ()
+    wrench: Array = field(default_factory=lambda: np.zeros((0, 6)))
 
     def __post_init__(self) -> None:
         for name, values in (("joint_names", self.joint_names), ("units", self.units)):
@@ -258,7 +261,7 @@ def _checked(arrays: Mapping[str, Array], meta: object) -> dict[str, Any]:
     """The fields of a log from a file; an InputError says which of them cannot be."""
     if not isinstance(meta, dict):
         raise InputError("its head is no table")
-    missing = {f.name for f in fields(Log)} - {*arrays, *meta} - {"contacts"}
+    missing = {f.name for f in fields(Log)} - {*arrays, *meta} - {"contacts", "wrench"}
     unknown = ({*arrays, *meta} - {f.name for f in fields(Log)}) | (set(arrays) & set(meta))
     if missing or unknown:
         raise InputError(f"its fields do not fit: missing {shown(sorted(missing))}, unknown {shown(sorted(unknown))}")
@@ -290,6 +293,8 @@ def _check_arrays(arrays: Mapping[str, Array], n: int, dt: float) -> None:
     shapes |= {"tip": (ticks, 3), "tip_ref": (ticks, 3), "tip_quat": (ticks, 4), "tip_ref_quat": (ticks, 4)}
     if arrays["qpos"].shape == (0, 0):  # a log without positions of the model
         shapes["qpos"] = (0, 0)
+    if len(arrays.get("wrench", ())):
+        shapes["wrench"] = (ticks, 6)
     for name, shape in shapes.items():
         column = arrays[name]
         if column.dtype != np.float64 or column.shape != shape or len(nq) != 1:

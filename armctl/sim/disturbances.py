@@ -15,7 +15,11 @@ _RIPPLES_PER_RADIAN = 12.0  # 75 a turn, typical of a motor behind a gear
 
 
 class Disturbances:
-    """Noise, delay, ripple and pushes of one run; every run of the same plant has the same ones."""
+    """Noise, delay, ripple and pushes of one run; every run of the same plant has the same ones.
+
+    Attributes:
+        push: (6,) N and N m, the wrench of the pushes in the last tick.
+    """
 
     def __init__(self, plant: Plant, data: mujoco.MjData, dof_adr: IntArray, tip_jacobian: Callable[[Array], Array], dt: float):
         """The disturbances of a run that starts now.
@@ -33,6 +37,7 @@ class Disturbances:
         self._tip_jacobian = tip_jacobian
         self._pushes = list(plant.pushes)  # type: ignore[arg-type]  # a tuple after Plant.__post_init__
         self._dt = dt
+        self.push = np.zeros(6)
         self._rng = np.random.default_rng(plant.seed)
         self._last_noise = np.zeros(len(dof_adr))
         self._commands: deque[Array] = deque(maxlen=plant.delay + 1)
@@ -58,7 +63,7 @@ class Disturbances:
         That is the command `delay` ticks ago, or the first command until then, with ripple.
         """
         if self._pushes:
-            wrench = sum((push.wrench for push in self._pushes if push.acts(self._data.time)), np.zeros(6))
-            self._data.qfrc_applied[self._dof_adr] = self._tip_jacobian(q).T @ wrench
+            self.push = sum((push.wrench for push in self._pushes if push.acts(self._data.time)), np.zeros(6))
+            self._data.qfrc_applied[self._dof_adr] = self._tip_jacobian(q).T @ self.push
         self._commands.append(tau.copy())
         return self._commands[0] * (1.0 + self._plant.torque_ripple * np.sin(_RIPPLES_PER_RADIAN * q))

@@ -26,6 +26,7 @@ from armctl.planning.move_free import CLEARANCE_M, move_free_with
 from armctl.robot.arm import Arm
 from armctl.sim.recorder import Recorder, TickRows, ticks_for
 from armctl.sim.stepper import ConstantTorque, ControllerFailure, Stepper, checked_torque
+from armctl.sim.wrench_sensor import WRENCH_SIZE
 
 if TYPE_CHECKING:
     from armctl.collision.checker import CollisionChecker
@@ -133,6 +134,7 @@ class ControlledArms:
         self.stepper = stepper
         ends = np.cumsum([arm.n for arm in arms]).tolist()
         self._slices = {arm.tip: slice(end - arm.n, end) for arm, end in zip(arms, ends, strict=True)}
+        self._wrenches = {arm.tip: slice(WRENCH_SIZE * i, WRENCH_SIZE * (i + 1)) for i, arm in enumerate(arms)}
         self._logs: dict[str, Log] = {}
         self._steps: _StepRecording | None = None
 
@@ -276,6 +278,7 @@ class ControlledArms:
             tip: recorder.log(
                 arm,
                 joints=self._slices[tip],
+                wrench=self._wrenches[tip],
                 controller=controller_name(controller or self.controllers[tip]),
                 plant=str(self.stepper.plant),
                 dt=self.stepper.dt,
@@ -321,7 +324,7 @@ class ControlledArms:
         """The controllers of all arms as one."""
         if len(self.arms) == 1:
             return next(iter(self.controllers.values()))
-        return _JointController(self.controllers, self._slices)
+        return _JointController(self.controllers, self._slices, self._wrenches)
 
     def _reference(self, trajectories: Mapping[str, Trajectory], ticks: int) -> TickReference:
         """The trajectories of some arms on the ticks; the other arms stay at their last references."""
@@ -373,9 +376,11 @@ class _JointController:
 
     name = "team"
 
-    def __init__(self, controllers: Mapping[str, Controller], slices: Mapping[str, slice]):
+    def __init__(self, controllers: Mapping[str, Controller], slices: Mapping[str, slice], wrenches: Mapping[str, slice]):
         self._controllers = controllers
         self._slices = slices
+        self._wrenches = wrenches
+        self.needs_wrench = any(getattr(controller, "needs_wrench", False) for controller in controllers.values())
 
     def torque(self, state: State, setpoint: Setpoint) -> Array:
         """The torques of all arms.
@@ -387,8 +392,9 @@ class _JointController:
         for tip, own in self._slices.items():
             controller = self._controllers[tip]
             reference = Setpoint(*(None if column is None else column[own] for column in setpoint))  # type: ignore[arg-type]
+            wrench = None if state.wrench is None else state.wrench[self._wrenches[tip]]
             try:
-                torque = controller.torque(state._replace(q=state.q[own], v=state.v[own]), reference)
+                torque = controller.torque(state._replace(q=state.q[own], v=state.v[own], wrench=wrench), reference)
                 torques[own] = checked_torque(torque, own.stop - own.start)
             except Exception as error:
                 raise ControllerFailure(controller, tip) from error

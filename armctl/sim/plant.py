@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
-from armctl.core.validation import Array, IntArray, instance, integer, number, shown, vector
+from armctl.core.validation import Array, IntArray, choice, instance, integer, number, shown, vector
 from armctl.mjmodel.couplings import dofs_of_equality, dofs_of_tendon
 from armctl.mjmodel.edit import add_point_mass
 from armctl.robot.arm import Arm
@@ -21,6 +21,7 @@ from armctl.robot.arm import Arm
 _CONTINUOUS_STEP_S = 2e-4
 # Armature of a braked joint: forces of the arm then move it by less than the rounding error.
 _BRAKE_INERTIA = 1e8  # kg m^2 (kg for a slide joint)
+WRENCH_SOURCES = ("flange", "torques")
 _BRAKED_ARRAYS = (
     "dof_armature",
     "dof_frictionloss",
@@ -100,6 +101,11 @@ class Plant:
         encoder_noise: rad, standard deviation of the noise on measured positions.
         velocity_noise: rad/s, standard deviation of the noise of a velocity sensor. By default there is none, and the velocity
             is differenced from the measured positions: its noise is that of two positions divided by the tick.
+        wrench_source: "flange" for the wrench that a flange sensor measures, or "torques" for one that is estimated from the
+            motors' torques, the measured motion and the nominal model.
+        force_noise: N, standard deviation of the noise on measured forces.
+        moment_noise: N m, standard deviation of the noise on measured moments.
+        wrench_delay: Ticks by which measured wrenches are delayed.
         torque_ripple: Amplitude of the torque's variation with the joint angle, as a fraction of the torque.
         pushes: External forces, each a `Push`.
         continuous: Whether the arm moves almost continuously between ticks while the torque is held, as a real arm does
@@ -118,6 +124,10 @@ class Plant:
     delay: int = 0
     encoder_noise: float = 0.0
     velocity_noise: float | None = None
+    wrench_source: str = "flange"
+    force_noise: float = 0.0
+    moment_noise: float = 0.0
+    wrench_delay: int = 0
     torque_ripple: float = 0.0
     pushes: Push | Sequence[Push] = ()
     continuous: bool = False
@@ -127,7 +137,8 @@ class Plant:
 
     def __post_init__(self) -> None:
         checked: dict[str, object] = {
-            what: number(what, getattr(self, what), 0.0) for what in ("payload", "encoder_noise", "torque_ripple")
+            what: number(what, getattr(self, what), 0.0)
+            for what in ("payload", "encoder_noise", "force_noise", "moment_noise", "torque_ripple")
         }
         if self.velocity_noise is not None:
             checked["velocity_noise"] = number("velocity_noise", self.velocity_noise, 0.0)
@@ -136,6 +147,8 @@ class Plant:
         checked["coulomb_friction"] = _friction("coulomb_friction", self.coulomb_friction)
         checked["viscous_friction"] = _friction("viscous_friction", self.viscous_friction)
         checked["delay"] = integer("delay", self.delay, 0)
+        checked["wrench_source"] = choice("wrench_source", self.wrench_source, WRENCH_SOURCES)
+        checked["wrench_delay"] = integer("wrench_delay", self.wrench_delay, 0)
         checked["pushes"] = _pushes(self.pushes)
         instance("continuous", self.continuous, bool, "True or False is one")
         if self.timestep is not None:
@@ -168,7 +181,15 @@ class Plant:
             found.append(f"encoder noise {_text(self.encoder_noise)} rad")
         if self.velocity_noise or (self.encoder_noise and self.velocity_noise is not None):
             found.append(f"velocity noise {_text(self.velocity_noise)} rad/s")
-        if self.seed and (self.encoder_noise or self.velocity_noise):
+        if self.wrench_source != "flange":
+            found.append("wrench estimated from torques")
+        if self.force_noise:
+            found.append(f"force noise {_text(self.force_noise)} N")
+        if self.moment_noise:
+            found.append(f"moment noise {_text(self.moment_noise)} N m")
+        if self.wrench_delay:
+            found.append(f"wrench delay {self.wrench_delay}")
+        if self.seed and (self.encoder_noise or self.velocity_noise or self.force_noise or self.moment_noise):
             found.append(f"seed {self.seed}")
         if self.torque_ripple:
             found.append(f"ripple {_text(self.torque_ripple)}")
@@ -190,6 +211,10 @@ class Plant:
             self.delay,
             self.encoder_noise,
             self.velocity_noise,
+            self.wrench_source,
+            self.force_noise,
+            self.moment_noise,
+            self.wrench_delay,
             self.torque_ripple,
             self.continuous,
             self.timestep,

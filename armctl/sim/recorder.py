@@ -17,6 +17,7 @@ from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
 
 MOST_TICKS = 10_000_000  # 2.8 hours at 1 ms, and 4 GB for seven joints
+_FIRST_WRENCH = slice(0, 6)  # the columns of the only arm
 _REFERENCE = ("q_ref", "v_ref", "a_ref")
 
 
@@ -29,6 +30,7 @@ class TickRows:
         v: (ticks, n) rad/s.
         tau_cmd: (ticks, n) N m, the command.
         tau: (ticks, n) N m, what the motors did.
+        wrench: (ticks, 6 per arm) the true wrenches on the tips; None if the controller did not measure them.
         count: How many rows are complete.
         contacts: (row, geoms) for each row at which the touching geoms change; `geoms` is `MjData.contact.geom` as bytes.
     """
@@ -40,8 +42,15 @@ class TickRows:
         self.v = np.empty((ticks, n))
         self.tau_cmd = np.empty((ticks, n))
         self.tau = np.empty((ticks, n))
+        self.wrench: Array | None = None
         self.count = 0
         self.contacts: list[tuple[int, bytes]] = []
+
+    def with_wrench(self, size: int) -> Array:
+        """The rows of the wrenches, (ticks, size); NaN before the first call."""
+        if self.wrench is None:
+            self.wrench = np.full((len(self.v), size), np.nan)
+        return self.wrench
 
 
 class Recorder:
@@ -73,6 +82,7 @@ class Recorder:
         arm: Arm,
         *,
         joints: slice = slice(None),
+        wrench: slice = _FIRST_WRENCH,
         controller: str,
         plant: str,
         dt: float,
@@ -86,6 +96,7 @@ class Recorder:
         Args:
             arm: The arm.
             joints: The arm's joints among the recorded ones.
+            wrench: The arm's wrench among the recorded ones.
             controller: As in Log, like all others but one.
             plant: As in Log.
             dt: s.
@@ -118,6 +129,7 @@ class Recorder:
             qpos=qpos,
             units=arm.units,
             contacts=self._contacts(arm, dt),
+            wrench=self._wrenches(wrench),
             **columns,
         )
 
@@ -133,6 +145,17 @@ class Recorder:
             columns[name] = np.concatenate([getattr(part.reference, column)[: part.count] for part in parts])
         columns["q"] = columns["qpos"][:, self._actuation.qpos_adr]
         return columns
+
+    def _wrenches(self, columns: slice) -> Array:
+        """(T, 6) of one arm, NaN where the controller did not measure them; (0, 6) if none did."""
+        if all(part.wrench is None for part in self._parts):
+            return np.zeros((0, 6))
+        unknown = np.full((1, 6), np.nan)
+        rows = [
+            np.repeat(unknown, part.count, axis=0) if part.wrench is None else part.wrench[: part.count, columns]
+            for part in self._parts
+        ]
+        return np.concatenate(rows)
 
     def _contacts(self, arm: Arm, dt: float) -> tuple[Contact, ...]:
         """What the moving bodies of the arm touched. Contacts among the bodies behind its last joint do not count."""

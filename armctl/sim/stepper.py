@@ -23,6 +23,7 @@ from armctl.robot.arm import Arm
 from armctl.sim.disturbances import Disturbances
 from armctl.sim.plant import Brake, Plant, held_dofs, plant_model
 from armctl.sim.recorder import Recorder, TickRows
+from armctl.sim.wrench_sensor import WrenchSensor
 
 _CONTROL_TOLERANCE = 1e-9  # relative, for controls at a limit of their motor
 _MAX_SPEED = 1e4  # rad/s (m/s), of all joints together; above it a run counts as diverged
@@ -113,6 +114,7 @@ class Stepper:
         self._qvel = self.data.qvel[self._dofs] if isinstance(self._dofs, slice) else None
         self._motor_torque = self.data.qfrc_actuator[self._drives] if isinstance(self._drives, slice) and is_whole else None
         self._is_direct = isinstance(self._motors, slice) and bool((self.actuation.gear == 1.0).all())
+        self._wrench_sensor = WrenchSensor(arms, plant, self.model, self.data)
         self._disturbances: Disturbances | None = None
         self._measurement: tuple[Array, Array] | None = None
         self._unobserved = 0.0
@@ -128,17 +130,16 @@ class Stepper:
         """The true state of all arms now."""
         q = self.data.qpos[self.actuation.qpos_adr]
         v = self.data.qvel[self.actuation.dof_adr]
-        return State(q, v, float(self.data.time), self.dt, self.continuous)
+        return State(q, v, float(self.data.time), self.dt, self.continuous, self._wrench_sensor.read(self._push))
 
     @property
     def measured_state(self) -> State:
         """The state as the plant's sensors measure it now; the same until the next tick."""
         state = self.state
-        if self._disturbances is None:
-            return state
-        if self._measurement is None:
-            self._measurement = self._disturbances.measured(state.q, state.v)
-        return state._replace(q=self._measurement[0], v=self._measurement[1])
+        if self._disturbances is not None:
+            q, v = self._measure(state.q, state.v)
+            state = state._replace(q=q, v=v)
+        return state._replace(wrench=self._measured_wrench(state))
 
     def tip_pose(self, arm: Arm) -> Pose:
         """The pose of an arm's tip in the simulation now, T_world_tip."""
@@ -168,6 +169,7 @@ class Stepper:
         self.diverged = False
         self._measurement = None
         self._unobserved = 0.0
+        self._wrench_sensor.reset()
         if self.plant.has_signal_disturbances:
             self._disturbances = Disturbances(self.plant, self.data, self.actuation.dof_adr, self._tip_jacobian, self.dt)
         if self._observer is not None:
@@ -263,6 +265,9 @@ class Stepper:
         v_seen_rows = _read_only(v_rows)
         q_seen_rows = _read_only(qpos_rows[:, self._joints]) if isinstance(self._joints, slice) else None
         torque = controller.torque
+        sensor = self._wrench_sensor if getattr(controller, "needs_wrench", False) else None
+        wrench_rows = None if sensor is None else rows.with_wrench(len(sensor.true))
+        wrench = None
         new = tuple.__new__  # a NamedTuple's own constructor takes twice as long
         touching = rows.contacts[-1][1] if rows.contacts else b""
         row = first
@@ -277,8 +282,11 @@ class Stepper:
                     break
                 q = _read_only(qpos[self._joints]) if q_seen_rows is None else q_seen_rows[row]
                 q_seen, v_seen = (q, v) if disturbances is None else self._measure(q, v)
+                if sensor is not None and wrench_rows is not None:
+                    wrench = self._measured_wrench(State(q_seen, v_seen, data.time, dt, continuous))
+                    wrench_rows[row] = sensor.true
                 try:
-                    tau = torque(new(State, (q_seen, v_seen, data.time, dt, continuous)), new(Setpoint, setpoint))
+                    tau = torque(new(State, (q_seen, v_seen, data.time, dt, continuous, wrench)), new(Setpoint, setpoint))
                     if not (type(tau) is ndarray and tau.dtype is _FLOAT64 and len(tau) == n):
                         tau = checked_torque(tau, n)
                     command[:] = tau
@@ -319,6 +327,14 @@ class Stepper:
             assert self._disturbances is not None
             self._measurement = self._disturbances.measured(q, v)
         return self._measurement
+
+    @property
+    def _push(self) -> Array | None:
+        return None if self._disturbances is None else self._disturbances.push
+
+    def _measured_wrench(self, state: State) -> Array:
+        """The wrenches as the plant's sensors measure them at this tick, beside the measured state."""
+        return self._wrench_sensor.measure(self._push, state, self._gathered_torque())
 
     def _controller_failed(self, controller: Controller, error: Exception) -> SimulationError:
         cause: BaseException | None = error
