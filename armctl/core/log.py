@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import json
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -13,17 +11,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from armctl.core import log_files
 from armctl.core.atomic import atomic_path, file_path
-from armctl.core.errors import ArmctlError, InputError
+from armctl.core.errors import ArmctlError, InputError, NotInstalledError
 from armctl.core.log_csv import Columns, read_recording
+from armctl.core.log_files import PER_JOINT
 from armctl.core.validation import Array, frozen, instance, number, shown
 
 RECORDED = "recorded"  # the controller of a real robot's recording, which armctl does not know
-_ENDINGS = (".npz", ".csv")
-# The columns per joint, in the order of the .csv.
 _STATE = ("q", "v", "tau", "tau_cmd")
 _REFERENCE = ("q_ref", "v_ref", "a_ref")
-_PER_JOINT = ("q", "v", *_REFERENCE, "tau", "tau_cmd")
 _MAX_STATE = 1e20  # rad, m, rad/s, m/s; MuJoCo itself stops at 1e10
 _QUATERNION_TOLERANCE = 1e-3  # of the norm of a quaternion in a file
 
@@ -130,35 +127,72 @@ class Log:
         """Whether there was no reference to follow."""
         return bool(np.isnan(self.q_ref).all())
 
+    def to_dict(self) -> dict[str, Array]:
+        """The arrays over time as a flat table, for `pandas.DataFrame(log.to_dict())`.
+
+        Returns:
+            Vectors (T,) by name: "t", "q/joint1", ..., "tip/x", ..., "qpos/0"; the units are those of the attributes.
+        """
+        return log_files.flat(vars(self), log_files.columns(self.joint_names, self.units, log_files.widths(vars(self))))
+
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes the log as .npz, complete, or as .csv, only the arrays over time.
+        """Writes the log. Its ending decides the format: .npz, .parquet and .csv contain the whole log, and `load` reads them.
+
+        Parquet has one column per quantity and joint, such as "q/joint1", with its unit in the metadata of the column. CSV has
+        the same columns after one line with everything else: `pandas.read_csv(path, comment="#")`. MCAP has ROS 2 messages,
+        for `ros2 bag` and Foxglove: `sensor_msgs/JointState` on /joint_states and /joint_references, poses on /tip and
+        /tip_reference.
 
         The file is written atomically: whatever interrupts the writing, the old file or the new one is there, complete.
 
         Args:
-            path: The file; its folder is made. Its ending decides the format.
+            path: The file; its folder is made.
 
         Returns:
             The path.
 
         Raises:
             InputError: Another ending.
+            NotInstalledError: Parquet needs the extra `study`, MCAP the extra `ros`.
             ArmctlError: The file cannot be written.
         """
-        path = file_path("path", path, _ENDINGS)
+        path = file_path("path", path, (*log_files.WRITERS, ".mcap"))
         with atomic_path(path) as temporary:
-            if path.suffix == ".csv":
-                self._save_csv(temporary)
+            if path.suffix == ".mcap":
+                from armctl.core.log_mcap import save_mcap
+
+                save_mcap(temporary, self)
             else:
                 everything = {f.name: getattr(self, f.name) for f in fields(self)}
                 arrays = {k: x for k, x in everything.items() if isinstance(x, np.ndarray)}
-                rest = json.dumps({k: x for k, x in everything.items() if k not in arrays})
-                np.savez_compressed(temporary, allow_pickle=False, meta=np.array(rest), **arrays)
+                facts = {k: x for k, x in everything.items() if k not in arrays}
+                log_files.save(temporary, log_files.Content(arrays, facts))
+        return path
+
+    def to_rerun(self, path: str | os.PathLike[str]) -> Path:
+        """Writes a recording for the rerun viewer: curves of all joints over time, and the tip in 3D. The writing is atomic.
+
+        Args:
+            path: The file, .rrd; its folder is made. `rerun run.rrd` shows it.
+
+        Returns:
+            The path.
+
+        Raises:
+            InputError: Another ending.
+            NotInstalledError: The extra `rerun` is not installed.
+            ArmctlError: The file cannot be written.
+        """
+        from armctl.core.log_rerun import save_rerun
+
+        path = file_path("path", path, (".rrd",))
+        with atomic_path(path) as temporary:
+            save_rerun(temporary, self)
         return path
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Log:
-        """Reads a log that `save` wrote as .npz, and checks it: shapes, finite numbers, increasing time.
+        """Reads a log that `save` wrote as .npz, .parquet or .csv, and checks it: shapes, finite numbers, increasing time.
 
         Args:
             path: The file.
@@ -168,18 +202,18 @@ class Log:
 
         Raises:
             InputError: There is no such file, or it holds no log.
+            NotInstalledError: Parquet needs the extra `study`.
         """
         path = file_path("path", path)
         try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
-                arrays = {k: data[k] for k in data.files if k != "meta"}
-                meta = json.loads(str(data["meta"]))
-            return cls(**_checked(arrays, meta))
+            return cls(**_checked(*log_files.load(path)))
+        except NotInstalledError:
+            raise
         except OSError as error:
             raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
         except InputError as error:
             raise InputError(f"{path}: no log that armctl wrote: {error}") from None
-        except Exception as error:  # damaged bytes raise whatever zipfile, zlib, NumPy or JSON run into
+        except Exception as error:  # damaged bytes raise whatever zipfile, zlib, pyarrow, NumPy or JSON run into
             raise InputError(f"{path}: no log that armctl wrote ({type(error).__name__}: {error!s:.120})") from None
 
     @classmethod
@@ -247,20 +281,9 @@ class Log:
             units=recording.units,
         )
 
-    def _save_csv(self, path: Path) -> None:
-        header = ["t", *(f"{k}_{j}" for k in _PER_JOINT for j in self.joint_names)]
-        header += [f"{k}_{axis}" for k in ("tip", "tip_ref") for axis in "xyz"]
-        columns = [self.t[:, None], *(getattr(self, k) for k in _PER_JOINT), self.tip, self.tip_ref]
-        with path.open("w", newline="") as file:
-            writer = csv.writer(file)
-            writer.writerow(header)
-            writer.writerows(np.hstack(columns).tolist())
 
-
-def _checked(arrays: Mapping[str, Array], meta: object) -> dict[str, Any]:
+def _checked(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of a log from a file; an InputError says which of them cannot be."""
-    if not isinstance(meta, dict):
-        raise InputError("its head is no table")
     missing = {f.name for f in fields(Log)} - {*arrays, *meta} - {"contacts", "wrench"}
     unknown = ({*arrays, *meta} - {f.name for f in fields(Log)}) | (set(arrays) & set(meta))
     if missing or unknown:
@@ -289,7 +312,7 @@ def _check_arrays(arrays: Mapping[str, Array], n: int, dt: float) -> None:
     ticks = len(arrays["t"]) if np.ndim(arrays["t"]) == 1 else -1
     nq = arrays["qpos"].shape[1:]
     shapes: dict[str, tuple[int, ...]] = {"t": (ticks,), "tau_max": (n,), "target": (7,), "qpos": (ticks, *nq)}
-    shapes |= dict.fromkeys(_PER_JOINT, (ticks, n))
+    shapes |= dict.fromkeys(PER_JOINT, (ticks, n))
     shapes |= {"tip": (ticks, 3), "tip_ref": (ticks, 3), "tip_quat": (ticks, 4), "tip_ref_quat": (ticks, 4)}
     if arrays["qpos"].shape == (0, 0):  # a log without positions of the model
         shapes["qpos"] = (0, 0)

@@ -128,6 +128,8 @@ def _read_table(path: os.PathLike[str], wanted: Mapping[str, str | list[str]]) -
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
             first = file.readline()
+            while first.startswith("#"):  # comments, such as the first line of a log that armctl wrote
+                first = file.readline()
             delimiter = max(",;\t", key=first.count)
             header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
             names = {quantity: _matching(quantity, wanted[quantity], header) for quantity in _QUANTITIES}

@@ -143,15 +143,15 @@ def test_a_log_comes_back_from_its_file(tmp_path):
 
 def test_a_log_as_csv_has_named_columns(tmp_path):
     rows = made_log().save(tmp_path / "run.csv").read_text().splitlines()
-    assert rows[0].startswith("t,q_j,v_j,q_ref_j")
-    assert len(rows) == 1002
-    assert [float(x) for x in rows[1].split(",")][:2] == [0.0, -0.01]
+    assert rows[1].startswith("t,q/j,v/j,q_ref/j")
+    assert len(rows) == 1003
+    assert [float(x) for x in rows[2].split(",")][:2] == [0.0, -0.01]
 
 
 @pytest.mark.parametrize(
     ("call", "sentence"),
     [
-        (lambda d: made_log().save(d / "run.txt"), r"path: 'run.txt' ends in '.txt', .npz or .csv wanted"),
+        (lambda d: made_log().save(d / "run.txt"), r"path: 'run.txt' ends in '.txt', .npz, .parquet, .csv or .mcap wanted"),
         (lambda d: Log.load(d / "none.npz"), r"none\.npz: cannot be read: No such file or directory"),
         (lambda d: Report.from_log(made_log()).plot(d / "run.jpeg"), ".png, .svg or .pdf wanted"),
         (lambda d: Report.from_log(made_log(q_ref=np.full((1001, 1), np.nan))), "nothing to report"),

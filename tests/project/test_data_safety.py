@@ -36,6 +36,7 @@ def still(log: armctl.Log, path: Path) -> None:
 WRITERS: dict[str, Callable[[armctl.Log, Path], object]] = {
     "run.npz": lambda log, path: log.save(path),
     "run.csv": lambda log, path: log.save(path),
+    "run.parquet": lambda log, path: log.save(path),
     "plot.png": lambda log, path: armctl.four_panels(log, path),
     "plot.svg": lambda log, path: armctl.overlay([log], path),
     "comparison.html": comparison,
@@ -109,7 +110,7 @@ def whole_files(kind: str, logs: list[armctl.Log], folder: Path) -> list[bytes]:
 
 
 GROUPS = {
-    "logs": ["run.npz", "run.csv"],
+    "logs": ["run.npz", "run.csv", "run.parquet"],
     "plots and pages": ["plot.png", "plot.svg", "comparison.html", "comparison.json"],
     "films": ["film.gif", "film.mp4", "still.png"],
 }

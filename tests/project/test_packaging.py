@@ -79,7 +79,9 @@ def declared() -> set[str]:
     """The distributions that pyproject.toml names as dependencies, or in the extras that armctl imports."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    lines = [*project["dependencies"], *extras["view"], *extras["design"]]
+    lines = [*project["dependencies"]]
+    for extra in ("view", "design", "study", "rerun", "ros"):
+        lines += extras[extra]
     return {re.split(r"[<>=\[]", line)[0] for line in lines}
 
 

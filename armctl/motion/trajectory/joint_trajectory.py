@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,10 +17,11 @@ from armctl.core.errors import InputError, LimitError
 from armctl.core.limits import Limits
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, frozen, instance, number, shown, vector
-from armctl.motion.trajectory import files, piecewise
+from armctl.motion.trajectory import files, piecewise, ros
 from armctl.motion.trajectory.limit_check import QUANTITIES, LimitCheck, check_limits
 from armctl.motion.trajectory.path_stop import stopped
 from armctl.motion.trajectory.piecewise import Pieces, Samples, basis, join_gaps
+from armctl.robot.arm import Arm, check_arm
 
 _MAX_TABLE_ROWS = 10_000_000  # of a CSV file; a longer one is taken for a mistake in dt
 _PLOT_SAMPLES = 1000
@@ -286,11 +288,56 @@ class JointTrajectory:
             InputError: dt is not greater than 0 or gives more than ten million rows, or the name has another suffix.
             ArmctlError: The file cannot be written.
         """
-        dt = number("dt", dt, 1e-9)
-        if self.duration / dt > _MAX_TABLE_ROWS:
-            raise InputError(f"dt: {dt:g} s gives more than {_MAX_TABLE_ROWS} rows for a motion of {self.duration:g} s")
-        times = self._times(dt)
+        times = self._table_times(dt)
         return files.save_table(path, self.joint_names, times, Samples(*self.sample(times)[:3]))
+
+    def to_ros(self, path: str | os.PathLike[str], dt: float = 0.01) -> Path:
+        """Writes samples as a ROS message of type trajectory_msgs/JointTrajectory, with velocities and accelerations.
+
+        Args:
+            path: The file, .json or .yaml; its folder is created.
+            dt: s, from point to point; the end is always one.
+
+        Returns:
+            The file.
+
+        Raises:
+            InputError: dt is not greater than 0 or gives more than ten million points, or the name has another suffix.
+            NotInstalledError: YAML needs the extra `ros`.
+            ArmctlError: The file cannot be written.
+        """
+        times = self._table_times(dt)
+        return ros.save(path, ros.message(self.joint_names, times, Samples(*self.sample(times)[:3])))
+
+    @staticmethod
+    def from_ros(source: str | os.PathLike[str] | Mapping[str, Any], arm: Arm) -> JointTrajectory:
+        """Reads a ROS message of type trajectory_msgs/JointTrajectory, for example of a motion that MoveIt planned.
+
+        The motion passes through all points with their velocities and accelerations, and starts at the first one. What the
+        message does not contain is chosen such that velocity and acceleration are continuous. Nothing is checked against the
+        limits of the arm: `check_limits` does that.
+
+        Args:
+            source: The file, .json or .yaml, or the message as a dict.
+            arm: The arm; the order of the joints in the message is arbitrary.
+
+        Returns:
+            The motion.
+
+        Raises:
+            InputError: The file cannot be read, it is no such message, or it is one for other joints.
+            NotInstalledError: YAML needs the extra `ros`.
+        """
+        check_arm(arm)
+        points = ros.waypoints(source if isinstance(source, Mapping) else ros.load(source))
+        if set(points.joint_names) != set(arm.joint_names):
+            raise InputError(
+                f"message: it is for the joints {', '.join(points.joint_names):.120}, but the arm has "
+                f"{', '.join(arm.joint_names):.120}"
+            )
+        order = [points.joint_names.index(name) for name in arm.joint_names]
+        pieces = ros.pieces(points)
+        return JointTrajectory(pieces.knots, pieces.coefficients[:, :, order], arm.joint_names, arm.limits, units=arm.units)
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> object:
         """Draws position, velocity, acceleration and jerk of every joint, the last three as shares of their limits.
@@ -308,6 +355,13 @@ class JointTrajectory:
         times = self._times(max(self.duration / _PLOT_SAMPLES, 1e-9))
         curves = files.Curves(times, Samples(*self.sample(times)[:3]), self.jerk(times))
         return files.plot(curves, self.joint_names, self.units, self.limits, path)
+
+    def _table_times(self, dt: float) -> Array:
+        """Times of the rows of a table, as many as are sensible in a file."""
+        dt = number("dt", dt, 1e-9)
+        if self.duration / dt > _MAX_TABLE_ROWS:
+            raise InputError(f"dt: {dt:g} s gives more than {_MAX_TABLE_ROWS} rows for a motion of {self.duration:g} s")
+        return self._times(dt)
 
     def _times(self, dt: float) -> Array:
         """Times dt apart, and the duration."""

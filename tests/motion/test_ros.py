@@ -1,0 +1,83 @@
+"""A motion as a ROS JointTrajectory and back; messages of other programs, complete and incomplete."""
+
+import json
+
+import numpy as np
+import pytest
+
+import armctl
+from armctl import JointTrajectory
+
+
+@pytest.fixture(scope="module")
+def motion():
+    arm = armctl.load("robot_arm_3dof")
+    return armctl.move_j(arm, arm.home, arm.home + np.array([0.5, -0.3, 0.2]))
+
+
+@pytest.mark.parametrize("ending", ["json", "yaml"])
+def test_a_motion_is_the_same_after_a_message(bundled, motion, tmp_path, ending: str):
+    again = JointTrajectory.from_ros(motion.to_ros(tmp_path / f"motion.{ending}", dt=0.005), bundled)
+    times = np.linspace(0.0, motion.duration, 400)
+    assert again.duration == pytest.approx(motion.duration, abs=1e-9)
+    for had, has in zip(motion.sample(times)[:3], again.sample(times)[:3], strict=True):
+        assert np.abs(had - has).max() < 0.02 * np.abs(had).max()
+    assert np.abs(again.sample(times).q - motion.sample(times).q).max() < 1e-6
+
+
+@pytest.mark.parametrize("left_out", [[], ["accelerations"], ["velocities", "accelerations"]])
+def test_a_message_without_rates_gives_a_smooth_motion_through_its_points(bundled, motion, tmp_path, left_out: list[str]):
+    message = json.loads(motion.to_ros(tmp_path / "motion.json", dt=0.02).read_text())
+    for point in message["points"]:
+        for kind in left_out:
+            point[kind] = []
+    again = JointTrajectory.from_ros(message, bundled)
+    knots = again.knots[1:-1]
+    assert again.sample(knots).q == pytest.approx(motion.sample(knots).q, abs=1e-12)
+    for before, after in zip(again.sample(knots - 1e-9)[:3], again.sample(knots + 1e-9)[:3], strict=True):
+        assert after == pytest.approx(before, abs=2e-5)
+    assert np.abs(again.sample([0.0, again.duration]).v).max() < 1e-9
+    assert np.abs(again.sample(motion.knots).q - motion.sample(motion.knots).q).max() < 1e-3
+
+
+def test_the_order_of_joints_in_a_message_is_arbitrary(bundled, motion, tmp_path):
+    message = json.loads(motion.to_ros(tmp_path / "motion.json").read_text())
+    message["joint_names"].reverse()
+    for point in message["points"]:
+        for kind in ("positions", "velocities", "accelerations"):
+            point[kind].reverse()
+    assert JointTrajectory.from_ros(message, bundled)(0.3).q == pytest.approx(motion(0.3).q, abs=1e-5)
+
+
+NAMES = ["shoulder_yaw", "shoulder_pitch", "elbow"]
+POINT = {"positions": [0.0, 0.0, 0.0], "time_from_start": {"sec": 0, "nanosec": 0}}
+LATER = {"positions": [0.1, 0.1, 0.1], "time_from_start": {"sec": 1, "nanosec": 0}}
+WRONG = {
+    "no message": ([], "it is no JointTrajectory, since it has no list of joint_names"),
+    "no points": ({"joint_names": NAMES, "points": []}, "it has no points"),
+    "other joints": ({"joint_names": ["a", "b", "c"], "points": [POINT]}, "it is for the joints a, b, c"),
+    "one joint twice": ({"joint_names": [NAMES[0]] * 3, "points": [POINT]}, "a name is given twice"),
+    "too few": ({"joint_names": NAMES, "points": [POINT | {"positions": [1.0]}]}, "point 0: positions: 1 numbers given, 3"),
+    "text": ({"joint_names": NAMES, "points": [POINT | {"positions": "abc"}]}, "is not an array of numbers"),
+    "no time": ({"joint_names": NAMES, "points": [{"positions": [0.0] * 3}]}, "sec and nanosec wanted"),
+    "backwards": ({"joint_names": NAMES, "points": [LATER, POINT]}, "point 1: its time_from_start, 0 s, is not after"),
+    "some rates": ({"joint_names": NAMES, "points": [POINT, LATER | {"velocities": [0.0] * 3}]}, "velocities: 0 numbers"),
+}
+
+
+@pytest.mark.parametrize(("message", "reason"), WRONG.values(), ids=WRONG)
+def test_what_is_no_message_for_the_arm_is_refused(bundled, tmp_path, message, reason: str):
+    path = tmp_path / "message.json"
+    path.write_text(json.dumps(message))
+    with pytest.raises(armctl.InputError, match=reason):
+        JointTrajectory.from_ros(path, bundled)
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe", b"{", b"[" * 5000, b"a: [1", b"\x00"])
+@pytest.mark.parametrize("ending", ["json", "yaml"])
+def test_a_damaged_message_is_refused_in_one_sentence(bundled, tmp_path, content: bytes, ending: str):
+    path = tmp_path / f"message.{ending}"
+    path.write_bytes(content)
+    with pytest.raises(armctl.InputError) as error:
+        JointTrajectory.from_ros(path, bundled)
+    assert "\n" not in str(error.value)
