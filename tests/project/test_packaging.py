@@ -131,3 +131,15 @@ def test_the_installed_command_reaches_the_target(installed: Path):
 
 def test_a_checkout_finds_the_bundled_models():
     assert (bundled_models() / "robot_arm_3dof.xml").is_file()
+
+
+def test_the_conda_recipe_requires_what_pyproject_requires():
+    conda_names = {"mujoco": "mujoco-python", "pin": "pinocchio", "matplotlib": "matplotlib-base"}
+    dependencies = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
+    required = set()
+    for dependency in dependencies:
+        name, bounds = re.fullmatch(r"([a-z0-9-]+)(.+)", dependency).groups()
+        required.add(f"{conda_names.get(name, name)} {bounds}")
+    recipe = (ROOT / "packaging" / "conda" / "meta.yaml").read_text(encoding="utf-8")
+    run = recipe.partition("  run:\n")[2].partition("\n\n")[0]
+    assert set(re.findall(r"- (.+)", run)) - {"python >=3.11"} == required
