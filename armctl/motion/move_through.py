@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -11,14 +12,16 @@ from armctl.core.errors import InputError, PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array, matrix
 from armctl.motion.checks import planning_arm
+from armctl.motion.move_j import move_j
 from armctl.motion.timing.otg import stretch_needed
 from armctl.motion.timing.waypoint_timing import Candidate, WaypointSearch
-from armctl.motion.torque_limits import within_torque
-from armctl.motion.trajectory.joint_trajectory import JointTrajectory
+from armctl.motion.torque_limits import slowed_relative_to, within_torque
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory, joined
 from armctl.motion.trajectory.limit_check import is_inside
 from armctl.motion.trajectory.piecewise import standing, time_scaled
 from armctl.robot.arm import Arm
 
+_SAME_DURATION = 1e-9  # relative
 _SAME_WAYPOINT = 1e-9  # rad (m); closer waypoints count as one
 _TOO_CLOSE = "move_through: rounding takes every motion through these waypoints outside the limits; place them farther apart"
 
@@ -27,8 +30,8 @@ def move_through(arm: Arm, waypoints: ArrayLike, *, speed: float = 1.0) -> Joint
     """The motion through every waypoint without stopping, at rest at the first and the last.
 
     Between waypoints each joint takes its own way, jerk-limited and inside its position limits; the velocities and
-    accelerations at the waypoints are those that a search finds fastest. It is never slower than stopping at each. Where a
-    motor would saturate it goes slower, and its `slowed` says so.
+    accelerations at the waypoints are those that a search finds fastest. Where a motor would saturate it goes slower on the
+    same path, and its `slowed` says by how much. It is never slower than `move_j` from waypoint to waypoint.
 
     Args:
         arm: The arm.
@@ -54,15 +57,22 @@ def move_through(arm: Arm, waypoints: ArrayLike, *, speed: float = 1.0) -> Joint
         return JointTrajectory(*standing(points[0]), arm.joint_names, arm.limits, units=arm.units)
     search = WaypointSearch(points, planning.limits)
     stopping = search.stopping()
-    motion = _planned(arm, planning.limits, search, search.fastest(stopping))
-    if motion is None or motion.duration > stopping.durations.sum():
-        # Torque limits can slow the flowing motion down more than the one that stops.
-        stops = _planned(arm, planning.limits, search, stopping)
-        if stops is not None and (motion is None or stops.duration < motion.duration):
-            motion = stops
-    if motion is None:
+    free = _timed(arm, planning.limits, search, search.fastest(stopping)) or _timed(arm, planning.limits, search, stopping)
+    if free is None:
         raise PlanError(_TOO_CLOSE)
-    return motion
+    try:
+        motion = within_torque(arm, free)
+    except PlanError:
+        return slowed_relative_to(arm, _stopping_at_each(arm, points, speed), free)
+    if motion.duration > (1 + _SAME_DURATION) * stopping.durations.sum():
+        # Torque limits can slow the flowing motion down more than one that stops.
+        motion = min(motion, _stopping_at_each(arm, points, speed), key=lambda each: each.duration)
+    return motion if motion is free else slowed_relative_to(arm, motion, free)
+
+
+def _stopping_at_each(arm: Arm, points: Array, speed: float) -> JointTrajectory:
+    """Straight moves from waypoint to waypoint, within the torque limits."""
+    return joined([move_j(arm, start, goal, speed=speed) for start, goal in pairwise(points)])
 
 
 class TimedJoints(Protocol):
@@ -94,14 +104,8 @@ def through_waypoints(arm: TimedJoints, points: Array) -> JointTrajectory:
     return motion
 
 
-def _planned(arm: Arm, limits: Limits, search: WaypointSearch, candidate: Candidate) -> JointTrajectory | None:
-    """The motion of a candidate within all limits; None if rounding takes it out of the position limits."""
-    motion = _timed(arm, limits, search, candidate)
-    return None if motion is None else within_torque(arm, motion)
-
-
 def _timed(arm: TimedJoints, limits: Limits, search: WaypointSearch, candidate: Candidate) -> JointTrajectory | None:
-    """The motion of a candidate within all limits but those of the torque; None as for `_planned`."""
+    """The motion of a candidate within all limits but those of the torque; None if rounding takes it out of them."""
     try:
         pieces = search.pieces(candidate)
     except PlanError:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -25,8 +25,9 @@ _SAMPLE_INTERVAL_S = 0.004
 _MAX_EVEN_SAMPLES = 20_000  # a longer motion is sampled piece by piece, or in chunks of so many samples
 _MIN_SAMPLES_PER_PIECE = 64  # of a motion with very many pieces
 _TORQUE_MARGIN = 1e-3  # of the limits
-_MAX_STRETCHES = 400
-_STRETCH = 1.01  # factor by which one stretch lengthens a motion
+_MAX_STRETCHES = 100
+_MIN_STRETCH = 1.0005  # factors by which one stretch lengthens a motion
+_MAX_STRETCH = 1.5
 
 
 @dataclass(frozen=True)
@@ -118,14 +119,25 @@ def within_torque(arm: Arm, trajectory: JointTrajectory) -> JointTrajectory:
         return trajectory
     if trajectory(0.0).v.any() or trajectory(0.0).a.any():
         raise PlanError(f"{needed}, and a motion that starts moving cannot start slower; stop first, or go less far")
-    pieces = slowed_down(_AsPath(trajectory), trajectory.limits, trajectory.knots, _Torques(arm))
+    torques = _Torques(arm)
+    pieces = slowed_down(_AsPath(trajectory), trajectory.limits, trajectory.knots, torques)
     feasible = JointTrajectory(*pieces, trajectory.joint_names, trajectory.limits, units=trajectory.units)
     for _ in range(_MAX_STRETCHES):
-        if check_torque(arm, feasible).ok:
+        check = check_torque(arm, feasible)
+        if check.ok:
             slowdown = Slowdown(feasible.duration / trajectory.duration, needed.joint, needed.ratio)
-            return JointTrajectory(*feasible.pieces, feasible.joint_names, feasible.limits, slowdown, feasible.units)
-        feasible = feasible.scaled(1 / _STRETCH)
+            return replace(feasible, slowed=slowdown)
+        overshoot = max(float(torques.overshoot(*feasible.sample(times)[:3]).max()) for times in _sample_times(feasible))
+        feasible = feasible.scaled(1 / min(max(math.sqrt(overshoot), _MIN_STRETCH), _MAX_STRETCH))
     raise PlanError(f"{check_torque(arm, feasible)}, however slowly the arm moves; take a lighter payload or another path")
+
+
+def slowed_relative_to(arm: Arm, motion: JointTrajectory, free: JointTrajectory) -> JointTrajectory:
+    """A motion whose `slowed` compares it with one that is planned without torque limits; none if those do not matter."""
+    needed = check_torque(arm, free)
+    if needed.ok:
+        return replace(motion, slowed=None)
+    return replace(motion, slowed=Slowdown(motion.duration / free.duration, needed.joint, needed.ratio))
 
 
 class _AsPath:

@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -406,6 +407,21 @@ def test_a_slowed_move_stays_straight_and_slows_where_it_must_only():
     along = (goal - start) / np.linalg.norm(goal - start)
     away = motion.sample(np.linspace(0, motion.duration, 500)).q - start
     assert np.abs(away - (away @ along)[:, None] * along).max() < 1e-12
+
+
+@pytest.mark.parametrize(("share", "longer"), [(0.97, 1.01), (0.5, 1.3)])
+def test_torque_limits_cost_a_motion_through_waypoints_little_and_never_more_than_stopping(share, longer, load):
+    arm = untiring(load(limb("a b c d", '<site name="tip" pos="0.1 0 0"/>'), motors("a b c d")))
+    waypoints = np.random.default_rng(8).uniform(-1.5, 1.5, (6, 4))
+    free = armctl.move_through(arm, waypoints)
+    tired = arm.with_limits(replace(arm.limits, tau_max=peak_torques(arm, free, share)))
+    motion = armctl.move_through(tired, waypoints)
+    stopping = sum(armctl.move_j(tired, start, goal).duration for start, goal in pairwise(waypoints))
+    assert armctl.check_torque(tired, motion).ok
+    assert_lawful(motion)
+    assert free.duration < motion.duration < longer * free.duration
+    assert motion.duration <= stopping * (1 + 1e-9)
+    assert motion.slowed.factor == pytest.approx(motion.duration / free.duration, rel=1e-12)
 
 
 def test_a_payload_slows_a_motion_down():

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 
 from armctl.core.limits import Limits
-from armctl.core.validation import Array
+from armctl.core.validation import Array, IntArray
 from armctl.motion.timing.initial_timing import Path, Timing, initial_timing, smooth_timing
-from armctl.motion.trajectory.limit_check import piece_extremes
 from armctl.motion.trajectory.piecewise import DEGREE, Pieces, basis_many, hermite
 
 if TYPE_CHECKING:
@@ -25,11 +24,11 @@ _INTERVAL_S = 0.004
 _MIN_INTERVALS = 60
 _MAX_INTERVALS = 500
 _MAX_TIGHTENINGS = 3
-_MAX_TORQUE_TIGHTENINGS = 6
 # Exponents of the overshoot of velocity, acceleration, jerk and torque that give the stretch in time which removes it.
 _STRETCH_EXPONENTS = np.array([1, 1 / 2, 1 / 3, 1 / 2])
-_OVERSHOOT_TOLERANCE = 1e-4  # relative; a stretch in time removes the rest
-_MIN_NODE_DISTANCE_S = 2e-5  # rounding decides the jerk of a shorter piece
+_STRETCH_TOLERANCE = 3e-4  # relative: a stretch in time so small removes what bounds are still exceeded by
+_MIN_NODE_DISTANCE_S = 1e-8  # of two nodes; a motion does not change in between
+_SHORT_PIECE_S = 1e-4  # rounding of the positions at its ends decides the jerk of a shorter quintic
 _MAX_SQUARED_SPEED = 1e12  # of the path speed, where nothing bounds it
 _MIN_DIP = 1e-2  # of the smaller squared speed at the ends of an interval
 # Torques vary between grid nodes. Above this share of a limit they are also checked between the nodes.
@@ -98,7 +97,7 @@ def time_optimal(path: Path, limits: Limits, caps: Callable[[Array], Array] | No
     """
     problem = _Problem(path, limits, caps)
     timing = initial_timing(path, limits)
-    timed = problem.timed(timing, timing.edges)
+    timed = problem.timed(_Places.of(timing, timing.edges))
     return _tightened(problem, _refined(timed, intervals_for(timed.t[-1])))
 
 
@@ -132,34 +131,93 @@ def intervals_for(duration: float) -> int:
 
 
 def _tightened(problem: _Problem, timing: Timing, knots: Array | None = None) -> Pieces:
-    """The best path speed for a timing, cut at knots too, its bounds tightened where it exceeds them between the edges."""
-    nodes = timing.edges if knots is None else _merged(timing.edges, knots)
-    interval = np.clip(np.searchsorted(timing.edges, 0.5 * (nodes[1:] + nodes[:-1])) - 1, 0, timing.intervals - 1)
-    slack = np.ones((4, timing.intervals + 1))
+    """The best path speed for a timing, cut at knots too, its bounds tightened where it exceeds them between the nodes."""
+    places = _Places.of(timing, timing.edges if knots is None else _merged(timing.edges, knots))
+    slack = np.ones((4, len(places.nodes)))
     tried: list[tuple[Pieces, float]] = []
-    for tightening in range(1 + (_MAX_TIGHTENINGS if problem.torques is None else _MAX_TORQUE_TIGHTENINGS)):
-        pieces = hermite(*problem.timed(timing, nodes, slack if tightening else None))
+    for tightening in range(1 + _MAX_TIGHTENINGS):
+        pieces = problem.timed(places, slack if tightening else None).pieces()
         overshoot = problem.overshoot(pieces)
-        tried.append((pieces, float(np.maximum(1.0, overshoot.max(axis=1) ** _STRETCH_EXPONENTS).max())))
-        if (overshoot <= 1 + _OVERSHOOT_TOLERANCE).all():
+        stretch = float((np.maximum(overshoot.max(axis=1), 1.0) ** _STRETCH_EXPONENTS).max())
+        tried.append((pieces, stretch))
+        if stretch <= 1 + _STRETCH_TOLERANCE:
             break
-        worst = np.ones((4, timing.intervals))
-        for most, over in zip(worst, overshoot, strict=True):
-            np.maximum.at(most, interval, over)
-        slack[:, :-1] /= worst
-        slack[:, 1:] /= worst
+        excess = np.maximum(overshoot, 1.0)
+        slack[:, :-1] /= excess
+        slack[:, 1:] /= excess
     pieces, stretch = min(tried, key=lambda one: one[1] * one[0].knots[-1])
     powers = stretch ** -np.arange(DEGREE + 1.0)
     return Pieces(pieces.knots * stretch, pieces.coefficients[:, :, :-1] * powers[:, None])
 
 
+class _Places(NamedTuple):
+    """The nodes that cut a motion into pieces, and where the pieces lie in the intervals of a timing.
+
+    Attributes:
+        timing: The timing.
+        nodes: (N,) s.
+        interval: (N - 1,) of each piece.
+        begin: (N - 1,) the share of the interval at which it begins.
+        end: (N - 1,) and at which it ends.
+    """
+
+    timing: Timing
+    nodes: Array
+    interval: IntArray
+    begin: Array
+    end: Array
+
+    @classmethod
+    def of(cls, timing: Timing, nodes: Array) -> _Places:
+        """The places of nodes that include the timing's edges."""
+        edges = timing.edges
+        interval = np.clip(np.searchsorted(edges, 0.5 * (nodes[1:] + nodes[:-1])) - 1, 0, timing.intervals - 1)
+        begin = np.clip((nodes[:-1] - edges[interval]) / timing.h, 0.0, 1.0)
+        end = np.clip((nodes[1:] - edges[interval]) / timing.h, 0.0, 1.0)
+        return cls(timing, nodes, interval, begin, end)
+
+
 class _Timed(NamedTuple):
-    """A motion at nodes: times (k,), joints and behind them the length (k, n + 1), first and second derivatives."""
+    """A motion at nodes, of the joints and behind them the length.
+
+    Attributes:
+        t: (N,) s.
+        q: (N, n + 1).
+        v: (N, n + 1).
+        a: (N, n + 1).
+        j_after: (N - 1, n + 1) jerk at the start of each piece.
+        j_before: (N - 1, n + 1) jerk at the end of each piece.
+    """
 
     t: Array
     q: Array
     v: Array
     a: Array
+    j_after: Array
+    j_before: Array
+
+    def pieces(self) -> Pieces:
+        """The motion between the nodes: quintic from the states at both ends; short pieces from the jerk at both ends.
+
+        The positions at the ends of a short piece do not determine its jerk, because of rounding.
+        """
+        h = np.diff(self.t)
+        q = self.q.copy()
+        v = self.v.copy()
+        a = self.a.copy()
+        short = np.flatnonzero(h < _SHORT_PIECE_S)
+        for k in short:
+            x = h[k]
+            j = self.j_after[k]
+            change = self.j_before[k] - j
+            q[k + 1] = q[k] + x * (v[k] + x * (a[k] / 2 + x * (j / 6 + change / 24)))
+            v[k + 1] = v[k] + x * (a[k] + x * (j / 2 + change / 6))
+            a[k + 1] = a[k] + x * (j + change / 2)
+        pieces = hermite(self.t, q, v, a)
+        pieces.coefficients[short, 3] = self.j_after[short] / 6
+        pieces.coefficients[short, 4] = (self.j_before[short] - self.j_after[short]) / (24 * h[short, None])
+        pieces.coefficients[short, 5] = 0.0
+        return pieces
 
 
 class _Problem:
@@ -172,46 +230,68 @@ class _Problem:
         self.torques = torques
         self._last: Array | None = None  # the last solution, to tighten from
 
-    def timed(self, timing: Timing, nodes: Array, slack: Array | None = None) -> _Timed:
-        """The best path speed for a timing, at nodes that include its edges; `slack` (4, m + 1) are factors on its bounds."""
+    def timed(self, places: _Places, slack: Array | None = None) -> _Timed:
+        """The best path speed for a timing; `slack` (4, N) are factors on its bounds."""
         from armctl.motion.timing import path_timing_kernel as kernel
 
-        problem = self._bounds(timing, np.ones((4, timing.intervals + 1)) if slack is None else slack)
-        c = np.full(timing.intervals + 2, 0.5 * float(problem.b_max.min()))
+        timing, nodes, interval, begin, end = places
+        h = timing.h
+        q, q1, q2, q3_after, q3_before = self._derivatives(timing, nodes)
+        problem = self._bounds(places, q, q1, q2, q3_after, q3_before, np.ones((4, len(nodes))) if slack is None else slack)
+        b_max = problem.points[:, 3]
+        c = np.full(timing.intervals + 2, 0.9 * float(b_max[b_max > 0].min()))
         barrier = kernel.BARRIER_COLD
         if slack is not None and self._last is not None:
             c = 0.95 * self._last
             barrier = kernel.BARRIER_WARM
-        while not np.isfinite(kernel.value(c, problem, 1.0)):
-            c *= 0.5
+        while not np.isfinite(kernel.value(c, *problem, 1.0)):
+            c *= 0.8
         kernel.solve(problem, c, barrier)
         self._last = c
-        b, slope = _squared_speed(c, timing.h, nodes)
-        t = np.concatenate([[0.0], np.cumsum(_durations(c, timing.h, nodes))])
-        s, s1, s2, _ = timing.at(nodes)
-        derivatives = [np.column_stack(pair) for pair in zip(self.path.derivatives(s), _identity(s), strict=True)]
-        q = derivatives[0]
-        d1 = derivatives[1]
-        d2 = derivatives[2]
-        s1 = s1[:, None]
-        s2 = s2[:, None]
+        b, slope = _squared_speed(c, h, np.append(interval, interval[-1]), np.append(begin, end[-1]))
+        t = np.concatenate([[0.0], np.cumsum(_durations(c, h, places))])
+        bend = (c[interval + 2] - 2 * c[interval + 1] + c[interval])[:, None] / h**2
         b = b[:, None]
         slope = slope[:, None]
-        q1 = d1 * s1
-        q2 = d2 * s1**2 + d1 * s2
-        return _Timed(t, q, q1 * np.sqrt(b), q2 * b + q1 * slope / 2)
+        w = np.sqrt(b)
+        j_after = w[:-1] * (q3_after * b[:-1] + 1.5 * q2[:-1] * slope[:-1] + 0.5 * q1[:-1] * bend)
+        j_before = w[1:] * (q3_before * b[1:] + 1.5 * q2[1:] * slope[1:] + 0.5 * q1[1:] * bend)
+        return _Timed(t, q, q1 * w, q2 * b + q1 * slope / 2, j_after, j_before)
+
+    def _derivatives(self, timing: Timing, nodes: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Joints and length at nodes and their derivatives with respect to time, the third after and before each node."""
+        q, q1, q2, q3 = self._with_length(timing, nodes)
+        # The third derivative jumps at knots: the value just before a node belongs to the piece that ends there.
+        q3_before = self._with_length(timing, np.nextafter(nodes[1:], 0.0))[3]
+        return q, q1, q2, q3[:-1], q3_before
+
+    def _with_length(self, timing: Timing, u: Array) -> list[Array]:
+        s, s1, s2, s3 = timing.at(u)
+        d0, d1, d2, d3 = self.path.derivatives(s)
+        s1 = s1[:, None]
+        s2 = s2[:, None]
+        s3 = s3[:, None]
+        joints = (d0, d1 * s1, d2 * s1**2 + d1 * s2, d3 * s1**3 + 3 * d2 * s1 * s2 + d1 * s3)
+        return [np.hstack(pair) for pair in zip(joints, (s[:, None], s1, s2, s3), strict=True)]
 
     def overshoot(self, pieces: Pieces) -> Array:
-        """How much of their limits speed, acceleration, jerk and torque use in each piece, (4, m): 1 is all."""
+        """How much of their limits speed, acceleration, jerk and torque use in each piece, (4, m): 1 is all.
+
+        Exact where it is more than all; any number of at most 1 elsewhere.
+        """
+        from armctl.motion.trajectory import excess_kernel as kernel
+
         limits = self.limits
         steps = np.diff(pieces.knots)
-        v_max = np.tile(np.append(limits.v_max, np.inf), (len(steps), 1))
-        if self._caps is not None:
-            caps = self._caps(np.append(pieces.coefficients[:, 0, -1], self.path.length))
-            v_max[:, -1] = np.minimum(caps[1:], caps[:-1])
-        bounds = (v_max, np.append(limits.a_max, np.inf), np.append(limits.j_max, np.inf))
-        peaks = (np.abs(piece_extremes(pieces.coefficients, steps, order)[1]).max(axis=2) for order in (1, 2, 3))
-        shares = [(peak / bound).max(axis=1) for peak, bound in zip(peaks, bounds, strict=True)]
+        shares = []
+        for order, bound in enumerate((limits.v_max, limits.a_max, limits.j_max), start=1):
+            bounds = np.tile(np.append(bound, np.inf), (len(steps), 1))
+            if order == 1 and self._caps is not None:
+                caps = self._caps(np.append(pieces.coefficients[:, 0, -1], self.path.length))
+                bounds[:, -1] = np.minimum(caps[1:], caps[:-1])
+            excess = kernel.excess(pieces.coefficients, steps, order, -bounds, bounds)
+            with np.errstate(invalid="ignore"):  # without a bound there is no share
+                shares.append(np.fmax(0.0, 1 + excess / bounds).max(axis=1))
         return np.array([*shares, self._torque_overshoot(pieces)])
 
     def _torque_overshoot(self, pieces: Pieces) -> Array:
@@ -228,34 +308,38 @@ class _Problem:
         shares[checked] = np.maximum(shares[checked], self.torques.overshoot(*middle))
         return shares
 
-    def _bounds(self, timing: Timing, slack: Array) -> kernel.Problem:
-        """The bounds on the path speed at the timing's edges."""
+    def _bounds(
+        self, places: _Places, q: Array, q1: Array, q2: Array, q3_after: Array, q3_before: Array, slack: Array
+    ) -> kernel.Problem:
+        """The bounds on the path speed at the nodes."""
         from armctl.motion.timing import path_timing_kernel as kernel
 
-        s, s1, s2, s3 = timing.at(timing.edges)
-        q, d1, d2, d3 = self.path.derivatives(s)
-        s1 = s1[:, None]
-        s2 = s2[:, None]
-        s3 = s3[:, None]
-        q1 = d1 * s1
-        q2 = d2 * s1**2 + d1 * s2
-        q3 = d3 * s1**3 + 3 * d2 * s1 * s2 + d1 * s3
+        s = q[:, -1]
+        s1 = q1[:, -1]
+        q = np.ascontiguousarray(q[:, :-1])
+        q1 = np.ascontiguousarray(q1[:, :-1])
+        q2 = np.ascontiguousarray(q2[:, :-1])
+        q3_after = np.ascontiguousarray(q3_after[:, :-1])
+        q3_before = np.ascontiguousarray(q3_before[:, :-1])
         j_max = self.limits.j_max * slack[2][:, None]
         ends = [0, -1]
         with np.errstate(divide="ignore"):
             b_max = ((self.limits.v_max / np.abs(q1)).min(axis=1) * slack[0]) ** 2
             if self._caps is not None:
-                b_max = np.minimum(b_max, (self._caps(s) / np.abs(s1[:, 0]) * slack[0]) ** 2)
-            b_max[ends] = np.minimum(b_max[ends], ((j_max[ends] / np.abs(q3[ends])) ** (2 / 3)).min(axis=1))
+                b_max = np.minimum(b_max, (self._caps(s) / np.abs(s1) * slack[0]) ** 2)
+            q3_ends = np.stack([q3_after[0], q3_before[-1]])
+            b_max[ends] = np.minimum(b_max[ends], ((j_max[ends] / np.abs(q3_ends)) ** (2 / 3)).min(axis=1))
         b_max = np.minimum(b_max, _MAX_SQUARED_SPEED)
         rows = self._rows(q, q1, q2, slack)
         # At rest there is neither velocity nor acceleration to bound: instead the path speed is nearly constant there.
-        rows.alpha[ends] = 2.0
+        rows.alpha[ends] = 0.0
+        rows.alpha[ends, 0] = 2.0
         rows.beta[ends] = 0.0
         rows.delta[ends] = 0.0
-        rows.high[ends] = _MAX_END_SPEED_CHANGE * b_max[ends, None] / timing.h
+        rows.high[ends] = _MAX_END_SPEED_CHANGE * b_max[ends, None] / places.timing.h
         rows.low[ends] = -rows.high[ends]
-        return kernel.Problem(timing.h, b_max, q1, q2, q3, j_max, *rows)
+        nodes = kernel.Nodes(q1, q2, q3_after, q3_before, b_max, j_max, *rows)
+        return kernel.bounds(places.timing.h, places.interval, places.begin, places.end, nodes)
 
     def _rows(self, q: Array, q1: Array, q2: Array, slack: Array) -> TorqueRows:
         a_max = self.limits.a_max * slack[1][:, None]
@@ -267,45 +351,39 @@ class _Problem:
         return TorqueRows(*(np.concatenate(pair, axis=1) for pair in zip(rows, torques, strict=True)))
 
 
-def _identity(s: Array) -> tuple[Array, Array, Array, Array]:
-    """The length and its derivatives with respect to itself."""
-    return s, np.ones_like(s), np.zeros_like(s), np.zeros_like(s)
-
-
 def _refined(timed: _Timed, intervals: int) -> Timing:
     """The timing that a timed motion makes, smoothed a little."""
-    coefficients = hermite(*timed).coefficients[:, :, -1]
-    t = np.linspace(0.0, timed.t[-1], intervals // 2 + 1)
-    k = np.clip(np.searchsorted(timed.t, t, side="right") - 1, 0, len(timed.t) - 2)
-    s = (coefficients[k] * (t - timed.t[k])[:, None] ** np.arange(DEGREE + 1)).sum(axis=1)
+    knots, coefficients = timed.pieces()
+    t = np.linspace(0.0, knots[-1], intervals // 2 + 1)
+    k = np.clip(np.searchsorted(knots, t, side="right") - 1, 0, len(knots) - 2)
+    s = (coefficients[k, :, -1] * (t - knots[k])[:, None] ** np.arange(DEGREE + 1)).sum(axis=1)
     return smooth_timing(t, s, intervals)
 
 
 def _merged(edges: Array, knots: Array) -> Array:
     """Edges and knots in order, without knots that come too soon after another node or before an edge."""
     k = np.clip(np.searchsorted(edges, knots), 1, len(edges) - 1)
-    apart = np.minimum(np.abs(knots - edges[k - 1]), np.abs(edges[k] - knots)) > _MIN_NODE_DISTANCE_S
-    inner = knots[apart]
-    kept = [knot for i, knot in enumerate(inner) if i == 0 or knot - inner[i - 1] > _MIN_NODE_DISTANCE_S]
+    inner = knots[np.minimum(np.abs(knots - edges[k - 1]), np.abs(edges[k] - knots)) > _MIN_NODE_DISTANCE_S]
+    kept = inner[np.diff(inner, prepend=-np.inf) > _MIN_NODE_DISTANCE_S]
     return np.sort(np.concatenate([edges, kept]))
 
 
-def _squared_speed(c: Array, h: float, u: Array) -> tuple[Array, Array]:
-    """The quadratic B-spline with coefficients c and its slope, at times u."""
-    m = np.clip((u / h).astype(int), 0, len(c) - 3)
-    x = u / h - m
+def _squared_speed(c: Array, h: float, m: IntArray, x: Array) -> tuple[Array, Array]:
+    """The quadratic B-spline with coefficients c and its slope, at shares x of intervals m."""
     left = 0.5 * (c[m] + c[m + 1])
     slope = c[m + 1] - c[m]
     bend = c[m + 2] - 2 * c[m + 1] + c[m]
     return left + x * (slope + 0.5 * x * bend), (slope + x * bend) / h
 
 
-def _durations(c: Array, h: float, nodes: Array) -> Array:
+def _durations(c: Array, h: float, places: _Places) -> Array:
     """The times from node to node: the integral of 1/w, by Gauss and Legendre's rule."""
     x, weight = np.polynomial.legendre.leggauss(5)
-    length = np.diff(nodes)
-    b, _ = _squared_speed(c, h, nodes[:-1, None] + 0.5 * length[:, None] * (x + 1))
-    edges, _ = _squared_speed(c, h, nodes)
-    # The solver keeps b positive at edges and middles only. Between them it can dip below 0 where limits are extreme.
-    b = np.maximum(b, _MIN_DIP * np.minimum(edges[1:], edges[:-1])[:, None])
-    return 0.5 * length * ((1 / np.sqrt(b)) @ weight)
+    m = places.interval
+    share = places.end - places.begin
+    b, _ = _squared_speed(c, h, m[:, None], places.begin[:, None] + 0.5 * share[:, None] * (x + 1))
+    first, _ = _squared_speed(c, h, m, places.begin)
+    last, _ = _squared_speed(c, h, m, places.end)
+    # The solver keeps b positive at nodes and middles only. Between them it can dip below 0 where limits are extreme.
+    b = np.maximum(b, _MIN_DIP * np.minimum(first, last)[:, None])
+    return 0.5 * h * share * ((1 / np.sqrt(b)) @ weight)

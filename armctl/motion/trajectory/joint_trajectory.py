@@ -378,8 +378,15 @@ class JointTrajectory:
 
 
 def joined(parts: Sequence[JointTrajectory]) -> JointTrajectory:
-    """Motions one after another, each known to start as the one before it ends; it reports the largest slowdown of them."""
+    """Motions one after another, each known to start as the one before it ends.
+
+    The slowdown is that of the whole motion, with the joint of the part that is slowed down most.
+    """
     pieces = piecewise.joined([part.pieces for part in parts])
     slowed = [part.slowed for part in parts if part.slowed is not None]
-    largest = max(slowed, key=lambda slowdown: slowdown.factor, default=None)
-    return replace(parts[0], knots=pieces.knots, coefficients=pieces.coefficients, slowed=largest)
+    total = None
+    if slowed:
+        largest = max(slowed, key=lambda slowdown: slowdown.factor)
+        free = sum(part.duration / (1.0 if part.slowed is None else part.slowed.factor) for part in parts)
+        total = replace(largest, factor=float(pieces.knots[-1]) / free)
+    return replace(parts[0], knots=pieces.knots, coefficients=pieces.coefficients, slowed=total)

@@ -119,11 +119,6 @@ class _Extremes:
         # how far outside, negative inside; -inf for a joint without limits
         self._excess = np.maximum(self._values - self._high[:, None], self._low[:, None] - self._values)
 
-    def inside(self) -> bool:
-        """Whether every joint keeps its limit, with the tolerances of `Peak.ok`."""
-        tolerance = POSITION_TOLERANCE if self._order == 0 else RATIO_TOLERANCE * self._half[:, None]
-        return bool((self._excess <= tolerance).all())
-
     def peaks(self, joint_names: tuple[str, ...], units: tuple[str, ...]) -> list[Peak]:
         """The worst extreme of every joint that has a limit."""
         peaks = []
@@ -155,7 +150,19 @@ def check_limits(pieces: Pieces, limits: Limits, joint_names: tuple[str, ...], u
 
 def is_inside(pieces: Pieces, limits: Limits) -> bool:
     """`check_limits(...).ok`, without the report."""
-    return all(_Extremes(pieces, limits, order).inside() for order in range(len(QUANTITIES)))
+    from armctl.motion.trajectory import excess_kernel as kernel
+
+    steps = np.diff(pieces.knots)
+    for order in range(len(QUANTITIES)):
+        low, high = _bounds(limits, order)
+        half = 0.5 * (high - low)
+        is_relative = np.isfinite(half) & (half > 0)
+        tolerance = POSITION_TOLERANCE if order == 0 else RATIO_TOLERANCE * np.where(is_relative, half, 1.0)
+        each_low = np.tile(low, (len(steps), 1))
+        each_high = np.tile(high, (len(steps), 1))
+        if (kernel.excess(pieces.coefficients, steps, order, each_low, each_high) > tolerance).any():
+            return False
+    return True
 
 
 def piece_extremes(coefficients: Array, steps: Array, order: int) -> tuple[Array, Array]:
