@@ -2,32 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 
-from armctl.control import feedforward
 from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH, effective_inertia, floored_inertia
-from armctl.control.interface import State, explains_wrong_arguments
-from armctl.control.observer import DisturbanceObserver
+from armctl.control.interface import KernelController
+from armctl.control.observer import low_pass_weight
 from armctl.core.errors import InputError
-from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, choice, number
 from armctl.robot.arm import Arm, check_arm
-from armctl.robot.dynamics import Dynamics
 
 FORMS = ("discrete", "textbook")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _ExtraInertia:
-    """Inertia, (n,) kg m^2, that the feedback adds to the model's, at a control period of dt."""
-
-    dt: float
-    inertia: Array
-
-
-class ComputedTorque:
+class ComputedTorque(KernelController):
     """Computed torque (inverse dynamics control): tau = ID(q, v, a_ref + k_p (q_ref - q) + k_d (v_ref - v)).
 
     After Siciliano, Sciavicco, Villani, Oriolo, Robotics: Modelling, Planning and Control (2009), 8.5.2. Dry friction is fed
@@ -73,61 +62,48 @@ class ComputedTorque:
         self.damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
         self.observer_bandwidth = number("observer_bandwidth", observer_bandwidth, 0.0, MAX_BANDWIDTH)
         self.name = "computed-torque"
-        self._observer = None
-        self._is_textbook = self.form == "textbook"
-        if self._is_textbook:
+        if self.form == "textbook":
             self.name = "computed-torque-textbook"
             if self.observer_bandwidth:
                 raise InputError("observer_bandwidth: the observer compares ticks, so it needs form='discrete'")
         elif self.observer_bandwidth:
             self.name = "computed-torque-observer"
-            self._observer = DisturbanceObserver(arm, self.observer_bandwidth)
-        self._dynamics = Dynamics(arm.model, arm.pinocchio_model)
-        self._kp = np.full(arm.n, self.bandwidth**2)  # arrays times arrays are faster than floats times arrays
-        self._kd = np.full(arm.n, 2 * self.damping_ratio * self.bandwidth)
+        super().__init__(arm.n)
         self._arm = arm
         self._min_inertia = effective_inertia(arm).min(axis=0)
-        self._extra_inertia = self._extra_inertia_at(0.0)
-        self._has_extra_inertia = bool(self._extra_inertia.inertia.any())
 
     @property
     def disturbance(self) -> Array:
         """The torque (n,) N m that the observer estimates; zero without an observer."""
-        return np.zeros(self._arm.n) if self._observer is None else self._observer.estimate.copy()
+        from armctl.control.computed_torque_kernel import estimate
 
-    @explains_wrong_arguments
-    def torque(self, state: State, setpoint: Setpoint) -> Array:
-        """The torque for the coming control period.
+        return estimate(self.memory, self.n).copy()
 
-        Args:
-            state: The measured state.
-            setpoint: Where the arm should be.
+    @property
+    def kernel(self) -> Callable[..., None]:
+        """The compiled law, as `KernelController` describes it."""
+        from armctl.control.computed_torque_kernel import computed_torque
 
-        Returns:
-            (n,) N m.
-        """
-        modelled = state
-        v_ref = setpoint.v_tick
-        a_ref = setpoint.a_tick
-        if self._is_textbook:
-            modelled = state._replace(dt=0.0, continuous=False)
-        if self._is_textbook or v_ref is None or a_ref is None:
-            v_ref = setpoint.v
-            a_ref = setpoint.a
-        correction = self._kp * (setpoint.q - state.q) + self._kd * (v_ref - state.v)
-        tau = feedforward.inverse_dynamics(self._dynamics, modelled, a_ref + correction)
-        if self._has_extra_inertia:
-            extra = self._extra_inertia
-            if extra.dt != state.dt:
-                extra = self._extra_inertia_at(state.dt)
-                self._extra_inertia = extra
-            tau = tau + extra.inertia * correction
-        friction = feedforward.friction(self._dynamics, modelled, v_ref, a_ref) if self._dynamics.has_friction else None
-        if self._observer is not None:
-            tau = self._observer.corrected(tau, state, friction)
-        return tau if friction is None else tau + friction
+        return computed_torque
 
-    def _extra_inertia_at(self, dt: float) -> _ExtraInertia:
+    @property
+    def memory_size(self) -> int:
+        """Numbers of memory: those of the observer, and scratch."""
+        from armctl.control.computed_torque_kernel import memory_size
+
+        return memory_size(self.n, self._arm.packed_dynamics.work_size())
+
+    def parameters(self, dt: float, continuous: bool) -> Array:
+        """Gains, limits and the model, for the kernel. Arguments as for `KernelController.parameters`."""
+        is_textbook = self.form == "textbook"
+        model = self._arm.packed_dynamics.vector(0.0 if is_textbook else dt, continuous and not is_textbook)
+        header = [float(is_textbook), low_pass_weight(self.observer_bandwidth, dt), dt]
+        kp = np.full(self.n, self.bandwidth**2)
+        kd = np.full(self.n, 2 * self.damping_ratio * self.bandwidth)
+        return np.concatenate([header, kp, kd, self._extra_inertia(dt), self._arm.limits.tau_max, model])
+
+    def _extra_inertia(self, dt: float) -> Array:
+        """Inertia, (n,) kg m^2, that the feedback adds to the model's, at a control period of dt."""
         bandwidth = self.bandwidth * max(self.damping_ratio, 1.0)
         floored = floored_inertia(self._arm, self._min_inertia, self._min_inertia, bandwidth, dt)
-        return _ExtraInertia(dt, floored - self._min_inertia)
+        return floored - self._min_inertia

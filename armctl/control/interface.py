@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
@@ -69,6 +70,10 @@ class Clock:
         self._next = state.t + state.dt
         return follows
 
+    def expect(self, t: float) -> None:
+        """Sets the time of the next tick, s, after ticks that this clock did not see."""
+        self._next = t
+
 
 _TorqueMethod = TypeVar("_TorqueMethod", bound=Callable[..., Array])
 
@@ -88,6 +93,127 @@ def explains_wrong_arguments(torque: _TorqueMethod) -> _TorqueMethod:
             raise
 
     return torque_or_input_error  # type: ignore[return-value]
+
+
+class KernelController(ABC):
+    """A controller whose law is one compiled kernel, which `torque` and the compiled loop of a simulation both call.
+
+    A kernel is a function compiled by numba in nopython mode,
+
+        kernel(params, q, v, reference, memory, tau)
+
+    with the constants of a run, the measured positions and velocities (n,), the reference of the tick (5, n) with the rows q,
+    v, a, v_tick, a_tick of a `Setpoint`, the memory of the controller, and the torque (n,), which it writes. All are contiguous
+    arrays of float64. Memory is zero at the first tick of a run; it may also contain scratch. A kernel must not keep state
+    anywhere else, must not raise, and has to terminate for any numbers, also if they are not finite.
+
+    A simulation then runs all ticks without Python, and many runs on several threads. Gains may be assigned between runs. A
+    subclass that overrides `torque` runs in the Python loop, like a controller without a kernel.
+    """
+
+    def __init__(self, n: int):
+        """A controller of n joints whose memory is empty."""
+        self._n = n
+        self._clock = Clock()
+        self._memory: Array | None = None
+        self._period: tuple[float, bool] | None = None
+        self._parameters = np.zeros(0)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """Sets an attribute; a public one is a gain, so the parameters of the kernel follow from the new value."""
+        object.__setattr__(self, name, value)
+        if not name.startswith("_"):
+            object.__setattr__(self, "_period", None)
+
+    @property
+    def n(self) -> int:
+        """The number of joints."""
+        return self._n
+
+    @property
+    @abstractmethod
+    def kernel(self) -> Callable[..., None]:
+        """The compiled function. It is imported here, because numba takes long to load."""
+
+    @abstractmethod
+    def parameters(self, dt: float, continuous: bool) -> Array:
+        """The constants of a run.
+
+        Args:
+            dt: s, the control period.
+            continuous: Whether the arm moves continuously during the control period.
+
+        Returns:
+            A new vector, the first argument of the kernel.
+        """
+
+    @property
+    def memory_size(self) -> int:
+        """How many numbers of memory the kernel needs; 0 for a law without memory and scratch."""
+        return 0
+
+    @property
+    def memory(self) -> Array:
+        """The memory that `torque` uses, (memory_size,)."""
+        if self._memory is None:
+            self._memory = np.zeros(self.memory_size)
+        return self._memory
+
+    def begin(self, state: State) -> tuple[Array, Array]:
+        """Prepares for a tick.
+
+        Args:
+            state: The measured state. The memory is reset unless this state follows that of the previous tick.
+
+        Returns:
+            The parameters and the memory for the kernel, until the control period changes.
+        """
+        if self._period != (state.dt, state.continuous):
+            self._parameters = self.parameters(state.dt, state.continuous)
+            self._period = (state.dt, state.continuous)
+        memory = self.memory
+        if not self._clock.follows(state):
+            memory[:] = 0.0
+        return self._parameters, memory
+
+    def finish(self, t: float) -> None:
+        """Notes that the kernel computed all ticks before the time t, s, with the arrays that `begin` returned."""
+        self._clock.expect(t)
+
+    @explains_wrong_arguments
+    def torque(self, state: State, setpoint: Setpoint) -> Array:
+        """The torque for the coming control period.
+
+        Args:
+            state: The measured state.
+            setpoint: Where the arm should be.
+
+        Returns:
+            (n,) N m.
+
+        Raises:
+            InputError: An argument is no `State` or no `Setpoint`, or a vector has a wrong length.
+        """
+        n = self._n
+        sampled = setpoint.v_tick is not None and setpoint.a_tick is not None
+        columns = (
+            state.q,
+            state.v,
+            setpoint.q,
+            setpoint.v,
+            setpoint.a,
+            setpoint.v_tick if sampled else setpoint.v,
+            setpoint.a_tick if sampled else setpoint.a,
+        )
+        rows = np.empty((8, n))
+        for k, column in enumerate(columns):
+            if len(column) != n:  # type: ignore[arg-type]
+                raise InputError(f"state and setpoint: every vector needs {n} numbers, one has {len(column)}")  # type: ignore[arg-type]
+            rows[k] = column
+        parameters, memory = self.begin(state)
+        tau = rows[7]
+        self.kernel(parameters, rows[0], rows[1], rows[2:7], memory, tau)
+        return tau
 
 
 def _check_arguments(state: object, setpoint: object) -> None:

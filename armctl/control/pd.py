@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control.gains import DEFAULT_BANDWIDTH, pd_gains
-from armctl.control.interface import State, explains_wrong_arguments
-from armctl.core.trajectory import Setpoint
+from armctl.control.interface import KernelController
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 
 
-class PD:
+class PD(KernelController):
     """Joint PD: tau = stiffness (q_ref - q) + damping (v_ref - v).
 
     It uses neither gravity nor inertia, so it has a steady-state error under gravity and a tracking error in motion. Default
@@ -46,17 +48,16 @@ class PD:
             InputError: A gain is negative, not finite or of the wrong length.
         """
         self.stiffness, self.damping = pd_gains(arm, bandwidth, damping_ratio, stiffness, damping)
+        super().__init__(arm.n)
         self._arm = arm
 
-    @explains_wrong_arguments
-    def torque(self, state: State, setpoint: Setpoint) -> Array:
-        """The torque for the coming control period.
+    @property
+    def kernel(self) -> Callable[..., None]:
+        """The compiled law, as `KernelController` describes it."""
+        from armctl.control.pd_kernel import pd
 
-        Args:
-            state: The measured state.
-            setpoint: Where the arm should be.
+        return pd
 
-        Returns:
-            (n,) N m.
-        """
-        return self.stiffness * (setpoint.q - state.q) + self.damping * (setpoint.v - state.v)
+    def parameters(self, dt: float, continuous: bool) -> Array:
+        """The gains, for the kernel. Arguments as for `KernelController.parameters`."""
+        return np.concatenate([self.stiffness, self.damping])

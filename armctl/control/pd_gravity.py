@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control.gains import DEFAULT_BANDWIDTH, gain, max_locked_inertia
-from armctl.control.interface import Clock, State, explains_wrong_arguments
 from armctl.control.pd import PD
-from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
-from armctl.robot.dynamics import Dynamics
 
 # Relative to Kp Kd / m, the stability limit of the integral gain of a mass m with a spring Kp and a damper Kd (Routh-Hurwitz).
 INTEGRAL_GAIN_RATIO = 0.25
@@ -32,23 +29,21 @@ class PDGravity(PD):
 
     name = "pd-gravity"
 
-    @cached_property
-    def _dynamics(self) -> Dynamics:
-        return Dynamics(self._arm.model, self._arm.pinocchio_model)
+    @property
+    def kernel(self) -> Callable[..., None]:
+        """The compiled law, as `KernelController` describes it."""
+        from armctl.control.pd_kernel import pd_gravity
 
-    @explains_wrong_arguments
-    def torque(self, state: State, setpoint: Setpoint) -> Array:
-        """The torque for the coming control period.
+        return pd_gravity
 
-        Args:
-            state: The measured state.
-            setpoint: Where the arm should be.
+    @property
+    def memory_size(self) -> int:
+        """Numbers of scratch memory; the law itself has no memory."""
+        return self.n + self._arm.packed_dynamics.work_size()
 
-        Returns:
-            (n,) N m.
-        """
-        feedback = self.stiffness * (setpoint.q - state.q) + self.damping * (setpoint.v - state.v)
-        return feedback + self._dynamics.gravity(state.q)
+    def parameters(self, dt: float, continuous: bool) -> Array:
+        """The gains and the model, for the kernel. Arguments as for `KernelController.parameters`."""
+        return np.concatenate([super().parameters(dt, continuous), self._arm.packed_dynamics.vector(0.0)])
 
 
 class PIDGravity(PDGravity):
@@ -94,24 +89,20 @@ class PIDGravity(PDGravity):
             integral_gain = INTEGRAL_GAIN_RATIO * self.stiffness * self.damping / max_locked_inertia(arm)
         self.integral_gain = gain("integral_gain", integral_gain, arm.n)
         self._tau_max = arm.limits.tau_max
-        self._clock = Clock()
-        self._integral = np.zeros(arm.n)
 
-    @explains_wrong_arguments
-    def torque(self, state: State, setpoint: Setpoint) -> Array:
-        """The torque for the coming control period.
+    @property
+    def kernel(self) -> Callable[..., None]:
+        """The compiled law, as `KernelController` describes it."""
+        from armctl.control.pd_kernel import pid_gravity
 
-        Args:
-            state: The measured state.
-            setpoint: Where the arm should be.
+        return pid_gravity
 
-        Returns:
-            (n,) N m.
-        """
-        if not self._clock.follows(state):
-            self._integral = np.zeros_like(self._integral)
-        tau = super().torque(state, setpoint) + self._integral
-        integral_rate = self.integral_gain * (setpoint.q - state.q)
-        winds_up = (np.abs(tau) >= self._tau_max) & (integral_rate * tau > 0.0)
-        self._integral = self._integral + np.where(winds_up, 0.0, state.dt * integral_rate)
-        return tau
+    @property
+    def memory_size(self) -> int:
+        """Numbers of memory: the integral, and scratch."""
+        return self.n + super().memory_size
+
+    def parameters(self, dt: float, continuous: bool) -> Array:
+        """Gains, limits and the model, for the kernel. Arguments as for `KernelController.parameters`."""
+        gains = [self.stiffness, self.damping, dt * self.integral_gain, self._tau_max]
+        return np.concatenate([*gains, self._arm.packed_dynamics.vector(0.0)])

@@ -20,6 +20,7 @@ from armctl.mjmodel.edit import add_point_mass
 from armctl.robot.actuation import Actuation
 from armctl.robot.dynamics import Dynamics
 from armctl.robot.joint_map import JointMap
+from armctl.robot.packed_dynamics import PackedDynamics
 from armctl.robot.pinocchio_model import PinocchioModel, build_pinocchio_model
 
 
@@ -284,6 +285,11 @@ class Arm:
     @cached_property
     def _thread_dynamics(self) -> _ThreadDynamics:
         return _ThreadDynamics(self.model, self.pinocchio_model)
+
+    @cached_property
+    def packed_dynamics(self) -> PackedDynamics:
+        """Its dynamics as vectors for compiled kernels, compared with Pinocchio at the first use."""
+        return PackedDynamics(self.model, self.pinocchio_model)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "_thread_dynamics"}

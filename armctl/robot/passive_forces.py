@@ -28,6 +28,10 @@ class PassiveForces:
 
     Attributes:
         damping: (n,) N m s/rad, the linear part of the damping.
+        quadratic_damping: (n,) N m s^2/rad^2.
+        cubic_damping: (n,) N m s^3/rad^3.
+        stiffness: (m, 3) linear, quadratic and cubic stiffness of the spring of every joint that the arm moves.
+        rest: (m,) rad, where the springs are at rest.
         is_damped: Whether any joint has damping.
         has_nonlinear_damping: Whether the damping of any joint is not linear.
         has_springs: Whether any joint has a spring.
@@ -47,29 +51,29 @@ class PassiveForces:
         spring = is_enabled(model, mujoco.mjtDisableBit.mjDSBL_SPRING)
         # A joint that follows with |dq_i/dq| = r contributes r^(k + 1) of its term in v^k, by virtual work.
         self.damping = ratio**2 @ model.dof_damping[dofs] * damper
-        self._quadratic_damping = ratio**3 @ (model.dof_dampingpoly[dofs, 0] * damper)
-        self._cubic_damping = ratio**4 @ (model.dof_dampingpoly[dofs, 1] * damper)
-        self._stiffness = np.column_stack([model.jnt_stiffness[joints], model.jnt_stiffnesspoly[joints]]) * spring
-        self._rest = model.qpos_spring[joint_map.qpos_adr].copy()
+        self.quadratic_damping = ratio**3 @ (model.dof_dampingpoly[dofs, 0] * damper)
+        self.cubic_damping = ratio**4 @ (model.dof_dampingpoly[dofs, 1] * damper)
+        self.stiffness = np.column_stack([model.jnt_stiffness[joints], model.jnt_stiffnesspoly[joints]]) * spring
+        self.rest = model.qpos_spring[joint_map.qpos_adr].copy()
         self._joint_map = joint_map
-        self.has_nonlinear_damping = bool(self._quadratic_damping.any() or self._cubic_damping.any())
+        self.has_nonlinear_damping = bool(self.quadratic_damping.any() or self.cubic_damping.any())
         self.is_damped = self.has_nonlinear_damping or bool(self.damping.any())
-        self.has_springs = bool(self._stiffness.any())
+        self.has_springs = bool(self.stiffness.any())
 
     def damping_torque(self, v: Array) -> Array:
         """v (d0 + d1 |v| + d2 v^2), (n,) N m."""
         if not self.has_nonlinear_damping:
             return self.damping * v
-        return v * (self.damping + self._quadratic_damping * np.abs(v) + self._cubic_damping * v * v)
+        return v * (self.damping + self.quadratic_damping * np.abs(v) + self.cubic_damping * v * v)
 
     def nonlinear_damping_slope(self, v: Array) -> Array:
         """Derivative of the damping torque by v without its linear part, (n,) N m s/rad."""
-        return 2 * self._quadratic_damping * np.abs(v) + 3 * self._cubic_damping * v * v
+        return 2 * self.quadratic_damping * np.abs(v) + 3 * self.cubic_damping * v * v
 
     def spring_torque(self, q: Array) -> Array:
         """x (k0 + k1 x + k2 x^2) with x the distance from the spring's rest position, (n,) N m."""
-        x = self._joint_map.positions(q) - self._rest
-        k = self._stiffness
+        x = self._joint_map.positions(q) - self.rest
+        k = self.stiffness
         force = x * (k[:, 0] + x * k[:, 1] + x * x * k[:, 2])
         return force if self._joint_map.is_plain else force @ self._joint_map.ratio
 
