@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import pickle
 import warnings
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from typing import Any
 
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.dispatcher import Dispatcher
 
 from armctl.core.errors import ArmctlWarning
 
@@ -46,7 +48,7 @@ class _TolerantCache(FunctionCache):
     def __init__(self, function: Callable):
         super().__init__(function)
         own = self._cache_file
-        self._cache_file = _CheckedFile(own._cache_path, f"{self._impl.filename_base}.armctl", own._source_stamp)
+        self._cache_file = _CheckedFile(own._cache_path, f"{self._impl.filename_base}.armctl", _source_stamp(function))
 
     def load_overload(self, sig: object, target_context: object) -> object:
         """The compiled code of a signature, or None. A damaged cache is emptied, so that it is written again."""
@@ -78,9 +80,19 @@ class _TolerantCache(FunctionCache):
         )
 
 
+def _source_stamp(function: Callable) -> list[tuple[float, int]]:
+    """Time and size of the files of a function and of all compiled functions that it calls; numba looks at its own file only."""
+    functions = [function]
+    for known in functions:
+        called = [known.__globals__.get(name) for name in known.__code__.co_names]
+        functions += [each.py_func for each in called if isinstance(each, Dispatcher) and each.py_func not in functions]
+    files = sorted({known.__code__.co_filename for known in functions})
+    return [(status.st_mtime, status.st_size) for status in map(os.stat, files)]
+
+
 def njit(function: Callable) -> Callable:
     """The compiled function, with a cache on disk if there is a folder for it."""
     compiled: Any = numba.njit(nogil=True, error_model="numpy")(function)
-    with suppress(RuntimeError):  # numba finds no folder that can be written: compile in every process
+    with suppress(RuntimeError, OSError):  # no source file, or no folder that can be written: compile in every process
         compiled._cache = _TolerantCache(function)
     return compiled

@@ -57,6 +57,15 @@ def test_the_second_process_takes_the_code_from_the_cache(tmp_path: Path):
     assert (second.results, second.hits, second.warnings) == ("6.0 2.0", "1", [])
 
 
+def test_a_change_of_a_called_function_in_another_file_compiles_its_callers_again(tmp_path: Path):
+    (tmp_path / "called.py").write_text("from armctl.core.jit import njit\n@njit\ndef half(x):\n    return 0.5 * x\n")
+    calling = "from armctl.core.jit import njit\nfrom called import half\n@njit\ndef double(x):\n    return 4 * half(x)\n"
+    (tmp_path / "kernels.py").write_text(calling + "@njit\ndef triple(x):\n    return x + double(x)\n")
+    assert Outcome(tmp_path).results == "6.0 2.0"
+    (tmp_path / "called.py").write_text("from armctl.core.jit import njit\n@njit\ndef half(x):\n    return 0.75 * x\n")
+    assert Outcome(tmp_path).results == "8.0 3.0"
+
+
 @pytest.mark.parametrize("content", [b"", b"\x80\x04rubbish" * 40, os.urandom(4000)], ids=["empty", "rubbish", "random"])
 @pytest.mark.parametrize("ending", ["nbi", "nbc"])
 def test_a_damaged_cache_leads_to_one_warning_and_is_written_again(tmp_path: Path, ending: str, content: bytes):

@@ -1,6 +1,7 @@
 """Kinematics and dynamics agree with MuJoCo on every installed arm and on synthetic ones, at random states."""
 
 import copy
+import dataclasses
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 
@@ -11,6 +12,7 @@ from synthetic import TIED, limb, mjcf
 
 import armctl
 from armctl import Arm, Report
+from armctl.robot import dynamics_kernel
 from armctl.robot.dynamics import Dynamics
 from armctl.robot.parity import check_parity
 
@@ -250,6 +252,66 @@ def test_an_arm_gives_the_same_dynamics_in_all_threads_and_after_pickling(bundle
         results = list(pool.map(lambda _: bundled.inverse_dynamics(q, q, q), range(200)))
     assert all(np.array_equal(tau, expected) for tau in results)
     assert np.array_equal(pickle.loads(pickle.dumps(bundled)).inverse_dynamics(q, q, q), expected)
+
+
+# ---- the compiled equations of motion, against Pinocchio
+
+
+class Compiled:
+    """The compiled dynamics of an arm for one control period."""
+
+    def __init__(self, arm: Arm, dt: float, continuous: bool):
+        self.n = arm.n
+        self.model = arm.packed_dynamics.vector(dt, continuous)
+        self.work = np.zeros(arm.packed_dynamics.work_size())
+
+    def inverse_dynamics(self, q, v, a):
+        tau = np.zeros(self.n)
+        dynamics_kernel.inverse_dynamics(self.model, q, v, a, self.work, tau)
+        return tau
+
+    def friction(self, q, v, a):
+        self.inverse_dynamics(q, v, a)
+        tau = np.zeros(self.n)
+        dynamics_kernel.add_friction(self.model, v, a, self.work, tau)
+        return tau
+
+    def gravity(self, q):
+        tau = np.zeros(self.n)
+        dynamics_kernel.gravity(self.model, q, self.work, tau)
+        return tau
+
+
+def check_compiled(arm: Arm) -> None:
+    dynamics = Dynamics(arm.model, arm.pinocchio_model)
+    for q, v, a in states(arm, 5, seed=14):
+        discrete = Compiled(arm, 0.003, False)
+        continuous = Compiled(arm, 0.003, True)
+        friction = dynamics.friction(v + 0.0015 * a, a)
+        expected = {
+            "discrete step": (discrete.inverse_dynamics(q, v, a), dynamics.discrete_inverse_dynamics(q, v, a, 0.003)),
+            "middle of the period": (continuous.inverse_dynamics(q, v, a), dynamics.inverse_midpoint(q, v, a, 0.003)),
+            "no period": (Compiled(arm, 0.0, False).inverse_dynamics(q, v, a), dynamics.inverse_dynamics(q, v, a)),
+            "gravity": (discrete.gravity(q), dynamics.gravity(q)),
+            "friction of a step": (discrete.friction(q, v, a), dynamics.discrete_friction(q, v, a, 0.003)),
+            "friction of a continuous arm": (continuous.friction(q, v, a), friction),
+        }
+        for what, (compiled, reference) in expected.items():
+            assert compiled == pytest.approx(reference, rel=1e-10, abs=1e-10 * max(1.0, np.abs(reference).max())), what
+
+
+def test_compiled_dynamics_are_pinocchios(arm: Arm):
+    check_compiled(arm)
+
+
+def test_compiled_dynamics_of_tied_joints_springs_and_implicit_integrators_are_pinocchios(synthetic: Arm):
+    check_compiled(synthetic)
+
+
+def test_a_wrong_compiled_model_is_found_before_its_first_use(bundled: Arm):
+    model = dataclasses.replace(bundled.pinocchio_model, T_last_tip=bundled.pinocchio_model.T_last_tip + 0.01)
+    with pytest.raises(armctl.ModelError, match="the compiled tip"):
+        _ = dataclasses.replace(bundled, pinocchio_model=model).packed_dynamics
 
 
 @pytest.mark.parametrize(
