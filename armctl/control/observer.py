@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 
-# rad. Without a low-pass the observer diverges with a delay of two control periods. A faster one than this diverges with a delay
-# of two periods in addition to the observer's own delay of one. With light wrists two periods can be too much at this bound,
-# too: `armctl.margins` measures it.
+# rad. Without a low-pass the observer diverges with a delay of two control periods. A low-pass faster than this diverges with a
+# delay of two periods in addition to the observer's own delay of one. With light wrists two periods can be too much at this
+# bound, too: `armctl.margins` measures it.
 MAX_BANDWIDTH_TIMES_DT = 0.3
 
 

@@ -28,7 +28,7 @@ def pd_gravity(params, q, v, reference, memory, tau):
 
 @njit
 def pid_gravity(params, q, v, reference, memory, tau):
-    """Parameters: stiffness, damping, integral gain x dt, torque limits, each (n,), model. Memory: integral (n,), then as above."""
+    """Parameters: stiffness, damping, integral gain x dt, torque limits, each (n,), model. Memory: integral (n,), as above."""
     n = tau.shape[0]
     integral = memory[:n]
     torque = memory[n : 2 * n]

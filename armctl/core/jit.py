@@ -81,7 +81,7 @@ class _TolerantCache(FunctionCache):
 
 
 def _source_stamp(function: Callable) -> list[tuple[float, int]]:
-    """Time and size of the files of a function and of all compiled functions that it calls; numba looks at its own file only."""
+    """Time and size of the files of a function and of all compiled functions that it calls; numba looks at its own only."""
     functions = [function]
     for known in functions:
         called = [known.__globals__.get(name) for name in known.__code__.co_names]

@@ -202,6 +202,8 @@ def _newton_euler(model, work):
     m = int(model[JOINTS])
     for j in range(m):
         _move_link(model, j, work)
+        if model[HAS_LIFT] != 0.0:
+            _turn_gravity(model, j, work)
         _load_link(model, j, work)
     for j in range(m - 1, -1, -1):
         row = j * WORK_COLUMNS
@@ -269,13 +271,19 @@ def _move_link(model, j, work):
     _store(work, row + OMEGA, wx, wy, wz)
     _store(work, row + ALPHA, dx, dy, dz)
     _store(work, row + LINEAR, ax, ay, az)
-    if model[HAS_LIFT] != 0.0:
-        if parent >= 0:
-            start = parent * WORK_COLUMNS + FALL
-            gx, gy, gz = _to_joint(work, row, work[start], work[start + 1], work[start + 2])
-        else:
-            gx, gy, gz = _to_joint(work, row, model[GRAVITY], model[GRAVITY + 1], model[GRAVITY + 2])
-        _store(work, row + FALL, gx, gy, gz)
+
+
+@njit
+def _turn_gravity(model, j, work):
+    """Gravity in the frame of a joint."""
+    row = j * WORK_COLUMNS
+    parent = int(model[HEADER + j * JOINT_COLUMNS + PARENT])
+    if parent >= 0:
+        start = parent * WORK_COLUMNS + FALL
+        x, y, z = _to_joint(work, row, work[start], work[start + 1], work[start + 2])
+    else:
+        x, y, z = _to_joint(work, row, model[GRAVITY], model[GRAVITY + 1], model[GRAVITY + 2])
+    _store(work, row + FALL, x, y, z)
 
 
 @njit
@@ -328,7 +336,7 @@ def _add_springs(model, work):
 
 @njit
 def gravity(model, q, work, tau):
-    """The torque that holds the arm at rest, (n,) N m: gravity minus gravity compensation, plus springs. As `Dynamics.gravity`."""
+    """The torque that holds the arm at rest, (n,) N m, as `Dynamics.gravity`: with gravity compensation and springs."""
     place(model, q, work)
     for j in range(int(model[JOINTS])):
         work[j * WORK_COLUMNS + VELOCITY] = 0.0
