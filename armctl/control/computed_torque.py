@@ -94,7 +94,15 @@ class ComputedTorque(KernelController):
         return memory_size(self.n, self._arm.packed_dynamics.work_size())
 
     def parameters(self, dt: float, continuous: bool) -> Array:
-        """Gains, limits and the model, for the kernel. Arguments as for `KernelController.parameters`."""
+        """Gains, limits and the model, for the kernel.
+
+        Args:
+            dt: s, the control period.
+            continuous: Whether the arm moves continuously during the control period.
+
+        Returns:
+            A new vector.
+        """
         is_textbook = self.form == "textbook"
         model = self._arm.packed_dynamics.vector(0.0 if is_textbook else dt, continuous and not is_textbook)
         header = [float(is_textbook), low_pass_weight(self.observer_bandwidth, dt), dt]

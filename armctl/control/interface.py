@@ -112,7 +112,11 @@ class KernelController(ABC):
     """
 
     def __init__(self, n: int):
-        """A controller of n joints whose memory is empty."""
+        """A controller whose memory is empty.
+
+        Args:
+            n: The number of joints.
+        """
         self._n = n
         self._clock = Clock()
         self._memory: Array | None = None
@@ -177,7 +181,11 @@ class KernelController(ABC):
         return self._parameters, memory
 
     def finish(self, t: float) -> None:
-        """Notes that the kernel computed all ticks before the time t, s, with the arrays that `begin` returned."""
+        """Notes that the kernel computed further ticks, with the arrays that `begin` returned.
+
+        Args:
+            t: s, the time of the next tick.
+        """
         self._clock.expect(t)
 
     @explains_wrong_arguments

@@ -59,5 +59,13 @@ class PD(KernelController):
         return pd
 
     def parameters(self, dt: float, continuous: bool) -> Array:
-        """The gains, for the kernel. Arguments as for `KernelController.parameters`."""
+        """The gains, for the kernel.
+
+        Args:
+            dt: s, the control period.
+            continuous: Whether the arm moves continuously during the control period.
+
+        Returns:
+            A new vector.
+        """
         return np.concatenate([self.stiffness, self.damping])

@@ -42,7 +42,15 @@ class PDGravity(PD):
         return self.n + self._arm.packed_dynamics.work_size()
 
     def parameters(self, dt: float, continuous: bool) -> Array:
-        """The gains and the model, for the kernel. Arguments as for `KernelController.parameters`."""
+        """The gains and the model, for the kernel.
+
+        Args:
+            dt: s, the control period.
+            continuous: Whether the arm moves continuously during the control period.
+
+        Returns:
+            A new vector.
+        """
         return np.concatenate([super().parameters(dt, continuous), self._arm.packed_dynamics.vector(0.0)])
 
 
@@ -103,6 +111,14 @@ class PIDGravity(PDGravity):
         return self.n + super().memory_size
 
     def parameters(self, dt: float, continuous: bool) -> Array:
-        """Gains, limits and the model, for the kernel. Arguments as for `KernelController.parameters`."""
+        """Gains, limits and the model, for the kernel.
+
+        Args:
+            dt: s, the control period.
+            continuous: Whether the arm moves continuously during the control period.
+
+        Returns:
+            A new vector.
+        """
         gains = [self.stiffness, self.damping, dt * self.integral_gain, self._tau_max]
         return np.concatenate([*gains, self._arm.packed_dynamics.vector(0.0)])
