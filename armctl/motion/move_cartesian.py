@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose
-from armctl.core.validation import Array, number, shown, vector
+from armctl.core.validation import number, shown, vector
 from armctl.motion.checks import planning_arm
 from armctl.motion.path.blending import Blend, CompositePath, SubPath
 from armctl.motion.path.geometry import Circle, Shape, Straight, Turn
 from armctl.motion.path.joint_path import joint_path_along
+from armctl.motion.path.tip_caps import TipCaps
 from armctl.motion.timing.path_timing import time_optimal
 from armctl.motion.torque_limits import within_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory, joined
@@ -180,8 +181,10 @@ def _plan(
     motions = []
     for path in _sections(legs):
         joint_path = joint_path_along(arm, what, path, q, oriented)
-        pieces = time_optimal(joint_path, planning.limits, _caps(path, speed, tip_speed, tip_angular_speed))
-        motions.append(within_torque(arm, JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)))
+        caps = TipCaps.of(arm, joint_path, speed, tip_speed, tip_angular_speed)
+        pieces = time_optimal(joint_path, planning.limits, caps)
+        motion = within_torque(arm, JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units))
+        motions.append(motion if caps is None else caps.kept(motion))
         q = motions[-1](motions[-1].duration).q
     return joined(motions) if motions else JointTrajectory(*standing(q), arm.joint_names, arm.limits, units=arm.units)
 
@@ -226,20 +229,3 @@ def _sections(legs: list[tuple[Shape, float]]) -> list[CompositePath]:
         chains[-1] += [SubPath(shape, begin, shape.length - radius), Blend(shape, after, radius)]
         begin = radius
     return [CompositePath(chain) for chain in chains if chain]
-
-
-def _caps(
-    path: Shape, speed: float, tip_speed: float | None, tip_angular_speed: float | None
-) -> Callable[[Array], Array] | None:
-    """The greatest speeds along a path that keep the tip's caps."""
-    if tip_speed is None and tip_angular_speed is None:
-        return None
-    linear = np.inf if tip_speed is None else speed * number("tip_speed", tip_speed, 1e-6)
-    angular = np.inf if tip_angular_speed is None else speed * number("tip_angular_speed", tip_angular_speed, 1e-6)
-
-    def caps(s: Array) -> Array:
-        twists = np.array([path.at(x).twist for x in np.clip(s, 0.0, path.length)])
-        with np.errstate(divide="ignore"):
-            return np.minimum(linear / np.linalg.norm(twists[:, :3], axis=1), angular / np.linalg.norm(twists[:, 3:], axis=1))
-
-    return caps

@@ -139,9 +139,22 @@ def test_caps_on_the_tip_are_kept_and_reached(panda):
         twists = np.array([panda.jacobian(a) @ b for a, b in zip(q, v, strict=True)])
         speed = np.linalg.norm(twists[:, :3] if "tip_speed" in caps else twists[:, 3:], axis=1).max()
         cap = next(iter(caps.values()))
-        assert 0.99 * cap < speed < cap * (1 + 1e-5)
+        assert 0.99 * cap < speed < cap * (1 + 1e-9)
     with pytest.raises(armctl.InputError, match="tip_speed"):
         armctl.move_l(panda, panda.home, target, tip_speed=-1.0)
+
+
+@pytest.mark.parametrize("caps", [{"tip_speed": 0.25}, {"tip_angular_speed": 0.4}])
+@pytest.mark.parametrize("oriented", [True, False])
+def test_caps_on_the_tip_hold_over_the_whole_of_a_path_with_rounded_corners(panda, caps, oriented):
+    targets = [moved(panda, 0, 0.1, 0), moved(panda, 0.02, 0.1, -0.1), moved(panda, 0.02, 0.0, -0.2)]
+    path = [target @ armctl.Pose([0, 0, 0], rpy=[0.2 * i, 0, -0.3 * i]) for i, target in enumerate(targets)]
+    motion = armctl.move_path(panda, panda.home, path if oriented else [each.position for each in path], blend=0.045, **caps)
+    q, v = motion.sample(np.linspace(0.0, motion.duration, 6000))[:2]
+    twists = np.array([panda.jacobian(a) @ b for a, b in zip(q, v, strict=True)])
+    speeds = np.linalg.norm(twists[:, :3] if "tip_speed" in caps else twists[:, 3:], axis=1)
+    cap = next(iter(caps.values()))
+    assert 0.99 * cap < speeds.max() < cap * (1 + 1e-9)
 
 
 def test_near_a_singularity_it_slows_down():

@@ -7,7 +7,6 @@ result is the timing on a finer grid. Bounds that are still exceeded between the
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
@@ -84,20 +83,60 @@ class Torques(Protocol):
         ...
 
 
-def time_optimal(path: Path, limits: Limits, caps: Callable[[Array], Array] | None = None) -> Pieces:
+class Caps(Protocol):
+    """What bounds the speed along a path beside the joints."""
+
+    def at(self, s: Array) -> Array:
+        """The greatest speeds along the path.
+
+        Args:
+            s: (T,) lengths.
+
+        Returns:
+            (T,), infinite where there is no bound.
+        """
+        ...
+
+    def overshoot(self, pieces: Pieces) -> Array:
+        """How much of what it bounds a motion uses in each piece.
+
+        Args:
+            pieces: The motion of the joints and, as the last column, of the length.
+
+        Returns:
+            (m,), 1 is all: exact where it is more, any number of at most 1 elsewhere.
+        """
+        ...
+
+
+class _OwnSpeed:
+    """A motion is to run at most at its own speed: its length is the time."""
+
+    def at(self, s: Array) -> Array:
+        return np.ones_like(s)
+
+    def overshoot(self, pieces: Pieces) -> Array:
+        from armctl.motion.trajectory import excess_kernel as kernel
+
+        one = np.ones((len(pieces.coefficients), 1))
+        length = np.ascontiguousarray(pieces.coefficients[:, :, -1:])
+        return 1 + kernel.excess(length, np.diff(pieces.knots), 1, -one, one)[:, 0]
+
+
+def time_optimal(path: Path, limits: Limits, caps: Caps | None = None) -> Pieces:
     """The time-optimal motion along a path, from rest to rest.
 
     Args:
         path: The path.
         limits: What the joints can do; positions are the path's own affair.
-        caps: From lengths (T,) to the greatest speeds along the path (T,); none if left out.
+        caps: Bounds on the speed along the path; none if left out.
 
     Returns:
         The motion.
     """
     problem = _Problem(path, limits, caps)
     timing = initial_timing(path, limits)
-    timed = problem.timed(_Places.of(timing, timing.edges))
+    timed = problem.timed(problem.sampled(_Places.of(timing, timing.edges)))
     return _tightened(problem, _refined(timed, intervals_for(timed.t[-1])))
 
 
@@ -113,7 +152,7 @@ def slowed_down(path: Path, limits: Limits, knots: Array, torques: Torques) -> P
     Returns:
         The slower motion.
     """
-    problem = _Problem(path, limits, np.ones_like, torques)
+    problem = _Problem(path, limits, _OwnSpeed(), torques)
     intervals = intervals_for(path.length)
     return _tightened(problem, Timing(path.length / intervals, intervals, None), knots)
 
@@ -132,11 +171,11 @@ def intervals_for(duration: float) -> int:
 
 def _tightened(problem: _Problem, timing: Timing, knots: Array | None = None) -> Pieces:
     """The best path speed for a timing, cut at knots too, its bounds tightened where it exceeds them between the nodes."""
-    places = _Places.of(timing, timing.edges if knots is None else _merged(timing.edges, knots))
-    slack = np.ones((4, len(places.nodes)))
+    sampled = problem.sampled(_Places.of(timing, timing.edges if knots is None else _merged(timing.edges, knots)))
+    slack = np.ones((4, len(sampled.places.nodes)))
     tried: list[tuple[Pieces, float]] = []
     for tightening in range(1 + _MAX_TIGHTENINGS):
-        pieces = problem.timed(places, slack if tightening else None).pieces()
+        pieces = problem.timed(sampled, slack if tightening else None).pieces()
         overshoot = problem.overshoot(pieces)
         stretch = float((np.maximum(overshoot.max(axis=1), 1.0) ** _STRETCH_EXPONENTS).max())
         tried.append((pieces, stretch))
@@ -175,6 +214,30 @@ class _Places(NamedTuple):
         begin = np.clip((nodes[:-1] - edges[interval]) / timing.h, 0.0, 1.0)
         end = np.clip((nodes[1:] - edges[interval]) / timing.h, 0.0, 1.0)
         return cls(timing, nodes, interval, begin, end)
+
+
+class _Sampled(NamedTuple):
+    """A motion of the joints and, as the last column, of the length, at nodes, and the bounds on its speed there.
+
+    Attributes:
+        places: The nodes.
+        q: (N, n + 1).
+        q1: (N, n + 1) first derivative.
+        q2: (N, n + 1) second.
+        q3_after: (N - 1, n + 1) third, at the start of each piece.
+        q3_before: (N - 1, n + 1) third, at the end of each piece.
+        b_max: (N,) greatest square of the path speed.
+        torques: Bounds on the torques, if there are any.
+    """
+
+    places: _Places
+    q: Array
+    q1: Array
+    q2: Array
+    q3_after: Array
+    q3_before: Array
+    b_max: Array
+    torques: TorqueRows | None
 
 
 class _Timed(NamedTuple):
@@ -223,21 +286,33 @@ class _Timed(NamedTuple):
 class _Problem:
     """A path and all bounds on its speed."""
 
-    def __init__(self, path: Path, limits: Limits, caps: Callable | None, torques: Torques | None = None):
+    def __init__(self, path: Path, limits: Limits, caps: Caps | None, torques: Torques | None = None):
         self.path = path
         self.limits = limits
         self._caps = caps
         self.torques = torques
         self._last: Array | None = None  # the last solution, to tighten from
 
-    def timed(self, places: _Places, slack: Array | None = None) -> _Timed:
+    def sampled(self, places: _Places) -> _Sampled:
+        """The motion at nodes."""
+        q, q1, q2, q3 = self._with_length(places.timing, places.nodes)
+        # The third derivative jumps at knots: the value just before a node belongs to the piece that ends there.
+        q3_before = self._with_length(places.timing, np.nextafter(places.nodes[1:], 0.0))[3]
+        with np.errstate(divide="ignore"):
+            b_max = (self.limits.v_max / np.abs(q1[:, :-1])).min(axis=1) ** 2
+            if self._caps is not None:
+                b_max = np.minimum(b_max, (self._caps.at(q[:, -1]) / np.abs(q1[:, -1])) ** 2)
+        torques = None if self.torques is None else self.torques.rows(q[:, :-1], q1[:, :-1], q2[:, :-1])
+        return _Sampled(places, q, q1, q2, q3[:-1], q3_before, b_max, torques)
+
+    def timed(self, sampled: _Sampled, slack: Array | None = None) -> _Timed:
         """The best path speed for a timing; `slack` (4, N) are factors on its bounds."""
         from armctl.motion.timing import path_timing_kernel as kernel
 
-        timing, nodes, interval, begin, end = places
+        places, q, q1, q2, q3_after, q3_before, _, _ = sampled
+        timing, _, interval, begin, end = places
         h = timing.h
-        q, q1, q2, q3_after, q3_before = self._derivatives(timing, nodes)
-        problem = self._bounds(places, q, q1, q2, q3_after, q3_before, np.ones((4, len(nodes))) if slack is None else slack)
+        problem = self._bounds(sampled, np.ones((4, len(q))) if slack is None else slack)
         b_max = problem.points[:, 3]
         c = np.full(timing.intervals + 2, 0.9 * float(b_max[b_max > 0].min()))
         barrier = kernel.BARRIER_COLD
@@ -258,13 +333,6 @@ class _Problem:
         j_before = w[1:] * (q3_before * b[1:] + 1.5 * q2[1:] * slope[1:] + 0.5 * q1[1:] * bend)
         return _Timed(t, q, q1 * w, q2 * b + q1 * slope / 2, j_after, j_before)
 
-    def _derivatives(self, timing: Timing, nodes: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Joints and length at nodes and their derivatives with respect to time, the third after and before each node."""
-        q, q1, q2, q3 = self._with_length(timing, nodes)
-        # The third derivative jumps at knots: the value just before a node belongs to the piece that ends there.
-        q3_before = self._with_length(timing, np.nextafter(nodes[1:], 0.0))[3]
-        return q, q1, q2, q3[:-1], q3_before
-
     def _with_length(self, timing: Timing, u: Array) -> list[Array]:
         s, s1, s2, s3 = timing.at(u)
         d0, d1, d2, d3 = self.path.derivatives(s)
@@ -283,15 +351,13 @@ class _Problem:
 
         limits = self.limits
         steps = np.diff(pieces.knots)
+        joints = np.ascontiguousarray(pieces.coefficients[:, :, :-1])
         shares = []
         for order, bound in enumerate((limits.v_max, limits.a_max, limits.j_max), start=1):
-            bounds = np.tile(np.append(bound, np.inf), (len(steps), 1))
-            if order == 1 and self._caps is not None:
-                caps = self._caps(np.append(pieces.coefficients[:, 0, -1], self.path.length))
-                bounds[:, -1] = np.minimum(caps[1:], caps[:-1])
-            excess = kernel.excess(pieces.coefficients, steps, order, -bounds, bounds)
-            with np.errstate(invalid="ignore"):  # without a bound there is no share
-                shares.append(np.fmax(0.0, 1 + excess / bounds).max(axis=1))
+            bounds = np.tile(bound, (len(steps), 1))
+            shares.append((1 + kernel.excess(joints, steps, order, -bounds, bounds) / bound).max(axis=1))
+        if self._caps is not None:
+            shares[0] = np.maximum(shares[0], self._caps.overshoot(pieces))
         return np.array([*shares, self._torque_overshoot(pieces)])
 
     def _torque_overshoot(self, pieces: Pieces) -> Array:
@@ -308,29 +374,29 @@ class _Problem:
         shares[checked] = np.maximum(shares[checked], self.torques.overshoot(*middle))
         return shares
 
-    def _bounds(
-        self, places: _Places, q: Array, q1: Array, q2: Array, q3_after: Array, q3_before: Array, slack: Array
-    ) -> kernel.Problem:
+    def _bounds(self, sampled: _Sampled, slack: Array) -> kernel.Problem:
         """The bounds on the path speed at the nodes."""
         from armctl.motion.timing import path_timing_kernel as kernel
 
-        s = q[:, -1]
-        s1 = q1[:, -1]
-        q = np.ascontiguousarray(q[:, :-1])
-        q1 = np.ascontiguousarray(q1[:, :-1])
-        q2 = np.ascontiguousarray(q2[:, :-1])
-        q3_after = np.ascontiguousarray(q3_after[:, :-1])
-        q3_before = np.ascontiguousarray(q3_before[:, :-1])
+        places = sampled.places
+        q1 = np.ascontiguousarray(sampled.q1[:, :-1])
+        q2 = np.ascontiguousarray(sampled.q2[:, :-1])
+        q3_after = np.ascontiguousarray(sampled.q3_after[:, :-1])
+        q3_before = np.ascontiguousarray(sampled.q3_before[:, :-1])
         j_max = self.limits.j_max * slack[2][:, None]
+        b_max = sampled.b_max * slack[0] ** 2
         ends = [0, -1]
         with np.errstate(divide="ignore"):
-            b_max = ((self.limits.v_max / np.abs(q1)).min(axis=1) * slack[0]) ** 2
-            if self._caps is not None:
-                b_max = np.minimum(b_max, (self._caps(s) / np.abs(s1) * slack[0]) ** 2)
             q3_ends = np.stack([q3_after[0], q3_before[-1]])
             b_max[ends] = np.minimum(b_max[ends], ((j_max[ends] / np.abs(q3_ends)) ** (2 / 3)).min(axis=1))
         b_max = np.minimum(b_max, _MAX_SQUARED_SPEED)
-        rows = self._rows(q, q1, q2, slack)
+        a_max = self.limits.a_max * slack[1][:, None]
+        rows = TorqueRows(q1.copy(), q2.copy(), np.zeros_like(q1), -a_max, a_max.copy())
+        if sampled.torques is not None:
+            low = sampled.torques.low * slack[3][:, None]
+            high = sampled.torques.high * slack[3][:, None]
+            torques = sampled.torques._replace(low=low, high=high)
+            rows = TorqueRows(*(np.concatenate(pair, axis=1) for pair in zip(rows, torques, strict=True)))
         # At rest there is neither velocity nor acceleration to bound: instead the path speed is nearly constant there.
         rows.alpha[ends] = 0.0
         rows.alpha[ends, 0] = 2.0
@@ -340,15 +406,6 @@ class _Problem:
         rows.low[ends] = -rows.high[ends]
         nodes = kernel.Nodes(q1, q2, q3_after, q3_before, b_max, j_max, *rows)
         return kernel.bounds(places.timing.h, places.interval, places.begin, places.end, nodes)
-
-    def _rows(self, q: Array, q1: Array, q2: Array, slack: Array) -> TorqueRows:
-        a_max = self.limits.a_max * slack[1][:, None]
-        rows = TorqueRows(q1.copy(), q2.copy(), np.zeros_like(q1), -a_max, a_max.copy())
-        if self.torques is None:
-            return rows
-        torques = self.torques.rows(q, q1, q2)
-        torques = torques._replace(low=torques.low * slack[3][:, None], high=torques.high * slack[3][:, None])
-        return TorqueRows(*(np.concatenate(pair, axis=1) for pair in zip(rows, torques, strict=True)))
 
 
 def _refined(timed: _Timed, intervals: int) -> Timing:
