@@ -6,7 +6,6 @@ bounds on its velocity and acceleration at both are lowered, and the search is r
 
 from __future__ import annotations
 
-from contextlib import suppress
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -82,8 +81,7 @@ class WaypointSearch:
         for _ in range(_MAX_REPAIRS):
             x = np.zeros_like(bounds)
             times = _INITIAL_TIME_FACTOR * stopping.durations
-            with suppress(np.linalg.LinAlgError):  # for extreme limits; x is then the last feasible point
-                kernel.solve(kernel.Problem(self.q, limits.v_max, limits.a_max, limits.j_max, bounds), x, times)
+            kernel.solve(kernel.Problem(self.q, limits.v_max, limits.a_max, limits.j_max, bounds), x, times)
             found = self._evaluate(x[..., 0], x[..., 1])
             if found is None or not found.durations.sum() < stopping.durations.sum():
                 break

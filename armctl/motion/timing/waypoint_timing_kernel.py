@@ -4,8 +4,8 @@ A joint with given states at both ends of a section of given time can cover any 
 The greatest is concave in those states: its acceleration rises to its limit, falls along a line c - j t and rises again, and if
 that is too fast it cruises at its greatest speed. So a motion is possible exactly if the displacement of every joint in every
 section lies between the two, and the fastest one is found by an interior-point method: the sum of the times plus a logarithmic
-barrier. Given the times the joints are independent of each other and each is a chain, so that a Newton step factorises one band
-matrix for each joint and a small dense one for the times. Its Hessian leaves out the curvature of the bounds.
+barrier. A bound involves the two ends of a section and its time only, so that a Newton step factorizes a band matrix, in time
+in proportion to the number of waypoints. The Hessian leaves out the curvature of the bounds.
 
 For barriers see Boyd and Vandenberghe, "Convex Optimization", ch. 11; that optimal profiles are such ramps and plateaus is
 Pontryagin's principle, e.g. Bryson and Ho, "Applied Optimal Control", ch. 3.
@@ -28,7 +28,6 @@ BARRIER_FACTOR = 0.2
 MAX_NEWTON_STEPS = 30
 CENTERED_SHARE = 0.3  # of the barrier: a Newton step that promises less ends the centering
 MAX_HALVINGS = 30
-BANDWIDTH = 4
 MARGIN_RAD = 1e-9  # kept from every displacement, against rounding
 RIDGE = 1e-10  # of the Hessian's diagonal, against rounding
 
@@ -173,140 +172,160 @@ def value(x, times, p, barrier):
                     if not room > 0.0:
                         return math.inf
                     logs += math.log(room)
-    return times.sum() - barrier * logs
+    total = 0.0
+    for time in times:
+        total += time
+    return total - barrier * logs
 
 
 @njit
-def _bounds(k, i, x, p, barrier, gradient, band):
-    """Adds the barriers on the velocity and acceleration of a joint at a waypoint."""
+def _add(rows, slopes, barrier, room, gradient, band):
+    """The barrier of a bound with these slopes for the unknowns in these rows, in ascending order."""
+    for r in range(len(rows)):
+        slope = barrier / room * slopes[r]
+        if slope != 0.0:
+            gradient[rows[r]] -= slope
+            for c in range(r, len(rows)):
+                band[rows[r], rows[c] - rows[r]] += slope * slopes[c] / room
+
+
+@njit
+def _add_waypoint(k, i, x, p, barrier, rows, slopes, gradient, band):
+    """The barriers on the velocity and acceleration of a joint at a waypoint."""
     j_max = p.j_max[i]
+    first = _row(p, k, i)
     for r in range(2):
         y = x[k, i, r]
         most = p.most[k, i, r]
         if most == 0.0:
-            band[2 * k + r, 0] += 1.0
+            band[first + r, 0] += 1.0
         else:
             room = most * most - y * y
-            gradient[2 * k + r] += barrier * 2 * y / room
-            band[2 * k + r, 0] += barrier * 2 * (most * most + y * y) / room**2
-    v_free = p.most[k, i, 0] > 0.0
-    a_free = p.most[k, i, 1] > 0.0
+            gradient[first + r] += barrier * 2 * y / room
+            band[first + r, 0] += barrier * 2 * (most * most + y * y) / room**2
+    rows[0] = first
+    rows[1] = first + 1
     for sign in (-1.0, 1.0):
         room = p.v_max[i] - sign * x[k, i, 0] - x[k, i, 1] ** 2 / (2 * j_max)
-        v_slope = -sign * v_free
-        a_slope = -x[k, i, 1] / j_max * a_free
-        gradient[2 * k] -= barrier / room * v_slope
-        gradient[2 * k + 1] -= barrier / room * a_slope
-        band[2 * k, 0] += barrier / room**2 * v_slope * v_slope
-        band[2 * k, 1] += barrier / room**2 * v_slope * a_slope
-        band[2 * k + 1, 0] += barrier / room**2 * a_slope * a_slope + barrier / room / j_max * a_free
+        slopes[0] = -sign if p.most[k, i, 0] > 0.0 else 0.0
+        slopes[1] = -x[k, i, 1] / j_max if p.most[k, i, 1] > 0.0 else 0.0
+        _add(rows[:2], slopes, barrier, room, gradient, band)
+        if p.most[k, i, 1] > 0.0:
+            band[first + 1, 0] += barrier / room / j_max
 
 
 @njit
-def assemble(i, x, times, p, barrier, gradient, band, border, time_gradient, time_diagonal):
-    """One joint's gradient and Hessian: a band, `band[r, d]` its element (r, r + d), and its border with the times."""
+def _row(p, k, i):
+    """The row of the velocity of a joint at a waypoint; the row of the time of section k is that of joint n."""
+    n = len(p.v_max)
+    return k * (2 * n + 1) + 2 * i
+
+
+@njit
+def assemble(x, times, p, barrier, gradient, band):
+    """Gradient and Hessian, `band[r, d]` its element (r, r + d). Waypoint by waypoint: all joints, and the section after it."""
     gradient[:] = 0.0
     band[:] = 0.0
-    border[:] = 0.0
+    n = len(p.v_max)
     slopes = np.empty(5)
+    ordered = np.empty(5)
+    rows = np.empty(5, dtype=np.int64)
     for k in range(len(p.q)):
-        _bounds(k, i, x, p, barrier, gradient, band)
+        for i in range(n):
+            _add_waypoint(k, i, x, p, barrier, rows, ordered, gradient, band)
     for k in range(len(times)):
-        for sign in (-1.0, 1.0):
-            room = _room(p, x, times, k, i, sign, slopes)
-            time_gradient[k] -= barrier / room * slopes[0]
-            time_diagonal[k] += barrier / room**2 * slopes[0] ** 2
-            for r in range(4):
-                slopes[1 + r] *= sign if p.most[k + r // 2, i, r % 2] > 0.0 else 0.0
-            for r in range(4):
-                row = 2 * k + r
-                slope = slopes[1 + r]
-                gradient[row] -= barrier / room * slope
-                border[row, k] += barrier / room**2 * slope * slopes[0]
-                for d in range(4 - r):
-                    band[row, d] += barrier / room**2 * slope * slopes[1 + r + d]
-    band[:, 0] *= 1.0 + RIDGE
+        rows[2] = _row(p, k, n)
+        gradient[rows[2]] += 1.0
+        for i in range(n):
+            rows[0] = _row(p, k, i)
+            rows[1] = rows[0] + 1
+            rows[3] = _row(p, k + 1, i)
+            rows[4] = rows[3] + 1
+            for sign in (-1.0, 1.0):
+                room = _room(p, x, times, k, i, sign, slopes)
+                ordered[0] = sign * slopes[1] if p.most[k, i, 0] > 0.0 else 0.0
+                ordered[1] = sign * slopes[2] if p.most[k, i, 1] > 0.0 else 0.0
+                ordered[2] = slopes[0]
+                ordered[3] = sign * slopes[3] if p.most[k + 1, i, 0] > 0.0 else 0.0
+                ordered[4] = sign * slopes[4] if p.most[k + 1, i, 1] > 0.0 else 0.0
+                _add(rows, ordered, barrier, room, gradient, band)
+    for r in range(len(band)):
+        band[r, 0] *= 1.0 + RIDGE
 
 
 @njit
-def _solve_band(band, columns):
-    """Solves band . y = columns by an LDL^T factorisation, both in place."""
-    count = len(columns)
+def newton_step(gradient, band, step):
+    """Solves band . step = -gradient by an LDL^T factorisation in place; returns what the step promises."""
+    count, width = band.shape
     for r in range(count):
-        for d in range(1, min(BANDWIDTH, count - r)):
+        step[r] = -gradient[r]
+    for r in range(count):
+        for d in range(1, min(width, count - r)):
             factor = band[r, d] / band[r, 0]
             if factor != 0.0:
-                for e in range(d, min(BANDWIDTH, count - r)):
+                for e in range(d, min(width, count - r)):
                     band[r + d, e - d] -= factor * band[r, e]
-                columns[r + d] -= factor * columns[r]
+                step[r + d] -= factor * step[r]
+    promise = 0.0
     for r in range(count - 1, -1, -1):
-        for d in range(1, min(BANDWIDTH, count - r)):
-            columns[r] -= band[r, d] * columns[r + d]
-        columns[r] /= band[r, 0]
+        total = step[r]
+        for d in range(1, min(width, count - r)):
+            total -= band[r, d] * step[r + d]
+        step[r] = total / band[r, 0]
+        promise -= gradient[r] * step[r]
+    return promise
 
 
 @njit
-def newton_step(x, times, p, barrier, dx, dtimes):
-    """A Newton step into `dx` and `dtimes`; returns what it promises."""
-    points, n = p.q.shape
-    sections = points - 1
-    rows = 2 * points
-    gradient = np.empty((n, rows))
-    columns = np.empty((n, rows, sections + 1))
-    band = np.empty((rows, BANDWIDTH))
-    border = np.empty((rows, sections))
-    time_gradient = np.ones(sections)
-    diagonal = np.zeros(sections)
-    schur = np.zeros((sections, sections))
-    reduced = np.zeros(sections)
-    for i in range(n):
-        assemble(i, x, times, p, barrier, gradient[i], band, border, time_gradient, diagonal)
-        columns[i, :, :sections] = border
-        columns[i, :, sections] = gradient[i]
-        _solve_band(band, columns[i])
-        for k in range(sections):
-            for row in range(2 * k, 2 * k + 4):
-                schur[k] -= border[row, k] * columns[i, row, :sections]
-                reduced[k] += border[row, k] * columns[i, row, sections]
-    for k in range(sections):
-        schur[k, k] += diagonal[k]
-    dtimes[:] = np.linalg.solve(schur, reduced - time_gradient)
-    promise = -np.dot(time_gradient, dtimes)
-    for i in range(n):
-        for row in range(rows):
-            step = -columns[i, row, sections]
-            for k in range(sections):
-                step -= columns[i, row, k] * dtimes[k]
-            dx[row // 2, i, row % 2] = step
-            promise -= gradient[i, row] * step
-    return promise
+def _move(x, times, step, share, to_x, to_times):
+    """A share of a step from x and times."""
+    points, n, _ = x.shape
+    for k in range(points):
+        row = k * (2 * n + 1)
+        for i in range(n):
+            to_x[k, i, 0] = x[k, i, 0] + share * step[row + 2 * i]
+            to_x[k, i, 1] = x[k, i, 1] + share * step[row + 2 * i + 1]
+        if k < len(times):
+            to_times[k] = times[k] + share * step[row + 2 * n]
 
 
 @njit
 def solve(p, x, times):
     """The fastest motion from a feasible one; x (k, n, 2) and times (k - 1,) are changed in place."""
-    dx = np.zeros_like(x)
-    dtimes = np.zeros_like(times)
-    barriers = 4.0 * len(times) * len(p.v_max)
-    barrier = BARRIER_FIRST * times.sum() / barriers
+    points, n = p.q.shape
+    count = points * (2 * n + 1) - 1
+    gradient = np.empty(count)
+    band = np.empty((count, 2 * n + 3))
+    step = np.empty(count)
+    to_x = np.empty_like(x)
+    to_times = np.empty_like(times)
+    barriers = 4.0 * len(times) * n
+    total = 0.0
+    for time in times:
+        total += time
+    barrier = BARRIER_FIRST * total / barriers
     while True:
         cost = value(x, times, p, barrier)
         for _ in range(MAX_NEWTON_STEPS):
-            promise = newton_step(x, times, p, barrier, dx, dtimes)
+            assemble(x, times, p, barrier, gradient, band)
+            promise = newton_step(gradient, band, step)
             if not promise > CENTERED_SHARE * barrier:
                 break
             share = 1.0
             trial = math.inf
             for _ in range(MAX_HALVINGS):
-                trial = value(x + share * dx, times + share * dtimes, p, barrier)
+                _move(x, times, step, share, to_x, to_times)
+                trial = value(to_x, to_times, p, barrier)
                 if trial < cost - 1e-4 * share * promise:
                     break
                 share *= 0.5
             if not trial < cost:
                 break
-            x += share * dx
-            times += share * dtimes
+            _move(x, times, step, share, x, times)
             cost = trial
-        if barriers * barrier <= BARRIER_LAST * times.sum():
+        total = 0.0
+        for time in times:
+            total += time
+        if barriers * barrier <= BARRIER_LAST * total:
             return
         barrier *= BARRIER_FACTOR
