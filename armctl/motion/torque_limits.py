@@ -19,7 +19,7 @@ from armctl.core.validation import Array
 from armctl.motion.timing.path_timing import TorqueRows, slowed_down
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory, Slowdown
 from armctl.robot.arm import Arm, check_arm
-from armctl.robot.dynamics import Dynamics
+from armctl.robot.passive_forces import DryFriction, PassiveForces
 
 _SAMPLE_INTERVAL_S = 0.004
 _MAX_EVEN_SAMPLES = 20_000  # a longer motion is sampled piece by piece, or in chunks of so many samples
@@ -86,11 +86,11 @@ def check_torque(arm: Arm, trajectory: Trajectory) -> TorqueCheck:
     """
     check_arm(arm)
     check_motion(trajectory, arm.joint_names)
-    dynamics = Dynamics(arm.model, arm.pinocchio_model)
+    inverse_dynamics = _InverseDynamics(arm)
     ratios = np.zeros(arm.n)
     worst: tuple[float, float, float, int] = (-1.0, 0.0, 0.0, 0)  # share, time, torque, joint
     for times in _sample_times(trajectory):
-        torques = _torques(dynamics, *trajectory.sample(times)[:3])
+        torques = inverse_dynamics.total(*trajectory.sample(times)[:3])
         shares = np.abs(torques) / arm.limits.tau_max
         ratios = np.maximum(ratios, shares.max(axis=0))
         k, i = np.unravel_index(int(shares.argmax()), shares.shape)
@@ -153,24 +153,49 @@ class _AsPath:
         return q, v, a, self._trajectory.jerk(s)
 
 
+class _InverseDynamics:
+    """The torques of an arm at many states, each (T, n)."""
+
+    def __init__(self, arm: Arm):
+        self._model = arm.packed_dynamics.vector(0.0)
+        self._friction = DryFriction.of(arm.model, arm.joint_map)
+        self.damping = PassiveForces(arm.model, arm.joint_map).damping_torque
+        self.friction_loss = self._friction.loss
+
+    def smooth(self, q: Array, v: Array, a: Array) -> Array:
+        """Without dry friction."""
+        from armctl.motion import torque_kernel as kernel
+
+        return kernel.torques(self._model, *(np.ascontiguousarray(each) for each in (q, v, a)))
+
+    def total(self, q: Array, v: Array, a: Array) -> Array:
+        """With dry friction."""
+        return self.smooth(q, v, a) + self._friction.torque(v, a)
+
+    def holding(self, q: Array) -> Array:
+        """At rest."""
+        from armctl.motion import torque_kernel as kernel
+
+        return kernel.holding_torques(self._model, np.ascontiguousarray(q))
+
+
 class _Torques:
     """Bounds on the torques: linear in the squared path speed and its slope, and with damping also in the path speed."""
 
     def __init__(self, arm: Arm):
         self._arm = arm
-        self._dynamics = Dynamics(arm.model, arm.pinocchio_model)
+        self._inverse_dynamics = _InverseDynamics(arm)
         self._bound = (1 - _TORQUE_MARGIN) * arm.limits.tau_max
 
     def rows(self, q: Array, v: Array, a: Array) -> TorqueRows:
-        dynamics = self._dynamics
-        zero = np.zeros(self._arm.n)
-        static = np.array([dynamics.inverse_dynamics(row, zero, zero) for row in q])
-        coriolis = np.array([dynamics.bias(row, speed) - dynamics.bias(row, zero) for row, speed in zip(q, v, strict=True)])
-        moving = np.array([dynamics.inverse_dynamics(row, speed, zero) for row, speed in zip(q, v, strict=True)])
-        alpha = np.array([dynamics.inverse_dynamics(row, zero, speed) for row, speed in zip(q, v, strict=True)]) - static
-        beta = np.array([dynamics.inverse_dynamics(row, zero, rate) for row, rate in zip(q, a, strict=True)])
-        beta = beta - static + coriolis
-        friction = np.sign(v) * dynamics.friction_loss
+        smooth = self._inverse_dynamics.smooth
+        zero = np.zeros_like(q)
+        static = self._inverse_dynamics.holding(q)
+        damping = self._inverse_dynamics.damping(v)
+        coriolis = smooth(q, v, zero) - static - damping
+        alpha = smooth(q, zero, v) - static
+        beta = smooth(q, zero, a) - static + coriolis
+        friction = np.sign(v) * self._inverse_dynamics.friction_loss
         low = -self._bound - static - friction
         high = self._bound - static - friction
         if (low >= 0).any() or (high <= 0).any():
@@ -181,14 +206,12 @@ class _Torques:
                 f"{100 * k / (len(q) - 1):.0f} % of the motion, and its motor gives {self._arm.limits.tau_max[i]:.4g} {unit}; "
                 "take a lighter payload or another path"
             )
-        return TorqueRows(alpha, beta, moving - static - coriolis, low, high)
+        return TorqueRows(alpha, beta, damping, low, high)
 
     def overshoot(self, q: Array, v: Array, a: Array) -> Array:
-        dynamics = self._dynamics
-        zero = np.zeros(self._arm.n)
-        static = np.array([dynamics.inverse_dynamics(row, zero, zero) for row in q]).reshape(q.shape)
-        dynamic = np.array([dynamics.inverse_dynamics(*row) for row in zip(q, v, a, strict=True)]).reshape(q.shape) - static
-        held = static + np.sign(v) * dynamics.friction_loss
+        static = self._inverse_dynamics.holding(q)
+        dynamic = self._inverse_dynamics.smooth(q, v, a) - static
+        held = static + np.sign(v) * self._inverse_dynamics.friction_loss
         up = np.maximum(self._bound - held, _TORQUE_MARGIN * self._bound)
         down = np.maximum(self._bound + held, _TORQUE_MARGIN * self._bound)
         return np.maximum(dynamic / up, -dynamic / down).max(axis=1)
@@ -208,8 +231,3 @@ def _sample_times(trajectory: Trajectory) -> Iterator[Array]:
     else:
         for first in range(0, count, _MAX_EVEN_SAMPLES):
             yield np.minimum(np.arange(first, min(first + _MAX_EVEN_SAMPLES, count)) * _SAMPLE_INTERVAL_S, duration)
-
-
-def _torques(dynamics: Dynamics, q: Array, v: Array, a: Array) -> Array:
-    """(T, n) N m, with dry friction."""
-    return np.array([dynamics.inverse_dynamics(*row) for row in zip(q, v, a, strict=True)]) + dynamics.friction(v, a)
