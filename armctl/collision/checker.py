@@ -11,13 +11,16 @@ import numpy as np
 
 from armctl.collision import kernel
 from armctl.collision.geometry import Geometry, build_geometry, colliding_pairs, frames_above, is_convex
-from armctl.collision.interface import Hit, MovingJoints
+from armctl.collision.interface import Approach, Hit, MovingJoints
 from armctl.core.errors import InputError, ModelError, UnknownNameError
-from armctl.core.validation import Array, BoolArray
+from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.mjmodel.queries import geom_owner_name, is_below, last_joint_above, name_of
 
 SAMPLES = 64
-_INTERVALS = 8192  # of one piece of a motion, at most
+RESOLUTION_M = 2e-4  # of the closest approach: between the proved bound and a distance that is attained
+_INTERVALS = 8192  # that wait in a proof, at most
+_SAMPLES_OF_MOTION = 24  # from which the search for its closest approach starts
+_UNIT_KNOTS = np.array([0.0, 1.0])
 _OPEN_PAIRS_PER_PAIR = 400
 _MIN_OPEN_PAIRS = 4096
 _HALF_TURN = np.pi
@@ -35,11 +38,17 @@ class _Memory(threading.local):
         self.work = np.zeros((kernel.WORK_ROWS, 3))
         self.work[kernel.LAST_HIT, 0] = -1.0
         self.open_pairs = np.empty(_OPEN_PAIRS_PER_PAIR * count + _MIN_OPEN_PAIRS, np.int64)
-        self.intervals = np.empty((_INTERVALS, 4))
+        self.intervals = np.empty((_INTERVALS, kernel.INTERVAL_COLUMNS))
         self.q = np.empty(len(geometry.tree))
         self.delta = np.empty(len(geometry.tree))
-        self.hits = np.zeros(count, bool)
+        self.line = np.empty((1, 2, len(geometry.tree)))
+        self.ranges = np.empty((1, 2, len(geometry.tree)))
         self.data: mujoco.MjData | None = None
+
+    @property
+    def proof_rows(self) -> tuple[Array | IntArray, ...]:
+        """What every proof takes."""
+        return self.open_pairs, self.intervals, self.q, self.delta
 
 
 class CollisionChecker:
@@ -78,6 +87,9 @@ class CollisionChecker:
         self._limits = arm.limits
         self._home = arm.home
         self._qpos = arm.home_qpos if qpos is None else np.array(qpos)
+        is_plain = self._joint_map.is_plain
+        self._ratio = np.eye(len(self._home)) if is_plain else np.array(self._joint_map.ratio)
+        self._offset = np.zeros(len(self._ratio)) if is_plain else np.array(self._joint_map.offset)
         geometry = build_geometry(self._model, self._joint_map, self._qpos, dict(held or {}))
         allowed = _allowed_geoms(self._model, allow)
         keep = [tuple(sorted(geometry.pair_geoms(p))) not in allowed for p in range(len(geometry.pairs))]
@@ -85,6 +97,19 @@ class CollisionChecker:
         self._set(self.geometry.with_pairs(~self._touch_by_design()))
         self._set(self.geometry.with_pairs(~self._proved_by_one_joint()))
         self.not_convex = self._not_convex_geoms()
+
+    @property
+    def scene_rows(self) -> tuple[Array | IntArray, ...]:
+        """The scene as the last nine arguments of the kernels, with the memory of this thread."""
+        memory = self._memory
+        geometry = self.geometry
+        return (*self._rows, memory.pairs, geometry.groups, geometry.tree, memory.frames, memory.spheres, memory.work)
+
+    @property
+    def line_rows(self) -> tuple[Array | IntArray, ...]:
+        """What the kernels of `armctl.planning` take before the scene: how all joints move, and memory for a proof."""
+        memory = self._memory
+        return (self._ratio, self._offset, _UNIT_KNOTS, memory.line, memory.ranges, memory.proof_rows)
 
     def _set(self, geometry: Geometry) -> None:
         self.geometry = geometry
@@ -128,18 +153,7 @@ class CollisionChecker:
         Returns:
             The pair's row.
         """
-        memory = self._memory
-        return kernel.first_hit(
-            self._moving(q),
-            clearance,
-            *self._rows,
-            memory.pairs,
-            self.geometry.groups,
-            self.geometry.tree,
-            memory.frames,
-            memory.spheres,
-            memory.work,
-        )
+        return kernel.first_hit(self._moving(q), clearance, *self.scene_rows)
 
     def nearest(self, q: Array) -> tuple[int, float]:
         """The pair that is nearest to touching, or -1 where there is no pair, and its distance.
@@ -150,17 +164,7 @@ class CollisionChecker:
         Returns:
             The pair's row, and m; zero or less if it overlaps, then not the depth.
         """
-        memory = self._memory
-        return kernel.nearest_pair(
-            self._moving(q),
-            *self._rows,
-            memory.pairs,
-            self.geometry.groups,
-            self.geometry.tree,
-            memory.frames,
-            memory.spheres,
-            memory.work,
-        )
+        return kernel.nearest_pair(self._moving(q), *self.scene_rows)
 
     def depth(self, q: Array, pair: int) -> float:
         """How deep a pair overlaps at a configuration: the shortest of many displacements that part it.
@@ -187,8 +191,7 @@ class CollisionChecker:
         Returns:
             None if it does; else the pair and where on the line, from 0 to 1, it is not known to be free.
         """
-        coefficients = np.stack([start, end - start])
-        return self._piece_hit(self._moving_coefficients(coefficients), 1.0, clearance)
+        return self.motion_hit(_UNIT_KNOTS, np.stack([start, end - start])[None], clearance)
 
     def motion_hit(self, knots: Array, coefficients: Array, clearance: float = 0.0) -> Hit | None:
         """Proves that a motion of piecewise polynomials keeps more than a clearance at all times.
@@ -201,11 +204,32 @@ class CollisionChecker:
         Returns:
             None if it does; else the pair and the time at which it is not known to be free.
         """
-        for begin, end, piece in zip(knots[:-1], knots[1:], coefficients, strict=True):
-            hit = self._piece_hit(self._moving_coefficients(piece), float(end - begin), clearance)
-            if hit is not None:
-                return Hit(hit.pair, float(begin) + hit.time)
-        return None
+        return self._motion_hit(knots, self._moving_coefficients(coefficients), clearance)
+
+    def closest_approach(self, knots: Array, coefficients: Array, clearance: float) -> Approach:
+        """Proves that a motion keeps more than a clearance, and how near it comes.
+
+        Args:
+            knots: As for `motion_hit`.
+            coefficients: As for `motion_hit`.
+            clearance: m.
+
+        Returns:
+            The closest approach.
+        """
+        memory = self._memory
+        moving = self._moving_coefficients(coefficients)
+        bound, least, pair, time = kernel.closest_approach(
+            knots,
+            moving,
+            clearance,
+            RESOLUTION_M,
+            _SAMPLES_OF_MOTION,
+            np.empty((len(moving), 2, moving.shape[2])),
+            memory.proof_rows,
+            self.scene_rows,
+        )
+        return Approach(bound, least, Hit(pair, time))
 
     def names(self, pair: int) -> tuple[str, str]:
         """What a pair is called: bodies, or geoms that stand in the world.
@@ -231,56 +255,30 @@ class CollisionChecker:
                 "replace it by boxes or meshes"
             )
 
-    def _piece_hit(self, coefficients: Array, duration: float, clearance: float, pair: int = -1) -> Hit | None:
-        """As `motion_hit`, for one piece of all moving joints, and for one pair or all."""
-        memory = self._memory
-        memory.open_pairs[0] = pair
-        first, last = (-1, -1) if pair < 0 else (0, 1)
-        found, time = kernel.prove_piece(
-            coefficients,
-            duration,
-            clearance,
-            memory.open_pairs,
-            memory.intervals,
-            memory.q,
-            memory.delta,
-            first,
-            last,
-            *self._rows,
-            memory.pairs,
-            self.geometry.groups,
-            self.geometry.tree,
-            memory.frames,
-            memory.spheres,
-            memory.work,
+    def _motion_hit(self, knots: Array, coefficients: Array, clearance: float, pair: int = -1) -> Hit | None:
+        """As `motion_hit`, for polynomials of all joints that move, and for one pair or all."""
+        ranges = np.empty((len(coefficients), 2, coefficients.shape[2]))
+        found, time = kernel.prove_motion(
+            knots, coefficients, pair, clearance, ranges, self._memory.proof_rows, self.scene_rows
         )
         return None if found < 0 else Hit(found, time)
 
     def _moving(self, q: Array) -> Array:
         """(m,) of all joints that move, those that follow others included."""
-        return np.ascontiguousarray(self._joint_map.positions(np.asarray(q, np.float64)))
+        q_all = self._memory.q
+        q_all[:] = self._joint_map.positions(np.asarray(q, np.float64))
+        return q_all
 
     def _moving_coefficients(self, coefficients: Array) -> Array:
-        """Polynomials of all joints that move: only the constant has the offset."""
-        moving = np.array(self._joint_map.speeds(coefficients))
-        moving[0] = self._joint_map.positions(coefficients[0])
+        """(K, degree + 1, m) polynomials of all joints that move: only the constant has the offset."""
+        moving = np.array(self._joint_map.speeds(coefficients), order="C")
+        moving[:, 0] = self._joint_map.positions(coefficients[:, 0])
         return moving
 
     def _all_hits(self, q: Array) -> BoolArray:
-        memory = self._memory
-        kernel.all_hits(
-            self._moving(q),
-            0.0,
-            memory.hits,
-            *self._rows,
-            memory.pairs,
-            self.geometry.groups,
-            self.geometry.tree,
-            memory.frames,
-            memory.spheres,
-            memory.work,
-        )
-        return memory.hits.copy()
+        hits = np.zeros(len(self.geometry.pairs), bool)
+        kernel.all_hits(self._moving(q), 0.0, hits, *self.scene_rows)
+        return hits
 
     def _touch_by_design(self) -> BoolArray:
         """(K,) pairs that touch at home and at every sample, or at home between neighboring frames."""
@@ -315,11 +313,11 @@ class CollisionChecker:
             index = int(row[kernel.JOINT])
             if row[kernel.KIND] == kernel.SLIDE and is_endless.any():
                 continue
-            coefficients = np.zeros((2, len(self.geometry.tree)))
-            coefficients[0] = self._joint_map.positions(self._home)
-            coefficients[0, index] = low[index]
-            coefficients[1, index] = high[index] - low[index]
-            proved[pair] = self._piece_hit(coefficients, 1.0, 0.0, pair) is None
+            coefficients = np.zeros((1, 2, len(self.geometry.tree)))
+            coefficients[0, 0] = self._joint_map.positions(self._home)
+            coefficients[0, 0, index] = low[index]
+            coefficients[0, 1, index] = high[index] - low[index]
+            proved[pair] = self._motion_hit(_UNIT_KNOTS, coefficients, 0.0, pair) is None
         return proved
 
     def _not_convex_geoms(self) -> list[str]:

@@ -18,9 +18,7 @@ from armctl.robot.arm import Arm, check_arm
 if TYPE_CHECKING:
     from armctl.collision.checker import CollisionChecker
 
-RESOLUTION_M = 2e-4  # of the closest approach: between the proved bound and a distance that is attained
-_SAMPLES = 24  # of a motion, from which the search for the closest approach starts
-_MAX_ROUNDS = 200
+MAX_DEGREE = 5  # of the polynomials that the kernels know
 _NO_PAIRS_M = np.inf
 
 
@@ -138,14 +136,17 @@ def clearance_of(checker: CollisionChecker, trajectory: PiecewiseTrajectory, cle
         ModelError: As for `check_clearance`.
     """
     checker.require_provable()
-    hit = checker.motion_hit(trajectory.knots, trajectory.coefficients, clearance)
-    if hit is not None:
-        return _refused(checker, trajectory, clearance, hit)
+    if trajectory.coefficients.shape[1] > MAX_DEGREE + 1:
+        raise InputError(
+            f"trajectory: polynomials of degree {trajectory.coefficients.shape[1] - 1}, at most {MAX_DEGREE} wanted"
+        )
     if not len(checker.geometry.pairs):
         return ClearanceCheck(True, _NO_PAIRS_M, 0.0, "", "", clearance, "")
-    distance, nearest = _closest_approach(checker, trajectory, clearance)
-    first, second = checker.names(nearest.pair)
-    return ClearanceCheck(True, distance, nearest.time, first, second, clearance, "")
+    approach = checker.closest_approach(trajectory.knots, trajectory.coefficients, clearance)
+    if approach.bound < 0.0:
+        return _refused(checker, trajectory, clearance, approach.nearest)
+    first, second = checker.names(approach.nearest.pair)
+    return ClearanceCheck(True, approach.bound, approach.nearest.time, first, second, clearance, "")
 
 
 def _refused(checker: CollisionChecker, trajectory: PiecewiseTrajectory, clearance: float, hit: Hit) -> ClearanceCheck:
@@ -158,33 +159,3 @@ def _refused(checker: CollisionChecker, trajectory: PiecewiseTrajectory, clearan
         distance = -max(checker.depth(q, pair), 0.0)
         what = f"{second} is {-1e3 * distance:.1f} mm inside {first}"
     return ClearanceCheck(False, distance, hit.time, first, second, clearance, f"{what}, at {hit.time:.3f} s")
-
-
-def _closest_approach(checker: CollisionChecker, trajectory: PiecewiseTrajectory, proved: float) -> tuple[float, Hit]:
-    """A proved lower bound of the distance, and the pair and time of a distance at most 0.2 mm above it.
-
-    The motion is proved to keep slightly less than the least distance seen so far. Where that fails, a smaller distance is
-    found.
-    """
-    least = np.inf
-    nearest = Hit(-1, 0.0)
-    times = np.linspace(0.0, trajectory.duration, _SAMPLES)
-    for time in times:
-        pair, distance = checker.nearest(trajectory(float(time)).q)
-        if distance < least:
-            least = distance
-            nearest = Hit(pair, float(time))
-    for _ in range(_MAX_ROUNDS):
-        bound = least - RESOLUTION_M
-        if bound <= proved:
-            return proved, nearest
-        hit = checker.motion_hit(trajectory.knots, trajectory.coefficients, bound)
-        if hit is None:
-            return bound, nearest
-        pair, distance = checker.nearest(trajectory(hit.time).q)
-        if distance < least:
-            least = distance
-            nearest = Hit(pair, hit.time)
-        else:
-            least -= 0.5 * RESOLUTION_M  # the proof ends where a pair moves less than 0.1 mm: this near to the bound
-    return proved, nearest

@@ -50,3 +50,17 @@ class Hit(NamedTuple):
 
     pair: int
     time: float
+
+
+class Approach(NamedTuple):
+    """How near a motion comes.
+
+    Attributes:
+        bound: m, proved for the whole motion; negative if the clearance could not be proved.
+        distance: m, that occurs: at most 0.2 mm above the bound, or where the proof failed.
+        nearest: Its pair and time.
+    """
+
+    bound: float
+    distance: float
+    nearest: Hit

@@ -66,6 +66,15 @@ PAIR_COLUMNS = 9
 IS_KNOWN = 3  # whether the motion bounds behind it are computed
 MOTION = 4  # by the depth of an ancestor: bound of the motion relative to it
 
+# Columns of `intervals`
+BEGIN = 0  # s
+END = 1
+PIECE = 2  # the pieces of the motion that it spans
+LAST_PIECE = 3
+OPEN = 4  # the range of its open pairs, -1 for all
+LAST_OPEN = 5
+INTERVAL_COLUMNS = 6
+
 # Rows of `work`
 FOUND = 4
 FACE = 5
@@ -776,105 +785,210 @@ def _check_interval(
 
 
 @njit
-def prove_piece(
-    coefficients,
-    duration,
-    clearance,
-    open_pairs,
-    intervals,
-    q,
-    delta,
-    first,
-    last,
-    geoms,
-    points,
-    neighbors,
-    pairs,
-    groups,
-    tree,
-    frames,
-    spheres,
-    work,
-):
-    """Proves that pairs keep more than a clearance while the joints move by polynomials of the time, (degree + 1, joints).
+def prove_motion(knots, coefficients, pair, clearance, ranges, memory, scene):
+    """Proves that one pair, or all if it is negative, keep more than a clearance while the joints move by polynomials of time.
 
-    Intervals are halved breadth first, so that contacts are found early, and each half inherits the pairs that are open. A
-    joint leaves its position in the middle of an interval by at most the sum of |derivative k / k!| h^k. Returns (-1, 0) if the
-    proof succeeds, else the pair and the time at which it is not known to be free. A full list of intervals or pairs ends the
-    proof as not free.
+    The polynomials are (pieces, degree + 1, joints), by powers of the time since the piece's knot. Returns (-1, 0) if the proof
+    succeeds, else a pair and the time at which it is not known to be free.
     """
-    degree = coefficients.shape[0] - 1
-    joints = coefficients.shape[1]
-    intervals[0, 0] = 0.5 * duration
-    intervals[0, 1] = 0.5 * duration
-    intervals[0, 2] = first
-    intervals[0, 3] = last
-    head = 0
-    tail = 1
-    end = max(last, 0)
-    while head < tail:
-        middle = intervals[head, 0]
-        half = intervals[head, 1]
-        begin = int(intervals[head, 2])
-        stop = int(intervals[head, 3])
-        head += 1
-        for i in range(joints):
-            q[i], delta[i] = _value_and_variation(coefficients, i, degree, middle, half)
-        room = len(groups) + len(pairs)
-        if end + room > len(open_pairs) or tail + 2 > len(intervals):
-            p = first_hit(q, clearance, geoms, points, neighbors, pairs, groups, tree, frames, spheres, work)
-            if p < 0:
-                p, _ = nearest_pair(q, geoms, points, neighbors, pairs, groups, tree, frames, spheres, work)
-            return p, middle
-        stopped = _check_interval(
-            q,
-            delta,
-            clearance,
-            open_pairs,
-            begin,
-            stop,
-            end,
-            geoms,
-            points,
-            neighbors,
-            pairs,
-            groups,
-            tree,
-            frames,
-            spheres,
-            work,
-        )
-        if stopped < 0:
-            return -1 - stopped, middle
-        if stopped > end:
-            for side in range(2):
-                intervals[tail, 0] = middle + (side - 0.5) * half
-                intervals[tail, 1] = 0.5 * half
-                intervals[tail, 2] = end
-                intervals[tail, 3] = stopped
-                tail += 1
-            end = stopped
-    return -1, 0.0
+    _bound_pieces(knots, coefficients, ranges)
+    state = _first_interval(knots, pair, memory[0], memory[1])
+    state, found, time = _continue_proof(state, knots, coefficients, clearance, ranges, memory, scene)
+    return found, time
 
 
 @njit
-def _value_and_variation(coefficients, joint, degree, middle, half):
-    """The value of a polynomial in the middle of an interval, and a bound of its variation, by its Taylor expansion there."""
-    value = 0.0
-    for k in range(degree, -1, -1):
-        value = value * middle + coefficients[k, joint]
-    variation = 0.0
-    power = half
-    for order in range(1, degree + 1):
-        derivative = 0.0  # divided by the factorial of its order
-        for k in range(degree, order - 1, -1):
-            binomial = 1.0
-            for i in range(order):
-                binomial = binomial * (k - i) / (i + 1)
-            derivative = derivative * middle + binomial * coefficients[k, joint]
-        variation += abs(derivative) * power
-        power *= half
-    return value, variation
+def closest_approach(knots, coefficients, clearance, resolution, samples, ranges, memory, scene):
+    """A proved lower bound of the distance during a motion, a distance that is attained, its pair and its time.
+
+    It proves that the motion keeps slightly less than the least distance seen so far, but more than the clearance. Where the
+    proof stops, a smaller distance is found, and the proof goes on with that one: what is settled so far stays settled. The
+    bound is negative if the clearance cannot be proved; then the distance is the one at which the proof stopped.
+    """
+    open_pairs, intervals, q, _ = memory
+    least = _INFINITE
+    nearest = -1
+    when = 0.0
+    piece = 0
+    for k in range(samples):
+        time = knots[0] + (knots[-1] - knots[0]) * k / (samples - 1)
+        piece = _piece_at(time, piece, knots)
+        _evaluate(coefficients[piece], time - knots[piece], q)
+        p, distance_now = nearest_pair(q, *scene)
+        if distance_now < least:
+            least = distance_now
+            nearest = p
+            when = time
+    _bound_pieces(knots, coefficients, ranges)
+    state = _first_interval(knots, -1, open_pairs, intervals)
+    aim = least
+    while least > clearance:
+        bound = max(aim - resolution, clearance)
+        state, p, time = _continue_proof(state, knots, coefficients, bound, ranges, memory, scene)
+        if p < 0:
+            return bound, least, nearest, when
+        p, distance_now = nearest_pair(q, *scene)
+        if bound == clearance:
+            return -1.0, distance_now, p, time
+        aim -= 0.5 * resolution  # a proof stops this near to its bound, or because GJK did not converge
+        if distance_now < least:
+            least = distance_now
+            nearest = p
+            when = time
+            aim = min(aim, least)
+    return -1.0, least, nearest, when
+
+
+@njit
+def _first_interval(knots, pair, open_pairs, intervals):
+    """Notes the whole motion as the first interval. Returns the state of a proof: first and last interval, last open pair."""
+    open_pairs[0] = pair
+    intervals[0, BEGIN] = knots[0]
+    intervals[0, END] = knots[-1]
+    intervals[0, PIECE] = 0
+    intervals[0, LAST_PIECE] = len(knots) - 2
+    intervals[0, OPEN] = -1 if pair < 0 else 0
+    intervals[0, LAST_OPEN] = -1 if pair < 0 else 1
+    return 0, 1, 0 if pair < 0 else 1
+
+
+@njit
+def _continue_proof(state, knots, coefficients, clearance, ranges, memory, scene):
+    """Settles intervals until none is left or a pair is not free, which is returned with its time; q is then where it is.
+
+    Intervals are split breadth first, so that contacts are found early, and both parts inherit the pairs that are open. A
+    proof that stopped goes on with the same interval. If the memory for intervals or pairs does not suffice, the motion counts
+    as not free.
+    """
+    head, tail, end = state
+    open_pairs, intervals, q, delta = memory
+    room = len(scene[3]) + len(scene[4])  # pairs and groups
+    while head < tail:
+        if tail + 2 > len(intervals) or end + room > len(open_pairs):
+            tail, end = _moved_to_front(head, tail, end, open_pairs, intervals)
+            head = 0
+        begin = intervals[head, BEGIN]
+        stop = intervals[head, END]
+        first = int(intervals[head, PIECE])
+        last = int(intervals[head, LAST_PIECE])
+        middle = 0.5 * (begin + stop)
+        if first == last:
+            _bound_interval(coefficients[first], middle - knots[first], 0.5 * (stop - begin), q, delta)
+        else:
+            _bound_pieces_together(middle, first, last, knots, coefficients, ranges, q, delta)
+        if tail + 2 > len(intervals) or end + room > len(open_pairs):
+            p, _ = nearest_pair(q, *scene)
+            return (head, tail, end), p, middle
+        first_open = int(intervals[head, OPEN])
+        last_open = int(intervals[head, LAST_OPEN])
+        stopped = _check_interval(q, delta, clearance, open_pairs, first_open, last_open, end, *scene)
+        if stopped < 0:
+            return (head, tail, end), -1 - stopped, middle
+        head += 1
+        if stopped > end:
+            tail = _split(begin, stop, first, last, end, stopped, tail, knots, intervals)
+            end = stopped
+    return (head, tail, end), -1, 0.0
+
+
+@njit
+def _split(begin, stop, first, last, open_first, open_last, tail, knots, intervals):
+    """Appends both parts of an interval, split at a knot if it has one inside. Returns the new end of the intervals."""
+    middle = 0.5 * (begin + stop)
+    split = first
+    if first < last:
+        split = _piece_at(middle, first, knots)
+        if split == last or (split > first and middle - knots[split] < knots[split + 1] - middle):
+            split -= 1
+        middle = knots[split + 1]
+    for side in range(2):
+        intervals[tail, BEGIN] = begin if side == 0 else middle
+        intervals[tail, END] = middle if side == 0 else stop
+        intervals[tail, PIECE] = first if side == 0 else (split + 1 if first < last else last)
+        intervals[tail, LAST_PIECE] = split if side == 0 else last
+        intervals[tail, OPEN] = open_first
+        intervals[tail, LAST_OPEN] = open_last
+        tail += 1
+    return tail
+
+
+@njit
+def _moved_to_front(head, tail, end, open_pairs, intervals):
+    """Moves the intervals that are left, and their open pairs, to the front of their lists. Returns both new ends."""
+    base = int(intervals[head, OPEN])
+    if base < 0:
+        return tail, end
+    for k in range(base, end):
+        open_pairs[k - base] = open_pairs[k]
+    for k in range(head, tail):
+        for column in range(INTERVAL_COLUMNS):
+            intervals[k - head, column] = intervals[k, column]
+        intervals[k - head, OPEN] -= base
+        intervals[k - head, LAST_OPEN] -= base
+    return tail - head, end - base
+
+
+@njit
+def _piece_at(time, piece, knots):
+    """The piece at a time, looked for from a given one onwards."""
+    while piece < len(knots) - 2 and knots[piece + 1] <= time:
+        piece += 1
+    return piece
+
+
+@njit
+def _evaluate(coefficients, time, q):
+    for i in range(coefficients.shape[1]):
+        value = 0.0
+        for k in range(coefficients.shape[0] - 1, -1, -1):
+            value = value * time + coefficients[k, i]
+        q[i] = value
+
+
+@njit
+def _bound_interval(coefficients, middle, half, q, delta):
+    """Writes the middle of an interval of one piece, and how far each joint leaves it at most: sum of |derivative k / k!| h^k.
+
+    The Taylor coefficients at the middle come from repeated synthetic division (the Horner scheme).
+    """
+    degree = coefficients.shape[0] - 1
+    for i in range(coefficients.shape[1]):
+        c0 = coefficients[0, i]
+        c1 = coefficients[1, i]
+        if degree == 1:
+            q[i] = c0 + middle * c1
+            delta[i] = abs(c1) * half
+            continue
+        c2 = coefficients[2, i] if degree > 1 else 0.0
+        c3 = coefficients[3, i] if degree > 2 else 0.0
+        c4 = coefficients[4, i] if degree > 3 else 0.0
+        c5 = coefficients[5, i] if degree > 4 else 0.0
+        q[i] = c0 + middle * (c1 + middle * (c2 + middle * (c3 + middle * (c4 + middle * c5))))
+        d1 = c1 + middle * (2.0 * c2 + middle * (3.0 * c3 + middle * (4.0 * c4 + middle * 5.0 * c5)))
+        d2 = c2 + middle * (3.0 * c3 + middle * (6.0 * c4 + middle * 10.0 * c5))
+        d3 = c3 + middle * (4.0 * c4 + middle * 10.0 * c5)
+        d4 = c4 + middle * 5.0 * c5
+        delta[i] = half * (abs(d1) + half * (abs(d2) + half * (abs(d3) + half * (abs(d4) + half * abs(c5)))))
+
+
+@njit
+def _bound_pieces(knots, coefficients, ranges):
+    """Writes for each piece, (2, joints), the middle of its range and how far each joint leaves that at most."""
+    for k in range(len(coefficients)):
+        half = 0.5 * (knots[k + 1] - knots[k])
+        _bound_interval(coefficients[k], half, half, ranges[k, 0], ranges[k, 1])
+
+
+@njit
+def _bound_pieces_together(middle, first, last, knots, coefficients, ranges, q, delta):
+    """As `_bound_interval`, for several pieces together."""
+    at = _piece_at(middle, first, knots)
+    _evaluate(coefficients[at], middle - knots[at], q)
+    for i in range(len(q)):
+        delta[i] = 0.0
+    for k in range(first, last + 1):
+        for i in range(len(q)):
+            delta[i] = max(delta[i], abs(ranges[k, 0, i] - q[i]) + ranges[k, 1, i])
 
 
 @njit

@@ -16,14 +16,10 @@ from armctl.core.validation import Array, IntArray
 if TYPE_CHECKING:
     from armctl.collision.checker import CollisionChecker
 
-STEP = 1.0  # rad (m): the longest edge of a tree
-_DOMAIN = 4.0  # rad: a node whose extension failed takes samples from this distance only
-_MIN_DOMAIN = 1.0  # rad; smaller domains starve a tree of few nodes
-_DOMAIN_RATE = 1e-4  # by which a domain shrinks with each failure and grows with each success
+_FROM_START = 0
+_FROM_GOALS = 1
+_SAMPLES_PER_CALL = 256  # between two calls of the kernel the program can be interrupted
 _SHORTCUTS = 100
-_IDLE_SHORTCUTS = 25  # in a row without a gain: then it stops
-_MIN_GAIN = 1e-3  # of the path's length: less is no gain
-_SAME = 1e-10  # rad
 
 
 class FreePath(NamedTuple):
@@ -38,36 +34,40 @@ class FreePath(NamedTuple):
     samples: int
 
 
-class _Tree:
-    """Configurations joined by proved lines, with the roots first."""
+class _Trees(NamedTuple):
+    """Configurations joined by proved lines, roots first: the tree of the start and that of the goals.
 
-    def __init__(self, roots: Array, capacity: int):
-        count = len(roots)
-        self.q = np.empty((count + capacity, roots.shape[1]))
-        self.q[:count] = roots
-        self.parent: IntArray = np.full(count + capacity, -1)
-        self.domain = np.full(count + capacity, np.inf)
-        self.size = count
+    Attributes:
+        nodes: (2, capacity, n) rad.
+        parents: (2, capacity), -1 for a root.
+        domains: (2, capacity) rad, from how far each node takes samples.
+        sizes: (2,).
+    """
 
-    def add(self, q: Array, parent: int) -> int:
-        self.q[self.size] = q
-        self.parent[self.size] = parent
-        self.size += 1
-        return self.size - 1
+    nodes: Array
+    parents: IntArray
+    domains: Array
+    sizes: IntArray
 
-    def nearest(self, q: Array) -> tuple[int, float]:
-        """The nearest node and its distance, rad."""
-        offset = self.q[: self.size] - q
-        squares = np.einsum("ij,ij->i", offset, offset)
-        best = int(squares.argmin())
-        return best, float(np.sqrt(squares[best]))
+    @classmethod
+    def rooted(cls, start: Array, goals: Array, capacity: int) -> _Trees:
+        """The trees of a start and of goals."""
+        nodes = np.empty((2, len(goals) + capacity, len(start)))
+        nodes[_FROM_START, 0] = start
+        nodes[_FROM_GOALS, : len(goals)] = goals
+        return cls(
+            nodes=nodes,
+            parents=np.full(nodes.shape[:2], -1),
+            domains=np.full(nodes.shape[:2], np.inf),
+            sizes=np.array([1, len(goals)]),
+        )
 
-    def branch(self, node: int) -> list[Array]:
+    def branch(self, side: int, node: int) -> list[Array]:
         """The configurations from a node to its root."""
         points = []
         while node >= 0:
-            points.append(self.q[node].copy())
-            node = int(self.parent[node])
+            points.append(self.nodes[side, node].copy())
+            node = int(self.parents[side, node])
         return points
 
 
@@ -99,58 +99,21 @@ def find_path(
     for goal in goals:
         if checker.line_hit(start, goal, clearance) is None:
             return FreePath(np.array([start, goal]), 0)
-    capacity = 2 * max_samples + 2
-    growing = _Tree(start[None], capacity)
-    other = _Tree(goals, capacity)
-    begins_at_start = True
-    for sample in range(1, max_samples + 1):
-        if growing.size > other.size:
-            growing, other = other, growing
-            begins_at_start = not begins_at_start
-        added = _extend(checker, growing, rng.uniform(low, high), clearance)
-        if added < 0:
-            continue
-        met = _connect(checker, other, growing.q[added], clearance)
-        if met >= 0:
-            first = growing.branch(added)[::-1]
-            second = other.branch(met)
-            points = first + second[1:]  # both branches end at the meeting point
-            return FreePath(np.array(points if begins_at_start else points[::-1]), sample)
-        growing, other = other, growing
-        begins_at_start = not begins_at_start
+    from armctl.planning import kernel  # loads numba
+
+    trees = _Trees.rooted(start, goals, 2 * max_samples + 2)
+    trial = np.empty(len(start))
+    rows = (checker.line_rows, checker.scene_rows)
+    side = _FROM_START
+    taken = 0
+    while taken < max_samples:
+        samples = rng.uniform(low, high, (min(_SAMPLES_PER_CALL, max_samples - taken), len(start)))
+        used, first, second, side = kernel.grow(samples, side, clearance, *trees, trial, *rows)
+        taken += used
+        if first >= 0:
+            branches = trees.branch(_FROM_START, first)[::-1] + trees.branch(_FROM_GOALS, second)[1:]
+            return FreePath(np.array(branches), taken)  # both branches end at the meeting point
     return None
-
-
-def _extend(checker: CollisionChecker, tree: _Tree, sample: Array, clearance: float) -> int:
-    """Grows a tree by one edge towards a sample; -1 if the edge is not free."""
-    near, distance = tree.nearest(sample)
-    if distance > tree.domain[near] or distance < _SAME:
-        return -1
-    q = tree.q[near] + min(1.0, STEP / distance) * (sample - tree.q[near])
-    domain = tree.domain[near]
-    if not _is_free_edge(checker, tree.q[near], q, clearance):
-        tree.domain[near] = _DOMAIN if np.isinf(domain) else max(_MIN_DOMAIN, domain * (1.0 - _DOMAIN_RATE))
-        return -1
-    tree.domain[near] = domain * (1.0 + _DOMAIN_RATE)
-    return tree.add(q, near)
-
-
-def _connect(checker: CollisionChecker, tree: _Tree, q: Array, clearance: float) -> int:
-    """Grows a tree in steps until it meets a configuration; the node there, or -1 if something is in the way."""
-    node, distance = tree.nearest(q)
-    origin = tree.q[node].copy()
-    steps = max(1, int(np.ceil(distance / STEP)))
-    for step in range(1, steps + 1):
-        reached = q if step == steps else origin + (step / steps) * (q - origin)
-        if tree.size == len(tree.q) or not _is_free_edge(checker, tree.q[node], reached, clearance):
-            return -1
-        node = tree.add(reached, node)
-    return node
-
-
-def _is_free_edge(checker: CollisionChecker, start: Array, end: Array, clearance: float) -> bool:
-    """The end point is checked first: it decides most edges at a hundredth of the cost."""
-    return checker.hit(end, clearance) < 0 and checker.line_hit(start, end, clearance) is None
 
 
 def shorten(checker: CollisionChecker, path: Array, clearance: float, rng: np.random.Generator) -> Array:
@@ -165,55 +128,17 @@ def shorten(checker: CollisionChecker, path: Array, clearance: float, rng: np.ra
     Returns:
         (l, n) rad, with the same ends.
     """
-    points = _without_needless_points(checker, list(path), clearance)
-    idle = 0
-    for _ in range(_SHORTCUTS):
-        if len(points) < 3 or idle > _IDLE_SHORTCUTS:
-            break
-        shortcut = _shortcut(checker, points, np.sort(rng.uniform(size=2)), clearance)
-        if shortcut is None:
-            idle += 1
-        else:
-            idle = 0
-            points = shortcut
-    return np.array(points)
+    from armctl.planning import kernel  # loads numba
 
-
-def _without_needless_points(checker: CollisionChecker, points: list[Array], clearance: float) -> list[Array]:
-    """From each point straight to the farthest one that can be reached."""
-    kept = [points[0]]
-    at = 0
-    while at < len(points) - 1:
-        reachable = (
-            k for k in range(len(points) - 1, at + 1, -1) if checker.line_hit(points[at], points[k], clearance) is None
-        )
-        at = next(reachable, at + 1)
-        kept.append(points[at])
-    return kept
-
-
-def _shortcut(checker: CollisionChecker, points: list[Array], ends: Array, clearance: float) -> list[Array] | None:
-    """A path that goes straight between two places, given as shares of the length; None if it is not shorter or not free."""
-    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    marks = np.concatenate([[0.0], np.cumsum(lengths)])
-    places = ends * marks[-1]
-    first, last = np.clip(np.searchsorted(marks, places, side="right") - 1, 0, len(lengths) - 1)
-    if first == last:
-        return None
-    shares = (places - marks[[first, last]]) / lengths[[first, last]]
-    begin = points[first] + shares[0] * (points[first + 1] - points[first])
-    end = points[last] + shares[1] * (points[last + 1] - points[last])
-    gain = places[1] - places[0] - float(np.linalg.norm(end - begin))
-    if gain < _MIN_GAIN * marks[-1] or checker.line_hit(begin, end, clearance) is not None:
-        return None
-    joined = [*points[: first + 1], begin, end, *points[last + 1 :]]
-    k = max(first - 1, 0)
-    while k < min(first + 4, len(joined) - 2):
-        if checker.line_hit(joined[k], joined[k + 2], clearance) is None:
-            del joined[k + 1]
-        else:
-            k += 1
-    return joined
+    count, joints = path.shape
+    points = np.empty((count + _SHORTCUTS + 1, joints))  # a shortcut adds one point at most
+    points[:count] = path
+    ends = np.empty((2, joints))
+    rows = (checker.line_rows, checker.scene_rows)
+    count = kernel.drop_needless_points(points, count, clearance, *rows)
+    places = rng.uniform(size=(_SHORTCUTS, 2))
+    count = kernel.take_shortcuts(points, count, places, ends[0], ends[1], clearance, *rows)
+    return points[:count].copy()
 
 
 def sampling_bounds(q_min: Array, q_max: Array, ends: Array) -> tuple[Array, Array]:
