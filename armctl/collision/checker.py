@@ -106,7 +106,7 @@ class CollisionChecker:
         return (*self._rows, memory.pairs, geometry.groups, geometry.tree, memory.frames, memory.spheres, memory.work)
 
     @property
-    def line_rows(self) -> tuple[Array | IntArray, ...]:
+    def line_rows(self) -> tuple[object, ...]:
         """What the kernels of `armctl.planning` take before the scene: how all joints move, and memory for a proof."""
         memory = self._memory
         return (self._ratio, self._offset, _UNIT_KNOTS, memory.line, memory.ranges, memory.proof_rows)

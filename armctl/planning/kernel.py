@@ -10,7 +10,7 @@ The scene is packed as `armctl.collision.kernel` describes. The remaining arrays
 
 import math
 
-from armctl.collision import kernel as collision
+from armctl.collision.kernel import first_hit, prove_motion
 from armctl.core.jit import njit
 
 STEP = 1.0  # rad (m): the longest edge of a tree
@@ -40,9 +40,9 @@ def is_free_line(start, end, checks_end, clearance, memory, scene):
         line[0, 0, i] = begin
         line[0, 1, i] = change
         q[i] = begin + change
-    if checks_end and collision.first_hit(q, clearance, *scene) >= 0:
+    if checks_end and first_hit(q, clearance, *scene) >= 0:
         return False
-    pair, _ = collision.prove_motion(knots, line, -1, clearance, ranges, proof_memory, scene)
+    pair, _ = prove_motion(knots, line, -1, clearance, ranges, proof_memory, scene)
     return pair < 0
 
 
