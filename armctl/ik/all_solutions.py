@@ -3,19 +3,34 @@
 from __future__ import annotations
 
 import itertools
-from functools import lru_cache
+import math
+from functools import cache, lru_cache
+from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.collision.checkers import collision_checker
+from armctl.core.pose import Pose
 from armctl.core.target import TargetLike
 from armctl.core.validation import Array, IntArray, flag, frozen, integer
+from armctl.ik import lm
+from armctl.ik.geometry import ClosedForm
 from armctl.ik.lm import TOLERANCE_SHARE
-from armctl.ik.problem import PackedChain, Problem, compiled, read_problem, read_target
+from armctl.ik.problem import (
+    MIN_TOLERANCE,
+    PackedChain,
+    Problem,
+    compiled,
+    packed_chain,
+    read_seed,
+    read_starts,
+    read_target,
+    read_tolerance,
+)
 from armctl.ik.result import IkBatch, IkResult
-from armctl.ik.solve import solve_ik
+from armctl.ik.solve import LM_STARTS, solve_ik
 from armctl.robot.arm import Arm
 
 # Bounds on the number of isolated configurations of six hinges in series: 16 in general (Primrose, "On the input-output
@@ -32,7 +47,45 @@ SWEEP_PATIENCE = 12  # the same for each further sample of a sweep, which begins
 SOLUTIONS_PER_SAMPLE = 4  # fewest to expect: it determines the number of samples of a sweep
 MIN_SAMPLES = 16
 CONDITION_SAMPLES = 16  # configurations at which the choice of swept joints is judged
-LIMIT_ROUNDING = 1e-6  # rad, or reaches: a solution that much outside the limits is moved to the limit
+MAX_SEEDS_PER_SAMPLE = 16
+MIN_EMPTY_SAMPLES = 256  # of a sweep that finds nothing
+SAMPLES_PER_SOLUTION = 4  # of a sweep
+# How far outside the limits a solution of the closed form may be before it is refined: at a double root, slack in a cosine moves
+# a joint by its square root.
+SINGULAR_MARGIN = 0.03  # rad
+INEXACT_MARGIN = 0.2  # rad, if the axes are only almost special
+DEVIATION_FACTOR = 10.0  # slack in cosines for each unit by which the axes deviate
+
+
+class Solutions(NamedTuple):
+    """Distinct solutions inside the limits, the nearest to q0 first.
+
+    Attributes:
+        q: (N, n) rad.
+        position_error: (N,) m.
+        orientation_error: (N,) rad.
+        branch: (N,) numbers of the branches, as floats.
+        starts: How many configurations were begun with.
+        steps: Solver steps.
+        is_complete: Whether there is proved to be no other.
+    """
+
+    q: Array
+    position_error: Array
+    orientation_error: Array
+    branch: Array
+    starts: int
+    steps: int
+    is_complete: bool
+
+    def select(self, rows: IntArray) -> Solutions:
+        """Those with the numbers (K,)."""
+        return self._replace(
+            q=self.q[rows],
+            position_error=self.position_error[rows],
+            orientation_error=self.orientation_error[rows],
+            branch=self.branch[rows],
+        )
 
 
 class _Found(NamedTuple):
@@ -86,44 +139,156 @@ def solve_ik_all(
         InputError: An argument has a wrong shape, type or value.
         LimitError: q0 is outside the joint limits.
     """
-    constraint, numbers = read_target(target, free_axis)
-    problem = read_problem(arm, constraint, numbers[None], q0, position_tolerance, orientation_tolerance, seed)
-    limit = integer("limit", limit, 1)
-    contact_at = collision_checker(arm).at if flag("avoid_collisions", avoid_collisions) else None
-    chain = problem.chain
-    swept = _swept_joints(chain, constraint)
-    bound = _max_solutions(chain, constraint)
-    single = solve_ik(
-        arm,
-        target,
-        problem.q0[0],
-        position_tolerance=position_tolerance,
-        orientation_tolerance=orientation_tolerance,
-        free_axis=free_axis,
-        avoid_collisions=avoid_collisions,
-        seed=seed,
+    # The checks of the usual types are inline, as in solve_ik.
+    chain = packed_chain(arm)
+    if type(target) is Pose and free_axis is None:
+        constraint = chain.kernel.POSE
+        numbers = target.rows
+    else:
+        constraint, numbers = read_target(target, free_axis)
+    if type(position_tolerance) is not float or not MIN_TOLERANCE <= position_tolerance < math.inf:
+        position_tolerance = read_tolerance("position_tolerance", position_tolerance)
+    if type(orientation_tolerance) is not float or not MIN_TOLERANCE <= orientation_tolerance < math.inf:
+        orientation_tolerance = read_tolerance("orientation_tolerance", orientation_tolerance)
+    starts = read_starts(arm, q0, 1)
+    seed = read_seed(seed)
+    problem = Problem(arm, chain, constraint, numbers.reshape(1, 12), starts, position_tolerance, orientation_tolerance, seed)
+    if type(limit) is not int or limit < 1:
+        limit = integer("limit", limit, 1)
+    flag("avoid_collisions", avoid_collisions)
+    if chain.closed_form is not None and constraint == chain.kernel.POSE:
+        found = closed_form_solutions(problem, chain.closed_form, limit)
+    else:
+        found = _numerical_solutions(problem, limit)
+    is_complete = found.is_complete and len(found.q) <= limit
+    if flag("avoid_collisions", avoid_collisions):
+        contact_at = collision_checker(arm).at
+        found = found.select(np.array([k for k, q in enumerate(found.q) if not contact_at(q)], np.int64))
+    count = min(len(found.q), limit)
+    if count == 0:
+        return _one_row(
+            solve_ik(
+                arm,
+                target,
+                problem.q0[0],
+                position_tolerance=position_tolerance,
+                orientation_tolerance=orientation_tolerance,
+                free_axis=free_axis,
+                avoid_collisions=avoid_collisions,
+                seed=seed,
+            )
+        )
+    names = chain.branch_names
+    return IkBatch(
+        _column(count, True),  # by names: 1 us longer
+        frozen(found.q[:count]),
+        frozen(found.position_error[:count]),
+        frozen(found.orientation_error[:count]),
+        _column(count, ""),
+        _column(count, found.steps),
+        _column(count, found.starts),
+        tuple([names[int(number)] for number in found.branch[:count].tolist()]),
+        is_complete,
     )
-    found = _sweep(problem, swept, single.q, limit) if swept else _isolated(problem, bound, single.q, limit)
+
+
+def closed_form_solutions(problem: Problem, closed_form: ClosedForm, limit: int) -> Solutions:
+    """The solutions of an arm with a closed form, refined; of seven joints a sample."""
+    chain = problem.chain
+    n = len(chain.unit)
+    q0 = problem.q0[0]
+    slack = problem.position_tolerance / chain.reach + problem.orientation_tolerance
+    margin = SINGULAR_MARGIN
+    if not closed_form.is_exact:
+        slack += DEVIATION_FACTOR * closed_form.deviation
+        margin = INEXACT_MARGIN
+    is_swept = closed_form.held >= 0
+    seeds = np.empty((limit + MAX_SEEDS_PER_SAMPLE * MIN_SAMPLES if is_swept else MAX_SEEDS_PER_SAMPLE, n))
+    target = problem.targets[0]
+    count, doubtful, samples = closed_form_kernels().find(
+        closed_form.form,
+        chain.reach,
+        target,
+        q0,
+        slack,
+        margin,
+        MIN_SAMPLES,
+        max(MIN_EMPTY_SAMPLES, SAMPLES_PER_SOLUTION * limit),
+        limit,
+        seeds,
+    )
+    found = _polished(problem, seeds[:count], samples)
+    if is_swept:
+        return found._replace(is_complete=False)
+    if not closed_form.is_exact:
+        return _completed(problem, found)
+    return found._replace(is_complete=found.is_complete and not doubtful)
+
+
+def _polished(problem: Problem, seeds: Array, starts: int) -> Solutions:
+    """The solutions that seeds (M, n) lead to, the nearest to q0 first."""
+    chain = problem.chain
+    q = np.empty(seeds.shape)
+    details = np.empty((3, len(seeds)))
+    found, steps, lost = chain.kernel.polish(
+        chain.rows,
+        chain.reach,
+        problem.targets[0],
+        problem.position_tolerance,
+        problem.orientation_tolerance,
+        problem.q0[0],
+        seeds,
+        q,
+        details,
+    )
+    if found < len(seeds):
+        q = q[:found]
+        details = details[:, :found]
+    return Solutions(q, details[0], details[1], details[2], starts, steps, lost == 0)
+
+
+def _completed(problem: Problem, found: Solutions) -> Solutions:
+    """The solutions of an arm whose axes are only almost special: near singularities its closed form may miss some."""
+    chain = problem.chain
+    more = _find(problem, chain.rows, found.q, MAX_SOLUTIONS_6R, is_first=False)
+    complete = _polished(problem, more.q, found.starts + more.starts)
+    return complete._replace(steps=found.steps + more.steps + complete.steps, is_complete=len(more.q) == MAX_SOLUTIONS_6R)
+
+
+def _numerical_solutions(problem: Problem, limit: int) -> Solutions:
+    """The solutions of an arm without a closed form, or for a target that leaves turns open."""
+    chain = problem.chain
+    swept = _swept_joints(chain, problem.constraint)
+    bound = _max_solutions(chain, problem.constraint)
+    first = lm.search(problem, 0, LM_STARTS)
+    starts = int(first.next_start[0])
+    steps = int(first.iterations[0])
+    found = _sweep(problem, swept, first.q[0], limit) if swept else _isolated(problem, bound, first.q[0], limit)
     q = _inside_limits(problem, found.q)
     position_error, orientation_error = problem.select(np.zeros(len(q), np.int64)).residuals(q)
     ok = (position_error <= problem.position_tolerance) & (orientation_error <= problem.orientation_tolerance)
-    if contact_at is not None:
-        ok[ok] = [not contact_at(row) for row in q[ok]]
     distance = np.linalg.norm(chain.to_units(q) - chain.to_units(problem.q0), axis=1)
-    order = np.flatnonzero(ok)[np.argsort(distance[ok], kind="stable")][:limit]
-    if len(order) == 0:
-        return _one_row(single)
-    count = len(order)
-    return IkBatch(
-        ok=frozen(ok[order]),
-        q=frozen(q[order]),
-        position_error=frozen(position_error[order]),
-        orientation_error=frozen(orientation_error[order]),
-        reason=frozen(np.full(count, "", object)),
-        iterations=frozen(np.full(count, found.steps + single.iterations)),
-        starts=frozen(np.full(count, found.starts + single.starts)),
-        is_complete=len(found.q) == bound and int(ok.sum()) <= limit and _all_regular(problem, found.q),
+    order = np.flatnonzero(ok)[np.argsort(distance[ok], kind="stable")]
+    q = q[order]
+    branch = chain.branch_numbers(q)
+    is_complete = len(found.q) == bound and _all_regular(problem, found.q)
+    return Solutions(
+        q, position_error[order], orientation_error[order], branch, found.starts + starts, found.steps + steps, is_complete
     )
+
+
+@lru_cache(maxsize=1024)
+def _column(count: int, value: bool | str | int) -> Array:
+    """(count,) a value, read-only; shared, because creating it would take longer."""
+    return frozen(np.full(count, value, object if isinstance(value, str) else None))
+
+
+@cache
+def closed_form_kernels() -> ModuleType:
+    """The compiled kernels of the closed form; numba is imported when they are first used."""
+    from armctl.ik import closed_form
+
+    return closed_form
 
 
 def _one_row(result: IkResult) -> IkBatch:
@@ -135,6 +300,7 @@ def _one_row(result: IkResult) -> IkBatch:
         reason=frozen(np.array([result.reason], object)),
         iterations=frozen(np.array([result.iterations])),
         starts=frozen(np.array([result.starts])),
+        branch=(result.branch,),
     )
 
 
@@ -231,8 +397,8 @@ def _inside_limits(problem: Problem, q: Array) -> Array:
     kernel = compiled()
     chain = problem.chain
     n = problem.arm.n
-    low = chain.rows[:n, kernel.LOW] - LIMIT_ROUNDING
-    high = chain.rows[:n, kernel.HIGH] + LIMIT_ROUNDING
+    low = chain.rows[:n, kernel.LOW] - kernel.LIMIT_ROUNDING
+    high = chain.rows[:n, kernel.HIGH] + kernel.LIMIT_ROUNDING
     period = chain.rows[:n, kernel.PERIOD]
     turn = np.where(period > 0, period, np.inf)
     q = q + period * np.round((chain.to_units(problem.q0) - q) / turn)

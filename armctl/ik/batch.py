@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -72,9 +73,10 @@ def solve_ik_batch(
         finally:
             pool.shutdown(cancel_futures=True)
     in_order = [parts[i] for i in range(len(chunks))]
-    names = [field.name for field in fields(IkBatch) if field.name != "is_complete"]
+    names = [field.name for field in fields(IkBatch) if field.name not in ("branch", "is_complete")]
     columns = {name: [getattr(part, name) for part in in_order] for name in names}
-    return IkBatch(is_complete=False, **{name: frozen(np.concatenate(arrays)) for name, arrays in columns.items()})
+    branch = tuple(itertools.chain.from_iterable(part.branch for part in in_order))
+    return IkBatch(branch=branch, **{name: frozen(np.concatenate(arrays)) for name, arrays in columns.items()})
 
 
 def _chunks(count: int, workers: int) -> list[IntArray]:
@@ -116,6 +118,7 @@ def _solve(problem: Problem, rows: IntArray, stay_near: bool) -> IkBatch:
         reason=reason,
         iterations=found.iterations,
         starts=found.next_start,
+        branch=tuple(part.chain.branches(q)),
     )
 
 

@@ -13,12 +13,13 @@ from __future__ import annotations
 import numpy as np
 
 from armctl.core.jit import njit
+from armctl.ik.geometry import MEET, NEITHER, PARALLEL
 
 # A packed chain (k + 1, CHAIN_COLUMNS) has one row per joint and a last row for the tip. Columns: rotation 0-8, translation
 # 9-11, whether the joint slides, which of the n unknowns moves it, and the ratio between the two. The first n rows also hold
 # the bounds of the unknowns, their period (0 if an unknown has none), and the bounds of a free descent, which unknowns with a
-# period do not have.
-CHAIN_COLUMNS = 20
+# period do not have, and how far along the joint's axis the point is in which it meets others.
+CHAIN_COLUMNS = 21
 IS_SLIDE = 12
 LOW = 13
 HIGH = 14
@@ -27,6 +28,15 @@ RATIO = 16
 PERIOD = 17
 FREE_LOW = 18
 FREE_HIGH = 19
+MEETING_POINT = 20
+# The tip's row holds from column 12 the structure of the axes, if the chain has a closed form; `armctl.ik.geometry` explains it.
+AXES_KIND = 12  # of the three special axes: MEET, PARALLEL, or NEITHER without a closed form
+AXES_FIRST = 13  # the first of the three
+AXES_OTHERS = 14  # (3,) the other joints, in the order of the loop
+PAIR_KIND = 17  # of two neighbours among the others: MEET, PARALLEL or NEITHER
+PAIR_FIRST = 18  # 0 if these are the first two, 1 if the last two
+NO_BRANCH = 27
+SINGULAR = 1e-6  # a factor of the Jacobian's determinant, in reaches and sines: below it, its sign means nothing
 
 # Which parts of the tip's pose are constrained. FREE_X + 1 and FREE_X + 2 leave the turn about y and about z free.
 POSE = 0
@@ -82,6 +92,9 @@ FAR_ERROR = 0.03  # reaches
 
 EXACT = 1e-10  # reaches or rad: tolerance of the solutions that `find_all` compares with each other
 SAME_SOLUTION = 1e-3  # rad, or reaches: at a double root, EXACT leaves 1e-5
+
+NEIGHBOURS = 16  # seeds of one sample of a sweep, of which two may lead to the same solution
+LIMIT_ROUNDING = 1e-6  # rad, or reaches: a solution that much outside the limits is moved to the limit
 
 MAX_REFINE_STEPS = 200
 REFINE_DAMPING = 0.1  # initial, relative to the error
@@ -579,6 +592,108 @@ def residual(constraint, target, position, rotation):
 
 
 @njit
+def _axis(k, work):
+    return work[k, AXIS], work[k, AXIS + 1], work[k, AXIS + 2]
+
+
+@njit
+def _meeting_point(chain, k, work):
+    """The point on a joint's axis in which it meets others."""
+    along = chain[k, MEETING_POINT]
+    return (
+        work[k, ORIGIN] + along * work[k, AXIS],
+        work[k, ORIGIN + 1] + along * work[k, AXIS + 1],
+        work[k, ORIGIN + 2] + along * work[k, AXIS + 2],
+    )
+
+
+@njit
+def _minus(a, b):
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@njit
+def _volume(a, b, c):
+    """The triple product a . (b x c)."""
+    return a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0])
+
+
+@njit
+def _sign_code(value):
+    if abs(value) < SINGULAR:
+        return 0
+    return 1 if value > 0 else 2
+
+
+@njit
+def _branch(chain, work):
+    """The signs of the factors of the Jacobian's determinant, as a number that `geometry.branch_names` names.
+
+    `forward` filled `work`. If two of the other three axes meet or are parallel there are three factors, else two. Of an arm
+    with seven joints it is the Jacobian without the joint that is swept.
+    """
+    tip = len(chain) - 1
+    kind = int(chain[tip, AXES_KIND])
+    if kind == NEITHER:
+        return NO_BRANCH
+    a = int(chain[tip, AXES_FIRST])
+    f = int(chain[tip, AXES_OTHERS])
+    g = int(chain[tip, AXES_OTHERS + 1])
+    h = int(chain[tip, AXES_OTHERS + 2])
+    pair_kind = int(chain[tip, PAIR_KIND])
+    is_first_pair = chain[tip, PAIR_FIRST] == 0
+    third = 1.0
+    if kind == MEET:
+        special = _volume(_axis(a, work), _axis(a + 1, work), _axis(a + 2, work))
+        point = _meeting_point(chain, a, work)
+        u = f if is_first_pair else g
+        v = g if is_first_pair else h
+        w = h if is_first_pair else f
+        to_u = _minus(point, _meeting_point(chain, u, work))
+        to_v = _minus(point, _meeting_point(chain, v, work))
+        to_w = _minus(point, _meeting_point(chain, w, work))
+        if pair_kind == MEET:
+            second = _volume(to_u, _axis(u, work), _axis(v, work))
+            third = _volume(to_u, _axis(w, work), to_w)
+        elif pair_kind == PARALLEL:
+            second = _volume(_axis(u, work), to_u, to_v)
+            third = _volume(_axis(u, work), _axis(w, work), to_w)
+        else:  # the volume of axis x arm of the three joints, by (a x b) x (c x d) = b [a c d] - a [b c d]
+            across = _volume(_axis(u, work), _axis(v, work), to_v)
+            along = _volume(to_u, _axis(v, work), to_v)
+            second = across * _volume(to_u, _axis(w, work), to_w) - along * _volume(_axis(u, work), _axis(w, work), to_w)
+    else:
+        point = _meeting_point(chain, a, work)
+        axis = _axis(a, work)
+        special = _volume(
+            axis, _minus(_meeting_point(chain, a + 1, work), point), _minus(_meeting_point(chain, a + 2, work), point)
+        )
+        middle = _meeting_point(chain, g, work)
+        turn_f = _volume(_axis(g, work), _axis(f, work), axis)
+        turn_h = _volume(_axis(g, work), _axis(h, work), axis)
+        height_f = _volume(axis, _axis(f, work), _minus(middle, _meeting_point(chain, f, work)))
+        height_h = _volume(axis, _axis(h, work), _minus(middle, _meeting_point(chain, h, work)))
+        if pair_kind == NEITHER:
+            second = turn_f * height_h - turn_h * height_f
+        elif is_first_pair == (pair_kind == MEET):
+            second = height_h
+            third = turn_f
+        else:
+            second = height_f
+            third = turn_h
+    return 9 * _sign_code(special) + 3 * _sign_code(second) + _sign_code(third)
+
+
+@njit
+def branches(chain, q, codes):
+    """Fills codes (N,) with the branches of the configurations (N, n)."""
+    work = scratch(len(chain) - 1, q.shape[1])
+    for t in range(len(q)):
+        forward(chain, q[t], work)
+        codes[t] = _branch(chain, work)
+
+
+@njit
 def _search_target(chain, reach, target, constraint, tolerance, orientation_tolerance, q0, first, last, seed, q, trial, work):
     """Descends from the starts `first` to `last` until one is solved; beyond the reach one start is enough.
 
@@ -656,7 +771,7 @@ def search_one(chain, reach, rows, constraint, position_tolerance, orientation_t
 
     It allocates its own scratch memory, so that threads share nothing. Fills q. Returns
     whether q is a solution, whether it is far from q0 although the tip began near the target, the start after the last one
-    used, the steps, and the errors of position, m, and orientation, rad.
+    used, the steps, the errors of position, m, and orientation, rad, and the branch.
     """
     n = len(q)
     joints = len(chain) - 1
@@ -680,23 +795,26 @@ def search_one(chain, reach, rows, constraint, position_tolerance, orientation_t
     )
     if not tip_is_known:
         forward(chain, q, work)
+    branch = _branch(chain, work)
     for k in range(9, 12):
         work[joints, k] *= reach
     errors = residual(constraint, target, work[joints, 9:12], work[joints, :9].reshape(3, 3))
-    return solved, jumped, start, steps, errors[0], errors[1]
+    return solved, jumped, start, steps, errors[0], errors[1], branch
 
 
 @njit
 def _is_known(chain, q, known, count):
     """Whether q is one of the first `count` rows of `known`, up to whole turns of the hinges."""
     for k in range(count):
-        farthest = 0.0
+        same = True
         for i in range(len(q)):
-            difference = q[i] - known[k, i]
-            if chain[i, PERIOD] > 0:
-                difference -= chain[i, PERIOD] * np.round(difference / chain[i, PERIOD])
-            farthest = max(farthest, abs(difference))
-        if farthest < SAME_SOLUTION:
+            difference = abs(q[i] - known[k, i])
+            if difference >= SAME_SOLUTION and chain[i, PERIOD] > 0:
+                difference = abs(difference - chain[i, PERIOD] * np.round(difference / chain[i, PERIOD]))
+            if difference >= SAME_SOLUTION:
+                same = False
+                break
+        if same:
             return True
     return False
 
@@ -713,6 +831,99 @@ def _add_solution(chain, target, constraint, tolerance, orientation_tolerance, q
             known[count, i] = q[i]
         return count + 1, steps
     return count, steps
+
+
+@njit
+def _tip_errors(q, chain, target, reach, work):
+    """The errors of the tip at q, m and rad, for a target (12,) in m."""
+    n = len(chain) - 1
+    forward(chain, q, work)
+    for k in range(9, 12):
+        work[n, k] *= reach
+    return residual(POSE, target, work[n, 9:12], work[n, :9].reshape(3, 3))
+
+
+@njit
+def _wind_inside(chain, q0, q):
+    """Turns the hinges by whole turns to the positions nearest to q0 inside the bounds; returns whether q is inside then.
+
+    What is outside by rounding is moved to the bounds.
+    """
+    for i in range(len(q)):
+        low = chain[i, LOW] - LIMIT_ROUNDING
+        high = chain[i, HIGH] + LIMIT_ROUNDING
+        period = chain[i, PERIOD]
+        if period > 0:
+            if abs(q0[i] - q[i]) > 0.5 * period:
+                q[i] += period * np.round((q0[i] - q[i]) / period)
+            if q[i] > high:
+                q[i] -= period * np.ceil((q[i] - high) / period)
+            if q[i] < low:
+                q[i] += period * np.ceil((low - q[i]) / period)
+        if not low <= q[i] <= high:
+            return False
+        q[i] = min(max(q[i], chain[i, LOW]), chain[i, HIGH])
+    return True
+
+
+@njit
+def polish(chain, reach, rows, position_tolerance, orientation_tolerance, q0, seeds, q, details):
+    """Refines the seeds (M, n) of a target (4, 3), and keeps those that are solutions inside the bounds, the nearest to q0 first.
+
+    The seeds are nearly exact, and equal ones are at most NEIGHBOURS apart. Fills q (M, n), and `details` (3, M): the errors in
+    m and rad, and the branches. Returns how many solutions there are, the steps, and how many seeds led to no solution.
+    """
+    n = seeds.shape[1]
+    joints = len(chain) - 1
+    work = scratch(joints, n)
+    trial = np.empty(n)
+    kept = np.empty((len(seeds), n + 4))  # configuration, errors, branch, squared distance
+    target = rows.reshape(12)
+    count = 0
+    steps = 0
+    lost = 0
+    for s in range(len(seeds)):
+        for i in range(n):
+            trial[i] = seeds[s, i]
+        position_error, orientation_error = _tip_errors(trial, chain, target, reach, work)
+        moved = False
+        if position_error > EXACT * reach or orientation_error > EXACT:
+            goal = _aim(chain, reach, target, work)
+            _, _, more = _descend(chain, FREE_LOW, goal, POSE, EXACT, EXACT, trial, work)
+            steps += more
+            moved = True
+        if not _wind_inside(chain, q0, trial):
+            continue
+        for i in range(n):
+            moved = moved or trial[i] != seeds[s, i]
+        if moved:
+            position_error, orientation_error = _tip_errors(trial, chain, target, reach, work)
+        if not (position_error <= position_tolerance and orientation_error <= orientation_tolerance):
+            lost += 1
+            continue
+        first = max(0, count - NEIGHBOURS)
+        if _is_known(chain, trial, kept[first:count], count - first):
+            continue
+        square = 0.0
+        for i in range(n):
+            kept[count, i] = trial[i]
+            square += (trial[i] - q0[i]) ** 2
+        kept[count, n] = position_error
+        kept[count, n + 1] = orientation_error
+        kept[count, n + 2] = _branch(chain, work)
+        kept[count, n + 3] = square
+        count += 1
+    for k in range(count):
+        nearest = 0
+        for j in range(1, count):
+            if kept[j, n + 3] < kept[nearest, n + 3]:
+                nearest = j
+        kept[nearest, n + 3] = np.inf
+        for i in range(n):
+            q[k, i] = kept[nearest, i]
+        for r in range(3):
+            details[r, k] = kept[nearest, n + r]
+    return count, steps, lost
 
 
 @njit

@@ -16,11 +16,13 @@ from armctl.core.limits import Limits
 from armctl.core.pose import Pose
 from armctl.core.target import Target, TargetLike
 from armctl.core.validation import Array, BoolArray, IntArray, choice, frozen, integer, matrix, number, shown, vector
+from armctl.ik.geometry import ClosedForm, closed_form_of
 from armctl.robot.arm import Arm, check_arm
 
 _FREE_AXES = {"x": 0, "y": 1, "z": 2}
 MIN_TOLERANCE = 1e-12  # m or rad: below it rounding decides
 _LIMIT_ROUNDING = 1e-9  # rad or m: a start that much outside the limits is moved to the limit
+_NO_BRANCHES = (None,) * 28
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +37,8 @@ class PackedChain:
         limits: The arm's limits.
         home: (n,) the arm's home, in the solver's units.
         kernel: `armctl.ik.kernel`, which is faster to read here than to look up.
+        closed_form: The closed form of its inverse kinematics, or None.
+        branch_names: (28,) what the branches are called that the kernels number.
     """
 
     rows: Array
@@ -44,6 +48,19 @@ class PackedChain:
     limits: Limits
     home: Array
     kernel: ModuleType
+    closed_form: ClosedForm | None
+    branch_names: tuple[str | None, ...]
+
+    def branches(self, q: Array) -> list[str | None]:
+        """The branches of configurations (N, n) in rad."""
+        return [self.branch_names[number] for number in self.branch_numbers(q)]
+
+    def branch_numbers(self, q: Array) -> IntArray:
+        """The kernel's numbers of the branches of configurations (N, n) in rad."""
+        numbers = np.full(len(q), self.kernel.NO_BRANCH)
+        if self.closed_form is not None:
+            self.kernel.branches(self.rows, np.ascontiguousarray(q), numbers)
+        return numbers
 
     def to_units(self, q: Array) -> Array:
         """Configurations (N, n) in the solver's units."""
@@ -227,6 +244,7 @@ def _pack(arm: Arm) -> PackedChain:
     rows[:n, kernel.PERIOD] = np.where(slides | moves_several_joints, 0.0, 2 * np.pi)
     rows[:n, kernel.FREE_LOW] = np.where(rows[:n, kernel.PERIOD] > 0, -np.inf, rows[:n, kernel.LOW])
     rows[:n, kernel.FREE_HIGH] = np.where(rows[:n, kernel.PERIOD] > 0, np.inf, rows[:n, kernel.HIGH])
+    closed_form = _closed_form(rows, n) if body.chain_length == n and (rows[:n, kernel.PERIOD] > 0).all() else None
     return PackedChain(
         rows=frozen(rows),
         reach=reach,
@@ -235,7 +253,34 @@ def _pack(arm: Arm) -> PackedChain:
         limits=limits,
         home=frozen(arm.home / unit),
         kernel=kernel,
+        closed_form=closed_form,
+        branch_names=_NO_BRANCHES if closed_form is None else closed_form.branch_names,
     )
+
+
+def _closed_form(rows: Array, n: int) -> ClosedForm | None:
+    """The closed form of a packed chain of n hinges, if it has one; then its structure is written into the rows."""
+    kernel = compiled()
+    if not (rows[:n, kernel.RATIO] == 1.0).all():
+        return None
+    rotation = np.eye(3)
+    position = np.zeros(3)
+    frames = np.empty((n + 1, 12))
+    for k in range(n + 1):
+        position = position + rotation @ rows[k, 9:12]
+        rotation = rotation @ rows[k, :9].reshape(3, 3)
+        frames[k, :9] = rotation.ravel()
+        frames[k, 9:] = position
+    axes = frames[:n, 2:9:3]
+    found = closed_form_of(axes, frames[:n, 9:], frames[n], rows[:n, kernel.LOW : kernel.HIGH + 1])
+    if found is not None:
+        rows[:n, kernel.MEETING_POINT] = np.einsum("kj,kj->k", found.form[:n, 3:6] - frames[:n, 9:], axes)
+        rows[n, kernel.AXES_KIND] = found.kind
+        rows[n, kernel.AXES_FIRST] = found.special[0]
+        rows[n, kernel.AXES_OTHERS : kernel.AXES_OTHERS + 3] = found.others
+        rows[n, kernel.PAIR_KIND] = found.pair_kind
+        rows[n, kernel.PAIR_FIRST] = found.pair_first
+    return found
 
 
 def _joint_transforms(displacements: Array, is_slide: BoolArray) -> Array:

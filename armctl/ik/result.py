@@ -21,6 +21,9 @@ class IkResult:
         reason: Why `ok` is False, in words; empty if it is True.
         iterations: Solver steps over all starts.
         starts: From how many configurations the solver started.
+        branch: Which branch of the arm's configurations `q` is in, as "shoulder+ elbow- wrist+": the signs of the factors of
+            the Jacobian's determinant, which change only at a singularity, where they are "0". None for an arm without a
+            closed form.
     """
 
     ok: bool
@@ -30,6 +33,7 @@ class IkResult:
     reason: str
     iterations: int
     starts: int
+    branch: str | None = None
 
     def __bool__(self) -> bool:
         return self.ok
@@ -54,6 +58,7 @@ class IkBatch:
         reason: (N,) strings.
         iterations: (N,) int.
         starts: (N,) int.
+        branch: N strings or None.
         is_complete: Whether the rows are proved to be all solutions of one target; only `solve_ik_all` sets it.
     """
 
@@ -64,6 +69,7 @@ class IkBatch:
     reason: TextArray
     iterations: IntArray
     starts: IntArray
+    branch: tuple[str | None, ...]
     is_complete: bool = False
 
     def __len__(self) -> int:
@@ -81,6 +87,7 @@ class IkBatch:
             reason=self.reason[i],
             iterations=int(self.iterations[i]),
             starts=int(self.starts[i]),
+            branch=self.branch[i],
         )
 
     def __str__(self) -> str:

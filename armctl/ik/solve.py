@@ -106,7 +106,7 @@ def solve_ik(
         return _solve_with(problem, method, nearest, avoid_collisions, stay_near=q0 is not None)
     start = chain.home if q0 is None else frozen(chain.to_units(read_starts(arm, q0, 1)[0]))
     q = start.copy()
-    solved, jumped, next_start, iterations, position_error, orientation_error = chain.kernel.search_one(
+    solved, jumped, next_start, iterations, position_error, orientation_error, branch = chain.kernel.search_one(
         chain.rows,
         chain.reach,
         rows,
@@ -122,7 +122,8 @@ def solve_ik(
         q = chain.from_units(q)
     if position_error <= position_tolerance and orientation_error <= orientation_tolerance and (q0 is None or not jumped):
         q.setflags(write=False)
-        return IkResult(True, q, position_error, orientation_error, "", iterations, next_start)  # by names: 0.2 us longer
+        name = chain.branch_names[branch]
+        return IkResult(True, q, position_error, orientation_error, "", iterations, next_start, name)  # by names: 0.2 us longer
     starts = read_starts(arm, q0, 1)
     problem = Problem(arm, chain, constraint, rows.reshape(1, 12), starts, position_tolerance, orientation_tolerance, seed)
     if q0 is not None:
@@ -150,7 +151,7 @@ def _first_solution(problem: Problem, candidates: Iterator[Candidate], contact_a
         if position_error > problem.position_tolerance or orientation_error > problem.orientation_tolerance:
             break
         contact = contact_at(candidate.q) if contact_at is not None else ""
-        result = _result(candidate, position_error, orientation_error, contact)
+        result = _result(problem, candidate, position_error, orientation_error, contact)
         if not contact:
             return result
         in_contact = result
@@ -164,10 +165,10 @@ def _first_solution(problem: Problem, candidates: Iterator[Candidate], contact_a
         reason = contact_at(effort.q[0]) if contact_at is not None else ""
     else:
         reason = failure_reason(bool(effort.out_of_reach[0]), position_error, orientation_error, candidate.starts)
-    return _result(candidate._replace(q=effort.q[0]), position_error, orientation_error, reason)
+    return _result(problem, candidate._replace(q=effort.q[0]), position_error, orientation_error, reason)
 
 
-def _result(candidate: Candidate, position_error: float, orientation_error: float, reason: str) -> IkResult:
+def _result(problem: Problem, candidate: Candidate, position_error: float, orientation_error: float, reason: str) -> IkResult:
     """The result of a candidate; without a reason against it, it is a solution."""
     return IkResult(
         ok=not reason,
@@ -177,6 +178,7 @@ def _result(candidate: Candidate, position_error: float, orientation_error: floa
         reason=reason,
         iterations=candidate.iterations,
         starts=candidate.starts,
+        branch=problem.chain.branches(candidate.q[None])[0],
     )
 
 
