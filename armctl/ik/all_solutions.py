@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import itertools
 import math
-from functools import cache, lru_cache
-from types import ModuleType
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from armctl.collision.checkers import collision_checker
 from armctl.core.pose import Pose
 from armctl.core.target import TargetLike
 from armctl.core.validation import Array, IntArray, flag, frozen, integer
 from armctl.ik import lm
-from armctl.ik.geometry import ClosedForm
+from armctl.ik.closed_form_solutions import MIN_SAMPLES, Solutions, closed_form_solutions, polished
 from armctl.ik.lm import TOLERANCE_SHARE
 from armctl.ik.problem import (
     MIN_TOLERANCE,
@@ -45,47 +44,7 @@ MIN_REGULAR_SINGULAR_VALUE = 1e-6  # of the Jacobian in reaches per radian: abov
 PATIENCE = 300  # random starts without a new solution, after which the search ends
 SWEEP_PATIENCE = 12  # the same for each further sample of a sweep, which begins at the solutions of the sample before
 SOLUTIONS_PER_SAMPLE = 4  # fewest to expect: it determines the number of samples of a sweep
-MIN_SAMPLES = 16
 CONDITION_SAMPLES = 16  # configurations at which the choice of swept joints is judged
-MAX_SEEDS_PER_SAMPLE = 16
-MIN_EMPTY_SAMPLES = 256  # of a sweep that finds nothing
-SAMPLES_PER_SOLUTION = 4  # of a sweep
-# How far outside the limits a solution of the closed form may be before it is refined: at a double root, slack in a cosine moves
-# a joint by its square root.
-SINGULAR_MARGIN = 0.03  # rad
-INEXACT_MARGIN = 0.2  # rad, if the axes are only almost special
-DEVIATION_FACTOR = 10.0  # slack in cosines for each unit by which the axes deviate
-
-
-class Solutions(NamedTuple):
-    """Distinct solutions inside the limits, the nearest to q0 first.
-
-    Attributes:
-        q: (N, n) rad.
-        position_error: (N,) m.
-        orientation_error: (N,) rad.
-        branch: (N,) numbers of the branches, as floats.
-        starts: How many configurations were begun with.
-        steps: Solver steps.
-        is_complete: Whether there is proved to be no other.
-    """
-
-    q: Array
-    position_error: Array
-    orientation_error: Array
-    branch: Array
-    starts: int
-    steps: int
-    is_complete: bool
-
-    def select(self, rows: IntArray) -> Solutions:
-        """Those with the numbers (K,)."""
-        return self._replace(
-            q=self.q[rows],
-            position_error=self.position_error[rows],
-            orientation_error=self.orientation_error[rows],
-            branch=self.branch[rows],
-        )
 
 
 class _Found(NamedTuple):
@@ -110,15 +69,19 @@ def solve_ik_all(
 ) -> IkBatch:
     """All configurations that bring the tip to a target, inside the joint limits, the nearest to q0 first.
 
-    The search is numerical: it descends from many starts and keeps the distinct solutions. It ends when 300 random starts in a
-    row found nothing new. `is_complete` tells whether the number is proved: if an arm of six hinges has as many isolated
-    solutions as such a chain can have at most (8 if three consecutive axes are parallel or meet in a point, else 16), there are
-    no more. In all other cases a solution may be missing, although none of the tests has met such a target.
+    An arm of six hinges has a closed form for poses if three consecutive axes meet in a point or are parallel. It gives all
+    solutions, and `is_complete` is True unless one of them is within rounding of a singularity, where their number is not
+    certain. If the axes are special only up to 5e-4 rad or reaches, a numerical search begins at its solutions.
+
+    An arm of seven hinges is swept: one joint is held at sampled positions, each of which gives all configurations of the other
+    six, in closed form if their axes permit. The result is a sample of the self-motion, evenly spread over the joint's range.
+
+    In all other cases the search is numerical: it descends from many starts and keeps the distinct solutions. It ends when 300
+    random starts in a row found nothing new. `is_complete` is True if an arm of six hinges has as many isolated solutions as
+    such a chain can have at most (16, or 8 with special axes). If the arm has more joints than the target has constraints, the
+    surplus joints are swept. Else a solution may be missing, although none of the tests has met such a target.
 
     Configurations that differ by whole turns are one solution; of these the nearest to q0 inside the limits is returned.
-
-    If the arm has more joints than the target has constraints, solutions are not isolated. Then the surplus joints are swept
-    over their ranges, and the result is a sample of the self-motion: every branch at each sampled value.
 
     Args:
         arm: The arm.
@@ -158,6 +121,8 @@ def solve_ik_all(
     flag("avoid_collisions", avoid_collisions)
     if chain.closed_form is not None and constraint == chain.kernel.POSE:
         found = closed_form_solutions(problem, chain.closed_form, limit)
+        if len(chain.unit) == 6 and not chain.closed_form.is_exact:
+            found = _completed(problem, found)
     else:
         found = _numerical_solutions(problem, limit)
     is_complete = found.is_complete and len(found.q) <= limit
@@ -192,66 +157,11 @@ def solve_ik_all(
     )
 
 
-def closed_form_solutions(problem: Problem, closed_form: ClosedForm, limit: int) -> Solutions:
-    """The solutions of an arm with a closed form, refined; of seven joints a sample."""
-    chain = problem.chain
-    n = len(chain.unit)
-    q0 = problem.q0[0]
-    slack = problem.position_tolerance / chain.reach + problem.orientation_tolerance
-    margin = SINGULAR_MARGIN
-    if not closed_form.is_exact:
-        slack += DEVIATION_FACTOR * closed_form.deviation
-        margin = INEXACT_MARGIN
-    is_swept = closed_form.held >= 0
-    seeds = np.empty((limit + MAX_SEEDS_PER_SAMPLE * MIN_SAMPLES if is_swept else MAX_SEEDS_PER_SAMPLE, n))
-    target = problem.targets[0]
-    count, doubtful, samples = closed_form_kernels().find(
-        closed_form.form,
-        chain.reach,
-        target,
-        q0,
-        slack,
-        margin,
-        MIN_SAMPLES,
-        max(MIN_EMPTY_SAMPLES, SAMPLES_PER_SOLUTION * limit),
-        limit,
-        seeds,
-    )
-    found = _polished(problem, seeds[:count], samples)
-    if is_swept:
-        return found._replace(is_complete=False)
-    if not closed_form.is_exact:
-        return _completed(problem, found)
-    return found._replace(is_complete=found.is_complete and not doubtful)
-
-
-def _polished(problem: Problem, seeds: Array, starts: int) -> Solutions:
-    """The solutions that seeds (M, n) lead to, the nearest to q0 first."""
-    chain = problem.chain
-    q = np.empty(seeds.shape)
-    details = np.empty((3, len(seeds)))
-    found, steps, lost = chain.kernel.polish(
-        chain.rows,
-        chain.reach,
-        problem.targets[0],
-        problem.position_tolerance,
-        problem.orientation_tolerance,
-        problem.q0[0],
-        seeds,
-        q,
-        details,
-    )
-    if found < len(seeds):
-        q = q[:found]
-        details = details[:, :found]
-    return Solutions(q, details[0], details[1], details[2], starts, steps, lost == 0)
-
-
 def _completed(problem: Problem, found: Solutions) -> Solutions:
     """The solutions of an arm whose axes are only almost special: near singularities its closed form may miss some."""
     chain = problem.chain
     more = _find(problem, chain.rows, found.q, MAX_SOLUTIONS_6R, is_first=False)
-    complete = _polished(problem, more.q, found.starts + more.starts)
+    complete = polished(problem, more.q, found.starts + more.starts)
     return complete._replace(steps=found.steps + more.steps + complete.steps, is_complete=len(more.q) == MAX_SOLUTIONS_6R)
 
 
@@ -270,7 +180,7 @@ def _numerical_solutions(problem: Problem, limit: int) -> Solutions:
     distance = np.linalg.norm(chain.to_units(q) - chain.to_units(problem.q0), axis=1)
     order = np.flatnonzero(ok)[np.argsort(distance[ok], kind="stable")]
     q = q[order]
-    branch = chain.branch_numbers(q)
+    branch = chain.branch_numbers(q).astype(float)
     is_complete = len(found.q) == bound and _all_regular(problem, found.q)
     return Solutions(
         q, position_error[order], orientation_error[order], branch, found.starts + starts, found.steps + steps, is_complete
@@ -278,17 +188,9 @@ def _numerical_solutions(problem: Problem, limit: int) -> Solutions:
 
 
 @lru_cache(maxsize=1024)
-def _column(count: int, value: bool | str | int) -> Array:
+def _column(count: int, value: bool | str | int) -> NDArray:
     """(count,) a value, read-only; shared, because creating it would take longer."""
     return frozen(np.full(count, value, object if isinstance(value, str) else None))
-
-
-@cache
-def closed_form_kernels() -> ModuleType:
-    """The compiled kernels of the closed form; numba is imported when they are first used."""
-    from armctl.ik import closed_form
-
-    return closed_form
 
 
 def _one_row(result: IkResult) -> IkBatch:

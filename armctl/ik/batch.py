@@ -6,11 +6,10 @@ import itertools
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import fields
 from typing import cast
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose
@@ -73,10 +72,20 @@ def solve_ik_batch(
         finally:
             pool.shutdown(cancel_futures=True)
     in_order = [parts[i] for i in range(len(chunks))]
-    names = [field.name for field in fields(IkBatch) if field.name not in ("branch", "is_complete")]
-    columns = {name: [getattr(part, name) for part in in_order] for name in names}
-    branch = tuple(itertools.chain.from_iterable(part.branch for part in in_order))
-    return IkBatch(branch=branch, **{name: frozen(np.concatenate(arrays)) for name, arrays in columns.items()})
+    return IkBatch(
+        ok=_joined([part.ok for part in in_order]),
+        q=_joined([part.q for part in in_order]),
+        position_error=_joined([part.position_error for part in in_order]),
+        orientation_error=_joined([part.orientation_error for part in in_order]),
+        reason=_joined([part.reason for part in in_order]),
+        iterations=_joined([part.iterations for part in in_order]),
+        starts=_joined([part.starts for part in in_order]),
+        branch=tuple(itertools.chain.from_iterable(part.branch for part in in_order)),
+    )
+
+
+def _joined(parts: list[NDArray]) -> NDArray:
+    return frozen(np.concatenate(parts))
 
 
 def _chunks(count: int, workers: int) -> list[IntArray]:

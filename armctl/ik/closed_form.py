@@ -1,9 +1,9 @@
 """The closed form of six hinges of which three in a row meet in a point or are parallel, compiled.
 
-With the joints' motions E_k about their axes in the zero configuration, and X the target's pose times the inverse of the tip's
-pose in the zero configuration, E_1 E_2 ... E_6 = X. This loop may begin at any joint: an axis moved from its front to its end is
-transformed by the inverse of X. So the three special joints (a, b, c) can be anywhere, and with the other three (f, g, h) in the
-order of the loop
+E_k are the joints' motions about their axes in the zero configuration, and X is the target's pose times the inverse of the
+tip's pose in the zero configuration: E_1 E_2 ... E_6 = X. This loop may begin at any joint: an axis moved from its front to its
+end is transformed by the inverse of X. So the three special joints (a, b, c) can be anywhere, and with the other three
+(f, g, h) in the order of the loop
 
     (E_a E_b E_c)^-1 = E_f E_g E_h X^-1.
 
@@ -25,30 +25,16 @@ from __future__ import annotations
 import numpy as np
 
 from armctl.core.jit import njit
-from armctl.ik.geometry import MEET, NEITHER, PARALLEL
+from armctl.ik.geometry import FIRST, HELD, HIGH, KIND, LOW, MEET, NEITHER, PAIR_FIRST, PAIR_KIND, PARALLEL, POINT
 
-# A form (n + 2, FORM_COLUMNS) describes a chain of n hinges in the zero configuration, lengths in reaches. A row per joint: the
-# direction of its axis 0-2, a point on it 3-5, the joint's bounds. Then a row for the tip: rotation 0-8, translation 9-11. Then a
-# row for the structure.
-FORM_COLUMNS = 14
-POINT = 3
-LOW = 12
-HIGH = 13
-# The structure's columns.
-KIND = 0  # of the three special axes: MEET or PARALLEL
-FIRST = 1  # the first of them, among the six joints
-PAIR_KIND = 2  # of two neighbours among the other three axes: MEET, PARALLEL or NEITHER
-PAIR_FIRST = 3  # 0 if these are the first two of the three, 1 if the last two
-HELD = 4  # the joint that is swept; -1 if there are six
-
-MAX_SOLUTIONS = 16  # that `_solve_six` writes: four times two, and as many again for double roots
+MAX_SOLUTIONS = 16  # that `_solve_six` writes: eight for the first three joints, and two for each of them
+WORK = 14  # numbers: the roots of a polynomial of degree four, and two equations of five numbers
 TINY = 1e-9  # reaches, or sine of an angle: a circle with that radius is a point
 NEAR_DOUBLE_ROOT = 1e-6  # of a cosine from 1: the two roots are closer than 3e-3 rad, and may be one
 MAX_ROOT_ITERATIONS = 60
 ROOT_TOLERANCE = 1e-14
-UNIT_CIRCLE_BAND = 1e-3  # of a root's modulus from 1: rounding may move a double root off the circle
+UNIT_CIRCLE_BAND = 1e-3  # of a root's modulus from 1: rounding moves a double root off the circle, as a pair
 NEWTON_ITERATIONS = 3
-MIN_SLOPE = 1e-3  # relative: a root with less is nearly double
 EXACT_ROOT = 1e-10  # relative
 
 
@@ -148,25 +134,8 @@ def _linear_roots(a, b, d, slack, preferred):
 
 
 @njit
-def _trigonometric_roots(k0, k1, k2, k3, k4, slack, roots):
-    """The angles with k0 + k1 cos t + k2 sin t + k3 cos 2t + k4 sin 2t = 0: their number, and whether it is doubtful.
-
-    They are the roots on the unit circle of a polynomial of degree four, found all at once by Aberth's method.
-    """
-    scale = abs(k0) + abs(k1) + abs(k2) + abs(k3) + abs(k4)
-    if scale < TINY * TINY:
-        return 0, True
-    if abs(k3) + abs(k4) < 1e-12 * scale:
-        count, first, second, doubtful = _linear_roots(k1, k2, -k0, slack, 0.0)
-        roots[0] = first
-        roots[1] = second
-        return count, doubtful
-    lead = 0.5 * complex(k3, -k4)
-    a3 = 0.5 * complex(k1, -k2) / lead
-    a2 = k0 / lead
-    a1 = 0.5 * complex(k1, k2) / lead
-    a0 = 0.5 * complex(k3, k4) / lead
-    z = np.empty(4, np.complex128)
+def _polynomial_roots(a3, a2, a1, a0, z):
+    """Fills z (4,) with the roots of z^4 + a3 z^3 + a2 z^2 + a1 z + a0, all at once (Aberth)."""
     for i in range(4):
         z[i] = (0.9 + 0.1 * i) * complex(np.cos(0.4 + 1.57 * i), np.sin(0.4 + 1.57 * i))
     for _ in range(MAX_ROOT_ITERATIONS):
@@ -186,15 +155,35 @@ def _trigonometric_roots(k0, k1, k2, k3, k4, slack, roots):
             largest = max(largest, abs(step) / max(abs(z[i]), 1e-300))
         if largest < ROOT_TOLERANCE:
             break
+
+
+@njit
+def _trigonometric_roots(k0, k1, k2, k3, k4, slack, roots):
+    """The angles with k0 + k1 cos t + k2 sin t + k3 cos 2t + k4 sin 2t = 0: their number, and whether it is doubtful.
+
+    They are the roots on the unit circle of a polynomial of degree four.
+    """
+    scale = abs(k0) + abs(k1) + abs(k2) + abs(k3) + abs(k4)
+    if scale < TINY * TINY:
+        return 0, True
+    if abs(k3) + abs(k4) < 1e-12 * scale:
+        count, first, second, doubtful = _linear_roots(k1, k2, -k0, slack, 0.0)
+        roots[0] = first
+        roots[1] = second
+        return count, doubtful
+    lead = 0.5 * complex(k3, -k4)
+    z = np.empty(4, np.complex128)
+    _polynomial_roots(0.5 * complex(k1, -k2) / lead, k0 / lead, 0.5 * complex(k1, k2) / lead, 0.5 * complex(k3, k4) / lead, z)
     count = 0
     doubtful = False
     for i in range(4):
         if not abs(abs(z[i]) - 1.0) < UNIT_CIRCLE_BAND:
             continue
+        for j in range(i):
+            doubtful = doubtful or abs(z[i] - z[j]) < 2.0 * UNIT_CIRCLE_BAND
         angle = np.arctan2(z[i].imag, z[i].real)
         best = angle
         least = np.inf
-        slope_at_best = 0.0
         for _ in range(NEWTON_ITERATIONS):
             c = np.cos(angle)
             s = np.sin(angle)
@@ -203,12 +192,9 @@ def _trigonometric_roots(k0, k1, k2, k3, k4, slack, roots):
             if abs(value) < least:
                 least = abs(value)
                 best = angle
-                slope_at_best = abs(slope)
             if abs(slope) < TINY * scale:
                 break
             angle -= value / slope
-        if slope_at_best < MIN_SLOPE * scale:
-            doubtful = True
         if least <= max(EXACT_ROOT, slack) * scale:
             roots[count] = best
             count += 1
@@ -240,7 +226,61 @@ def _common_normal(f1, p1, f2, p2):
 
 
 @njit
-def _point_roots(f1, p1, f2, p2, f3, p3, start, goal, kind, slack, preferred, order, quartic, roots):
+def _last_angles(f1, p1, f2, p2, f3, centre, u, v, goal, kind, slack, preferred, roots):
+    """Angle 3 of `_point_roots`, where axes 2 and 1 can turn the point to the goal."""
+    if kind == MEET:
+        out = _minus(centre, p1)
+        to_goal = _minus(goal, p1)
+        square = 0.5 * (_dot(to_goal, to_goal) - _dot(out, out) - _dot(u, u))
+        count, roots[0], roots[1], doubtful = _linear_roots(_dot(out, u), _dot(out, v), square, slack, preferred)
+        return count, doubtful
+    if kind == PARALLEL:
+        height = _dot(f1, goal) - _dot(f1, centre)
+        count, roots[0], roots[1], doubtful = _linear_roots(_dot(f1, u), _dot(f1, v), height, slack, preferred)
+        return count, doubtful
+    # With the common normal w from p1 to p2, the goal's height along axis 1 and its distance determine the part of the point
+    # across axis 2. Its length is known, too.
+    w = _minus(p2, p1)
+    across = _across(f2, f1)
+    to_goal = _minus(goal, p1)
+    out = _minus(centre, p2)
+    cos = _dot(f1, f2)
+    along = (_dot(f2, out), _dot(f2, u), _dot(f2, v))
+    square = (_dot(out, out) + _dot(u, u), 2.0 * _dot(out, u), 2.0 * _dot(out, v))
+    rest = _dot(to_goal, to_goal) - _dot(w, w)
+    form = (-square[0], -square[1], -square[2], 0.0, 0.0)
+    height = _dot(f1, to_goal) - cos * along[0]
+    form = _quadratic_form(form, height, -cos * along[1], -cos * along[2], 1.0 / _dot(across, across))
+    form = _quadratic_form(form, 0.5 * (rest - square[0]), -0.5 * square[1], -0.5 * square[2], 1.0 / _dot(w, w))
+    form = _quadratic_form(form, along[0], along[1], along[2], 1.0)
+    return _trigonometric_roots(form[0], form[1], form[2], form[3], form[4], slack, roots)
+
+
+@njit
+def _middle_angles(f1, p1, f2, p2, x, goal, kind, slack, preferred):
+    """Angle 2 of `_point_roots`, which turns the point x to where axis 1 can turn it to the goal."""
+    to_goal = _minus(goal, p1)
+    r = _minus(x, p2)
+    if kind == MEET:
+        height = _dot(f1, to_goal) - _dot(f1, f2) * _dot(f2, r)
+        return _linear_roots(_dot(f1, _across(f2, r)), _dot(f1, _cross(f2, r)), height, slack, preferred)
+    if kind == PARALLEL:
+        w = _across(f1, _minus(p2, p1))
+        r = _across(f1, r)
+        to_goal = _across(f1, to_goal)
+        square = 0.5 * (_dot(to_goal, to_goal) - _dot(w, w) - _dot(r, r))
+        return _linear_roots(_dot(w, r), _dot(w, _cross(f2, r)), square, slack, preferred)
+    w = _minus(p2, p1)
+    across = _across(f2, f1)
+    height = _dot(f1, to_goal) - _dot(f1, f2) * _dot(f2, r)
+    square = 0.5 * (_dot(to_goal, to_goal) - _dot(w, w) - _dot(r, r))
+    turned = _add(_times(height / _dot(across, across), across), _times(square / _dot(w, w), w))
+    angle, doubtful = _angle_between(f2, r, turned, preferred)
+    return 1, angle, angle, doubtful
+
+
+@njit
+def _point_roots(f1, p1, f2, p2, f3, p3, start, goal, kind, slack, preferred, order, work, roots):
     """The angles (count, 3) with E_1 E_2 E_3 start = goal; `kind` is that of the first two axes.
 
     `order` 1 writes the angles as they are, -1 from last to first: for a chain that is gone through backwards.
@@ -249,60 +289,13 @@ def _point_roots(f1, p1, f2, p2, f3, p3, start, goal, kind, slack, preferred, or
     centre = _add(p3, _times(_dot(f3, _minus(start, p3)), f3))
     u = _minus(start, centre)
     v = _cross(f3, u)
-    doubtful = False
-    count = 0
-    if kind == MEET:
-        out = _minus(centre, p1)
-        to_goal = _minus(goal, p1)
-        square = 0.5 * (_dot(to_goal, to_goal) - _dot(out, out) - _dot(u, u))
-        angles3, quartic[0], quartic[1], doubt = _linear_roots(_dot(out, u), _dot(out, v), square, slack, preferred[2])
-    elif kind == PARALLEL:
-        height = _dot(f1, goal) - _dot(f1, centre)
-        angles3, quartic[0], quartic[1], doubt = _linear_roots(_dot(f1, u), _dot(f1, v), height, slack, preferred[2])
-    else:
+    if kind == NEITHER:
         p1, p2 = _common_normal(f1, p1, f2, p2)
-        w = _minus(p2, p1)
-        a = _minus(f1, _times(_dot(f1, f2), f2))
-        to_goal = _minus(goal, p1)
-        out = _minus(centre, p2)
-        cos = _dot(f1, f2)
-        along = (_dot(f2, out), _dot(f2, u), _dot(f2, v))
-        square = (_dot(out, out) + _dot(u, u), 2.0 * _dot(out, u), 2.0 * _dot(out, v))
-        rest = _dot(to_goal, to_goal) - _dot(w, w)
-        aa = _dot(a, a)
-        ww = _dot(w, w)
-        form = (-square[0], -square[1], -square[2], 0.0, 0.0)
-        form = _quadratic_form(form, _dot(f1, to_goal) - cos * along[0], -cos * along[1], -cos * along[2], 1.0 / aa)
-        form = _quadratic_form(form, 0.5 * (rest - square[0]), -0.5 * square[1], -0.5 * square[2], 1.0 / ww)
-        form = _quadratic_form(form, along[0], along[1], along[2], 1.0)
-        angles3, doubt = _trigonometric_roots(form[0], form[1], form[2], form[3], form[4], slack, quartic)
-    doubtful = doubtful or doubt
+    angles3, doubtful = _last_angles(f1, p1, f2, p2, f3, centre, u, v, goal, kind, slack, preferred[2], work)
+    count = 0
     for i in range(angles3):
-        x = _add(centre, _add(_times(np.cos(quartic[i]), u), _times(np.sin(quartic[i]), v)))
-        r = _minus(x, p2)
-        if kind == NEITHER:
-            w = _minus(p2, p1)
-            a = _minus(f1, _times(_dot(f1, f2), f2))
-            to_goal = _minus(goal, p1)
-            alpha = _dot(f1, to_goal) - _dot(f1, f2) * _dot(f2, r)
-            beta = 0.5 * (_dot(to_goal, to_goal) - _dot(w, w) - _dot(r, r))
-            plane = _add(_times(alpha / _dot(a, a), a), _times(beta / _dot(w, w), w))
-            first2, doubt = _angle_between(f2, r, plane, preferred[1])
-            second2 = first2
-            angles2 = 1
-        elif kind == MEET:
-            r = _minus(x, p1)
-            side = _cross(f2, r)
-            height = _dot(f1, _minus(goal, p1)) - _dot(f1, f2) * _dot(f2, r)
-            angles2, first2, second2, doubt = _linear_roots(
-                _dot(f1, _across(f2, r)), _dot(f1, side), height, slack, preferred[1]
-            )
-        else:
-            w = _across(f1, _minus(p2, p1))
-            r = _across(f1, r)
-            to_goal = _across(f1, _minus(goal, p1))
-            square = 0.5 * (_dot(to_goal, to_goal) - _dot(w, w) - _dot(r, r))
-            angles2, first2, second2, doubt = _linear_roots(_dot(w, r), _dot(w, _cross(f2, r)), square, slack, preferred[1])
+        x = _add(centre, _add(_times(np.cos(work[i]), u), _times(np.sin(work[i]), v)))
+        angles2, first2, second2, doubt = _middle_angles(f1, p1, f2, p2, x, goal, kind, slack, preferred[1])
         doubtful = doubtful or doubt
         for k in range(angles2):
             angle2 = first2 if k == 0 else second2
@@ -311,112 +304,93 @@ def _point_roots(f1, p1, f2, p2, f3, p3, start, goal, kind, slack, preferred, or
             doubtful = doubtful or doubt
             roots[count, 1 - order] = angle1
             roots[count, 1] = angle2
-            roots[count, 1 + order] = quartic[i]
+            roots[count, 1 + order] = work[i]
             count += 1
     return count, doubtful
 
 
 @njit
-def _plane_roots(f1, p1, f2, p2, f3, p3, h, u, offset, kind, pair_first, slack, preferred, quartic, roots):
-    """The angles (count, 3) with which E_1 E_2 E_3 turns the direction u into h and keeps the heights along them.
+def _plane_equations(f1, p1, f2, p2, f3, p3, h, u, offset, equations):
+    """Fills the equations (2, 5) of the turn and of the height, without the angle of the joint in the middle.
 
-    `p2` must be the point where f2 meets its neighbour if it does. `offset` is the difference of the heights: h . (X x) is
-    u . x + offset for all x. Returns their number and whether it is doubtful.
-
-    The equations: g . (E_3 u) = g . (E_1^-1 h) for the axis g of joint 2, and h . (E_1 p2) = u . (E_3^-1 p2) + offset.
+    They are f2 . (E_3 u) = f2 . (E_1^-1 h) and h . (E_1 p2) = u . (E_3^-1 p2) + offset. A row holds the factors of the cosines
+    and sines of angle 1 and angle 3, and the right-hand side.
     """
     r1 = _minus(p2, p1)
     r3 = _minus(p2, p3)
-    # Row by row: a cos t1 + b sin t1 + c cos t3 + d sin t3 = e.
-    turn_a = -_dot(f2, _across(f1, h))
-    turn_b = _dot(f2, _cross(f1, h))
-    turn_c = _dot(f2, _across(f3, u))
-    turn_d = _dot(f2, _cross(f3, u))
-    turn_e = _dot(f2, f1) * _dot(f1, h) - _dot(f2, f3) * _dot(f3, u)
-    height_a = _dot(h, _across(f1, r1))
-    height_b = _dot(h, _cross(f1, r1))
-    height_c = -_dot(u, _across(f3, r3))
-    height_d = _dot(u, _cross(f3, r3))
-    height_e = offset + _dot(u, p3) - _dot(h, p1) + _dot(u, f3) * _dot(f3, r3) - _dot(h, f1) * _dot(f1, r1)
+    equations[0, 0] = -_dot(f2, _across(f1, h))
+    equations[0, 1] = _dot(f2, _cross(f1, h))
+    equations[0, 2] = _dot(f2, _across(f3, u))
+    equations[0, 3] = _dot(f2, _cross(f3, u))
+    equations[0, 4] = _dot(f2, f1) * _dot(f1, h) - _dot(f2, f3) * _dot(f3, u)
+    equations[1, 0] = _dot(h, _across(f1, r1))
+    equations[1, 1] = _dot(h, _cross(f1, r1))
+    equations[1, 2] = -_dot(u, _across(f3, r3))
+    equations[1, 3] = _dot(u, _cross(f3, r3))
+    equations[1, 4] = offset + _dot(u, p3) - _dot(h, p1) + _dot(u, f3) * _dot(f3, r3) - _dot(h, f1) * _dot(f1, r1)
+
+
+@njit
+def _determinant(equations, i, j):
+    return equations[0, i] * equations[1, j] - equations[0, j] * equations[1, i]
+
+
+@njit
+def _plane_roots(f1, p1, f2, p2, f3, p3, h, u, offset, kind, pair_first, slack, preferred, work, roots):
+    """The angles (count, 3) with which E_1 E_2 E_3 turns the direction u into h and keeps the heights along them.
+
+    `kind` is that of two neighbours, of which `pair_first` is the first; p2 must be the point in which f2 meets its neighbour.
+    `offset` is the difference of the heights: h . (X x) is u . x + offset for all x. Returns their number and whether it is
+    doubtful.
+    """
+    equations = work[4:14].reshape(2, 5)
+    _plane_equations(f1, p1, f2, p2, f3, p3, h, u, offset, equations)
+    decisive = 1 if kind == MEET else 0  # the row that holds only one angle if two axes meet or are parallel
     doubtful = False
-    count = 0
-    det1 = turn_a * height_b - turn_b * height_a
-    det3 = turn_c * height_d - turn_d * height_c
+    det = 1.0
     if kind != NEITHER:
-        is_third_first = pair_first == 0
-        use_height = kind == MEET
-        if is_third_first:
-            a, b, e = (height_c, height_d, height_e) if use_height else (turn_c, turn_d, turn_e)
-        else:
-            a, b, e = (height_a, height_b, height_e) if use_height else (turn_a, turn_b, turn_e)
-        found, quartic[0], quartic[1], doubtful = _linear_roots(
-            a, b, e, slack, preferred[2] if is_third_first else preferred[0]
-        )
-    elif max(abs(det1), abs(det3)) < TINY:
-        return 0, True
+        one = 2 if pair_first == 0 else 0  # columns of the angle that is found first
+        other = 2 - one
+        row = equations[decisive]
+        found, work[0], work[1], doubtful = _linear_roots(row[one], row[one + 1], row[4], slack, preferred[one])
     else:
-        is_third_first = abs(det1) >= abs(det3)
-        if is_third_first:
-            form = _quadratic_form(
-                (-det1 * det1, 0.0, 0.0, 0.0, 0.0),
-                turn_e * height_b - turn_b * height_e,
-                turn_b * height_c - turn_c * height_b,
-                turn_b * height_d - turn_d * height_b,
-                1.0,
-            )
+        other = 0 if abs(_determinant(equations, 0, 1)) >= abs(_determinant(equations, 2, 3)) else 2
+        one = 2 - other
+        det = _determinant(equations, other, other + 1)
+        if abs(det) < TINY:
+            return 0, True
+        form = (-det * det, 0.0, 0.0, 0.0, 0.0)
+        for k in range(other, other + 2):  # det times the sine, and det times the cosine of the other angle (Cramer)
             form = _quadratic_form(
                 form,
-                turn_a * height_e - turn_e * height_a,
-                turn_c * height_a - turn_a * height_c,
-                turn_d * height_a - turn_a * height_d,
+                _determinant(equations, k, 4),
+                -_determinant(equations, k, one),
+                -_determinant(equations, k, one + 1),
                 1.0,
             )
-        else:
-            form = _quadratic_form(
-                (-det3 * det3, 0.0, 0.0, 0.0, 0.0),
-                turn_e * height_d - turn_d * height_e,
-                turn_d * height_a - turn_a * height_d,
-                turn_d * height_b - turn_b * height_d,
-                1.0,
-            )
-            form = _quadratic_form(
-                form,
-                turn_c * height_e - turn_e * height_c,
-                turn_a * height_c - turn_c * height_a,
-                turn_b * height_c - turn_c * height_b,
-                1.0,
-            )
-        found, doubtful = _trigonometric_roots(form[0], form[1], form[2], form[3], form[4], slack, quartic)
+        found, doubtful = _trigonometric_roots(form[0], form[1], form[2], form[3], form[4], slack, work)
+    count = 0
     for i in range(found):
-        cos = np.cos(quartic[i])
-        sin = np.sin(quartic[i])
+        cos = np.cos(work[i])
+        sin = np.sin(work[i])
+        turn = equations[0, 4] - equations[0, one] * cos - equations[0, one + 1] * sin
+        height = equations[1, 4] - equations[1, one] * cos - equations[1, one + 1] * sin
         if kind == NEITHER:
-            if is_third_first:
-                turn = turn_e - turn_c * cos - turn_d * sin
-                height = height_e - height_c * cos - height_d * sin
-                first = np.arctan2((turn_a * height - height_a * turn) / det1, (turn * height_b - height * turn_b) / det1)
-            else:
-                turn = turn_e - turn_a * cos - turn_b * sin
-                height = height_e - height_a * cos - height_b * sin
-                first = np.arctan2((turn_c * height - height_c * turn) / det3, (turn * height_d - height * turn_d) / det3)
-            second = first
             others = 1
-        elif is_third_first:
-            turn = turn_e - turn_c * cos - turn_d * sin
-            height = height_e - height_c * cos - height_d * sin
-            a, b, e = (turn_a, turn_b, turn) if use_height else (height_a, height_b, height)
-            others, first, second, doubt = _linear_roots(a, b, e, slack, preferred[0])
-            doubtful = doubtful or doubt
+            first = np.arctan2(
+                (equations[0, other] * height - equations[1, other] * turn) / det,
+                (turn * equations[1, other + 1] - height * equations[0, other + 1]) / det,
+            )
+            second = first
         else:
-            turn = turn_e - turn_a * cos - turn_b * sin
-            height = height_e - height_a * cos - height_b * sin
-            a, b, e = (turn_c, turn_d, turn) if use_height else (height_c, height_d, height)
-            others, first, second, doubt = _linear_roots(a, b, e, slack, preferred[2])
+            row = equations[1 - decisive]
+            rest = turn if decisive == 1 else height
+            others, first, second, doubt = _linear_roots(row[other], row[other + 1], rest, slack, preferred[other])
             doubtful = doubtful or doubt
         for k in range(others):
-            other = first if k == 0 else second
-            angle1 = other if is_third_first else quartic[i]
-            angle3 = quartic[i] if is_third_first else other
+            found_last = first if k == 0 else second
+            angle1 = found_last if other == 0 else work[i]
+            angle3 = work[i] if other == 0 else found_last
             before = _turn(f3, np.cos(angle3), np.sin(angle3), u)
             after = _turn(f1, np.cos(angle1), -np.sin(angle1), h)
             angle2, doubt = _angle_between(f2, before, after, preferred[1])
@@ -429,118 +403,148 @@ def _plane_roots(f1, p1, f2, p2, f3, p3, h, u, offset, kind, pair_first, slack, 
 
 
 @njit
-def _solve_six(axes, points, rotation, translation, structure, preferred, slack, quartic, roots, out):
-    """All angles (count, 6) with E_1 ... E_6 = X, and whether their number is doubtful.
+def _first_three(axes, points, rotation, translation, structure, preferred, slack, work, roots):
+    """The angles (count, 3) of the three joints that are not special, in the order of the loop.
 
-    X is given by the rows of its rotation and its translation.
+    Fills rows 6 to 8 of `axes` and `points` with their axes, of which those at the front of the loop are moved to its end.
     """
-    kind = int(structure[KIND])
     first = int(structure[FIRST])
     pair_kind = int(structure[PAIR_KIND])
     pair_first = int(structure[PAIR_FIRST])
-    a = first
-    b = first + 1
-    c = first + 2
-    f = (first + 3) % 6
-    g = (first + 4) % 6
-    h = (first + 5) % 6
-    for k in range(3):  # the axes moved from the front of the loop to its end
-        joint = first + 3 + k
-        row = joint % 6
-        axis = _vector(axes, row, 0)
-        point = _vector(points, row, 0)
+    for k in range(6, 9):
+        joint = first + k - 3
+        axis = _vector(axes, joint % 6, 0)
+        point = _vector(points, joint % 6, 0)
         if joint >= 6:
             axis = _rotate_back(rotation, axis)
             point = _rotate_back(rotation, _minus(point, translation))
-        axes[6 + k, 0], axes[6 + k, 1], axes[6 + k, 2] = axis
-        points[6 + k, 0], points[6 + k, 1], points[6 + k, 2] = point
+        axes[k, 0], axes[k, 1], axes[k, 2] = axis
+        points[k, 0], points[k, 1], points[k, 2] = point
     f1 = _vector(axes, 6, 0)
     f2 = _vector(axes, 7, 0)
     f3 = _vector(axes, 8, 0)
     p1 = _vector(points, 6, 0)
     p2 = _vector(points, 7, 0)
     p3 = _vector(points, 8, 0)
-    axis_a = _vector(axes, a, 0)
-    axis_b = _vector(axes, b, 0)
-    axis_c = _vector(axes, c, 0)
-    point_a = _vector(points, a, 0)
-    point_b = _vector(points, b, 0)
-    point_c = _vector(points, c, 0)
-    near = (preferred[f], preferred[g], preferred[h])
-    if kind == MEET:
-        start = _rotate_back(rotation, _minus(point_a, translation))
-        if pair_kind != NEITHER and pair_first == 1:
-            back = (near[2], near[1], near[0])
-            n1 = _times(-1.0, f1)
-            n2 = _times(-1.0, f2)
-            n3 = _times(-1.0, f3)
-            solved, doubtful = _point_roots(n3, p3, n2, p2, n1, p1, point_a, start, pair_kind, slack, back, -1, quartic, roots)
-        else:
-            solved, doubtful = _point_roots(f1, p1, f2, p2, f3, p3, start, point_a, pair_kind, slack, near, 1, quartic, roots)
-    else:
-        u = _rotate_back(rotation, axis_a)
-        offset = _dot(axis_a, translation)
-        solved, doubtful = _plane_roots(
-            f1, p1, f2, p2, f3, p3, axis_a, u, offset, pair_kind, pair_first, slack, near, quartic, roots
-        )
-    # What joint b moves: the axis of joint c, or the point c across the parallel axes.
-    w = _across(axis_a, _minus(point_b, point_a))
-    r = _across(axis_a, _minus(point_c, point_b))
-    if kind == MEET:
-        special_cos = _dot(axis_a, _across(axis_b, axis_c))
-        special_sin = _dot(axis_a, _cross(axis_b, axis_c))
-        special_rest = _dot(axis_a, axis_b) * _dot(axis_b, axis_c)
-    else:
-        special_cos = _dot(w, r)
-        special_sin = _dot(w, _cross(axis_b, r))
-        special_rest = 0.5 * (_dot(w, w) + _dot(r, r))
+    near = (preferred[(first + 3) % 6], preferred[(first + 4) % 6], preferred[(first + 5) % 6])
+    if structure[KIND] == PARALLEL:
+        axis = _vector(axes, first, 0)
+        u = _rotate_back(rotation, axis)
+        offset = _dot(axis, translation)
+        return _plane_roots(f1, p1, f2, p2, f3, p3, axis, u, offset, pair_kind, pair_first, slack, near, work, roots)
+    goal = _vector(points, first, 0)
+    start = _rotate_back(rotation, _minus(goal, translation))
+    if pair_kind == NEITHER or pair_first == 0:
+        return _point_roots(f1, p1, f2, p2, f3, p3, start, goal, pair_kind, slack, near, 1, work, roots)
+    back = (near[2], near[1], near[0])
+    f1 = _times(-1.0, f1)
+    f2 = _times(-1.0, f2)
+    f3 = _times(-1.0, f3)
+    return _point_roots(f3, p3, f2, p2, f1, p1, goal, start, pair_kind, slack, back, -1, work, roots)
+
+
+@njit
+def _store_trigonometry(angles, trig):
+    """Fills trig (6,) with the cosines and sines of three angles."""
+    for k in range(3):
+        trig[k] = np.cos(angles[k])
+        trig[3 + k] = np.sin(angles[k])
+
+
+@njit
+def _turned_back(axes, rotation, trig, a):
+    """A vector turned by E_a E_b E_c, which is X (E_f E_g E_h)^-1."""
+    a = _turn(_vector(axes, 6, 0), trig[0], -trig[3], a)
+    a = _turn(_vector(axes, 7, 0), trig[1], -trig[4], a)
+    a = _turn(_vector(axes, 8, 0), trig[2], -trig[5], a)
+    return _rotate(rotation, a)
+
+
+@njit
+def _moved_back(axes, points, rotation, translation, trig, a):
+    """A point moved by E_a E_b E_c."""
+    a = _move(_vector(axes, 6, 0), _vector(points, 6, 0), trig[0], -trig[3], a)
+    a = _move(_vector(axes, 7, 0), _vector(points, 7, 0), trig[1], -trig[4], a)
+    a = _move(_vector(axes, 8, 0), _vector(points, 8, 0), trig[2], -trig[5], a)
+    return _add(_rotate(rotation, a), translation)
+
+
+@njit
+def _meeting_angles(axes, first, rotation, trig, preferred, slack, out):
+    """The angles (count, 3) of three joints whose axes meet in a point, and whether their number is doubtful."""
+    a = _vector(axes, first, 0)
+    b = _vector(axes, first + 1, 0)
+    c = _vector(axes, first + 2, 0)
+    moved_b = _turned_back(axes, rotation, trig, b)
+    moved_c = _turned_back(axes, rotation, trig, c)
+    height = _dot(a, moved_c) - _dot(a, b) * _dot(b, c)
+    near = preferred[first + 1]
+    count, angle, second, doubtful = _linear_roots(_dot(a, _across(b, c)), _dot(a, _cross(b, c)), height, slack, near)
+    for k in range(count):
+        cos = np.cos(angle)
+        sin = np.sin(angle)
+        angle_a, doubt = _angle_between(a, _turn(b, cos, sin, c), moved_c, preferred[first])
+        doubtful = doubtful or doubt
+        turned = _turn(b, cos, -sin, _turn(a, np.cos(angle_a), -np.sin(angle_a), moved_b))
+        angle_c, _ = _angle_between(c, b, turned, preferred[first + 2])
+        out[k, 0] = angle_a
+        out[k, 1] = angle
+        out[k, 2] = angle_c
+        angle = second
+    return count, doubtful
+
+
+@njit
+def _parallel_angles(axes, points, first, rotation, translation, trig, preferred, slack, out):
+    """The angles (count, 3) of three joints whose axes are parallel, and whether their number is doubtful."""
+    a = _vector(axes, first, 0)
+    b = _vector(axes, first + 1, 0)
+    point_a = _vector(points, first, 0)
+    point_b = _vector(points, first + 1, 0)
+    point_c = _vector(points, first + 2, 0)
+    w = _across(a, _minus(point_b, point_a))
+    r = _across(a, _minus(point_c, point_b))
+    to_c = _across(a, _minus(_moved_back(axes, points, rotation, translation, trig, point_c), point_a))
+    whole, doubtful = _angle_between(a, w, _turned_back(axes, rotation, trig, w), 0.0)
+    square = 0.5 * (_dot(to_c, to_c) - _dot(w, w) - _dot(r, r))
+    near = preferred[first + 1]
+    count, angle, second, doubt = _linear_roots(_dot(w, r), _dot(w, _cross(b, r)), square, slack, near)
+    doubtful = doubtful or doubt
+    for k in range(count):
+        angle_a, doubt = _angle_between(a, _add(w, _turn(b, np.cos(angle), np.sin(angle), r)), to_c, preferred[first])
+        doubtful = doubtful or doubt
+        out[k, 0] = angle_a
+        out[k, 1] = angle
+        out[k, 2] = _dot(a, _vector(axes, first + 2, 0)) * (whole - angle_a - _dot(a, b) * angle)
+        angle = second
+    return count, doubtful
+
+
+@njit
+def _solve_six(axes, points, rotation, translation, structure, preferred, slack, memory, out):
+    """All angles (count, 6) with E_1 ... E_6 = X, and whether their number is doubtful.
+
+    X is given by the rows of its rotation and its translation.
+    """
+    work = memory[:WORK]
+    trig = memory[WORK : WORK + 6]
+    roots = memory[WORK + 6 : WORK + 30].reshape(8, 3)
+    special = memory[WORK + 30 :].reshape(2, 3)
+    first = int(structure[FIRST])
+    solved, doubtful = _first_three(axes, points, rotation, translation, structure, preferred, slack, work, roots)
     count = 0
     for i in range(solved):
-        angle_f = roots[i, 0]
-        angle_g = roots[i, 1]
-        angle_h = roots[i, 2]
-        cos_f = np.cos(angle_f)
-        sin_f = np.sin(angle_f)
-        cos_g = np.cos(angle_g)
-        sin_g = np.sin(angle_g)
-        cos_h = np.cos(angle_h)
-        sin_h = np.sin(angle_h)
-        # Q is the rotation of E_a E_b E_c, applied to the vectors that determine the three angles.
-        v = axis_b if kind == MEET else w
-        Qv = _rotate(rotation, _turn(f3, cos_h, -sin_h, _turn(f2, cos_g, -sin_g, _turn(f1, cos_f, -sin_f, v))))
-        if kind == MEET:
-            Qc = _rotate(rotation, _turn(f3, cos_h, -sin_h, _turn(f2, cos_g, -sin_g, _turn(f1, cos_f, -sin_f, axis_c))))
-            angles, first_b, second_b, doubt = _linear_roots(
-                special_cos, special_sin, _dot(axis_a, Qc) - special_rest, slack, preferred[b]
-            )
+        _store_trigonometry(roots[i], trig)
+        if structure[KIND] == MEET:
+            angles, doubt = _meeting_angles(axes, first, rotation, trig, preferred, slack, special)
         else:
-            moved = _move(f3, p3, cos_h, -sin_h, _move(f2, p2, cos_g, -sin_g, _move(f1, p1, cos_f, -sin_f, point_c)))
-            to_c = _across(axis_a, _minus(_add(_rotate(rotation, moved), translation), point_a))
-            whole, doubt = _angle_between(axis_a, w, Qv, 0.0)
-            square = 0.5 * _dot(to_c, to_c) - special_rest
-            angles, first_b, second_b, doubt = _linear_roots(special_cos, special_sin, square, slack, preferred[b])
+            angles, doubt = _parallel_angles(axes, points, first, rotation, translation, trig, preferred, slack, special)
         doubtful = doubtful or doubt
         for k in range(angles):
-            angle_b = first_b if k == 0 else second_b
-            cos_b = np.cos(angle_b)
-            sin_b = np.sin(angle_b)
-            if kind == MEET:
-                angle_a, doubt = _angle_between(axis_a, _turn(axis_b, cos_b, sin_b, axis_c), Qc, preferred[a])
-                turned = _turn(axis_b, cos_b, -sin_b, _turn(axis_a, np.cos(angle_a), -np.sin(angle_a), Qv))
-                angle_c, _ = _angle_between(axis_c, axis_b, turned, preferred[c])
-            else:
-                angle_a, doubt = _angle_between(axis_a, _add(w, _turn(axis_b, cos_b, sin_b, r)), to_c, preferred[a])
-                sign_c = _dot(axis_a, axis_c)
-                angle_c = sign_c * (whole - angle_a - _dot(axis_a, axis_b) * angle_b)
-            doubtful = doubtful or doubt
-            if count < len(out):
-                out[count, a] = angle_a
-                out[count, b] = angle_b
-                out[count, c] = angle_c
-                out[count, f] = angle_f
-                out[count, g] = angle_g
-                out[count, h] = angle_h
-                count += 1
+            for j in range(3):
+                out[count, first + j] = special[k, j]
+                out[count, (first + 3 + j) % 6] = roots[i, j]
+            count += 1
     return count, doubtful
 
 
@@ -617,8 +621,7 @@ def find(form, reach, target, q0, slack, margin, min_samples, max_samples, wante
     held = int(structure[HELD])
     axes = np.empty((9, 3))
     points = np.empty((9, 3))
-    quartic = np.empty(4)
-    roots = np.empty((8, 3))
+    memory = np.empty(WORK + 36)
     solutions = np.empty((MAX_SOLUTIONS, 6))
     preferred = np.empty(6)
     row = 0
@@ -648,7 +651,7 @@ def find(form, reach, target, q0, slack, margin, min_samples, max_samples, wante
             (_dot(goal[2], tip[0]), _dot(goal[2], tip[1]), _dot(goal[2], tip[2])),
         )
         translation = _minus(goal_position, _rotate(rotation, position))
-        solved, doubt = _solve_six(axes, points, rotation, translation, structure, preferred, slack, quartic, roots, solutions)
+        solved, doubt = _solve_six(axes, points, rotation, translation, structure, preferred, slack, memory, solutions)
         doubtful = doubtful or doubt
         sample += 1
         for i in range(solved):

@@ -14,10 +14,25 @@ EXACT_TOLERANCE = 1e-9  # up to this deviation the closed form is that of the ch
 MIN_DEXTERITY = 1e-6  # mean smallest singular value of the Jacobian in reaches: below it, the arm is singular everywhere
 DEXTERITY_SAMPLES = 16
 
-# How axes are related; the kernels use the same numbers.
+# The kernels compile the following numbers in: after a change, empty numba's cache.
+# How axes are related:
 NEITHER = 0
 MEET = 1
 PARALLEL = 2
+# A form (n + 2, FORM_COLUMNS) describes a chain of n hinges in the zero configuration, lengths in reaches. A row per joint: the
+# direction of its axis 0-2, a point on it 3-5, the joint's bounds. Then a row for the tip: rotation 0-8, translation 9-11. Then
+# a row for the structure.
+FORM_COLUMNS = 14
+POINT = 3
+LOW = 12
+HIGH = 13
+# The structure's columns:
+KIND = 0  # of the three special axes: MEET or PARALLEL
+FIRST = 1  # the first of them, among the six joints
+PAIR_KIND = 2  # of two neighbours among the other three axes: MEET, PARALLEL or NEITHER
+PAIR_FIRST = 3  # 0 if these are the first two of the three, 1 if the last two
+HELD = 4  # the joint that is swept; -1 if there are six
+
 SIGNS = ("0", "+", "-")
 
 
@@ -33,7 +48,7 @@ class ClosedForm(NamedTuple):
     """A closed form of the inverse kinematics of a chain.
 
     Attributes:
-        form: (n + 2, 14), as `armctl.ik.closed_form` defines it.
+        form: (n + 2, 14), as this module defines it.
         held: The joint that is swept, or -1.
         special: (3,) the joints whose axes meet or are parallel.
         others: (3,) the other joints, in the order of the loop.
@@ -139,24 +154,22 @@ def _closed_form(
     pair: Relation,
     deviation: float,
 ) -> ClosedForm:
-    from armctl.ik import closed_form as columns
-
     n = len(axes)
-    form = np.zeros((n + 2, columns.FORM_COLUMNS))
+    form = np.zeros((n + 2, FORM_COLUMNS))
     form[:n, :3] = axes
-    form[:n, 3:6] = points
-    form[:n, columns.LOW : columns.HIGH + 1] = bounds
+    form[:n, POINT : POINT + 3] = points
+    form[:n, LOW : HIGH + 1] = bounds
     form[n, :12] = tip
     if relation.kind == MEET:
-        form[special, 3:6] = relation.point
+        form[special, POINT : POINT + 3] = relation.point
     if pair.kind == MEET:
-        form[others[pair_first : pair_first + 2], 3:6] = pair.point
+        form[others[pair_first : pair_first + 2], POINT : POINT + 3] = pair.point
     structure = form[n + 1]
-    structure[columns.KIND] = relation.kind
-    structure[columns.FIRST] = first
-    structure[columns.PAIR_KIND] = pair.kind
-    structure[columns.PAIR_FIRST] = pair_first
-    structure[columns.HELD] = held
+    structure[KIND] = relation.kind
+    structure[FIRST] = first
+    structure[PAIR_KIND] = pair.kind
+    structure[PAIR_FIRST] = pair_first
+    structure[HELD] = held
     names = branch_names(relation.kind, first, pair.kind, pair_first)
     return ClosedForm(
         form=frozen(form),
@@ -176,17 +189,18 @@ def branch_names(kind: int, first: int, pair_kind: int, pair_first: int) -> tupl
     near_tip = first >= 2
     inner = "wrist" if near_tip else "shoulder"
     outer = "shoulder" if near_tip else "wrist"
+    parts: tuple[str, ...]
     if kind == PARALLEL:
         parts = ("elbow", "arm", "") if pair_kind == NEITHER else ("elbow", inner, outer)
     elif pair_kind == NEITHER:
         parts = (inner, "arm", "")
     else:
         parts = (inner, "elbow", outer) if pair_kind == PARALLEL else (inner, outer, "elbow")
-    order = [part for part in ("shoulder", "arm", "elbow", "wrist") if part in parts]
+    places = [parts.index(part) for part in ("shoulder", "arm", "elbow", "wrist") if part in parts]
     names: list[str | None] = []
     for code in range(27):
-        signs = dict(zip(parts, (SIGNS[code // 9], SIGNS[code // 3 % 3], SIGNS[code % 3]), strict=True))
-        names.append(" ".join(part + signs[part] for part in order))
+        signs = (SIGNS[code // 9], SIGNS[code // 3 % 3], SIGNS[code % 3])
+        names.append(" ".join(parts[place] + signs[place] for place in places))
     return (*names, None)
 
 

@@ -29,7 +29,7 @@ PERIOD = 17
 FREE_LOW = 18
 FREE_HIGH = 19
 MEETING_POINT = 20
-# The tip's row holds from column 12 the structure of the axes, if the chain has a closed form; `armctl.ik.geometry` explains it.
+# If the chain has a closed form, the tip's row holds the structure of the axes, which `armctl.ik.geometry` explains.
 AXES_KIND = 12  # of the three special axes: MEET, PARALLEL, or NEITHER without a closed form
 AXES_FIRST = 13  # the first of the three
 AXES_OTHERS = 14  # (3,) the other joints, in the order of the loop
@@ -868,7 +868,7 @@ def _wind_inside(chain, q0, q):
 
 @njit
 def polish(chain, reach, rows, position_tolerance, orientation_tolerance, q0, seeds, q, details):
-    """Refines the seeds (M, n) of a target (4, 3), and keeps those that are solutions inside the bounds, the nearest to q0 first.
+    """Refines the seeds (M, n) of a target (4, 3), and keeps those that are solutions inside the bounds, nearest first.
 
     The seeds are nearly exact, and equal ones are at most NEIGHBOURS apart. Fills q (M, n), and `details` (3, M): the errors in
     m and rad, and the branches. Returns how many solutions there are, the steps, and how many seeds led to no solution.

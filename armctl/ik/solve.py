@@ -16,6 +16,7 @@ from armctl.core.pose import Pose
 from armctl.core.target import TargetLike
 from armctl.core.validation import Array, flag, frozen
 from armctl.ik import lm
+from armctl.ik.closed_form_solutions import closed_form_solutions
 from armctl.ik.problem import (
     MIN_TOLERANCE,
     Problem,
@@ -33,6 +34,8 @@ LM_STARTS = 2000
 CONTACT_STARTS = 300  # in which a solution without contact must be found
 MINK_STARTS = 60
 NEAREST_STARTS = 64
+NEAREST_SAMPLE = 64  # solutions of a closed form
+NEAREST_PULLED = 8  # of them, if they are a sample of a self-motion
 NEAREST_PULL = 1e-3  # squared reaches per squared radian: small, so that solutions remain solutions
 
 Search = Callable[[Problem, int, int, Array | None], lm.SearchResult]
@@ -206,13 +209,24 @@ def _candidates(problem: Problem, search: Search, max_starts: int, stay_near: bo
 
 
 def _nearest_candidates(problem: Problem, search: Search) -> Iterator[Candidate]:
-    """Solutions from many starts, pulled towards q0 as far as they remain solutions, the nearest first."""
-    many = problem.select(np.zeros(NEAREST_STARTS, np.int64))
-    begin = problem.arm.limits.random(problem.q0[0], NEAREST_STARTS, np.random.default_rng(problem.seed))
-    begin[0] = problem.q0[0]
-    found = search(many, 0, 1, begin)
-    pulled = lm.search(many, 0, 1, lm.refine(many, found.q, NEAREST_PULL).q)
-    solutions = np.concatenate([found.q[found.solved], pulled.q[pulled.solved]])
-    iterations = int(found.iterations.sum() + pulled.iterations.sum())
+    """Solutions of the closed form, or from many starts, pulled towards q0 while they remain solutions, the nearest first."""
+    form = problem.chain.closed_form
+    if form is not None and problem.constraint == problem.chain.kernel.POSE:
+        found = closed_form_solutions(problem, form, NEAREST_SAMPLE)
+        nearest = found.q[:NEAREST_PULLED] if form.held >= 0 else found.q[:0]
+        many = problem.select(np.zeros(len(nearest), np.int64))
+        pulled = lm.search(many, 0, 1, lm.refine(many, nearest, NEAREST_PULL).q)
+        solutions = np.concatenate([pulled.q[pulled.solved], found.q])
+        starts = found.starts
+        iterations = found.steps + int(pulled.iterations.sum())
+    else:
+        many = problem.select(np.zeros(NEAREST_STARTS, np.int64))
+        begin = problem.arm.limits.random(problem.q0[0], NEAREST_STARTS, np.random.default_rng(problem.seed))
+        begin[0] = problem.q0[0]
+        scattered = search(many, 0, 1, begin)
+        pulled = lm.search(many, 0, 1, lm.refine(many, scattered.q, NEAREST_PULL).q)
+        solutions = np.concatenate([scattered.q[scattered.solved], pulled.q[pulled.solved]])
+        starts = NEAREST_STARTS
+        iterations = int(scattered.iterations.sum() + pulled.iterations.sum())
     for k in np.argsort(np.linalg.norm(solutions - problem.q0, axis=1), kind="stable"):
-        yield Candidate(solutions[k], NEAREST_STARTS, iterations)
+        yield Candidate(solutions[k], starts, iterations)

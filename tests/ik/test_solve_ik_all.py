@@ -1,13 +1,16 @@
 """solve_ik_all: every branch is found and is a solution by MuJoCo's kinematics; `is_complete` is claimed only with a proof."""
 
+import itertools
+
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import armctl
 from armctl import Arm, InputError, LimitError, Pose, solve_ik, solve_ik_all
 from armctl.collision.checkers import collision_checker
-from armctl.ik import solve_ik_batch
+from armctl.ik import closed_form, geometry, solve_ik_batch
 
 LINK = """<body pos="{x:g} {y:g} {z:g}"><joint name="j{i}" axis="{axis}" range="{range}"/>
 <geom type="capsule" fromto="0 0 0 0.01 0.01 0.02" size="0.01" mass="1" contype="0" conaffinity="0"/>"""
@@ -51,11 +54,10 @@ SIX_JOINTS = [name for name in CHAINS if name != "seven joints"]
 GENERIC = np.array([0.4, -0.9, 1.1, 0.5, 0.8, -0.3, 0.6])
 
 
-def arm_of(folder, name: str, bounds: str = "-3.1 3.1") -> Arm:
-    links = "".join(
-        LINK.format(x=x, y=y, z=z, i=i, axis=axis, range=bounds) for i, ((x, y, z), axis) in enumerate(CHAINS[name])
-    )
-    count = len(CHAINS[name])
+def arm_of(folder, name: str | list, bounds: str = "-3.1 3.1") -> Arm:
+    chain = CHAINS[name] if isinstance(name, str) else name
+    links = "".join(LINK.format(x=x, y=y, z=z, i=i, axis=axis, range=bounds) for i, ((x, y, z), axis) in enumerate(chain))
+    count = len(chain)
     motors = "".join(f'<motor joint="j{i}" ctrlrange="-200 200"/>' for i in range(count))
     path = folder / "chain.xml"
     path.write_text(
@@ -71,6 +73,15 @@ def mujoco_error(arm: Arm, q: np.ndarray, target: Pose) -> tuple[float, float]:
     mujoco.mj_kinematics(arm.model, data)
     T = Pose.from_rotation(data.xpos[arm.tip_body], data.xmat[arm.tip_body].reshape(3, 3)) @ arm.T_body_tip
     return T.distance(target)
+
+
+def product_of_exponentials(axes: np.ndarray, points: np.ndarray, tip: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """The pose (12,) of a chain given by its axes in the zero configuration, with pin.exp6 as an independent source."""
+    T = pin.SE3.Identity()
+    for axis, point, angle in zip(axes, points, q, strict=True):
+        T = T * pin.exp6(angle * np.concatenate([np.cross(point, axis), axis]))
+    T = T * pin.SE3(tip[:9].reshape(3, 3), tip[9:])
+    return np.concatenate([T.rotation.ravel(), T.translation])
 
 
 def distance(q: np.ndarray, others: np.ndarray) -> float:
@@ -111,12 +122,78 @@ def test_all_that_five_thousand_random_starts_find_is_found(tmp_path, name: str)
         assert distance(q, found.q) < 1e-3
 
 
+@pytest.mark.parametrize("special", ["meet", "parallel"])
+def test_the_closed_form_finds_every_configuration_wherever_the_special_axes_are(special: str):
+    rng = np.random.default_rng(5)
+    seeds = np.empty((16, 6))
+    structures = set()
+    doubts = 0
+    for first, pair in itertools.product(range(4), ["neither", "first two meet", "last two parallel"]):
+        axes = rng.normal(size=(6, 3))
+        points = rng.uniform(-0.4, 0.4, (6, 3))
+        rows = [first, first + 1, first + 2]
+        if special == "meet":
+            points[rows] = points[first] + axes[rows]
+        else:
+            axes[rows] = axes[first]
+        others = [(first + 3 + k) % 6 for k in range(3)]
+        if pair == "first two meet":
+            points[others[1]] = points[others[0]] + axes[others[0]] - axes[others[1]]
+        elif pair == "last two parallel":
+            axes[others[2]] = axes[others[1]]
+        axes /= np.linalg.norm(axes, axis=1)[:, None]
+        tip = np.concatenate([np.eye(3).ravel(), rng.uniform(-0.5, 0.5, 3)])
+        found = geometry.closed_form_of(axes, points, tip, np.tile([-np.pi, np.pi], (6, 1)))
+        structures.add((found.special[0], found.kind, found.pair_kind, found.pair_first))
+        for q in rng.uniform(-3, 3, (5, 6)):
+            target = product_of_exponentials(axes, points, tip, q)
+            count, is_doubtful, _ = closed_form.find(found.form, 1.0, target, np.zeros(6), 1e-9, 0.0, 1, 1, 1, seeds)
+            assert 2 <= count <= 8
+            doubts += is_doubtful
+            assert distance(q, seeds[:count]) < 1e-7
+            for one in seeds[:count]:
+                assert np.abs(product_of_exponentials(axes, points, tip, one) - target).max() < 1e-9
+    assert len(structures) >= 9
+    assert doubts <= 2
+
+
+def test_almost_special_axes_are_a_beginning_and_prove_nothing(tmp_path):
+    exact = arm_of(tmp_path, "a spherical wrist")
+    target = exact.fk(GENERIC[:6])
+    rounded = [*CHAINS["a spherical wrist"]]
+    rounded[5] = ((0, 1e-4, 0), "0.0002 0 1")
+    arm = arm_of(tmp_path, rounded)
+    found = solve_ik_all(arm, target)
+    assert len(found) == len(solve_ik_all(exact, target))
+    assert not found.is_complete
+    assert max(mujoco_error(arm, q, target)[0] for q in found.q) <= 1e-5
+
+
+def test_at_a_singularity_nothing_is_proved(tmp_path):
+    arm = arm_of(tmp_path, "a spherical wrist")
+    q = np.array([0.4, -0.9, 1.1, 0.5, 0.0, -0.3])
+    found = solve_ik_all(arm, arm.fk(q), q0=q)
+    assert found
+    assert not found.is_complete
+    assert np.abs(found.q[0] - q).max() < 1e-6
+    assert "wrist0" in found.branch[0]
+
+
 def test_without_special_axes_fewer_than_sixteen_solutions_are_not_proved_to_be_all(tmp_path):
     arm = arm_of(tmp_path, "no special axes")
     found = [solve_ik_all(arm, arm.fk(q)) for q in arm.limits.random(arm.home, 10, np.random.default_rng(2))]
     assert all(found)
     assert any(len(each) < 16 for each in found)
     assert not any(each.is_complete for each in found if len(each) < 16)
+
+
+def test_the_branches_of_the_solutions_of_six_joints_differ_and_tell_them_apart(tmp_path):
+    arm = arm_of(tmp_path, "three parallel axes", "-6.2 6.2")
+    found = solve_ik_all(arm, arm.fk(GENERIC[:6]))
+    signs = {f"shoulder{s} elbow{e} wrist{w}" for s in "+-" for e in "+-" for w in "+-"}
+    assert set(found.branch) == signs
+    for k, q in enumerate(found.q):
+        assert solve_ik(arm, arm.fk(q), q).branch == found.branch[k] == found[k].branch
 
 
 def test_limits_remove_solutions_and_whole_turns_are_no_solutions_of_their_own(tmp_path):
