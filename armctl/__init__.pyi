@@ -90,5 +90,10 @@ from .sim.plant import Push as Push
 from .sim.simulate import simulate as simulate
 from .sim.simulation import Simulation as Simulation
 from .sim.team import Team as Team
+from .study.factors import Choice as Choice
+from .study.factors import Normal as Normal
+from .study.factors import Range as Range
+from .study.result import StudyResult as StudyResult
+from .study.study import Study as Study
 
 __version__: str

@@ -1,0 +1,77 @@
+"""`armctl study FILE.toml`: many runs over payloads, friction, delays and controllers, here or on a Dask cluster."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from armctl.cli.common import DONE, NOT_REACHED, Commands, add_command, add_json, print_result, say_written
+from armctl.core.errors import InputError, NotInstalledError
+
+if TYPE_CHECKING:
+    from armctl.study.result import StudyResult
+
+_CONNECT_TIMEOUT_S = 30
+
+
+def add(commands: Commands) -> None:
+    """Adds the command to the parser."""
+    parser = add_command(commands, "study", run, "many runs over factors and controllers; a second start continues")
+    parser.add_argument("file", type=Path, help="the study, a .toml file with the arguments of armctl.Study")
+    parser.add_argument("--folder", type=Path, default=Path(), metavar="DIR", help="where NAME.sqlite is (default here)")
+    parser.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tcp://10.0.0.1:8786")
+    parser.add_argument("--metric", default="tip_rms_m", help="the figure of the table and the plots (default %(default)s)")
+    parser.add_argument("--save", type=Path, metavar="DIR", help="write the table (Parquet) and plots into this folder")
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Runs the command."""
+    from armctl.study.study import Study
+
+    study = Study.from_file(args.file)
+    with _executor(args.dask) as executor:
+        result = study.run(executor, folder=args.folder)
+    summary = result.summary([args.metric])
+    print_result(args, str(summary), summary.to_dict())
+    if args.save:
+        _save(result, args.save, args.metric)
+    return DONE if result else NOT_REACHED
+
+
+def _save(result: StudyResult, folder: Path, metric: str) -> None:
+    name = result.study.name
+    say_written(result.save(folder / f"{name}.parquet"))
+    numeric = result.numeric_factors
+    if numeric:
+        for plot, kind in ((result.plot_quantiles, "quantiles"), (result.plot_tornado, "tornado")):
+            path = folder / f"{name}-{kind}.png"
+            plot(path, metric)
+            say_written(path)
+    if len(numeric) > 1:
+        path = folder / f"{name}-success.png"
+        result.plot_success(path)
+        say_written(path)
+
+
+@contextmanager
+def _executor(address: str | None) -> Iterator[Executor | None]:
+    """The executor of a Dask cluster, or None for this process."""
+    if address is None:
+        yield None
+        return
+    try:
+        from dask.distributed import Client
+    except ImportError:
+        raise NotInstalledError.of_extra("--dask needs Dask", "study") from None
+    try:
+        client = Client(address, timeout=_CONNECT_TIMEOUT_S)
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(f"--dask: {address:.80}: {error!s:.160}") from None
+    with client:
+        # Without pure=False Dask would take two equal chunks for one.
+        yield client.get_executor(pure=False)

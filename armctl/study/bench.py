@@ -1,0 +1,307 @@
+"""Bench: everything that the runs of a study share, and a run. Workers make it from plain data and keep it."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import json
+import math
+import threading
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from armctl.analysis.comparison import out_and_back
+from armctl.analysis.report import Report
+from armctl.control import CONTROLLERS, Controller
+from armctl.core.errors import ArmctlError, ArmctlWarning, InputError, ModelError, UnknownNameError
+from armctl.core.log import Log
+from armctl.core.validation import Array, number
+from armctl.ik.solve import solve_ik
+from armctl.loading.load import load
+from armctl.motion import JointTrajectory, move_j
+from armctl.robot.arm import Arm
+from armctl.sim.plant import Plant
+from armctl.sim.simulate import simulate
+from armctl.study.factors import Point
+
+FIGURES = (
+    "joint_rms_rad",
+    "joint_max_rad",
+    "joint_rms_m",
+    "joint_max_m",
+    "tip_rms_m",
+    "tip_max_m",
+    "final_tip_error_m",
+    "final_orientation_error_rad",
+    "settling_time_s",
+    "overshoot_m",
+    "peak_torque_ratio",
+    "saturated_fraction",
+    "chatter_nm",
+    "duration_s",
+)
+CONTROLLER_FACTOR = "controller."  # begins the name of a factor that is an argument of the controllers
+_NOT_FACTORS = ("pushes", "seed", "name")
+PLANT_FACTORS = tuple(field.name for field in fields(Plant) if field.name not in _NOT_FACTORS)
+_NOISE_RAD = 1e-5  # of encoders, for noise = 1
+_NOISE_RAD_S = 1e-3
+OTHER_FACTORS = {
+    "friction": "Coulomb friction as a fraction of the torque limits, and half as much viscous friction per rad/s",
+    "noise": "noise of measurements, times 1e-5 rad and 1e-3 rad/s",
+    "speed": "fraction of the full speed of the motion",
+    "target": "tip position, m, and for 7 numbers orientation, wxyz, for motion = 'reach'",
+}
+_KEPT_MOTIONS = 256
+_KEPT_CONTROLLERS = 64
+_MODEL_ARRAYS = (
+    "body_mass",
+    "body_inertia",
+    "body_pos",
+    "body_quat",
+    "body_ipos",
+    "body_iquat",
+    "jnt_pos",
+    "jnt_axis",
+    "jnt_range",
+    "jnt_stiffness",
+    "dof_damping",
+    "dof_armature",
+    "dof_frictionloss",
+    "geom_type",
+    "geom_size",
+    "geom_pos",
+    "geom_quat",
+    "geom_contype",
+    "geom_conaffinity",
+    "actuator_gear",
+    "actuator_forcerange",
+    "qpos0",
+)
+_LIMIT_ARRAYS = ("q_min", "q_max", "v_max", "a_max", "j_max", "tau_max")
+
+
+class Run(NamedTuple):
+    """One run as plain data.
+
+    Attributes:
+        key: Identifies the run and the versions it is made with.
+        controller: The label of the controller.
+        point: The values of the factors.
+        repeat: The number of the repetition, from 0.
+        seed: The seed of its noise. It does not depend on the controller.
+    """
+
+    key: str
+    controller: str
+    point: Point
+    repeat: int
+    seed: int
+
+
+Outcome = dict[str, Any]  # "ok", "reason", "completed", the figures, "contacts", "digest"
+
+
+class Bench:
+    """The arm, the motions and the controllers of a study. Threads may share it.
+
+    Attributes:
+        arm: The arm.
+    """
+
+    def __init__(self, setup: Mapping[str, Any]):
+        """Loads the arm.
+
+        Args:
+            setup: As `Study.setup` gives it.
+
+        Raises:
+            ArmctlError: The robot cannot be loaded, or another one has its name here.
+        """
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ArmctlWarning)  # whoever defined the study has seen them
+            self.arm: Arm = load(**setup["robot"])
+        self.digest = _model_digest(self.arm)
+        if setup.get("model", self.digest) != self.digest:
+            raise ModelError(f"{self.arm.name}: its model here is not the one with which the study was begun")
+        self._motion = setup["motion"]
+        self._controllers = setup["controllers"]
+        self._dwell = setup["dwell"]
+        self._tolerance = setup["tolerance"]
+        self._motions: dict[tuple[Any, Any], JointTrajectory] = {}
+        self._own = threading.local()  # controllers have a memory, so each thread has its own
+
+    def simulate(self, run: Run) -> Log:
+        """Makes one run, and returns all of its ticks.
+
+        Raises:
+            ArmctlError: A value of a factor is impossible, or the controller failed.
+        """
+        return simulate(self.arm, self.controller(run), self.motion(run.point), self.plant(run), self._dwell)
+
+    def outcome(self, run: Run) -> Outcome:
+        """Makes one run. A run that fails has an outcome with the reason."""
+        try:
+            log = self.simulate(run)
+        except ArmctlError as error:
+            return failed_outcome(str(error))
+        except Exception as error:  # a caller's controller may raise anything when it is made
+            return failed_outcome(f"{type(error).__name__}: {error!s:.200}")
+        return self.figures(log)
+
+    def figures(self, log: Log) -> Outcome:
+        """The outcome of a run from its ticks. One that ended early has no figures: they would be of its beginning only."""
+        if not len(log):
+            return failed_outcome(log.failure)
+        report = Report.from_log(log, self._tolerance)
+        completed = not log.failure
+        values = {name: float(getattr(report, name)) for name in FIGURES}
+        return {
+            "ok": report.ok,
+            "completed": completed,
+            "reason": report.reason,
+            **{name: value if completed and math.isfinite(value) else None for name, value in values.items()},
+            "contacts": len(report.contacts),
+            "digest": hashlib.blake2b(log.q.tobytes() + log.tau_cmd.tobytes(), digest_size=8).hexdigest(),
+        }
+
+    def plant(self, run: Run) -> Plant:
+        """The plant of a run."""
+        values: dict[str, Any] = {name: value for name, value in run.point.items() if name in PLANT_FACTORS}
+        if "friction" in run.point:
+            friction = number("friction", run.point["friction"], 0.0) * self.arm.limits.tau_max
+            values = {"coulomb_friction": friction, "viscous_friction": 0.5 * friction, **values}
+        if "noise" in run.point:
+            noise = number("noise", run.point["noise"], 0.0)
+            values = {"encoder_noise": noise * _NOISE_RAD, "velocity_noise": noise * _NOISE_RAD_S, **values}
+        return Plant(seed=run.seed, **values)
+
+    def check_plant(self, run: Run) -> None:
+        """Raises InputError if a value of a factor is impossible for this arm."""
+        plant = self.plant(run)
+        for name in ("coulomb_friction", "viscous_friction"):
+            given = np.size(getattr(plant, name))
+            if given not in (1, self.arm.n):
+                raise InputError(f"{name}: {given} numbers given, 1 or {self.arm.n} wanted for {self.arm.name}")
+
+    def motion(self, point: Point) -> JointTrajectory:
+        """The motion of a run."""
+        which = (point.get("target"), point.get("speed"))
+        motion = self._motions.get(which)
+        if motion is None:
+            motion = self._planned(point)
+            if len(self._motions) >= _KEPT_MOTIONS:
+                self._motions.clear()
+            self._motions[which] = motion
+        return motion
+
+    def _planned(self, point: Point) -> JointTrajectory:
+        speed = number("speed", point.get("speed", 1.0), 1e-3, 1.0)
+        kind = self._motion["kind"]
+        if kind == "out-and-back":
+            return out_and_back(self.arm, self._motion["distance"], speed=speed)
+        if kind == "reach":
+            target = np.asarray(point["target"])
+            solution = solve_ik(self.arm, target)
+            if not solution:
+                raise InputError(f"target: {target.round(4).tolist()}: {solution.reason}")
+            return move_j(self.arm, self.arm.home, solution.q, speed=speed)
+        if tuple(self._motion["joint_names"]) != self.arm.joint_names:
+            raise InputError(f"motion: it is one of the joints {', '.join(self._motion['joint_names']):.120}")
+        knots: Array = np.array(self._motion["knots"])
+        coefficients: Array = np.array(self._motion["coefficients"])
+        motion = JointTrajectory(knots, coefficients, self.arm.joint_names, self.arm.limits, units=self.arm.units)
+        return motion if speed == 1.0 else motion.scaled(speed)
+
+    def controller(self, run: Run) -> Controller:
+        """The controller of a run, one for each thread."""
+        arguments = {
+            name.removeprefix(CONTROLLER_FACTOR): value
+            for name, value in run.point.items()
+            if name.startswith(CONTROLLER_FACTOR)
+        }
+        kept = vars(self._own)
+        which = repr((run.controller, arguments))
+        if which not in kept:
+            if len(kept) >= _KEPT_CONTROLLERS:
+                kept.clear()
+            kept[which] = make_controller(run.controller, {**self._controllers[run.controller], **arguments}, self.arm)
+        return kept[which]
+
+
+def make_controller(label: str, spec: Mapping[str, Any], arm: Arm) -> Controller:
+    """A controller from plain data.
+
+    Args:
+        label: Its name in the study.
+        spec: Its name as `CONTROLLERS` lists it, or "module:Class", under "controller"; the rest are arguments.
+        arm: The arm.
+
+    Raises:
+        UnknownNameError: There is no such controller.
+        InputError: An argument is wrong.
+    """
+    name = spec["controller"]
+    make = _imported(name) if ":" in name else CONTROLLERS.get(name)
+    if make is None:
+        raise UnknownNameError.of("controller", name, CONTROLLERS)
+    arguments = {key: value for key, value in spec.items() if key != "controller"}
+    try:
+        return make(arm, **arguments)
+    except TypeError as error:
+        raise InputError(f"controllers: {label}: {name} cannot be made with {arguments!r:.120}: {error!s:.120}") from None
+
+
+def _imported(name: str) -> Any:
+    module, _, attribute = name.partition(":")
+    try:
+        return getattr(importlib.import_module(module), attribute)
+    except Exception as error:  # a caller's module may raise anything
+        raise InputError(f"controllers: {name!r:.80} cannot be imported ({type(error).__name__}: {error!s:.120})") from None
+
+
+_benches_lock = threading.Lock()
+
+
+@lru_cache(maxsize=2)
+def _kept_bench(setup: str) -> Bench:
+    return Bench(json.loads(setup))
+
+
+def run_chunk(setup: str, runs: Sequence[Run]) -> list[Outcome]:
+    """Makes runs, in a worker. Equal runs have equal bits, whichever worker makes them, in whichever order.
+
+    Args:
+        setup: What the runs share, as JSON.
+        runs: The runs.
+
+    Returns:
+        The outcome of each run.
+
+    Raises:
+        ArmctlError: The robot cannot be loaded here.
+    """
+    with _benches_lock:
+        bench = _kept_bench(setup)
+    return [bench.outcome(run) for run in runs]
+
+
+def failed_outcome(reason: str) -> Outcome:
+    """The outcome of a run that was not completed."""
+    figures = dict.fromkeys(FIGURES)
+    return {"ok": False, "completed": False, "reason": reason, **figures, "contacts": 0, "digest": ""}
+
+
+def _model_digest(arm: Arm) -> str:
+    """Tells models apart; meshes and textures do not enter."""
+    digest = hashlib.blake2b(digest_size=16)
+    for name in _MODEL_ARRAYS:
+        digest.update(getattr(arm.model, name).tobytes())
+    for name in _LIMIT_ARRAYS:
+        digest.update(getattr(arm.limits, name).tobytes())
+    digest.update(arm.home.tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,142 @@
+"""Study: a table of closed-loop runs over factors and controllers, on any executor, that can be stopped and continued."""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from typing import Any
+
+from armctl.core.atomic import file_path
+from armctl.core.errors import ArmctlWarning, InputError
+from armctl.core.progress import progress_bar
+from armctl.core.validation import flag, shown
+from armctl.study.bench import CONTROLLER_FACTOR, Outcome, Run, make_controller
+from armctl.study.execution import execute
+from armctl.study.factors import Factor, Random
+from armctl.study.plan import StudyPlan
+from armctl.study.result import StudyResult
+from armctl.study.store import Store
+
+
+class Study(StudyPlan):
+    """Many runs of a motion: every controller at every point of the factors, `repeats` times with different noise.
+
+    A study is plain data, and so is each of its runs, about 200 bytes. The seed of a run follows from what it is (the study,
+    the values of the factors, the repetition), not from when or where it is made, nor from the controller. All controllers
+    therefore meet the same noise, and their differences are paired.
+
+    A factor is a field of `Plant` (payload, mass_scale, coulomb_friction, viscous_friction, delay, encoder_noise, ...), or:
+    "friction", Coulomb friction as a fraction of the torque limits and half as much viscous friction per rad/s; "noise", of
+    measurements, times 1e-5 rad and 1e-3 rad/s; "speed", a fraction of the motion's full speed; "target", the position of the
+    tip for the motion "reach"; or "controller." and an argument of all controllers, such as "controller.bandwidth". Its value
+    is a list, of which every value is combined with every other, or a `Range`, `Normal` or `Choice`.
+
+    Attributes:
+        name: Names the study and its files; part of the seeds.
+        robot: The robot as for `load`, or a dict of the arguments of `load`.
+        controllers: Names of controllers, or a dict: label to a name, or to a dict of "controller" and its arguments. A name
+            such as "module:Class" is a class of one's own that is made with the arm; workers must be able to import it.
+        motion: "out-and-back", all joints at once from home and back; "reach", from home to the factor "target"; the .npz file
+            of a motion; or a motion.
+        factors: The factors by name; a single value is the same for all runs.
+        repeats: The number of runs at each point, with different noise.
+        samples: The number of samples of the distributions among the factors: a power of 2, unless `sampling` is "lhs".
+        sampling: "sobol", a scrambled Sobol sequence, of which more samples keep the first ones; "lhs", a Latin hypercube;
+            "saltelli", the points that `StudyResult.sensitivity` needs: (d + 2) samples for d distributions.
+        seed: The seed of the study.
+        dwell: s to hold the end of the motion.
+        tolerance: m, the largest distance at which the tip is at its goal.
+
+    Raises:
+        InputError: An argument has a wrong type or value.
+    """
+
+    def run(
+        self, executor: Executor | None = None, *, folder: str | os.PathLike[str] = ".", progress: bool = True
+    ) -> StudyResult:
+        """Makes all runs that are not yet finished, and returns the results of all.
+
+        Each finished run is kept in the file NAME.sqlite. Whatever ends the program or a worker, a second call makes only the
+        runs that remain, and their bits are the same. Results of other versions of armctl, MuJoCo, Pinocchio or NumPy are kept,
+        but not mixed with these.
+
+        Args:
+            executor: Where the runs are made: any `concurrent.futures.Executor`, such as a `ProcessPoolExecutor`, or
+                `dask.distributed.Client(address).get_executor(pure=False)` for a cluster; None for this process. It is not shut
+                down. Processes that are started by spawning need `if __name__ == "__main__":` in the script.
+            folder: Where the file is.
+            progress: Whether a bar shows the progress, if stderr is a terminal.
+
+        Returns:
+            The results. A run that failed is a row with the reason.
+
+        Raises:
+            InputError: A factor, a controller or the motion does not fit the robot, or the file is none of a study.
+            UnknownNameError: There is no such robot or controller.
+            ArmctlError: The robot cannot be loaded, the file cannot be written, or the executor has stopped. What was finished
+                is kept, as after Ctrl-C.
+        """
+        if executor is not None and not callable(getattr(executor, "submit", None)):
+            raise InputError(f"executor: {shown(executor)} is no Executor; for Dask give client.get_executor(pure=False)")
+        flag("progress", progress)
+        self._check()
+        with self._store(folder) as store:
+            finished = store.outcomes(self.runs, final=True)
+            todo = [run for run in self.runs if run.key not in finished]
+            others = 0 if finished else store.of_other_versions()
+            if others:
+                message = f"{self.name}: {others} runs of other versions are kept, but not used; now {self.versions}"
+                warnings.warn(ArmctlWarning(message), stacklevel=2)
+            with progress_bar("study", len(todo) if progress else 0, "runs") as bar:
+
+                def note(runs: Sequence[Run], outcomes: Sequence[Outcome], final: bool) -> None:
+                    store.add(runs, outcomes, final=final)
+                    if progress:
+                        bar.update(len(runs))
+
+                execute(json.dumps(self.setup), todo, executor, note)
+            return self._result(store)
+
+    def result(self, folder: str | os.PathLike[str] = ".") -> StudyResult:
+        """The results of the runs that are finished, without making any.
+
+        Args:
+            folder: Where the file is.
+
+        Returns:
+            The results; not `ok` if runs are missing.
+
+        Raises:
+            InputError: The file is none of a study.
+            ArmctlError: The file cannot be used.
+        """
+        with self._store(folder) as store:
+            return self._result(store)
+
+    def _result(self, store: Store) -> StudyResult:
+        return StudyResult.of(self, store.outcomes(self.runs))
+
+    def _store(self, folder: str | os.PathLike[str]) -> Store:
+        return Store(file_path("folder", os.path.join(folder, f"{self.name}.sqlite")), self.versions)
+
+    def _check(self) -> None:
+        """Builds every controller, and a plant and a motion for the extreme values of each factor, before anything runs."""
+        for label, spec in self.controllers.items():
+            make_controller(label, spec, self.bench.arm)
+        first = self.runs[0]
+        for name, factor in self.factors.items():
+            for value in _examples(factor):
+                run = first._replace(point={**first.point, name: value})
+                self.bench.check_plant(run)
+                if name == "speed":
+                    self.bench.motion(run.point)
+                if name.startswith(CONTROLLER_FACTOR):
+                    for label in self.controllers:
+                        self.bench.controller(run._replace(controller=label))
+
+
+def _examples(factor: Factor) -> Sequence[Any]:
+    return factor.examples() if isinstance(factor, Random) else factor

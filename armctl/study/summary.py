@@ -1,0 +1,137 @@
+"""StudySummary: the controllers of a study side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from armctl.analysis.tables import Table
+from armctl.study.statistics import Estimate, median, paired_differences, success
+
+
+@dataclass(frozen=True)
+class ControllerSummary:
+    """One controller over all its runs.
+
+    Attributes:
+        controller: Its label.
+        runs: The number of its runs.
+        completed: How many of them were completed, whether or not the tip was at its goal.
+        success: The share of runs at whose end the tip was at its goal, with Wilson's interval.
+        medians: The median of each metric, with a bootstrap interval; a run that was not completed counts as infinite.
+        differences: The median of the differences from the first controller at the same point with the same noise; empty
+            for the first one. Below 0 this controller is better.
+    """
+
+    controller: str
+    runs: int
+    completed: int
+    success: Estimate
+    medians: dict[str, Estimate]
+    differences: dict[str, Estimate]
+
+
+@dataclass(frozen=True)
+class StudySummary:
+    """The controllers of a study side by side. `bool(summary)` is `summary.ok`.
+
+    Attributes:
+        ok: Whether all runs of the study are finished.
+        reason: Why not, in words; empty if `ok`.
+        name: The name of the study.
+        metrics: The metrics.
+        controllers: One for each controller.
+    """
+
+    ok: bool
+    reason: str
+    name: str
+    metrics: tuple[str, ...]
+    controllers: tuple[ControllerSummary, ...]
+
+    def __bool__(self) -> bool:
+        return self.ok
+
+    def table(self) -> Table:
+        """The summary as a table; intervals are of 95 % confidence."""
+        header = ["controller", "runs", "completed", "at the goal, %"]
+        for metric in self.metrics:
+            label, _ = unit_of(metric)
+            header += [f"median {label}", "difference from the first"]
+        rows = []
+        for each in self.controllers:
+            row = [each.controller, str(each.runs), str(each.completed), f"{each.success.scaled(100):.1f}"]
+            for metric in self.metrics:
+                _, factor = unit_of(metric)
+                row.append(f"{each.medians[metric].scaled(factor):.3g}")
+                row.append(f"{each.differences[metric].scaled(factor):.3g}" if each.differences else "")
+            rows.append(row)
+        return Table(header, rows)
+
+    def __str__(self) -> str:
+        text = self.table().markdown()
+        return text if self.ok else f"{self.reason}\n\n{text}"
+
+    def to_dict(self) -> dict[str, object]:
+        """All figures for JSON; what is not finite is None.
+
+        Returns:
+            A dictionary of numbers, texts and lists.
+        """
+        controllers = [
+            {
+                "controller": each.controller,
+                "runs": each.runs,
+                "completed": each.completed,
+                "success": each.success.to_dict(),
+                "medians": {name: value.to_dict() for name, value in each.medians.items()},
+                "differences": {name: value.to_dict() for name, value in each.differences.items()},
+            }
+            for each in self.controllers
+        ]
+        return {"ok": self.ok, "reason": self.reason, "name": self.name, "controllers": controllers}
+
+
+def unit_of(metric: str) -> tuple[str, float]:
+    """The label of a metric in tables and plots, and the factor to its unit there: lengths in mm."""
+    name, _, unit = metric.rpartition("_")
+    known = {"m": ("mm", 1e3), "rad": ("rad", 1.0), "s": ("s", 1.0), "nm": ("N m", 1.0)}
+    if unit not in known:
+        return metric.replace("_", " "), 1.0
+    label, factor = known[unit]
+    return f"{name.replace('_', ' ')}, {label}", factor
+
+
+def summarize(
+    columns: Mapping[str, np.ndarray], labels: Sequence[str], metrics: Sequence[str]
+) -> tuple[ControllerSummary, ...]:
+    """The controllers of a table one by one; `metrics` are names of its columns."""
+    first = columns["controller"] == labels[0]
+    found = []
+    for label in labels:
+        own = columns["controller"] == label
+        differences = {}
+        if label != labels[0]:
+            mine, others = _paired(columns["pair"][own], columns["pair"][first])
+            for metric in metrics:
+                change = paired_differences(columns[metric][own][mine], columns[metric][first][others])
+                differences[metric] = median(change)
+        found.append(
+            ControllerSummary(
+                controller=label,
+                runs=int(own.sum()),
+                completed=int(columns["completed"][own].sum()),
+                success=success(columns["ok"][own]),
+                medians={metric: median(columns[metric][own]) for metric in metrics},
+                differences=differences,
+            )
+        )
+    return tuple(found)
+
+
+def _paired(pairs: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the runs are that have the same point and repetition."""
+    _, mine, theirs = np.intersect1d(pairs, others, assume_unique=True, return_indices=True)
+    return mine, theirs
