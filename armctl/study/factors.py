@@ -44,8 +44,7 @@ class Range:
         if self.log and self.low <= 0.0:
             raise InputError(f"low: {self.low:g} given, a number above 0 wanted for a logarithmic range")
 
-    def quantiles(self, u: Array, name: str) -> list[Value]:
-        """The values below which the shares `u` (k,) of the distribution are, for the factor `name`."""
+    def _quantiles(self, u: Array, name: str) -> list[Value]:
         if name in _WHOLE_NUMBERS:
             low = integer(f"{name}: low", self.low)
             high = integer(f"{name}: high", self.high)
@@ -54,8 +53,7 @@ class Range:
             return np.exp(math.log(self.low) + u * math.log(self.high / self.low)).tolist()
         return (self.low + u * (self.high - self.low)).tolist()
 
-    def examples(self) -> list[Value]:
-        """The values that are checked before anything runs."""
+    def _examples(self) -> list[Value]:
         return [self.low, self.high]
 
 
@@ -81,16 +79,14 @@ class Normal:
         if not self.low <= self.mean <= self.high:
             raise InputError(f"mean: {self.mean:g} given, a number between the bounds {self.low:g} and {self.high:g} wanted")
 
-    def quantiles(self, u: Array, name: str) -> list[Value]:
-        """The values below which the shares `u` (k,) of the distribution are, for the factor `name`."""
+    def _quantiles(self, u: Array, name: str) -> list[Value]:
         from scipy.stats import truncnorm
 
         bounds = [(bound - self.mean) / self.std for bound in (self.low, self.high)]
         inside = np.clip(u, 2.0**-53, 1.0 - 2.0**-53)  # a share of 0 is at minus infinity
         return truncnorm.ppf(inside, *bounds, loc=self.mean, scale=self.std).tolist()
 
-    def examples(self) -> list[Value]:
-        """The values that are checked before anything runs."""
+    def _examples(self) -> list[Value]:
         return [self.mean, *(bound for bound in (self.low, self.high) if math.isfinite(bound))]
 
 
@@ -115,16 +111,16 @@ class Choice:
         """
         object.__setattr__(self, "values", levels("values", values))
 
-    def quantiles(self, u: Array, name: str) -> list[Value]:
-        """The values below which the shares `u` (k,) of the distribution are, for the factor `name`."""
+    def _quantiles(self, u: Array, name: str) -> list[Value]:
         last = len(self.values) - 1
         return [self.values[min(int(x * len(self.values)), last)] for x in u.tolist()]
 
-    def examples(self) -> list[Value]:
-        """The values that are checked before anything runs."""
+    def _examples(self) -> list[Value]:
         return list(self.values)
 
 
+# `_quantiles(u, name)`: the values of the factor `name` below which the shares u (k,) of the distribution are.
+# `_examples()`: the values that are checked before anything runs.
 Random = Range | Normal | Choice
 Factor = Random | tuple[Value, ...]
 _TABLES: dict[frozenset[str], type[Random]] = {
@@ -157,6 +153,11 @@ def read_factor(name: str, value: Any) -> Factor:
             except TypeError:
                 break
     raise InputError(f"factors: {name}: {shown(dict(value))} given; {{low, high}}, {{mean, std}} or {{values}} wanted")
+
+
+def examples(factor: Factor) -> Sequence[Value]:
+    """The values of a factor that are checked before anything runs: all of a list, the bounds of a distribution."""
+    return factor._examples() if isinstance(factor, Random) else factor
 
 
 def factor_table(factor: Factor) -> Any:
@@ -192,7 +193,7 @@ def design_points(factors: Mapping[str, Factor], samples: int, sampling: str, se
     if not random:
         return grid
     shares = _shares(len(random), samples, sampling, seed)
-    columns = [factor.quantiles(u, name) for u, (name, factor) in zip(shares.T, random.items(), strict=True)]
+    columns = [factor._quantiles(u, name) for u, (name, factor) in zip(shares.T, random.items(), strict=True)]
     return [{**each, **dict(zip(random, row, strict=True))} for row in zip(*columns, strict=True) for each in grid]
 
 
@@ -215,9 +216,10 @@ def _shares(d: int, samples: int, sampling: str, seed: int) -> Array:
 def _plain(name: str, value: Any) -> Value:
     if isinstance(value, (bool, str)):
         return value
-    if isinstance(value, (Sequence, np.ndarray)) and np.ndim(value) == 1:
+    if np.ndim(value) == 1:
         return tuple(number(name, each) for each in value)
-    return integer(name, value) if isinstance(value, (int, np.integer)) else number(name, value)
+    checked = number(name, value)
+    return int(value) if isinstance(value, (int, np.integer)) else checked
 
 
 def _is_plain(value: Any) -> bool:

@@ -96,6 +96,7 @@ class StudyPlan:
 
         Raises:
             InputError: A name or a value is wrong.
+            UnknownNameError: There is no such argument.
         """
         instance("study", values, Mapping, "Study.to_dict() gives one")
         known = set(cls.__dataclass_fields__)
@@ -150,7 +151,12 @@ class StudyPlan:
 
     @cached_property
     def runs(self) -> tuple[Run, ...]:
-        """All runs, in the order of the table."""
+        """All runs, in the order of the table.
+
+        Raises:
+            InputError: There are too many, or the number of samples does not fit the sampling.
+            ArmctlError: The robot cannot be loaded.
+        """
         points = design_points(self.factors, self.samples, self.sampling, self.seed)
         count = len(points) * self.repeats * len(self.controllers)
         if count > MAX_RUNS:

@@ -57,14 +57,6 @@ class StudyResult:
     study: StudyPlan
     _columns: Mapping[str, np.ndarray]
 
-    @classmethod
-    def of(cls, study: StudyPlan, outcomes: Mapping[str, Outcome]) -> StudyResult:
-        """The result of a study from the outcomes of its runs, by key."""
-        rows = [(number, run, outcomes[run.key]) for number, run in enumerate(study.runs) if run.key in outcomes]
-        missing = len(study.runs) - len(rows)
-        reason = f"{missing} of {len(study.runs)} runs are not finished" if missing else ""
-        return cls(not missing, reason, study, _columns(study, rows))
-
     def __bool__(self) -> bool:
         return self.ok
 
@@ -129,8 +121,8 @@ class StudyResult:
             temporary.write_bytes(buffer.getvalue())
         return path
 
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> StudyResult:
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> StudyResult:
         """Reads a result that `save` wrote as .parquet.
 
         Args:
@@ -158,10 +150,7 @@ class StudyResult:
             raise InputError(f"{path!s:.160}: cannot be read: No such file or directory") from None
         except Exception as error:  # damaged bytes raise whatever pyarrow and JSON run into
             raise InputError(f"{path!s:.160}: no result of a study ({type(error).__name__}: {error!s:.120})") from None
-        total = study.run_count
-        missing_runs = total - len(columns["run"])
-        reason = f"{missing_runs} of {total} runs are not finished" if missing_runs else ""
-        return cls(not missing_runs, reason, study, columns)
+        return _with_columns(study, study.run_count, columns)
 
     def summary(self, metrics: Sequence[str] = ("tip_rms_m", "final_tip_error_m")) -> StudySummary:
         """The controllers side by side, with intervals of 95 % confidence.
@@ -358,6 +347,18 @@ class StudyResult:
         choice(what, metric, METRICS)
         if not len(self):
             raise InputError(f"{self.study.name}: no run is finished")
+
+
+def study_result(study: StudyPlan, outcomes: Mapping[str, Outcome]) -> StudyResult:
+    """The result of a study from the outcomes of its runs, by key."""
+    rows = [(number, run, outcomes[run.key]) for number, run in enumerate(study.runs) if run.key in outcomes]
+    return _with_columns(study, len(study.runs), _columns(study, rows))
+
+
+def _with_columns(study: StudyPlan, total: int, columns: Mapping[str, np.ndarray]) -> StudyResult:
+    missing = total - len(columns["run"])
+    reason = f"{missing} of {total} runs are not finished" if missing else ""
+    return StudyResult(not missing, reason, study, columns)
 
 
 def _columns(study: StudyPlan, rows: Sequence[tuple[int, Run, Outcome]]) -> dict[str, np.ndarray]:

@@ -7,7 +7,6 @@ import os
 import warnings
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from typing import Any
 
 from armctl.core.atomic import file_path
 from armctl.core.errors import ArmctlWarning, InputError
@@ -15,9 +14,9 @@ from armctl.core.progress import progress_bar
 from armctl.core.validation import flag, shown
 from armctl.study.bench import CONTROLLER_FACTOR, Outcome, Run, make_controller
 from armctl.study.execution import execute
-from armctl.study.factors import Factor, Random
+from armctl.study.factors import examples
 from armctl.study.plan import StudyPlan
-from armctl.study.result import StudyResult
+from armctl.study.result import StudyResult, study_result
 from armctl.study.store import Store
 
 
@@ -117,7 +116,7 @@ class Study(StudyPlan):
             return self._result(store)
 
     def _result(self, store: Store) -> StudyResult:
-        return StudyResult.of(self, store.outcomes(self.runs))
+        return study_result(self, store.outcomes(self.runs))
 
     def _store(self, folder: str | os.PathLike[str]) -> Store:
         return Store(file_path("folder", os.path.join(folder, f"{self.name}.sqlite")), self.versions)
@@ -128,7 +127,7 @@ class Study(StudyPlan):
             make_controller(label, spec, self.bench.arm)
         first = self.runs[0]
         for name, factor in self.factors.items():
-            for value in _examples(factor):
+            for value in examples(factor):
                 run = first._replace(point={**first.point, name: value})
                 self.bench.check_plant(run)
                 if name == "speed":
@@ -136,7 +135,3 @@ class Study(StudyPlan):
                 if name.startswith(CONTROLLER_FACTOR):
                     for label in self.controllers:
                         self.bench.controller(run._replace(controller=label))
-
-
-def _examples(factor: Factor) -> Sequence[Any]:
-    return factor.examples() if isinstance(factor, Random) else factor
