@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.core.errors import InputError
+from armctl.core.errors import InputError, PlanError
 from armctl.core.pose import Pose
 from armctl.core.validation import number, shown, vector
+from armctl.ik.all_solutions import solve_ik_all
 from armctl.motion.checks import planning_arm
 from armctl.motion.path.blending import Blend, CompositePath, SubPath
 from armctl.motion.path.geometry import Circle, Shape, Straight, Turn
@@ -23,6 +24,8 @@ from armctl.motion.trajectory.piecewise import standing
 from armctl.robot.arm import Arm
 
 _MIN_LENGTH = 1e-9  # m
+_BRANCH_SAMPLE = 64  # configurations in which branches are looked for
+_MAX_BRANCHES = 16  # that are planned for an arm whose branches have no names
 _MAX_ANGLE = 200 * np.pi  # rad, a hundred turns
 
 
@@ -58,7 +61,7 @@ class Arc:
 
 def move_l(
     arm: Arm,
-    q_start: ArrayLike,
+    q_start: Pose | ArrayLike,
     target: Pose | ArrayLike,
     *,
     speed: float = 1.0,
@@ -71,7 +74,7 @@ def move_l(
 
     Args:
         arm: The arm.
-        q_start: (n,) rad, where it starts.
+        q_start: (n,) rad, where it starts; or the pose of the tip there: then the branch with the shortest motion is chosen.
         target: T_world_tip at the end, or (3,) m with the orientation left free.
         speed: Fraction of the full speed, in (0, 1]; it scales the caps on the tip's speed, too.
         tip_speed: m/s, the greatest speed of the tip's point; None for no cap.
@@ -90,7 +93,7 @@ def move_l(
 
 def move_c(
     arm: Arm,
-    q_start: ArrayLike,
+    q_start: Pose | ArrayLike,
     via: Pose | ArrayLike,
     target: Pose | ArrayLike,
     *,
@@ -103,7 +106,7 @@ def move_c(
 
     Args:
         arm: The arm.
-        q_start: (n,) rad, where it starts.
+        q_start: (n,) rad, where it starts; or the pose of the tip there: then the branch with the shortest motion is chosen.
         via: T_world_tip or (3,) m, a point on the way; its orientation does not matter.
         target: T_world_tip, or (3,) m with the orientation left free.
         angle: rad, how far to go on the circle; None stops at the target's point. 2 pi is the full circle, back to the start's.
@@ -125,7 +128,7 @@ def move_c(
 
 def move_path(
     arm: Arm,
-    q_start: ArrayLike,
+    q_start: Pose | ArrayLike,
     path: Sequence[Line | Arc | Pose | ArrayLike],
     *,
     blend: float = 0.0,
@@ -139,7 +142,7 @@ def move_path(
 
     Args:
         arm: The arm.
-        q_start: (n,) rad, where it starts.
+        q_start: (n,) rad, where it starts; or the pose of the tip there: then the branch with the shortest motion is chosen.
         path: Its lines and arcs; a pose or a point alone is a line to it. All with orientation or all without.
         blend: m, the radius around each corner in which it is rounded, at most half of each neighbour.
         speed: Fraction of the full speed, in (0, 1]; it scales the caps on the tip's speed, too.
@@ -163,7 +166,7 @@ def move_path(
 def _plan(
     arm: Arm,
     what: str,
-    q_start: ArrayLike,
+    q_start: Pose | ArrayLike,
     parts: list[Line | Arc],
     blend: float,
     speed: float,
@@ -171,6 +174,8 @@ def _plan(
     tip_angular_speed: float | None,
 ) -> JointTrajectory:
     planning = planning_arm(arm, speed)
+    if isinstance(q_start, Pose):
+        return _best_branch(arm, q_start, lambda q: _plan(arm, what, q, parts, blend, speed, tip_speed, tip_angular_speed))
     q = arm.checked("q_start", q_start)
     if not parts:
         raise InputError("path: it is empty; give at least one line or arc")
@@ -187,6 +192,25 @@ def _plan(
         motions.append(motion if caps is None else caps.kept(motion))
         q = motions[-1](motions[-1].duration).q
     return joined(motions) if motions else JointTrajectory(*standing(q), arm.joint_names, arm.limits, units=arm.units)
+
+
+def _best_branch(arm: Arm, start: Pose, plan: Callable[[Array], JointTrajectory]) -> JointTrajectory:
+    """The shortest of the motions that begin at a pose, of each branch in the configuration nearest to the arm's home."""
+    found = solve_ik_all(arm, start, _BRANCH_SAMPLE)
+    if not found:
+        raise PlanError(f"q_start: the pose cannot be reached: {found.reason[0]:.200}")
+    known = [name for name in found.branch if name is not None]
+    rows = [found.branch.index(name) for name in dict.fromkeys(known)] if known else range(min(len(found), _MAX_BRANCHES))
+    motions = []
+    failures = []
+    for k in rows:
+        try:
+            motions.append(plan(found.q[k]))
+        except PlanError as error:
+            failures.append(error)
+    if not motions:
+        raise failures[0]
+    return min(motions, key=lambda motion: motion.duration)
 
 
 def _shapes(start: Pose, parts: list[Line | Arc], oriented: bool) -> list[Shape]:

@@ -44,6 +44,25 @@ def test_a_line_is_straight_and_turns_evenly_along(panda):
     assert motion.check_limits().ok
 
 
+def test_a_line_from_a_pose_takes_the_branch_with_the_shortest_motion():
+    arm = arm_of("ur5e")
+    start = armctl.Pose([0.3, 0.25, 0.4], quat=arm.fk(arm.home).quat)
+    end = armctl.Pose([-0.3, 0.3, 0.3], quat=start.quat)
+    motion = armctl.move_l(arm, start, end)
+    durations = []
+    for q in armctl.solve_ik_all(arm, start).q:
+        try:
+            durations.append(armctl.move_l(arm, q, end).duration)
+        except armctl.PlanError:
+            continue
+    assert max(arm.fk(motion(0.0).q).distance(start)) < 1e-5
+    assert max(arm.fk(motion(motion.duration).q).distance(end)) < 1e-5
+    assert len(durations) >= 2
+    assert motion.duration == pytest.approx(min(durations))
+    with pytest.raises(armctl.PlanError, match=r"^q_start: the pose cannot be reached: out of reach by"):
+        armctl.move_l(arm, armctl.Pose([3.0, 0.0, 0.0]), end)
+
+
 def test_a_line_can_turn_on_the_spot(panda):
     target = panda.fk(panda.home) @ armctl.Pose([0, 0, 0], rpy=[0.5, 0.0, 0.3])
     position, _ = tips(panda, armctl.move_l(panda, panda.home, target))
