@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, PlanError
 from armctl.core.pose import Pose
-from armctl.core.validation import number, shown, vector
+from armctl.core.validation import Array, number, shown, vector
 from armctl.ik.all_solutions import solve_ik_all
 from armctl.motion.checks import planning_arm
 from armctl.motion.path.blending import Blend, CompositePath, SubPath
