@@ -16,6 +16,7 @@ from .collision.clearance import ClearanceCheck as ClearanceCheck
 from .collision.clearance import check_clearance as check_clearance
 from .control.adaptive import Adaptive as Adaptive
 from .control.computed_torque import ComputedTorque as ComputedTorque
+from .control.hybrid_force import HybridForce as HybridForce
 from .control.impedance import Impedance as Impedance
 from .control.interface import Controller as Controller
 from .control.interface import State as State

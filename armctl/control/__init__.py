@@ -5,6 +5,7 @@ from functools import partial
 
 from armctl.control.adaptive import Adaptive
 from armctl.control.computed_torque import ComputedTorque
+from armctl.control.hybrid_force import HybridForce
 from armctl.control.impedance import Impedance
 from armctl.control.interface import Controller, State, controller_name
 from armctl.control.operational_space import OperationalSpace
@@ -46,6 +47,7 @@ __all__ = [
     "Adaptive",
     "ComputedTorque",
     "Controller",
+    "HybridForce",
     "Impedance",
     "OperationalSpace",
     "PDGravity",

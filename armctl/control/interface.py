@@ -244,6 +244,17 @@ def _check_arguments(state: object, setpoint: object) -> None:
         raise InputError(f"state and setpoint: all vectors must have the same length, got {sizes}")
 
 
+def measured_wrench(state: State, controller: str) -> Array:
+    """The wrench of a state, (6,) N and N m.
+
+    Raises:
+        InputError: Nobody measures it.
+    """
+    if state.wrench is None:
+        raise InputError(f"state.wrench: {controller} needs the measured wrench (6,); a Simulation measures it")
+    return state.wrench
+
+
 def controller_name(controller: Controller) -> str:
     """The name of a controller in reports: its `name`, or that of its class."""
     return getattr(controller, "name", type(controller).__name__)

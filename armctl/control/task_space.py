@@ -14,6 +14,14 @@ from armctl.robot.arm import Arm
 SINGULARITY_DAMPING = 1e-3
 
 
+POSE_SIZE = 6
+
+
+def task_rows(arm: Arm) -> slice:
+    """The rows of a twist that an arm can control: position only, if it has fewer than six joints."""
+    return slice(0, POSE_SIZE if arm.n >= POSE_SIZE else 3)
+
+
 class TipError(NamedTuple):
     """The pose error of the tip.
 
@@ -40,16 +48,16 @@ def tip_error(arm: Arm, q: Array, q_ref: Array) -> TipError:
 
 
 def consistent_inverse(J: Array, M: Array) -> Array:
-    """M^-1 J^T (J M^-1 J^T)^-1, (n, 6): torques in the null space of its transpose do not accelerate the tip.
+    """M^-1 J^T (J M^-1 J^T)^-1, (n, k): torques in the null space of its transpose do not accelerate the tip.
 
     Khatib, "A unified approach for motion and force control of robot manipulators: the operational space formulation" (1987),
     with damping near singular configurations.
 
     Args:
-        J: (6, n).
+        J: (k, n).
         M: (n, n) kg m^2.
     """
     M_inv_Jt = np.linalg.solve(M, J.T)
     mobility = J @ M_inv_Jt
     damping = SINGULARITY_DAMPING**2 * np.trace(mobility)
-    return M_inv_Jt @ np.linalg.inv(mobility + damping * np.eye(6))
+    return M_inv_Jt @ np.linalg.inv(mobility + damping * np.eye(len(J)))
