@@ -15,6 +15,7 @@ from .analysis.report import table as table
 from .collision.clearance import ClearanceCheck as ClearanceCheck
 from .collision.clearance import check_clearance as check_clearance
 from .control.adaptive import Adaptive as Adaptive
+from .control.admittance import Admittance as Admittance
 from .control.computed_torque import ComputedTorque as ComputedTorque
 from .control.hybrid_force import HybridForce as HybridForce
 from .control.impedance import Impedance as Impedance
@@ -24,6 +25,7 @@ from .control.operational_space import OperationalSpace as OperationalSpace
 from .control.pd import PD as PD
 from .control.pd_gravity import PDGravity as PDGravity
 from .control.pd_gravity import PIDGravity as PIDGravity
+from .control.rate_limit import TorqueRateLimit as TorqueRateLimit
 from .core.errors import ArmctlError as ArmctlError
 from .core.errors import ArmctlWarning as ArmctlWarning
 from .core.errors import InputError as InputError

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from functools import partial
 
 from armctl.control.adaptive import Adaptive
+from armctl.control.admittance import Admittance
 from armctl.control.computed_torque import ComputedTorque
 from armctl.control.hybrid_force import HybridForce
 from armctl.control.impedance import Impedance
@@ -11,6 +12,7 @@ from armctl.control.interface import Controller, State, controller_name
 from armctl.control.operational_space import OperationalSpace
 from armctl.control.pd import PD
 from armctl.control.pd_gravity import PDGravity, PIDGravity
+from armctl.control.rate_limit import TorqueRateLimit
 from armctl.core.errors import UnknownNameError
 from armctl.robot.arm import Arm
 
@@ -45,6 +47,7 @@ __all__ = [
     "CONTROLLERS",
     "PD",
     "Adaptive",
+    "Admittance",
     "ComputedTorque",
     "Controller",
     "HybridForce",
@@ -53,6 +56,7 @@ __all__ = [
     "PDGravity",
     "PIDGravity",
     "State",
+    "TorqueRateLimit",
     "controller_by_name",
     "controller_name",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike
 from armctl.control import feedforward
 from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH, gain, sample_configurations
 from armctl.control.interface import State, explains_wrong_arguments
-from armctl.control.task_space import consistent_inverse, tip_error
+from armctl.control.task_space import POSE_SIZE, consistent_inverse, tip_error
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, frozen, number
 from armctl.robot.arm import Arm, check_arm
@@ -25,10 +26,13 @@ class Impedance:
     After Hogan, "Impedance control" (1985). D follows from stiffness and mass matrix by simultaneous diagonalization, so every
     mode has the same damping ratio: Albu-Schaeffer, Ott, Hirzinger, "A unified passivity-based control framework for
     position, torque and impedance control of flexible joint robots" (2007). At rest, a force f displaces the tip by K^-1 f. The
-    posture spring acts in the null space.
+    posture spring acts in the null space. The stiffness may change during a run; raising it while the tip is displaced supplies
+    energy.
 
     Attributes:
-        stiffness: (6,) N/m and N m/rad, of the tip along and about the world's axes.
+        stiffness: (6,) N/m and N m/rad, of the tip along and about the world's axes, or a function of the time that gives
+            it. It can be replaced during a run.
+        error_max: (6,) m and rad.
         damping_ratio: 1 is critically damped.
         posture_stiffness: (n,) N m/rad.
     """
@@ -39,7 +43,8 @@ class Impedance:
         self,
         arm: Arm,
         *,
-        stiffness: ArrayLike | None = None,
+        stiffness: ArrayLike | Callable[[float], ArrayLike] | None = None,
+        error_max: ArrayLike | None = None,
         damping_ratio: float = 1.0,
         posture_stiffness: ArrayLike | None = None,
         bandwidth: float = DEFAULT_BANDWIDTH,
@@ -48,8 +53,11 @@ class Impedance:
 
         Args:
             arm: The arm whose model it uses.
-            stiffness: (6,) N/m and N m/rad, or one number for all six. The default is bandwidth^2 x the smallest mass and
+            stiffness: (6,) N/m and N m/rad, or one number for all six, or a function of the time, s, that gives either. The
+                default is bandwidth^2 x the smallest mass and
                 the smallest inertia of the tip in any direction and configuration.
+            error_max: (6,) m and rad, or one number for all six: the spring stretches no further, so that its force is at most
+                stiffness x error_max. Not bounded by default.
             damping_ratio: 1 is critically damped.
             posture_stiffness: (n,) or one number for all joints, N m/rad. The default is (bandwidth / 2)^2 x the smallest
                 inertia of each joint.
@@ -64,10 +72,20 @@ class Impedance:
         self._arm = arm
         self._dynamics = Dynamics(arm.model, arm.pinocchio_model)
         inertia = _min_inertia(arm, self._dynamics)
-        self.stiffness = gain("stiffness", bandwidth**2 * inertia.tip if stiffness is None else stiffness, 6)
+        self.stiffness = bandwidth**2 * inertia.tip if stiffness is None else stiffness
+        self.error_max = np.full(POSE_SIZE, np.inf) if error_max is None else gain("error_max", error_max, POSE_SIZE)
         if posture_stiffness is None:
             posture_stiffness = (0.5 * bandwidth) ** 2 * inertia.joints
         self.posture_stiffness = gain("posture_stiffness", posture_stiffness, arm.n)
+
+    @property
+    def stiffness(self) -> Array | Callable[[float], ArrayLike]:
+        """(6,) N/m and N m/rad, or a function of the time that gives it."""
+        return self._stiffness
+
+    @stiffness.setter
+    def stiffness(self, stiffness: ArrayLike | Callable[[float], ArrayLike]) -> None:
+        self._stiffness = stiffness if callable(stiffness) else gain("stiffness", stiffness, POSE_SIZE)
 
     @explains_wrong_arguments
     def torque(self, state: State, setpoint: Setpoint) -> Array:
@@ -86,10 +104,14 @@ class Impedance:
         v_ref, a_ref = feedforward.sampled(setpoint)
         M = self._dynamics.mass_matrix(q)
         error, _, J = tip_error(self._arm, q, q_ref)
+        tip_stiffness = self._stiffness
+        if callable(tip_stiffness):
+            tip_stiffness = gain("stiffness", tip_stiffness(state.t), POSE_SIZE)
+        error = np.clip(error, -self.error_max, self.error_max)
         N = np.eye(self._arm.n) - consistent_inverse(J, M) @ J
         posture = N.T * self.posture_stiffness @ N
-        stiffness = J.T * self.stiffness @ J + posture
-        spring = J.T @ (self.stiffness * error) + posture @ (q_ref - q)
+        stiffness = J.T * tip_stiffness @ J + posture
+        spring = J.T @ (tip_stiffness * error) + posture @ (q_ref - q)
         damper = self.damping_ratio * _critical_damping(M, stiffness) @ (v_ref - v)
         return feedforward.inverse_dynamics_with_friction(self._dynamics, state, a_ref, v_ref, a_ref) + spring + damper
 
