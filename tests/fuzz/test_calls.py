@@ -74,10 +74,12 @@ def world() -> dict[str, object]:
     setpoint = armctl.Setpoint(arm.home, np.zeros(3), np.zeros(3))
     return {
         "Adaptive": armctl.Adaptive(arm),
+        "Admittance": armctl.Admittance(arm),
         "Arm": arm,
         "Arc": armctl.Arc([0.3, 0.1, 0.5], [0.3, 0.2, 0.5]),
         "ComputedTorque": armctl.ComputedTorque(arm),
         "DifferentialIk": armctl.DifferentialIk(arm),
+        "HybridForce": armctl.HybridForce(arm, {"z": 1.0}),
         "IkResult": armctl.solve_ik(arm, arm.fk(arm.home)),
         "Impedance": armctl.Impedance(arm),
         "JointTrajectory": motion,
