@@ -150,7 +150,6 @@ def test_wrong_calls_are_one_sentence(arm, arguments, error, message):
         armctl.move_free(arm, START, **arguments)
 
 
-
 def test_more_solutions_of_a_point_are_looked_for_as_long_as_none_is_free(arm):
     point = Target.read(arm.fk(GOAL).position)
     tried: list[np.ndarray] = []
