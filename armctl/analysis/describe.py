@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import fields
 
+from armctl.control.margin_exceptions import margin_exceptions
 from armctl.core import units
 from armctl.core.log import Log
 from armctl.loading.chain import SerialChain
@@ -28,12 +29,14 @@ def facts(arm: Arm) -> dict[str, object]:
         "mass_kg": float(sum(inertia.mass for inertia in arm.pinocchio_model.pin_model.inertias)),
         "timestep_s": arm.dt,
         "notes": list(arm.notes),
+        "margin_exceptions": list(margin_exceptions(arm)),
     }
 
 
 def describe(arm: Arm) -> str:
     """An arm in words: a table of its joints and limits, and the sources of the limits."""
     data = facts(arm)
+    exceptions = margin_exceptions(arm)
     limits = arm.limits
     width = max(5, *map(len, arm.joint_names))
     tip = ", ".join(f"{x:.4f}" for x in arm.fk(arm.home).position)
@@ -46,7 +49,8 @@ def describe(arm: Arm) -> str:
         lines.append(f"{name:{width}} " + " ".join(f"{column[i]:8.4g}" for column in columns))
     lines.append("units: rad, rad/s, rad/s^2, rad/s^3, N m (m and N for a slide joint)")
     lines += [f"{name} from: {source}" for name, source in arm.sources.items() if name != "q_min"]
-    return "\n".join(lines + [f"note: {note}" for note in arm.notes])
+    lines += [f"note: {note}" for note in arm.notes]
+    return "\n".join(lines + [f"default gains, {exception}" for exception in exceptions])
 
 
 def describe_end(log: Log) -> str:

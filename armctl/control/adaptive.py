@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from armctl.control import feedforward
-from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH, sample_configurations
+from armctl.control.gains import MAX_BANDWIDTH, sample_configurations
 from armctl.control.interface import Clock, State, explains_wrong_arguments
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number
 from armctl.robot.arm import Arm, check_arm
 from armctl.robot.dynamics import Dynamics
 
+ADAPTIVE_BANDWIDTH = 24.0  # rad/s; at a higher one, the adaptation reaches its bound at control periods of 4 ms
 # Regularization of the adaptation gain, relative to the observability of the mass. Less observable parameters adapt slower.
 REGULARIZATION_RATIO = 0.1
 TYPICAL_PAYLOAD_CENTER_M = 0.1  # the distance that converts the observability of a mass to that of a first moment
@@ -41,7 +42,7 @@ class Adaptive:
 
     name = "adaptive"
 
-    def __init__(self, arm: Arm, *, bandwidth: float = DEFAULT_BANDWIDTH, adaptation_rate: float = 10.0):
+    def __init__(self, arm: Arm, *, bandwidth: float = ADAPTIVE_BANDWIDTH, adaptation_rate: float = 10.0):
         """An adaptive controller for an arm.
 
         Args:

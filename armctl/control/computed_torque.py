@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH, effective_inertia, floored_inertia
+from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH, extra_inertia
 from armctl.control.interface import KernelController
 from armctl.control.observer import low_pass_weight
 from armctl.core.errors import InputError
@@ -21,7 +21,7 @@ class ComputedTorque(KernelController):
 
     After Siciliano, Sciavicco, Villani, Oriolo, Robotics: Modelling, Planning and Control (2009), 8.5.2. Dry friction is fed
     forward at the velocity of the reference, so that measurement noise does not make it chatter. The feedback of a joint with
-    negligible inertia is that of a joint with a small one (`gains.floored_inertia`).
+    negligible inertia is that of a joint with a small one (`gains.extra_inertia`).
 
     The discrete form (the default) inverts the plant's motion over one control period instead of the differential equation.
     Velocity and acceleration of the reference are differences on the tick grid. Damping is evaluated at the end of the step; if
@@ -70,7 +70,6 @@ class ComputedTorque(KernelController):
             self.name = "computed-torque-observer"
         super().__init__(arm.n)
         self._arm = arm
-        self._min_inertia = effective_inertia(arm).min(axis=0)
 
     @property
     def disturbance(self) -> Array:
@@ -108,10 +107,6 @@ class ComputedTorque(KernelController):
         header = [float(is_textbook), low_pass_weight(self.observer_bandwidth, dt), dt]
         kp = np.full(self.n, self.bandwidth**2)
         kd = np.full(self.n, 2 * self.damping_ratio * self.bandwidth)
-        return np.concatenate([header, kp, kd, self._extra_inertia(dt), self._arm.limits.tau_max, model])
-
-    def _extra_inertia(self, dt: float) -> Array:
-        """Inertia, (n,) kg m^2, that the feedback adds to the model's, at a control period of dt."""
-        bandwidth = self.bandwidth * max(self.damping_ratio, 1.0)
-        floored = floored_inertia(self._arm, self._min_inertia, self._min_inertia, bandwidth, dt)
-        return floored - self._min_inertia
+        return np.concatenate(
+            [header, kp, kd, extra_inertia(self._arm, self.bandwidth, self.damping_ratio, dt), self._arm.limits.tau_max, model]
+        )

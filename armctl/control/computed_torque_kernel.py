@@ -5,7 +5,7 @@ from __future__ import annotations
 from armctl.control.kernel import A_REF, A_TICK, Q_REF, V_REF, V_TICK, clipped
 from armctl.core.jit import njit
 from armctl.core.validation import Array
-from armctl.robot.dynamics_kernel import add_friction, inverse_dynamics
+from armctl.robot.dynamics_kernel import add_friction, add_linear_damping, inverse_dynamics
 
 # The parameters begin with these, then follow stiffness, damping, added inertia and torque limits, each (n,), and the model.
 IS_TEXTBOOK = 0
@@ -59,6 +59,10 @@ def computed_torque(params, q, v, reference, memory, tau):
     add_friction(model, v_ref, a_ref, work, friction)
     for i in range(n):
         tau[i] += params[HEADER + 2 * n + i] * correction[i]
+        correction[i] = v_ref[i] - v[i]
+    # Damping is compensated at the velocity of the reference: the arm's own damping then helps the feedback. Compensated at the
+    # measured velocity, large damping would be a large positive feedback.
+    add_linear_damping(model, correction, tau)
     if params[OBSERVER_WEIGHT] != 0.0:
         _subtract_disturbance(params, q, v, friction, memory, tau)
     for i in range(n):

@@ -25,8 +25,12 @@ def inverse_dynamics(dynamics: Dynamics, state: State, a: Array) -> Array:
 
 
 def inverse_dynamics_with_friction(dynamics: Dynamics, state: State, a: Array, v_ref: Array, a_ref: Array) -> Array:
-    """As `inverse_dynamics`, plus the dry friction of the reference motion; (n,) N m."""
-    tau = inverse_dynamics(dynamics, state, a)
+    """As `inverse_dynamics`, with damping and dry friction of the reference motion; (n,) N m.
+
+    The arm's own damping then helps the feedback. Compensated at the measured velocity, large damping would be a large positive
+    feedback.
+    """
+    tau = inverse_dynamics(dynamics, state, a) + dynamics.damping * (v_ref - state.v)
     return tau + friction(dynamics, state, v_ref, a_ref) if dynamics.has_friction else tau
 
 

@@ -1,28 +1,101 @@
-"""Gains in physical units from a bandwidth: the same closed loop for joints of large and of small inertia."""
+"""Gains from margins: how fast a loop may be so that it bears a delay, in any configuration of the arm."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from math import pi, sin, sqrt, tan
 from typing import cast
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, ModelError
-from armctl.core.validation import Array, number, vector
-from armctl.robot.arm import Arm, check_arm
+from armctl.core.validation import Array, frozen, number, vector
+from armctl.robot.arm import Arm
 from armctl.robot.dynamics import Dynamics
 
-DEFAULT_BANDWIDTH = 20.0  # rad/s
-# Gains that do not depend on the control period are designed for this one; they are stable at twice of it.
-DESIGN_PERIOD_S = 2e-3
+DEFAULT_BANDWIDTH = 30.0  # rad/s, of controllers that compensate the inertia
 SAMPLED_CONFIGURATIONS = 64
 # rad/s^2. A motor that could accelerate its joint faster than this has a joint of negligible inertia.
 MAX_MOTOR_ACCELERATION = 1000.0
-# Damping x dt / inertia. Without delay the bound would be 2; a joint alone is stable with a delay of two periods at this one.
-# An arm with light wrists bears less: `armctl.margins` measures it.
-MAX_DAMPING_PER_PERIOD = 0.25
+
+# Bounds of the default gains. They are checked at configurations that the design did not sample, hence the reserve.
+MIN_DELAY_MARGIN_S = 5e-3
+MIN_DELAY_MARGIN_PERIODS = 2.5
+MAX_PEAK_SENSITIVITY = 1.7  # a usual bound of Ms (Astrom and Hagglund, Advanced PID Control, 2006, 4.6)
+_DELAY_RESERVE = 1.04
+_DESIGN_SENSITIVITY = 1.6
+# Stiffness / gravity stiffness below which an arm under PD would fall over, with a reserve for configurations between samples.
+_MIN_GRAVITY_RATIO = 1.25
+_GRAVITY_STEP = 1e-5  # rad (m), of the central differences of gravity torques
+_MAX_STIFFNESS_PER_DAMPING = 0.25  # of the crossover frequency of the fastest mode, which is then critically damped
+_MAX_STIFFNESS_AGAINST_GRAVITY = 0.5  # the same where gravity needs it
+# If gravity needs more than this times the stiffness that the peak sensitivity allows, no gains satisfy that bound. The gains
+# then keep the delay margin of 5 ms and the sag under gravity small: a higher ratio, and the stiffness per damping, 1/s, that
+# damps a joint at 20 rad/s critically.
+MAX_GRAVITY_EXCESS = 8.0
+_FALLBACK_GRAVITY_RATIO = 2.5
+_SHORT_PERIOD_S = MIN_DELAY_MARGIN_S / MIN_DELAY_MARGIN_PERIODS  # up to it, the delay margin is that in seconds
+_FALLBACK_STIFFNESS_PER_DAMPING = 10.0
+_BISECTIONS = 60
+# Stiffness per damping / damping per inertia of the slowest mode at which |s^2 / (s^2 + d s + b d)| peaks at the sensitivity of
+# the design. PID, |s^3 / (s^3 + d s^2 + b d s + b d i)|: the pair (b, i) with a large product, found by a scan.
+_PD_STIFFNESS = 1 / (2 * (1 - sqrt(1 - 1 / _DESIGN_SENSITIVITY**2)))
+_PID_STIFFNESS = 0.85
+_PID_INTEGRAL = 0.3
 
 MAX_BANDWIDTH = 1e6  # rad/s, and the bound of damping ratios: a thousand times what any control period can use
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledInertia:
+    """Mass matrices of an arm at home and at 64 random configurations, and what gravity does there.
+
+    Attributes:
+        mass: (65, n, n) kg m^2, the mass matrices M.
+        mobility: (65, n, n) 1/(kg m^2), their inverses.
+        gravity_stiffness: (65, n, n) N m/rad, the derivatives of the torques that hold the arm.
+        damping: (n,) N m s/rad, of the model's joints.
+    """
+
+    mass: Array
+    mobility: Array
+    gravity_stiffness: Array
+    damping: Array
+
+
+_sampled: WeakKeyDictionary[Arm, SampledInertia] = WeakKeyDictionary()
+
+
+def sampled_inertia(arm: Arm) -> SampledInertia:
+    """The `SampledInertia` of an arm, computed once per arm.
+
+    Raises:
+        ModelError: A mass matrix is numerically singular.
+    """
+    found = _sampled.get(arm)
+    if found is not None:
+        return found
+    dynamics = Dynamics(arm.model, arm.pinocchio_model)
+    configurations = sample_configurations(arm)
+    mass = np.array([dynamics.mass_matrix(q) for q in configurations])
+    try:
+        mobility = np.linalg.inv(mass)
+    except np.linalg.LinAlgError:
+        raise ModelError(
+            f"{arm.name}: the mass matrix is singular, so no gains follow from it; check the masses and inertias of the model"
+        ) from None
+    steps = _GRAVITY_STEP * np.eye(arm.n)
+    gravity = np.array([[dynamics.gravity(q + dq) - dynamics.gravity(q - dq) for dq in steps] for q in configurations])
+    found = SampledInertia(
+        mass=frozen(mass),
+        mobility=frozen(mobility),
+        gravity_stiffness=frozen(gravity / (2 * _GRAVITY_STEP)),
+        damping=dynamics.damping,
+    )
+    _sampled[arm] = found
+    return found
 
 
 def sample_configurations(arm: Arm) -> Array:
@@ -42,72 +115,169 @@ def effective_inertia(arm: Arm) -> Array:
     Raises:
         ModelError: A mass matrix is numerically singular.
     """
-    dynamics = Dynamics(arm.model, arm.pinocchio_model)
-    matrices = np.array([dynamics.mass_matrix(q) for q in sample_configurations(arm)])
-    try:
-        inverses = np.linalg.inv(matrices)
-    except np.linalg.LinAlgError:
-        raise ModelError(
-            f"{arm.name}: the mass matrix is singular, so no gains follow from it; check the masses and inertias of the model"
-        ) from None
-    return 1 / np.diagonal(inverses, axis1=1, axis2=2)
+    return 1 / np.diagonal(sampled_inertia(arm).mobility, axis1=1, axis2=2)
 
 
 def max_locked_inertia(arm: Arm) -> Array:
     """The largest inertia of each joint if the other joints are locked, max M_ii over `sample_configurations`, (n,) kg m^2."""
-    dynamics = Dynamics(arm.model, arm.pinocchio_model)
-    return np.max([np.diag(dynamics.mass_matrix(q)) for q in sample_configurations(arm)], axis=0)
+    return np.asarray(np.diagonal(sampled_inertia(arm).mass, axis1=1, axis2=2).max(axis=0), dtype=np.float64)
 
 
-def floored_inertia(arm: Arm, inertia: Array, min_inertia: Array, bandwidth: float, dt: float) -> Array:
-    """Joint inertias for gain scaling, with a lower bound for joints of negligible inertia, (n,) kg m^2.
+def required_delay(dt: float) -> float:
+    """The delay, s, after which default gains may make a loop unstable: its delay margin plus half of the control period.
 
-    Gains in proportion to a negligible inertia would yield to any friction or payload. The lower bound is the inertia that the
-    joint's motor accelerates at 1000 rad/s^2. It is itself bounded, because the sampled damping must not remove more than a
-    quarter of the joint's velocity in one control period in any configuration.
+    A torque that is held for dt acts as if it were late by dt / 2.
+    """
+    return _DELAY_RESERVE * max(MIN_DELAY_MARGIN_S, MIN_DELAY_MARGIN_PERIODS * dt) + 0.5 * dt
+
+
+def max_damping_rate(stiffness_per_damping: float, dt: float) -> float:
+    """The largest damping / inertia, 1/s, with which a joint has the required delay margin.
+
+    The loop of a joint of inertia 1 with damping d and stiffness b d is d (s + b) / s^2. With y the product of crossover
+    frequency and delay T, the delay at which it becomes unstable follows from b T = y / tan(y) and d T = y sin(y).
+
+    Args:
+        stiffness_per_damping: b, 1/s.
+        dt: s, the control period.
+    """
+    delay = required_delay(dt)
+    product = stiffness_per_damping * delay
+    low = 0.0
+    high = 0.5 * pi
+    for _ in range(_BISECTIONS):
+        y = 0.5 * (low + high)
+        if y / tan(y) > product:
+            low = y
+        else:
+            high = y
+    return low * sin(low) / delay
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FeedbackGains:
+    """Gains of each joint, and what they cost.
+
+    Attributes:
+        stiffness: (n,) N m/rad (Kp).
+        damping: (n,) N m s/rad (Kd).
+        integral_gain: (n,) N m/(rad s) (Ki), zero for PD.
+        gravity_excess: Stiffness that gravity needs / stiffness that the peak sensitivity allows a PD, in the worst joint, at
+            least 1. Above 8, the gains do not satisfy the bounds.
+    """
+
+    stiffness: Array
+    damping: Array
+    integral_gain: Array
+    gravity_excess: float
+
+
+def margin_gains(arm: Arm, dt: float, integral: bool = False) -> FeedbackGains:
+    """The stiffest PD or PID gains with a sufficient delay margin and peak sensitivity in all sampled configurations.
+
+    The ratios of the dampings D make the eigenvalues of M^-1 D as equal as a diagonal matrix can. If stiffness is b D with one
+    b for all joints, the loop consists of n independent ones, d (s + b) / s^2, where d is an eigenvalue of M^-1 D, and the
+    sensitivity of a joint is a convex combination of theirs. The largest d of all configurations has the delay margin, the
+    smallest the peak sensitivity. Damping in the model allows more stiffness. Where gravity needs more, the peak is higher.
 
     Args:
         arm: The arm.
-        inertia: (n,) kg m^2, the inertia to start from.
-        min_inertia: (n,) kg m^2, the smallest inertia of the joints in any configuration; the result is at least this.
-        bandwidth: rad/s, of a critically damped loop.
+        dt: s, the control period.
+        integral: Whether there is an integral term.
+    """
+    sampled = sampled_inertia(arm)
+    scale = np.sqrt(effective_inertia(arm).min(axis=0) * max_locked_inertia(arm))
+    root = np.sqrt(scale)
+    rates = np.linalg.eigvalsh(root[:, None] * sampled.mobility * root)
+    slowest = float(rates.min() / rates.max())
+    ratio = min(_MAX_STIFFNESS_PER_DAMPING, slowest * (_PID_STIFFNESS if integral else _PD_STIFFNESS))
+    rate = _rate_at_ratio(ratio, dt)
+    damping = scale * rate / rates.max()
+    allowed = ratio * rate * (damping + sampled.damping)
+    integral_gain = allowed * (_PID_INTEGRAL * slowest * rate if integral else 0.0)
+    gravity = _gravity_stiffness(sampled, damping)
+    stiffest = _MAX_STIFFNESS_AGAINST_GRAVITY * rate * damping
+    needed = np.minimum(_MIN_GRAVITY_RATIO * gravity, stiffest)
+    of_pd = allowed * (_PD_STIFFNESS / _PID_STIFFNESS if integral else 1.0)
+    excess = float(np.max(needed / np.maximum(of_pd, np.finfo(float).tiny), initial=1.0))
+    stiffness = np.maximum(allowed, needed)
+    if excess > MAX_GRAVITY_EXCESS:
+        if dt > _SHORT_PERIOD_S:
+            return replace(margin_gains(arm, _SHORT_PERIOD_S, integral), gravity_excess=excess)
+        stiffness = np.maximum(stiffness, np.minimum(_FALLBACK_GRAVITY_RATIO * gravity, stiffest))
+        stiffness = np.maximum(stiffness, _FALLBACK_STIFFNESS_PER_DAMPING * damping)
+    return FeedbackGains(frozen(stiffness), frozen(damping), frozen(integral_gain), excess)
+
+
+def _gravity_stiffness(sampled: SampledInertia, damping: Array) -> Array:
+    """(n,) N m/rad, a diagonal matrix that no derivative of the gravity torques exceeds, joints scaled by their damping."""
+    root = np.sqrt(damping)
+    scaled = np.abs(sampled.gravity_stiffness) * (root[:, None] / root)
+    return np.asarray(scaled.sum(axis=2).max(axis=0), dtype=np.float64)
+
+
+def _rate_at_ratio(ratio: float, dt: float) -> float:
+    """The largest damping / inertia, 1/s, if stiffness / damping is this ratio of it; see `max_damping_rate`."""
+    low = 0.0
+    high = 0.5 * pi
+    for _ in range(_BISECTIONS):
+        y = 0.5 * (low + high)
+        if ratio * tan(y) * sin(y) < 1.0:
+            low = y
+        else:
+            high = y
+    return low * sin(low) / required_delay(dt)
+
+
+def extra_inertia(arm: Arm, bandwidth: float, damping_ratio: float, dt: float) -> Array:
+    """Inertia, (n,) kg m^2, that the feedback of computed torque may add to joints of negligible inertia.
+
+    Feedback in proportion to a negligible inertia would yield to any friction or payload. The inertia that the joint's motor
+    accelerates at 1000 rad/s^2 is enough. With an added inertia E, the loop gain grows by the eigenvalues of 1 + M^-1 E; they
+    are bounded by the delay margin in all sampled configurations.
+
+    Args:
+        arm: The arm.
+        bandwidth: rad/s, of the feedback of the unit masses.
+        damping_ratio: Of that feedback.
         dt: s, the control period.
     """
-    max_factor = max(1.0, MAX_DAMPING_PER_PERIOD / max(2 * bandwidth * dt, 1e-12))
-    floor = arm.limits.tau_max / MAX_MOTOR_ACCELERATION
-    return np.clip(np.maximum(inertia, floor), min_inertia, max_factor * min_inertia)
+    smallest = effective_inertia(arm).min(axis=0)
+    rate = max(2 * damping_ratio * bandwidth, 1e-12)
+    max_growth = max(0.0, max_damping_rate(bandwidth**2 / rate, dt) / rate - 1.0)
+    extra = np.clip(arm.limits.tau_max / MAX_MOTOR_ACCELERATION - smallest, 0.0, max_growth * smallest)
+    root = np.sqrt(extra)
+    growth = float(np.linalg.eigvalsh(root[:, None] * sampled_inertia(arm).mobility * root).max())
+    return extra * min(1.0, max_growth / max(growth, 1e-12))
 
 
-def pd_gains(
+def bandwidth_gains(
     arm: Arm,
-    bandwidth: float = DEFAULT_BANDWIDTH,
+    bandwidth: float | None = None,
     damping_ratio: float = 1.0,
     stiffness: ArrayLike | None = None,
     damping: ArrayLike | None = None,
-) -> tuple[Array, Array]:
+) -> FeedbackGains:
     """Stiffness and damping of each joint, from a bandwidth unless given.
 
     Args:
         arm: The arm.
-        bandwidth: rad/s, the natural frequency of each joint's closed loop.
+        bandwidth: rad/s, the natural frequency of each joint's closed loop at its median inertia; 30 if None.
         damping_ratio: 1 is critically damped.
         stiffness: (n,) or one number for all joints, N m/rad (Kp), instead of bandwidth^2 x inertia.
         damping: (n,) or one number for all joints, N m s/rad (Kd), instead of 2 x damping_ratio x sqrt(stiffness x inertia).
 
     Returns:
-        Stiffness and damping, each (n,).
+        The gains, without an integral term.
 
     Raises:
         InputError: A gain is negative, not finite or of the wrong length.
     """
-    check_arm(arm)
-    bandwidth = number("bandwidth", bandwidth, 0.0, MAX_BANDWIDTH)
-    damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
-    inertia = effective_inertia(arm)
-    scale = floored_inertia(arm, np.median(inertia, axis=0), inertia.min(axis=0), bandwidth, DESIGN_PERIOD_S)
+    bandwidth = number("bandwidth", DEFAULT_BANDWIDTH if bandwidth is None else bandwidth, 0.0, MAX_BANDWIDTH)
+    scale = np.median(effective_inertia(arm), axis=0)
     stiffness = gain("stiffness", bandwidth * bandwidth * scale if stiffness is None else stiffness, arm.n)
     damping = gain("damping", 2 * damping_ratio * np.sqrt(stiffness * scale) if damping is None else damping, arm.n)
-    return stiffness, damping
+    return FeedbackGains(stiffness, damping, np.zeros(arm.n), 1.0)
 
 
 def gain(name: str, value: ArrayLike, n: int) -> Array:

@@ -9,13 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control import feedforward
-from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH, gain, sample_configurations
+from armctl.control.gains import MAX_BANDWIDTH, gain, sample_configurations
 from armctl.control.interface import State, explains_wrong_arguments
 from armctl.control.task_space import POSE_SIZE, consistent_inverse, tip_error
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, frozen, number
 from armctl.robot.arm import Arm, check_arm
 from armctl.robot.dynamics import Dynamics
+
+# rad/s. Springs of tip and posture together then have a delay margin of 2.5 control periods at 4 ms.
+IMPEDANCE_BANDWIDTH = 40.0
 
 
 class Impedance:
@@ -47,7 +50,7 @@ class Impedance:
         error_max: ArrayLike | None = None,
         damping_ratio: float = 1.0,
         posture_stiffness: ArrayLike | None = None,
-        bandwidth: float = DEFAULT_BANDWIDTH,
+        bandwidth: float = IMPEDANCE_BANDWIDTH,
     ):
         """An impedance controller for an arm.
 
@@ -59,7 +62,7 @@ class Impedance:
             error_max: (6,) m and rad, or one number for all six: the spring stretches no further, so that its force is at most
                 stiffness x error_max. Not bounded by default.
             damping_ratio: 1 is critically damped.
-            posture_stiffness: (n,) or one number for all joints, N m/rad. The default is (bandwidth / 2)^2 x the smallest
+            posture_stiffness: (n,) or one number for all joints, N m/rad. The default is bandwidth^2 x the smallest
                 inertia of each joint.
             bandwidth: rad/s, for stiffnesses that are not given.
 
@@ -75,7 +78,7 @@ class Impedance:
         self.stiffness = bandwidth**2 * inertia.tip if stiffness is None else stiffness
         self.error_max = np.full(POSE_SIZE, np.inf) if error_max is None else gain("error_max", error_max, POSE_SIZE)
         if posture_stiffness is None:
-            posture_stiffness = (0.5 * bandwidth) ** 2 * inertia.joints
+            posture_stiffness = bandwidth**2 * inertia.joints
         self.posture_stiffness = gain("posture_stiffness", posture_stiffness, arm.n)
 
     @property
@@ -108,12 +111,29 @@ class Impedance:
         if callable(tip_stiffness):
             tip_stiffness = gain("stiffness", tip_stiffness(state.t), POSE_SIZE)
         error = np.clip(error, -self.error_max, self.error_max)
-        N = np.eye(self._arm.n) - consistent_inverse(J, M) @ J
-        posture = N.T * self.posture_stiffness @ N
+        posture = self._posture(J, M)
         stiffness = J.T * tip_stiffness @ J + posture
         spring = J.T @ (tip_stiffness * error) + posture @ (q_ref - q)
         damper = self.damping_ratio * _critical_damping(M, stiffness) @ (v_ref - v)
         return feedforward.inverse_dynamics_with_friction(self._dynamics, state, a_ref, v_ref, a_ref) + spring + damper
+
+    def joint_stiffness(self, q: Array, tip_stiffness: Array) -> Array:
+        """The springs of tip and posture as seen by the joints.
+
+        Args:
+            q: (n,) rad.
+            tip_stiffness: (6,) N/m and N m/rad.
+
+        Returns:
+            (n, n) N m/rad.
+        """
+        J = self._arm.pinocchio_model.jacobian(q)
+        return J.T * tip_stiffness @ J + self._posture(J, self._dynamics.mass_matrix(q))
+
+    def _posture(self, J: Array, M: Array) -> Array:
+        """(n, n) N m/rad, the posture spring in the null space of the tip."""
+        N = np.eye(self._arm.n) - consistent_inverse(J, M) @ J
+        return N.T * self.posture_stiffness @ N
 
 
 def _critical_damping(M: Array, K: Array) -> Array:

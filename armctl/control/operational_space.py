@@ -35,7 +35,7 @@ class OperationalSpace:
         *,
         bandwidth: float = DEFAULT_BANDWIDTH,
         damping_ratio: float = 1.0,
-        posture_bandwidth: float = 0.5 * DEFAULT_BANDWIDTH,
+        posture_bandwidth: float = DEFAULT_BANDWIDTH,
     ):
         """An operational space controller for an arm.
 

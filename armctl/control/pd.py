@@ -7,30 +7,33 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control.gains import DEFAULT_BANDWIDTH, pd_gains
+from armctl.control.gains import MAX_BANDWIDTH, FeedbackGains, bandwidth_gains, margin_gains
 from armctl.control.interface import KernelController
-from armctl.core.validation import Array
-from armctl.robot.arm import Arm
+from armctl.core.validation import Array, number
+from armctl.robot.arm import Arm, check_arm
 
 
 class PD(KernelController):
     """Joint PD: tau = stiffness (q_ref - q) + damping (v_ref - v).
 
-    It uses neither gravity nor inertia, so it has a steady-state error under gravity and a tracking error in motion. Default
-    gains scale with the inertia of each joint.
+    It uses neither gravity nor inertia, so it has a steady-state error under gravity and a tracking error in motion.
+
+    Default gains are as high as a delay margin of 5 ms (and of 2.5 control periods) and a peak sensitivity of 1.7 permit in all
+    configurations (`margin_gains`), so they depend on the control period. Gains that you give or assign do not.
 
     Attributes:
-        stiffness: (n,) N m/rad (Kp).
+        stiffness: (n,) N m/rad (Kp); default gains are shown for the control period of the arm's model.
         damping: (n,) N m s/rad (Kd).
     """
 
     name = "pd"
+    _is_integrating = False
 
     def __init__(
         self,
         arm: Arm,
         *,
-        bandwidth: float = DEFAULT_BANDWIDTH,
+        bandwidth: float | None = None,
         damping_ratio: float = 1.0,
         stiffness: ArrayLike | None = None,
         damping: ArrayLike | None = None,
@@ -39,17 +42,26 @@ class PD(KernelController):
 
         Args:
             arm: The arm.
-            bandwidth: rad/s, the natural frequency of each joint's closed loop.
-            damping_ratio: 1 is critically damped.
+            bandwidth: rad/s, the natural frequency of each joint's closed loop at its median inertia. The gains follow from
+                margins if neither it nor stiffness nor damping is given.
+            damping_ratio: 1 is critically damped; of gains that follow from a bandwidth.
             stiffness: (n,) or one number for all joints, N m/rad; replaces the one that follows from the bandwidth.
             damping: (n,) or one number for all joints, N m s/rad; replaces the one that follows from the damping ratio.
 
         Raises:
             InputError: A gain is negative, not finite or of the wrong length.
         """
-        self.stiffness, self.damping = pd_gains(arm, bandwidth, damping_ratio, stiffness, damping)
+        check_arm(arm)
+        damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
         super().__init__(arm.n)
         self._arm = arm
+        self._has_default_gains = bandwidth is None and stiffness is None and damping is None
+        if self._has_default_gains:
+            self._default = margin_gains(arm, arm.dt, self._is_integrating)
+        else:
+            self._default = bandwidth_gains(arm, bandwidth, damping_ratio, stiffness, damping)
+        self.stiffness = self._default.stiffness
+        self.damping = self._default.damping
 
     @property
     def kernel(self) -> Callable[..., None]:
@@ -68,4 +80,15 @@ class PD(KernelController):
         Returns:
             A new vector.
         """
-        return np.concatenate([self.stiffness, self.damping])
+        gains = self._gains_at(dt)
+        return np.concatenate([gains.stiffness, gains.damping])
+
+    def _gains_at(self, dt: float) -> FeedbackGains:
+        """The gains for a control period of dt; those that were given or assigned do not depend on it."""
+        default = margin_gains(self._arm, dt, self._is_integrating) if self._has_default_gains and dt else self._default
+        return FeedbackGains(
+            stiffness=default.stiffness if self.stiffness is self._default.stiffness else self.stiffness,
+            damping=default.damping if self.damping is self._default.damping else self.damping,
+            integral_gain=default.integral_gain,
+            gravity_excess=default.gravity_excess,
+        )

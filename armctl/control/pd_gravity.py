@@ -7,12 +7,13 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control.gains import DEFAULT_BANDWIDTH, gain, max_locked_inertia
+from armctl.control.gains import gain, max_locked_inertia
 from armctl.control.pd import PD
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 
-# Relative to Kp Kd / m, the stability limit of the integral gain of a mass m with a spring Kp and a damper Kd (Routh-Hurwitz).
+# Of given gains: relative to Kp Kd / m, the stability limit of the integral gain of a mass m with a spring Kp and a damper Kd
+# (Routh-Hurwitz).
 INTEGRAL_GAIN_RATIO = 0.25
 
 
@@ -67,12 +68,13 @@ class PIDGravity(PDGravity):
     """
 
     name = "pid-gravity"
+    _is_integrating = True
 
     def __init__(
         self,
         arm: Arm,
         *,
-        bandwidth: float = DEFAULT_BANDWIDTH,
+        bandwidth: float | None = None,
         damping_ratio: float = 1.0,
         stiffness: ArrayLike | None = None,
         damping: ArrayLike | None = None,
@@ -82,20 +84,23 @@ class PIDGravity(PDGravity):
 
         Args:
             arm: The arm; its model gives the gravity torque, its torque limits are used by the anti-windup.
-            bandwidth: rad/s, the natural frequency of each joint's closed loop.
-            damping_ratio: 1 is critically damped.
+            bandwidth: rad/s, the natural frequency of each joint's closed loop at its median inertia. The gains follow from
+                margins if neither it nor stiffness nor damping is given.
+            damping_ratio: 1 is critically damped; of gains that follow from a bandwidth.
             stiffness: (n,) or one number for all joints, N m/rad; replaces the one that follows from the bandwidth.
             damping: (n,) or one number for all joints, N m s/rad; replaces the one that follows from the damping ratio.
-            integral_gain: (n,) or one number for all joints, N m/(rad s). The default is a quarter of stiffness x damping /
-                the largest inertia of the joint.
+            integral_gain: (n,) or one number for all joints, N m/(rad s). If other gains are given, the default is a quarter of
+                stiffness x damping / the largest inertia of the joint.
 
         Raises:
             InputError: A gain is negative, not finite or of the wrong length.
         """
         super().__init__(arm, bandwidth=bandwidth, damping_ratio=damping_ratio, stiffness=stiffness, damping=damping)
-        if integral_gain is None:
+        if integral_gain is None and not self._has_default_gains:
             integral_gain = INTEGRAL_GAIN_RATIO * self.stiffness * self.damping / max_locked_inertia(arm)
-        self.integral_gain = gain("integral_gain", integral_gain, arm.n)
+        self.integral_gain = (
+            self._default.integral_gain if integral_gain is None else gain("integral_gain", integral_gain, arm.n)
+        )
         self._tau_max = arm.limits.tau_max
 
     @property
@@ -120,5 +125,7 @@ class PIDGravity(PDGravity):
         Returns:
             A new vector.
         """
-        gains = [self.stiffness, self.damping, dt * self.integral_gain, self._tau_max]
-        return np.concatenate([*gains, self._arm.packed_dynamics.vector(0.0)])
+        gains = self._gains_at(dt)
+        integral = gains.integral_gain if self.integral_gain is self._default.integral_gain else self.integral_gain
+        values = [gains.stiffness, gains.damping, dt * integral, self._tau_max]
+        return np.concatenate([*values, self._arm.packed_dynamics.vector(0.0)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from functools import reduce
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 CLEARANCE_M = 2e-3
 MAX_SAMPLES = 20_000
 _IK_TRIES = 24  # starts from which solutions for a pose or a point are looked for
-_MAX_IK_TRIES = 500  # as long as no solution is free
 _MAX_ROOTS = 8  # of the goal tree, for each pose or point
 _SAME_CONFIGURATION = 1e-3  # rad
 _MIN_CLEARANCE_M = 1e-5  # the proof does not split intervals in which nothing moves farther than 0.1 mm
@@ -184,7 +183,7 @@ def _goals(checker: CollisionChecker, arm: Arm, start: Array, goal: FreeGoal, rn
     distances: list[float] = []
     refusals: list[str] = []
     for candidate in _goal_list(arm, goal):
-        configurations, refusal = configurations_for(arm, start, candidate, rng, lambda q: _free(checker, q))
+        configurations, refusal = configurations_for(arm, start, candidate, rng)
         refusals += [refusal] if refusal else []
         for q in configurations:
             pair, distance = checker.nearest(q)
@@ -224,33 +223,27 @@ def _goal_list(arm: Arm, goal: FreeGoal) -> list[Pose | Target | Array]:
     return checked
 
 
-def _free(checker: CollisionChecker, q: Array) -> bool:
-    pair, distance = checker.nearest(q)
-    return pair < 0 or distance > 0.0
-
-
 def configurations_for(
-    arm: Arm, start: Array, goal: Pose | Target | Array, rng: np.random.Generator, is_free: Callable[[Array], bool]
+    arm: Arm, start: Array, goal: Pose | Target | Array, rng: np.random.Generator
 ) -> tuple[list[Array], str]:
-    """Configurations for one goal, and why there is none. More are looked for as long as none of them is free."""
+    """Configurations for one goal, and why there is none."""
     if isinstance(goal, np.ndarray):
         return [goal], ""
+    reason = ""
     found: list[Array] = []
-    free = 0
-    starts = [start, arm.home, *arm.limits.random(arm.home, _MAX_IK_TRIES, rng)]
-    for tries, q0 in enumerate(starts):
-        if free and tries > _IK_TRIES:
-            break
+    starts = [start, arm.home, *arm.limits.random(arm.home, _IK_TRIES, rng)]
+    for q0 in starts:
         result = solve_ik(arm, goal, q0)
-        if not result.ok and not found:
-            return [], result.reason  # the solver has tried all its starts
-        if not result.ok or any(np.abs(result.q - q).max() <= _SAME_CONFIGURATION for q in found):
+        if not result.ok:
+            reason = reason or result.reason
+            if not found:
+                break  # the solver has tried all its starts
             continue
-        found.append(result.q)
-        free += is_free(result.q)
-        if free == _MAX_ROOTS:
+        if all(np.abs(result.q - q).max() > _SAME_CONFIGURATION for q in found):
+            found.append(result.q)
+        if len(found) == _MAX_ROOTS:
             break
-    return found, ""
+    return found, reason if not found else ""
 
 
 def _is_free(checker: CollisionChecker, motion: JointTrajectory, clearance: float) -> bool:

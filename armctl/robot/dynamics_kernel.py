@@ -393,6 +393,13 @@ def _smooth_torque(model, v, a, work, tau):
 
 
 @njit
+def add_linear_damping(model, v, tau):
+    """Adds the torque of the linear damping of the arm's joints at the velocities v, (n,) N m."""
+    for i in range(v.shape[0]):
+        tau[i] += model[_drive(model, i) + DAMPING] * v[i]
+
+
+@njit
 def _implicit_change(model, v, a, work, change):
     """Rate at which implicit forces other than linear damping change during a step, d(force)/dv a, at the placed positions.
 

@@ -11,6 +11,7 @@ from arms import BUNDLED, MISSING, at_hand
 
 import armctl
 from armctl.cli.main import main
+from armctl.control import CONTROLLERS
 
 
 def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
@@ -57,7 +58,8 @@ def test_out_of_reach_exits_1_and_says_by_how_many_millimetres(capsys):
     assert json.loads(out)["ok"] is False
 
 
-def test_a_controller_that_sags_exits_1(capsys):
+def test_a_controller_that_sags_exits_1(capsys, monkeypatch):
+    monkeypatch.setitem(CONTROLLERS, "pd", lambda arm: armctl.PD(arm, bandwidth=10.0))
     status, out, _ = run(capsys, "reach", BUNDLED, "--controller", "pd")
     assert status == 1
     assert out.startswith("not reached")

@@ -19,7 +19,7 @@ def test_default_gains_hold_on_extreme_arms(tmp_path, shape, dt, integrator):
     arm = serial_arm(tmp_path, SHAPES[shape], "Euler" if continuous else integrator)
     plant = armctl.Plant(timestep=dt, continuous=continuous)
     for name in CONTROLLERS:
-        log = armctl.simulate(arm, name, Sway(arm), plant, dwell=0.2)
+        log = armctl.simulate(arm, name, Sway(arm), plant, dwell=0.4)
         kicked = armctl.Simulation(arm, name, plant)
         kicked.reset(arm.home, np.minimum(0.2, 0.05 * arm.limits.v_max))
         after = kicked.run(Still(arm.home, 0.5))

@@ -48,7 +48,7 @@ def test_dry_friction_is_compensated_on_a_continuous_plant_too(tmp_path):
 def test_pd_with_gravity_compensation_only_loses_energy(bent):
     """V = v M v / 2 + e K e / 2 decreases, after Takegaki and Arimoto."""
     arm = bent
-    law = armctl.PDGravity(arm)
+    law = armctl.PDGravity(arm, bandwidth=20.0)
     goal = arm.limits.clamp(arm.home)
     simulation = armctl.Simulation(arm, law, armctl.Plant(timestep=0.001, continuous=True))
     simulation.reset(arm.limits.clamp(goal + 0.03))

@@ -24,17 +24,17 @@ class Filtered(armctl.PD):
 
     def __init__(self, arm):
         super().__init__(arm)
-        self.memory = {"v": np.zeros(arm.n)}
+        self.past = {"v": np.zeros(arm.n)}
         self.late = deque([np.zeros(arm.n)] * 2)
         self.next_time = 0.0
 
     def torque(self, state, setpoint):
         if abs(state.t - self.next_time) > 0.5 * state.dt:
-            self.memory["v"] = np.zeros_like(state.v)
+            self.past["v"] = np.zeros_like(state.v)
             self.late = deque([np.zeros_like(state.v)] * 2)
         self.next_time = state.t + state.dt
-        self.memory["v"] = 0.8 * self.memory["v"] + 0.2 * state.v
-        self.late.append(super().torque(state._replace(v=self.memory["v"]), setpoint))
+        self.past["v"] = 0.8 * self.past["v"] + 0.2 * state.v
+        self.late.append(super().torque(state._replace(v=self.past["v"]), setpoint))
         return self.late.popleft()
 
 

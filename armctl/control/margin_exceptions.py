@@ -1,0 +1,84 @@
+"""Which controllers do not satisfy the bounds of the default gains on an arm, and why."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from armctl.control.gains import (
+    MAX_GRAVITY_EXCESS,
+    MAX_PEAK_SENSITIVITY,
+    margin_gains,
+    sample_configurations,
+    sampled_inertia,
+)
+from armctl.control.impedance import Impedance
+from armctl.robot.arm import Arm
+
+_PERIODS_S = (0.001, 0.002, 0.004)
+# Gravity stiffness / stiffness. A loop that compensates gravity has this sensitivity at low frequency, and more where it peaks.
+_MAX_GRAVITY_RATIO = 0.5
+_MIN_FREQUENCY = 0.5  # rad/s
+_FREQUENCIES = 60
+
+
+def margin_exceptions(arm: Arm) -> tuple[str, ...]:
+    """What the default gains of an arm do not satisfy, one sentence each.
+
+    It follows from inertia and gravity at sampled configurations, not from the loops themselves, as `armctl.margins` does.
+
+    Args:
+        arm: The arm.
+
+    Returns:
+        Sentences, none if every controller has a sufficient delay margin and peak sensitivity.
+    """
+    found = []
+    peaks = {dt: _pd_peak_sensitivity(arm, dt) for dt in _PERIODS_S}
+    excesses = {dt: margin_gains(arm, dt).gravity_excess for dt in _PERIODS_S}
+    missed = [dt for dt in _PERIODS_S if peaks[dt] > MAX_PEAK_SENSITIVITY or excesses[dt] > MAX_GRAVITY_EXCESS]
+    if missed:
+        periods = ", ".join(f"{1e3 * dt:g}" for dt in missed)
+        found.append(
+            f"pd, pd-gravity and pid-gravity at control periods of {periods} ms: no gains satisfy both bounds (sensitivity "
+            f"{max(peaks.values()):.1f}), because gravity needs {max(excesses.values()):.1f} times the stiffness that can be "
+            "damped: the inertia of a joint varies too much with the motion of the others"
+        )
+    ratio = _impedance_gravity_ratio(arm)
+    if ratio > _MAX_GRAVITY_RATIO:
+        found.append(
+            f"impedance: its peak sensitivity is above {MAX_PEAK_SENSITIVITY:g}, because the torque against gravity changes "
+            f"{ratio:.1f} times as fast as that of the springs; give a higher stiffness"
+        )
+    return tuple(found)
+
+
+def _pd_peak_sensitivity(arm: Arm, dt: float) -> float:
+    """The largest sensitivity of a joint under the default PD with gravity compensation, the other joints closed.
+
+    In continuous time, with a delay of half a control period; at sampled configurations. 1 if gravity plays no role.
+    """
+    gains = margin_gains(arm, dt)
+    if gains.gravity_excess == 1.0:
+        return 1.0
+    sampled = sampled_inertia(arm)
+    largest = 0.0
+    for w in np.geomspace(_MIN_FREQUENCY, 1 / dt, _FREQUENCIES):
+        s = 1j * w
+        compliance = np.linalg.inv(s * s * sampled.mass + sampled.gravity_stiffness + s * np.diag(sampled.damping))
+        feedback = np.diag(gains.stiffness + s * gains.damping) - sampled.gravity_stiffness
+        sensitivity = np.linalg.inv(np.eye(arm.n) + feedback @ compliance * np.exp(-0.5 * s * dt))
+        largest = max(largest, float(np.abs(np.diagonal(sensitivity, axis1=1, axis2=2)).max()))
+    return largest
+
+
+def _impedance_gravity_ratio(arm: Arm) -> float:
+    """The largest gravity stiffness relative to the springs of the default impedance, in any direction and configuration."""
+    controller = Impedance(arm)
+    tip_stiffness = np.asarray(controller.stiffness, dtype=np.float64)
+    largest = 0.0
+    for q, gravity in zip(sample_configurations(arm), sampled_inertia(arm).gravity_stiffness, strict=True):
+        stiffness = controller.joint_stiffness(q, tip_stiffness)
+        L = np.linalg.cholesky(stiffness + 1e-12 * np.trace(stiffness) * np.eye(arm.n))
+        scaled = np.linalg.solve(L, np.linalg.solve(L, 0.5 * (gravity + gravity.T)).T)
+        largest = max(largest, float(np.abs(np.linalg.eigvalsh(scaled)).max()))
+    return largest
