@@ -8,7 +8,7 @@ from armctl.control.admittance import Admittance
 from armctl.control.computed_torque import ComputedTorque
 from armctl.control.hybrid_force import HybridForce
 from armctl.control.impedance import Impedance
-from armctl.control.interface import Controller, State, controller_name
+from armctl.control.interface import Controller, KernelController, State, controller_name
 from armctl.control.operational_space import OperationalSpace
 from armctl.control.pd import PD
 from armctl.control.pd_gravity import PDGravity, PIDGravity
@@ -52,6 +52,7 @@ __all__ = [
     "Controller",
     "HybridForce",
     "Impedance",
+    "KernelController",
     "OperationalSpace",
     "PDGravity",
     "PIDGravity",

@@ -12,6 +12,7 @@ from typing import Any
 
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.ccallback import CFunc
 from numba.core.dispatcher import Dispatcher
 
 from armctl.core.errors import ArmctlWarning
@@ -95,4 +96,17 @@ def njit(function: Callable) -> Callable:
     compiled: Any = numba.njit(nogil=True, error_model="numpy")(function)
     with suppress(RuntimeError, OSError):  # no source file, or no folder that can be written: compile in every process
         compiled._cache = _TolerantCache(function)
+    return compiled
+
+
+def c_function(signature: Any) -> Callable[[Callable], CFunc]:
+    """Decorates a function that becomes a C function of this signature; the cache is that of `njit`. It must not raise."""
+
+    def compiled(function: Callable) -> CFunc:
+        c_function = CFunc(function, (signature.args, signature.return_type), {}, {"nopython": True, "error_model": "numpy"})
+        with suppress(RuntimeError, OSError):
+            c_function._cache = _TolerantCache(function)
+        c_function.compile()
+        return c_function
+
     return compiled

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import hypot, inf  # hypot of a short list is faster than numpy's norm
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol, TypeGuard
 
 import mujoco
 import numpy as np
@@ -12,7 +12,7 @@ from mujoco import mj_step
 from numpy import ndarray
 from numpy.typing import ArrayLike
 
-from armctl.control import Controller, State, controller_name
+from armctl.control import Controller, KernelController, State, controller_name
 from armctl.core.errors import InputError, LimitError
 from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
@@ -24,6 +24,9 @@ from armctl.sim.disturbances import Disturbances
 from armctl.sim.plant import Brake, Plant, held_dofs, plant_model
 from armctl.sim.recorder import Recorder, TickRows
 from armctl.sim.wrench_sensor import WrenchSensor
+
+if TYPE_CHECKING:
+    from armctl.sim.compiled_loop import CompiledLoop
 
 _CONTROL_TOLERANCE = 1e-9  # relative, for controls at a limit of their motor
 _MAX_SPEED = 1e4  # rad/s (m/s), of all joints together; above it a run counts as diverged
@@ -94,7 +97,7 @@ class Stepper:
         self.actuation = arms[0].actuation if len(arms) == 1 else Actuation.concatenated([arm.actuation for arm in arms])
         self.plant = plant
         self._observer = observer
-        self._tip_jacobian = arms[0].pinocchio_model.jacobian
+        self._packed_dynamics = arms[0].packed_dynamics
         self._home = np.concatenate([arm.home for arm in arms])
         self._home_qpos = arms[0].home_qpos
         self._home_ctrl = arms[0].home_ctrl
@@ -116,6 +119,7 @@ class Stepper:
         self._is_direct = isinstance(self._motors, slice) and bool((self.actuation.gear == 1.0).all())
         self._wrench_sensor = WrenchSensor(arms, plant, self.model, self.data)
         self._disturbances: Disturbances | None = None
+        self._compiled: CompiledLoop | None = None
         self._measurement: tuple[Array, Array] | None = None
         self._unobserved = 0.0
         self.reset()
@@ -171,7 +175,9 @@ class Stepper:
         self._unobserved = 0.0
         self._wrench_sensor.reset()
         if self.plant.has_signal_disturbances:
-            self._disturbances = Disturbances(self.plant, self.data, self.actuation.dof_adr, self._tip_jacobian, self.dt)
+            self._disturbances = Disturbances(
+                self.plant, self.model, self.data, self.actuation.dof_adr, self._packed_dynamics, self.dt
+            )
         if self._observer is not None:
             self._observer.after_reset(self.data)
 
@@ -243,7 +249,39 @@ class Stepper:
                 self._observer.after_ticks(self.data, self._unobserved)
                 self._unobserved = 0.0
 
-    def _run_ticks(self, controller: Controller, rows: TickRows, first: int, last: int) -> None:  # noqa: PLR0915  # locals are fast
+    def _run_ticks(self, controller: Controller, rows: TickRows, first: int, last: int) -> None:
+        """The ticks of rows [first, last): compiled if the law of the controller is a kernel, else in Python."""
+        if last == first + 1 or not _has_compiled_law(controller, self.n):
+            self._run_python_ticks(controller, rows, first, last)
+            return
+        if self._measurement is not None:  # the first tick is measured already
+            self._run_python_ticks(controller, rows, first, first + 1)
+        if not self.failure:
+            self._run_compiled_ticks(controller, rows, last)
+
+    def _run_compiled_ticks(self, controller: KernelController, rows: TickRows, last: int) -> None:
+        """The ticks up to row `last`, in the compiled loop."""
+        from armctl.sim import tick_kernel
+        from armctl.sim.compiled_loop import CompiledLoop
+
+        if self._compiled is None:
+            self._compiled = CompiledLoop(self.actuation, self.model, self.data, self._substeps, self._packed_dynamics)
+        begin = self.state
+        end = self._compiled.run(controller, rows, last, begin, self._disturbances)
+        reached = rows.reference.q[end.row]
+        self.q_ref = reached if np.isfinite(reached).all() else self.state.q
+        if end.error:
+            raise mujoco.FatalError(end.error)
+        if end.status == tick_kernel.DIVERGED:
+            self._diverge(rows.v[end.row])
+        elif end.status == tick_kernel.NOT_FINITE:
+            self.failure = f"the controller gave no finite torque at {self.data.time:.3f} s"
+        elif end.status == tick_kernel.KERNEL_FAILED:
+            name = controller_name(controller)
+            self.failure = f"the kernel of the controller {name:.80} raised an exception at {self.data.time:.3f} s"
+            raise SimulationError(self.failure)
+
+    def _run_python_ticks(self, controller: Controller, rows: TickRows, first: int, last: int) -> None:  # noqa: PLR0915  # locals are fast
         """The ticks of rows [first, last). The speed of every simulation depends on each line of this loop."""
         data = self.data
         model = self.model
@@ -414,3 +452,14 @@ def _read_only(values: Array) -> Array:
     view = values[:]
     view.flags.writeable = False
     return view
+
+
+def _has_compiled_law(controller: Controller, n: int) -> TypeGuard[KernelController]:
+    """Whether a controller computes its torque by a kernel for n joints and nothing else."""
+    return (
+        isinstance(controller, KernelController)
+        and type(controller).torque is KernelController.torque
+        and "torque" not in vars(controller)
+        and controller.n == n
+        and not getattr(controller, "needs_wrench", False)
+    )

@@ -1,0 +1,203 @@
+"""CompiledLoop: runs ticks of a simulation without Python, for a controller that has a kernel.
+
+Import this only in a function that needs it, because numba takes long to load.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from armctl.control import KernelController, State
+from armctl.core.validation import Array
+from armctl.robot.actuation import Actuation
+from armctl.robot.packed_dynamics import PackedDynamics
+from armctl.sim import tick_kernel as kernel
+from armctl.sim.disturbances import Disturbances, Signals
+from armctl.sim.mujoco_library import address_of, contact_layout, guarded_call
+from armctl.sim.recorder import TickRows
+
+_MAX_TICKS = 20_000  # of one call, which an interrupt cannot end
+_EVENTS_SIZE = 4096  # numbers for changes of contacts in one call
+
+
+class LoopEnd(NamedTuple):
+    """How a run of the compiled loop ended.
+
+    Attributes:
+        row: The last row that was begun.
+        status: One of the statuses of `tick_kernel`.
+        error: The message of MuJoCo, if it could not make a step.
+    """
+
+    row: int
+    status: int
+    error: str = ""
+
+
+class CompiledLoop:
+    """The compiled loop of one simulation; it keeps the addresses of the simulation's arrays."""
+
+    def __init__(self, actuation: Actuation, model: mujoco.MjModel, data: mujoco.MjData, substeps: int, tip: PackedDynamics):
+        """The loop of a simulation.
+
+        Args:
+            actuation: The joints.
+            model: The plant's model.
+            data: The state of the simulation.
+            substeps: Steps of MuJoCo in a tick.
+            tip: The dynamics of the arm on whose tip pushes act.
+        """
+        n = actuation.n
+        layout = contact_layout()
+        self._data = data
+        self._indices = np.array([actuation.qpos_adr, actuation.dof_adr, actuation.ctrl_adr, actuation.torque_adr], np.int64)
+        self._scales = np.array([actuation.gear, actuation.torque_share])
+        self._pushed_model = tip.vector(0.0)
+        self._scratch = np.zeros(kernel.SCRATCH_VECTORS * n + 7 * tip.n + tip.work_size())
+        self._events = np.zeros(_EVENTS_SIZE, np.int32)
+        self._table = np.zeros(kernel.TABLE_SIZE, np.int64)
+        self._set_numbers(
+            {
+                kernel.N: n,
+                kernel.NQ: model.nq,
+                kernel.NV: model.nv,
+                kernel.NCTRL: len(data.ctrl),
+                kernel.SUBSTEPS: substeps,
+                kernel.EVENTS_SIZE: _EVENTS_SIZE,
+                kernel.MODEL: model._address,
+                kernel.DATA: data._address,
+                kernel.STEP_FUNCTION: address_of("mj_step"),
+                kernel.CONTACT_COUNT: layout.count,
+                kernel.CONTACT_ARRAY: layout.array,
+                kernel.CONTACT_STRIDE: layout.stride,
+                kernel.CONTACT_GEOMS: layout.geoms,
+                kernel.PUSHED_MODEL_SIZE: len(self._pushed_model),
+                kernel.SCRATCH_SIZE: len(self._scratch),
+            }
+        )
+        self._set_arrays(
+            {
+                kernel.QPOS: data.qpos,
+                kernel.QVEL: data.qvel,
+                kernel.CTRL: data.ctrl,
+                kernel.QFRC_ACTUATOR: data.qfrc_actuator,
+                kernel.QFRC_APPLIED: data.qfrc_applied,
+                kernel.INDICES: self._indices,
+                kernel.SCALES: self._scales,
+                kernel.PUSHED_MODEL: self._pushed_model,
+                kernel.SCRATCH: self._scratch,
+                kernel.EVENTS: self._events,
+            }
+        )
+
+    def run(
+        self, controller: KernelController, rows: TickRows, last: int, state: State, disturbances: Disturbances | None
+    ) -> LoopEnd:
+        """Runs the ticks up to row `last`, which are complete afterwards unless the run ends early.
+
+        Args:
+            controller: The controller, whose law is its kernel.
+            rows: Where the ticks are recorded, from the first row that is not complete.
+            last: The row behind the last one.
+            state: The state now; only its times matter.
+            disturbances: What disturbs the signals, if anything does.
+
+        Returns:
+            How it ended.
+        """
+        parameters, memory = controller.begin(state)
+        reference = np.stack(rows.reference, axis=1)
+        self._set_numbers(
+            {
+                kernel.TICKS: len(reference),
+                kernel.KERNEL: kernel.entry_point(controller.kernel),
+                kernel.PARAMETERS_SIZE: len(parameters),
+                kernel.MEMORY_SIZE: len(memory),
+            }
+        )
+        self._set_arrays(
+            {
+                kernel.PARAMETERS: parameters,
+                kernel.MEMORY: memory,
+                kernel.REFERENCE: reference,
+                kernel.QPOS_ROWS: rows.qpos,
+                kernel.V_ROWS: rows.v,
+                kernel.COMMAND_ROWS: rows.tau_cmd,
+                kernel.TORQUE_ROWS: rows.tau,
+            }
+        )
+        end = LoopEnd(rows.count, kernel.COMPLETE)
+        while rows.count < last and end.status in (kernel.COMPLETE, kernel.EVENTS_FULL) and not end.error:
+            end = self._run_part(rows, min(last, rows.count + _MAX_TICKS), disturbances)
+        was_called = end.status in (kernel.NOT_FINITE, kernel.KERNEL_FAILED)
+        controller.finish(self._data.time + (state.dt if was_called else 0.0))
+        return end
+
+    def _run_part(self, rows: TickRows, last: int, disturbances: Disturbances | None) -> LoopEnd:
+        """Some ticks in one call."""
+        first = rows.count
+        self._set_numbers({kernel.FIRST: first, kernel.LAST: last, kernel.ROW: first, kernel.COUNT: first})
+        self._begin_events(rows)
+        signals = None if disturbances is None else disturbances.planned(last - first)
+        if signals is not None:
+            self._set_signals(signals)
+        error = ""
+        try:
+            error = guarded_call(kernel.run_table.address, self._table.ctypes.data)
+        finally:
+            end = LoopEnd(int(self._table[kernel.ROW]), int(self._table[kernel.STATUS]), error)
+            rows.count = int(self._table[kernel.COUNT])
+            self._end_events(rows, is_full=end.status == kernel.EVENTS_FULL)
+            if disturbances is not None:
+                measured = rows.count - first + (end.status in (kernel.NOT_FINITE, kernel.KERNEL_FAILED))
+                disturbances.took(measured, int(self._table[kernel.COMMANDS_GIVEN]))
+        return end
+
+    def _set_numbers(self, entries: dict[int, int]) -> None:
+        for entry, number in entries.items():
+            self._table[entry] = number
+
+    def _set_arrays(self, entries: dict[int, Array]) -> None:
+        """Sets addresses of arrays, which the caller keeps alive."""
+        for entry, array in entries.items():
+            self._table[entry] = array.ctypes.data
+
+    def _set_signals(self, signals: Signals) -> None:
+        is_noisy = signals.noise is not None
+        is_pushed = signals.wrenches is not None
+        self._set_numbers(
+            {
+                kernel.DELAY: len(signals.commands) - 1,
+                kernel.COMMANDS_GIVEN: signals.commands_given,
+                kernel.PUSHED_JOINTS: signals.pushed_joints if is_pushed else 0,
+            }
+        )
+        self._set_arrays({kernel.COMMANDS: signals.commands, kernel.RIPPLE: signals.ripple})
+        self._table[kernel.NOISE] = signals.noise.ctypes.data if is_noisy else 0
+        self._table[kernel.WRENCHES] = signals.wrenches.ctypes.data if is_pushed else 0
+
+    def _begin_events(self, rows: TickRows) -> None:
+        """Begins the list of events with the contacts of the last complete row, if it has any."""
+        self._set_numbers({kernel.EVENTS_USED: 0, kernel.LAST_EVENT: -1})
+        geoms = np.frombuffer(rows.contacts[-1][1] if rows.contacts else b"", np.int32)
+        used = len(geoms) + 2
+        if rows.contacts and used <= _EVENTS_SIZE:
+            self._events[0] = -1
+            self._events[1] = len(geoms) // 2
+            self._events[2:used] = geoms
+            self._set_numbers({kernel.EVENTS_USED: used, kernel.LAST_EVENT: 0})
+
+    def _end_events(self, rows: TickRows, *, is_full: bool) -> None:
+        """Adds the changes of contacts to the rows."""
+        at = 0
+        while at < self._table[kernel.EVENTS_USED]:
+            row = int(self._events[at])
+            end = at + 2 + 2 * int(self._events[at + 1])
+            if row >= 0:
+                rows.contacts.append((row, self._events[at + 2 : end].tobytes()))
+            at = end
+        if is_full:
+            rows.contacts.append((rows.count - 1, self._data.contact.geom.tobytes()))

@@ -1,0 +1,334 @@
+"""The compiled tick loop: the same ticks as `Stepper._run_ticks`, for a controller that has a kernel.
+
+The loop runs as a C function inside `mjb_apply`, which passes one address: that of a table of int64 with numbers and addresses
+of arrays. The table and everything that it points to belong to one run, so runs on different threads share nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from armctl.core.errors import InputError
+from armctl.core.jit import c_function, njit
+from armctl.core.validation import shown
+from armctl.robot.dynamics_kernel import locate, place, tip_jacobian
+
+# Entries of the table. SIZES:
+N = 0  # joints
+NQ = 1
+NV = 2
+NCTRL = 3
+TICKS = 4  # rows of the reference
+FIRST = 5  # the run begins at this row ...
+LAST = 6  # ... and ends before this one
+SUBSTEPS = 7
+DELAY = 8  # ticks
+COMMANDS_GIVEN = 9  # ticks whose command is in the ring buffer, since the last reset
+EVENTS_SIZE = 10
+PUSHED_JOINTS = 11  # joints of the arm on whose tip pushes act; 0 without pushes
+# Addresses of MuJoCo:
+MODEL = 12
+DATA = 13
+STEP_FUNCTION = 14
+CONTACT_COUNT = 15  # offsets, as in ContactLayout
+CONTACT_ARRAY = 16
+CONTACT_STRIDE = 17
+CONTACT_GEOMS = 18
+# Addresses of arrays:
+QPOS = 19
+QVEL = 20
+CTRL = 21
+QFRC_ACTUATOR = 22
+QFRC_APPLIED = 23
+INDICES = 24  # (4, n) int64: the joints in qpos, in qvel, their motors in ctrl, their torques in qfrc_actuator
+SCALES = 25  # (2, n): gear, torque per unit of qfrc_actuator
+KERNEL = 26
+PARAMETERS = 27
+PARAMETERS_SIZE = 28
+MEMORY = 29
+MEMORY_SIZE = 30
+REFERENCE = 31  # (ticks, 5, n)
+NOISE = 32  # (LAST - FIRST, 2, n) on measured positions and velocities; 0 for none
+COMMANDS = 33  # (delay + 1, n) ring buffer; 0 if the motors receive the command itself
+RIPPLE = 34  # (1,)
+WRENCHES = 35  # (LAST - FIRST, 6) of the pushes
+PUSHED_MODEL = 36
+PUSHED_MODEL_SIZE = 37
+SCRATCH = 38
+SCRATCH_SIZE = 39
+QPOS_ROWS = 40
+V_ROWS = 41
+COMMAND_ROWS = 42
+TORQUE_ROWS = 43
+EVENTS = 44  # (events size,) int32: row, number of contacts, geoms; again
+# Results:
+ROW = 45  # the last row that was begun
+COUNT = 46  # complete rows
+STATUS = 47
+EVENTS_USED = 48
+LAST_EVENT = 49  # where the last event begins; -1 before the first
+TABLE_SIZE = 50
+
+SCRATCH_VECTORS = 4  # (n,) at the start of the scratch memory; then J and scratch of the model for pushes
+
+COMPLETE = 0
+DIVERGED = 1
+NOT_FINITE = 2
+KERNEL_FAILED = 3
+EVENTS_FULL = 4  # the contacts of the last complete row are new, but there is no place for them
+
+RIPPLES_PER_RADIAN = 12.0  # 75 a turn, typical of a motor behind a gear
+MAX_SPEED = 1e4  # rad/s (m/s), of all joints together; above it a run counts as diverged
+
+VECTOR = types.Array(types.float64, 1, "C")
+MATRIX = types.Array(types.float64, 2, "C")
+KERNEL_SIGNATURE = (VECTOR, VECTOR, VECTOR, MATRIX, VECTOR, VECTOR)
+
+
+def entry_point(controller_kernel: Any) -> int:
+    """The address of the compiled code of a controller's kernel, which numba keeps as long as the kernel.
+
+    Raises:
+        InputError: The kernel cannot be compiled.
+    """
+    try:
+        controller_kernel.compile(KERNEL_SIGNATURE)
+    except (AttributeError, numba.NumbaError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"kernel: {shown(controller_kernel)} is not compiled by numba.njit: {reason:.150}") from error
+    compiled = controller_kernel.overloads[KERNEL_SIGNATURE]
+    return compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
+
+
+@intrinsic
+def _floats(typingctx, address):
+    """A pointer to float64 from an address."""
+
+    def codegen(context, builder, signature, arguments):
+        return builder.inttoptr(arguments[0], context.get_value_type(types.CPointer(types.float64)))
+
+    return types.CPointer(types.float64)(types.intp), codegen
+
+
+@intrinsic
+def _integers(typingctx, address):
+    """A pointer to int64 from an address."""
+
+    def codegen(context, builder, signature, arguments):
+        return builder.inttoptr(arguments[0], context.get_value_type(types.CPointer(types.int64)))
+
+    return types.CPointer(types.int64)(types.intp), codegen
+
+
+@intrinsic
+def _short_integers(typingctx, address):
+    """A pointer to int32 from an address."""
+
+    def codegen(context, builder, signature, arguments):
+        return builder.inttoptr(arguments[0], context.get_value_type(types.CPointer(types.int32)))
+
+    return types.CPointer(types.int32)(types.intp), codegen
+
+
+@intrinsic
+def _step(typingctx, function, model, data):
+    """Calls `void function(model, data)`, such as mj_step, by its address."""
+
+    def codegen(context, builder, signature, arguments):
+        word = cgutils.intp_t
+        kind = cgutils.ir.FunctionType(cgutils.ir.VoidType(), [word, word])
+        builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), arguments[1:])
+        return context.get_dummy_value()
+
+    return types.none(types.intp, types.intp, types.intp), codegen
+
+
+@intrinsic
+def _call_kernel(typingctx, function, parameters, q, v, reference, memory, tau):
+    """Calls a compiled kernel by its address; True if it raised an exception."""
+
+    def codegen(context, builder, signature, arguments):
+        kinds = signature.args[1:]
+        kind = context.call_conv.get_function_type(types.none, kinds)
+        pointer = builder.inttoptr(arguments[0], kind.as_pointer())
+        status, _ = context.call_conv.call_function(builder, pointer, types.none, kinds, arguments[1:])
+        return status.is_error
+
+    return types.boolean(types.intp, *KERNEL_SIGNATURE), codegen
+
+
+@njit
+def _vector(address, size):
+    return numba.carray(_floats(address), (size,))
+
+
+@njit
+def _matrix(address, rows, columns):
+    return numba.carray(_floats(address), (rows, columns))
+
+
+@njit
+def rippled(tau, q, ripple):
+    """A motor's torque with torque ripple at position q."""
+    return tau * (1.0 + ripple * math.sin(RIPPLES_PER_RADIAN * q))
+
+
+@njit
+def tip_torque(model, q, wrench, work, jacobian, torque):
+    """J^T wrench, (n,): the joint torque of a wrench (6,) on the tip; `jacobian` is scratch (6, n)."""
+    place(model, q, work)
+    locate(model, work)
+    tip_jacobian(model, work, jacobian)
+    for i in range(torque.shape[0]):
+        total = 0.0
+        for k in range(6):
+            total += jacobian[k, i] * wrench[k]
+        torque[i] = total
+
+
+@njit
+def _contacts_changed(table, events, count):
+    """Whether the geoms that touch differ from those of the last event."""
+    known = table[LAST_EVENT]
+    if known < 0:
+        return count > 0
+    if events[known + 1] != count:
+        return True
+    if count == 0:
+        return False
+    first = numba.carray(_integers(table[DATA] + table[CONTACT_ARRAY]), (1,))[0] + table[CONTACT_GEOMS]
+    for k in range(count):
+        pair = numba.carray(_short_integers(first + k * table[CONTACT_STRIDE]), (2,))
+        if pair[0] != events[known + 2 + 2 * k] or pair[1] != events[known + 3 + 2 * k]:
+            return True
+    return False
+
+
+@njit
+def _note_contacts(table, row):
+    """Notes the geoms that touch, if they changed; False if there is no place for them."""
+    count = numba.carray(_short_integers(table[DATA] + table[CONTACT_COUNT]), (1,))[0]
+    if count == 0 and table[LAST_EVENT] < 0:
+        return True
+    events = numba.carray(_short_integers(table[EVENTS]), (table[EVENTS_SIZE],))
+    if not _contacts_changed(table, events, count):
+        return True
+    used = table[EVENTS_USED]
+    if used + 2 + 2 * count > table[EVENTS_SIZE]:
+        return False
+    events[used] = row
+    events[used + 1] = count
+    if count > 0:
+        first = numba.carray(_integers(table[DATA] + table[CONTACT_ARRAY]), (1,))[0] + table[CONTACT_GEOMS]
+        for k in range(count):
+            pair = numba.carray(_short_integers(first + k * table[CONTACT_STRIDE]), (2,))
+            events[used + 2 + 2 * k] = pair[0]
+            events[used + 3 + 2 * k] = pair[1]
+    table[LAST_EVENT] = used
+    table[EVENTS_USED] = used + 2 + 2 * count
+    return True
+
+
+@njit
+def _drive(table, row, indices, scales, q, tau, ctrl):
+    """Sets the controls of the motors from the commanded torque: delay, ripple, gears; and the torques of pushes."""
+    n = tau.shape[0]
+    if table[COMMANDS] == 0:
+        for i in range(n):
+            ctrl[indices[2, i]] = tau[i] / scales[0, i]
+        return
+    length = table[DELAY] + 1
+    commands = _matrix(table[COMMANDS], length, n)
+    given = table[COMMANDS_GIVEN]
+    newest = given % length
+    oldest = max(given - table[DELAY], 0) % length
+    ripple = _vector(table[RIPPLE], 1)[0]
+    for i in range(n):
+        commands[newest, i] = tau[i]
+        ctrl[indices[2, i]] = rippled(commands[oldest, i], q[i], ripple) / scales[0, i]
+    table[COMMANDS_GIVEN] = given + 1
+    pushed = table[PUSHED_JOINTS]
+    if pushed > 0:
+        scratch = _vector(table[SCRATCH], table[SCRATCH_SIZE])[SCRATCH_VECTORS * n :]
+        torque = scratch[:pushed]
+        jacobian = scratch[pushed : 7 * pushed].reshape((6, pushed))
+        wrench = _matrix(table[WRENCHES], table[LAST] - table[FIRST], 6)[row - table[FIRST]]
+        model = _vector(table[PUSHED_MODEL], table[PUSHED_MODEL_SIZE])
+        tip_torque(model, q[:pushed], wrench, scratch[7 * pushed :], jacobian, torque)
+        applied = _vector(table[QFRC_APPLIED], table[NV])
+        for i in range(pushed):
+            applied[indices[1, i]] = torque[i]
+
+
+@njit
+def run_ticks(table):
+    """The ticks [FIRST, LAST) of a run; STATUS says why it ended."""
+    n = table[N]
+    ticks = table[TICKS]
+    indices = numba.carray(_integers(table[INDICES]), (4, n))
+    scales = _matrix(table[SCALES], 2, n)
+    qpos = _vector(table[QPOS], table[NQ])
+    qvel = _vector(table[QVEL], table[NV])
+    ctrl = _vector(table[CTRL], table[NCTRL])
+    actuator = _vector(table[QFRC_ACTUATOR], table[NV])
+    parameters = _vector(table[PARAMETERS], table[PARAMETERS_SIZE])
+    memory = _vector(table[MEMORY], table[MEMORY_SIZE])
+    reference = numba.carray(_floats(table[REFERENCE]), (ticks, 5, n))
+    qpos_rows = _matrix(table[QPOS_ROWS], ticks, table[NQ])
+    v_rows = _matrix(table[V_ROWS], ticks, n)
+    command_rows = _matrix(table[COMMAND_ROWS], ticks, n)
+    torque_rows = _matrix(table[TORQUE_ROWS], ticks, n)
+    scratch = _vector(table[SCRATCH], table[SCRATCH_SIZE])
+    q = scratch[:n]
+    q_seen = scratch[n : 2 * n]
+    v_seen = scratch[2 * n : 3 * n]
+    tau = scratch[3 * n : 4 * n]
+    is_noisy = table[NOISE] != 0
+    first = table[FIRST]
+    noise = numba.carray(_floats(table[NOISE]), (table[LAST] - first, 2, n))  # not read unless there is any
+    table[STATUS] = COMPLETE
+    for row in range(first, table[LAST]):
+        table[ROW] = row
+        for i in range(table[NQ]):
+            qpos_rows[row, i] = qpos[i]
+        squared_speed = 0.0
+        for i in range(n):
+            q[i] = qpos[indices[0, i]]
+            speed = qvel[indices[1, i]]
+            v_rows[row, i] = speed
+            squared_speed += speed * speed
+            q_seen[i] = q[i] + noise[row - first, 0, i] if is_noisy else q[i]
+            v_seen[i] = speed + noise[row - first, 1, i] if is_noisy else speed
+        if not math.sqrt(squared_speed) < MAX_SPEED:
+            table[STATUS] = DIVERGED
+            return
+        if _call_kernel(table[KERNEL], parameters, q_seen, v_seen, reference[row], memory, tau):
+            table[STATUS] = KERNEL_FAILED
+            return
+        for i in range(n):
+            if not abs(tau[i]) < np.inf:
+                table[STATUS] = NOT_FINITE
+                return
+            command_rows[row, i] = tau[i]
+        _drive(table, row, indices, scales, q, tau, ctrl)
+        for _ in range(table[SUBSTEPS]):
+            _step(table[STEP_FUNCTION], table[MODEL], table[DATA])
+        for i in range(n):
+            torque_rows[row, i] = actuator[indices[3, i]] * scales[1, i]
+        table[COUNT] = row + 1
+        if not _note_contacts(table, row):
+            table[STATUS] = EVENTS_FULL
+            return
+
+
+@c_function(types.void(types.intp, types.intp, types.int32, types.intp))
+def run_table(model, data, simulation, table):
+    """A function for `mjb_apply`: runs the table at an address."""
+    run_ticks(numba.carray(_integers(table), (TABLE_SIZE,)))
