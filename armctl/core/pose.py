@@ -207,24 +207,6 @@ def rotation_from_vector(w: Array) -> Array:
     return _pinocchio().exp3(w)
 
 
-def quats_from_rotations(R: Array) -> Array:
-    """Quaternions (T, 4) wxyz, with w >= 0, of rotation matrices (T, 3, 3)."""
-    diagonal = np.diagonal(R, axis1=1, axis2=2)
-    difference = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
-    candidates = np.empty((len(R), 4, 4))  # each row a multiple of the quaternion (Shepperd's method)
-    candidates[:, 1:, 1:] = R + R.transpose(0, 2, 1)
-    candidates[:, 0, 1:] = difference
-    candidates[:, 1:, 0] = difference
-    trace = diagonal.sum(axis=1)
-    candidates[:, 0, 0] = 1 + trace
-    for i in range(3):
-        candidates[:, i + 1, i + 1] = 1 + 2 * diagonal[:, i] - trace
-    best = np.diagonal(candidates, axis1=1, axis2=2).argmax(axis=1)
-    quats = candidates[np.arange(len(R)), best]
-    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
-    return np.where(quats[:, :1] < 0, -quats, quats)
-
-
 @cache
 def _pinocchio() -> ModuleType:
     """Pinocchio, imported when a rotation vector is first needed: `armctl.Pose` alone loads in half the time without it."""

@@ -688,3 +688,44 @@ def tip_jacobian(model, work, J):
                     J[3, i] += ratio * zx
                     J[4, i] += ratio * zy
                     J[5, i] += ratio * zz
+
+
+@njit
+def _quaternion(R, quat):
+    """The unit quaternion wxyz, w >= 0, of a rotation (9,) by Shepperd's method: the largest component is found first."""
+    trace = R[0] + R[4] + R[8]
+    largest = 0
+    value = trace
+    for i in range(3):
+        if R[4 * i] > value:
+            largest = i + 1
+            value = R[4 * i]
+    if largest == 0:
+        quat[0] = 1.0 + trace
+        _store(quat, 1, R[7] - R[5], R[2] - R[6], R[3] - R[1])
+    else:
+        i = largest - 1
+        j = (i + 1) % 3
+        k = (i + 2) % 3
+        quat[0] = R[3 * k + j] - R[3 * j + k]
+        quat[1 + i] = 1.0 + R[4 * i] - R[4 * j] - R[4 * k]
+        quat[1 + j] = R[3 * i + j] + R[3 * j + i]
+        quat[1 + k] = R[3 * i + k] + R[3 * k + i]
+    scale = 1.0 / math.sqrt(quat[0] * quat[0] + quat[1] * quat[1] + quat[2] * quat[2] + quat[3] * quat[3])
+    if quat[0] < 0.0:
+        scale = -scale
+    for i in range(4):
+        quat[i] *= scale
+
+
+@njit
+def tips(model, rows, work, positions, quats):
+    """The tip at every row of positions of the joints, (T, n): positions (T, 3) and quaternions (T, 4)."""
+    rotation = work[work.shape[0] - 9 :]
+    for row in range(rows.shape[0]):
+        place(model, rows[row], work)
+        locate(model, work)
+        x, y, z = tip_position(model, work)
+        _store(positions[row], 0, x, y, z)
+        tip_rotation(model, work, rotation)
+        _quaternion(rotation, quats[row])

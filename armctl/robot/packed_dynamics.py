@@ -14,6 +14,7 @@ from armctl.robot.pinocchio_model import PinocchioModel
 
 _TOLERANCE = 1e-9  # relative, as between Pinocchio and MuJoCo
 _CHECKED_STATES = 3
+_ROTATION_SIZE = 9
 
 
 class PackedDynamics:
@@ -80,6 +81,23 @@ class PackedDynamics:
         from armctl.robot import dynamics_kernel as kernel
 
         return int(self._header[kernel.JOINTS]) * kernel.WORK_COLUMNS + self.n * self.n + self.n
+
+    def tips(self, q: Array) -> tuple[Array, Array]:
+        """The tip at many positions.
+
+        Args:
+            q: (T, n) rad.
+
+        Returns:
+            Positions (T, 3) m, and quaternions (T, 4) wxyz with w >= 0, in the world.
+        """
+        from armctl.robot import dynamics_kernel as kernel
+
+        positions = np.empty((len(q), 3))
+        quats = np.empty((len(q), 4))
+        work = np.empty(self.work_size() + _ROTATION_SIZE)
+        kernel.tips(self.vector(0.0), np.array(q), work, positions, quats)
+        return positions, quats
 
     def _check(self, dynamics: Dynamics, pinocchio_model: PinocchioModel) -> None:
         from armctl.robot import dynamics_kernel as kernel

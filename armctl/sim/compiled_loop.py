@@ -20,6 +20,7 @@ from armctl.sim.mujoco_library import address_of, contact_layout, guarded_call
 from armctl.sim.recorder import TickRows
 
 _MAX_TICKS = 20_000  # of one call, which an interrupt cannot end
+_INCOMPLETE = (kernel.NOT_FINITE, kernel.KERNEL_FAILED)  # the state was measured, but no step was made
 _EVENTS_SIZE = 4096  # numbers for changes of contacts in one call
 
 
@@ -30,11 +31,13 @@ class LoopEnd(NamedTuple):
         row: The last row that was begun.
         status: One of the statuses of `tick_kernel`.
         error: The message of MuJoCo, if it could not make a step.
+        measurement: q and v (n,) that were measured at the last row, if that tick was not completed and there are disturbances.
     """
 
     row: int
     status: int
     error: str = ""
+    measurement: tuple[Array, Array] | None = None
 
 
 class CompiledLoop:
@@ -51,6 +54,7 @@ class CompiledLoop:
             tip: The dynamics of the arm on whose tip pushes act.
         """
         n = actuation.n
+        self._n = n
         layout = contact_layout()
         self._data = data
         self._indices = np.array([actuation.qpos_adr, actuation.dof_adr, actuation.ctrl_adr, actuation.torque_adr], np.int64)
@@ -132,8 +136,12 @@ class CompiledLoop:
         end = LoopEnd(rows.count, kernel.COMPLETE)
         while rows.count < last and end.status in (kernel.COMPLETE, kernel.EVENTS_FULL) and not end.error:
             end = self._run_part(rows, min(last, rows.count + _MAX_TICKS), disturbances)
-        was_called = end.status in (kernel.NOT_FINITE, kernel.KERNEL_FAILED)
+        was_called = end.status in _INCOMPLETE
         controller.finish(self._data.time + (state.dt if was_called else 0.0))
+        if was_called and disturbances is not None:
+            q = self._scratch[kernel.Q_SEEN * self._n :][: self._n]
+            v = self._scratch[kernel.V_SEEN * self._n :][: self._n]
+            end = end._replace(measurement=(q.copy(), v.copy()))
         return end
 
     def _run_part(self, rows: TickRows, last: int, disturbances: Disturbances | None) -> LoopEnd:
@@ -152,7 +160,7 @@ class CompiledLoop:
             rows.count = int(self._table[kernel.COUNT])
             self._end_events(rows, is_full=end.status == kernel.EVENTS_FULL)
             if disturbances is not None:
-                measured = rows.count - first + (end.status in (kernel.NOT_FINITE, kernel.KERNEL_FAILED))
+                measured = rows.count - first + (end.status in _INCOMPLETE)
                 disturbances.took(measured, int(self._table[kernel.COMMANDS_GIVEN]))
         return end
 

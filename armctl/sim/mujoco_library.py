@@ -1,4 +1,4 @@
-"""MuJoCo's C library for compiled code: its functions by address, where it keeps contacts, and calls that survive its errors."""
+"""MuJoCo's C library for compiled code: functions by address, where contacts are, and calls that survive its errors."""
 
 from __future__ import annotations
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from armctl.core.errors import InputError
 from armctl.core.log import Contact, Log
-from armctl.core.pose import quats_from_rotations
 from armctl.core.trajectory import TickReference
 from armctl.core.validation import Array, frozen
 from armctl.mjmodel.queries import body_name, geom_owner_name, is_below
@@ -108,8 +107,8 @@ class Recorder:
         columns = self._columns()
         qpos = columns.pop("qpos")
         columns = {name: np.ascontiguousarray(column[:, joints]) for name, column in columns.items()}
-        tip, rotation = arm.pinocchio_model.tips(columns["q"])
-        tip_ref, rotation_ref = arm.pinocchio_model.tips(columns["q_ref"])
+        tip, tip_quat = arm.packed_dynamics.tips(columns["q"])
+        tip_ref, tip_ref_quat = arm.packed_dynamics.tips(columns["q_ref"])
         return Log(
             robot=arm.name,
             joint_names=arm.joint_names,
@@ -123,9 +122,9 @@ class Recorder:
             failure=failure,
             t=dt * np.arange(self.size, dtype=np.float64),
             tip=tip,
-            tip_quat=quats_from_rotations(rotation),
+            tip_quat=tip_quat,
             tip_ref=tip_ref,
-            tip_ref_quat=quats_from_rotations(rotation_ref),
+            tip_ref_quat=tip_ref_quat,
             qpos=qpos,
             units=arm.units,
             contacts=self._contacts(arm, dt),

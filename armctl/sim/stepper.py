@@ -270,6 +270,7 @@ class Stepper:
         end = self._compiled.run(controller, rows, last, begin, self._disturbances)
         reached = rows.reference.q[end.row]
         self.q_ref = reached if np.isfinite(reached).all() else self.state.q
+        self._measurement = end.measurement
         if end.error:
             raise mujoco.FatalError(end.error)
         if end.status == tick_kernel.DIVERGED:

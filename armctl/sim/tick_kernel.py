@@ -7,6 +7,7 @@ of arrays. The table and everything that it points to belong to one run, so runs
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import Any
 
 import numba
@@ -76,7 +77,12 @@ EVENTS_USED = 48
 LAST_EVENT = 49  # where the last event begins; -1 before the first
 TABLE_SIZE = 50
 
-SCRATCH_VECTORS = 4  # (n,) at the start of the scratch memory; then J and scratch of the model for pushes
+# Vectors (n,) at the start of the scratch memory; then J and scratch of the model for pushes.
+Q = 0
+Q_SEEN = 1
+V_SEEN = 2
+TAU = 3
+SCRATCH_VECTORS = 4
 
 COMPLETE = 0
 DIVERGED = 1
@@ -92,6 +98,7 @@ MATRIX = types.Array(types.float64, 2, "C")
 KERNEL_SIGNATURE = (VECTOR, VECTOR, VECTOR, MATRIX, VECTOR, VECTOR)
 
 
+@cache
 def entry_point(controller_kernel: Any) -> int:
     """The address of the compiled code of a controller's kernel, which numba keeps as long as the kernel.
 
@@ -286,10 +293,10 @@ def run_ticks(table):
     command_rows = _matrix(table[COMMAND_ROWS], ticks, n)
     torque_rows = _matrix(table[TORQUE_ROWS], ticks, n)
     scratch = _vector(table[SCRATCH], table[SCRATCH_SIZE])
-    q = scratch[:n]
-    q_seen = scratch[n : 2 * n]
-    v_seen = scratch[2 * n : 3 * n]
-    tau = scratch[3 * n : 4 * n]
+    q = scratch[Q * n : (Q + 1) * n]
+    q_seen = scratch[Q_SEEN * n : (Q_SEEN + 1) * n]
+    v_seen = scratch[V_SEEN * n : (V_SEEN + 1) * n]
+    tau = scratch[TAU * n : (TAU + 1) * n]
     is_noisy = table[NOISE] != 0
     first = table[FIRST]
     noise = numba.carray(_floats(table[NOISE]), (table[LAST] - first, 2, n))  # not read unless there is any

@@ -308,6 +308,16 @@ def test_compiled_dynamics_of_tied_joints_springs_and_implicit_integrators_are_p
     check_compiled(synthetic)
 
 
+def test_compiled_tips_are_pinocchios_also_behind_half_turns(arm: Arm):
+    q = np.concatenate([[arm.home, np.zeros(arm.n)], np.random.default_rng(15).uniform(-4, 4, (200, arm.n))])
+    positions, quats = arm.packed_dynamics.tips(q)
+    expected_positions, rotations = arm.pinocchio_model.tips(q)
+    assert np.abs(positions - expected_positions).max() <= 1e-13 * max(1.0, np.abs(expected_positions).max())
+    expected = np.array([armctl.Pose.from_rotation([0, 0, 0], R).quat for R in rotations])
+    assert np.abs(np.abs((quats * expected).sum(axis=1)) - 1).max() <= 1e-14  # q and -q at a half turn are the same
+    assert (quats[:, 0] >= 0).all()
+
+
 def test_a_wrong_compiled_model_is_found_before_its_first_use(bundled: Arm):
     model = dataclasses.replace(bundled.pinocchio_model, T_last_tip=bundled.pinocchio_model.T_last_tip + 0.01)
     with pytest.raises(armctl.ModelError, match="the compiled tip"):

@@ -1,0 +1,205 @@
+"""The compiled loop and the Python loop are the same simulation: every controller on every plant, bit for bit."""
+
+import itertools
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from motions import Still, Sway
+from synthetic import BENT, mjcf, serial_arm
+
+import armctl
+from armctl.control import CONTROLLERS, KernelController, controller_by_name
+from armctl.core.jit import njit
+from armctl.sim import compiled_loop
+from armctl.sim.mujoco_library import address_of, guarded_call
+
+PLANTS = {
+    "nominal": armctl.Plant(),
+    "heavier, with friction": armctl.Plant(payload=0.3, mass_scale=1.1, coulomb_friction=0.2, viscous_friction=0.1),
+    "delayed": armctl.Plant(delay=3),
+    "encoder noise": armctl.Plant(encoder_noise=1e-4, seed=3),
+    "all noise, ripple": armctl.Plant(encoder_noise=1e-4, velocity_noise=1e-3, torque_ripple=0.05, delay=1),
+    "pushed": armctl.Plant(
+        pushes=[armctl.Push(0.05, 0.1, force=[5, 0, 3]), armctl.Push(0.1, 0.1, force=[0, 2, 0], torque=[0.1, 0, 0])]
+    ),
+    "continuous, slow ticks": armctl.Plant(continuous=True, timestep=0.004, encoder_noise=1e-5),
+    "continuous, pushed": armctl.Plant(continuous=True, pushes=armctl.Push(0.011, 0.02, force=[5, 0, 3])),
+}
+KERNELS = ["pd", "pd-gravity", "pid-gravity", "computed-torque", "computed-torque-textbook", "computed-torque-observer"]
+
+
+class InPython:
+    """A controller without a kernel that does what another controller does."""
+
+    def __init__(self, controller: armctl.Controller):
+        self._controller = controller
+        self.name = controller.name
+
+    def torque(self, state, setpoint):
+        return self._controller.torque(state, setpoint)
+
+
+@pytest.fixture(scope="module")
+def rubbing(tmp_path_factory: pytest.TempPathFactory) -> armctl.Arm:
+    return serial_arm(tmp_path_factory.mktemp("arm"), BENT["rubbing"])
+
+
+def same(first: armctl.Log, second: armctl.Log) -> bool:
+    columns = ("t", "q", "v", "tau", "tau_cmd", "q_ref", "qpos", "tip")
+    assert all(np.array_equal(getattr(first, name), getattr(second, name)) for name in columns)
+    assert [str(contact) for contact in first.contacts] == [str(contact) for contact in second.contacts]
+    assert first.failure == second.failure
+    return True
+
+
+def test_every_shipped_law_that_is_listed_here_has_a_kernel(bundled):
+    assert [name for name in CONTROLLERS if isinstance(controller_by_name(name, bundled), KernelController)] == KERNELS
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize("name", KERNELS)
+def test_both_loops_give_the_same_bits(rubbing, name: str, plant: str):
+    logs = [
+        armctl.simulate(rubbing, controller, Sway(rubbing), PLANTS[plant], dwell=0.02)
+        for controller in (controller_by_name(name, rubbing), InPython(controller_by_name(name, rubbing)))
+    ]
+    assert same(*logs)
+    assert len(logs[0]) > 100
+
+
+@pytest.mark.parametrize("name", ["computed-torque-observer", "pid-gravity"])
+def test_memory_and_noise_go_on_from_run_to_run_and_through_single_ticks(rubbing, name: str):
+    plant = armctl.Plant(encoder_noise=1e-4, delay=2, pushes=armctl.Push(0.01, 0.1, force=[5, 0, 3]))
+    states = []
+    logs = []
+    for controller in (controller_by_name(name, rubbing), InPython(controller_by_name(name, rubbing))):
+        sim = armctl.Simulation(rubbing, controller, plant)
+        sim.run(Still(rubbing.home + 0.01, 0.05))
+        states.append(sim.measured_state.q)
+        sim.run(Still(rubbing.home, 0.03))
+        for _ in range(3):
+            sim.step()
+        states.append(sim.measured_state.v)
+        logs.append(sim.run(Still(rubbing.home + 0.02, 0.05)))
+    assert same(*logs)
+    assert np.array_equal(states[0], states[2])
+    assert np.array_equal(states[1], states[3])
+
+
+SLIDER = """<body name="slider" pos="0 0 0.3"><joint name="x" type="slide" axis="1 0 0" range="-9 9"/>
+<geom size="0.02" mass="1"/><site name="tip"/></body>
+<body name="block" pos="0.3 0 0.3"><geom type="box" size="0.02 0.2 0.2"/></body>"""
+
+
+@pytest.fixture
+def slider(tmp_path: Path) -> armctl.Arm:
+    """A ball on a strong slide joint, with a block in its way."""
+    path = tmp_path / "slider.xml"
+    path.write_text(mjcf(SLIDER, '<actuator><motor joint="x" ctrlrange="-1e9 1e9"/></actuator>'))
+    return armctl.load(path)
+
+
+@pytest.mark.parametrize("events_size", [4, 4096])
+def test_contacts_are_those_of_the_python_loop(slider, monkeypatch, events_size: int):
+    """A spring presses a ball against a block; with a short list, the loop hands its contacts over at every change."""
+    monkeypatch.setattr(compiled_loop, "_EVENTS_SIZE", events_size)
+    logs = []
+    for wrap in (lambda controller: controller, InPython):
+        sim = armctl.Simulation(slider, wrap(armctl.PD(slider)))
+        logs.append(sim.run(Still(np.array([0.6]), 1.0)))
+    assert sum(contact.duration for contact in logs[0].contacts) > 0.1
+    assert same(*logs)
+
+
+def test_a_long_run_in_several_calls_is_the_same(rubbing, monkeypatch):
+    plant = PLANTS["all noise, ripple"]
+    whole = armctl.simulate(rubbing, "pid-gravity", Sway(rubbing), plant)
+    monkeypatch.setattr(compiled_loop, "_MAX_TICKS", 7)
+    assert same(whole, armctl.simulate(rubbing, "pid-gravity", Sway(rubbing), plant))
+
+
+def test_a_run_that_diverges_ends_at_the_same_tick_for_the_same_reason(slider):
+    plant = armctl.Plant(encoder_noise=1e-4, delay=1)
+    wild = armctl.PD(slider, stiffness=1e7, damping=0.0)
+    logs = [armctl.simulate(slider, controller, Still(np.zeros(1)), plant) for controller in (wild, InPython(wild))]
+    assert same(*logs)
+    assert "diverged" in logs[0].failure
+
+
+def test_a_torque_that_is_not_finite_ends_the_run_and_the_next_one_continues(bundled):
+    plant = armctl.Plant(encoder_noise=1e-4, pushes=armctl.Push(0.0, 1.0, force=[1, 0, 0]))
+    logs = []
+    for wrap in (lambda controller: controller, InPython):
+        controller = armctl.PD(bundled)
+        sim = armctl.Simulation(bundled, wrap(controller), plant)
+        sim.run(Still(bundled.home, 0.05))
+        stiffness = controller.stiffness
+        controller.stiffness = np.full(3, np.nan)
+        failed = sim.run(Still(bundled.home, 0.05))
+        assert "no finite torque" in failed.failure
+        controller.stiffness = stiffness
+        logs.append(sim.run(Still(bundled.home, 0.05)))
+    assert same(*logs)
+
+
+@njit
+def _spring(params, q, v, reference, memory, tau):
+    for i in range(tau.shape[0]):
+        tau[i] = params[0] * (reference[0, i] - q[i]) - params[1] * v[i]
+
+
+def _uncompiled(params, q, v, reference, memory, tau):
+    tau[:] = 0.0
+
+
+class OwnLaw(KernelController):
+    """A law of one's own with a kernel."""
+
+    name = "own"
+
+    def __init__(self, arm: armctl.Arm, kernel=_spring):
+        super().__init__(arm.n)
+        self._kernel = kernel
+
+    @property
+    def kernel(self):
+        return self._kernel
+
+    def parameters(self, dt: float, continuous: bool):
+        return np.array([5.0, 1.0])
+
+
+class Doubled(OwnLaw):
+    """A law that overrides `torque`."""
+
+    def torque(self, state, setpoint):
+        return 2.0 * super().torque(state, setpoint)
+
+
+def test_a_kernel_of_ones_own_runs_compiled_and_an_overridden_torque_is_called(bundled):
+    logs = {
+        kind: armctl.simulate(bundled, wrap(kind(bundled)), Sway(bundled))
+        for kind, wrap in itertools.product((OwnLaw, Doubled), (lambda law: law, InPython))
+    }
+    own = armctl.simulate(bundled, OwnLaw(bundled), Sway(bundled))
+    assert same(own, logs[OwnLaw])
+    assert same(armctl.simulate(bundled, Doubled(bundled), Sway(bundled)), logs[Doubled])
+    assert np.allclose(logs[Doubled].tau_cmd[0], 2.0 * own.tau_cmd[0])
+
+
+def test_a_kernel_that_is_not_compiled_is_refused_in_one_sentence(bundled):
+    with pytest.raises(armctl.InputError, match=r"kernel: .*numba.njit"):
+        armctl.simulate(bundled, OwnLaw(bundled, _uncompiled), Sway(bundled))
+
+
+def test_an_error_of_mujoco_does_not_end_the_process_and_keeps_the_ticks(bundled, monkeypatch):
+    assert guarded_call(address_of("mj_RungeKutta"), 0) != ""  # the order of the method is 0 here, and it must be 4
+    assert guarded_call(address_of("mj_step"), 0) == ""
+    sim = armctl.Simulation(bundled)
+    sim.run(Still(bundled.home, 0.1))
+    monkeypatch.setattr(compiled_loop, "guarded_call", lambda function, table: "the stack is full")
+    with pytest.raises(mujoco.FatalError, match="the stack is full"):
+        sim.run(Still(bundled.home, 0.1))
+    assert "FatalError" in sim.log.failure
