@@ -103,7 +103,9 @@ def c_function(signature: Any) -> Callable[[Callable], CFunc]:
     """Decorates a function that becomes a C function of this signature; the cache is that of `njit`. It must not raise."""
 
     def compiled(function: Callable) -> CFunc:
-        c_function = CFunc(function, (signature.args, signature.return_type), {}, {"nopython": True, "error_model": "numpy"})
+        c_function: Any = CFunc(
+            function, (signature.args, signature.return_type), {}, {"nopython": True, "error_model": "numpy"}
+        )
         with suppress(RuntimeError, OSError):
             c_function._cache = _TolerantCache(function)
         c_function.compile()

@@ -5,10 +5,11 @@ Import this only in a function that needs it, because numba takes long to load.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from armctl.control import KernelController, State
 from armctl.core.validation import Array
@@ -74,7 +75,7 @@ class CompiledLoop:
                 kernel.MODEL: model._address,
                 kernel.DATA: data._address,
                 kernel.STEP_FUNCTION: address_of("mj_step"),
-                kernel.CONTACT_COUNT: layout.count,
+                kernel.CONTACT_COUNT: layout.size,
                 kernel.CONTACT_ARRAY: layout.array,
                 kernel.CONTACT_STRIDE: layout.stride,
                 kernel.CONTACT_GEOMS: layout.geoms,
@@ -154,7 +155,7 @@ class CompiledLoop:
             self._set_signals(signals)
         error = ""
         try:
-            error = guarded_call(kernel.run_table.address, self._table.ctypes.data)
+            error = guarded_call(kernel.RUN_TABLE, self._table.ctypes.data)
         finally:
             end = LoopEnd(int(self._table[kernel.ROW]), int(self._table[kernel.STATUS]), error)
             rows.count = int(self._table[kernel.COUNT])
@@ -168,24 +169,22 @@ class CompiledLoop:
         for entry, number in entries.items():
             self._table[entry] = number
 
-    def _set_arrays(self, entries: dict[int, Array]) -> None:
+    def _set_arrays(self, entries: dict[int, NDArray[Any]]) -> None:
         """Sets addresses of arrays, which the caller keeps alive."""
         for entry, array in entries.items():
             self._table[entry] = array.ctypes.data
 
     def _set_signals(self, signals: Signals) -> None:
-        is_noisy = signals.noise is not None
-        is_pushed = signals.wrenches is not None
         self._set_numbers(
             {
                 kernel.DELAY: len(signals.commands) - 1,
                 kernel.COMMANDS_GIVEN: signals.commands_given,
-                kernel.PUSHED_JOINTS: signals.pushed_joints if is_pushed else 0,
+                kernel.PUSHED_JOINTS: 0 if signals.wrenches is None else signals.pushed_joints,
             }
         )
         self._set_arrays({kernel.COMMANDS: signals.commands, kernel.RIPPLE: signals.ripple})
-        self._table[kernel.NOISE] = signals.noise.ctypes.data if is_noisy else 0
-        self._table[kernel.WRENCHES] = signals.wrenches.ctypes.data if is_pushed else 0
+        self._table[kernel.NOISE] = 0 if signals.noise is None else signals.noise.ctypes.data
+        self._table[kernel.WRENCHES] = 0 if signals.wrenches is None else signals.wrenches.ctypes.data
 
     def _begin_events(self, rows: TickRows) -> None:
         """Begins the list of events with the contacts of the last complete row, if it has any."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -70,7 +70,7 @@ class Disturbances:
         self._commands_given = 0
         self._ripple = np.array([plant.torque_ripple])
         self._planned: Signals | None = None
-        self._noise_before: tuple[object, Array] | None = None
+        self._noise_before: tuple[Any, Array] | None = None
 
     def measured(self, q: Array, v: Array) -> tuple[Array, Array]:
         """The true positions, rad, and velocities, rad/s, with measurement noise.
@@ -129,7 +129,8 @@ class Disturbances:
             self.push = planned.wrenches[ticks - 1]
         self._commands_given = commands_given
         if planned.noise is not None and self._noise_before is not None and measured < len(planned.noise):
-            self._rng.bit_generator.state, self._last_noise = self._noise_before
+            state, self._last_noise = self._noise_before
+            self._rng.bit_generator.state = state  # type: ignore[attr-defined]
             self._noise(measured)
         self._planned = None
 

@@ -28,13 +28,13 @@ class ContactLayout(NamedTuple):
     """Where MjData keeps the geoms of its contacts, in bytes.
 
     Attributes:
-        count: Offset of `ncon` in mjData.
+        size: Offset of `ncon` in mjData.
         array: Offset of the pointer `contact` in mjData.
         stride: Size of an mjContact.
         geoms: Offset of `geom` in mjContact.
     """
 
-    count: int
+    size: int
     array: int
     stride: int
     geoms: int
@@ -72,7 +72,7 @@ def contact_layout() -> ContactLayout:
     Raises:
         ModelError: They were not found.
     """
-    is_count: BoolArray | None = None
+    is_count: BoolArray = np.ones(0, bool)
     layouts = set()
     for spheres, boxes in _COUNTS:
         bodies = [_SPHERE.format(k) for k in range(spheres)] + [_BOX.format(k) for k in range(boxes)]
@@ -84,13 +84,14 @@ def contact_layout() -> ContactLayout:
         array = 0
         while not first - stride < _word(data, array) <= first:
             array += ctypes.sizeof(ctypes.c_void_p)
-        layouts.add((array, stride, first - _word(data, array)))
+        layout = (array, stride, first - _word(data, array))
         words = np.ctypeslib.as_array((ctypes.c_int32 * (array // 4)).from_address(data._address))
         found = words == data.ncon
         data.qpos[2::7] += 1.0  # all bodies up: statistics, such as the largest number of contacts, stay
         mujoco.mj_forward(model, data)
         found &= words == 0
-        is_count = found if is_count is None else is_count & found
+        is_count = is_count & found if layouts else found
+        layouts.add(layout)
     counts = np.flatnonzero(is_count)
     if len(layouts) != 1 or len(counts) != 1:
         raise ModelError(f"mujoco {mujoco.__version__}: the contacts of MjData were not found; use the release armctl asks for")

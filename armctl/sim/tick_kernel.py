@@ -4,6 +4,9 @@ The loop runs as a C function inside `mjb_apply`, which passes one address: that
 of arrays. The table and everything that it points to belong to one run, so runs on different threads share nothing.
 """
 
+# Intrinsics are called without their first argument, and numba does not list what it exports.
+# pyright: reportCallIssue=false, reportPrivateImportUsage=false
+
 from __future__ import annotations
 
 import math
@@ -339,3 +342,6 @@ def run_ticks(table):
 def run_table(model, data, simulation, table):
     """A function for `mjb_apply`: runs the table at an address."""
     run_ticks(numba.carray(_integers(table), (TABLE_SIZE,)))
+
+
+RUN_TABLE = int(run_table.address or 0)

@@ -10,7 +10,7 @@ from motions import Still, Sway
 from synthetic import BENT, mjcf, serial_arm
 
 import armctl
-from armctl.control import CONTROLLERS, KernelController, controller_by_name
+from armctl.control import CONTROLLERS, KernelController, controller_by_name, controller_name
 from armctl.core.jit import njit
 from armctl.sim import compiled_loop
 from armctl.sim.mujoco_library import address_of, guarded_call
@@ -35,7 +35,7 @@ class InPython:
 
     def __init__(self, controller: armctl.Controller):
         self._controller = controller
-        self.name = controller.name
+        self.name = controller_name(controller)
 
     def torque(self, state, setpoint):
         return self._controller.torque(state, setpoint)
@@ -202,4 +202,5 @@ def test_an_error_of_mujoco_does_not_end_the_process_and_keeps_the_ticks(bundled
     monkeypatch.setattr(compiled_loop, "guarded_call", lambda function, table: "the stack is full")
     with pytest.raises(mujoco.FatalError, match="the stack is full"):
         sim.run(Still(bundled.home, 0.1))
+    assert sim.log is not None
     assert "FatalError" in sim.log.failure
