@@ -4,6 +4,7 @@ import numpy as np
 
 import armctl
 from armctl.control import controller_by_name
+from armctl.core.trajectory import Setpoint
 from armctl.design.frequency_response import Excited, standstill
 from armctl.design.loop import Loop
 
@@ -16,6 +17,9 @@ def grows(arm: armctl.Arm, controller: str, loop: Loop, ticks: int) -> bool:
     steps = int(np.clip(8 / abs(np.log(radius)), 1000, 30000))
     plant = armctl.Plant(timestep=loop.dt, delay=ticks)
     held = Excited(controller_by_name(controller, arm), loop.holding_torque, 0, np.zeros(1))
+    rest = np.zeros(arm.n)
+    # The torque that is added for equilibrium follows from the first call: here at the configuration itself, before the kick.
+    held.torque(armctl.State(loop.q, rest, -1.0, loop.dt), Setpoint(loop.q, rest, rest, rest, rest))
     sim = armctl.Simulation(arm, held, plant)
     kick = np.random.default_rng(0).normal(size=arm.n) * DEVIATION
     sim.reset(loop.q + kick)

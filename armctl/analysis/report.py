@@ -21,6 +21,8 @@ from armctl.core.validation import Array, BoolArray, instance, number, shown
 _MAX_CONTACTS_SHOWN = 3
 _MIN_TIP_ERROR_SHOWN_M = 1e-9
 _MIN_JOINT_ERROR_SHOWN = 1e-15
+_MIN_CHATTER_SHOWN = 1e-3  # N m (N)
+_REST_TICKS = 6  # intervals between ticks without motion of the reference, around a tick that counts as rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +46,11 @@ class Report:
             `Simulation.follow`, otherwise the end of the reference.
         final_orientation_error_rad: Angle from the goal's orientation at the end; 0 if the target had no orientation.
         settling_time_s: From the end of the reference's motion until the tip stays within the tolerance; NaN if it never does.
-        overshoot_m: How far the tip went beyond its goal, along the straight line from its start.
+        overshoot_m: How far the tip went beyond its goal, along the straight line from its start, more than its reference did.
         peak_torque_ratio: The largest torque divided by its limit.
         saturated_fraction: Fraction of the ticks at which a commanded torque exceeded its limit.
-        chatter_nm: Root mean square difference of a torque from the mean of its two neighbours in time.
+        chatter_nm: Root mean square difference of a torque from the mean of its two neighbours in time, while the reference
+            rests, so that the torque of the motion is left out; NaN if it never rests.
         contacts: What the arm touched, and for how long.
         duration_s: Simulated time.
         real_time_factor: Simulated time divided by computing time.
@@ -135,10 +138,10 @@ class Report:
             final_tip_error_m=final,
             final_orientation_error_rad=angle,
             settling_time_s=_settling_time(log, distance <= tolerance),
-            overshoot_m=_overshoot(log.tip, goal),
+            overshoot_m=max(0.0, _overshoot(log.tip, goal) - _overshoot(log.tip_ref, goal)),
             peak_torque_ratio=float(np.abs(log.tau / log.tau_max).max()),
             saturated_fraction=float((np.abs(log.tau_cmd) > log.tau_max * (1 + 1e-9)).any(axis=1).mean()),
-            chatter_nm=_rms(log.tau[1:-1] - 0.5 * (log.tau[:-2] + log.tau[2:])) if len(log) > 2 else 0.0,
+            chatter_nm=_chatter(log),
             contacts=log.contacts,
             duration_s=len(log) * log.dt,
             real_time_factor=log.real_time_factor,
@@ -179,7 +182,7 @@ class Report:
             f"  joint error  while moving RMS {_joint_rms(self, with_unit=True)}, max {_joint_max(self, with_unit=True)}",
             f"  at the goal  {settled}, overshoot {_mm(self.overshoot_m)}",
             f"  torque       peak {100 * self.peak_torque_ratio:.0f} % of the limit, saturated"
-            f" {100 * self.saturated_fraction:.1f} % of the time, chatter {self.chatter_nm:.2g} {torque_unit}",
+            f" {100 * self.saturated_fraction:.1f} % of the time, chatter {_chatter_text(self.chatter_nm)} {torque_unit}",
         ]
         if self.contacts:
             lines.append(f"  contact      {contacts_in_words(self.contacts)}")
@@ -237,7 +240,7 @@ def report_table(reports: Sequence[Report]) -> Table:
             _mm(r.tip_max_m),
             _mm(r.final_tip_error_m),
             f"{100 * r.peak_torque_ratio:.0f} %",
-            f"{r.chatter_nm:.1g}",
+            _chatter_text(r.chatter_nm),
             r.verdict.split(":")[0],
         ]
         for r in reports
@@ -285,6 +288,16 @@ def _overshoot(tip: Array, goal: Array) -> float:
     return max(0.0, float(((tip - goal) @ way).max()) / length) if length > 1e-9 else 0.0
 
 
+def _chatter(log: Log) -> float:
+    if len(log) <= _REST_TICKS:
+        return math.nan
+    rests = (log.q_ref[1:] == log.q_ref[:-1]).all(axis=1)
+    # The torque of a tick depends on the reference around it.
+    around = np.lib.stride_tricks.sliding_window_view(rests, _REST_TICKS).all(axis=1)
+    ticks = np.flatnonzero(around) + _REST_TICKS // 2
+    return _rms(log.tau[ticks] - 0.5 * (log.tau[ticks - 1] + log.tau[ticks + 1]))
+
+
 def _angle(quat: Array, goal_quat: Array) -> float:
     if np.isnan(goal_quat).any():
         return 0.0
@@ -298,6 +311,12 @@ def _rms(x: Array) -> float:
 
 def _max(x: Array) -> float:
     return float(np.abs(x).max()) if x.size else math.nan
+
+
+def _chatter_text(chatter: float) -> str:
+    if math.isnan(chatter):
+        return "-"
+    return "<0.001" if chatter < _MIN_CHATTER_SHOWN else f"{chatter:.2g}"
 
 
 def _joint_rms(report: Report, *, with_unit: bool) -> str:

@@ -94,6 +94,22 @@ def test_settling_is_counted_from_the_end_of_the_motion():
     assert report.ok
 
 
+def test_overshoot_is_that_beyond_the_reference():
+    """A reference whose tip passes its goal is no fault of the run that follows it."""
+    log = made_log()
+    tip_ref = log.tip_ref + np.where(log.t > 0.9, 0.0, 0.005 * (log.t > 0.5))[:, None] * [1, 0, 0]
+    assert Report.from_log(made_log(tip_ref=tip_ref, tip=tip_ref)).overshoot_m == 0.0
+    assert Report.from_log(made_log(tip_ref=tip_ref, tip=tip_ref + np.array([0.001, 0, 0]))).overshoot_m == pytest.approx(0.001)
+
+
+def test_an_exact_run_has_no_chatter_and_no_overshoot(bundled):
+    motion = armctl.move_j(bundled, bundled.home, bundled.home + 0.4)
+    report = Report.from_log(armctl.simulate(bundled, "computed-torque", motion))
+    assert report.chatter_nm < 1e-3
+    assert report.overshoot_m < 1e-9
+    assert math.isnan(Report.from_log(armctl.simulate(bundled, "computed-torque", motion, dwell=0.0)).chatter_nm)
+
+
 def test_chatter_is_what_alternates():
     tau = np.zeros((1001, 1))
     tau[::2] = 1.0
