@@ -11,7 +11,7 @@ import numpy as np
 
 from armctl.collision import kernel
 from armctl.collision.geometry import Geometry, build_geometry, colliding_pairs, frames_above, is_convex
-from armctl.collision.interface import Approach, Hit, MovingJoints
+from armctl.collision.interface import Approach, Hit, KeptAxis, MovingJoints
 from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.mjmodel.queries import geom_owner_name, is_below, last_joint_above, name_of
@@ -43,12 +43,13 @@ class _Memory(threading.local):
         self.delta = np.empty(len(geometry.tree))
         self.line = np.empty((1, 2, len(geometry.tree)))
         self.ranges = np.empty((1, 2, len(geometry.tree)))
+        self.keep = np.zeros(kernel.KEEP_SIZE)
         self.data: mujoco.MjData | None = None
 
     @property
     def proof_rows(self) -> tuple[Array | IntArray, ...]:
         """What every proof takes."""
-        return self.open_pairs, self.intervals, self.q, self.delta
+        return self.open_pairs, self.intervals, self.q, self.delta, self.keep
 
 
 class CollisionChecker:
@@ -105,11 +106,43 @@ class CollisionChecker:
         geometry = self.geometry
         return (*self._rows, memory.pairs, geometry.groups, geometry.tree, memory.frames, memory.spheres, memory.work)
 
-    @property
-    def line_rows(self) -> tuple[object, ...]:
-        """What the kernels of `armctl.planning` take before the scene: how all joints move, and memory for a proof."""
+    def line_rows(self, keep: KeptAxis | None = None) -> tuple[object, ...]:
+        """What the kernels of `armctl.planning` take before the scene: how all joints move, and memory for a proof.
+
+        Args:
+            keep: An axis that keeps its direction.
+
+        Returns:
+            The arrays.
+        """
         memory = self._memory
-        return (self._ratio, self._offset, _UNIT_KNOTS, memory.line, memory.ranges, memory.proof_rows)
+        return (self._ratio, self._offset, _UNIT_KNOTS, memory.line, memory.ranges, self._proof_rows(keep))
+
+    def _proof_rows(self, keep: KeptAxis | None) -> tuple[Array | IntArray, ...]:
+        """What a proof takes, with the axis that keeps its direction."""
+        memory = self._memory
+        memory.keep[kernel.KEEP_FRAME] = -1.0
+        if keep is not None:
+            joints = sorted(self._joint_map.joints)
+            last = last_joint_above(self._model, tuple(joints))[keep.body]
+            kernel.locate_frames(self._moving(keep.q), self.geometry.tree, memory.frames)
+            frame = memory.frames[last + 1, :9].reshape(3, 3)
+            memory.keep[kernel.KEEP_FRAME] = last + 1
+            memory.keep[kernel.KEEP_AXIS : kernel.KEEP_AXIS + 3] = frame.T @ keep.direction
+            memory.keep[kernel.KEEP_DIRECTION : kernel.KEEP_DIRECTION + 3] = keep.direction
+            memory.keep[kernel.KEEP_WITHIN] = keep.within
+        return memory.proof_rows
+
+    def tilts(self, hit: Hit) -> bool:
+        """Whether a proof stopped because the kept axis tilts, and not because a pair is too near.
+
+        Args:
+            hit: Where it stopped.
+
+        Returns:
+            True if so.
+        """
+        return hit.pair == len(self.geometry.pairs)
 
     def _set(self, geometry: Geometry) -> None:
         self.geometry = geometry
@@ -180,44 +213,46 @@ class CollisionChecker:
         kernel.locate_frames(self._moving(q), self.geometry.tree, memory.frames)
         return kernel.overlap_depth(pair, _directions(), *self._rows, memory.pairs, memory.frames)
 
-    def line_hit(self, start: Array, end: Array, clearance: float = 0.0) -> Hit | None:
+    def line_hit(self, start: Array, end: Array, clearance: float = 0.0, keep: KeptAxis | None = None) -> Hit | None:
         """Proves that the straight line between two configurations keeps more than a clearance.
 
         Args:
             start: (n,) rad.
             end: (n,) rad.
             clearance: m.
+            keep: An axis that keeps its direction.
 
         Returns:
             None if it does; else the pair and where on the line, from 0 to 1, it is not known to be free.
         """
-        return self.motion_hit(_UNIT_KNOTS, np.stack([start, end - start])[None], clearance)
+        return self.motion_hit(_UNIT_KNOTS, np.stack([start, end - start])[None], clearance, keep)
 
-    def motion_hit(self, knots: Array, coefficients: Array, clearance: float = 0.0) -> Hit | None:
+    def motion_hit(self, knots: Array, coefficients: Array, clearance: float = 0.0, keep: KeptAxis | None = None) -> Hit | None:
         """Proves that a motion of piecewise polynomials keeps more than a clearance at all times.
 
         Args:
             knots: (K + 1,) s.
             coefficients: (K, degree + 1, n), each piece's by powers of the time since its knot.
             clearance: m.
+            keep: An axis that keeps its direction.
 
         Returns:
             None if it does; else the pair and the time at which it is not known to be free.
         """
-        return self._motion_hit(knots, self._moving_coefficients(coefficients), clearance)
+        return self._motion_hit(knots, self._moving_coefficients(coefficients), clearance, keep=keep)
 
-    def closest_approach(self, knots: Array, coefficients: Array, clearance: float) -> Approach:
+    def closest_approach(self, knots: Array, coefficients: Array, clearance: float, keep: KeptAxis | None = None) -> Approach:
         """Proves that a motion keeps more than a clearance, and how near it comes.
 
         Args:
             knots: As for `motion_hit`.
             coefficients: As for `motion_hit`.
             clearance: m.
+            keep: An axis that keeps its direction.
 
         Returns:
             The closest approach.
         """
-        memory = self._memory
         moving = self._moving_coefficients(coefficients)
         bound, least, pair, time = kernel.closest_approach(
             knots,
@@ -226,7 +261,7 @@ class CollisionChecker:
             RESOLUTION_M,
             _SAMPLES_OF_MOTION,
             np.empty((len(moving), 2, moving.shape[2])),
-            memory.proof_rows,
+            self._proof_rows(keep),
             self.scene_rows,
         )
         return Approach(bound, least, Hit(pair, time))
@@ -255,12 +290,12 @@ class CollisionChecker:
                 "replace it by boxes or meshes"
             )
 
-    def _motion_hit(self, knots: Array, coefficients: Array, clearance: float, pair: int = -1) -> Hit | None:
+    def _motion_hit(
+        self, knots: Array, coefficients: Array, clearance: float, pair: int = -1, keep: KeptAxis | None = None
+    ) -> Hit | None:
         """As `motion_hit`, for polynomials of all joints that move, and for one pair or all."""
         ranges = np.empty((len(coefficients), 2, coefficients.shape[2]))
-        found, time = kernel.prove_motion(
-            knots, coefficients, pair, clearance, ranges, self._memory.proof_rows, self.scene_rows
-        )
+        found, time = kernel.prove_motion(knots, coefficients, pair, clearance, ranges, self._proof_rows(keep), self.scene_rows)
         return None if found < 0 else Hit(found, time)
 
     def _moving(self, q: Array) -> Array:

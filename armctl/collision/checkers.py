@@ -8,9 +8,9 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from armctl.collision.interface import MovingJoints
-from armctl.core.errors import InputError
-from armctl.core.validation import Array, IntArray, shown
+from armctl.collision.interface import KeptAxis, MovingJoints
+from armctl.core.errors import InputError, UnknownNameError
+from armctl.core.validation import Array, IntArray, number, shown
 from armctl.mjmodel.queries import last_joint_above
 from armctl.robot.arm import Arm
 
@@ -23,6 +23,35 @@ def read_pairs(allow: object) -> tuple[tuple[str, str], ...]:
     if not isinstance(allow, Iterable):
         raise InputError(f"allow: {shown(allow)} given, pairs of names wanted")
     return tuple(allow)
+
+
+KEEP_WITHIN_RAD = 0.1
+_MIN_KEEP_WITHIN_RAD = 1e-3
+_MAX_KEEP_WITHIN_RAD = 0.5 * np.pi
+
+
+def read_kept_axis(arm: Arm, keep: str | None, keep_within: float, q: Array) -> KeptAxis | None:
+    """The axis of the tip that keeps the direction it has at a configuration.
+
+    Args:
+        arm: The arm.
+        keep: "x", "y" or "z"; None for none.
+        keep_within: rad that it may tilt.
+        q: (n,) rad.
+
+    Returns:
+        The axis, or None.
+
+    Raises:
+        InputError: `keep_within` is no number from 0.001 to pi / 2.
+        UnknownNameError: There is no such axis.
+    """
+    within = number("keep_within", keep_within, _MIN_KEEP_WITHIN_RAD, _MAX_KEEP_WITHIN_RAD)
+    if keep is None:
+        return None
+    if not isinstance(keep, str) or keep not in ("x", "y", "z"):
+        raise UnknownNameError.of("axis to keep", f"{keep!s:.80}", ["x", "y", "z"])
+    return KeptAxis(keep, arm.tip_body, q, arm.fk(q).rotation[:, "xyz".index(keep)], within)
 
 
 def geom_owners(arm: Arm) -> IntArray:

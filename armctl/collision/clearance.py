@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
-from armctl.collision.checkers import collision_checker
-from armctl.collision.interface import Hit
+from armctl.collision.checkers import KEEP_WITHIN_RAD, collision_checker, read_kept_axis
+from armctl.collision.interface import Approach, KeptAxis
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number
@@ -60,7 +60,7 @@ class ClearanceCheck:
         distance: m. If ok, a proved lower bound of the distance over the whole continuous motion, at most 0.2 mm below a
             distance that is attained. Otherwise a distance that occurs, negative where geoms overlap.
         time: s, when the arm is nearest (if not ok: when it is too near).
-        first: One body of the nearest pair; empty if nothing can touch.
+        first: One body of the nearest pair; empty if nothing can touch, or if the kept axis tilts.
         second: The other.
         clearance: m that was asked for.
         reason: Why it is not ok, in one sentence; empty if it is.
@@ -86,7 +86,13 @@ class ClearanceCheck:
 
 
 def check_clearance(
-    arm: Arm, trajectory: PiecewiseTrajectory, clearance: float = 0.0, allow: Iterable[tuple[str, str]] = ()
+    arm: Arm,
+    trajectory: PiecewiseTrajectory,
+    clearance: float = 0.0,
+    allow: Iterable[tuple[str, str]] = (),
+    *,
+    keep: str | None = None,
+    keep_within: float = KEEP_WITHIN_RAD,
 ) -> ClearanceCheck:
     """Proves that a motion keeps more than a clearance, by bisection with bounds of each link's motion, never by samples.
 
@@ -99,6 +105,8 @@ def check_clearance(
         trajectory: The motion, of polynomial pieces.
         clearance: m, at least 0.
         allow: Pairs of names of bodies or geoms that may touch.
+        keep: "x", "y" or "z": the axis of the tip that must keep the direction it has at the start, as for a glass.
+        keep_within: rad that this axis may tilt.
 
     Returns:
         The check: whether the proof succeeds, and the closest approach.
@@ -106,7 +114,7 @@ def check_clearance(
     Raises:
         InputError: An argument of the wrong kind, a negative clearance, or a motion of other joints.
         ModelError: The scene has a height field or signed distance field that the arm could touch.
-        UnknownNameError: The model has no body or geom of a name in `allow`.
+        UnknownNameError: The model has no body or geom of a name in `allow`, or there is no such axis.
     """
     check_arm(arm)
     clearance = number("clearance", clearance, 0.0)
@@ -118,16 +126,20 @@ def check_clearance(
         raise InputError(
             f"trajectory: it moves {', '.join(trajectory.joint_names)[:80]}, the arm has {', '.join(arm.joint_names)[:80]}"
         )
-    return clearance_of(collision_checker(arm, allow=allow), trajectory, clearance)
+    kept = read_kept_axis(arm, keep, keep_within, trajectory(0.0).q)
+    return clearance_of(collision_checker(arm, allow=allow), trajectory, clearance, kept)
 
 
-def clearance_of(checker: CollisionChecker, trajectory: PiecewiseTrajectory, clearance: float) -> ClearanceCheck:
+def clearance_of(
+    checker: CollisionChecker, trajectory: PiecewiseTrajectory, clearance: float, keep: KeptAxis | None = None
+) -> ClearanceCheck:
     """As `check_clearance`, with a checker that is at hand.
 
     Args:
         checker: The checker.
         trajectory: The motion.
         clearance: m.
+        keep: An axis that keeps its direction.
 
     Returns:
         The check.
@@ -140,16 +152,27 @@ def clearance_of(checker: CollisionChecker, trajectory: PiecewiseTrajectory, cle
         raise InputError(
             f"trajectory: polynomials of degree {trajectory.coefficients.shape[1] - 1}, at most {MAX_DEGREE} wanted"
         )
-    if not len(checker.geometry.pairs):
-        return ClearanceCheck(True, _NO_PAIRS_M, 0.0, "", "", clearance, "")
-    approach = checker.closest_approach(trajectory.knots, trajectory.coefficients, clearance)
+    approach = checker.closest_approach(trajectory.knots, trajectory.coefficients, clearance, keep)
     if approach.bound < 0.0:
-        return _refused(checker, trajectory, clearance, approach.nearest)
+        return _refused(checker, trajectory, clearance, approach, keep)
+    if approach.nearest.pair < 0:
+        return ClearanceCheck(True, _NO_PAIRS_M, 0.0, "", "", clearance, "")
     first, second = checker.names(approach.nearest.pair)
     return ClearanceCheck(True, approach.bound, approach.nearest.time, first, second, clearance, "")
 
 
-def _refused(checker: CollisionChecker, trajectory: PiecewiseTrajectory, clearance: float, hit: Hit) -> ClearanceCheck:
+def _refused(
+    checker: CollisionChecker,
+    trajectory: PiecewiseTrajectory,
+    clearance: float,
+    approach: Approach,
+    keep: KeptAxis | None,
+) -> ClearanceCheck:
+    hit = approach.nearest
+    if keep is not None and checker.tilts(hit):
+        what = f"the tip's {keep.name} axis tilts by more than {keep.within:.3g} rad, at {hit.time:.3f} s"
+        distance = approach.distance if len(checker.geometry.pairs) else _NO_PAIRS_M
+        return ClearanceCheck(False, distance, hit.time, "", "", clearance, what)
     q = trajectory(hit.time).q
     pair, distance = checker.nearest(q)
     first, second = checker.names(pair)

@@ -40,6 +40,24 @@ class MovingJoints(Protocol):
         ...
 
 
+class KeptAxis(NamedTuple):
+    """An axis of the tip that keeps its direction.
+
+    Attributes:
+        name: "x", "y" or "z".
+        body: The tip's body.
+        q: (n,) rad, where it has the direction that it keeps.
+        direction: (3,) of the world.
+        within: rad that it may tilt.
+    """
+
+    name: str
+    body: int
+    q: Array
+    direction: Array
+    within: float
+
+
 class Hit(NamedTuple):
     """A pair that is not known to be free.
 

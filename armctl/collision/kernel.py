@@ -73,7 +73,16 @@ PIECE = 2  # the pieces of the motion that it spans
 LAST_PIECE = 3
 OPEN = 4  # the range of its open pairs, -1 for all
 LAST_OPEN = 5
-INTERVAL_COLUMNS = 6
+TILT_IS_OPEN = 6  # 1 where it is not settled that the axis keeps its direction
+INTERVAL_COLUMNS = 7
+
+# Elements of `keep`
+KEEP_FRAME = 0  # of the axis that keeps its direction; negative if none does
+KEEP_AXIS = 1  # (3,) of the world at the reference configuration
+KEEP_DIRECTION = 4  # (3,) of the world
+KEEP_WITHIN = 7  # rad
+KEEP_SIZE = 8
+TILT_MIN_RAD = 1e-4  # an interval in which the axis turns by less is not split again: it then counts as tilted
 
 # Rows of `work`
 FOUND = 4
@@ -785,14 +794,65 @@ def _check_interval(
 
 
 @njit
+def tilt_angle(keep, frames):
+    """The angle between the axis that should keep its direction and this direction, rad, where the frames are placed."""
+    frame = frames[int(keep[KEEP_FRAME])]
+    ux, uy, uz = _turned(frame, keep[KEEP_AXIS], keep[KEEP_AXIS + 1], keep[KEEP_AXIS + 2])
+    dx = keep[KEEP_DIRECTION]
+    dy = keep[KEEP_DIRECTION + 1]
+    dz = keep[KEEP_DIRECTION + 2]
+    x = uy * dz - uz * dy
+    y = uz * dx - ux * dz
+    z = ux * dy - uy * dx
+    return math.atan2(math.sqrt(x * x + y * y + z * z), ux * dx + uy * dy + uz * dz)
+
+
+@njit
+def _turned(frame, x, y, z):
+    """A direction of a frame in the world."""
+    return (
+        frame[0] * x + frame[1] * y + frame[2] * z,
+        frame[3] * x + frame[4] * y + frame[5] * z,
+        frame[6] * x + frame[7] * y + frame[8] * z,
+    )
+
+
+@njit
+def _check_tilt(keep, delta, tree, frames):
+    """1 if the axis keeps its direction while joint j moves by at most delta[j], -1 if not, 0 if the interval is too long.
+
+    Change the joints from the base outward: hinge j then turns the axis u on a circle of radius |a_j x u|.
+    """
+    angle = tilt_angle(keep, frames)
+    if angle > keep[KEEP_WITHIN]:
+        return -1
+    walk = int(keep[KEEP_FRAME])
+    ux, uy, uz = _turned(frames[walk], keep[KEEP_AXIS], keep[KEEP_AXIS + 1], keep[KEEP_AXIS + 2])
+    turn = 0.0
+    while walk > 0:
+        joint = tree[walk - 1]
+        if int(joint[KIND]) == HINGE:
+            located = frames[walk]
+            x = located[16] * uz - located[17] * uy
+            y = located[17] * ux - located[15] * uz
+            z = located[15] * uy - located[16] * ux
+            turn += delta[int(joint[JOINT])] * math.sqrt(x * x + y * y + z * z)
+        walk = int(joint[PARENT])
+    if angle + turn <= keep[KEEP_WITHIN]:
+        return 1
+    return -1 if turn < TILT_MIN_RAD else 0
+
+
+@njit
 def prove_motion(knots, coefficients, pair, clearance, ranges, memory, scene):
     """Proves that one pair, or all if it is negative, keep more than a clearance while the joints move by polynomials of time.
 
     The polynomials are (pieces, degree + 1, joints), by powers of the time since the piece's knot. Returns (-1, 0) if the proof
-    succeeds, else a pair and the time at which it is not known to be free.
+    succeeds, else a pair and the time at which it is not known to be free. The number behind the last pair says that the axis
+    tilts.
     """
     _bound_pieces(knots, coefficients, ranges)
-    state = _first_interval(knots, pair, memory[0], memory[1])
+    state = _first_interval(knots, pair, memory)
     state, found, time = _continue_proof(state, knots, coefficients, clearance, ranges, memory, scene)
     return found, time
 
@@ -805,7 +865,7 @@ def closest_approach(knots, coefficients, clearance, resolution, samples, ranges
     proof stops, a smaller distance is found, and the proof goes on with that one: what is settled so far stays settled. The
     bound is negative if the clearance cannot be proved; then the distance is the one at which the proof stopped.
     """
-    open_pairs, intervals, q, _ = memory
+    q = memory[2]
     least = _INFINITE
     nearest = -1
     when = 0.0
@@ -820,13 +880,15 @@ def closest_approach(knots, coefficients, clearance, resolution, samples, ranges
             nearest = p
             when = time
     _bound_pieces(knots, coefficients, ranges)
-    state = _first_interval(knots, -1, open_pairs, intervals)
+    state = _first_interval(knots, -1, memory)
     aim = least
     while least > clearance:
         bound = max(aim - resolution, clearance)
         state, p, time = _continue_proof(state, knots, coefficients, bound, ranges, memory, scene)
         if p < 0:
             return bound, least, nearest, when
+        if p == len(scene[3]):
+            return -1.0, least, p, time
         p, distance_now = nearest_pair(q, *scene)
         if bound == clearance:
             return -1.0, distance_now, p, time
@@ -840,9 +902,11 @@ def closest_approach(knots, coefficients, clearance, resolution, samples, ranges
 
 
 @njit
-def _first_interval(knots, pair, open_pairs, intervals):
+def _first_interval(knots, pair, memory):
     """Notes the whole motion as the first interval. Returns the state of a proof: first and last interval, last open pair."""
+    open_pairs, intervals, _, _, keep = memory
     open_pairs[0] = pair
+    intervals[0, TILT_IS_OPEN] = 1.0 if keep[KEEP_FRAME] >= 0.0 else 0.0
     intervals[0, BEGIN] = knots[0]
     intervals[0, END] = knots[-1]
     intervals[0, PIECE] = 0
@@ -861,7 +925,7 @@ def _continue_proof(state, knots, coefficients, clearance, ranges, memory, scene
     as not free.
     """
     head, tail, end = state
-    open_pairs, intervals, q, delta = memory
+    open_pairs, intervals, q, delta, keep = memory
     room = len(scene[3]) + len(scene[4])  # pairs and groups
     while head < tail:
         if tail + 2 > len(intervals) or end + room > len(open_pairs):
@@ -884,15 +948,18 @@ def _continue_proof(state, knots, coefficients, clearance, ranges, memory, scene
         stopped = _check_interval(q, delta, clearance, open_pairs, first_open, last_open, end, *scene)
         if stopped < 0:
             return (head, tail, end), -1 - stopped, middle
+        settled = _check_tilt(keep, delta, scene[5], scene[6]) if intervals[head, TILT_IS_OPEN] > 0.0 else 1
+        if settled < 0:
+            return (head, tail, end), len(scene[3]), middle
         head += 1
-        if stopped > end:
-            tail = _split(begin, stop, first, last, end, stopped, tail, knots, intervals)
+        if stopped > end or settled == 0:
+            tail = _split(begin, stop, first, last, end, stopped, 1 - settled, tail, knots, intervals)
             end = stopped
     return (head, tail, end), -1, 0.0
 
 
 @njit
-def _split(begin, stop, first, last, open_first, open_last, tail, knots, intervals):
+def _split(begin, stop, first, last, open_first, open_last, tilt_is_open, tail, knots, intervals):
     """Appends both parts of an interval, split at a knot if it has one inside. Returns the new end of the intervals."""
     middle = 0.5 * (begin + stop)
     split = first
@@ -908,6 +975,7 @@ def _split(begin, stop, first, last, open_first, open_last, tail, knots, interva
         intervals[tail, LAST_PIECE] = split if side == 0 else last
         intervals[tail, OPEN] = open_first
         intervals[tail, LAST_OPEN] = open_last
+        intervals[tail, TILT_IS_OPEN] = tilt_is_open
         tail += 1
     return tail
 

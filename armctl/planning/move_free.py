@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import reduce
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.collision.checkers import collision_checker
+from armctl.collision.checkers import KEEP_WITHIN_RAD, collision_checker, read_kept_axis
+from armctl.collision.interface import Hit, KeptAxis
 from armctl.core.errors import InputError, PlanError, UnknownNameError
 from armctl.core.pose import Pose
 from armctl.core.target import Target
@@ -47,6 +48,8 @@ def move_free(
     clearance: float = CLEARANCE_M,
     allow: Iterable[tuple[str, str]] = (),
     holding: str | Iterable[str] | None = None,
+    keep: str | None = None,
+    keep_within: float = KEEP_WITHIN_RAD,
     speed: float = 1.0,
     seed: int = 0,
 ) -> JointTrajectory:
@@ -66,6 +69,9 @@ def move_free(
             something.
         allow: Pairs of names of bodies or geoms that may touch, such as `[("cube", "table")]`.
         holding: A body, or several, that the tip carries from where they are at the start.
+        keep: "x", "y" or "z": the axis of the tip that keeps the direction it has at the start, as for a glass. This is proved,
+            too.
+        keep_within: rad that this axis may tilt.
         speed: Fraction of the full speed, in (0, 1].
         seed: Of the random samples.
 
@@ -78,16 +84,25 @@ def move_free(
         ModelError: The scene has a height field or signed distance field that the arm could touch.
         PlanError: Start or goal touches something, the goal cannot be reached, or no path was found; the reason names the
             bodies.
-        UnknownNameError: The model has no body or geom of a name in `allow` or `holding`.
+        UnknownNameError: The model has no body or geom of a name in `allow` or `holding`, or there is no such axis.
     """
     check_arm(arm)
     start = arm.checked("q_start", q_start)
+    kept = read_kept_axis(arm, keep, keep_within, start)
     checker = _checker(arm, start, allow, holding)
-    return move_free_with(checker, arm, start, goal, clearance=clearance, speed=speed, seed=seed)
+    return move_free_with(checker, arm, start, goal, clearance=clearance, speed=speed, seed=seed, keep=kept)
 
 
 def move_free_with(
-    checker: CollisionChecker, arm: Arm, start: Array, goal: FreeGoal, *, clearance: float, speed: float, seed: int
+    checker: CollisionChecker,
+    arm: Arm,
+    start: Array,
+    goal: FreeGoal,
+    *,
+    clearance: float,
+    speed: float,
+    seed: int,
+    keep: KeptAxis | None = None,
 ) -> JointTrajectory:
     """As `move_free`, with a checker of the scene as it is.
 
@@ -99,6 +114,7 @@ def move_free_with(
         clearance: m.
         speed: Fraction of the full speed.
         seed: Of the random samples.
+        keep: An axis of the tip that keeps its direction.
 
     Returns:
         The motion.
@@ -114,22 +130,24 @@ def move_free_with(
         raise InputError(f"seed: {seed!r:.80} is no integer of at least 0")
     rng = np.random.default_rng(seed)
     start_distance = _distance_at(checker, start, "start")
-    goals, goal_distance = _goals(checker, arm, start, goal, rng)
+    goals, goal_distance = _goals(checker, arm, start, goal, rng, keep)
     clearance = min(clearance, 0.5 * start_distance, 0.5 * goal_distance)
     motion_clearance = max(0.5 * clearance, min(_MIN_CLEARANCE_M, 0.5 * min(start_distance, goal_distance)))
+    required = _Required(checker, motion_clearance, keep)
     for configuration in goals:
-        motion = move_j(arm, start, configuration)
-        if _is_free(checker, motion, motion_clearance):
-            return motion
+        if checker.line_hit(start, configuration, motion_clearance, keep) is None:
+            motion = move_j(arm, start, configuration)
+            if required.hit(motion) is None:
+                return motion
     low, high = sampling_bounds(arm.limits.q_min, arm.limits.q_max, np.vstack([start, goals]))
-    found = find_path(checker, start, goals, low, high, clearance, rng, MAX_SAMPLES)
+    found = find_path(checker, start, goals, low, high, clearance, rng, MAX_SAMPLES, keep)
     if found is None:
         raise PlanError(
             f"no collision-free path found after {MAX_SAMPLES} samples with a clearance of {1e3 * clearance:.2g} mm; "
             "another seed, a smaller clearance or a point on the way may help"
         )
-    points = shorten(checker, found.points, clearance, rng)
-    return _timed(checker, arm, points, motion_clearance)
+    points = shorten(checker, found.points, clearance, rng, keep)
+    return _timed(required, arm, points)
 
 
 def _checker(arm: Arm, start: Array, allow: Iterable[tuple[str, str]], holding: str | Iterable[str] | None) -> CollisionChecker:
@@ -173,7 +191,14 @@ def overlap_in_words(checker: CollisionChecker, q: Array, pair: int) -> str:
     return f"{second} is {1e3 * depth:.1f} mm inside {first}"
 
 
-def _goals(checker: CollisionChecker, arm: Arm, start: Array, goal: FreeGoal, rng: np.random.Generator) -> tuple[Array, float]:
+def _goals(
+    checker: CollisionChecker,
+    arm: Arm,
+    start: Array,
+    goal: FreeGoal,
+    rng: np.random.Generator,
+    keep: KeptAxis | None,
+) -> tuple[Array, float]:
     """The configurations that a goal stands for, nearest to the start first, and the distance of the freest from everything.
 
     Raises:
@@ -183,9 +208,15 @@ def _goals(checker: CollisionChecker, arm: Arm, start: Array, goal: FreeGoal, rn
     distances: list[float] = []
     refusals: list[str] = []
     for candidate in _goal_list(arm, goal):
-        configurations, refusal = configurations_for(arm, start, candidate, rng)
+        configurations, refusal = configurations_for(arm, start, candidate, rng, keep)
         refusals += [refusal] if refusal else []
         for q in configurations:
+            if keep is not None and (tilt := _tilt(arm, q, keep)) >= keep.within:
+                refusals.append(
+                    f"goal: the tip's {keep.name} axis tilts by {tilt:.3g} rad from its direction at the start, "
+                    f"less than {keep.within:.3g} wanted"
+                )
+                continue
             pair, distance = checker.nearest(q)
             if pair < 0 or distance > 0.0:
                 found.append(q)
@@ -224,16 +255,20 @@ def _goal_list(arm: Arm, goal: FreeGoal) -> list[Pose | Target | Array]:
 
 
 def configurations_for(
-    arm: Arm, start: Array, goal: Pose | Target | Array, rng: np.random.Generator
+    arm: Arm, start: Array, goal: Pose | Target | Array, rng: np.random.Generator, keep: KeptAxis | None = None
 ) -> tuple[list[Array], str]:
     """Configurations for one goal, and why there is none."""
     if isinstance(goal, np.ndarray):
         return [goal], ""
+    free_axis = None
+    if keep is not None and isinstance(goal, Target) and goal.pose is None:
+        goal = Pose.from_rotation(goal.position, arm.fk(start).rotation)
+        free_axis = keep.name
     reason = ""
     found: list[Array] = []
     starts = [start, arm.home, *arm.limits.random(arm.home, _IK_TRIES, rng)]
     for q0 in starts:
-        result = solve_ik(arm, goal, q0)
+        result = solve_ik(arm, goal, q0, free_axis=free_axis)
         if not result.ok:
             reason = reason or result.reason
             if not found:
@@ -246,25 +281,39 @@ def configurations_for(
     return found, reason if not found else ""
 
 
-def _is_free(checker: CollisionChecker, motion: JointTrajectory, clearance: float) -> bool:
-    return checker.motion_hit(motion.knots, motion.coefficients, clearance) is None
+def _tilt(arm: Arm, q: Array, keep: KeptAxis) -> float:
+    """rad between the axis at a configuration and the direction that it keeps."""
+    axis = arm.fk(q).rotation[:, "xyz".index(keep.name)]
+    return float(np.arctan2(np.linalg.norm(np.cross(axis, keep.direction)), axis @ keep.direction))
 
 
-def _timed(checker: CollisionChecker, arm: Arm, points: Array, clearance: float) -> JointTrajectory:
+class _Required(NamedTuple):
+    """What a motion must keep, and who proves it."""
+
+    checker: CollisionChecker
+    clearance: float
+    keep: KeptAxis | None
+
+    def hit(self, motion: JointTrajectory) -> Hit | None:
+        """Where it is not known to keep it; None if it is proved."""
+        return self.checker.motion_hit(motion.knots, motion.coefficients, self.clearance, self.keep)
+
+
+def _timed(required: _Required, arm: Arm, points: Array) -> JointTrajectory:
     """The fastest smooth motion along a free path that is proved free, within the torques; at worst it stops at each point."""
-    motion = flowing_motion(checker, arm, points, clearance)
+    motion = flowing_motion(required.hit, arm, points)
     if motion is not None:
         slowed = within_torque(arm, motion)
-        if slowed is motion or _is_free(checker, slowed, clearance):
+        if slowed is motion or required.hit(slowed) is None:
             return slowed
     lines = [move_j(arm, a, b) for a, b in pairwise(points)]
     stopping = reduce(JointTrajectory.then, lines)
-    if _is_free(checker, stopping, clearance):
+    if required.hit(stopping) is None:
         return stopping
     raise PlanError("the path is free, but no motion along it could be proved; try another seed or a smaller clearance")
 
 
-def flowing_motion(checker: CollisionChecker, arm: TimedJoints, points: Array, clearance: float) -> JointTrajectory | None:
+def flowing_motion(hit_of: Callable[[JointTrajectory], Hit | None], arm: TimedJoints, points: Array) -> JointTrajectory | None:
     """A smooth motion along a free path that is proved free, without regard to the torques; None if there is none.
 
     A smooth motion through the points of the path leaves its lines. Where it touches, a point of the line is added and the
@@ -273,7 +322,7 @@ def flowing_motion(checker: CollisionChecker, arm: TimedJoints, points: Array, c
     waypoints = list(points)
     for _ in range(_REPAIRS):
         motion = through_waypoints(arm, np.array(waypoints))
-        hit = checker.motion_hit(motion.knots, motion.coefficients, clearance)
+        hit = hit_of(motion)
         if hit is None:
             return motion
         line, share = _nearest_line(waypoints, motion(hit.time).q)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from armctl.collision.interface import KeptAxis
 from armctl.core.validation import Array, IntArray
 
 if TYPE_CHECKING:
@@ -80,6 +81,7 @@ def find_path(
     clearance: float,
     rng: np.random.Generator,
     max_samples: int,
+    keep: KeptAxis | None = None,
 ) -> FreePath | None:
     """A path from a configuration to any of some others.
 
@@ -92,23 +94,25 @@ def find_path(
         clearance: m that every edge keeps.
         rng: The generator.
         max_samples: After so many it gives up.
+        keep: An axis that keeps its direction.
 
     Returns:
         The path, or None.
     """
     for goal in goals:
-        if checker.line_hit(start, goal, clearance) is None:
+        if checker.line_hit(start, goal, clearance, keep) is None:
             return FreePath(np.array([start, goal]), 0)
     from armctl.planning import kernel  # loads numba
 
     trees = _Trees.rooted(start, goals, 2 * max_samples + 2)
     trial = np.empty(len(start))
-    rows = (checker.line_rows, checker.scene_rows)
+    turns = np.empty((len(start), 3))
+    rows = (checker.line_rows(keep), checker.scene_rows)
     side = _FROM_START
     taken = 0
     while taken < max_samples:
         samples = rng.uniform(low, high, (min(_SAMPLES_PER_CALL, max_samples - taken), len(start)))
-        used, first, second, side = kernel.grow(samples, side, clearance, *trees, trial, *rows)
+        used, first, second, side = kernel.grow(samples, low, high, side, clearance, *trees, trial, turns, *rows)
         taken += used
         if first >= 0:
             branches = trees.branch(_FROM_START, first)[::-1] + trees.branch(_FROM_GOALS, second)[1:]
@@ -116,7 +120,9 @@ def find_path(
     return None
 
 
-def shorten(checker: CollisionChecker, path: Array, clearance: float, rng: np.random.Generator) -> Array:
+def shorten(
+    checker: CollisionChecker, path: Array, clearance: float, rng: np.random.Generator, keep: KeptAxis | None = None
+) -> Array:
     """Drops points that a path does not need, then tries random shortcuts.
 
     Args:
@@ -124,6 +130,7 @@ def shorten(checker: CollisionChecker, path: Array, clearance: float, rng: np.ra
         path: (k, n) rad.
         clearance: m that every line keeps.
         rng: The generator.
+        keep: An axis that keeps its direction.
 
     Returns:
         (l, n) rad, with the same ends.
@@ -134,7 +141,7 @@ def shorten(checker: CollisionChecker, path: Array, clearance: float, rng: np.ra
     points = np.empty((count + _SHORTCUTS + 1, joints))  # a shortcut adds one point at most
     points[:count] = path
     ends = np.empty((2, joints))
-    rows = (checker.line_rows, checker.scene_rows)
+    rows = (checker.line_rows(keep), checker.scene_rows)
     count = kernel.drop_needless_points(points, count, clearance, *rows)
     places = rng.uniform(size=(_SHORTCUTS, 2))
     count = kernel.take_shortcuts(points, count, places, ends[0], ends[1], clearance, *rows)

@@ -117,7 +117,9 @@ def plan_together(
             f"no collision-free path of the arms together found after {MAX_SAMPLES} samples; move one after the other"
         )
     points = shorten(checker, found.points, clearance, rng)
-    motion = flowing_motion(checker, group, points, 0.5 * clearance)
+    motion = flowing_motion(
+        lambda motion: checker.motion_hit(motion.knots, motion.coefficients, 0.5 * clearance), group, points
+    )
     if motion is None:
         raise PlanError("the path of the arms is free, but no motion along it could be proved; move one after the other")
     return _within_torques({tip: _part(motion, arms[tip], columns[tip]) for tip in solutions}, arms)

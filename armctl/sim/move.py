@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.collision.clearance import clearance_of
+from armctl.collision.interface import KeptAxis
 from armctl.control import Controller, State, controller_by_name, controller_name
 from armctl.core.errors import InputError, ModelError, PlanError
 from armctl.core.log import Log, SimulationError
@@ -79,7 +80,12 @@ def plan_move(
 
 
 def plan_to(
-    arm: Arm, target: Target, q_start: Array, speed: float = 1.0, checker: CollisionChecker | None = None
+    arm: Arm,
+    target: Target,
+    q_start: Array,
+    speed: float = 1.0,
+    checker: CollisionChecker | None = None,
+    keep: KeptAxis | None = None,
 ) -> PlannedMove:
     """A move to a target by inverse kinematics and a joint motion, around obstacles if there is a checker.
 
@@ -87,7 +93,9 @@ def plan_to(
     """
     arm.limits.at_speed(speed)  # a wrong speed is an error even if the target is out of reach
     if checker is not None:
-        return plan_free(arm, target, q_start, target, speed, checker)
+        return plan_free(arm, target, q_start, target, speed, checker, keep)
+    if keep is not None:
+        raise InputError("keep: an axis keeps its direction only with avoid=True, which plans the whole motion")
     solution = solve_ik(arm, target, q_start, avoid_collisions=True)
     if not solution.ok:
         solution = solve_ik(arm, target, q_start)
@@ -97,11 +105,19 @@ def plan_to(
 
 
 def plan_free(
-    arm: Arm, target: Target, q_start: Array, goal: Target | Array, speed: float, checker: CollisionChecker
+    arm: Arm,
+    target: Target,
+    q_start: Array,
+    goal: Target | Array,
+    speed: float,
+    checker: CollisionChecker,
+    keep: KeptAxis | None = None,
 ) -> PlannedMove:
     """A move around obstacles to a target or a configuration."""
     return plan_move(
-        arm, target, lambda: move_free_with(checker, arm, q_start, goal, clearance=CLEARANCE_M, speed=speed, seed=0)
+        arm,
+        target,
+        lambda: move_free_with(checker, arm, q_start, goal, clearance=CLEARANCE_M, speed=speed, seed=0, keep=keep),
     )
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl.collision.checkers import KEEP_WITHIN_RAD, read_kept_axis
 from armctl.control import ComputedTorque, Controller, State
 from armctl.core import hooks
 from armctl.core.errors import InputError
@@ -26,14 +27,7 @@ from armctl.motion import Arc, JointTrajectory, Line, move_c, move_j, move_l, mo
 from armctl.robot.arm import Arm
 from armctl.sim.follow import follow
 from armctl.sim.gripper import Gripper
-from armctl.sim.move import (
-    ControlledArms,
-    PlannedMove,
-    plan_free,
-    plan_move,
-    plan_to,
-    read_controller,
-)
+from armctl.sim.move import ControlledArms, PlannedMove, plan_free, plan_move, plan_to, read_controller
 from armctl.sim.obstacles import Obstacles
 from armctl.sim.plant import Plant, read_plant
 from armctl.sim.recorder import ticks_for
@@ -230,6 +224,8 @@ class Simulation:
         settle_timeout: float = 1.0,
         avoid: bool = True,
         allow: Iterable[tuple[str, str]] = (),
+        keep: str | None = None,
+        keep_within: float = KEEP_WITHIN_RAD,
     ) -> MoveResult:
         """Moves the tip to a target by inverse kinematics and a jerk-limited motion of the joints.
 
@@ -241,6 +237,8 @@ class Simulation:
             settle_timeout: s that the arm may take to come to rest after the motion.
             avoid: Whether to go around everything that is in the way, where it is now; otherwise the move is straight.
             allow: Pairs of names of bodies or geoms that may touch.
+            keep: "x", "y" or "z": the axis of the tip that keeps the direction it has now, as for a glass; needs `avoid`.
+            keep_within: rad that this axis may tilt.
 
         Returns:
             How it ended. It does not raise if the target cannot be reached: `ok` is False, and `reason` tells why.
@@ -251,7 +249,8 @@ class Simulation:
         """
         goal = Target.read(target, tolerance, angle_tolerance)
         checker = self._checker(avoid, allow)
-        return self._move(goal, lambda: plan_to(self.arm, goal, self._start, speed, checker), settle_timeout)
+        kept = read_kept_axis(self.arm, keep, keep_within, self._start)
+        return self._move(goal, lambda: plan_to(self.arm, goal, self._start, speed, checker, kept), settle_timeout)
 
     def move_j(
         self,

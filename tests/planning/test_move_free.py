@@ -129,6 +129,63 @@ def test_what_the_tip_holds_must_not_touch_either(tmp_path):
         armctl.move_free(arm, start, np.array([0.0, 0.37, 0.0, 0.0, 0.0, 0.0]), holding="stick")
 
 
+LOW_WALL = '<geom name="wall" type="box" size="0.3 0.02 0.15" pos="0.45 0 0.15"/>'
+POURING = np.array([-0.8, 1.2, 0.9, 0.0, np.pi - 2.1, 0.0])  # the tip points down
+POURED = np.array([0.8, 1.2, 0.9, 0.0, np.pi - 2.1, 0.0])
+
+
+@pytest.fixture(scope="module")
+def waiter(tmp_path_factory) -> armctl.Arm:
+    return arm_among(tmp_path_factory.mktemp("low_wall"), LOW_WALL)
+
+
+def tilt(arm: armctl.Arm, q: np.ndarray) -> float:
+    return float(np.arccos(np.clip(arm.fk(POURING).rotation[:, 2] @ arm.fk(q).rotation[:, 2], -1.0, 1.0)))
+
+
+@pytest.mark.parametrize("within", [0.2, 0.05])
+def test_an_axis_keeps_its_direction_around_a_wall(waiter, within):
+    motion = armctl.move_free(waiter, POURING, POURED, keep="z", keep_within=within)
+    assert_free(waiter, motion)
+    assert max(tilt(waiter, q) for q in motion.sample(np.linspace(0.0, motion.duration, 500)).q) <= within
+    assert armctl.check_clearance(waiter, motion, keep="z", keep_within=within)
+    unkept = armctl.check_clearance(waiter, armctl.move_free(waiter, POURING, POURED), keep="z", keep_within=within)
+    assert not unkept
+    assert "the tip's z axis tilts by more than" in unkept.reason
+
+
+def test_a_point_is_reached_with_the_axis_kept(waiter):
+    motion = armctl.move_free(waiter, POURING, waiter.fk(POURED).position, keep="z")
+    assert tilt(waiter, motion(motion.duration).q) < 1e-3
+
+
+def test_a_goal_that_tilts_the_axis_is_refused(waiter):
+    tilted = POURED + np.array([0.0, 0.0, 0.0, 0.0, 0.3, 0.0])
+    with pytest.raises(armctl.PlanError, match=r"goal: the tip's z axis tilts by 0\.3 rad .* less than 0\.1 wanted"):
+        armctl.move_free(waiter, POURING, tilted, keep="z")
+
+
+def test_a_tilt_that_no_sample_sees_is_found(waiter):
+    """A joint leaves for a moment shorter than any sample's step and comes back."""
+    there = POURING + np.array([0.0, 0.0, 0.0, 0.0, 0.02, 0.0])
+    out = armctl.move_j(waiter, POURING, there).then(armctl.move_j(waiter, there, POURING))
+    waiting = armctl.move_j(waiter, POURING, POURING - np.array([0.6, 0, 0, 0, 0, 0]), speed=0.01)
+    motion = out.then(waiting)
+    assert armctl.check_clearance(waiter, motion, keep="z", keep_within=0.0201)
+    refused = armctl.check_clearance(waiter, motion, keep="z", keep_within=0.0199)
+    assert not refused
+    assert refused.time == pytest.approx(out.duration / 2, abs=0.1)
+
+
+def test_a_simulated_move_keeps_the_axis(waiter):
+    sim = armctl.Simulation(waiter)
+    sim.reset(POURING)
+    assert sim.move_to(waiter.fk(POURED).position, keep="z")
+    assert max(tilt(waiter, q) for q in sim.log.q_ref) <= 0.1
+    with pytest.raises(armctl.InputError, match="avoid=True"):
+        sim.move_to(waiter.fk(POURING), keep="z", avoid=False)
+
+
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
@@ -139,6 +196,8 @@ def test_what_the_tip_holds_must_not_touch_either(tmp_path):
         ({"goal": GOAL, "clearance": -1.0}, armctl.InputError, "clearance"),
         ({"goal": GOAL, "seed": 0.5}, armctl.InputError, "seed"),
         ({"goal": GOAL, "speed": 2.0}, armctl.InputError, "speed"),
+        ({"goal": GOAL, "keep": "up"}, armctl.UnknownNameError, "up"),
+        ({"goal": GOAL, "keep": "z", "keep_within": 4.0}, armctl.InputError, "keep_within"),
         ({"goal": GOAL, "holding": "cup"}, armctl.UnknownNameError, "cup"),
         ({"goal": GOAL, "allow": ["wall"]}, armctl.InputError, "allow"),
     ],
