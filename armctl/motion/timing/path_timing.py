@@ -7,6 +7,7 @@ result is the timing on a finer grid. Bounds that are still exceeded between the
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
@@ -25,7 +26,7 @@ _MAX_INTERVALS = 500
 _MAX_TIGHTENINGS = 3
 # Exponents of the overshoot of velocity, acceleration, jerk and torque that give the stretch in time which removes it.
 _STRETCH_EXPONENTS = np.array([1, 1 / 2, 1 / 3, 1 / 2])
-_STRETCH_TOLERANCE = 3e-4  # relative: a stretch in time so small removes what bounds are still exceeded by
+_STRETCH_TOLERANCE = 1e-3  # relative: a stretch in time so small removes what bounds are still exceeded by
 _MIN_NODE_DISTANCE_S = 1e-8  # of two nodes; a motion does not change in between
 _SHORT_PIECE_S = 1e-4  # rounding of the positions at its ends decides the jerk of a shorter quintic
 _MAX_SQUARED_SPEED = 1e12  # of the path speed, where nothing bounds it
@@ -317,7 +318,7 @@ class _Problem:
         c = np.full(timing.intervals + 2, 0.9 * float(b_max[b_max > 0].min()))
         barrier = kernel.BARRIER_COLD
         if slack is not None and self._last is not None:
-            c = 0.95 * self._last
+            c = 0.98 * self._last
             barrier = kernel.BARRIER_WARM
         while not np.isfinite(kernel.value(c, *problem, 1.0)):
             c *= 0.8
@@ -435,7 +436,7 @@ def _squared_speed(c: Array, h: float, m: IntArray, x: Array) -> tuple[Array, Ar
 
 def _durations(c: Array, h: float, places: _Places) -> Array:
     """The times from node to node: the integral of 1/w, by Gauss and Legendre's rule."""
-    x, weight = np.polynomial.legendre.leggauss(5)
+    x, weight = _quadrature()
     m = places.interval
     share = places.end - places.begin
     b, _ = _squared_speed(c, h, m[:, None], places.begin[:, None] + 0.5 * share[:, None] * (x + 1))
@@ -444,3 +445,9 @@ def _durations(c: Array, h: float, places: _Places) -> Array:
     # The solver keeps b positive at nodes and middles only. Between them it can dip below 0 where limits are extreme.
     b = np.maximum(b, _MIN_DIP * np.minimum(first, last)[:, None])
     return 0.5 * h * share * ((1 / np.sqrt(b)) @ weight)
+
+
+@cache
+def _quadrature() -> tuple[Array, Array]:
+    """Points in [-1, 1] and weights of Gauss and Legendre's rule."""
+    return np.polynomial.legendre.leggauss(5)

@@ -26,11 +26,11 @@ from armctl.core.validation import Array, IntArray
 
 # Weights of the logarithmic barrier relative to the duration: the first from any start, the first from near the solution, the
 # last, and the factor from one to the next.
-BARRIER_COLD = 1e-4
-BARRIER_WARM = 1e-6
-BARRIER_LAST = 1e-8
-BARRIER_FACTOR = 0.1
-MAX_NEWTON_STEPS = 12
+BARRIER_COLD = 2e-5
+BARRIER_WARM = 1e-7
+BARRIER_LAST = 5e-9
+BARRIER_FACTOR = 0.05
+MAX_NEWTON_STEPS = 30
 MAX_HALVINGS = 30
 SMALLEST_PRODUCT = 1e-200  # a product of rooms is logged before it underflows
 
