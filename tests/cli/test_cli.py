@@ -12,6 +12,7 @@ from arms import BUNDLED, MISSING, at_hand
 import armctl
 from armctl.cli.main import main
 from armctl.control import CONTROLLERS
+from armctl.cli.warmup import compile_part
 
 
 def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
@@ -280,3 +281,18 @@ def test_a_reader_that_leaves_early_is_no_error():
     os.close(writing)
     assert done.returncode == 0
     assert done.stderr == b""
+
+
+def test_after_a_warmup_nothing_is_left_to_compile(capsys):
+    status, out, _ = run(capsys, "warmup", "--workers", "1", "--only", "motion", "planning")
+    assert status == 0
+    assert out.startswith("[1/2] motion: ")
+    assert "\n[2/2] planning: " in out
+    assert "\nready after " in out
+    assert [compile_part(part).functions for part in ("motion", "planning")] == [0, 0]
+
+
+def test_a_warmup_without_workers_is_refused(capsys):
+    status, _, err = run(capsys, "warmup", "--workers", "0")
+    assert status == 2
+    assert err == "armctl: --workers: 0 given, at least 1 needed\n"

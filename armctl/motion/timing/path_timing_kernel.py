@@ -176,7 +176,8 @@ def bounds(h, interval, begin, end, nodes):
         k = piece + p % 2
         _weights(begin[piece] if p % 2 == 0 else end[piece], h, weights)
         steepest = _steepest(nodes, k)
-        points[p, :3] = weights[0]
+        for r in range(3):
+            points[p, r] = weights[0, r]
         if p % 2 == 0 or p == 2 * pieces - 1:
             points[p, 3] = nodes.b_max[k]
             force_count = _force_rows(nodes, k, steepest, weights, forces, force_count)
@@ -185,7 +186,7 @@ def bounds(h, interval, begin, end, nodes):
         index[p, 0] = interval[piece]
         index[p, 1] = force_count
         index[p, 2] = jerk_count
-    return Problem(h, points, index, forces[:force_count].copy(), jerks[:jerk_count].copy())
+    return Problem(h, points, index, forces[:force_count], jerks[:jerk_count])
 
 
 @njit
@@ -271,8 +272,8 @@ def _add_duration(c, h, gradient, band):
 @njit
 def assemble(c, h, points, index, forces, jerks, barrier, gradient, band):
     """Gradient and (convex part of the) Hessian; `band[k, d]` is element (k, k + d)."""
-    gradient[:] = 0.0
-    band[:] = 0.0
+    gradient.fill(0.0)
+    band.fill(0.0)
     _add_duration(c, h, gradient, band)
     force = 0
     jerk = 0
@@ -353,20 +354,24 @@ def solve(p, c, first):
             assemble(c, h, points, index, forces, jerks, barrier, gradient, band)
             newton_step(gradient, band, step)
             total += 1
-            decrement = -np.dot(gradient, step)
+            decrement = 0.0
+            for k in range(count):
+                decrement -= gradient[k] * step[k]
             if decrement < barrier:
                 break
             share = 1.0
             trial_cost = math.inf
             for _ in range(MAX_HALVINGS):
-                trial[:] = c + share * step
+                for k in range(count):
+                    trial[k] = c[k] + share * step[k]
                 trial_cost = value(trial, h, points, index, forces, jerks, barrier)
                 if trial_cost < cost - 1e-4 * share * decrement:
                     break
                 share *= 0.5
             if not trial_cost < cost:
                 break
-            c[:] = trial
+            for k in range(count):
+                c[k] = trial[k]
             cost = trial_cost
         if barrier <= BARRIER_LAST * time:
             return total

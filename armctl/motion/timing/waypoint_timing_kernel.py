@@ -224,8 +224,8 @@ def _row(p, k, i):
 @njit
 def assemble(x, times, p, barrier, gradient, band):
     """Gradient and Hessian, `band[r, d]` its element (r, r + d). Waypoint by waypoint: all joints, and the section after it."""
-    gradient[:] = 0.0
-    band[:] = 0.0
+    gradient.fill(0.0)
+    band.fill(0.0)
     n = len(p.v_max)
     slopes = np.empty(5)
     ordered = np.empty(5)

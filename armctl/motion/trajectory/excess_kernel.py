@@ -58,7 +58,8 @@ def _excess(parts, degree, low, high):
         keeps_left = _hull(parts[count], degree, low, high) > threshold
         keeps_right = _hull(parts[count + 1], degree, low, high) > threshold
         if keeps_right and not keeps_left:
-            parts[count, : degree + 1] = parts[count + 1, : degree + 1]
+            for i in range(degree + 1):
+                parts[count, i] = parts[count + 1, i]
         count += int(keeps_left) + int(keeps_right)
         if count >= MAX_PARTS - 1:
             break

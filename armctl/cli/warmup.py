@@ -1,0 +1,133 @@
+"""`armctl warmup`: compiles everything that armctl compiles, before a program needs it."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from armctl.cli.common import DONE, Commands, add_command
+from armctl.core.errors import InputError
+
+_SPEED = 0.5  # a cap on the tip that the move reaches
+
+
+class Compiled(NamedTuple):
+    """What compiling one part took.
+
+    Attributes:
+        functions: How many functions were compiled; the others were in the cache.
+        seconds: s, loading the part included.
+    """
+
+    functions: int
+    seconds: float
+
+
+def add(commands: Commands) -> None:
+    """Adds the command to the parser."""
+    parser = add_command(commands, "warmup", run, "compile everything now, so that no first call takes seconds")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes that compile at the same time (default: all cores)")
+    parser.add_argument("--only", nargs="+", choices=list(PARTS), default=list(PARTS), help="parts to compile")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Runs the command."""
+    workers = (os.cpu_count() or 1) if args.workers is None else args.workers
+    if workers < 1:
+        raise InputError(f"--workers: {workers} given, at least 1 needed")
+    began = time.perf_counter()
+    for count, (part, compiled) in enumerate(_compiled(args.only, workers), start=1):
+        done = f"{compiled.functions} functions compiled" if compiled.functions else "everything was in the cache"
+        print(f"[{count}/{len(args.only)}] {part}: {done}, {compiled.seconds:.1f} s", flush=True)
+    print(f"ready after {time.perf_counter() - began:.1f} s; the cache is kept until armctl or its environment changes")
+    return DONE
+
+
+def _compiled(parts: list[str], workers: int):
+    """Yields each part when it is compiled; in this process if one worker is to do it."""
+    from concurrent.futures import ProcessPoolExecutor, as_completed
+    from multiprocessing import get_context
+
+    if workers == 1:
+        for part in parts:
+            yield part, compile_part(part)
+        return
+    with ProcessPoolExecutor(min(workers, len(parts)), get_context("spawn")) as pool:
+        waiting = {pool.submit(compile_part, part): part for part in parts}
+        for future in as_completed(waiting):
+            yield waiting[future], future.result()
+
+
+def compile_part(part: str) -> Compiled:
+    """Compiles what is not in the cache.
+
+    Args:
+        part: One of `PARTS`.
+
+    Returns:
+        What it took.
+    """
+    from numba.core import event
+
+    began = time.perf_counter()
+    with event.install_recorder("numba:compile") as recorder:
+        PARTS[part]()
+    return Compiled(sum(each.is_start for _, each in recorder.buffer), time.perf_counter() - began)
+
+
+def _arm():
+    import armctl
+
+    scene = armctl.Scene().add_box("wall", [0.02, 0.02, 0.5], [0.3, 0.0, 0.25])
+    return armctl.load("robot_arm_3dof", scene=scene)
+
+
+def _inverse_kinematics() -> None:
+    import armctl
+
+    arm = _arm()
+    target = arm.fk(arm.home)
+    for goal in (target, target.position):
+        armctl.solve_ik(arm, goal)
+        armctl.solve_ik_all(arm, goal, limit=4)
+        armctl.solve_ik_batch(arm, [goal])
+
+
+def _motion() -> None:
+    import armctl
+
+    arm = _arm()
+    armctl.move_through(arm, [arm.home, arm.home + 0.2, arm.home - 0.1])
+    target = arm.fk(arm.home).position + np.array([0.0, 0.05, 0.0])
+    armctl.move_l(arm, arm.home, target, tip_speed=_SPEED)
+
+
+def _planning() -> None:
+    import armctl
+
+    start = np.array([-0.8, 0.9, -1.2])
+    goal = np.array([0.8, 0.9, -1.2])
+    armctl.check_clearance(_arm(), armctl.move_free(_arm(), start, goal))
+
+
+def _simulation() -> None:
+    import armctl
+    from armctl.control import CONTROLLERS
+
+    arm = _arm()
+    motion = armctl.move_j(arm, arm.home, arm.home + 0.02)
+    for name in CONTROLLERS:
+        armctl.simulate(arm, name, motion)
+
+
+PARTS: dict[str, Callable[[], None]] = {
+    "inverse-kinematics": _inverse_kinematics,
+    "motion": _motion,
+    "planning": _planning,
+    "simulation": _simulation,
+}
