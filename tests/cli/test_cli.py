@@ -11,8 +11,8 @@ from arms import BUNDLED, MISSING, at_hand
 
 import armctl
 from armctl.cli.main import main
-from armctl.control import CONTROLLERS
 from armctl.cli.warmup import compile_part
+from armctl.control import CONTROLLERS
 
 
 def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
