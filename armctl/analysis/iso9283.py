@@ -1,16 +1,29 @@
-"""ISO 9283: pose accuracy and repeatability, stabilisation time and path accuracy, measured in simulation.
+"""ISO 9283: performance criteria of industrial robots, measured in simulation.
 
-ISO 9283:1998, "Manipulating industrial robots - Performance criteria and related test methods", clauses 7.2 (pose accuracy and
-repeatability), 7.4 (stabilisation time), 7.5 (overshoot) and 8.2 (path accuracy and repeatability).
+ISO 9283:1998, "Manipulating industrial robots - Performance criteria and related test methods". `iso9283_figures` computes the
+figures; here are the test cycles.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
+from math import nan
 
 import numpy as np
 
+from armctl.analysis.iso9283_figures import (
+    accuracy,
+    cornering,
+    deviations_in_planes,
+    distance,
+    drift,
+    orientation,
+    path_speed,
+    posing_time,
+    rotation_vectors,
+    stabilisation,
+)
 from armctl.collision.checkers import collision_checker
 from armctl.control import Controller, controller_by_name, controller_name
 from armctl.core.errors import PlanError
@@ -18,9 +31,10 @@ from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, integer, number
 from armctl.ik import solve_ik
-from armctl.motion import JointTrajectory, move_j, move_l
+from armctl.motion import JointTrajectory, move_j, move_l, move_path
 from armctl.robot.arm import Arm
-from armctl.sim.plant import NOMINAL, Plant
+from armctl.sim.plant import NOMINAL, Plant, Push
+from armctl.sim.simulate import simulate
 from armctl.sim.simulation import Simulation
 
 _EDGES = 0.4 * 0.8 ** np.arange(12)  # m, of the test cube: the largest that the arm can work in
@@ -28,14 +42,12 @@ _CORNERS = np.array([[1, 1, 1], [1, -1, -1], [-1, -1, -1], [-1, 1, 1]])  # of th
 _INSET = 0.8  # the poses are a tenth of the diagonal inside the corners
 _IK_TOLERANCE = 1e-9  # m, rad
 _ORDER = (0, 4, 3, 2, 1, 0)  # P1 P5 P4 P3 P2 P1
-_FIGURES = (
-    "pose_accuracy_m",
-    "pose_repeatability_m",
-    "stabilisation_time_s",
-    "overshoot_m",
-    "path_accuracy_m",
-    "path_repeatability_m",
-)
+_CORNER_BLEND = 0.1  # of the edge of the cube
+_CRUISE_RATIO = 0.5  # of the largest speed on the line: below it the speed is constant on most of the line
+_POSING_DISTANCES_M = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
+_COMPLIANCE_SETTLING_S = 1.0
+_Triple = tuple[float, float, float]
+_NO_TRIPLE: _Triple = (nan, nan, nan)
 
 
 @dataclass(frozen=True)
@@ -53,12 +65,26 @@ class Iso9283:
         speed: Fraction of the maximum speed.
         cube_m: Edge of the test cube.
         band_m: The tip is stable while its distance from the attained position is at most this.
-        pose_accuracy_m: AP, the distance of the mean attained position from the commanded one.
-        pose_repeatability_m: RP, mean distance from the mean attained position plus three standard deviations.
-        stabilisation_time_s: Time from the first entry into the band to the last.
-        overshoot_m: The largest distance from the attained position after the first entry, if the tip leaves the band again.
-        path_accuracy_m: AT, the distance of the mean path from the commanded line, in planes normal to it.
-        path_repeatability_m: RT, as RP, in these planes.
+        pose_accuracy_m: 7.2, AP, the distance of the mean attained position from the commanded one.
+        pose_repeatability_m: 7.2, RP, mean distance from the mean attained position plus three standard deviations.
+        orientation_accuracy_rad: 7.2, AP_a, AP_b, AP_c about the world's x, y and z.
+        orientation_repeatability_rad: 7.2, RP_a, RP_b, RP_c.
+        distance_accuracy_m: 7.3, AD, of the distance between P2 and P4.
+        distance_repeatability_m: 7.3, RD.
+        stabilisation_time_s: 7.4, time from the first entry into the band to the last.
+        overshoot_m: 7.5, the largest distance from the attained position after the first entry, if the tip leaves
+            the band again.
+        drift_m: 7.6, the change of AP from the first to the last third of the cycles.
+        path_accuracy_m: 8.2, AT, the distance of the mean path from the commanded line, in planes normal to it.
+        path_repeatability_m: 8.3, RT, as RP, in these planes.
+        corner_round_off_m: 8.5, CR, at a corner of 90 degrees that is rounded within a tenth of the cube's edge.
+        corner_overshoot_m: 8.5, CO, behind that corner.
+        path_speed_m_s: The commanded constant speed on the line, for the next three figures.
+        speed_accuracy: 8.6, AV, as a fraction of the commanded speed, as are the next two.
+        speed_repeatability: 8.6, RV.
+        speed_fluctuation: 8.6, FV.
+        posing_times: 9, pairs of distance, m, and the time until the tip stays within the band, s.
+        compliance_m_per_N: 10, static displacement by force along the world's x, y and z.
     """
 
     ok: bool
@@ -71,12 +97,25 @@ class Iso9283:
     speed: float
     cube_m: float
     band_m: float
-    pose_accuracy_m: float
-    pose_repeatability_m: float
-    stabilisation_time_s: float
-    overshoot_m: float
-    path_accuracy_m: float
-    path_repeatability_m: float
+    pose_accuracy_m: float = nan
+    pose_repeatability_m: float = nan
+    orientation_accuracy_rad: _Triple = _NO_TRIPLE
+    orientation_repeatability_rad: _Triple = _NO_TRIPLE
+    distance_accuracy_m: float = nan
+    distance_repeatability_m: float = nan
+    stabilisation_time_s: float = nan
+    overshoot_m: float = nan
+    drift_m: float = nan
+    path_accuracy_m: float = nan
+    path_repeatability_m: float = nan
+    corner_round_off_m: float = nan
+    corner_overshoot_m: float = nan
+    path_speed_m_s: float = nan
+    speed_accuracy: float = nan
+    speed_repeatability: float = nan
+    speed_fluctuation: float = nan
+    posing_times: tuple[tuple[float, float], ...] = ()
+    compliance_m_per_N: _Triple = _NO_TRIPLE
 
     def __bool__(self) -> bool:
         return self.ok
@@ -87,7 +126,7 @@ class Iso9283:
         Returns:
             Every attribute.
         """
-        return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in asdict(self).items()}
+        return {name: _for_json(value) for name, value in asdict(self).items()}
 
     def __str__(self) -> str:
         done = f"{self.cycles} cycles of 5 poses, {self.path_cycles} of the path" if self.ok else f"failed: {self.reason}"
@@ -95,14 +134,32 @@ class Iso9283:
             [
                 f"ISO 9283, {self.robot}, {self.controller}: {done}",
                 f"  conditions              cube of {1e3 * self.cube_m:.0f} mm, {100 * self.speed:.0f} % speed, {self.plant}",
-                f"  pose accuracy AP        {1e6 * self.pose_accuracy_m:.3g} um",
-                f"  pose repeatability RP   {1e6 * self.pose_repeatability_m:.3g} um",
-                f"  stabilisation time      {self.stabilisation_time_s:.3f} s into {1e6 * self.band_m:.0f} um",
-                f"  overshoot               {1e6 * self.overshoot_m:.3g} um",
-                f"  path accuracy AT        {1e6 * self.path_accuracy_m:.3g} um",
-                f"  path repeatability RT   {1e6 * self.path_repeatability_m:.3g} um",
+                f"  7.2 pose accuracy AP          {1e6 * self.pose_accuracy_m:.3g} um",
+                f"  7.2 pose repeatability RP     {1e6 * self.pose_repeatability_m:.3g} um",
+                f"  7.2 orientation accuracy      {_listed(1e6, self.orientation_accuracy_rad)} urad (AP_a, b, c)",
+                f"  7.2 orientation repeatability {_listed(1e6, self.orientation_repeatability_rad)} urad (RP_a, b, c)",
+                f"  7.3 distance accuracy AD      {1e6 * self.distance_accuracy_m:.3g} um",
+                f"  7.3 distance repeatability RD {1e6 * self.distance_repeatability_m:.3g} um",
+                f"  7.4 stabilisation time        {self.stabilisation_time_s:.3f} s into {1e6 * self.band_m:.0f} um",
+                f"  7.5 overshoot                 {1e6 * self.overshoot_m:.3g} um",
+                f"  7.6 drift of AP               {1e6 * self.drift_m:.3g} um",
+                f"  8.2 path accuracy AT          {1e6 * self.path_accuracy_m:.3g} um",
+                f"  8.3 path repeatability RT     {1e6 * self.path_repeatability_m:.3g} um",
+                f"  8.5 corner round-off CR       {1e3 * self.corner_round_off_m:.3g} mm",
+                f"  8.5 corner overshoot CO       {1e6 * self.corner_overshoot_m:.3g} um",
+                f"  8.6 path velocity AV, RV, FV  {_listed(100, self._speeds)} % of {1e3 * self.path_speed_m_s:.0f} mm/s",
+                f"  9   minimum posing time       {self._posing_text}",
+                f"  10  static compliance x, y, z {_listed(1e6, self.compliance_m_per_N)} um/N",
             ]
         )
+
+    @property
+    def _speeds(self) -> _Triple:
+        return self.speed_accuracy, self.speed_repeatability, self.speed_fluctuation
+
+    @property
+    def _posing_text(self) -> str:
+        return ", ".join(f"{time:.3f} s for {1e3 * distance:.0f} mm" for distance, time in self.posing_times) or "none"
 
 
 def iso9283_cycles(
@@ -115,8 +172,9 @@ def iso9283_cycles(
     speed: float = 1.0,
     dwell: float = 0.5,
     band: float = 1e-4,
+    load: float = 10.0,
 ) -> Iso9283:
-    """Runs the standard's cycles: five poses on the inclined plane of a cube, and the line across it.
+    """Runs the standard's cycles: five poses on the inclined plane of a cube, a line, a corner, and loads at the tip.
 
     The centre of the cube is the tip's position at home. The cube is as large as the arm can work in, at most 0.4 m. Arms of
     six or more joints keep the tip's orientation. Without noise in the plant, repeatability means little.
@@ -130,6 +188,7 @@ def iso9283_cycles(
         speed: Fraction of the maximum speed that the limits allow, in [0.001, 1].
         dwell: s at each pose before it is measured, at least 0.05.
         band: m; the tip is stable while its distance from the attained position is at most this.
+        load: N, the force at the tip for the static compliance.
 
     Returns:
         The figures; if a run fails, `ok` is False and `reason` says why.
@@ -144,6 +203,7 @@ def iso9283_cycles(
     speed = number("speed", speed, 1e-3, 1.0)
     dwell = number("dwell", dwell, 0.05)
     band = number("band", band, 1e-9)
+    load = number("load", load, 1e-6)
     controller = controller_by_name(controller, arm) if isinstance(controller, str) else controller
     edge, points, q = _poses(arm)
     legs = [move_j(arm, q[a], q[b]).scaled(speed) for a, b in pairwise(_ORDER)]
@@ -151,10 +211,19 @@ def iso9283_cycles(
     back = move_j(arm, line(line.duration).q, q[1])
 
     simulation = Simulation(arm, controller, plant)
-    stops = _runs(simulation, q[0], legs * cycles, dwell)
-    paths = _runs(simulation, q[1], [line, back] * path_cycles, dwell)[::2]
-    reason = next((log.failure for log in [*stops, *paths] if log.failure), "")
-    figures = dict.fromkeys(_FIGURES, float("nan")) if reason else _figures(stops, paths, points, line.duration, band)
+    tests = _Tests(simulation, points, q, line, back, dwell, band)
+    figures: dict[str, object] = {}
+    try:
+        figures |= tests.poses(legs, cycles)
+        figures |= tests.path(path_cycles)
+        figures |= tests.corner(0.5 * _INSET * edge, path_cycles, speed)
+        figures |= tests.path_velocity(path_cycles, speed)
+        figures |= tests.posing(speed)
+        figures |= _compliance(arm, controller, plant, load)
+        reason = ""
+    except _RunFailed as failed:
+        figures = {}
+        reason = str(failed)
     return Iso9283(
         ok=not reason,
         reason=reason,
@@ -166,8 +235,129 @@ def iso9283_cycles(
         speed=speed,
         cube_m=edge,
         band_m=band,
-        **figures,
+        **figures,  # type: ignore[arg-type]
     )
+
+
+class _RunFailed(Exception):
+    """A run of a test ended early."""
+
+
+@dataclass(frozen=True)
+class _Tests:
+    """The test cycles of one arm: five points (5, 3) m, q (5, n) rad there, and the line from P2 to P4 and back."""
+
+    simulation: Simulation
+    points: Array
+    q: Array
+    line: JointTrajectory
+    back: JointTrajectory
+    dwell: float
+    band: float
+
+    def poses(self, legs: list[JointTrajectory], cycles: int) -> dict[str, object]:
+        """Clauses 7.2 to 7.6."""
+        logs = _runs(self.simulation, self.q[0], legs * cycles, self.dwell)
+        shape = (cycles, len(_ORDER) - 1, -1)
+        attained = np.array([log.tip[-1] for log in logs]).reshape(shape)
+        turned = rotation_vectors(
+            np.array([log.tip_quat[-1] for log in logs]), np.array([log.tip_ref_quat[-1] for log in logs])
+        )
+        offsets = attained - self.points[list(_ORDER[1:])]
+        pose = accuracy(offsets)
+        angles = orientation(turned.reshape(shape))
+        at_p2 = attained[:, _ORDER[1:].index(1)]
+        at_p4 = attained[:, _ORDER[1:].index(3)]
+        apart = distance(at_p2, at_p4, float(np.linalg.norm(self.points[1] - self.points[3])))
+        stable = np.max([stabilisation(log, self.band) for log in logs], axis=0)
+        return {
+            "pose_accuracy_m": pose.accuracy,
+            "pose_repeatability_m": pose.repeatability,
+            "orientation_accuracy_rad": angles[0],
+            "orientation_repeatability_rad": angles[1],
+            "distance_accuracy_m": apart.accuracy,
+            "distance_repeatability_m": apart.repeatability,
+            "stabilisation_time_s": float(stable[0]),
+            "overshoot_m": float(stable[1]),
+            "drift_m": drift(offsets),
+        }
+
+    def path(self, cycles: int) -> dict[str, object]:
+        """Clauses 8.2 and 8.3."""
+        logs = _runs(self.simulation, self.q[1], [self.line, self.back] * cycles, self.dwell)[::2]
+        ends = self.points[1], self.points[3]
+        spread = accuracy(np.array([deviations_in_planes(log, *ends, self.line.duration) for log in logs]))
+        return {"path_accuracy_m": spread.accuracy, "path_repeatability_m": spread.repeatability}
+
+    def corner(self, half_edge: float, cycles: int, speed: float) -> dict[str, object]:
+        """Clause 8.5, around P3; no figures if the arm cannot follow the lines to it."""
+        arm = self.simulation.arm
+        blend = 2 * _CORNER_BLEND * half_edge
+        lines = [_target(arm, point) for point in self.points[2:4]]
+        try:
+            around = move_path(arm, self.q[1], lines, blend=blend).scaled(speed)
+            back = move_j(arm, around(around.duration).q, self.q[1])
+        except PlanError:
+            return {}
+        logs = _runs(self.simulation, self.q[1], [around, back] * cycles, self.dwell)[::2]
+        found = cornering(logs, self.points[2], self.points[3], blend)
+        return {"corner_round_off_m": found.round_off, "corner_overshoot_m": found.overshoot}
+
+    def path_velocity(self, cycles: int, speed: float) -> dict[str, object]:
+        """Clause 8.6, on the line from P2 to P4 at a constant speed."""
+        arm = self.simulation.arm
+        length = float(np.linalg.norm(self.points[3] - self.points[1]))
+        cruise = _CRUISE_RATIO * length / self.line.duration
+        line = move_l(arm, self.q[1], _target(arm, self.points[3]), tip_speed=cruise / speed).scaled(speed)
+        logs = _runs(self.simulation, self.q[1], [line, self.back] * cycles, self.dwell)[::2]
+        found = path_speed(logs, self.points[1], self.points[3], line.duration, cruise)
+        return {
+            "path_speed_m_s": cruise,
+            "speed_accuracy": found.accuracy,
+            "speed_repeatability": found.repeatability,
+            "speed_fluctuation": found.fluctuation,
+        }
+
+    def posing(self, speed: float) -> dict[str, object]:
+        """Clause 9, from P2 toward P4."""
+        arm = self.simulation.arm
+        way = self.points[3] - self.points[1]
+        length = float(np.linalg.norm(way))
+        times = []
+        for apart in _POSING_DISTANCES_M:
+            if apart > length:
+                break
+            there = move_l(arm, self.q[1], _target(arm, self.points[1] + apart / length * way)).scaled(speed)
+            log = _runs(self.simulation, self.q[1], [there], self.dwell)[0]
+            times.append((apart, posing_time(log, self.band)))
+        return {"posing_times": tuple(times)}
+
+
+def _compliance(arm: Arm, controller: Controller, plant: Plant, load: float) -> dict[str, object]:
+    """Clause 10, at home: displacement by a force along each axis, in both directions, after it has settled."""
+    hold = move_j(arm, arm.limits.clamp(arm.home), arm.limits.clamp(arm.home))
+    compliance = []
+    for direction in np.eye(3):
+        ends = []
+        for sign in (1.0, -1.0):
+            push = Push(0.0, 10 * _COMPLIANCE_SETTLING_S, force=sign * load * direction)
+            log = simulate(arm, controller, hold, replace(plant, pushes=(*plant.pushes, push)), _COMPLIANCE_SETTLING_S)  # type: ignore[misc]
+            if log.failure:
+                raise _RunFailed(log.failure)
+            ends.append(log.tip[-len(log) // 10 :].mean(axis=0))
+        compliance.append(float((ends[0] - ends[1]) @ direction / (2 * load)))
+    return {"compliance_m_per_N": tuple(compliance)}
+
+
+def _for_json(value: object) -> object:
+    """A value with NaN as None."""
+    if isinstance(value, tuple):
+        return [_for_json(each) for each in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _listed(scale: float, values: _Triple) -> str:
+    return ", ".join(f"{scale * value:.3g}" for value in values)
 
 
 def _poses(arm: Arm) -> tuple[float, Array, Array]:
@@ -207,40 +397,11 @@ def _target(arm: Arm, point: Array) -> Pose | Array:
 
 
 def _runs(simulation: Simulation, q: Array, motions: list[JointTrajectory], dwell: float) -> list[Log]:
-    """The logs of motions one after another, as far as they go."""
+    """The logs of motions one after another."""
     simulation.reset(q)
     logs: list[Log] = []
     for motion in motions:
         logs.append(simulation.run(motion, dwell))
         if logs[-1].failure:
-            break
+            raise _RunFailed(logs[-1].failure)
     return logs
-
-
-def _figures(stops: list[Log], paths: list[Log], points: Array, duration: float, band: float) -> dict[str, float]:
-    attained = np.array([log.tip[-1] for log in stops]).reshape(-1, len(_ORDER) - 1, 3)
-    pose = _accuracy(attained - points[list(_ORDER[1:])])
-    stable = np.max([_stabilisation(log, band) for log in stops], axis=0)
-    line = points[3] - points[1]
-    offsets = np.array([log.tip[log.t <= duration] - points[1] for log in paths])
-    across = offsets - (offsets @ line)[..., None] * line / (line @ line)
-    return dict(zip(_FIGURES, (*pose, *stable.tolist(), *_accuracy(across)), strict=True))
-
-
-def _accuracy(offsets: Array) -> tuple[float, float]:
-    """AP and RP, or AT and RT, from offsets (cycles, k, 3) m: the worst of the k."""
-    mean = offsets.mean(axis=0)
-    apart = np.linalg.norm(offsets - mean, axis=2)
-    repeatability = apart.mean(axis=0) + 3 * apart.std(axis=0, ddof=1)
-    return float(np.linalg.norm(mean, axis=1).max()), float(repeatability.max())
-
-
-def _stabilisation(log: Log, band: float) -> tuple[float, float]:
-    """Stabilisation time, s, and overshoot, m: from the first entry into the band around the attained position to the last."""
-    distance = np.linalg.norm(log.tip - log.tip[-1], axis=1)
-    inside = distance <= band
-    first_inside = int(inside.argmax())
-    last_outside = -1 if inside.all() else int(np.flatnonzero(~inside)[-1])
-    if last_outside < first_inside:
-        return 0.0, 0.0
-    return (last_outside + 1 - first_inside) * log.dt, float(distance[first_inside:].max())

@@ -247,6 +247,7 @@ def test_iso9283_prints_the_figures_with_units(capsys):
     status, out, _ = run(capsys, "iso9283", BUNDLED, "--cycles", "2", "--plant", "payload=0.5+noise", "--identify")
     assert status == 0
     assert "pose accuracy AP" in out
+    assert "8.6 path velocity" in out
     assert " um" in out
 
 
