@@ -6,14 +6,18 @@ import hashlib
 import importlib
 import json
 import math
+import sys
 import threading
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
+import mujoco
 import numpy as np
+import pinocchio
 
 from armctl.analysis.comparison import out_and_back
 from armctl.analysis.report import Report
@@ -126,6 +130,10 @@ class Bench:
             warnings.simplefilter("ignore", ArmctlWarning)  # whoever defined the study has seen them
             self.arm: Arm = load(**setup["robot"])
         self.digest = _model_digest(self.arm)
+        if setup.get("versions", versions()) != versions():
+            raise ModelError(
+                f"a worker has {versions()}, but the study was begun with {setup['versions']}; install the same there"
+            )
         if setup.get("model", self.digest) != self.digest:
             raise ModelError(f"{self.arm.name}: its model here is not the one with which the study was begun")
         self._motion = setup["motion"]
@@ -294,6 +302,24 @@ def failed_outcome(reason: str) -> Outcome:
     """The outcome of a run that was not completed."""
     figures = dict.fromkeys(FIGURES)
     return {"ok": False, "completed": False, "reason": reason, **figures, "contacts": 0, "digest": ""}
+
+
+def versions() -> str:
+    """The versions of everything that decides about the bits of a run; of armctl with a digest of its source."""
+    armctl = sys.modules["armctl"]  # the package's own front, which imports from all layers, only has the number
+    packages = {"mujoco": mujoco, "pinocchio": pinocchio, "numpy": np}
+    others = [f"{name} {package.__version__}" for name, package in packages.items()]
+    return " ".join([f"armctl {armctl.__version__} ({_source_digest()})", *others])
+
+
+@lru_cache(maxsize=1)
+def _source_digest() -> str:
+    """Between two releases the version stays the same while the source changes."""
+    digest = hashlib.blake2b(digest_size=4)
+    package = Path(__file__).parents[1]
+    for path in sorted(package.rglob("*.py")):
+        digest.update(path.relative_to(package).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()
 
 
 def _model_digest(arm: Arm) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from armctl.core.errors import InputError
-from armctl.core.validation import Array, choice, flag, integer, number, shown
+from armctl.core.validation import Array, choice, flag, integer, number, shown, vector
 
 SAMPLINGS = ("sobol", "lhs", "saltelli")
 MAX_RUNS = 10_000_000
@@ -216,8 +216,8 @@ def _shares(d: int, samples: int, sampling: str, seed: int) -> Array:
 def _plain(name: str, value: Any) -> Value:
     if isinstance(value, (bool, str)):
         return value
-    if np.ndim(value) == 1:
-        return tuple(number(name, each) for each in value)
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return tuple(vector(name, value).tolist())
     checked = number(name, value)
     return int(value) if isinstance(value, (int, np.integer)) else checked
 

@@ -7,7 +7,6 @@ import importlib.util
 import json
 import os
 import re
-import sys
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,16 +14,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
-import mujoco
-import numpy as np
-import pinocchio
-
 from armctl.core.atomic import file_path
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.target import TOLERANCE
 from armctl.core.validation import choice, instance, integer, number, shown
 from armctl.motion import JointTrajectory
-from armctl.study.bench import CONTROLLER_FACTOR, OTHER_FACTORS, PLANT_FACTORS, Bench, Run
+from armctl.study.bench import CONTROLLER_FACTOR, OTHER_FACTORS, PLANT_FACTORS, Bench, Run, versions
 from armctl.study.factors import MAX_RUNS, SAMPLINGS, design_points, factor_table, read_factor
 
 _NAME = re.compile(r"[\w.+-]{1,100}")
@@ -161,7 +156,7 @@ class StudyPlan:
         count = len(points) * self.repeats * len(self.controllers)
         if count > MAX_RUNS:
             raise InputError(f"repeats: the study would have {count} runs, at most {MAX_RUNS} are possible")
-        shared = json.dumps([self.versions, {**self.setup, "controllers": None}])
+        shared = json.dumps([{**self.setup, "controllers": None}])
         specs = {label: json.dumps(_with_source(spec)) for label, spec in self.controllers.items()}
         found = []
         for point in points:
@@ -188,18 +183,11 @@ class StudyPlan:
     @cached_property
     def setup(self) -> dict[str, Any]:
         """What the runs share, as plain data for workers; `model` tells whether they load the same robot."""
-        return {**self._plain_setup, "controllers": self.controllers, "model": self.bench.digest}
+        return {**self._plain_setup, "controllers": self.controllers, "model": self.bench.digest, "versions": versions()}
 
     @property
     def _plain_setup(self) -> dict[str, Any]:
         return {"robot": self.robot, "motion": self.motion, "dwell": self.dwell, "tolerance": self.tolerance}
-
-    @property
-    def versions(self) -> str:
-        """The versions of everything that decides about the bits of a run."""
-        armctl = sys.modules["armctl"]  # the package's own front, which imports from all layers, only has the number
-        packages = {"armctl": armctl, "mujoco": mujoco, "pinocchio": pinocchio, "numpy": np}
-        return " ".join(f"{name} {package.__version__}" for name, package in packages.items())
 
 
 def _digest(*parts: str) -> str:

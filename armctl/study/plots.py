@@ -19,6 +19,17 @@ if TYPE_CHECKING:
 
 Columns = Mapping[str, np.ndarray]
 
+_UNITS = {
+    "payload": "kg",
+    "coulomb_friction": "N m",
+    "viscous_friction": "N m s/rad",
+    "delay": "ticks",
+    "encoder_noise": "rad",
+    "velocity_noise": "rad/s",
+    "timestep": "s",
+    "friction": "fraction of the torque limit",
+}
+
 _MAX_LEVELS = 12  # a factor with more values is divided into bins
 _BINS = 8  # of about equally many runs
 _BANDS = ((0.05, 0.95, 0.12), (0.25, 0.75, 0.25))  # from, to, opacity
@@ -43,7 +54,7 @@ def quantiles(
                 axes.fill_between(centers, *np.transpose(ends), color=COLORS[k], alpha=opacity, linewidth=0)
             middle = [_quantile(each, 0.5) for each in bins]
             axes.plot(centers, middle, color=COLORS[k], marker="o", markersize=3, label=controller)
-        axes.set_xlabel(factor.replace("_", " "))
+        axes.set_xlabel(_axis(factor))
         axes.set_ylabel(label)
         axes.set_ylim(bottom=0.0)
         figure.legend(loc="outside lower center", ncols=min(len(labels), 4))
@@ -98,8 +109,8 @@ def success(
             own = columns["controller"] == controller
             image = _share_grid(axes, columns[x][own], columns[y][own], succeeded[own])
             axes.set_title(controller)
-            axes.set_xlabel(x.replace("_", " "))
-        panels[0].set_ylabel(y.replace("_", " "))
+            axes.set_xlabel(_axis(x))
+        panels[0].set_ylabel(_axis(y))
         if image is not None:
             figure.colorbar(image, ax=list(panels), label="share of successes")
 
@@ -118,10 +129,16 @@ def _share_grid(axes: Axes, x: Array, y: Array, succeeded: BoolArray):
                 shares[i, k] = succeeded[both].mean()
                 axes.text(k, i, f"{100 * shares[i, k]:.0f}", ha="center", va="center", fontsize=7)
     image = axes.imshow(shares, origin="lower", aspect="auto", cmap="RdYlGn", vmin=0.0, vmax=1.0, alpha=0.8)
-    axes.set_xticks(range(len(x_centers)), [f"{value:.3g}" for value in x_centers], rotation=45)
-    axes.set_yticks(range(len(y_centers)), [f"{value:.3g}" for value in y_centers])
+    axes.set_xticks(range(len(x_centers)), [f"{value:.2g}" for value in x_centers], rotation=45)
+    axes.set_yticks(range(len(y_centers)), [f"{value:.2g}" for value in y_centers])
     axes.grid(visible=False)
     return image
+
+
+def _axis(factor: str) -> str:
+    """The label of a factor."""
+    name = factor.replace("_", " ")
+    return f"{name}, {_UNITS[factor]}" if factor in _UNITS else name
 
 
 def _binned(values: np.ndarray) -> tuple[list[float], list[BoolArray]]:

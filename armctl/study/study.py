@@ -12,7 +12,7 @@ from armctl.core.atomic import file_path
 from armctl.core.errors import ArmctlWarning, InputError
 from armctl.core.progress import progress_bar
 from armctl.core.validation import flag, shown
-from armctl.study.bench import CONTROLLER_FACTOR, Outcome, Run, make_controller
+from armctl.study.bench import CONTROLLER_FACTOR, Outcome, Run, make_controller, versions
 from armctl.study.execution import execute
 from armctl.study.factors import examples
 from armctl.study.plan import StudyPlan
@@ -87,7 +87,7 @@ class Study(StudyPlan):
             todo = [run for run in self.runs if run.key not in finished]
             others = 0 if finished else store.of_other_versions()
             if others:
-                message = f"{self.name}: {others} runs of other versions are kept, but not used; now {self.versions}"
+                message = f"{self.name}: {others} runs of other versions are kept, but not used; now {versions()}"
                 warnings.warn(ArmctlWarning(message), stacklevel=2)
             with progress_bar("study", len(todo) if progress else 0, "runs") as bar:
 
@@ -119,7 +119,7 @@ class Study(StudyPlan):
         return study_result(self, store.outcomes(self.runs))
 
     def _store(self, folder: str | os.PathLike[str]) -> Store:
-        return Store(file_path("folder", os.path.join(folder, f"{self.name}.sqlite")), self.versions)
+        return Store(file_path("folder", os.path.join(folder, f"{self.name}.sqlite")), versions())
 
     def _check(self) -> None:
         """Builds every controller, and a plant and a motion for the extreme values of each factor, before anything runs."""

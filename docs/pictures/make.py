@@ -1,5 +1,6 @@
 """Draws the pictures of README and docs afresh: `make pictures`. What it cannot draw here it names, and exits with 1."""
 
+import runpy
 import shutil
 import sys
 import threading
@@ -71,6 +72,13 @@ def waypoints() -> None:
         figure.savefig(HERE / "waypoints.png")
 
 
+def study() -> None:
+    """The plots of the study that examples/80_a_thousand_runs.py makes."""
+    runpy.run_path(str(HERE.parents[1] / "examples" / "80_a_thousand_runs.py"))
+    for path in Path("out").glob("study_*.png"):
+        shutil.move(path, HERE / path.name)
+
+
 def page() -> None:
     """`armctl view panda` in a browser, after the target was dragged about."""
     from playwright.sync_api import sync_playwright
@@ -116,7 +124,7 @@ def draw(picture: Callable[[], None]) -> bool:
 
 
 if __name__ == "__main__":
-    wanted = [reach, four_panels, pd_against_computed_torque, waypoints, page]
+    wanted = [reach, four_panels, pd_against_computed_torque, waypoints, study, page]
     chosen = [picture for picture in wanted if not sys.argv[1:] or picture.__name__ in sys.argv[1:]]
     drawn = [draw(picture) for picture in chosen]
     sys.exit(0 if all(drawn) else 1)

@@ -1,5 +1,6 @@
 """A study makes each of its runs once, with the same bits wherever and whenever, and survives whatever ends it."""
 
+import json
 import os
 import signal
 import sqlite3
@@ -169,7 +170,8 @@ def test_a_client_that_is_killed_loses_no_finished_run(study, finished, toml, tm
     (tmp_path / "trial.toml").write_text(toml)
     process = subprocess.Popen([sys.executable, "-c", CLIENT, tmp_path / "trial.toml", tmp_path])
     deadline = time.monotonic() + 60
-    while not (tmp_path / "trial.sqlite").exists() or not len(study().result(tmp_path)):
+    watched = study()
+    while not (tmp_path / "trial.sqlite").exists() or not len(watched.result(tmp_path)):
         assert process.poll() is None
         assert time.monotonic() < deadline
         time.sleep(0.02)
@@ -188,14 +190,18 @@ def test_a_dask_worker_that_is_killed_loses_nothing(study, finished, tmp_path):
     from dask.distributed import Client, LocalCluster
 
     with (
-        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, local_directory=tmp_path) as cluster,
+        LocalCluster(2, threads_per_worker=1, dashboard_address=None, local_directory=tmp_path) as cluster,
         Client(cluster) as client,
     ):
+        for nanny in cluster.workers.values():
+            nanny.auto_restart = False  # one worker is enough for what remains
         pids = list(client.run(os.getpid).values())
 
+        watched = study()
+
         def kill_one() -> None:
-            while len(study().result(tmp_path)) < 8:
-                time.sleep(0.01)
+            while len(watched.result(tmp_path)) < 8:
+                time.sleep(0.02)
             os.kill(pids[0], signal.SIGKILL)
 
         killer = threading.Thread(target=kill_one, daemon=True)
@@ -227,10 +233,13 @@ def test_runs_of_other_versions_are_kept_apart(study, tmp_path, monkeypatch):
         assert database.execute("select count(*) from runs").fetchone() == (4,)
 
 
-def test_a_worker_with_another_model_of_the_robot_refuses(study):
-    setup = {**study().setup, "model": "another"}
-    with pytest.raises(armctl.ModelError, match="is not the one with which the study was begun"):
-        execution.run_chunk(__import__("json").dumps(setup), study().runs[:1])
+def test_a_worker_with_another_model_or_version_refuses(study):
+    for changes, reason in (
+        ({"model": "another"}, "is not the one with which the study was begun"),
+        ({"versions": "armctl 9.9"}, "a worker has armctl .*, but the study was begun with armctl 9.9"),
+    ):
+        with pytest.raises(armctl.ModelError, match=reason):
+            execution.run_chunk(json.dumps({**study().setup, **changes}), study().runs[:1])
 
 
 def test_targets_and_speeds_are_factors(study, tmp_path):

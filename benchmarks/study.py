@@ -1,0 +1,88 @@
+"""Studies: CPU time per run and what of it is not simulation; and the file formats of a log. `python benchmarks/study.py`.
+
+Times are CPU times of this process. The runs of the study are compared, bit by bit, with those of `simulate`, and every file is read
+again and compared with the log.
+"""
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+import armctl
+from armctl.analysis.comparison import out_and_back
+from armctl.analysis.tables import Table
+
+ROBOTS = ("panda", "ur5e", "robot_arm_3dof")
+SAMPLES = 256
+CHECKED = 8
+ROUNDS = 5
+RESULTS = Path(__file__).parent / "results" / "study.md"
+
+
+def cpu_ms(work: Callable[[], object]) -> float:
+    start = time.process_time()
+    work()
+    return 1e3 * (time.process_time() - start)
+
+
+def study_row(robot: str, folder: Path) -> list[str]:
+    factors = {"payload": armctl.Range(0.0, 1.0), "friction": armctl.Range(0.0, 0.02), "noise": 1.0}
+    study = armctl.Study("benchmark", robot=robot, controllers=["computed-torque"], factors=factors, samples=SAMPLES)
+    study.bench.motion({})  # the plan is made once, however many runs there are
+    warm = armctl.Study("warm", robot=robot, controllers=["computed-torque"], factors=factors, samples=CHECKED)
+    warm.run(folder=folder)
+    runs = study.runs
+    total = cpu_ms(lambda: study.run(folder=folder)) / len(runs)
+    table = study.run(folder=folder).table()
+    simulation = cpu_ms(lambda: [study.bench.simulate(run) for run in runs]) / len(runs)
+    for k in range(CHECKED):
+        log = armctl.simulate(study.bench.arm, "computed-torque", study.bench.motion({}), study.bench.plant(runs[k]))
+        assert study.bench.figures(log)["digest"] == table["digest"][k], "a run differs from that of simulate"
+    again = cpu_ms(lambda: study.run(folder=folder)) / len(runs)
+    return [robot, f"{total:.1f}", f"{simulation:.1f}", f"{total - simulation:.2f}", f"{again:.3f}", f"{10 * total:.0f}"]
+
+
+def log_row(log: armctl.Log, path: Path) -> list[str]:
+    write = (lambda: log.to_rerun(path)) if path.suffix == ".rrd" else (lambda: log.save(path))
+    write()
+    writing = min(cpu_ms(write) for _ in range(ROUNDS))
+    size = path.stat().st_size / 1e6
+    if path.suffix in (".rrd", ".mcap"):
+        return [path.suffix, f"{writing:.0f}", "", f"{size:.1f}"]
+    reading = min(cpu_ms(lambda: armctl.Log.load(path)) for _ in range(ROUNDS))
+    again = armctl.Log.load(path)
+    assert all(np.array_equal(again.to_dict()[name], column, equal_nan=True) for name, column in log.to_dict().items())
+    return [path.suffix, f"{writing:.0f}", f"{reading:.0f}", f"{size:.1f}"]
+
+
+def ten_seconds() -> armctl.Log:
+    arm = armctl.load("panda")
+    motion = out_and_back(arm, speed=0.3)
+    return armctl.simulate(
+        arm, "computed-torque", motion, armctl.Plant(timestep=1e-3, encoder_noise=1e-5), 10.0 - motion.duration
+    )
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as name:
+        rows = [study_row(robot, Path(name) / robot) for robot in ROBOTS]
+        header = ["robot", "a run, ms", "its simulation, ms", "the rest, ms", "found finished, ms", "10 000 runs, s"]
+        studies = Table(header, rows).markdown()
+        log = ten_seconds()
+        files = [log_row(log, Path(name) / f"run{ending}") for ending in (".npz", ".parquet", ".csv", ".mcap", ".rrd")]
+        formats = Table(["file", "write, ms", "read, ms", "MB"], files).markdown()
+    text = (
+        f"CPU time per run of `Study.run()`: {SAMPLES} runs of computed torque out and back, with payload, friction and noise.\n\n"
+        f"{studies}\n\nFiles of a log of the Panda, {len(log)} ticks at 1 kHz, {len(log.to_dict())} columns:\n\n{formats}\n"
+    )
+    print(text)
+    if "--save" in sys.argv:
+        RESULTS.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
