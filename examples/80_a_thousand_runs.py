@@ -30,4 +30,4 @@ for run in result.worst(3, controller="computed-torque"):
 
 result.plot_quantiles(folder / "study_quantiles.png", over="payload")
 result.plot_tornado(folder / "study_tornado.png")
-result.plot_success(folder / "study_success.png", "payload", "friction", metric="tip_rms_m", limit=0.02)
+result.plot_success(folder / "study_success.png", "payload", "friction", metric="tip_rms_m", limit=0.01)

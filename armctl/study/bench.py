@@ -151,6 +151,10 @@ class Bench:
         """
         return simulate(self.arm, self.controller(run), self.motion(run.point), self.plant(run), self._dwell)
 
+    def outcomes(self, runs: Sequence[Run]) -> list[Outcome]:
+        """Makes runs, one after the other."""
+        return [self.outcome(run) for run in runs]
+
     def outcome(self, run: Run) -> Outcome:
         """Makes one run. A run that fails has an outcome with the reason."""
         try:
@@ -295,7 +299,7 @@ def run_chunk(setup: str, runs: Sequence[Run]) -> list[Outcome]:
     """
     with _benches_lock:
         bench = _kept_bench(setup)
-    return [bench.outcome(run) for run in runs]
+    return bench.outcomes(runs)
 
 
 def failed_outcome(reason: str) -> Outcome:

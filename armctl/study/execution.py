@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, ThreadPoolExecutor, wait
 from math import ceil
 
 from armctl.core.errors import ArmctlError
-from armctl.study.bench import Outcome, Run, failed_outcome, run_chunk
+from armctl.study.bench import Bench, Outcome, Run, failed_outcome
 
 # A run takes 1 to 20 ms and a task of a cluster costs about 1.5 ms; a chunk is what is lost if its worker dies.
 _MIN_CHUNK = 8
@@ -19,30 +20,31 @@ _MAX_PENDING = 256  # chunks that are handed out at a time, which bounds the mem
 Note = Callable[[Sequence[Run], Sequence[Outcome], bool], None]  # runs, outcomes, and whether they are final
 
 
-def execute(setup: str, runs: Sequence[Run], executor: Executor | None, note: Note) -> None:
-    """Makes runs.
+def execute_here(bench: Bench, runs: Sequence[Run], note: Note) -> None:
+    """Makes runs on all cores, in threads of this process: the compiled tick loop does not hold Python's lock."""
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        execute(bench.outcomes, runs, threads, note)
+
+
+def execute(work: Callable[[Sequence[Run]], list[Outcome]], runs: Sequence[Run], executor: Executor, note: Note) -> None:
+    """Makes runs on an executor.
 
     Args:
-        setup: What they share, as JSON.
+        work: What a worker does with a chunk.
         runs: The runs.
-        executor: Where they are made; None for this process.
+        executor: Where they are made.
         note: Called in this thread with each chunk that is finished.
 
     Raises:
         ArmctlError: The workers cannot load the robot, or the executor has stopped. What was finished has been noted.
     """
-    chunks = _chunks(runs)
-    if executor is None:
-        for chunk in chunks:
-            note(chunk, run_chunk(setup, chunk), True)
-        return
     pending: dict[Future[list[Outcome]], Sequence[Run]] = {}
-    waiting = deque(chunks)
+    waiting = deque(_chunks(runs))
     try:
         while waiting or pending:
             while waiting and len(pending) < _MAX_PENDING:
                 chunk = waiting.popleft()
-                pending[executor.submit(run_chunk, setup, chunk)] = chunk
+                pending[executor.submit(work, chunk)] = chunk
             for future in wait(pending, return_when=FIRST_COMPLETED).done:
                 chunk = pending.pop(future)
                 error = future.exception()

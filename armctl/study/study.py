@@ -7,13 +7,14 @@ import os
 import warnings
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from functools import partial
 
 from armctl.core.atomic import file_path
 from armctl.core.errors import ArmctlWarning, InputError
 from armctl.core.progress import progress_bar
 from armctl.core.validation import flag, shown
-from armctl.study.bench import CONTROLLER_FACTOR, Outcome, Run, make_controller, versions
-from armctl.study.execution import execute
+from armctl.study.bench import CONTROLLER_FACTOR, Outcome, Run, make_controller, run_chunk, versions
+from armctl.study.execution import execute, execute_here
 from armctl.study.factors import examples
 from armctl.study.plan import StudyPlan
 from armctl.study.result import StudyResult, study_result
@@ -96,7 +97,10 @@ class Study(StudyPlan):
                     if progress:
                         bar.update(len(runs))
 
-                execute(json.dumps(self.setup), todo, executor, note)
+                if executor is None:
+                    execute_here(self.bench, todo, note)
+                else:
+                    execute(partial(run_chunk, json.dumps(self.setup)), todo, executor, note)
             return self._result(store)
 
     def result(self, folder: str | os.PathLike[str] = ".") -> StudyResult:

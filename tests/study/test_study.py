@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import armctl
-from armctl.study import execution
+from armctl.study.bench import Bench, run_chunk
 
 
 def digests(result: armctl.StudyResult) -> list[str]:
@@ -91,14 +91,14 @@ def test_threads_make_the_same_bits(study, finished, tmp_path):
 
 def test_a_second_start_makes_nothing_again(study, finished, tmp_path, monkeypatch):
     study().run(folder=tmp_path)
-    monkeypatch.setattr(execution, "run_chunk", None)
+    monkeypatch.setattr(Bench, "outcomes", None)
     assert digests(study().run(folder=tmp_path)) == digests(finished)
 
 
 def test_an_interrupted_study_keeps_what_is_finished(study, finished, tmp_path):
     started = []
 
-    def interrupt(setup, runs):
+    def interrupt(runs):
         started.append(len(runs))
         if len(started) == 3:
             raise KeyboardInterrupt
@@ -114,14 +114,14 @@ def test_an_interrupted_study_keeps_what_is_finished(study, finished, tmp_path):
 def test_more_samples_use_the_runs_that_are_finished(study, tmp_path):
     study(samples=4).run(folder=tmp_path)
     made = []
-    study().run(Inline(lambda setup, runs: made.extend(runs)), folder=tmp_path)
+    study().run(Inline(made.extend), folder=tmp_path)
     assert len(made) == 16
 
 
 def test_a_run_that_ends_its_worker_is_found_and_made_again_at_the_next_start(study, finished, tmp_path):
     victim = study().runs[11]
 
-    def end(setup, runs):
+    def end(runs):
         if victim in runs:
             raise ConnectionError("the worker is gone")
 
@@ -138,7 +138,7 @@ def test_an_executor_that_stops_is_one_sentence_and_loses_nothing(study, finishe
 
     started = []
 
-    def stop(setup, runs):
+    def stop(runs):
         started.append(runs)
         if len(started) == 2:
             raise BrokenProcessPool("a process died")
@@ -153,11 +153,11 @@ CLIENT = """
 import sys, armctl
 study = armctl.Study.from_file(sys.argv[1])
 class Slow:
-    def submit(self, fn, setup, runs):
+    def submit(self, fn, runs):
         from concurrent.futures import Future
         import time
         future = Future()
-        future.set_result(fn(setup, runs))
+        future.set_result(fn(runs))
         time.sleep(0.3)
         return future
 from armctl.study import execution
@@ -180,7 +180,7 @@ def test_a_client_that_is_killed_loses_no_finished_run(study, finished, toml, tm
     kept = study().result(tmp_path)
     assert 8 <= len(kept) < 32
     made = []
-    result = study().run(Inline(lambda setup, runs: made.extend(runs)), folder=tmp_path)
+    result = study().run(Inline(made.extend), folder=tmp_path)
     assert len(made) == 32 - len(kept)
     assert digests(result) == digests(finished)
 
@@ -239,7 +239,7 @@ def test_a_worker_with_another_model_or_version_refuses(study):
         ({"versions": "armctl 9.9"}, "a worker has armctl .*, but the study was begun with armctl 9.9"),
     ):
         with pytest.raises(armctl.ModelError, match=reason):
-            execution.run_chunk(json.dumps({**study().setup, **changes}), study().runs[:1])
+            run_chunk(json.dumps({**study().setup, **changes}), study().runs[:1])
 
 
 def test_targets_and_speeds_are_factors(study, tmp_path):
