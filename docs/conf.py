@@ -45,6 +45,7 @@ CHAPTERS = {
     "sim": "Simulation",
     "design": "Identification and tuning",
     "analysis": "Reports, plots, comparisons",
+    "study": "Studies",
     "viewer": "The viewer",
     "envs": "Reinforcement learning",
     "io": "Other tools",

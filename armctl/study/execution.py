@@ -22,7 +22,8 @@ Note = Callable[[Sequence[Run], Sequence[Outcome], bool], None]  # runs, outcome
 
 def execute_here(bench: Bench, runs: Sequence[Run], note: Note) -> None:
     """Makes runs on all cores, in threads of this process: the compiled tick loop does not hold Python's lock."""
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    with ThreadPoolExecutor(processors) as threads:
         execute(bench.outcomes, runs, threads, note)
 
 
