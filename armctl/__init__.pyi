@@ -17,12 +17,15 @@ from .collision.clearance import check_clearance as check_clearance
 from .control.adaptive import Adaptive as Adaptive
 from .control.admittance import Admittance as Admittance
 from .control.computed_torque import ComputedTorque as ComputedTorque
+from .control.computed_torque_learning import ComputedTorqueLearning as ComputedTorqueLearning
+from .control.computed_torque_qp import ComputedTorqueQP as ComputedTorqueQP
 from .control.hybrid_force import HybridForce as HybridForce
 from .control.impedance import Impedance as Impedance
 from .control.interface import Controller as Controller
 from .control.interface import State as State
 from .control.operational_space import OperationalSpace as OperationalSpace
 from .control.pd import PD as PD
+from .control.pd_feedforward import PDFeedforward as PDFeedforward
 from .control.pd_gravity import PDGravity as PDGravity
 from .control.pd_gravity import PIDGravity as PIDGravity
 from .control.rate_limit import TorqueRateLimit as TorqueRateLimit

@@ -6,11 +6,14 @@ from functools import partial
 from armctl.control.adaptive import Adaptive
 from armctl.control.admittance import Admittance
 from armctl.control.computed_torque import ComputedTorque
+from armctl.control.computed_torque_learning import ComputedTorqueLearning
+from armctl.control.computed_torque_qp import ComputedTorqueQP
 from armctl.control.hybrid_force import HybridForce
 from armctl.control.impedance import Impedance
 from armctl.control.interface import Controller, KernelController, State, controller_name
 from armctl.control.operational_space import OperationalSpace
 from armctl.control.pd import PD
+from armctl.control.pd_feedforward import PDFeedforward
 from armctl.control.pd_gravity import PDGravity, PIDGravity
 from armctl.control.rate_limit import TorqueRateLimit
 from armctl.core.errors import UnknownNameError
@@ -21,11 +24,15 @@ WITH_OBSERVER = {"bandwidth": 30.0, "observer_bandwidth": 200.0}
 
 CONTROLLERS: dict[str, Callable[[Arm], Controller]] = {
     "pd": PD,
+    "pd-feedforward": PDFeedforward,
     "pd-gravity": PDGravity,
     "pid-gravity": PIDGravity,
     "computed-torque": ComputedTorque,
     "computed-torque-textbook": partial(ComputedTorque, form="textbook"),
     "computed-torque-observer": partial(ComputedTorque, **WITH_OBSERVER),
+    "computed-torque-integral": partial(ComputedTorque, integral=True),
+    "computed-torque-learning": ComputedTorqueLearning,
+    "qp": ComputedTorqueQP,
     "operational-space": OperationalSpace,
     "impedance": Impedance,
     "adaptive": Adaptive,
@@ -49,11 +56,14 @@ __all__ = [
     "Adaptive",
     "Admittance",
     "ComputedTorque",
+    "ComputedTorqueLearning",
+    "ComputedTorqueQP",
     "Controller",
     "HybridForce",
     "Impedance",
     "KernelController",
     "OperationalSpace",
+    "PDFeedforward",
     "PDGravity",
     "PIDGravity",
     "State",

@@ -7,13 +7,15 @@ from collections.abc import Callable
 import numpy as np
 
 from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH, extra_inertia
+from armctl.control.integral_gains import IntegralGains, integral_gains
 from armctl.control.interface import KernelController
 from armctl.control.observer import low_pass_weight
 from armctl.core.errors import InputError
-from armctl.core.validation import Array, choice, number
+from armctl.core.validation import Array, choice, instance, number
 from armctl.robot.arm import Arm, check_arm
 
 FORMS = ("discrete", "textbook")
+DEFAULT_DELAY_MARGIN_S = 5e-3
 
 
 class ComputedTorque(KernelController):
@@ -28,11 +30,17 @@ class ComputedTorque(KernelController):
     the plant moves continuously, the whole model is evaluated in the middle of the period. With an exact model only
     rounding errors remain. The textbook form has a tracking error of (k_d / k_p) (dt / 2) a_ref.
 
+    With integral action, the acceleration also contains the integral of the error, so unknown constant torques leave no error.
+    All three gains are then the linear-quadratic optimal ones with a given delay margin (`integral_gains`). A joint does not
+    integrate while its motor is at its limit and the error has the same sign. The integral starts at zero in each run.
+
     Attributes:
-        bandwidth: rad/s.
-        damping_ratio: 1 is critically damped.
+        bandwidth: rad/s; not used with integral action.
+        damping_ratio: 1 is critically damped; not used with integral action.
         form: "discrete" or "textbook".
         observer_bandwidth: rad/s of the disturbance observer; 0 without one.
+        integral: Whether there is integral action.
+        delay_margin: s, that of the loop with integral action, or two and a half control periods if they are longer.
     """
 
     def __init__(
@@ -43,6 +51,8 @@ class ComputedTorque(KernelController):
         damping_ratio: float = 1.0,
         form: str = "discrete",
         observer_bandwidth: float = 0.0,
+        integral: bool = False,
+        delay_margin: float = DEFAULT_DELAY_MARGIN_S,
     ):
         """A computed torque controller for an arm.
 
@@ -52,17 +62,29 @@ class ComputedTorque(KernelController):
             damping_ratio: 1 is critically damped.
             form: "discrete" or "textbook".
             observer_bandwidth: rad/s up to which unknown torques are estimated and cancelled; 0 for no observer.
+            integral: Whether to add integral action. The gains then follow from the delay margin.
+            delay_margin: s, for the gains with integral action.
 
         Raises:
-            InputError: A gain is negative or not finite, the form is unknown, or the textbook form has an observer.
+            InputError: A gain is negative or not finite, the form is unknown, the textbook form has an observer, or integral
+                action is combined with a bandwidth, the textbook form or an observer.
         """
         check_arm(arm)
         self.form = choice("form", form, FORMS)
         self.bandwidth = number("bandwidth", bandwidth, 0.0, MAX_BANDWIDTH)
         self.damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
         self.observer_bandwidth = number("observer_bandwidth", observer_bandwidth, 0.0, MAX_BANDWIDTH)
+        instance("integral", integral, bool, "True or False is one")
+        self.integral = integral
+        self.delay_margin = number("delay_margin", delay_margin, 1e-6, 10.0)
         self.name = "computed-torque"
-        if self.form == "textbook":
+        if self.integral:
+            self.name = "computed-torque-integral"
+            if self.form == "textbook" or self.observer_bandwidth:
+                raise InputError("integral: it needs form='discrete' and no observer, whose estimate is an integral action too")
+            if (self.bandwidth, self.damping_ratio) != (DEFAULT_BANDWIDTH, 1.0):
+                raise InputError("bandwidth: with integral=True, all gains follow from delay_margin; leave the others out")
+        elif self.form == "textbook":
             self.name = "computed-torque-textbook"
             if self.observer_bandwidth:
                 raise InputError("observer_bandwidth: the observer compares ticks, so it needs form='discrete'")
@@ -104,9 +126,13 @@ class ComputedTorque(KernelController):
         """
         is_textbook = self.form == "textbook"
         model = self._arm.packed_dynamics.vector(0.0 if is_textbook else dt, continuous and not is_textbook)
-        header = [float(is_textbook), low_pass_weight(self.observer_bandwidth, dt), dt]
-        kp = np.full(self.n, self.bandwidth**2)
-        kd = np.full(self.n, 2 * self.damping_ratio * self.bandwidth)
-        return np.concatenate(
-            [header, kp, kd, extra_inertia(self._arm, self.bandwidth, self.damping_ratio, dt), self._arm.limits.tau_max, model]
-        )
+        if self.integral:
+            gains = integral_gains(dt, self.delay_margin, continuous)
+            added = np.zeros(self.n)
+        else:
+            gains = IntegralGains(self.bandwidth**2, 2 * self.damping_ratio * self.bandwidth, 0.0)
+            added = extra_inertia(self._arm, self.bandwidth, self.damping_ratio, dt)
+        header = [float(is_textbook), low_pass_weight(self.observer_bandwidth, dt), dt, gains.ki * dt]
+        kp = np.full(self.n, gains.kp)
+        kd = np.full(self.n, gains.kd)
+        return np.concatenate([header, kp, kd, added, self._arm.limits.tau_max, model])

@@ -1,10 +1,10 @@
-"""The kernels of PD, PD with gravity compensation, and PID with gravity compensation."""
+"""The kernels of PD, PD with dynamic feedforward, PD with gravity compensation, and PID with gravity compensation."""
 
 from __future__ import annotations
 
-from armctl.control.kernel import Q_REF, V_REF
+from armctl.control.kernel import A_TICK, Q_REF, V_REF, V_TICK
 from armctl.core.jit import njit
-from armctl.robot.dynamics_kernel import gravity
+from armctl.robot.dynamics_kernel import add_friction, gravity, inverse_dynamics
 
 
 @njit
@@ -13,6 +13,18 @@ def pd(params, q, v, reference, memory, tau):
     n = tau.shape[0]
     for i in range(n):
         tau[i] = params[i] * (reference[Q_REF, i] - q[i]) + params[n + i] * (reference[V_REF, i] - v[i])
+
+
+@njit
+def pd_feedforward(params, q, v, reference, memory, tau):
+    """Parameters: stiffness (n,), damping (n,), model. Memory: scratch of the model."""
+    n = tau.shape[0]
+    model = params[2 * n :]
+    v_ref = reference[V_TICK]
+    inverse_dynamics(model, reference[Q_REF], v_ref, reference[A_TICK], memory, tau)
+    add_friction(model, v_ref, reference[A_TICK], memory, tau)
+    for i in range(n):
+        tau[i] += params[i] * (reference[Q_REF, i] - q[i]) + params[n + i] * (v_ref[i] - v[i])
 
 
 @njit

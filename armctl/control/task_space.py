@@ -61,3 +61,10 @@ def consistent_inverse(J: Array, M: Array) -> Array:
     mobility = J @ M_inv_Jt
     damping = SINGULARITY_DAMPING**2 * np.trace(mobility)
     return M_inv_Jt @ np.linalg.inv(mobility + damping * np.eye(len(J)))
+
+
+def arm_length(arm: Arm) -> float:
+    """The sum of the distances from joint to joint, and from the last one to the tip, m."""
+    model = arm.pinocchio_model
+    links = [placement.translation for placement in list(model.pin_model.jointPlacements)[2:]]
+    return float(sum(np.linalg.norm(link) for link in [*links, model.T_last_tip[:3, 3]]))

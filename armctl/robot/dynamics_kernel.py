@@ -729,3 +729,55 @@ def tips(model, rows, work, positions, quats):
         _store(positions[row], 0, x, y, z)
         tip_rotation(model, work, rotation)
         _quaternion(rotation, quats[row])
+
+
+@njit
+def tip_motion(model, q, v, a, work, motion):
+    """Angular velocity, angular acceleration, and acceleration minus gravity of the tip, each (3,), in the tip's axes.
+
+    Places and locates the joints, in the middle of the control period where the arm moves continuously.
+    """
+    n = q.shape[0]
+    half = model[HALF_STEP]
+    middle = work[work.shape[0] - n :]
+    for i in range(n):
+        middle[i] = q[i] + half * v[i]
+    place(model, middle, work)
+    for i in range(n):
+        middle[i] = v[i] + half * a[i]
+    _spread(model, middle, work, VELOCITY)
+    _spread(model, a, work, ACCELERATION)
+    links = int(model[CHAIN_LENGTH])
+    for j in range(links):
+        _move_link(model, j, work)
+    locate(model, work)
+    last = (links - 1) * WORK_COLUMNS
+    wx = work[last + OMEGA]
+    wy = work[last + OMEGA + 1]
+    wz = work[last + OMEGA + 2]
+    dx = work[last + ALPHA]
+    dy = work[last + ALPHA + 1]
+    dz = work[last + ALPHA + 2]
+    x = model[TIP + 9]
+    y = model[TIP + 10]
+    z = model[TIP + 11]
+    cx, cy, cz = _cross(wx, wy, wz, x, y, z)
+    cx, cy, cz = _cross(wx, wy, wz, cx, cy, cz)
+    ex, ey, ez = _cross(dx, dy, dz, x, y, z)
+    ax = work[last + LINEAR] + cx + ex
+    ay = work[last + LINEAR + 1] + cy + ey
+    az = work[last + LINEAR + 2] + cz + ez
+    for k in range(3):
+        px = model[TIP + k]
+        py = model[TIP + 3 + k]
+        pz = model[TIP + 6 + k]
+        motion[k] = px * wx + py * wy + pz * wz
+        motion[3 + k] = px * dx + py * dy + pz * dz
+        motion[6 + k] = px * ax + py * ay + pz * az
+
+
+@njit
+def add_step_inertia(model, M):
+    """Adds to a mass matrix what linear damping, implicit in velocity, adds to the inertia in one step."""
+    for i in range(M.shape[0]):
+        M[i, i] += model[STEP] * model[_drive(model, i) + IMPLICIT_DAMPING]

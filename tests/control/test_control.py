@@ -13,8 +13,18 @@ from armctl.control.gains import bandwidth_gains, effective_inertia, sample_conf
 from armctl.core.trajectory import Setpoint, TickReference
 
 TICKS = (0.001, 0.002, 0.004)
-EXACT = ("computed-torque", "computed-torque-observer", "operational-space", "impedance", "adaptive")
-WITH_MEMORY = ("pid-gravity", "computed-torque-observer", "adaptive")
+EXACT = (
+    "pd-feedforward",
+    "computed-torque",
+    "computed-torque-observer",
+    "computed-torque-integral",
+    "computed-torque-learning",
+    "qp",
+    "operational-space",
+    "impedance",
+    "adaptive",
+)
+WITH_MEMORY = ("pid-gravity", "computed-torque-observer", "computed-torque-integral", "computed-torque-learning", "adaptive")
 
 every_controller = pytest.mark.parametrize("name", CONTROLLERS)
 every_tick = pytest.mark.parametrize("dt", TICKS)

@@ -1,0 +1,106 @@
+"""Computed torque that learns a payload while the arm moves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from armctl.control.computed_torque import ComputedTorque
+from armctl.control.gains import MAX_BANDWIDTH
+from armctl.control.task_space import arm_length
+from armctl.core.errors import InputError
+from armctl.core.validation import Array, number
+from armctl.robot.arm import Arm
+
+FILTER_BANDWIDTH = 60.0  # rad/s, of each of two low-passes; above most motion, and below the noise of measured accelerations
+TORQUE_NOISE_SHARE = 0.01  # of the torque limits: standard deviation of torques that neither model nor payload explain
+FORGETTING_RATE = 0.2  # 1/s, while the reference moves and the estimate explains the torques
+PRIOR_MASS_SHARE = 0.5  # of the moving mass of the arm: standard deviation of the mass before any motion
+PRIOR_LENGTH_SHARE = 0.1  # of the length of the arm: the distance of the payload from the tip in the prior
+
+
+class ComputedTorqueLearning(ComputedTorque):
+    """Computed torque with a disturbance observer, which learns the payload and feeds its torque forward.
+
+        tau = computed torque with observer + Y(q_ref, v_ref, a_ref) theta
+
+    theta are the ten inertial parameters of a rigid body at the tip. They are estimated by recursive Bayesian least squares
+    (Ljung, System Identification, 1999, 11.2) from the torque that the model does not explain. The regressor is by Atkeson,
+    An, Hollerbach, "Estimation of inertial parameters of manipulator loads and links" (1986). Only the torque along the
+    reference is fed forward, and the observer is corrected for every change of the estimate. At rest the estimate has therefore
+    no effect on the loop, whose margins are those of computed torque with the same observer. The estimate changes only while
+    the reference moves, and it starts at zero in each run.
+
+    Attributes:
+        bandwidth: rad/s.
+        damping_ratio: 1 is critically damped.
+        observer_bandwidth: rad/s of the disturbance observer.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        *,
+        bandwidth: float = 30.0,
+        damping_ratio: float = 1.0,
+        observer_bandwidth: float = 200.0,
+    ):
+        """A controller that learns the payload of an arm.
+
+        Args:
+            arm: The arm whose model it uses, without the payload.
+            bandwidth: rad/s, the natural frequency of the error.
+            damping_ratio: 1 is critically damped.
+            observer_bandwidth: rad/s up to which torques that the payload does not explain are estimated and cancelled.
+
+        Raises:
+            InputError: A gain is negative or not finite, or the observer's bandwidth is zero.
+        """
+        if number("observer_bandwidth", observer_bandwidth, 0.0, MAX_BANDWIDTH) == 0.0:
+            raise InputError("observer_bandwidth: 0 given; what the observer sees is what is learnt, so it must be above 0")
+        super().__init__(arm, bandwidth=bandwidth, damping_ratio=damping_ratio, observer_bandwidth=observer_bandwidth)
+        self.name = "computed-torque-learning"
+        self._constants = np.concatenate([1 / (TORQUE_NOISE_SHARE * arm.limits.tau_max), _prior_deviations(arm)])
+
+    @property
+    def payload(self) -> Array:
+        """The estimate of this run, (4,): mass, kg, and first moment m c in the tip's frame, kg m."""
+        return self.memory[:4].copy()
+
+    @property
+    def disturbance(self) -> Array:
+        """The torque (n,) N m that the observer estimates besides that of the payload."""
+        from armctl.control.computed_torque_kernel import estimate, memory_size
+
+        return estimate(self.memory[-memory_size(self.n, self._arm.packed_dynamics.work_size()) :], self.n).copy()
+
+    @property
+    def kernel(self) -> Callable[..., None]:
+        """The compiled law, as `KernelController` describes it."""
+        from armctl.control.computed_torque_learning_kernel import computed_torque_learning
+
+        return computed_torque_learning
+
+    @property
+    def memory_size(self) -> int:
+        """Numbers of memory: those of estimator and observer, and scratch."""
+        from armctl.control.computed_torque_learning_kernel import memory_size
+
+        return memory_size(self.n, self._arm.packed_dynamics.work_size())
+
+    def parameters(self, dt: float, continuous: bool) -> Array:
+        """The constants of the estimator and those of computed torque. Arguments as for `KernelController.parameters`."""
+        filter_weight = -math.expm1(-FILTER_BANDWIDTH * dt)
+        information_weight = 0.5 * FILTER_BANDWIDTH * dt  # filtered samples are correlated over two periods of the low-pass
+        rates = [filter_weight, information_weight, FORGETTING_RATE * dt]
+        return np.concatenate([rates, self._constants, super().parameters(dt, continuous)])
+
+
+def _prior_deviations(arm: Arm) -> Array:
+    """(10,) standard deviations of mass, first moments and second moments before any motion; kg, kg m and kg m^2."""
+    moving = list(arm.pinocchio_model.pin_model.inertias)[1:]
+    mass = PRIOR_MASS_SHARE * sum(body.mass for body in moving)
+    length = PRIOR_LENGTH_SHARE * arm_length(arm)
+    return mass * np.repeat([1.0, length, length**2], [1, 3, 6])

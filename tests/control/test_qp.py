@@ -1,0 +1,120 @@
+"""Limits of torque, velocity and position by a quadratic program."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic import BENT, serial_arm
+
+import armctl
+from armctl.control.computed_torque_qp import SOLVERS
+from armctl.core.trajectory import Setpoint
+
+
+class Clipped:
+    """Computed torque, clipped."""
+
+    name = "clipped"
+
+    def __init__(self, arm):
+        self.law = armctl.ComputedTorque(arm)
+        self.tau_max = arm.limits.tau_max
+
+    def torque(self, state, setpoint):
+        return np.clip(self.law.torque(state, setpoint), -self.tau_max, self.tau_max)
+
+
+class Swing:
+    """All joints swing by an amplitude, rad, and back."""
+
+    def __init__(self, arm, amplitude, duration):
+        self.home = arm.home
+        self.amplitude = amplitude
+        self.duration = duration
+
+    def __call__(self, t):
+        return Setpoint(*(column[0] for column in self.sample([t])[:3]))
+
+    def sample(self, times):
+        w = 2 * np.pi / self.duration
+        phase = w * np.clip(times, 0.0, self.duration)[:, None]
+        half = 0.5 * np.broadcast_to(self.amplitude, self.home.shape)
+        return Setpoint(self.home + half * (1 - np.cos(phase)), half * w * np.sin(phase), half * w**2 * np.cos(phase))
+
+
+@pytest.fixture
+def six(tmp_path):
+    return serial_arm(tmp_path, BENT["six joints"])
+
+
+def run(arm, law, motion, dt=0.001):
+    return armctl.simulate(arm, law, motion, armctl.Plant(timestep=dt), dwell=0.5)
+
+
+def weakened(arm, motion, share):
+    """The arm with motors that give a share of the torque that a motion needs beyond holding the arm."""
+    setpoints = motion.sample(np.arange(0.0, motion.duration, 0.002))
+    holding = np.max([np.abs(arm.gravity(q)) for q in setpoints.q], axis=0)
+    needed = np.max([np.abs(arm.inverse_dynamics(q, v, a)) for q, v, a in zip(*setpoints[:3], strict=True)], axis=0)
+    tau_max = arm.limits.tau_max.copy()
+    tau_max[1] = holding[1] + share * (needed[1] - holding[1])
+    return arm.with_limits(replace(arm.limits, tau_max=tau_max))
+
+
+def test_the_tip_leaves_its_path_by_less_than_a_quarter_of_what_clipping_costs(six):
+    motion = Swing(six, 0.4, 1.2)
+    weak = weakened(six, motion, 0.8)
+    error = {}
+    for law in (Clipped(weak), armctl.ComputedTorqueQP(weak)):
+        log = run(weak, law, motion)
+        assert (np.abs(log.tau_cmd) <= weak.limits.tau_max).all()
+        error[law.name] = np.linalg.norm(log.tip - log.tip_ref, axis=1).max()
+    assert error["clipped"] > 1e-4
+    assert error["qp"] < 0.25 * error["clipped"]
+
+
+@pytest.mark.parametrize("dt", [0.001, 0.004])
+def test_no_limit_is_exceeded_by_a_reference_that_exceeds_all(six, dt):
+    limits = six.limits
+    far = np.array([2.5, 0.3, 0.0, -0.2, 2.2, -3.0])
+    log = run(six, "qp", Swing(six, far - six.home, 1.0), dt)
+    assert not log.failure
+    assert np.abs(log.v_ref).max() > limits.v_max.min()
+    assert (np.abs(log.v) <= limits.v_max * (1 + 1e-6)).all()
+    assert limits.contains(log.q, tolerance=1e-6)
+    assert (np.abs(log.tau_cmd) <= limits.tau_max).all()
+
+
+def test_limits_that_exclude_each_other_are_violated_least(six):
+    """The arm moves at twice the speed limit when the run begins."""
+    fast = replace(six.limits, v_max=np.full(6, 0.1))
+    arm = six.with_limits(fast)
+    simulation = armctl.Simulation(arm, "qp", armctl.Plant(timestep=0.001))
+    simulation.reset(arm.home, np.full(6, 0.2))
+    log = simulation.run(armctl.move_j(arm, arm.home, arm.home + 0.01))
+    assert not log.failure
+    assert (np.abs(log.tau_cmd) <= arm.limits.tau_max).all()
+    assert (np.abs(log.v[-100:]) <= 0.1 * (1 + 1e-6)).all()
+    assert np.abs(log.q[-1] - log.q_ref[-1]).max() < 1e-2
+
+
+def test_all_solvers_find_the_same_torque(six):
+    import qpsolvers
+
+    still = np.zeros(six.n)
+    setpoint = Setpoint(six.home + 1.0, still, still)
+    state = armctl.State(six.home, still + 0.1, 0.0, 0.001)
+    found = [
+        armctl.ComputedTorqueQP(six, solver=solver).torque(state, setpoint)
+        for solver in SOLVERS
+        if solver in qpsolvers.available_solvers
+    ]
+    assert len(found) >= 2
+    for tau in found[1:]:
+        assert tau == pytest.approx(found[0], abs=1e-4)
+
+
+def test_a_solver_that_is_not_installed_is_named(six, monkeypatch):
+    monkeypatch.setattr("qpsolvers.available_solvers", ["daqp", "osqp"])
+    with pytest.raises(armctl.core.errors.NotInstalledError, match=r"proxqp is not installed.*mujoco-armctl\[proxqp\]"):
+        armctl.ComputedTorqueQP(six, solver="proxqp")
