@@ -11,7 +11,7 @@ import numpy as np
 from armctl.control import feedforward
 from armctl.control.gains import MAX_BANDWIDTH
 from armctl.control.interface import Clock, State, explains_wrong_arguments, measured_wrench
-from armctl.control.task_space import consistent_inverse, task_rows, tip_error
+from armctl.control.task_space import POSE_SIZE, consistent_inverse, task_rows, tip_error
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, choice, number, shown
@@ -23,11 +23,11 @@ FRAMES = ("world", "tip")
 DEFAULT_BANDWIDTH = 30.0  # rad/s. Contact forces disturb the motion axes, so it is higher than for free motion.
 _FORCE_FILTER = 300.0  # rad/s; about 3 ms against the noise of force sensors
 _VELOCITY_FILTER = 100.0  # rad/s; velocities that are differenced from positions are ten times less noisy after it
-_MOMENT_FILTER = 40.0  # rad/s. The measured moment is compensated; faster, it would resonate with a face that lies on a wall.
+_WRENCH_FILTER = 40.0  # rad/s. The wrench on motion axes is compensated; faster, it would resonate with a face on a wall.
 _APPROACH_RATE = 40.0  # 1/s, the bandwidth of the speed in an approach; stable with a delay of 4 ms
 _DAMPING_RATE = 30.0  # 1/s, the damping of the tip in contact divided by its mass
 _INTEGRAL_RATE = 20.0  # 1/s. Below the damping rate, the integral of a lightly damped wall is stable.
-_MAX_INTEGRATED_ERROR = 0.1  # of the target. On a soft wall the force rises slowly; the integral does not wind up meanwhile.
+_MAX_INTEGRATED_ERROR = 0.05  # of the target. On a soft wall the force rises slowly; the integral does not wind up meanwhile.
 _RISE_TIME_S = 0.02  # time constant of the commanded force after the first contact
 # While there is less force than the contact threshold, the command is this multiple of the measured force. Above 1 it makes the
 # force grow on any wall that the slow tip touches; without contact it is zero.
@@ -46,12 +46,13 @@ _MIN_MOBILITY_RATIO = 0.1  # of the mobility of the tip, a lower bound for that 
 class HybridForce:
     """Hybrid force/motion control with contact transition.
 
-        tau = ID(q, v, a_ref + posture + J# a_task) + J^T (A^T f - m)
+        tau = ID(q, v, a_ref + posture + J# a_task) + J^T (A^T f - w)
 
     After Khatib, "A unified approach for motion and force control of robot manipulators: the operational space formulation"
     (1987). Along a force axis the tip approaches slowly until it measures a contact. The commanded force then rises from the
     measured to the target force, with integral action and damping. Along all other axes the tip follows its reference like
-    operational space control, and the measured moment m about motion axes is compensated. The reference along a force axis
+    operational space control, and the measured wrench w on motion axes, such as friction on a
+    surface, is compensated. The reference along a force axis
     is ignored, so the position of the wall need not be known. An axis with target 0 yields from the beginning.
 
     It needs `state.wrench`. Arms of less than six joints control the position of the tip, not its orientation.
@@ -108,7 +109,7 @@ class HybridForce:
         self._clock = Clock()
         self._axes: dict[str, _ForceAxis] = {}
         self._velocity = np.zeros(arm.n)
-        self._moment = np.zeros(3)
+        self._wrench = np.zeros(POSE_SIZE)
         self.force = force
 
     @property
@@ -172,11 +173,11 @@ class HybridForce:
         # Dry friction is that of the reference and of the approach.
         v_ref = v_ref + J_inverse @ (A.T @ force.speed)[self._rows]
         tau = feedforward.inverse_dynamics_with_friction(self._dynamics, state, a, v_ref, a_ref)
-        return tau + J.T @ (A.T @ force.force - self._compensated_moment(A, wrench, state.dt))
+        return tau + J.T @ (A.T @ force.force - self._compensated_wrench(A, wrench, state.dt))
 
     def _restart(self, state: State) -> None:
         self._velocity = state.v.copy()
-        self._moment = np.zeros(3)
+        self._wrench = np.zeros(POSE_SIZE)
         for axis in self._axes.values():
             axis.restart()
 
@@ -201,14 +202,15 @@ class HybridForce:
             commands.append(axis.command(measured, float(direction @ twist), approach_speed, threshold, dt))
         return _ForceCommands(*np.array(commands).T)
 
-    def _compensated_moment(self, A: Array, wrench: Array, dt: float) -> Array:
-        """(6,) the measured moment about motion axes: a contact beside the tip would turn the hand."""
-        if not (self.in_contact and self._rows.stop == len(AXES)):
-            self._moment = np.zeros(3)
+    def _compensated_wrench(self, A: Array, wrench: Array, dt: float) -> Array:
+        """(6,) the measured wrench on motion axes in contact: friction, and the moment of a contact beside the tip."""
+        if self.in_contact:
+            self._wrench = self._wrench + _weight(_WRENCH_FILTER, dt) * (wrench - self._wrench)
         else:
-            self._moment = self._moment + _weight(_MOMENT_FILTER, dt) * (wrench[3:] - self._moment)
-        compensated = np.concatenate([np.zeros(3), self._moment])
-        return compensated - A.T @ (A @ compensated)
+            self._wrench = np.zeros(POSE_SIZE)
+        compensated = self._wrench - A.T @ (A @ self._wrench)
+        compensated[self._rows.stop :] = 0.0
+        return compensated
 
 
 class _ForceCommand(NamedTuple):
