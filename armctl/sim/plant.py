@@ -30,6 +30,9 @@ _BRAKED_ARRAYS = (
     "tendon_frictionloss",
     "eq_active0",
 )
+# What `apply_plant` changes, besides what MuJoCo derives from it.
+_PLANT_ARRAYS = ("body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_damping")
+_PLANT_OPTIONS = ("disableflags", "timestep", "integrator", "tolerance")
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,7 +245,8 @@ class Plant:
             InputError: It is no arm, or friction is given for another number of joints.
         """
         instance("arm", arm, Arm, "armctl.load(name) gives one")
-        model = plant_model(self, [arm])
+        model = copy.copy(arm.model)
+        apply_plant(model, mujoco.MjData(model), self, [arm])
         brake(model, held_dofs(arm))
         return model
 
@@ -276,9 +280,21 @@ class Brake:
         brake(self._model, np.setdiff1d(self._dofs, dofs))
 
 
-def plant_model(plant: Plant, arms: Sequence[Arm]) -> mujoco.MjModel:
-    """A copy of the arms' model with a plant's differences; no joint is braked. A payload hangs at the first arm's tip."""
-    model = copy.copy(arms[0].model)
+def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: Sequence[Arm]) -> None:
+    """Gives a copy of the arms' model the differences of a plant, instead of those that it has; no joint is braked then.
+
+    A copy of a model with meshes takes longer than a run of a second, so a model is kept for the next plant.
+
+    Args:
+        model: The copy.
+        data: Any state of it; it is lost.
+        plant: The plant.
+        arms: The arms. A payload hangs at the first one's tip.
+    """
+    for name in (*_PLANT_ARRAYS, *_BRAKED_ARRAYS):
+        getattr(model, name)[:] = getattr(arms[0].model, name)
+    for name in _PLANT_OPTIONS:
+        setattr(model.opt, name, getattr(arms[0].model.opt, name))
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     if plant.timestep is not None:
         model.opt.timestep = plant.timestep
@@ -295,13 +311,12 @@ def plant_model(plant: Plant, arms: Sequence[Arm]) -> mujoco.MjModel:
             names = ", ".join(arm.name for arm in arms)
             raise InputError(f"{what}: {len(added)} numbers given, 1 or {len(dofs)} wanted for {names:.80}")
         column[dofs] += added
-    mujoco.mj_setConst(model, mujoco.MjData(model))
+    mujoco.mj_setConst(model, data)
     if plant.continuous:
         rate = (model.dof_damping * model.dof_invweight0)[dofs].max()  # 1/s, of the fastest damped joint
         step = _CONTINUOUS_STEP_S / max(1.0, _CONTINUOUS_STEP_S * rate)
         model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_RK4)
         model.opt.timestep /= math.ceil(model.opt.timestep / step - 1e-9)
-    return model
 
 
 def held_dofs(*arms: Arm) -> IntArray:

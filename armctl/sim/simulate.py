@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from weakref import WeakKeyDictionary
 
 from armctl.control import Controller
@@ -13,10 +14,10 @@ from armctl.sim.move import ControlledArms, read_controller
 from armctl.sim.plant import Plant, read_plant
 from armctl.sim.stepper import Stepper
 
-# Idle simulations for further runs with equal plants, since a copy of a model with meshes takes longer than a run of a second.
-# They contain no reference to their arm, and are forgotten with it.
+# Idle simulations for further runs, since a copy of a model with meshes takes longer than a run of a second. They contain no
+# reference to their arm, and are forgotten with it.
 _IDLE_PER_ARM = 2
-_idle: WeakKeyDictionary[Arm, dict[tuple[object, ...], Stepper]] = WeakKeyDictionary()
+_idle: WeakKeyDictionary[Arm, list[Stepper]] = WeakKeyDictionary()
 
 
 def simulate(
@@ -45,13 +46,25 @@ def simulate(
     check_motion(trajectory, arm.joint_names)
     dwell = number("dwell", dwell, 0.0)
     start = trajectory(0.0)
-    idle = _idle.setdefault(arm, {})
-    stepper = idle.pop(plant.key, None) or Stepper([arm], plant)
+    idle = _idle.setdefault(arm, [])
+    stepper = _with_plant(idle, arm, plant)
     try:
         arms = ControlledArms([arm], {arm.tip: law}, stepper)
         arms.reset(start.q, start.v)
         return arms.run({arm.tip: trajectory}, dwell)[arm.tip]
     finally:
-        idle[plant.key] = stepper
-        for oldest in list(idle)[:-_IDLE_PER_ARM]:
-            idle.pop(oldest, None)
+        idle.append(stepper)
+        while len(idle) > _IDLE_PER_ARM:
+            with suppress(IndexError):  # another thread may have taken it
+                idle.pop(0)
+
+
+def _with_plant(idle: list[Stepper], arm: Arm, plant: Plant) -> Stepper:
+    """An idle simulation with this plant, or a new one."""
+    try:
+        stepper = idle.pop()
+    except IndexError:
+        return Stepper([arm], plant)
+    if stepper.plant.key != plant.key:
+        stepper.set_plant(plant, [arm])
+    return stepper

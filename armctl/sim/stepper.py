@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from math import hypot, inf  # hypot of a short list is faster than numpy's norm
 from typing import TYPE_CHECKING, Protocol, TypeGuard
@@ -21,7 +22,7 @@ from armctl.core.validation import Array, IntArray, shown, vector
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
 from armctl.sim.disturbances import Disturbances
-from armctl.sim.plant import Brake, Plant, held_dofs, plant_model
+from armctl.sim.plant import Brake, Plant, apply_plant, held_dofs
 from armctl.sim.recorder import Recorder, TickRows
 from armctl.sim.wrench_sensor import WrenchSensor
 
@@ -95,19 +96,13 @@ class Stepper:
             observer: An observer of the tick loop, or None.
         """
         self.actuation = arms[0].actuation if len(arms) == 1 else Actuation.concatenated([arm.actuation for arm in arms])
-        self.plant = plant
         self._observer = observer
         self._packed_dynamics = arms[0].packed_dynamics
         self._home = np.concatenate([arm.home for arm in arms])
         self._home_qpos = arms[0].home_qpos
         self._home_ctrl = arms[0].home_ctrl
-        self.model = plant_model(plant, arms)
-        self._brake = Brake(self.model, held_dofs(*arms))
-        self._released = np.zeros(0, dtype=np.int64)
+        self.model = copy.copy(arms[0].model)
         self.data = mujoco.MjData(self.model)
-        self.continuous = bool(self.model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4))
-        self.dt = arms[0].dt if plant.timestep is None else plant.timestep
-        self._substeps = round(self.dt / self.model.opt.timestep)
         self._joints = _index(self.actuation.qpos_adr)
         self._dofs = _index(self.actuation.dof_adr)
         self._motors = _index(self.actuation.ctrl_adr)
@@ -117,12 +112,28 @@ class Stepper:
         self._qvel = self.data.qvel[self._dofs] if isinstance(self._dofs, slice) else None
         self._motor_torque = self.data.qfrc_actuator[self._drives] if isinstance(self._drives, slice) and is_whole else None
         self._is_direct = isinstance(self._motors, slice) and bool((self.actuation.gear == 1.0).all())
-        self._wrench_sensor = WrenchSensor(arms, plant, self.model, self.data)
         self._disturbances: Disturbances | None = None
-        self._compiled: CompiledLoop | None = None
         self._measurement: tuple[Array, Array] | None = None
         self._unobserved = 0.0
+        self.set_plant(plant, arms)
         self.reset()
+
+    def set_plant(self, plant: Plant, arms: Sequence[Arm]) -> None:
+        """Gives the simulated arms another plant. The state is lost: call `reset` afterwards.
+
+        Args:
+            plant: How the simulated arms differ from their models.
+            arms: The arms that this stepper was made for.
+        """
+        apply_plant(self.model, self.data, plant, arms)
+        self.plant = plant
+        self._brake = Brake(self.model, held_dofs(*arms))
+        self._released = np.zeros(0, dtype=np.int64)
+        self.continuous = bool(self.model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4))
+        self.dt = arms[0].dt if plant.timestep is None else plant.timestep
+        self._substeps = round(self.dt / self.model.opt.timestep)
+        self._wrench_sensor = WrenchSensor(arms, plant, self.model, self.data)
+        self._compiled: CompiledLoop | None = None
 
     @property
     def n(self) -> int:
@@ -174,6 +185,7 @@ class Stepper:
         self._measurement = None
         self._unobserved = 0.0
         self._wrench_sensor.reset()
+        self._disturbances = None
         if self.plant.has_signal_disturbances:
             self._disturbances = Disturbances(
                 self.plant, self.model, self.data, self.actuation.dof_adr, self._packed_dynamics, self.dt
