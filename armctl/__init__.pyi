@@ -22,6 +22,7 @@ from .control.computed_torque_qp import ComputedTorqueQP as ComputedTorqueQP
 from .control.hybrid_force import HybridForce as HybridForce
 from .control.impedance import Impedance as Impedance
 from .control.interface import Controller as Controller
+from .control.interface import KernelController as KernelController
 from .control.interface import State as State
 from .control.operational_space import OperationalSpace as OperationalSpace
 from .control.pd import PD as PD
@@ -94,6 +95,7 @@ from .sim.gripper import GripResult as GripResult
 from .sim.plant import Plant as Plant
 from .sim.plant import Push as Push
 from .sim.simulate import simulate as simulate
+from .sim.simulate_many import simulate_many as simulate_many
 from .sim.simulation import Simulation as Simulation
 from .sim.team import Team as Team
 from .study.factors import Choice as Choice

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import signal
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -16,13 +13,13 @@ from armctl.analysis.report import Report, contacts_in_words
 from armctl.collision.checkers import collision_checker
 from armctl.control import Controller, controller_name
 from armctl.core.errors import InputError, PlanError
-from armctl.core.log import SimulationError
+from armctl.core.log import Log
 from armctl.core.trajectory import Trajectory
 from armctl.core.validation import integer, number
 from armctl.motion import JointTrajectory, move_j
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.plant import NOMINAL, Plant
-from armctl.sim.simulate import simulate
+from armctl.sim.simulate_many import Run, rows_as_runs, run_many
 
 
 def compare(
@@ -38,18 +35,17 @@ def compare(
 
     Args:
         arm: The arm.
-        controllers: Controllers or names of controllers; only names if several processes share the work.
+        controllers: Controllers or names of controllers.
         trajectory: The motion.
         plants: The simulated plants.
-        workers: Number of processes. With more than one, a script that calls this function needs
-            `if __name__ == "__main__":`.
+        workers: Number of threads, as for `simulate_many`.
         progress: Called after each run with the number of completed runs and their total.
 
     Returns:
         One report per pair, plant by plant. A run that failed after its first tick has a report, too.
 
     Raises:
-        InputError: There is no controller or no plant, or the number of processes is not positive.
+        InputError: There is no controller or no plant, or the number of threads is not positive.
         UnknownNameError: There is no such controller.
         SimulationError: A controller failed at its first tick.
     """
@@ -63,13 +59,12 @@ def compare(
         for plant, plant_label in zip(plants, _distinct(map(str, plants)), strict=True)
         for controller, controller_label in zip(controllers, _distinct(map(_name_of, controllers)), strict=True)
     ]
-    run = partial(_run, arm, trajectory)
-    with _pool(min(integer("workers", workers, 1), len(pairs))) as mapped:
-        reports = []
-        for report in mapped(run, pairs):
-            reports.append(report)
-            if progress is not None:
-                progress(len(reports), len(pairs))
+    runs = rows_as_runs(arm, [(pair.controller, trajectory, pair.plant) for pair in pairs])
+    reports = []
+    for pair, report in zip(pairs, run_many(arm, runs, _report, threads=integer("workers", workers, 1)), strict=True):
+        reports.append(replace(report, controller=pair.controller_label, plant=pair.plant_label))
+        if progress is not None:
+            progress(len(reports), len(pairs))
     return reports
 
 
@@ -98,6 +93,10 @@ class _Pair(NamedTuple):
     plant_label: str
 
 
+def _report(_: Run, log: Log) -> Report:
+    return Report.from_log(log)
+
+
 def _name_of(controller: Controller | str) -> str:
     return controller if isinstance(controller, str) else controller_name(controller)
 
@@ -110,52 +109,6 @@ def _distinct(names: Iterable[str]) -> list[str]:
         count[name] += 1
         labels.append(name if count[name] == 1 else f"{name} ({count[name]})")
     return labels
-
-
-def _run(arm: Arm, trajectory: Trajectory, pair: _Pair) -> Report:
-    try:
-        log = simulate(arm, pair.controller, trajectory, pair.plant)
-    except SimulationError as error:
-        if error.log is None or not len(error.log):
-            raise
-        log = error.log
-    return replace(Report.from_log(log), controller=pair.controller_label, plant=pair.plant_label)
-
-
-@contextmanager
-def _pool(workers: int) -> Iterator[Callable]:
-    """A `map` that runs in this number of processes. An interrupt ends them at once."""
-    if workers <= 1:
-        yield map
-        return
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import active_children, get_context
-
-    others = set(active_children())
-    pool = ProcessPoolExecutor(workers, get_context("spawn"))
-    try:
-        with _interrupts_blocked():
-            pool.submit(int)  # starts the processes
-        yield pool.map
-        pool.shutdown()
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in set(active_children()) - others:
-            process.terminate()
-        raise
-
-
-@contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    """Processes that start here never see Ctrl-C, on which each would print a traceback; this process sees it afterwards."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def out_and_back(arm: Arm, distance: float = 0.6, *, speed: float = 1.0) -> JointTrajectory:

@@ -31,7 +31,6 @@ from armctl.core.errors import UnknownNameError
 if TYPE_CHECKING:
     from armctl.analysis.report import Report
 
-_RUNS_PER_WORKER = 6  # starting a process takes as long as a few runs
 _MAX_PREFIX_CHARACTERS = 120  # file systems allow 255 bytes for a name
 
 
@@ -44,7 +43,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--report", type=Path, metavar="DIR", help="write JSON, Markdown and an HTML page into this folder")
     parser.add_argument("--timestep", help="the control period, s (default the model's)")
     parser.add_argument(
-        "--workers", type=int, default=os.cpu_count() or 1, help="number of processes (default one per processor core)"
+        "--workers", type=int, default=os.cpu_count() or 1, help="number of threads (default one per processor core)"
     )
     add_speed(parser)
     add_json(parser)
@@ -71,13 +70,12 @@ def run(args: argparse.Namespace) -> int:
     for folder in filter(None, (args.report, args.save)):
         folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is reported before the runs
     runs = len(plants) * len(controllers)
-    workers = min(args.workers, runs // _RUNS_PER_WORKER + 1)
     with progress_bar("compare", runs, "runs") as bar:
 
         def advance(done: int, total: int) -> None:
             bar.update()
 
-        reports = compare(arm, controllers, out_and_back(arm, speed=speed), plants, workers=workers, progress=advance)
+        reports = compare(arm, controllers, out_and_back(arm, speed=speed), plants, workers=args.workers, progress=advance)
     notes = remarks(reports)
     if notes:
         notes.append("")  # a table in Markdown starts after an empty line

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -162,6 +163,13 @@ class KernelController(ABC):
         if self._memory is None:
             self._memory = np.zeros(self.memory_size)
         return self._memory
+
+    def fresh(self) -> Self:
+        """The same law with a memory of its own, for a run at the same time."""
+        other = copy.copy(self)
+        other._clock = Clock()
+        other._memory = None
+        return other
 
     def begin(self, state: State) -> tuple[Array, Array]:
         """Prepares for a tick.

@@ -68,7 +68,7 @@ def test_plants_and_controllers_of_one_name_stay_apart(bundled_motion, tmp_path)
     assert "pd (2)" in page
 
 
-def test_two_processes_find_what_one_finds(bundled_motion):
+def test_two_threads_find_what_one_finds(bundled_motion):
     arm, motion = bundled_motion
     plants = [armctl.Plant(encoder_noise=1e-4)]
     one, two = (armctl.compare(arm, ["pd", "adaptive"], motion, plants, workers=workers) for workers in (1, 2))

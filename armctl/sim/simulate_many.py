@@ -1,0 +1,157 @@
+"""simulate_many: many runs on several threads of one process."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, NamedTuple, TypeVar
+
+from armctl.control import Controller, KernelController
+from armctl.core.errors import InputError
+from armctl.core.log import Log, SimulationError
+from armctl.core.trajectory import Trajectory
+from armctl.core.validation import instance, integer
+from armctl.robot.arm import Arm, check_arm
+from armctl.sim.move import read_controller
+from armctl.sim.plant import Plant
+from armctl.sim.simulate import simulate
+
+_Result = TypeVar("_Result")
+_QUEUED_PER_THREAD = 4  # runs that wait for a thread; more would keep their results in memory before they are asked for
+
+
+class Run(NamedTuple):
+    """One run of many. As the arguments of `simulate`.
+
+    Attributes:
+        controller: A controller; runs with the same one do not share its memory.
+        trajectory: The motion.
+        plant: The simulated plant.
+    """
+
+    controller: Controller
+    trajectory: Trajectory
+    plant: Plant
+
+
+def simulate_many(
+    arm: Arm,
+    controller: Controller | str | Sequence[Controller | str],
+    trajectories: Trajectory | Sequence[Trajectory],
+    plants: Plant | Sequence[Plant] | None = None,
+    *,
+    dwell: float = 0.25,
+    threads: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Log]:
+    """Follows many trajectories, or one on many plants, each from its start in a simulation of its own.
+
+    The logs are those of `simulate`, bit for bit, with any number of threads. Threads run at the same time while a controller
+    has a compiled kernel, as those of armctl have that `armctl.KernelController` lists; the others take turns.
+
+    Args:
+        arm: The arm.
+        controller: A controller or its name for all runs, or a list with one for each run.
+        trajectories: A motion for all runs, or a list with one for each run.
+        plants: A plant for all runs, or a list with one for each run; by default none differs from the model.
+        dwell: s to hold the end of each motion.
+        threads: How many runs at the same time; by default one for each processor.
+        progress: Called after each run with the number of completed runs and their total.
+
+    Returns:
+        A log for each run, in their order. A run that diverges, or whose controller fails, ends early: `log.failure` says why.
+
+    Raises:
+        InputError: Lists of different lengths, or an argument that `simulate` does not accept.
+        UnknownNameError: There is no such controller.
+        SimulationError: A controller failed at its first tick.
+    """
+    check_arm(arm)
+    columns = [
+        list(each) if isinstance(each, Sequence) and not isinstance(each, str) else each
+        for each in (controller, trajectories, Plant() if plants is None else plants)
+    ]
+    lengths = {len(column) for column in columns if isinstance(column, list)}
+    if len(lengths) > 1 or 0 in lengths:
+        raise InputError(f"controller, trajectories, plants: lists of {sorted(lengths)} runs given; give one length above 0")
+    count = lengths.pop() if lengths else 1
+    rows = zip(*(column if isinstance(column, list) else [column] * count for column in columns), strict=True)
+    logs = []
+    for log in run_many(arm, rows_as_runs(arm, rows), _kept, dwell=dwell, threads=threads):
+        logs.append(log)
+        if progress is not None:
+            progress(len(logs), count)
+    return logs
+
+
+def rows_as_runs(arm: Arm, rows: Any) -> list[Run]:
+    """Runs from controllers or their names, trajectories and plants; a name makes one controller."""
+    named: dict[str, Controller] = {}
+    runs = []
+    for controller, trajectory, plant in rows:
+        instance("plants", plant, Plant, "armctl.Plant(payload=1.0) is one")
+        if isinstance(controller, str):
+            if controller not in named:
+                named[controller] = read_controller(controller, arm)
+            controller = named[controller]
+        runs.append(Run(read_controller(controller, arm), trajectory, plant))
+    return runs
+
+
+def run_many(
+    arm: Arm, runs: Sequence[Run], evaluate: Callable[[Run, Log], _Result], *, dwell: float = 0.25, threads: int | None = None
+) -> Iterator[_Result]:
+    """Simulates runs on threads, and gives what `evaluate` makes of each log, in the order of the runs.
+
+    Args:
+        arm: The arm.
+        runs: The runs.
+        evaluate: Called in the thread of the run; a log of which nothing is kept is freed at once.
+        dwell: s to hold the end of each motion.
+        threads: How many runs at the same time; by default one for each processor.
+
+    Yields:
+        The result of each run.
+
+    Raises:
+        InputError: The number of threads is not positive.
+    """
+    threads = _processors() if threads is None else integer("threads", threads, 1)
+
+    def result(run: Run) -> _Result:
+        law = run.controller.fresh() if isinstance(run.controller, KernelController) else run.controller
+        return evaluate(run, _simulated(arm, run._replace(controller=law), dwell))
+
+    compiled = [isinstance(run.controller, KernelController) for run in runs]
+    with ThreadPoolExecutor(min(threads, max(1, sum(compiled)))) as pool:
+        queued: list[Future[_Result] | None] = []
+        try:
+            for k, run in enumerate(runs):
+                while len(queued) < min(len(runs), k + _QUEUED_PER_THREAD * threads):
+                    ahead = len(queued)
+                    queued.append(pool.submit(result, runs[ahead]) if compiled[ahead] else None)
+                future = queued[k]
+                queued[k] = None
+                yield result(run) if future is None else future.result()
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _simulated(arm: Arm, run: Run, dwell: float) -> Log:
+    """The log of a run, also if its controller failed after the first tick."""
+    try:
+        return simulate(arm, run.controller, run.trajectory, run.plant, dwell)
+    except SimulationError as error:
+        if error.log is None or not len(error.log):
+            raise
+        return error.log
+
+
+def _kept(_: Run, log: Log) -> Log:
+    return log
+
+
+def _processors() -> int:
+    """How many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
