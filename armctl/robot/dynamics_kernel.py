@@ -619,6 +619,32 @@ def solve(L, x):
 
 
 @njit
+def free_step(model, bounds, tau, applied, work, q, v):
+    """One step of MuJoCo without constraints, with implicit linear damping; replaces q and v, and clips tau to its bounds.
+
+    Behind the scratch memory of the other functions, `work` has room for (n,) more.
+    """
+    n = q.shape[0]
+    inner = work[: work.shape[0] - n]
+    acceleration = work[work.shape[0] - n :]
+    for i in range(n):
+        tau[i] = min(max(tau[i], bounds[0, i]), bounds[1, i])
+        acceleration[i] = 0.0
+    force = inner[inner.shape[0] - n :]
+    inverse_dynamics(model, q, v, acceleration, inner, force)
+    M = inner[inner.shape[0] - n - n * n : inner.shape[0] - n].reshape((n, n))
+    mass_matrix(model, inner, M)
+    for i in range(n):
+        M[i, i] += model[STEP] * model[_drive(model, i) + IMPLICIT_DAMPING]
+        acceleration[i] = tau[i] + applied[i] - force[i]
+    factorize(M)
+    solve(M, acceleration)
+    for i in range(n):
+        v[i] += model[STEP] * acceleration[i]
+        q[i] += model[STEP] * v[i]
+
+
+@njit
 def locate(model, work):
     """The frames of all joints in the world, at the placed positions."""
     for j in range(int(model[JOINTS])):

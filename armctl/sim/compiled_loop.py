@@ -17,6 +17,7 @@ from armctl.robot.actuation import Actuation
 from armctl.robot.packed_dynamics import PackedDynamics
 from armctl.sim import tick_kernel as kernel
 from armctl.sim.disturbances import Disturbances, Signals
+from armctl.sim.free_space import FreeSpace
 from armctl.sim.mujoco_library import address_of, contact_layout, guarded_call
 from armctl.sim.recorder import TickRows
 
@@ -44,7 +45,15 @@ class LoopEnd(NamedTuple):
 class CompiledLoop:
     """The compiled loop of one simulation; it keeps the addresses of the simulation's arrays."""
 
-    def __init__(self, actuation: Actuation, model: mujoco.MjModel, data: mujoco.MjData, substeps: int, tip: PackedDynamics):
+    def __init__(
+        self,
+        actuation: Actuation,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        substeps: int,
+        tip: PackedDynamics,
+        free_space: FreeSpace | None,
+    ):
         """The loop of a simulation.
 
         Args:
@@ -53,11 +62,15 @@ class CompiledLoop:
             data: The state of the simulation.
             substeps: Steps of MuJoCo in a tick.
             tip: The dynamics of the arm on whose tip pushes act.
+            free_space: What moves the arm instead of `mj_step`.
         """
         n = actuation.n
         self._n = n
         layout = contact_layout()
         self._data = data
+        self._timestep = float(model.opt.timestep)
+        self._substeps = substeps
+        self._free_space = free_space
         self._indices = np.array([actuation.qpos_adr, actuation.dof_adr, actuation.ctrl_adr, actuation.torque_adr], np.int64)
         self._scales = np.array([actuation.gear, actuation.torque_share])
         self._pushed_model = tip.vector(0.0)
@@ -97,6 +110,18 @@ class CompiledLoop:
                 kernel.EVENTS: self._events,
             }
         )
+
+        if free_space is not None:
+            self._set_numbers(
+                {kernel.FREE_MODEL_SIZE: len(free_space.vector), kernel.FREE_WORK_SIZE: len(free_space.work)}
+            )
+            self._set_arrays(
+                {
+                    kernel.FREE_MODEL: free_space.vector,
+                    kernel.FREE_BOUNDS: free_space.bounds,
+                    kernel.FREE_WORK: free_space.work,
+                }
+            )
 
     def run(
         self, controller: KernelController, rows: TickRows, last: int, state: State, disturbances: Disturbances | None
@@ -160,6 +185,10 @@ class CompiledLoop:
             end = LoopEnd(int(self._table[kernel.ROW]), int(self._table[kernel.STATUS]), error)
             rows.count = int(self._table[kernel.COUNT])
             self._end_events(rows, is_full=end.status == kernel.EVENTS_FULL)
+            if self._free_space is not None:
+                steps = np.full(1 + (rows.count - first) * self._substeps, self._timestep)
+                steps[0] = self._data.time
+                self._data.time = np.add.accumulate(steps)[-1]  # step by step, as MuJoCo adds
             if disturbances is not None:
                 measured = rows.count - first + (end.status in _INCOMPLETE)
                 disturbances.took(measured, int(self._table[kernel.COMMANDS_GIVEN]))

@@ -28,6 +28,7 @@ from armctl.sim.wrench_sensor import WrenchSensor
 
 if TYPE_CHECKING:
     from armctl.sim.compiled_loop import CompiledLoop
+    from armctl.sim.free_space import FreeSpace
 
 _CONTROL_TOLERANCE = 1e-9  # relative, for controls at a limit of their motor
 _MAX_SPEED = 1e4  # rad/s (m/s), of all joints together; above it a run counts as diverged
@@ -134,6 +135,14 @@ class Stepper:
         self._substeps = round(self.dt / self.model.opt.timestep)
         self._wrench_sensor = WrenchSensor(arms, plant, self.model, self.data)
         self._compiled: CompiledLoop | None = None
+        self._free_space = self._new_free_space(arms) if plant.free_space else None
+
+    def _new_free_space(self, arms: Sequence[Arm]) -> FreeSpace:
+        from armctl.sim.free_space import FreeSpace
+
+        if len(arms) > 1:
+            raise InputError("free_space: it is for one arm, several may touch each other; simulate them without free_space")
+        return FreeSpace(arms[0], self.model, self.data)
 
     @property
     def n(self) -> int:
@@ -263,6 +272,15 @@ class Stepper:
 
     def _run_ticks(self, controller: Controller, rows: TickRows, first: int, last: int) -> None:
         """The ticks of rows [first, last): compiled if the law of the controller is a kernel, else in Python."""
+        try:
+            self._run_unchecked_ticks(controller, rows, first, last)
+        finally:
+            if self._free_space is not None and rows.count > first:
+                touched = self._free_space.check(rows, first)
+                if touched and not self.failure:
+                    self.failure = f"free_space: {touched}; simulate it without free_space"
+
+    def _run_unchecked_ticks(self, controller: Controller, rows: TickRows, first: int, last: int) -> None:
         if last == first + 1 or not _has_compiled_law(controller, self.n):
             self._run_python_ticks(controller, rows, first, last)
             return
@@ -277,7 +295,9 @@ class Stepper:
         from armctl.sim.compiled_loop import CompiledLoop
 
         if self._compiled is None:
-            self._compiled = CompiledLoop(self.actuation, self.model, self.data, self._substeps, self._packed_dynamics)
+            self._compiled = CompiledLoop(
+                self.actuation, self.model, self.data, self._substeps, self._packed_dynamics, self._free_space
+            )
         begin = self.state
         end = self._compiled.run(controller, rows, last, begin, self._disturbances)
         reached = rows.reference.q[end.row]
@@ -316,6 +336,7 @@ class Stepper:
         v_seen_rows = _read_only(v_rows)
         q_seen_rows = _read_only(qpos_rows[:, self._joints]) if isinstance(self._joints, slice) else None
         torque = controller.torque
+        step = mj_step if self._free_space is None else self._free_space.step
         sensor = self._wrench_sensor if getattr(controller, "needs_wrench", False) else None
         wrench_rows = None if sensor is None else rows.with_wrench(len(sensor.true))
         wrench = None
@@ -351,9 +372,9 @@ class Stepper:
                     driven = command if disturbances is None else disturbances.driven(command, q)
                     data.ctrl[self._motors] = driven / self.actuation.gear
                     self._measurement = None
-                mj_step(model, data, substeps)
+                step(model, data, substeps)
                 torque_rows[row] = self._gathered_torque() if motor_torque is None else motor_torque
-                if data.ncon or touching:
+                if (data.ncon or touching) and self._free_space is None:
                     touching = self._noted_contacts(rows, row, touching)
                 count = row + 1
         finally:

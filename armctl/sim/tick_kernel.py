@@ -22,7 +22,7 @@ from numba.extending import intrinsic
 from armctl.core.errors import InputError
 from armctl.core.jit import c_function, njit
 from armctl.core.validation import shown
-from armctl.robot.dynamics_kernel import locate, place, tip_jacobian
+from armctl.robot.dynamics_kernel import free_step, locate, place, tip_jacobian
 
 # Entries of the table. SIZES:
 N = 0  # joints
@@ -72,20 +72,27 @@ V_ROWS = 41
 COMMAND_ROWS = 42
 TORQUE_ROWS = 43
 EVENTS = 44  # (events size,) int32: row, number of contacts, geoms; again
+FREE_MODEL = 45  # dynamics of a plant in free space; 0 for mj_step
+FREE_MODEL_SIZE = 46
+FREE_BOUNDS = 47  # (2, n)
+FREE_WORK = 48
+FREE_WORK_SIZE = 49
 # Results:
-ROW = 45  # the last row that was begun
-COUNT = 46  # complete rows
-STATUS = 47
-EVENTS_USED = 48
-LAST_EVENT = 49  # where the last event begins; -1 before the first
-TABLE_SIZE = 50
+ROW = 50  # the last row that was begun
+COUNT = 51  # complete rows
+STATUS = 52
+EVENTS_USED = 53
+LAST_EVENT = 54  # where the last event begins; -1 before the first
+TABLE_SIZE = 55
 
 # Vectors (n,) at the start of the scratch memory; then J and scratch of the model for pushes.
 Q = 0
 Q_SEEN = 1
 V_SEEN = 2
 TAU = 3
-SCRATCH_VECTORS = 4
+V = 4
+APPLIED = 5
+SCRATCH_VECTORS = 6
 
 COMPLETE = 0
 DIVERGED = 1
@@ -278,6 +285,37 @@ def _drive(table, row, indices, scales, q, tau, ctrl):
 
 
 @njit
+def _advance(table, indices, scales, q, v_row, scratch):
+    """The steps of a tick: those of MuJoCo, or of a plant in free space."""
+    if table[FREE_MODEL] == 0:
+        for _ in range(table[SUBSTEPS]):
+            _step(table[STEP_FUNCTION], table[MODEL], table[DATA])
+        return
+    n = table[N]
+    v = scratch[V * n : (V + 1) * n]
+    tau = scratch[TAU * n : (TAU + 1) * n]
+    applied = scratch[APPLIED * n : (APPLIED + 1) * n]
+    ctrl = _vector(table[CTRL], table[NCTRL])
+    forces = _vector(table[QFRC_APPLIED], table[NV])
+    for i in range(n):
+        v[i] = v_row[i]
+        applied[i] = forces[indices[1, i]]
+        tau[i] = ctrl[indices[2, i]] * scales[0, i]
+    model = _vector(table[FREE_MODEL], table[FREE_MODEL_SIZE])
+    bounds = _matrix(table[FREE_BOUNDS], 2, n)
+    work = _vector(table[FREE_WORK], table[FREE_WORK_SIZE])
+    for _ in range(table[SUBSTEPS]):
+        free_step(model, bounds, tau, applied, work, q, v)
+    qpos = _vector(table[QPOS], table[NQ])
+    qvel = _vector(table[QVEL], table[NV])
+    actuator = _vector(table[QFRC_ACTUATOR], table[NV])
+    for i in range(n):
+        qpos[indices[0, i]] = q[i]
+        qvel[indices[1, i]] = v[i]
+        actuator[indices[3, i]] = tau[i]
+
+
+@njit
 def run_ticks(table):
     """The ticks [FIRST, LAST) of a run; STATUS says why it ended."""
     n = table[N]
@@ -328,12 +366,11 @@ def run_ticks(table):
                 return
             command_rows[row, i] = tau[i]
         _drive(table, row, indices, scales, q, tau, ctrl)
-        for _ in range(table[SUBSTEPS]):
-            _step(table[STEP_FUNCTION], table[MODEL], table[DATA])
+        _advance(table, indices, scales, q, v_rows[row], scratch)
         for i in range(n):
             torque_rows[row, i] = actuator[indices[3, i]] * scales[1, i]
         table[COUNT] = row + 1
-        if not _note_contacts(table, row):
+        if table[FREE_MODEL] == 0 and not _note_contacts(table, row):
             table[STATUS] = EVENTS_FULL
             return
 
