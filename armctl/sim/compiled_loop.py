@@ -112,9 +112,7 @@ class CompiledLoop:
         )
 
         if free_space is not None:
-            self._set_numbers(
-                {kernel.FREE_MODEL_SIZE: len(free_space.vector), kernel.FREE_WORK_SIZE: len(free_space.work)}
-            )
+            self._set_numbers({kernel.FREE_MODEL_SIZE: len(free_space.vector), kernel.FREE_WORK_SIZE: len(free_space.work)})
             self._set_arrays(
                 {
                     kernel.FREE_MODEL: free_space.vector,

@@ -107,7 +107,7 @@ def test_contacts_are_those_of_the_python_loop(slider, monkeypatch, events_size:
     monkeypatch.setattr(compiled_loop, "_EVENTS_SIZE", events_size)
     logs = []
     for wrap in (lambda controller: controller, InPython):
-        sim = armctl.Simulation(slider, wrap(armctl.PD(slider)))
+        sim = armctl.Simulation(slider, wrap(armctl.PD(slider, stiffness=50.0, damping=5.0)))
         logs.append(sim.run(Still(np.array([0.6]), 1.0)))
     assert sum(contact.duration for contact in logs[0].contacts) > 0.1
     assert same(*logs)
