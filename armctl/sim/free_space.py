@@ -90,9 +90,9 @@ class FreeSpace:
             mujoco.mj_collision(model, data)
             if data.ncon:
                 rows.contacts.append((min(first + int(row), rows.count - 1), data.contact.geom.tobytes()))
-                geoms = data.contact.geom[0]
-                names = " touches ".join(body_name(model, int(model.geom_bodyid[geom])) for geom in geoms)
-                reason = f"{names} at {rows.count and data.time - (len(q) - 1 - row) * model.opt.timestep:.3f} s"
+                names = " touches ".join(body_name(model, int(model.geom_bodyid[geom])) for geom in data.contact.geom[0])
+                ticks_ago = len(q) - 1 - int(row)
+                reason = f"{names} at {data.time - ticks_ago * model.opt.timestep:.3f} s"
                 break
         data.qpos[:] = now
         mujoco.mj_forward(model, data)
@@ -131,8 +131,8 @@ class FreeSpace:
                 error = float(np.abs(velocity - expected).max() / max(1.0, np.abs(expected - before[arm.dof_adr]).max()))
                 if not error <= _TOLERANCE:
                     raise InputError(
-                        f"free_space: a step of {arm.name:.80} differs by {error:.2g} from MuJoCo's, so something else than its "
-                        "links and motors acts on it, such as a tendon, an equality or a fluid; simulate it without free_space"
+                        f"free_space: a step of {arm.name:.80} differs by {error:.2g} from MuJoCo's, so something besides its links "
+                        "and motors acts on it, such as a tendon, an equality or a fluid; simulate it without free_space"
                     )
         finally:
             model.opt.disableflags = flags

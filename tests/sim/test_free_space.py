@@ -57,6 +57,7 @@ def test_motors_saturate_as_those_of_mujoco(bundled):
     assert np.abs(free.q - bounded.q).max() <= 1e-12
 
 
+@pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")  # of the drag
 @pytest.mark.parametrize(
     ("text", "plant", "reason"),
     [
