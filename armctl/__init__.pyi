@@ -80,6 +80,7 @@ from .motion.move_cartesian import move_path as move_path
 from .motion.move_j import move_j as move_j
 from .motion.move_through import move_through as move_through
 from .motion.online import OnlineMotion as OnlineMotion
+from .motion.sections import Via as Via
 from .motion.torque_limits import TorqueCheck as TorqueCheck
 from .motion.torque_limits import check_torque as check_torque
 from .motion.trajectory.joint_trajectory import JointTrajectory as JointTrajectory

@@ -4,6 +4,7 @@ from armctl.motion.move_cartesian import Arc, Line, move_c, move_l, move_path
 from armctl.motion.move_j import move_j
 from armctl.motion.move_through import move_through
 from armctl.motion.online import OnlineMotion
+from armctl.motion.sections import Via
 from armctl.motion.torque_limits import TorqueCheck, check_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 
@@ -13,6 +14,7 @@ __all__ = [
     "Line",
     "OnlineMotion",
     "TorqueCheck",
+    "Via",
     "check_torque",
     "move_c",
     "move_j",

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, PlanError
+from armctl.core.limits import Limits
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, number, shown, vector
 from armctl.ik.all_solutions import solve_ik_all
@@ -17,10 +19,11 @@ from armctl.motion.path.blending import Blend, CompositePath, SubPath
 from armctl.motion.path.geometry import Circle, Shape, Straight, Turn
 from armctl.motion.path.joint_path import joint_path_along
 from armctl.motion.path.tip_caps import TipCaps
+from armctl.motion.sections import NO_LIMITS, SectionLimits, pause, section_dwell, section_limits, within_sections
 from armctl.motion.timing.path_timing import time_optimal
 from armctl.motion.torque_limits import within_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory, joined
-from armctl.motion.trajectory.piecewise import standing
+from armctl.motion.trajectory.piecewise import joints_of, standing
 from armctl.robot.arm import Arm
 
 _MIN_LENGTH = 1e-9  # m
@@ -36,10 +39,18 @@ class Line:
     Attributes:
         target: T_world_tip at its end, or (3,) m with the orientation left free.
         blend: m, how far around its end the corner to what follows may be rounded; None for the path's own.
+        speed: Fraction of the speed that the motion has without it, in (0, 1].
+        acceleration: Fraction of the joints' acceleration limits, in (0, 1].
+        payload: kg at the tip, beside what the arm carries.
+        dwell: s, how long the arm stands still at its end; the corner there is not rounded.
     """
 
     target: Pose | ArrayLike
     blend: float | None = None
+    speed: float = 1.0
+    acceleration: float = 1.0
+    payload: float = 0.0
+    dwell: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +62,20 @@ class Arc:
         target: T_world_tip at its end, or (3,) m with the orientation left free.
         angle: rad, how far to go on the circle; None stops at the target. 2 pi is the full circle.
         blend: m, how far around its end the corner to what follows may be rounded; None for the path's own.
+        speed: Fraction of the speed that the motion has without it, in (0, 1].
+        acceleration: Fraction of the joints' acceleration limits, in (0, 1].
+        payload: kg at the tip, beside what the arm carries.
+        dwell: s, how long the arm stands still at its end; the corner there is not rounded.
     """
 
     via: Pose | ArrayLike
     target: Pose | ArrayLike
     angle: float | None = None
     blend: float | None = None
+    speed: float = 1.0
+    acceleration: float = 1.0
+    payload: float = 0.0
+    dwell: float = 0.0
 
 
 def move_l(
@@ -181,16 +200,19 @@ def _plan(
         raise InputError("path: it is empty; give at least one line or arc")
     oriented = isinstance(parts[0].target, Pose)
     blends = [number("blend", blend if part.blend is None else part.blend, 0.0) for part in parts]
-    legs = list(zip(_shapes(arm.fk(q), parts, oriented), blends, strict=True))
-    legs = [leg for leg in legs if leg[0].length > _MIN_LENGTH]  # to where the tip is already is no leg
-    motions = []
-    for path in _sections(legs):
-        joint_path = joint_path_along(arm, what, path, q, oriented)
-        caps = TipCaps.of(arm, joint_path, speed, tip_speed, tip_angular_speed)
-        pieces = time_optimal(joint_path, planning.limits, caps)
-        motion = within_torque(arm, JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units))
-        motions.append(motion if caps is None else caps.kept(motion))
-        q = motions[-1](motions[-1].duration).q
+    shapes = _shapes(arm.fk(q), parts, oriented)
+    legs = [
+        _Leg(shape, 0.0 if part.dwell else blend, section_limits(part), section_dwell(part))
+        for shape, blend, part in zip(shapes, blends, parts, strict=True)
+        if shape.length > _MIN_LENGTH or part.dwell  # to where the tip is already is no leg
+    ]
+    motions: list[JointTrajectory] = []
+    for chain in _chains(legs):
+        if chain.path.length > 0.0:
+            motions.append(_along(arm, planning.limits, what, chain, q, oriented, (speed, tip_speed, tip_angular_speed)))
+            q = motions[-1](motions[-1].duration).q
+        if chain.dwell:
+            motions.append(pause(arm, q, chain.dwell))
     return joined(motions) if motions else JointTrajectory(*standing(q), arm.joint_names, arm.limits, units=arm.units)
 
 
@@ -211,6 +233,46 @@ def _best_branch(arm: Arm, start: Pose, plan: Callable[[Array], JointTrajectory]
     if not motions:
         raise failures[0]
     return min(motions, key=lambda motion: motion.duration)
+
+
+def _along(
+    arm: Arm,
+    limits: Limits,
+    what: str,
+    chain: _Chain,
+    q: Array,
+    oriented: bool,
+    caps_of: tuple[float, float | None, float | None],
+) -> JointTrajectory:
+    """The motion along what is gone through without stopping."""
+    joint_path = joint_path_along(arm, what, chain.path, q, oriented)
+    caps = TipCaps.of(arm, joint_path, *caps_of)
+    pieces = time_optimal(joint_path, limits, caps)
+    free = JointTrajectory(*joints_of(pieces), arm.joint_names, arm.limits, units=arm.units)
+    if all(section == NO_LIMITS for section in chain.sections):
+        motion = within_torque(arm, free)
+    else:
+        ends = np.interp(chain.ends, pieces.coefficients[:, 0, -1], pieces.knots[:-1])
+        motion = within_sections(arm, free, np.append(ends[:-1], free.duration), chain.sections)
+    return motion if caps is None else caps.kept(motion)
+
+
+class _Leg(NamedTuple):
+    """A shape, the radius of the corner at its end, what holds on it, and the pause after it, s."""
+
+    shape: Shape
+    blend: float
+    limits: SectionLimits
+    dwell: float
+
+
+class _Chain(NamedTuple):
+    """What is gone through without stopping: where its sections end, m, what holds in each, and the pause after it, s."""
+
+    path: CompositePath
+    ends: list[float]
+    sections: list[SectionLimits]
+    dwell: float
 
 
 def _shapes(start: Pose, parts: list[Line | Arc], oriented: bool) -> list[Shape]:
@@ -234,22 +296,34 @@ def _shapes(start: Pose, parts: list[Line | Arc], oriented: bool) -> list[Shape]
     return shapes
 
 
-def _sections(legs: list[tuple[Shape, float]]) -> list[CompositePath]:
+def _chains(legs: list[_Leg]) -> list[_Chain]:
     """What is gone through without stopping: stretches of the shapes, and blends between them."""
-    chains: list[list[Shape]] = [[]]
+    chains: list[_Chain] = []
+    shapes: list[Shape] = []
+    ends: list[float] = []
+    sections: list[SectionLimits] = []
     begin = 0.0
-    for i, (shape, radius) in enumerate(legs):
-        after = legs[i + 1][0] if i + 1 < len(legs) else None
-        if after is None or radius == 0.0:
-            chains[-1].append(SubPath(shape, begin, shape.length))
-            chains.append([])
+    length = 0.0
+    for i, (shape, radius, limits, dwell) in enumerate(legs):
+        after = legs[i + 1].shape if i + 1 < len(legs) else None
+        sections.append(limits)
+        length += shape.length - begin
+        if after is None or radius == 0.0 or after.length <= _MIN_LENGTH:
+            shapes.append(SubPath(shape, begin, shape.length))
+            chains.append(_Chain(CompositePath(shapes), [*ends, length], sections, dwell))
+            shapes = []
+            ends = []
+            sections = []
             begin = 0.0
+            length = 0.0
             continue
         shorter = min(shape.length, after.length)
         if radius > 0.5 * shorter + 1e-12:
             raise InputError(
                 f"blend: {radius:g} m at corner {i + 1} is more than half of the shorter side, {0.5 * shorter:.4g} m"
             )
-        chains[-1] += [SubPath(shape, begin, shape.length - radius), Blend(shape, after, radius)]
+        shapes += [SubPath(shape, begin, shape.length - radius), Blend(shape, after, radius)]
+        ends.append(length)  # in the middle of the blend
+        length += radius
         begin = radius
-    return [CompositePath(chain) for chain in chains if chain]
+    return chains

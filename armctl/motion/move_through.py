@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Protocol
 
@@ -10,9 +12,10 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, PlanError
 from armctl.core.limits import Limits
-from armctl.core.validation import Array, matrix
+from armctl.core.validation import Array, matrix, vector
 from armctl.motion.checks import planning_arm
 from armctl.motion.move_j import move_j
+from armctl.motion.sections import NO_LIMITS, Via, pause, section_dwell, section_limits, within_sections
 from armctl.motion.timing.otg import stretch_needed
 from armctl.motion.timing.waypoint_timing import Candidate, WaypointSearch
 from armctl.motion.torque_limits import slowed_relative_to, within_torque
@@ -26,7 +29,7 @@ _SAME_WAYPOINT = 1e-9  # rad (m); closer waypoints count as one
 _TOO_CLOSE = "move_through: rounding takes every motion through these waypoints outside the limits; place them farther apart"
 
 
-def move_through(arm: Arm, waypoints: ArrayLike, *, speed: float = 1.0) -> JointTrajectory:
+def move_through(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike], *, speed: float = 1.0) -> JointTrajectory:
     """The motion through every waypoint without stopping, at rest at the first and the last.
 
     Between waypoints each joint takes its own way, jerk-limited and inside its position limits; the velocities and
@@ -35,7 +38,8 @@ def move_through(arm: Arm, waypoints: ArrayLike, *, speed: float = 1.0) -> Joint
 
     Args:
         arm: The arm.
-        waypoints: (k, n) rad, at least two, each inside the limits; the first is where the arm is.
+        waypoints: (k, n) rad, at least two, each inside the limits; the first is where the arm is. A `Via` instead of a row
+            says how fast and with which payload the arm moves to it, and how long it stands still there.
         speed: Fraction of the full speed, in (0, 1]; 0.5 takes twice as long.
 
     Returns:
@@ -47,19 +51,52 @@ def move_through(arm: Arm, waypoints: ArrayLike, *, speed: float = 1.0) -> Joint
         PlanError: A motor cannot hold the arm on the way, however slowly it moves.
     """
     planning = planning_arm(arm, speed)
-    rows = matrix("waypoints", waypoints, arm.n)
+    vias = _vias(arm, waypoints)
+    motions: list[JointTrajectory] = []
+    begin = 0
+    for k in range(1, len(vias)):
+        if vias[k].dwell or k == len(vias) - 1:
+            motions.append(_flowing(arm, planning.limits, vias[begin : k + 1], speed))
+            if vias[k].dwell:
+                motions.append(pause(arm, np.asarray(vias[k].q), section_dwell(vias[k])))
+            begin = k
+    return joined(motions)
+
+
+def _vias(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike]) -> list[Via]:
+    """Checked waypoints."""
+    if isinstance(waypoints, Sequence) and any(isinstance(each, Via) for each in waypoints):
+        vias = [each if isinstance(each, Via) else Via(each) for each in waypoints]
+        rows = [vector(f"waypoints[{i}]", via.q, arm.n) for i, via in enumerate(vias)]
+    else:
+        rows = list(matrix("waypoints", waypoints, arm.n))
+        vias = [Via(row) for row in rows]
     if len(rows) < 2:
         raise InputError(f"waypoints: {len(rows)} given, at least 2 wanted (the first one is where the arm is)")
-    points = np.array([arm.checked(f"waypoints[{i}]", row) for i, row in enumerate(rows)])
+    return [replace(via, q=arm.checked(f"waypoints[{i}]", row)) for i, (via, row) in enumerate(zip(vias, rows, strict=True))]
+
+
+def _flowing(arm: Arm, limits: Limits, vias: Sequence[Via], speed: float) -> JointTrajectory:
+    """The motion through waypoints from rest to rest."""
+    sections = [section_limits(via) for via in vias[1:]]
+    points = np.array([via.q for via in vias])
     apart = np.abs(np.diff(points, axis=0)).max(axis=1) > _SAME_WAYPOINT
     points = points[np.concatenate([[True], apart])]
+    sections = [section for section, is_apart in zip(sections, apart, strict=True) if is_apart]
     if len(points) == 1:
         return JointTrajectory(*standing(points[0]), arm.joint_names, arm.limits, units=arm.units)
-    search = WaypointSearch(points, planning.limits)
+    search = WaypointSearch(points, limits)
     stopping = search.stopping()
-    free = _timed(arm, planning.limits, search, search.fastest(stopping)) or _timed(arm, planning.limits, search, stopping)
+    candidate = search.fastest(stopping)
+    free = _timed(arm, limits, search, candidate)
+    if free is None:
+        candidate = stopping
+        free = _timed(arm, limits, search, stopping)
     if free is None:
         raise PlanError(_TOO_CLOSE)
+    if any(section != NO_LIMITS for section in sections):
+        ends = np.cumsum(candidate.durations)
+        return within_sections(arm, free, ends * (free.duration / ends[-1]), sections)
     try:
         motion = within_torque(arm, free)
     except PlanError:

@@ -18,6 +18,7 @@ from armctl.core.trajectory import Trajectory, check_motion
 from armctl.core.validation import Array
 from armctl.motion.timing.path_timing import TorqueRows, slowed_down
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory, Slowdown
+from armctl.motion.trajectory.piecewise import Pieces, joints_of
 from armctl.robot.arm import Arm, check_arm
 from armctl.robot.passive_forces import DryFriction, PassiveForces
 
@@ -86,10 +87,10 @@ def check_torque(arm: Arm, trajectory: Trajectory) -> TorqueCheck:
     """
     check_arm(arm)
     check_motion(trajectory, arm.joint_names)
-    inverse_dynamics = _InverseDynamics(arm)
+    inverse_dynamics = InverseDynamics(arm)
     ratios = np.zeros(arm.n)
     worst: tuple[float, float, float, int] = (-1.0, 0.0, 0.0, 0)  # share, time, torque, joint
-    for times in _sample_times(trajectory):
+    for times in sample_times(trajectory):
         torques = inverse_dynamics.total(*trajectory.sample(times)[:3])
         shares = np.abs(torques) / arm.limits.tau_max
         ratios = np.maximum(ratios, shares.max(axis=0))
@@ -119,15 +120,15 @@ def within_torque(arm: Arm, trajectory: JointTrajectory) -> JointTrajectory:
         return trajectory
     if trajectory(0.0).v.any() or trajectory(0.0).a.any():
         raise PlanError(f"{needed}, and a motion that starts moving cannot start slower; stop first, or go less far")
-    torques = _Torques(arm)
-    pieces = slowed_down(_AsPath(trajectory), trajectory.limits, trajectory.knots, torques)
-    feasible = JointTrajectory(*pieces, trajectory.joint_names, trajectory.limits, units=trajectory.units)
+    torques = TorqueBounds(arm)
+    pieces = slowed_down(MotionPath(trajectory), trajectory.limits, trajectory.knots, torques)
+    feasible = JointTrajectory(*joints_of(pieces), trajectory.joint_names, trajectory.limits, units=trajectory.units)
     for _ in range(_MAX_STRETCHES):
         check = check_torque(arm, feasible)
         if check.ok:
             slowdown = Slowdown(feasible.duration / trajectory.duration, needed.joint, needed.ratio)
             return replace(feasible, slowed=slowdown)
-        overshoot = max(float(torques.overshoot(*feasible.sample(times)[:3]).max()) for times in _sample_times(feasible))
+        overshoot = max(float(torques.overshoot(times, *feasible.sample(times)[:3]).max()) for times in sample_times(feasible))
         feasible = feasible.scaled(1 / min(max(math.sqrt(overshoot), _MIN_STRETCH), _MAX_STRETCH))
     raise PlanError(f"{check_torque(arm, feasible)}, however slowly the arm moves; take a lighter payload or another path")
 
@@ -140,7 +141,7 @@ def slowed_relative_to(arm: Arm, motion: JointTrajectory, free: JointTrajectory)
     return replace(motion, slowed=Slowdown(motion.duration / free.duration, needed.joint, needed.ratio))
 
 
-class _AsPath:
+class MotionPath:
     """A motion as a path whose length is the time."""
 
     def __init__(self, trajectory: JointTrajectory):
@@ -153,7 +154,7 @@ class _AsPath:
         return q, v, a, self._trajectory.jerk(s)
 
 
-class _InverseDynamics:
+class InverseDynamics:
     """The torques of an arm at many states, each (T, n)."""
 
     def __init__(self, arm: Arm):
@@ -179,15 +180,16 @@ class _InverseDynamics:
         return kernel.holding_torques(self._model, np.ascontiguousarray(q))
 
 
-class _Torques:
+class TorqueBounds:
     """Bounds on the torques: linear in the squared path speed and its slope, and with damping also in the path speed."""
 
     def __init__(self, arm: Arm):
         self._arm = arm
-        self._inverse_dynamics = _InverseDynamics(arm)
+        self._inverse_dynamics = InverseDynamics(arm)
         self._bound = (1 - _TORQUE_MARGIN) * arm.limits.tau_max
 
-    def rows(self, q: Array, v: Array, a: Array) -> TorqueRows:
+    def rows(self, s: Array, q: Array, v: Array, a: Array) -> TorqueRows:
+        """The bounds at states of a motion, as `path_timing.Torques`."""
         smooth = self._inverse_dynamics.smooth
         zero = np.zeros_like(q)
         static = self._inverse_dynamics.holding(q)
@@ -208,7 +210,8 @@ class _Torques:
             )
         return TorqueRows(alpha, beta, damping, low, high)
 
-    def overshoot(self, q: Array, v: Array, a: Array) -> Array:
+    def overshoot(self, s: Array, q: Array, v: Array, a: Array) -> Array:
+        """The share of what the bounds leave beside holding still, as `path_timing.Torques`."""
         static = self._inverse_dynamics.holding(q)
         dynamic = self._inverse_dynamics.smooth(q, v, a) - static
         held = static + np.sign(v) * self._inverse_dynamics.friction_loss
@@ -217,16 +220,17 @@ class _Torques:
         return np.maximum(dynamic / up, -dynamic / down).max(axis=1)
 
 
-def _sample_times(trajectory: Trajectory) -> Iterator[Array]:
+def sample_times(motion: Trajectory | Pieces) -> Iterator[Array]:
     """Chunks of sample times: evenly spaced with the knots, or for a long motion so many times in each piece."""
-    duration = trajectory.duration
+    knots = motion.knots if isinstance(motion, (JointTrajectory, Pieces)) else None
+    duration = motion.duration if not isinstance(motion, Pieces) else float(motion.knots[-1])
     count = math.ceil(duration / _SAMPLE_INTERVAL_S) + 1
     if count <= _MAX_EVEN_SAMPLES:
         even = np.linspace(0.0, duration, count)
-        yield np.union1d(even, trajectory.knots) if isinstance(trajectory, JointTrajectory) else even
-    elif isinstance(trajectory, JointTrajectory):
-        most = max(_MIN_SAMPLES_PER_PIECE, _MAX_EVEN_SAMPLES // (len(trajectory.knots) - 1))
-        for begin, end in pairwise(trajectory.knots.tolist()):
+        yield even if knots is None else np.union1d(even, knots)
+    elif knots is not None:
+        most = max(_MIN_SAMPLES_PER_PIECE, _MAX_EVEN_SAMPLES // (len(knots) - 1))
+        for begin, end in pairwise(knots.tolist()):
             yield np.linspace(begin, end, min(most, math.ceil((end - begin) / _SAMPLE_INTERVAL_S)) + 1)
     else:
         for first in range(0, count, _MAX_EVEN_SAMPLES):

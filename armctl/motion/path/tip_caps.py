@@ -49,6 +49,10 @@ class TipCaps:
             angular = self.angular / np.linalg.norm(twists[:, 3:], axis=1)
         return np.minimum(linear, angular)
 
+    def acceleration_at(self, s: Array) -> Array:
+        """The caps leave the acceleration limits as they are: (T,) ones."""
+        return np.ones_like(s)
+
     def overshoot(self, pieces: Pieces) -> Array:
         """The share of the caps that the tip uses in each piece, (m,); any number of at most 1 where it keeps them.
 

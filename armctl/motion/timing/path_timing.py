@@ -29,6 +29,7 @@ _STRETCH_EXPONENTS = np.array([1, 1 / 2, 1 / 3, 1 / 2])
 _STRETCH_TOLERANCE = 1e-3  # relative: a stretch in time so small removes what bounds are still exceeded by
 _MIN_NODE_DISTANCE_S = 1e-8  # of two nodes; a motion does not change in between
 _SHORT_PIECE_S = 1e-4  # rounding of the positions at its ends decides the jerk of a shorter quintic
+_SAME_LENGTH = 1e-9  # of a path, where one fraction ends and the next begins
 _MAX_SQUARED_SPEED = 1e12  # of the path speed, where nothing bounds it
 _MIN_DIP = 1e-2  # of the smaller squared speed at the ends of an interval
 # Torques vary between grid nodes. Above this share of a limit they are also checked between the nodes.
@@ -57,10 +58,11 @@ class TorqueRows(NamedTuple):
 class Torques(Protocol):
     """What bounds the torques of a motion."""
 
-    def rows(self, q: Array, v: Array, a: Array) -> TorqueRows:
+    def rows(self, s: Array, q: Array, v: Array, a: Array) -> TorqueRows:
         """The bounds at places of a motion that is to run at another speed.
 
         Args:
+            s: (T,) lengths along the path.
             q: (T, n) rad.
             v: (T, n) rad/s.
             a: (T, n) rad/s^2.
@@ -70,10 +72,11 @@ class Torques(Protocol):
         """
         ...
 
-    def overshoot(self, q: Array, v: Array, a: Array) -> Array:
+    def overshoot(self, s: Array, q: Array, v: Array, a: Array) -> Array:
         """How much of what the bounds leave beside holding still a motion uses.
 
         Args:
+            s: (T,) lengths along the path.
             q: (T, n) rad.
             v: (T, n) rad/s.
             a: (T, n) rad/s^2.
@@ -98,6 +101,17 @@ class Caps(Protocol):
         """
         ...
 
+    def acceleration_at(self, s: Array) -> Array:
+        """The fractions of the joints' acceleration limits.
+
+        Args:
+            s: (T,) lengths.
+
+        Returns:
+            (T,), 1 is all.
+        """
+        ...
+
     def overshoot(self, pieces: Pieces) -> Array:
         """How much of what it bounds a motion uses in each piece.
 
@@ -110,18 +124,42 @@ class Caps(Protocol):
         ...
 
 
-class _OwnSpeed:
-    """A motion is to run at most at its own speed: its length is the time."""
+class Fractions:
+    """Fractions of a motion's own speed and of the acceleration limits, from one length to the next."""
+
+    def __init__(self, ends: Array, speed: Array, acceleration: Array):
+        """Up to each of the lengths `ends` (k,) hold one of the fractions, (k,) each."""
+        self._ends = ends
+        self._speed = speed
+        self._acceleration = acceleration
 
     def at(self, s: Array) -> Array:
-        return np.ones_like(s)
+        """Of the speed, (T,) at lengths (T,)."""
+        return self._at(self._speed, s)
+
+    def acceleration_at(self, s: Array) -> Array:
+        """Of the acceleration limits, (T,) at lengths (T,)."""
+        return self._at(self._acceleration, s)
+
+    def _at(self, fractions: Array, s: Array) -> Array:
+        """Where one ends and the next begins, the smaller of both."""
+        last = len(self._ends) - 1
+        before = np.clip(np.searchsorted(self._ends, s - _SAME_LENGTH), 0, last)
+        after = np.clip(np.searchsorted(self._ends, s + _SAME_LENGTH), 0, last)
+        return np.minimum(fractions[before], fractions[after])
 
     def overshoot(self, pieces: Pieces) -> Array:
+        """The share of the fraction that each piece uses, (m,): exact where it is more than 1."""
         from armctl.motion.trajectory import excess_kernel as kernel
 
-        one = np.ones((len(pieces.coefficients), 1))
         length = np.ascontiguousarray(pieces.coefficients[:, :, -1:])
-        return 1 + kernel.excess(length, np.diff(pieces.knots), 1, -one, one)[:, 0]
+        bound = self.at(middle_lengths(pieces))[:, None]
+        return (1 + kernel.excess(length, np.diff(pieces.knots), 1, -bound, bound) / bound)[:, 0]
+
+
+def middle_lengths(pieces: Pieces) -> Array:
+    """(m,) the lengths, the last column of a motion, in the middle of its pieces: inside of what begins and ends at nodes."""
+    return np.einsum("tc,tc->t", basis_many(0.5 * np.diff(pieces.knots))[0], pieces.coefficients[:, :, -1])
 
 
 def time_optimal(path: Path, limits: Limits, caps: Caps | None = None) -> Pieces:
@@ -133,7 +171,7 @@ def time_optimal(path: Path, limits: Limits, caps: Caps | None = None) -> Pieces
         caps: Bounds on the speed along the path; none if left out.
 
     Returns:
-        The motion.
+        The motion of the joints and, as the last column, of the length.
     """
     problem = _Problem(path, limits, caps)
     timing = initial_timing(path, limits)
@@ -141,21 +179,24 @@ def time_optimal(path: Path, limits: Limits, caps: Caps | None = None) -> Pieces
     return _tightened(problem, _refined(timed, intervals_for(timed.t[-1])))
 
 
-def slowed_down(path: Path, limits: Limits, knots: Array, torques: Torques) -> Pieces:
-    """A motion, at rest at both ends, slower where the torques require it and never faster.
+def slowed_down(
+    path: Path, limits: Limits, knots: Array, torques: Torques | None, fractions: Fractions | None = None
+) -> Pieces:
+    """A motion, at rest at both ends, slower where the torques or fractions of its speed require it and never faster.
 
     Args:
         path: The motion, its length the time.
         limits: What the joints can do.
-        knots: (m + 1,) s, where its jerk may jump.
-        torques: What bounds the torques.
+        knots: (m + 1,) s, where its jerk or a bound may jump.
+        torques: What bounds the torques, if they are bounded.
+        fractions: Of its own speed; 1 if left out.
 
     Returns:
-        The slower motion.
+        The slower motion of the joints and, as the last column, of the time in the faster one.
     """
-    problem = _Problem(path, limits, _OwnSpeed(), torques)
+    caps = Fractions(np.array([path.length]), np.ones(1), np.ones(1)) if fractions is None else fractions
     intervals = intervals_for(path.length)
-    return _tightened(problem, Timing(path.length / intervals, intervals, None), knots)
+    return _tightened(_Problem(path, limits, caps, torques), Timing(path.length / intervals, intervals, None), knots)
 
 
 def intervals_for(duration: float) -> int:
@@ -187,7 +228,7 @@ def _tightened(problem: _Problem, timing: Timing, knots: Array | None = None) ->
         slack[:, 1:] /= excess
     pieces, stretch = min(tried, key=lambda one: one[1] * one[0].knots[-1])
     powers = stretch ** -np.arange(DEGREE + 1.0)
-    return Pieces(pieces.knots * stretch, pieces.coefficients[:, :, :-1] * powers[:, None])
+    return Pieces(pieces.knots * stretch, pieces.coefficients * powers[:, None])
 
 
 class _Places(NamedTuple):
@@ -303,7 +344,7 @@ class _Problem:
             b_max = (self.limits.v_max / np.abs(q1[:, :-1])).min(axis=1) ** 2
             if self._caps is not None:
                 b_max = np.minimum(b_max, (self._caps.at(q[:, -1]) / np.abs(q1[:, -1])) ** 2)
-        torques = None if self.torques is None else self.torques.rows(q[:, :-1], q1[:, :-1], q2[:, :-1])
+        torques = None if self.torques is None else self.torques.rows(q[:, -1], q[:, :-1], q1[:, :-1], q2[:, :-1])
         return _Sampled(places, q, q1, q2, q3[:-1], q3_before, b_max, torques)
 
     def timed(self, sampled: _Sampled, slack: Array | None = None) -> _Timed:
@@ -356,7 +397,9 @@ class _Problem:
         shares = []
         for order, bound in enumerate((limits.v_max, limits.a_max, limits.j_max), start=1):
             bounds = np.tile(bound, (len(steps), 1))
-            shares.append((1 + kernel.excess(joints, steps, order, -bounds, bounds) / bound).max(axis=1))
+            if order == 2 and self._caps is not None:
+                bounds *= self._caps.acceleration_at(middle_lengths(pieces))[:, None]
+            shares.append((1 + kernel.excess(joints, steps, order, -bounds, bounds) / bounds).max(axis=1))
         if self._caps is not None:
             shares[0] = np.maximum(shares[0], self._caps.overshoot(pieces))
         return np.array([*shares, self._torque_overshoot(pieces)])
@@ -364,15 +407,15 @@ class _Problem:
     def _torque_overshoot(self, pieces: Pieces) -> Array:
         """How much of their limits torques use at the start of each piece and, where that is much, in its middle, (m,)."""
         steps = np.diff(pieces.knots)
-        joints = pieces.coefficients[:, :, :-1]
         if self.torques is None:
             return np.zeros_like(steps)
-        shares = self.torques.overshoot(joints[:, 0], joints[:, 1], 2 * joints[:, 2])
+        start = pieces.coefficients
+        shares = self.torques.overshoot(start[:, 0, -1], start[:, 0, :-1], start[:, 1, :-1], 2 * start[:, 2, :-1])
         checked = (shares > _TORQUE_SHARE_CHECKED_BETWEEN_NODES) | (
             np.append(shares[1:], 0.0) > _TORQUE_SHARE_CHECKED_BETWEEN_NODES
         )
-        middle = np.einsum("otc,tcn->otn", basis_many(0.5 * steps[checked]), joints[checked])
-        shares[checked] = np.maximum(shares[checked], self.torques.overshoot(*middle))
+        q, v, a = np.einsum("otc,tcn->otn", basis_many(0.5 * steps[checked]), pieces.coefficients[checked])
+        shares[checked] = np.maximum(shares[checked], self.torques.overshoot(q[:, -1], q[:, :-1], v[:, :-1], a[:, :-1]))
         return shares
 
     def _bounds(self, sampled: _Sampled, slack: Array) -> kernel.Problem:
@@ -392,6 +435,8 @@ class _Problem:
             b_max[ends] = np.minimum(b_max[ends], ((j_max[ends] / np.abs(q3_ends)) ** (2 / 3)).min(axis=1))
         b_max = np.minimum(b_max, _MAX_SQUARED_SPEED)
         a_max = self.limits.a_max * slack[1][:, None]
+        if self._caps is not None:
+            a_max = a_max * self._caps.acceleration_at(sampled.q[:, -1])[:, None]
         rows = TorqueRows(q1.copy(), q2.copy(), np.zeros_like(q1), -a_max, a_max.copy())
         if sampled.torques is not None:
             low = sampled.torques.low * slack[3][:, None]

@@ -19,7 +19,7 @@ from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, frozen, instance, number, shown, vector
 from armctl.motion.trajectory import files, piecewise, ros
 from armctl.motion.trajectory.limit_check import QUANTITIES, LimitCheck, check_limits
-from armctl.motion.trajectory.path_stop import stopped
+from armctl.motion.trajectory.path_stop import speed_changed, stopped
 from armctl.motion.trajectory.piecewise import Pieces, Samples, basis, join_gaps
 from armctl.robot.arm import Arm, check_arm
 
@@ -185,6 +185,26 @@ class JointTrajectory:
             PlanError: The motion does not end at rest, and what is left of it is too short to stop.
         """
         return self._with(stopped(self.pieces, self.limits, number("t", t, 0.0, self.duration)))
+
+    def overridden(self, t: float, factor: float) -> JointTrajectory:
+        """The motion with another speed on its path from a time on: a speed override that is changed on the way.
+
+        The speed changes smoothly, as soon as the limits on position, speed, acceleration and jerk allow. Torque limits are not
+        considered; `check_torque` shows the torques.
+
+        Args:
+            t: s, when the change is requested; until then nothing changes.
+            factor: Of the speed, greater than 0; more than 1 where the limits allow it.
+
+        Returns:
+            The motion; it never leaves the path.
+
+        Raises:
+            InputError: The time is outside the motion, or the factor is not greater than 0.
+            PlanError: No change from there on keeps the limits.
+        """
+        factor = number("factor", factor, 1e-3, 1e3)
+        return self._with(speed_changed(self.pieces, self.limits, number("t", t, 0.0, self.duration), factor))
 
     def scaled(self, factor: float) -> JointTrajectory:
         """The same path at another speed, as the speed override of a robot controller.

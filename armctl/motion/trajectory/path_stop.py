@@ -1,7 +1,8 @@
-"""A stop on the path: the same path in joint space, its speed brought from 1 to 0 without leaving the limits.
+"""A stop on the path, or another speed along it: the path in joint space stays, and the limits are kept.
 
-For the motion q(u) and the path speed w = du/dt, w falls from 1 to 0. Its slope is a trapezoid, so that the jerk is bounded.
-Later and longer decelerations are tried until one keeps the limits; if none is sooner, the motion's own end is the stop.
+For the motion q(u) and the path speed w = du/dt, w goes from 1 to 0, or to a factor. Its slope is a trapezoid, so that the
+jerk is bounded. Later and longer changes are tried until one keeps the limits; if no stop is sooner, the motion's own end is
+the stop.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
 from armctl.motion.trajectory.limit_check import is_inside
-from armctl.motion.trajectory.piecewise import Pieces, hermite, joined, sample
+from armctl.motion.trajectory.piecewise import Pieces, hermite, joined, locate, sample, time_scaled
 
 _DELAYS = 12  # start times of the deceleration that are tried
 _MIN_DECELERATION_S = 0.01
@@ -60,12 +61,39 @@ def stopped(pieces: Pieces, limits: Limits, t: float) -> Pieces:
     return _until(pieces, best[0], best[1])
 
 
-def _decelerated(pieces: Pieces, limits: Limits, begin: float, length: float) -> Pieces | None:
-    """The motion from `begin` on with the path speed falling to 0; None if a sample exceeds the acceleration limit."""
-    x = np.concatenate([np.linspace(0.0, 1.0, _CUTS + 1), [_RAMP, 1 - _RAMP], _crossings(pieces.knots, begin, length)])
+def speed_changed(pieces: Pieces, limits: Limits, t: float, factor: float) -> Pieces:
+    """A motion that follows `pieces` until the time t and then changes to `factor` times its speed, as soon as that is found.
+
+    Raises PlanError if no change keeps the limits.
+    """
+    left = float(pieces.knots[-1]) - t
+    mean = 0.5 * (1 + factor)  # of the path speed while it changes
+    best: tuple[float, float, Pieces] | None = None
+    soonest = np.inf
+    for delay in np.linspace(0.0, 0.9 * left, _DELAYS):
+        length = _MIN_DECELERATION_S
+        while delay + length < soonest and delay + mean * length <= left:
+            change = _decelerated(pieces, limits, t + delay, length, factor)
+            if change is not None and is_inside(change, limits):
+                best = (t + delay, t + delay + mean * length, change)
+                soonest = delay + length
+                break
+            length *= _DECELERATION_GROWTH
+    if best is None:
+        raise PlanError(f"overridden: no change to {factor:g} times the speed keeps the limits from {t:.4g} s on")
+    begin, end, change = best
+    rest = time_scaled(_from(pieces, end), factor)
+    if not is_inside(rest, limits):
+        raise PlanError(f"overridden: {factor:g} times the speed leaves the limits after {t:.4g} s; give a smaller factor")
+    return _until(pieces, begin, joined([change, rest]))
+
+
+def _decelerated(pieces: Pieces, limits: Limits, begin: float, length: float, final: float = 0.0) -> Pieces | None:
+    """The motion from `begin` on with the path speed going to `final`; None if a sample exceeds the acceleration limit."""
+    x = np.concatenate([np.linspace(0.0, 1.0, _CUTS + 1), [_RAMP, 1 - _RAMP], _crossings(pieces.knots, begin, length, final)])
     x = np.unique(x)
     x = np.append(x[:-1][np.diff(x) * length > _MIN_PIECE_S], 1.0)
-    law = _deceleration(x)
+    law = _change(x, final)
     q, v, a = sample(pieces, np.minimum(begin + length * law.progress, pieces.knots[-1]))
     w = law.speed[:, None]
     slope = law.slope[:, None] / length
@@ -88,11 +116,30 @@ def _deceleration(x: Array) -> _Deceleration:
     return _Deceleration(progress, speed, -slope)
 
 
-def _crossings(knots: Array, begin: float, length: float) -> Array:
-    """The shares of a deceleration at which it crosses the knots of the motion."""
+def _change(x: Array, final: float) -> _Deceleration:
+    """The path speed from 1 to `final`: a deceleration of another depth."""
+    law = _deceleration(x)
+    depth = 1 - final
+    return _Deceleration(x + depth * (law.progress - x), 1 + depth * (law.speed - 1), depth * law.slope)
+
+
+def _crossings(knots: Array, begin: float, length: float, final: float) -> Array:
+    """The shares of a change of the path speed at which it crosses the knots of the motion."""
     x = np.linspace(0.0, 1.0, 400)
-    crossed = knots[(knots > begin) & (knots < begin + length / 2)]
-    return np.interp((crossed - begin) / length, _deceleration(x).progress, x)
+    crossed = knots[(knots > begin) & (knots < begin + 0.5 * (1 + final) * length)]
+    return np.interp((crossed - begin) / length, _change(x, final).progress, x)
+
+
+def _from(pieces: Pieces, t: float) -> Pieces:
+    """What is left of a motion after a time."""
+    k = int(locate(pieces.knots, np.array([t]))[1][0])
+    u = t - float(pieces.knots[k])
+    first = pieces.coefficients[k].copy()
+    for low in range(len(first)):  # Taylor's series about the time, by repeated synthetic division
+        for power in range(len(first) - 2, low - 1, -1):
+            first[power] += u * first[power + 1]
+    coefficients = np.concatenate([first[None], pieces.coefficients[k + 1 :]])
+    return Pieces(np.concatenate([[0.0], pieces.knots[k + 1 :] - t]), coefficients)
 
 
 def _until(pieces: Pieces, t: float, rest: Pieces) -> Pieces:

@@ -58,6 +58,11 @@ def hermite(t: Array, q: Array, v: Array, a: Array) -> Pieces:
     return Pieces(t, np.stack([q[:-1], v[:-1], a[:-1] / 2, c3 / h**3, c4 / h**4, c5 / h**5], axis=1))
 
 
+def joints_of(pieces: Pieces) -> Pieces:
+    """The motion without its last column, which is a length or a time."""
+    return Pieces(pieces.knots, np.ascontiguousarray(pieces.coefficients[:, :, :-1]))
+
+
 def locate(knots: Array, times: Array) -> tuple[Array, IntArray]:
     """Times clamped to [0, duration], and the indices of the pieces that contain them."""
     inside = np.clip(times, 0.0, knots[-1])

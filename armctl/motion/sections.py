@@ -1,0 +1,202 @@
+"""Limits of single sections of a motion: fractions of its speed and of the acceleration limits, and a payload."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.core.errors import PlanError
+from armctl.core.validation import Array, IntArray, number
+from armctl.motion.timing.path_timing import Fractions, TorqueRows, slowed_down
+from armctl.motion.torque_limits import InverseDynamics, MotionPath, TorqueBounds, sample_times
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory, Slowdown
+from armctl.motion.trajectory.piecewise import Pieces, joints_of, sample, standing, time_scaled
+from armctl.robot.arm import Arm
+
+_MIN_FRACTION = 1e-3
+_MAX_DWELL_S = 3600.0
+_MAX_STRETCHES = 100
+_MIN_STRETCH = 1.0005  # factors by which one stretch lengthens a motion
+_MAX_STRETCH = 1.5
+
+
+class LimitedSection(Protocol):
+    """What a section of a path says about itself: a `Via`, a `Line` or an `Arc`."""
+
+    @property
+    def speed(self) -> float:
+        """Fraction of the planned speed."""
+        ...
+
+    @property
+    def acceleration(self) -> float:
+        """Fraction of the acceleration limits."""
+        ...
+
+    @property
+    def payload(self) -> float:
+        """What is carried, kg."""
+        ...
+
+    @property
+    def dwell(self) -> float:
+        """How long the arm stands still at the end, s."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Via:
+    """A waypoint of `move_through`, and what holds on the way to it from the one before.
+
+    Attributes:
+        q: (n,) rad.
+        speed: Fraction of the speed that the motion has without it, in (0, 1].
+        acceleration: Fraction of the joints' acceleration limits, in (0, 1].
+        payload: kg at the tip, beside what the arm carries.
+        dwell: s, how long the arm stands still there; 0 passes it without a stop.
+    """
+
+    q: ArrayLike
+    speed: float = 1.0
+    acceleration: float = 1.0
+    payload: float = 0.0
+    dwell: float = 0.0
+
+
+class SectionLimits(NamedTuple):
+    """Checked limits of a section.
+
+    Attributes:
+        speed: Fraction of the planned speed.
+        acceleration: Fraction of the acceleration limits.
+        payload: kg.
+    """
+
+    speed: float
+    acceleration: float
+    payload: float
+
+
+NO_LIMITS = SectionLimits(1.0, 1.0, 0.0)
+
+
+def section_limits(section: LimitedSection) -> SectionLimits:
+    """The checked limits of a section. Raises InputError for a fraction outside (0, 1] or a negative payload."""
+    return SectionLimits(
+        number("speed", section.speed, _MIN_FRACTION, 1.0),
+        number("acceleration", section.acceleration, _MIN_FRACTION, 1.0),
+        number("payload", section.payload, 0.0),
+    )
+
+
+def section_dwell(section: LimitedSection) -> float:
+    """How long the arm stands still after a section, s. Raises InputError if it is negative."""
+    return number("dwell", section.dwell, 0.0, _MAX_DWELL_S)
+
+
+def pause(arm: Arm, q: Array, duration: float) -> JointTrajectory:
+    """The arm at rest at q (n,) for a time, s."""
+    coefficients = standing(q).coefficients
+    return JointTrajectory(np.array([0.0, duration]), coefficients, arm.joint_names, arm.limits, units=arm.units)
+
+
+def within_sections(arm: Arm, motion: JointTrajectory, ends: Array, limits: Sequence[SectionLimits]) -> JointTrajectory:
+    """A motion within the limits of its sections and the torque limits, on the same path.
+
+    Args:
+        arm: The arm.
+        motion: A motion from rest to rest, planned without torque limits.
+        ends: (k,) s, where each section ends in it.
+        limits: The k limits of the sections.
+
+    Returns:
+        The motion; its `slowed` says what the torque limits, with the payloads, cost.
+
+    Raises:
+        PlanError: A motor cannot hold the arm with its payload, however slowly it moves.
+    """
+    fractions = Fractions(ends, np.array([each.speed for each in limits]), np.array([each.acceleration for each in limits]))
+    torques = _SectionTorques(arm, ends, limits)
+    path = MotionPath(motion)
+    knots = np.union1d(motion.knots, ends)
+    free = slowed_down(path, motion.limits, knots, None, fractions)
+    needed = torques.needed(free)
+    if needed.share <= 1.0:
+        return JointTrajectory(*joints_of(free), arm.joint_names, arm.limits, units=arm.units)
+    feasible = slowed_down(path, motion.limits, knots, torques, fractions)
+    for _ in range(_MAX_STRETCHES):
+        if torques.needed(feasible).share <= 1.0:
+            slowed = Slowdown(float(feasible.knots[-1] / free.knots[-1]), arm.joint_names[needed.joint], needed.share)
+            return JointTrajectory(*joints_of(feasible), arm.joint_names, arm.limits, slowed, arm.units)
+        stretch = min(max(math.sqrt(torques.most_overshoot(feasible)), _MIN_STRETCH), _MAX_STRETCH)
+        feasible = time_scaled(feasible, 1 / stretch)
+    raise PlanError(
+        f"{arm.joint_names[needed.joint]} saturates with its payload, however slowly the arm moves; "
+        "take a lighter payload or another path"
+    )
+
+
+class _Needed(NamedTuple):
+    """The largest share of a torque limit, and the joint that needs it."""
+
+    share: float
+    joint: int
+
+
+class _SectionTorques:
+    """The torque limits of a motion whose sections have payloads; lengths are times in the planned motion."""
+
+    def __init__(self, arm: Arm, ends: Array, limits: Sequence[SectionLimits]):
+        self._ends = ends
+        self._n = arm.n
+        self._tau_max = arm.limits.tau_max
+        loaded = {each.payload: arm.with_payload(each.payload) if each.payload else arm for each in limits}
+        bounds = {payload: TorqueBounds(each) for payload, each in loaded.items()}
+        dynamics = {payload: InverseDynamics(each) for payload, each in loaded.items()}
+        self._bounds = [bounds[each.payload] for each in limits]
+        self._dynamics = [dynamics[each.payload] for each in limits]
+
+    def rows(self, s: Array, q: Array, v: Array, a: Array) -> TorqueRows:
+        """The bounds at states of the motion, those of the section that each is in."""
+        rows = TorqueRows(*(np.empty_like(q) for _ in TorqueRows._fields))
+        for k, here in self._sections(s):
+            for whole, part in zip(rows, self._bounds[k].rows(s[here], q[here], v[here], a[here]), strict=True):
+                whole[here] = part
+        return rows
+
+    def overshoot(self, s: Array, q: Array, v: Array, a: Array) -> Array:
+        """The share of what the bounds leave beside holding still, (T,)."""
+        shares = np.zeros(len(s))
+        for k, here in self._sections(s):
+            shares[here] = self._bounds[k].overshoot(s[here], q[here], v[here], a[here])
+        return shares
+
+    def needed(self, pieces: Pieces) -> _Needed:
+        """The largest share of a torque limit in a motion with its length."""
+        worst = _Needed(0.0, 0)
+        for s, q, v, a in self._samples(pieces):
+            for k, here in self._sections(s):
+                shares = np.abs(self._dynamics[k].total(q[here], v[here], a[here])) / self._tau_max
+                joint = int(shares.max(axis=0).argmax())
+                worst = max(worst, _Needed(float(shares[:, joint].max()), joint))
+        return worst
+
+    def most_overshoot(self, pieces: Pieces) -> float:
+        """The largest `overshoot` in a motion with its length."""
+        return max(float(self.overshoot(*states).max()) for states in self._samples(pieces))
+
+    def _samples(self, pieces: Pieces) -> Iterator[tuple[Array, Array, Array, Array]]:
+        """Lengths, positions, velocities and accelerations."""
+        for times in sample_times(pieces):
+            q, v, a = sample(pieces, times)
+            yield q[:, -1], q[:, : self._n], v[:, : self._n], a[:, : self._n]
+
+    def _sections(self, s: Array) -> list[tuple[int, IntArray]]:
+        """The sections that lengths are in, and which of the lengths."""
+        section = np.clip(np.searchsorted(self._ends, s, side="right"), 0, len(self._ends) - 1)
+        return [(int(k), np.flatnonzero(section == k)) for k in np.unique(section)]
