@@ -95,7 +95,8 @@ def _inverse_kinematics() -> None:
     for goal in (target, target.position):
         armctl.solve_ik(arm, goal)
         armctl.solve_ik_all(arm, goal, limit=4)
-        armctl.solve_ik_batch(arm, [goal])
+    armctl.solve_ik_batch(arm, [target])
+    armctl.solve_ik_batch(arm, np.array([target.position]))
 
 
 def _motion() -> None:

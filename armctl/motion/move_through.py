@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -65,11 +65,12 @@ def move_through(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike], *, 
 
 def _vias(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike]) -> list[Via]:
     """Checked waypoints."""
-    if isinstance(waypoints, Sequence) and any(isinstance(each, Via) for each in waypoints):
-        vias = [each if isinstance(each, Via) else Via(each) for each in waypoints]
+    items: list[Any] = list(waypoints) if isinstance(waypoints, (list, tuple)) else []
+    if any(isinstance(each, Via) for each in items):
+        vias = [each if isinstance(each, Via) else Via(each) for each in items]
         rows = [vector(f"waypoints[{i}]", via.q, arm.n) for i, via in enumerate(vias)]
     else:
-        rows = list(matrix("waypoints", waypoints, arm.n))
+        rows = list(matrix("waypoints", waypoints, arm.n))  # type: ignore[arg-type]
         vias = [Via(row) for row in rows]
     if len(rows) < 2:
         raise InputError(f"waypoints: {len(rows)} given, at least 2 wanted (the first one is where the arm is)")

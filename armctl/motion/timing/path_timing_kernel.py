@@ -71,14 +71,14 @@ class Problem(NamedTuple):
     Attributes:
         h: s, the length of an interval.
         points: (P, 4) the weights of c in b at the point, and the greatest b (0: bounded at another point).
-        index: (P, 3) its interval, and behind its last row in `forces` and in `jerks`.
+        ranges: (P, 3) its interval, and behind its last row in `forces` and in `jerks`.
         forces: (F, 6) rows g0, g1, g2, delta, low, high: low <= g . c + delta w <= high.
         jerks: (J, 4) rows g0, g1, g2, most: |g . c| w <= most.
     """
 
     h: float
     points: Array
-    index: IntArray
+    ranges: IntArray
     forces: Array
     jerks: Array
 
