@@ -18,6 +18,7 @@ from .control.adaptive import Adaptive as Adaptive
 from .control.admittance import Admittance as Admittance
 from .control.computed_torque import ComputedTorque as ComputedTorque
 from .control.computed_torque_learning import ComputedTorqueLearning as ComputedTorqueLearning
+from .control.computed_torque_observer import ComputedTorqueObserver as ComputedTorqueObserver
 from .control.computed_torque_qp import ComputedTorqueQP as ComputedTorqueQP
 from .control.hybrid_force import HybridForce as HybridForce
 from .control.impedance import Impedance as Impedance
@@ -61,6 +62,8 @@ from .design.margins import margins as margins
 from .design.payload import PayloadEstimate as PayloadEstimate
 from .design.payload import identify_payload as identify_payload
 from .design.stability import LoopMargins as LoopMargins
+from .design.tuning import Tuning as Tuning
+from .design.tuning import tune as tune
 from .ik.all_solutions import solve_ik_all as solve_ik_all
 from .ik.batch import solve_ik_batch as solve_ik_batch
 from .ik.differential import DifferentialIk as DifferentialIk

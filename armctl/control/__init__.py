@@ -7,6 +7,7 @@ from armctl.control.adaptive import Adaptive
 from armctl.control.admittance import Admittance
 from armctl.control.computed_torque import ComputedTorque
 from armctl.control.computed_torque_learning import ComputedTorqueLearning
+from armctl.control.computed_torque_observer import ComputedTorqueObserver
 from armctl.control.computed_torque_qp import ComputedTorqueQP
 from armctl.control.hybrid_force import HybridForce
 from armctl.control.impedance import Impedance
@@ -19,9 +20,6 @@ from armctl.control.rate_limit import TorqueRateLimit
 from armctl.core.errors import UnknownNameError
 from armctl.robot.arm import Arm
 
-# rad/s. The higher bandwidth reduces faster the error that builds up before the observer's estimate has converged.
-WITH_OBSERVER = {"bandwidth": 30.0, "observer_bandwidth": 200.0}
-
 CONTROLLERS: dict[str, Callable[[Arm], Controller]] = {
     "pd": PD,
     "pd-feedforward": PDFeedforward,
@@ -29,7 +27,7 @@ CONTROLLERS: dict[str, Callable[[Arm], Controller]] = {
     "pid-gravity": PIDGravity,
     "computed-torque": ComputedTorque,
     "computed-torque-textbook": partial(ComputedTorque, form="textbook"),
-    "computed-torque-observer": partial(ComputedTorque, **WITH_OBSERVER),
+    "computed-torque-observer": ComputedTorqueObserver,
     "computed-torque-integral": partial(ComputedTorque, integral=True),
     "computed-torque-learning": ComputedTorqueLearning,
     "qp": ComputedTorqueQP,
@@ -57,6 +55,7 @@ __all__ = [
     "Admittance",
     "ComputedTorque",
     "ComputedTorqueLearning",
+    "ComputedTorqueObserver",
     "ComputedTorqueQP",
     "Controller",
     "HybridForce",

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.plotting import COLORS, finish_figure
 from armctl.core.validation import Array, integer, vector
-from armctl.design.stability import LoopMargins, frequency_grid, loop_margins
+from armctl.design.stability import LoopMargins, frequency_grid, loop_margins, robustness
 from armctl.design.state_space import ComplexArray, StateSpace
 
 if TYPE_CHECKING:
@@ -114,6 +114,10 @@ class Loop:
             The margins; not ok if the closed loop is unstable.
         """
         return self._margins
+
+    def robustness(self) -> LoopMargins:
+        """The margins without the gain margin, which takes longest to compute and is infinite here."""
+        return robustness(self._system, self.dt)
 
     def delayed(self, ticks: int) -> Loop:
         """The same loop with another delay.

@@ -479,6 +479,13 @@ def mass_matrix(model, work, M):
 
 
 @njit
+def add_implicit_damping(model, M):
+    """Adds damping x step to the diagonal of a mass matrix: the inertia that a step with implicit damping acts against."""
+    for i in range(M.shape[0]):
+        M[i, i] += model[STEP] * model[_drive(model, i) + IMPLICIT_DAMPING]
+
+
+@njit
 def _own_inertia(model, j, work):
     """Mass, first moment and inertia about its joint's origin of a link alone."""
     joint = HEADER + j * JOINT_COLUMNS

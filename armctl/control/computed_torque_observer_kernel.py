@@ -1,0 +1,159 @@
+"""The kernel of computed torque with a disturbance observer that estimates velocities."""
+
+from __future__ import annotations
+
+from armctl.control.kernel import A_TICK, Q_REF, V_TICK, clipped
+from armctl.core.jit import njit
+from armctl.core.validation import Array
+from armctl.robot.dynamics_kernel import (
+    add_friction,
+    add_implicit_damping,
+    factorize,
+    inverse_dynamics,
+    mass_matrix,
+    solve,
+)
+
+# The parameters begin with these, then follow the rows below, each (n,), and the model.
+PERIOD = 0  # s
+POSITION_STEP = 1  # change of position / (acceleration x period^2) in one period from rest: 1 in a step of MuJoCo, or 1/2
+POSITION_WEIGHT = 2  # of the error of the predicted position, for the estimated position
+VELOCITY_WEIGHT = 3  # of the error of the predicted position / period, for the estimated velocity
+OBSERVER_WEIGHT = 4  # of the observer's low-pass in one control period
+HEADER = 5
+
+# Rows of parameters (n,).
+STIFFNESS = 0
+DAMPING = 1
+TORQUE_LIMIT = 2
+ROWS = 3
+
+# Vectors (n,) at the start of the memory, behind one number that is 0 at the first tick only; then a matrix (n, n) and
+# scratch of the model.
+ESTIMATE = 0
+LAST_TORQUE = 1
+POSITION = 2  # estimated
+VELOCITY = 3
+LOST = 4  # torque that the motors cut off
+ACCELERATION = 5  # commanded; after the tick that which the motors then achieve
+FRICTION = 6  # dry friction, which the observer's model does not have
+NEEDED = 7  # the torque that the model needs for the motion since the last tick
+LAST_POSITION = 8
+LAST_VELOCITY = 9
+VECTORS = 10
+
+
+def memory_size(n: int, work_size: int) -> int:
+    """Numbers of memory for n joints and a model with so many numbers of scratch."""
+    return 1 + VECTORS * n + n * n + work_size
+
+
+def estimate(memory: Array, n: int) -> Array:
+    """The (n,) disturbance, N m, that the observer estimates, in the memory of the kernel."""
+    return memory[1 + ESTIMATE * n : 1 + (ESTIMATE + 1) * n]
+
+
+@njit
+def vector(memory, n, k):
+    """Vector k (n,) of the memory."""
+    return memory[1 + k * n : 1 + (k + 1) * n]
+
+
+@njit
+def scratch(memory, n):
+    """The scratch of the model, at the end of the memory."""
+    return memory[1 + VECTORS * n + n * n :]
+
+
+@njit
+def row(params, n, k):
+    """Row k (n,) of the parameters; after the last one the model begins."""
+    return params[HEADER + k * n : HEADER + (k + 1) * n]
+
+
+@njit
+def computed_torque_observer(params, q, v, reference, memory, tau):
+    """The law of `ComputedTorqueObserver`."""
+    n = tau.shape[0]
+    model = params[HEADER + ROWS * n :]
+    work = scratch(memory, n)
+    observe(params, q, v, memory)
+    position = vector(memory, n, POSITION)
+    velocity = vector(memory, n, VELOCITY)
+    acceleration = vector(memory, n, ACCELERATION)
+    friction = vector(memory, n, FRICTION)
+    stiffness = row(params, n, STIFFNESS)
+    damping = row(params, n, DAMPING)
+    v_ref = reference[V_TICK]
+    a_ref = reference[A_TICK]
+    for i in range(n):
+        acceleration[i] = a_ref[i] + stiffness[i] * (reference[Q_REF, i] - position[i]) + damping[i] * (v_ref[i] - velocity[i])
+        friction[i] = 0.0
+    inverse_dynamics(model, position, velocity, acceleration, work, tau)
+    add_friction(model, v_ref, a_ref, work, friction)
+    cancel(params, memory, tau)
+    for i in range(n):
+        tau[i] += friction[i]
+
+
+@njit
+def observe(params, q, v, memory):
+    """Estimates position, velocity and disturbance from measured positions q, and stores the torque that the motion needs.
+
+    The commanded acceleration predicts position and velocity. The velocity is measured at the first tick only, because it is
+    noisy where it is differenced from positions.
+    """
+    n = q.shape[0]
+    position = vector(memory, n, POSITION)
+    velocity = vector(memory, n, VELOCITY)
+    if memory[0] == 0.0:
+        for i in range(n):
+            position[i] = q[i]
+            velocity[i] = v[i]
+        return
+    disturbance = vector(memory, n, ESTIMATE)
+    last_torque = vector(memory, n, LAST_TORQUE)
+    last_position = vector(memory, n, LAST_POSITION)
+    last_velocity = vector(memory, n, LAST_VELOCITY)
+    acceleration = vector(memory, n, ACCELERATION)
+    needed = vector(memory, n, NEEDED)
+    dt = params[PERIOD]
+    for i in range(n):
+        last_position[i] = position[i]
+        last_velocity[i] = velocity[i]
+        predicted = position[i] + dt * velocity[i] + params[POSITION_STEP] * dt * dt * acceleration[i]
+        error = q[i] - predicted
+        position[i] = predicted + params[POSITION_WEIGHT] * error
+        acceleration[i] += params[VELOCITY_WEIGHT] * error / (dt * dt)
+        velocity[i] += dt * acceleration[i]
+    work = scratch(memory, n)
+    inverse_dynamics(params[HEADER + ROWS * n :], last_position, last_velocity, acceleration, work, needed)
+    for i in range(n):
+        disturbance[i] += params[OBSERVER_WEIGHT] * (needed[i] - last_torque[i] - disturbance[i])
+
+
+@njit
+def cancel(params, memory, tau):
+    """Subtracts the estimated disturbance from the torque, to which the caller then adds dry friction."""
+    n = tau.shape[0]
+    disturbance = vector(memory, n, ESTIMATE)
+    last_torque = vector(memory, n, LAST_TORQUE)
+    friction = vector(memory, n, FRICTION)
+    limit = row(params, n, TORQUE_LIMIT)
+    lost = vector(memory, n, LOST)
+    is_clipped = False
+    memory[0] = 1.0
+    for i in range(n):
+        tau[i] -= disturbance[i]
+        last_torque[i] = clipped(tau[i] + friction[i], limit[i]) - friction[i]
+        lost[i] = last_torque[i] - tau[i]
+        is_clipped = is_clipped or abs(tau[i] + friction[i]) > limit[i]
+    if is_clipped:  # what the motors cut off is no disturbance
+        M = memory[1 + VECTORS * n : 1 + VECTORS * n + n * n].reshape((n, n))
+        mass_matrix(params[HEADER + ROWS * n :], scratch(memory, n), M)
+        add_implicit_damping(params[HEADER + ROWS * n :], M)
+        factorize(M)
+        solve(M, lost)
+        acceleration = vector(memory, n, ACCELERATION)
+        for i in range(n):
+            acceleration[i] += lost[i]
