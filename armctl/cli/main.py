@@ -12,11 +12,26 @@ import warnings
 from collections.abc import Sequence
 
 from armctl import __version__
-from armctl.cli import chains, compare, doctor, identify, info, iso9283, margins, reach, robots, simulate, study, view, warmup
+from armctl.cli import (
+    chains,
+    compare,
+    doctor,
+    identify,
+    info,
+    iso9283,
+    margins,
+    reach,
+    robots,
+    simulate,
+    study,
+    tune,
+    view,
+    warmup,
+)
 from armctl.cli.common import DONE, INTERRUPTED, WRONG_CALL
 from armctl.core.errors import ArmctlError
 
-_COMMANDS = (robots, chains, info, doctor, reach, compare, iso9283, margins, identify, simulate, study, view, warmup)
+_COMMANDS = (robots, chains, info, doctor, reach, compare, iso9283, margins, tune, identify, simulate, study, view, warmup)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -1,0 +1,54 @@
+"""`armctl tune ROBOT LAW`: the highest gains of a control law within bounds on its margins."""
+
+from __future__ import annotations
+
+import argparse
+
+from armctl.cli.common import (
+    DONE,
+    NOT_REACHED,
+    PLANTS_HELP,
+    Commands,
+    add_arm,
+    add_command,
+    add_json,
+    load_arm,
+    names,
+    one_number,
+    print_result,
+)
+
+
+def add(commands: Commands) -> None:
+    """Adds the command to the parser."""
+    parser = add_command(commands, "tune", run, "find the highest gains of a controller within bounds on its margins")
+    add_arm(parser)
+    parser.add_argument("law", help="name of the controller, such as pd")
+    parser.add_argument("--delay-margin", default="0.005", metavar="S", help="the smallest permitted one (default 0.005)")
+    parser.add_argument("--peak-sensitivity", default="1.7", metavar="MS", help="the largest permitted one (default 1.7)")
+    parser.add_argument("--chatter", metavar="NM", help="the largest permitted torque noise with an encoder of 1e-5 rad")
+    parser.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{PLANTS_HELP} (default nominal)")
+    parser.add_argument("--poses", type=int, default=20, help="number of configurations (default 20)")
+    parser.add_argument("--timestep", help="the control period, s (default the model's)")
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Runs the command."""
+    from armctl.cli.plants import plant_by_name
+    from armctl.design.tuning import tune
+
+    arm = load_arm(args)
+    timestep = one_number("timestep", args.timestep) if args.timestep else None
+    plants = [plant_by_name(name, arm, timestep) for name in names(args.plants)]
+    found = tune(
+        arm,
+        args.law,
+        one_number("delay_margin", args.delay_margin),
+        one_number("peak_sensitivity", args.peak_sensitivity),
+        one_number("chatter", args.chatter) if args.chatter else None,
+        args.poses,
+        plants,
+    )
+    print_result(args, str(found), found.to_dict())
+    return DONE if found else NOT_REACHED
