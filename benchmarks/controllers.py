@@ -21,9 +21,9 @@ import pinocchio as pin
 import armctl
 from armctl.analysis.comparison import out_and_back
 from armctl.analysis.iso9283 import iso9283_cycles
-from armctl.analysis.tables import Table
 from armctl.cli.plants import plant_by_name
 from armctl.control import CONTROLLERS, controller_by_name
+from armctl.core.tables import Table
 from armctl.core.trajectory import TickReference
 from armctl.motion import JointTrajectory
 

@@ -19,8 +19,8 @@ import numpy as np
 
 import armctl
 from armctl import Arm, Pose
-from armctl.analysis.tables import Table
 from armctl.core.jit import njit
+from armctl.core.tables import Table
 from armctl.ik import DifferentialIk, solve_ik, solve_ik_all, solve_ik_batch
 
 ARMS = ["panda", "ur5e", "iiwa14", "xarm7", "gen3"]

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 import armctl
-from armctl.analysis.tables import Table
+from armctl.core.tables import Table
 from armctl.motion import JointTrajectory, move_path
 from armctl.motion.timing.waypoint_timing import WaypointSearch
 

@@ -23,9 +23,9 @@ import mujoco
 import numpy as np
 
 import armctl
-from armctl.analysis.tables import Table
 from armctl.collision.checker import CollisionChecker
 from armctl.collision.clearance import clearance_of
+from armctl.core.tables import Table
 from armctl.planning.move_free import move_free_with
 from armctl.planning.path import find_path, sampling_bounds, shorten
 

@@ -15,7 +15,7 @@ import mujoco_menagerie as menagerie
 
 import armctl
 from armctl.analysis.chain_check import GOAL_DISTANCE, ChainCheck, arms_of, check_chain
-from armctl.analysis.tables import Table
+from armctl.core.tables import Table
 from armctl.loading.catalog import BUNDLED
 
 PAGE = Path(__file__).parent.parent / "docs" / "robots.md"

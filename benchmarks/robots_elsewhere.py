@@ -22,7 +22,7 @@ from types import FrameType
 import numpy as np
 
 import armctl
-from armctl.analysis.tables import Table
+from armctl.core.tables import Table
 from armctl.robot.parity import check_parity
 
 COLUMNS = ("file", "joints", "tip", "parity", "IK", "load, s", "warnings", "reason")

@@ -23,8 +23,8 @@ import numpy as np
 from PIL import Image
 
 import armctl
-from armctl.analysis.tables import Table
 from armctl.core.pose import Pose
+from armctl.core.tables import Table
 from armctl.render import Renderer
 from armctl.render.camera import fitted_camera
 from armctl.viewer.page import Page

@@ -10,8 +10,8 @@ from string import Template
 from typing import TYPE_CHECKING
 
 from armctl.analysis.plot import COLORS, STYLE
-from armctl.analysis.tables import Table
 from armctl.core.atomic import file_path, write_text
+from armctl.core.tables import Table
 from armctl.core.validation import instance
 from armctl.design.arm_estimate import ArmEstimate
 

@@ -8,9 +8,9 @@ from math import degrees, isfinite
 from pathlib import Path
 from string import Template
 
-from armctl.analysis.tables import Table
 from armctl.core.atomic import write_text
 from armctl.core.plotting import figure_svg
+from armctl.core.tables import Table
 from armctl.design.linearization import linearize
 from armctl.design.loop import draw_loop
 from armctl.design.margins import Margins

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from armctl.analysis.plot import four_panels
-from armctl.analysis.tables import Table
 from armctl.core import units
 from armctl.core.errors import InputError
 from armctl.core.log import Contact, Log
+from armctl.core.tables import Table
 from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE
 from armctl.core.validation import Array, BoolArray, instance, number, shown
 
@@ -169,24 +169,29 @@ class Report:
         """
         return four_panels(self.log, path)
 
-    def __str__(self) -> str:
+    def _rows(self) -> dict[str, str]:
         torque_unit = units.label(units.of_torque(self.log.units))
         settled = f"settled after {self.settling_time_s:.3f} s" if math.isfinite(self.settling_time_s) else "never settled"
         turned = "" if np.isnan(_goal(self.log)[1]).any() else f", {_deg(self.final_orientation_error_rad)}"
-        lines = [
-            self.verdict,
-            f"  run          {self.robot}, {self.controller}, {self.duration_s:.3f} s in ticks of {1e3 * self.log.dt:g} ms,"
+        rows = {
+            "run": f"{self.robot}, {self.controller}, {self.duration_s:.3f} s in ticks of {1e3 * self.log.dt:g} ms,"
             f" {self.real_time_factor:.0f} times real time",
-            f"  tip error    final {_mm(self.final_tip_error_m)}{turned}; while moving RMS {_mm(self.tip_rms_m)},"
+            "tip error": f"final {_mm(self.final_tip_error_m)}{turned}; while moving RMS {_mm(self.tip_rms_m)},"
             f" max {_mm(self.tip_max_m)}",
-            f"  joint error  while moving RMS {_joint_rms(self, with_unit=True)}, max {_joint_max(self, with_unit=True)}",
-            f"  at the goal  {settled}, overshoot {_mm(self.overshoot_m)}",
-            f"  torque       peak {100 * self.peak_torque_ratio:.0f} % of the limit, saturated"
+            "joint error": f"while moving RMS {_joint_rms(self, with_unit=True)}, max {_joint_max(self, with_unit=True)}",
+            "at the goal": f"{settled}, overshoot {_mm(self.overshoot_m)}",
+            "torque": f"peak {100 * self.peak_torque_ratio:.0f} % of the limit, saturated"
             f" {100 * self.saturated_fraction:.1f} % of the time, chatter {_chatter_text(self.chatter_nm)} {torque_unit}",
-        ]
+        }
         if self.contacts:
-            lines.append(f"  contact      {contacts_in_words(self.contacts)}")
-        return "\n".join(lines)
+            rows["contact"] = contacts_in_words(self.contacts)
+        return rows
+
+    def __str__(self) -> str:
+        return "\n".join([self.verdict, *(f"  {label:11}  {text}" for label, text in self._rows().items())])
+
+    def _repr_html_(self) -> str:
+        return Table(["", self.verdict], list(self._rows().items())).html()
 
 
 def contacts_in_words(contacts: Sequence[Contact]) -> str:

@@ -18,12 +18,14 @@ from armctl.cli.common import (
     add_speed,
     load_arm,
     numbers,
+    one_number,
     print_result,
     save_report,
     say_written,
     speed_from,
 )
 from armctl.core.errors import InputError, LimitError
+from armctl.core.validation import number
 
 
 def add(commands: Commands) -> None:
@@ -33,6 +35,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--target", nargs="+", metavar="N", help="x y z in m, optionally with roll pitch yaw in rad")
     parser.add_argument("--controller", default="computed-torque", help="its name (default computed-torque)")
     parser.add_argument("--video", type=Path, metavar="FILE", help="film the run into this .mp4 or .gif")
+    parser.add_argument("--video-speed", metavar="X", default="1", help="0.5 films in slow motion (default 1)")
     add_speed(parser)
     add_json(parser)
     add_save(parser)
@@ -47,6 +50,7 @@ def run(args: argparse.Namespace) -> int:
 
     if args.video:
         film_path(args.video)
+    video_speed = number("video_speed", one_number("video_speed", args.video_speed), 0.01, 100.0)
     simulation = Simulation(load_arm(args), args.controller)
     target = simulation.target if args.target is None else _target(args.target)
     result = simulation.move_to(target, speed=speed)
@@ -59,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     if args.save:
         save_report(report, args.save, "")
     if args.video:
-        say_written(simulation.record(args.video))
+        say_written(simulation.record(args.video, speed=video_speed))
     return DONE if result and report else NOT_REACHED
 
 

@@ -40,7 +40,7 @@ ENDINGS = (".png", ".svg", ".pdf")
 def finish_figure(
     draw: Callable[[Figure], None], size: tuple[float, float], path: str | os.PathLike[str] | None
 ) -> Path | None:
-    """Draws into a file or a window."""
+    """Draws into a file, or into a window or a notebook."""
     if path is not None:
         path = file_path("path", path, ENDINGS)
     import matplotlib
@@ -61,7 +61,8 @@ def _window(draw: Callable[[Figure], None], size: tuple[float, float]) -> None:
     import matplotlib.pyplot as plt
     from matplotlib.backends.registry import BackendFilter, backend_registry
 
-    if matplotlib.get_backend().lower() not in backend_registry.list_builtin(BackendFilter.INTERACTIVE):
+    # A notebook's backend is none of the built-in ones; it shows the figure below the cell.
+    if matplotlib.get_backend().lower() in backend_registry.list_builtin(BackendFilter.NON_INTERACTIVE):
         raise NotInstalledError("there is no screen for a window here; name a file to draw into, such as plot.png")
     draw(plt.figure(figsize=size, layout="constrained"))
     plt.show()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from dataclasses import dataclass
 
 from armctl.core.log import Contact, Log
@@ -36,6 +37,9 @@ class MoveResult:
         reached = f"reached within {max(1e3 * self.position_error, 0.01):.2g} mm in {self.duration:.2f} s"
         touched = ", ".join(dict.fromkeys(contact.other for contact in self.contacts))
         return f"{reached}; touched {touched}" if touched else reached
+
+    def _repr_html_(self) -> str:
+        return f"<p>{'&#10003;' if self.ok else '&#10007;'} {html.escape(str(self))}</p>"
 
     @property
     def contacts(self) -> tuple[Contact, ...]:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose
+from armctl.core.tables import Table
 from armctl.core.validation import Array, instance, number, vector
 from armctl.loading.scene_file import SceneFile
 
@@ -151,6 +152,19 @@ class Scene:
                 continue
             body.add_freejoint(name=item.name)
             body.add_geom(name=item.name, type=item.shape, size=item.size, rgba=_LOOSE_COLOR, mass=item.mass, **gripped)
+
+    def _repr_html_(self) -> str:
+        rows = [
+            [
+                item.name,
+                item.shape.name.removeprefix("mjGEOM_").lower(),
+                ", ".join(f"{x:g}" for x in item.pose.position),
+                "fixed" if item.mass is None else f"{item.mass:g} kg",
+            ]
+            for item in self.items
+        ]
+        rows += [[name, "from the file", "", ""] for name in (self._file.bodies if self._file else ())]
+        return Table(["object", "shape", "at, m", "mass"], rows).html()
 
     def _add(self, name: str, shape: mujoco.mjtGeom, size: Array, at: Pose | ArrayLike, mass: float | None) -> Scene:
         instance("name", name, str, "such as 'table'")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import copy
 import os
 from collections.abc import Iterable, Iterator, Sequence
@@ -22,8 +23,20 @@ from armctl.robot.arm import Arm, check_arm
 
 ENDINGS = (".mp4", ".gif")
 _FRAMES_PER_SECOND = {".mp4": 30, ".gif": 25}  # a GIF counts hundredths of a second
+_LAST_FRAME_S = 1.0
+_SHORTEST_FILM_S = 3.0
 _STATES_IN_VIEW = 12  # of a run, for which the camera is placed
 _TARGET_SCALE = 1.15  # the target stays visible around a tip of the same size
+
+
+class Film(type(Path())):  # type: ignore[misc]  # before Python 3.12 only the class of the system's paths can be derived from
+    """The path of a film; a notebook shows the film itself."""
+
+    def _repr_html_(self) -> str:
+        data = base64.b64encode(self.read_bytes()).decode("ascii")
+        if self.suffix == ".gif":
+            return f'<img src="data:image/gif;base64,{data}" alt="film">'
+        return f'<video controls loop src="data:video/mp4;base64,{data}"></video>'
 
 
 def record(
@@ -35,11 +48,12 @@ def record(
     height: int = 480,
     quality: str = "fast",
     speed: float = 1.0,
-) -> Path:
+) -> Film:
     """Films one run, or several runs one after the other: the arm, loose objects, the target, and the path of the tip.
 
-    The camera is placed so that the whole run is visible. Frames are 1/30 s apart in an .mp4, 1/25 s in a .gif. The file is
-    written atomically; a progress bar appears on a terminal after two seconds.
+    The camera is placed so that the whole run is visible. Frames are 1/30 s apart in an .mp4, 1/25 s in a .gif. The last frame
+    stays for one second, and longer in a film that would last less than three. The file is written atomically; a progress bar
+    appears on a terminal after two seconds.
 
     Args:
         log: The run, or the runs; all with the same tick.
@@ -51,7 +65,7 @@ def record(
         speed: Simulated time per film time, in [0.01, 100]: 1 is real time, 0.5 is slow motion.
 
     Returns:
-        The path.
+        The path, as a `Film` that a notebook shows.
 
     Raises:
         InputError: Another ending, an empty log or one of another arm, a size that is odd or out of bounds, an unknown quality.
@@ -69,13 +83,15 @@ def record(
     _check(logs, arm)
     end = (sum(map(len, logs)) - 1) * logs[0].dt
     times = np.arange(0.0, end + 1e-9, speed / frames_per_second)
-    frames = _with_progress(path, images(logs, arm, times, width=width, height=height, quality=quality), len(times))
+    held = round(frames_per_second * max(_LAST_FRAME_S, _SHORTEST_FILM_S - times[-1] / speed))
+    film = _with_last_held(images(logs, arm, times, width=width, height=height, quality=quality), held)
+    frames = _with_progress(path, film, len(times) + held)
     with atomic_path(path) as temporary:
         if path.suffix == ".gif":
             _write_gif(temporary, frames, frames_per_second)
         else:
             _write_mp4(temporary, frames, frames_per_second, width, height)
-    return path
+    return Film(path)
 
 
 def still(
@@ -227,6 +243,17 @@ def _write_gif(path: Path, frames: Iterable[Image], frames_per_second: int) -> N
     palette = Picture.fromarray(sample).quantize(256, Picture.Quantize.MAXCOVERAGE)
     pictures = [Picture.fromarray(image).quantize(palette=palette, dither=Picture.Dither.NONE) for image in images]
     pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=1000 // frames_per_second, loop=0, optimize=True)
+
+
+def _with_last_held(frames: Iterable[Image], count: int) -> Iterator[Image]:
+    """The frames, of which there is at least one, and the last one again as often as given."""
+    iterator = iter(frames)
+    frame = next(iterator)
+    yield frame
+    for frame in iterator:
+        yield frame
+    for _ in range(count):
+        yield frame
 
 
 def _with_progress(path: Path, frames: Iterable[Image], count: int) -> Iterator[Image]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import copy
+import html
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError, LimitError
 from armctl.core.limits import Limits
 from armctl.core.pose import Pose
+from armctl.core.tables import Table
 from armctl.core.validation import Array, IntArray, instance, matrix, number, vector
 from armctl.mjmodel.edit import add_point_mass
 from armctl.robot.actuation import Actuation
@@ -386,6 +388,14 @@ class Arm:
 
     def __repr__(self) -> str:
         return f"Arm({self.name!r}, {self.n} joints, tip {self.tip!r})"
+
+    def _repr_html_(self) -> str:
+        columns = {"home": self.home, **{f.name: getattr(self.limits, f.name) for f in fields(self.limits)}}
+        rows = [
+            [name, unit, *(f"{column[i]:.4g}" for column in columns.values())]
+            for i, (name, unit) in enumerate(zip(self.joint_names, self.units, strict=True))
+        ]
+        return f"<p>{html.escape(repr(self))}</p>{Table(['joint', 'unit', *columns], rows).html()}"
 
 
 def check_arm(arm: object) -> None:

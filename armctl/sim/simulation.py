@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,6 +34,7 @@ from armctl.sim.stepper import Stepper, constant_controls
 
 if TYPE_CHECKING:
     from armctl.collision.checker import CollisionChecker
+    from armctl.render.video import Film
 
 
 class Simulation:
@@ -451,7 +451,7 @@ class Simulation:
         """
         return follow(self._arms, self.arm, target, number("seconds", seconds, 0.0))
 
-    def record(self, path: str | os.PathLike[str], **options: Any) -> Path:
+    def record(self, path: str | os.PathLike[str], **options: Any) -> Film:
         """Makes a video of the last run: the arm, the target, and the path of the tip.
 
         Args:

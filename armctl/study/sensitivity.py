@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from armctl.analysis.tables import Table
 from armctl.core.errors import InputError
+from armctl.core.tables import Table
 from armctl.core.validation import Array
 from armctl.study.factors import Random
 from armctl.study.plan import StudyPlan

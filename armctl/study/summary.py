@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armctl.analysis.tables import Table
+from armctl.core.tables import Table
 from armctl.study.statistics import Estimate, median, paired_differences, success
 
 

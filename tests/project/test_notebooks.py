@@ -1,0 +1,30 @@
+"""The notebooks of the examples run from top to bottom in a kernel, and show their results."""
+
+from pathlib import Path
+
+import nbformat
+import pytest
+from arms import MISSING
+from nbclient import NotebookClient
+from nbclient.exceptions import CellExecutionError
+
+NOTEBOOKS = sorted((Path(__file__).parents[2] / "examples" / "notebooks").glob("*.ipynb"))
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs_and_shows_its_results(path: Path, tmp_path: Path):
+    notebook = nbformat.read(path, as_version=4)
+    assert not any(cell.get("outputs") for cell in notebook.cells), "outputs are not tracked"
+    try:
+        NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    except CellExecutionError as error:
+        if MISSING in str(error):
+            pytest.skip(MISSING)
+        raise
+    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert all(cell.outputs for cell in cells if not cell.source.startswith("import"))
+    kinds = {kind for cell in cells for output in cell.outputs for kind in output.get("data", {})}
+    assert ("image/png" in kinds) == any(".plot" in cell.source for cell in cells)
+    assert ("text/html" in kinds) == any(
+        word in cell.source for cell in cells for word in ("scene", "sim.arm", "report", "record")
+    )
