@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 import armctl
-from armctl.analysis.tables import Table
+from armctl.core.tables import Table
 from armctl.core.trajectory import Setpoint
 
 FORCE_N = 20.0

@@ -14,7 +14,7 @@ import numpy as np
 
 import armctl
 from armctl.analysis.comparison import out_and_back
-from armctl.analysis.tables import Table
+from armctl.core.tables import Table
 
 ROBOTS = ("panda", "ur5e", "robot_arm_3dof")
 SAMPLES = 256

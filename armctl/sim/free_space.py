@@ -131,8 +131,8 @@ class FreeSpace:
                 error = float(np.abs(velocity - expected).max() / max(1.0, np.abs(expected - before[arm.dof_adr]).max()))
                 if not error <= _TOLERANCE:
                     raise InputError(
-                        f"free_space: a step of {arm.name:.80} differs by {error:.2g} from MuJoCo's, so something besides its links "
-                        "and motors acts on it, such as a tendon, an equality or a fluid; simulate it without free_space"
+                        f"free_space: a step of {arm.name:.80} differs by {error:.2g} from MuJoCo's, so something besides its "
+                        "links and motors acts on it, such as a tendon, an equality or a fluid; simulate it without free_space"
                     )
         finally:
             model.opt.disableflags = flags
