@@ -91,7 +91,15 @@ class ComputedTorqueLearning(ComputedTorque):
         return memory_size(self.n, self._arm.packed_dynamics.work_size())
 
     def parameters(self, dt: float, continuous: bool) -> Array:
-        """The constants of the estimator and those of computed torque. Arguments as for `KernelController.parameters`."""
+        """The constants of the estimator and those of computed torque.
+
+        Args:
+            dt: s, the control period.
+            continuous: Whether the arm moves continuously during the control period.
+
+        Returns:
+            A new vector.
+        """
         filter_weight = -math.expm1(-FILTER_BANDWIDTH * dt)
         information_weight = 0.5 * FILTER_BANDWIDTH * dt  # filtered samples are correlated over two periods of the low-pass
         rates = [filter_weight, information_weight, FORGETTING_RATE * dt]

@@ -37,6 +37,14 @@ class PDFeedforward(PD):
         return self._arm.packed_dynamics.work_size()
 
     def parameters(self, dt: float, continuous: bool) -> Array:
-        """The gains and the model, for the kernel. Arguments as for `KernelController.parameters`."""
+        """The gains and the model, for the kernel.
+
+        Args:
+            dt: s, the control period.
+            continuous: Whether the arm moves continuously during the control period.
+
+        Returns:
+            A new vector.
+        """
         model = self._arm.packed_dynamics.vector(dt, continuous)
         return np.concatenate([self.stiffness, self.damping, model])
