@@ -1,4 +1,4 @@
-"""An arm carries a payload that its model does not know; one controller learns it in the first motion and is exact in the third."""
+"""A payload that the model does not know: one controller learns it in the first motion and is exact in the third."""
 
 import numpy as np
 
