@@ -31,9 +31,10 @@ _VIOLATION_WEIGHT = 1e4  # of limits that cannot be respected, relative to the d
 class ComputedTorqueQP(ComputedTorque):
     """Computed torque that respects the limits of torque, velocity and position with the least error of the tip.
 
-    While the desired acceleration respects all limits, it is used as it is. Otherwise the acceleration a minimizes
+    While the desired acceleration respects all limits, it is used as it is. Otherwise a minimizes the square of
+    J (a - a_desired), subject to
 
-        |J (a - a_desired)|^2    subject to    |M a + h| <= tau_max, |v + dt a| <= v_max, and the viability of q,
+        -tau_max <= M a + h <= tau_max,    -v_max <= v + dt a <= v_max,    and the viability of q,
 
     in which rotations weigh less than translations, and the joints decide what the tip leaves open. Speeds are viable if the
     joint stops before the end of its range with its greatest acceleration, or with the torque that is left (Del Prete, "Joint
