@@ -1,0 +1,164 @@
+"""The speed of simulations: one run, and many runs on threads.
+
+    python benchmarks/scale.py [--robots panda ur5e robot_arm_3dof] [--runs 40] [--out benchmarks/results/scale.md]
+
+CPU time, the best of several rounds in turns. The motion is that of `armctl compare`. Every answer is verified: a bare loop of
+`mj_step`, which knows nothing of armctl, replays the recorded controls and must reach the same positions to the bit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+import armctl
+from armctl.analysis.comparison import out_and_back
+from armctl.analysis.tables import Table
+from armctl.control import controller_by_name
+
+ROUNDS = 5
+CONTROLLERS = ("pd", "computed-torque")
+
+
+class InPython:
+    """A controller whose law is called tick by tick, as one without a kernel is."""
+
+    def __init__(self, controller: armctl.Controller):
+        self._controller = controller
+
+    def torque(self, state: armctl.State, setpoint: armctl.Setpoint) -> np.ndarray:
+        return self._controller.torque(state, setpoint)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--robots", nargs="+", default=["panda", "ur5e", "robot_arm_3dof"])
+    parser.add_argument("--runs", type=int, default=40, help="runs of a Monte Carlo study")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "scale.md")
+    args = parser.parse_args()
+    warnings.simplefilter("ignore", armctl.ArmctlWarning)
+    arms = {name: armctl.load(name) for name in args.robots}
+    text = "\n\n".join([single(arms), many(arms, args.runs)]) + "\n"
+    args.out.parent.mkdir(exist_ok=True)
+    args.out.write_text(text, encoding="utf-8")
+    print(text)
+
+
+def single(arms: dict[str, armctl.Arm]) -> str:
+    rows = []
+    free = armctl.Plant(free_space=True)
+    for robot, arm in arms.items():
+        motion = out_and_back(arm)
+        for name in CONTROLLERS:
+            controller = controller_by_name(name, arm)
+            log = armctl.simulate(arm, controller, motion)
+            verify(arm, log, armctl.simulate(arm, InPython(controller), motion))
+            in_free_space = armctl.simulate(arm, controller, motion, free)
+            calls: list[Callable[[], object]] = [
+                lambda arm=arm, log=log: replayed(arm, log),
+                lambda arm=arm, c=controller, m=motion: armctl.simulate(arm, InPython(c), m),
+                lambda arm=arm, c=controller, m=motion: armctl.simulate(arm, c, m),
+                lambda sim=armctl.Simulation(arm, controller, free), m=motion: again(sim, m),
+            ]
+            bare, python, compiled, fast = (1e6 * seconds / len(log) for seconds in best(calls))
+            touched = bool(in_free_space.contacts)
+            difference = "touched something" if touched else f"{np.abs(in_free_space.q - log.q).max():.1g}"
+            cells = [f"{bare:.1f}", f"{python:.1f}", f"{compiled:.1f}", f"{compiled / bare:.2f}", f"{fast:.2f}", difference]
+            rows.append([robot, name, *cells])
+    columns = ["robot", "controller", "bare loop", "Python loop", "simulate", "to bare", "free space", "rad from mj_step"]
+    title = "us CPU for a tick, with reference, log and checks; the bare loop is Python that calls `mj_step`"
+    return table(title, columns, rows)
+
+
+def again(sim: armctl.Simulation, motion: armctl.Trajectory) -> armctl.Log:
+    sim.reset(motion(0.0).q)
+    return sim.run(motion)
+
+
+def many(arms: dict[str, armctl.Arm], count: int) -> str:
+    rows = []
+    for robot, arm in arms.items():
+        motion = out_and_back(arm)
+        rng = np.random.default_rng(0)
+        plants = [
+            armctl.Plant(payload=float(rng.uniform(0, 1)), viscous_friction=float(rng.uniform(0, 1))) for _ in range(count)
+        ]
+        controller = armctl.ComputedTorque(arm)
+        one = armctl.simulate_many(arm, controller, motion, plants, threads=1)
+        two = armctl.simulate_many(arm, controller, motion, plants, threads=2)
+        assert all(np.array_equal(a.q, b.q) and np.array_equal(a.tau, b.tau) for a, b in zip(one, two, strict=True))
+        verify(arm, one[-1], armctl.Simulation(arm, InPython(controller), plants[-1]).run(motion))
+        calls: list[Callable[[], object]] = [
+            lambda arm=arm, c=controller, m=motion, p=plants, t=threads: armctl.simulate_many(arm, c, m, p, threads=t)
+            for threads in (1, 2)
+        ]
+        calls += [
+            lambda arm=arm, m=motion, p=plants, w=workers: armctl.compare(arm, ["computed-torque"], m, p, workers=w)
+            for workers in (1, 2)
+        ]
+        milliseconds = [1e3 * seconds / count for seconds in best(calls)]
+        rows.append(
+            [robot, len(one[0]), *(f"{value:.1f}" for value in milliseconds), f"{milliseconds[1] / milliseconds[0]:.2f}"]
+        )
+    columns = ["robot", "ticks", "1 thread", "2 threads", "compare, 1", "compare, 2", "2 threads to 1"]
+    return table("ms CPU for one of many runs, each with a new payload and friction, computed torque", columns, rows)
+
+
+def best(calls: list[Callable[[], object]]) -> list[float]:
+    """The least CPU time of each call, s, of rounds in turns."""
+    seconds = [np.inf] * len(calls)
+    for _ in range(ROUNDS):
+        for k, call in enumerate(calls):
+            begin = time.process_time()
+            call()
+            seconds[k] = min(seconds[k], time.process_time() - begin)
+    return seconds
+
+
+def replayed(arm: armctl.Arm, log: armctl.Log, model: mujoco.MjModel | None = None) -> np.ndarray:
+    """Positions (T, nq) that a bare loop of `mj_step` reaches with the recorded torques."""
+    model = nominal(arm) if model is None else model
+    data = mujoco.MjData(model)
+    data.qpos[:] = log.qpos[0]
+    data.qvel[arm.dof_adr] = log.v[0]
+    data.ctrl[:] = arm.home_ctrl
+    mujoco.mj_forward(model, data)
+    controls = log.tau_cmd / arm.gear
+    positions = np.empty_like(log.qpos)
+    for k in range(len(log)):
+        positions[k] = data.qpos
+        data.ctrl[arm.ctrl_adr] = controls[k]
+        mujoco.mj_step(model, data)
+    return positions
+
+
+_models: dict[str, mujoco.MjModel] = {}
+
+
+def nominal(arm: armctl.Arm) -> mujoco.MjModel:
+    if arm.name not in _models:
+        _models[arm.name] = armctl.Plant().model(arm)
+    return _models[arm.name]
+
+
+def verify(arm: armctl.Arm, log: armctl.Log, in_python: armctl.Log) -> None:
+    """The compiled loop, the Python loop and, on the nominal plant, a bare loop give the same bits."""
+    shared = min(len(log), len(in_python))
+    assert np.array_equal(log.qpos[:shared], in_python.qpos[:shared])
+    assert np.array_equal(log.tau[:shared], in_python.tau[:shared])
+    if log.plant == "nominal":
+        assert np.array_equal(log.qpos, replayed(arm, log))
+
+
+def table(title: str, columns: list[str], rows: list) -> str:
+    return f"**{title}**\n\n{Table(columns, rows).markdown()}"
+
+
+if __name__ == "__main__":
+    main()
