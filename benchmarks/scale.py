@@ -12,6 +12,7 @@ import argparse
 import time
 import warnings
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import mujoco
@@ -64,9 +65,9 @@ def single(arms: dict[str, armctl.Arm]) -> str:
                 lambda arm=arm, log=log: replayed(arm, log),
                 lambda arm=arm, c=controller, m=motion: armctl.simulate(arm, InPython(c), m),
                 lambda arm=arm, c=controller, m=motion: armctl.simulate(arm, c, m),
-                lambda sim=armctl.Simulation(arm, controller, free), m=motion: again(sim, m),
+                partial(again, armctl.Simulation(arm, controller, free), motion),
             ]
-            bare, python, compiled, fast = (1e6 * seconds / len(log) for seconds in best(calls))
+            bare, python, compiled, fast = [1e6 * seconds / len(log) for seconds in best(calls)]
             touched = bool(in_free_space.contacts)
             difference = "touched something" if touched else f"{np.abs(in_free_space.q - log.q).max():.1g}"
             cells = [f"{bare:.1f}", f"{python:.1f}", f"{compiled:.1f}", f"{compiled / bare:.2f}", f"{fast:.2f}", difference]

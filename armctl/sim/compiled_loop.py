@@ -112,14 +112,7 @@ class CompiledLoop:
         )
 
         if free_space is not None:
-            self._set_numbers({kernel.FREE_MODEL_SIZE: len(free_space.vector), kernel.FREE_WORK_SIZE: len(free_space.work)})
-            self._set_arrays(
-                {
-                    kernel.FREE_MODEL: free_space.vector,
-                    kernel.FREE_BOUNDS: free_space.bounds,
-                    kernel.FREE_WORK: free_space.work,
-                }
-            )
+            self._set_free_space(free_space)
 
     def run(
         self, controller: KernelController, rows: TickRows, last: int, state: State, disturbances: Disturbances | None
@@ -191,6 +184,16 @@ class CompiledLoop:
                 measured = rows.count - first + (end.status in _INCOMPLETE)
                 disturbances.took(measured, int(self._table[kernel.COMMANDS_GIVEN]))
         return end
+
+    def _set_free_space(self, free_space: FreeSpace) -> None:
+        self._set_numbers({kernel.FREE_MODEL_SIZE: len(free_space.vector), kernel.FREE_WORK_SIZE: len(free_space.work)})
+        self._set_arrays(
+            {
+                kernel.FREE_MODEL: free_space.vector,
+                kernel.FREE_BOUNDS: free_space.bounds,
+                kernel.FREE_WORK: free_space.work,
+            }
+        )
 
     def _set_numbers(self, entries: dict[int, int]) -> None:
         for entry, number in entries.items():
