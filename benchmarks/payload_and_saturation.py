@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 import armctl
-from armctl.analysis.tables import Table
 from armctl.control import controller_by_name
+from armctl.core.tables import Table
 from armctl.core.trajectory import Setpoint
 
 ROBOTS = {"panda": 1.0, "ur5e": 1.0, "iiwa14": 1.0, "xarm7": 0.5, "kinova_gen3": 0.5}  # kg

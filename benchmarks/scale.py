@@ -20,8 +20,8 @@ import numpy as np
 
 import armctl
 from armctl.analysis.comparison import out_and_back
-from armctl.analysis.tables import Table
 from armctl.control import controller_by_name
+from armctl.core.tables import Table
 
 ROUNDS = 5
 CONTROLLERS = ("pd", "computed-torque")

@@ -27,7 +27,7 @@ PLANTS = {
     "continuous, slow ticks": armctl.Plant(continuous=True, timestep=0.004, encoder_noise=1e-5),
     "continuous, pushed": armctl.Plant(continuous=True, pushes=armctl.Push(0.011, 0.02, force=[5, 0, 3])),
 }
-KERNELS = ["pd", "pd-gravity", "pid-gravity", "computed-torque", "computed-torque-textbook", "computed-torque-observer"]
+KERNELS = [name for name in CONTROLLERS if name not in ("operational-space", "impedance", "adaptive")]
 
 
 class InPython:
