@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import ctypes
 import os
+import platform
 from pathlib import Path
 
 from armctl.cli.common import DONE, Commands, add_arm, add_command, load_arm
 from armctl.core.errors import InputError
 
 _TOKEN_VARIABLE = "ARMCTL_TOKEN"
+_M_MMAP_THRESHOLD = -3  # mallopt(3)
+_LARGE_BUFFER_BYTES = 128 * 1024
 
 
 def add(commands: Commands) -> None:
@@ -35,6 +39,7 @@ def run(args: argparse.Namespace) -> int:
     if args.native:
         viewer.view_natively(load_arm(args), args.controller)
     else:
+        _return_large_buffers()
         catalog.locate(args.robot)  # an unknown name is reported before a browser opens
         viewer.view(
             lambda: load_arm(args),
@@ -45,6 +50,16 @@ def run(args: argparse.Namespace) -> int:
             allowed_hosts=args.allow_host,
         )
     return DONE
+
+
+def _return_large_buffers() -> None:
+    """Lets glibc give every freed large buffer back to the system.
+
+    Each client costs buffers of megabytes for a moment. By default glibc raises its threshold for them, and the heap between
+    them becomes fragmented: a page that runs for hours grows.
+    """
+    if platform.libc_ver()[0] == "glibc":
+        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _LARGE_BUFFER_BYTES)
 
 
 def _token(token: str | None, path: Path | None) -> str | None:

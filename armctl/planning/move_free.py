@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from functools import reduce
+from functools import partial, reduce
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 CLEARANCE_M = 2e-3
 MAX_SAMPLES = 20_000
 _IK_TRIES = 24  # starts from which solutions for a pose or a point are looked for
+_MAX_IK_TRIES = 500  # as long as no solution is free
 _MAX_ROOTS = 8  # of the goal tree, for each pose or point
 _SAME_CONFIGURATION = 1e-3  # rad
 _MIN_CLEARANCE_M = 1e-5  # the proof does not split intervals in which nothing moves farther than 0.1 mm
@@ -208,7 +209,7 @@ def _goals(
     distances: list[float] = []
     refusals: list[str] = []
     for candidate in _goal_list(arm, goal):
-        configurations, refusal = configurations_for(arm, start, candidate, rng, keep)
+        configurations, refusal = configurations_for(arm, start, candidate, rng, partial(_free, checker), keep)
         refusals += [refusal] if refusal else []
         for q in configurations:
             if keep is not None and (tilt := _tilt(arm, q, keep)) >= keep.within:
@@ -255,30 +256,41 @@ def _goal_list(arm: Arm, goal: FreeGoal) -> list[Pose | Target | Array]:
 
 
 def configurations_for(
-    arm: Arm, start: Array, goal: Pose | Target | Array, rng: np.random.Generator, keep: KeptAxis | None = None
+    arm: Arm,
+    start: Array,
+    goal: Pose | Target | Array,
+    rng: np.random.Generator,
+    is_free: Callable[[Array], bool],
+    keep: KeptAxis | None = None,
 ) -> tuple[list[Array], str]:
-    """Configurations for one goal, and why there is none."""
+    """Configurations for one goal, and why there is none. More are looked for as long as none of them is free."""
     if isinstance(goal, np.ndarray):
         return [goal], ""
     free_axis = None
     if keep is not None and isinstance(goal, Target) and goal.pose is None:
         goal = Pose.from_rotation(goal.position, arm.fk(start).rotation)
         free_axis = keep.name
-    reason = ""
     found: list[Array] = []
-    starts = [start, arm.home, *arm.limits.random(arm.home, _IK_TRIES, rng)]
-    for q0 in starts:
-        result = solve_ik(arm, goal, q0, free_axis=free_axis)
-        if not result.ok:
-            reason = reason or result.reason
-            if not found:
-                break  # the solver has tried all its starts
-            continue
-        if all(np.abs(result.q - q).max() > _SAME_CONFIGURATION for q in found):
-            found.append(result.q)
-        if len(found) == _MAX_ROOTS:
+    free = 0
+    starts = [start, arm.home, *arm.limits.random(arm.home, _MAX_IK_TRIES, rng)]
+    for tries, q0 in enumerate(starts):
+        if free and tries > _IK_TRIES:
             break
-    return found, reason if not found else ""
+        result = solve_ik(arm, goal, q0, free_axis=free_axis)
+        if not result.ok and not found:
+            return [], result.reason  # the solver has tried all its starts
+        if not result.ok or any(np.abs(result.q - q).max() <= _SAME_CONFIGURATION for q in found):
+            continue
+        found.append(result.q)
+        free += is_free(result.q)
+        if free == _MAX_ROOTS:
+            break
+    return found, ""
+
+
+def _free(checker: CollisionChecker, q: Array) -> bool:
+    pair, distance = checker.nearest(q)
+    return pair < 0 or distance > 0.0
 
 
 def _tilt(arm: Arm, q: Array, keep: KeptAxis) -> float:

@@ -190,7 +190,9 @@ class Team:
         checker = collision_checker(group, np.array(self.data.qpos), [*read_pairs(allow), *kept], carried)
         starts = {tip: self._arms.start(tip) for tip in self.arms}
         found = {
-            tip: configurations_for(self.arms[tip], starts[tip], goal, np.random.default_rng(0)) for tip, goal in goals.items()
+            # Whether a configuration is free depends on the other arms: `plan_together` checks their combinations.
+            tip: configurations_for(self.arms[tip], starts[tip], goal, np.random.default_rng(0), lambda q: True)
+            for tip, goal in goals.items()
         }
         solutions = {tip: configurations for tip, (configurations, _) in found.items() if configurations}
         refusals = {tip: reason for tip, (_, reason) in found.items()}

@@ -9,6 +9,8 @@ from collidable import arm_among, placed
 
 import armctl
 from armctl.collision.checkers import collision_checker
+from armctl.core.target import Target
+from armctl.planning.move_free import configurations_for
 
 WALL = '<geom name="wall" type="box" size="0.3 0.02 0.45" pos="0.45 0 0.45"/>'
 START = np.array([-0.8, 1.0, 0.4, 0.0, 0.3, 0.0])
@@ -205,3 +207,16 @@ def test_a_simulated_move_keeps_the_axis(waiter):
 def test_wrong_calls_are_one_sentence(arm, arguments, error, message):
     with pytest.raises(error, match=message):
         armctl.move_free(arm, START, **arguments)
+
+
+def test_more_solutions_of_a_point_are_looked_for_as_long_as_none_is_free(arm):
+    point = Target.read(arm.fk(GOAL).position)
+    tried: list[np.ndarray] = []
+
+    def is_free(q: np.ndarray) -> bool:
+        tried.append(q)
+        return len(tried) > 30
+
+    found, reason = configurations_for(arm, START, point, np.random.default_rng(0), is_free)
+    assert len(found) > 30
+    assert not reason
