@@ -1,10 +1,10 @@
 """Motions against their peers: waypoints (ruckig stopping, toppra), lines (toppra), limits kept, new goals online.
 
-    python benchmarks/motion.py [--only waypoints lines online limits] [--moves 10000] [--sets 500] [--lines 20] [--out FILE]
+    python benchmarks/motion.py [--only waypoints lines online limits torques] [--moves 10000] [--sets 500] [--lines 20]
 
 With `--only`, what else the file says stays as it is.
-toppra is an extra, `pip install -e .[benchmark]`. Speed, acceleration and jerk limits are the Panda's; torque limits are lifted
-for the comparisons, since no peer has any.
+toppra is an extra, `pip install -e .[benchmark]`; without it its columns are empty. Speed, acceleration and jerk limits are the
+Panda's; torque limits are lifted except in `torques`.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import time
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=list(PARTS), default=list(PARTS))
     parser.add_argument("--moves", type=int, default=10_000)
     parser.add_argument("--sets", type=int, default=500)
+    parser.add_argument("--torque-sets", type=int, default=30)
     parser.add_argument("--lines", type=int, default=20)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "motion.md")
     args = parser.parse_args()
@@ -128,6 +130,85 @@ def toppra_time(arm: armctl.Arm, q: Array, at: Array, points: int) -> float:
     grid = np.linspace(at[0], at[-1], points)
     found = TOPPRA(constraints, path, gridpoints=grid, solver_wrapper="seidel").compute_trajectory(0, 0)
     return float(found.duration)
+
+
+# Torque limits
+
+
+def torques(sets: int) -> str:
+    """Ten waypoints with the Panda's torque limits: what they cost, and what they cost toppra along the same path."""
+    arm, rng = armctl.load("panda"), np.random.default_rng(1)
+    rows = []
+    for kind in (uniform, walk):
+        costs, bounds, stops, times, bind, inside = [], [], [], [], 0, True
+        for _ in range(sets):
+            q = kind(arm, rng)
+            free = armctl.move_through(untiring(arm), q)
+            began = time.process_time()
+            motion = armctl.move_through(arm, q)
+            spent = time.process_time() - began
+            stops.append(motion.duration / sum(armctl.move_j(arm, a, b).duration for a, b in pairwise(q)))
+            inside &= motion.check_limits().ok and armctl.check_torque(arm, motion).ok
+            if motion.slowed is None:
+                continue
+            bind += 1
+            times.append(spent)
+            costs.append(motion.duration / free.duration - 1)
+            if kind is uniform:  # the others take 1.4 s: samples of 8 ms are too coarse for a bound
+                bounds.append(toppra_torque_time(arm, free) / free.duration - 1)
+        cost = [f"{100 * np.mean(each):.2f} ({100 * np.max(each):.2f})" if each else "" for each in (costs, bounds)]
+        rest = f"{np.max(stops):.3f}", f"{1e3 * np.median(times):.0f}", "yes" if inside else "NO"
+        rows.append((kind.__name__, bind, *cost, *rest))
+    columns = [
+        "10 waypoints",
+        "sets that need more torque",
+        "armctl longer by, % (worst)",
+        "toppra longer by, % (worst)",
+        "worst / stopping at each",
+        "median, ms of CPU",
+        "all limits kept",
+    ]
+    return table(
+        f"{sets} sets of waypoints with torque limits: how much longer than without them (toppra: along armctl's path without "
+        "them, no jerk limits, torques at samples 8 ms apart, so it is about a bound and no plan)",
+        columns,
+        rows,
+    )
+
+
+def toppra_torque_time(arm: armctl.Arm, motion: JointTrajectory) -> float:
+    """toppra's time with torque limits along the path of a motion; NaN without toppra. The ends keep their own time."""
+    try:
+        import toppra
+        from toppra.algorithm import TOPPRA
+        from toppra.constraint import (
+            DiscretizationType,
+            JointAccelerationConstraint,
+            JointTorqueConstraint,
+            JointVelocityConstraint,
+        )
+    except ImportError:
+        return float("nan")
+    v, a, tau = arm.limits.v_max, arm.limits.a_max, arm.limits.tau_max
+    ends = 0.03  # s: at rest the path has no direction
+    times = np.linspace(ends, motion.duration - ends, int(motion.duration / 0.004))
+    path = toppra.SplineInterpolator(times, motion.sample(times).q)
+    constraints = [
+        JointVelocityConstraint(np.column_stack([-v, v])),
+        JointAccelerationConstraint(np.column_stack([-a, a]), discretization_scheme=DiscretizationType.Interpolation),
+        JointTorqueConstraint(
+            arm.inverse_dynamics,
+            np.column_stack([-tau, tau]),
+            np.zeros(arm.n),
+            discretization_scheme=DiscretizationType.Collocation,
+        ),
+    ]
+    grid = np.linspace(times[0], times[-1], int(motion.duration / 0.008))
+    planner = TOPPRA(constraints, path, gridpoints=grid, solver_wrapper="seidel")
+    found = planner.compute_trajectory(1.0, 1.0)
+    if found is None:  # at full speed the ends need too much torque
+        found = planner.compute_trajectory(0.9, 0.9)
+    return float("nan") if found is None else float(found.duration) + 2 * ends
 
 
 # Lines
@@ -322,6 +403,7 @@ PARTS = {
     "lines": lambda panda, args: lines(panda, args.lines),
     "online": lambda panda, args: online(panda),
     "limits": lambda panda, args: limits_kept(args.moves),
+    "torques": lambda panda, args: torques(args.torque_sets),
 }
 
 
