@@ -45,7 +45,7 @@ def main() -> None:
     args = parser.parse_args()
     warnings.simplefilter("ignore", armctl.ArmctlWarning)
     arms = {name: armctl.load(name) for name in ROBOTS}
-    sections = [tracking(arms), observed(arms), iso(arms["panda"]), identification(arms), speed(arms)]
+    sections = [tracking(arms), robustness(arms), observed(arms), iso(arms["panda"]), identification(arms), speed(arms)]
     text = "\n\n".join(sections) + "\n"
     args.out.parent.mkdir(exist_ok=True)
     args.out.write_text(text, encoding="utf-8")
@@ -84,7 +84,21 @@ def tracking(arms: dict[str, armctl.Arm]) -> str:
 
 
 def shown(report: armctl.Report) -> str:
-    return "diverged" if report.log.failure else f"{report.joint_rms_rad:.1e}"
+    if report.log.failure:
+        return "diverged"
+    return "<1e-15" if report.joint_rms_rad < 1e-15 else f"{report.joint_rms_rad:.1e}"
+
+
+def robustness(arms: dict[str, armctl.Arm]) -> str:
+    plant = armctl.Plant(timestep=TICK_S)
+    rows = []
+    for name in CONTROLLERS:
+        cells = []
+        for arm in arms.values():
+            found = armctl.margins(arm, name, 10, [plant])
+            cells.append(f"{1e3 * found.delay.value:.1f} / {found.peak_sensitivity.value:.2f}")
+        rows.append([name, *cells])
+    return table("Delay margin, ms / peak sensitivity Ms, worst of 10 configurations", ["controller", *arms], rows)
 
 
 def observed(arms: dict[str, armctl.Arm]) -> str:
@@ -97,7 +111,7 @@ def observed(arms: dict[str, armctl.Arm]) -> str:
             target = TARGETS.get((plant, robot), TARGETS.get((plant, ""), ""))
             if words in ("nominal", "continuous"):
                 target = "max 1e-9" if words == "nominal" else "max 5e-7"
-            figures = f"{report.joint_rms_rad:.1e}", f"{report.joint_max_rad:.1e}", target, f"{report.chatter_nm:.1g}"
+            figures = shown(report), f"{report.joint_max_rad:.1e}", target, f"{report.chatter_nm:.1g}"
             rows.append([robot, plant, name, *figures])
     columns = ["robot", "plant", "controller", "joint RMS, rad", "joint max, rad", "target (RMS unless stated)", "chatter, N m"]
     return table("Computed torque", columns, rows)

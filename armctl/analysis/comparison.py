@@ -12,10 +12,11 @@ import numpy as np
 from armctl.analysis.report import Report, contacts_in_words
 from armctl.collision.checkers import collision_checker
 from armctl.control import Controller, controller_name
-from armctl.core.errors import InputError, PlanError
+from armctl.core.errors import InputError, ModelError, PlanError
 from armctl.core.log import Log
 from armctl.core.trajectory import Trajectory
 from armctl.core.validation import integer, number
+from armctl.design.margins import margins
 from armctl.motion import JointTrajectory, move_j
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.plant import NOMINAL, Plant
@@ -29,6 +30,7 @@ def compare(
     plants: Sequence[Plant] = (NOMINAL,),
     *,
     workers: int = 1,
+    poses: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Report]:
     """Follows one trajectory under every controller on every plant.
@@ -39,6 +41,7 @@ def compare(
         trajectory: The motion.
         plants: The simulated plants.
         workers: Number of threads, as for `simulate_many`.
+        poses: Number of configurations at which delay margin and peak sensitivity are computed, as by `margins`; 0 for none.
         progress: Called after each run with the number of completed runs and their total.
 
     Returns:
@@ -59,10 +62,12 @@ def compare(
         for plant, plant_label in zip(plants, _distinct(map(str, plants)), strict=True)
         for controller, controller_label in zip(controllers, _distinct(map(_name_of, controllers)), strict=True)
     ]
+    poses = integer("poses", poses, 0)
     runs = rows_as_runs(arm, [(pair.controller, trajectory, pair.plant) for pair in pairs])
     reports = []
     for pair, report in zip(pairs, run_many(arm, runs, _report, threads=integer("workers", workers, 1)), strict=True):
-        reports.append(replace(report, controller=pair.controller_label, plant=pair.plant_label))
+        labelled = replace(report, controller=pair.controller_label, plant=pair.plant_label)
+        reports.append(_with_margins(arm, pair, labelled, poses) if poses else labelled)
         if progress is not None:
             progress(len(reports), len(pairs))
     return reports
@@ -95,6 +100,15 @@ class _Pair(NamedTuple):
 
 def _report(_: Run, log: Log) -> Report:
     return Report.from_log(log)
+
+
+def _with_margins(arm: Arm, pair: _Pair, report: Report, poses: int) -> Report:
+    """The report with margins, if a linear model describes the controller."""
+    try:
+        found = margins(arm, pair.controller, poses, [pair.plant])
+    except ModelError:
+        return report
+    return replace(report, delay_margin_s=found.delay.value, peak_sensitivity=found.peak_sensitivity.value)
 
 
 def _name_of(controller: Controller | str) -> str:

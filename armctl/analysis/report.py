@@ -55,6 +55,8 @@ class Report:
         duration_s: Simulated time.
         real_time_factor: Simulated time divided by computing time.
         log: The run itself.
+        delay_margin_s: The smallest delay margin of the controller on the plant; NaN unless `compare` computed margins.
+        peak_sensitivity: Its largest Ms; NaN as for the delay margin.
     """
 
     ok: bool
@@ -80,6 +82,8 @@ class Report:
     duration_s: float
     real_time_factor: float
     log: Log
+    delay_margin_s: float = math.nan
+    peak_sensitivity: float = math.nan
 
     def __bool__(self) -> bool:
         return self.ok
@@ -223,6 +227,8 @@ def report_table(reports: Sequence[Report]) -> Table:
     joint_units = list(dict.fromkeys(unit for r in reports for unit in r.log.units))
     mixed = len(joint_units) > 1
     joint = "" if mixed else f", {units.label(joint_units)}"
+    has_margins = not all(math.isnan(r.peak_sensitivity) for r in reports)
+    margin_header = ["delay margin, ms", "Ms"] if has_margins else []
     header = [
         "controller",
         "plant",
@@ -233,6 +239,7 @@ def report_table(reports: Sequence[Report]) -> Table:
         "final tip error",
         "peak torque",
         f"chatter, {units.label(units.of_torque(joint_units))}",
+        *margin_header,
         "verdict",
     ]
     rows = [
@@ -246,6 +253,7 @@ def report_table(reports: Sequence[Report]) -> Table:
             _mm(r.final_tip_error_m),
             f"{100 * r.peak_torque_ratio:.0f} %",
             _chatter_text(r.chatter_nm),
+            *([_margin_text(1e3 * r.delay_margin_s), _margin_text(r.peak_sensitivity)] if has_margins else []),
             r.verdict.split(":")[0],
         ]
         for r in reports
@@ -316,6 +324,10 @@ def _rms(x: Array) -> float:
 
 def _max(x: Array) -> float:
     return float(np.abs(x).max()) if x.size else math.nan
+
+
+def _margin_text(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.3g}"
 
 
 def _chatter_text(chatter: float) -> str:

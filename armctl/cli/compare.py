@@ -41,6 +41,9 @@ def add(commands: Commands) -> None:
     parser.add_argument("--controllers", default="pd,computed-torque", metavar="A,B,...", help="or all (default %(default)s)")
     parser.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{PLANTS_HELP} (default nominal)")
     parser.add_argument("--report", type=Path, metavar="DIR", help="write JSON, Markdown and an HTML page into this folder")
+    parser.add_argument(
+        "--poses", type=int, default=5, help="configurations at which margins are computed, 0 for none (default 5)"
+    )
     parser.add_argument("--timestep", help="the control period, s (default the model's)")
     parser.add_argument(
         "--workers", type=int, default=os.cpu_count() or 1, help="number of threads (default one per processor core)"
@@ -75,7 +78,9 @@ def run(args: argparse.Namespace) -> int:
         def advance(done: int, total: int) -> None:
             bar.update()
 
-        reports = compare(arm, controllers, out_and_back(arm, speed=speed), plants, workers=args.workers, progress=advance)
+        reports = compare(
+            arm, controllers, out_and_back(arm, speed=speed), plants, workers=args.workers, poses=args.poses, progress=advance
+        )
     notes = remarks(reports)
     if notes:
         notes.append("")  # a table in Markdown starts after an empty line

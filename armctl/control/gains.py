@@ -81,7 +81,7 @@ def sampled_inertia(arm: Arm) -> SampledInertia:
     configurations = sample_configurations(arm)
     mass = np.array([dynamics.mass_matrix(q) for q in configurations])
     try:
-        mobility = np.linalg.inv(mass)
+        mobility = np.asarray(np.linalg.inv(mass), dtype=np.float64)
     except np.linalg.LinAlgError:
         raise ModelError(
             f"{arm.name}: the mass matrix is singular, so no gains follow from it; check the masses and inertias of the model"

@@ -138,3 +138,15 @@ def test_a_page_stands_alone_and_says_it_all(bundled_motion, tmp_path):
     assert page.count("<svg") == len(plants)
     assert not re.search(r'(?:src|href)="(?!#)', page), "the page needs something from elsewhere"
     assert page.index("breaks on nominal") < page.index("<table")
+
+
+def test_margins_are_those_of_each_pair(bundled):
+    plant = armctl.Plant(timestep=0.004)
+    motion = armctl.move_j(bundled, bundled.home, bundled.home + 0.1)
+    with_margins, without = (armctl.compare(bundled, ["pd"], motion, [plant], poses=poses)[0] for poses in (2, 0))
+    found = armctl.margins(bundled, "pd", 2, [plant])
+    assert with_margins.delay_margin_s == found.delay.value
+    assert with_margins.peak_sensitivity == found.peak_sensitivity.value
+    assert np.isnan(without.peak_sensitivity)
+    assert "Ms" in table([with_margins])
+    assert "Ms" not in table([without])
