@@ -31,6 +31,24 @@ def reach() -> None:
     still(log, sim.arm, HERE / "reach.png", at=0.62 * log.t[-1])
 
 
+def shelf() -> None:
+    """A Panda reaches into a shelf and from one compartment into the other, around the boards."""
+    scene = armctl.Scene()
+    for name, height in (("lower", 0.25), ("middle", 0.6), ("upper", 0.95)):
+        scene.add_box(name, [0.3, 0.8, 0.02], [0.85, 0.0, height])
+    sim = armctl.Simulation(armctl.load("panda", scene=scene))
+    forwards = np.column_stack([[0, 0, -1], [0, 1, 0], [1, 0, 0]])
+    moves = []
+    for y, z in ((-0.2, 0.42), (0.2, 0.77)):
+        start = sim.state.q
+        pose = armctl.Pose.from_rotation([0.74, y, z], forwards)
+        moves.append(armctl.move_free(sim.arm, start, pose, speed=0.5))
+        sim.reset(moves[-1](moves[-1].duration).q)
+    sim.reset()
+    log = sim.run(moves[0].then(moves[1]))
+    record(log, sim.arm, HERE / "shelf.gif", width=400, height=300, quality="fast", speed=0.7)
+
+
 def four_panels() -> None:
     """A run as curves over time."""
     sim = armctl.Simulation("robot_arm_3dof")
@@ -124,7 +142,7 @@ def draw(picture: Callable[[], None]) -> bool:
 
 
 if __name__ == "__main__":
-    wanted = [reach, four_panels, pd_against_computed_torque, waypoints, study, page]
+    wanted = [reach, shelf, four_panels, pd_against_computed_torque, waypoints, study, page]
     chosen = [picture for picture in wanted if not sys.argv[1:] or picture.__name__ in sys.argv[1:]]
     drawn = [draw(picture) for picture in chosen]
     sys.exit(0 if all(drawn) else 1)

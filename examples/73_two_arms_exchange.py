@@ -1,0 +1,28 @@
+"""Two Pandas at one table exchange places: planned together, so that they never touch each other."""
+
+import mujoco
+import mujoco_menagerie
+import numpy as np
+
+import armctl
+
+spec = mujoco.MjSpec()
+spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # as the Pandas have it
+spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.6, 0.8, 0.02], pos=[0.5, 0, -0.03])
+for side, y in (("left", 0.3), ("right", -0.3)):
+    panda = mujoco_menagerie.get("franka_emika_panda").spec()
+    spec.attach(panda, prefix=f"{side}_", frame=spec.worldbody.add_frame(pos=[0, y, 0]))
+arms = armctl.load_arms(spec, ["left_hand", "right_hand"])
+left, right = (arm.tip for arm in arms)
+team = armctl.Team(arms)
+
+
+def down(x: float, y: float) -> armctl.Pose:
+    """A hand that points down above the table."""
+    return armctl.Pose.from_rotation([x, y, 0.3], np.diag([1.0, -1.0, -1.0]))
+
+
+for places in ({left: down(0.5, 0.15), right: down(0.5, -0.15)}, {left: down(0.5, -0.15), right: down(0.5, 0.15)}):
+    for tip, result in team.move_to(places).items():
+        touched = [str(contact) for contact in team.logs[tip].contacts]
+        print(f"{tip} at y = {places[tip].position[1]:+.2f} m: {result}; touched {touched or 'nothing'}")
