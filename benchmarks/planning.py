@@ -1,6 +1,6 @@
-"""Collision-free motion: paths, motions and their proofs, on given problems and on scenes of its own, beside roboplan.
+"""Collision-free motion: paths, motions and their proofs, on given problems and on scenes of its own, beside roboplan and OMPL.
 
-    python benchmarks/planning.py [--problems FILE.json] [--every K] [--only checks problems scenes] [--out FILE]
+    python benchmarks/planning.py [--problems FILE.json] [--every K] [--only checks problems peers scenes moves] [--out FILE]
 
 A problem file is a list of `{scene, index, start, goal, rest, objects}` for the Panda, as the MotionBenchMaker problems are
 written: joints in rad, `objects` with name, type (box, cylinder, sphere), dimensions in full lengths, position and rotation.
@@ -11,7 +11,9 @@ are CPU times of one thread.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
+import os
 import time
 import warnings
 from collections.abc import Iterator
@@ -21,6 +23,7 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from planning_peers import ompl_planner, roboplan_planner
 
 import armctl
 from armctl.collision.checker import CollisionChecker
@@ -33,6 +36,7 @@ CLEARANCE_M = 2e-3
 VERIFY_STEP_S = 1e-3
 CHECKS = 3000
 PAIRS = 20
+MOVES = 8  # of the pairs of each arm and scene
 GRASPS = {"cage": "Cube1", "table_pick": "Can1", "table_under_pick": "Can1"}  # the goal is a grasp: fingers may touch this
 CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
@@ -45,6 +49,7 @@ class Problem(NamedTuple):
     checker: CollisionChecker
     start: np.ndarray
     goal: np.ndarray
+    index: int = 0  # within its scene
 
 
 class Solved(NamedTuple):
@@ -63,7 +68,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--problems", type=Path, help="a file of problems for the Panda")
     parser.add_argument("--every", type=int, default=1, help="take every K-th problem")
-    parser.add_argument("--only", nargs="+", choices=["checks", "problems", "scenes"], default=["checks", "problems", "scenes"])
+    parts = ["checks", "problems", "peers", "scenes", "moves"]
+    parser.add_argument("--only", nargs="+", choices=parts, default=parts)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "planning.md")
     args = parser.parse_args()
     warnings.simplefilter("ignore", armctl.ArmctlWarning)
@@ -72,8 +78,13 @@ def main() -> None:
         parts.append(checks())
     if "problems" in args.only and args.problems:
         parts.append(planned("MotionBenchMaker, Panda", list(problems(args.problems, args.every))))
+    if "peers" in args.only and args.problems:
+        parts.append(beside_peers(list(problems(args.problems, args.every))))
     if "scenes" in args.only:
         parts.append(planned("Own scenes", list(own_problems())))
+    if "moves" in args.only:
+        parts.append(moves())
+    parts.append(f"CPU times of one thread; load average while they were measured: {os.getloadavg()[1]:.1f}.")
     text = "\n\n".join(parts) + "\n"
     args.out.parent.mkdir(exist_ok=True)
     args.out.write_text(text, encoding="utf-8")
@@ -122,9 +133,10 @@ def planned(title: str, all_problems: list[Problem]) -> str:
     """Every problem solved, timed and verified."""
     solved: list[Solved] = []
     refused: list[str] = []
-    for i, problem in enumerate(all_problems):
-        if i == 0:
-            solve(problem)  # compiles, once
+    for problem in all_problems:  # compiles what any of them needs
+        with contextlib.suppress(armctl.ArmctlError):
+            move_free_with(problem.checker, problem.arm, problem.start, problem.goal, clearance=CLEARANCE_M, speed=1.0, seed=0)
+    for problem in all_problems:
         try:
             solved.append(solve(problem))
         except armctl.ArmctlError as error:
@@ -172,18 +184,10 @@ def summary(name: str, solved: list[Solved]) -> list[object]:
 
 
 def solve(problem: Problem) -> Solved:
-    name, arm, checker, start, goal = problem
+    name, arm, checker, start, goal, _ = problem
     path: list[np.ndarray] = []
-
-    def find() -> None:
-        rng = np.random.default_rng(0)
-        low, high = sampling_bounds(arm.limits.q_min, arm.limits.q_max, np.array([start, goal]))
-        clearance = min(CLEARANCE_M, 0.5 * checker.nearest(start)[1], 0.5 * checker.nearest(goal)[1])
-        found = find_path(checker, start, goal[None], low, high, clearance, rng, 20_000)
-        path.extend(shorten(checker, found.points, clearance, rng) if found is not None else [])
-
     motions: list[armctl.JointTrajectory] = []
-    path_s = cpu_time(find)
+    path_s = cpu_time(lambda: path.extend(own_path(problem)))
     total_s = cpu_time(
         lambda: motions.append(move_free_with(checker, arm, start, goal, clearance=CLEARANCE_M, speed=1.0, seed=0))
     )
@@ -199,6 +203,95 @@ def solve(problem: Problem) -> Solved:
     stopping = sum(armctl.move_j(arm, a, b).duration for a, b in pairwise(points))
     length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
     return Solved(name, path_s, total_s, proof_s, verdicts[0].ok, touches, motion.duration, stopping, length)
+
+
+def own_path(problem: Problem) -> list[np.ndarray]:
+    """The points of a path that is proved free."""
+    _, arm, checker, start, goal, _ = problem
+    rng = np.random.default_rng(0)
+    low, high = sampling_bounds(arm.limits.q_min, arm.limits.q_max, np.array([start, goal]))
+    found = find_path(checker, start, goal[None], low, high, clearance_for(problem), rng, 20_000)
+    return [] if found is None else list(shorten(checker, found.points, clearance_for(problem), rng))
+
+
+def clearance_for(problem: Problem) -> float:
+    distances = (problem.checker.nearest(problem.start)[1], problem.checker.nearest(problem.goal)[1])
+    return min(CLEARANCE_M, 0.5 * min(distances))
+
+
+def beside_peers(all_problems: list[Problem]) -> str:
+    """Paths by armctl, roboplan and OMPL, by turns: time, length, and how many of them armctl can prove free."""
+    results: dict[str, list[tuple[float, float, bool]]] = {}
+    missing: set[str] = set()
+    for i, problem in enumerate(all_problems):
+        if not problem.arm.limits.contains(problem.goal):
+            continue
+        planners = {
+            "armctl": lambda start, goal, problem=problem: own_path(problem),
+            "roboplan": roboplan_planner(problem.arm, problem.checker),
+            "OMPL": ompl_planner(problem.arm, problem.checker, clearance_for(problem)),
+        }
+        missing |= {name for name, plan in planners.items() if plan is None}
+        for name, plan in planners.items():
+            if plan is None:
+                continue
+            if i == 0:
+                plan(problem.start, problem.goal)  # compiles and loads, once
+            found: list[np.ndarray | list | None] = []
+            seconds = cpu_time(lambda plan=plan, problem=problem, found=found: found.append(plan(problem.start, problem.goal)))
+            path = found[0]
+            if path is None or len(path) == 0:
+                results.setdefault(name, []).append((seconds, np.nan, False))
+                continue
+            lengths = np.linalg.norm(np.diff(np.array(path), axis=0), axis=1)
+            is_free = all(problem.checker.line_hit(a, b) is None for a, b in pairwise(path))
+            results.setdefault(name, []).append((seconds, float(lengths.sum()), is_free))
+    rows = []
+    own = np.array([length for _, length, _ in results["armctl"]])
+    for name, found in results.items():
+        seconds, length, is_free = (np.array(column) for column in zip(*found, strict=True))
+        median, high = np.percentile(1e3 * seconds, [50, 95])
+        solved = int(np.isfinite(length).sum())
+        ratio = np.nanmedian(own / length)
+        rows.append([name, f"{solved} of {len(found)}", int(is_free.sum()), f"{median:.1f} / {high:.1f}", f"{ratio:.3f}"])
+    header = ["planner", "solved", "path proved free", "path, ms, median / 95 %", "armctl's length over its length, median"]
+    notes = (
+        "RRT-Connect and shortcuts each, with the same geoms and pairs. armctl proves every line; roboplan checks every 0.05 "
+        "rad; OMPL every 0.5 %, with armctl's distances called through Python, so its times are not its best."
+    )
+    absent = f" Not installed: {', '.join(sorted(missing))}." if missing else ""
+    return f"**Paths beside peers, MotionBenchMaker, Panda**\n\n{as_markdown(header, rows)}\n\n{notes}{absent}"
+
+
+def moves() -> str:
+    """`sim.move_to` from home to poses among furniture: how many touch something, and how many of those say "reached"."""
+    rows = []
+    for avoid in (False, True):
+        reached = 0
+        touching = 0
+        reached_touching = 0
+        total = 0
+        for problem in own_problems():
+            if problem.index >= MOVES:
+                continue
+            sim = armctl.Simulation(problem.arm)
+            result = sim.move_to(problem.arm.fk(problem.goal), avoid=avoid)
+            is_touching = result.log is not None and touches_at(problem, result.log.q)
+            total += 1
+            reached += result.ok
+            touching += is_touching
+            reached_touching += result.ok and is_touching
+        rows.append([f"avoid={avoid}", total, reached, touching, reached_touching])
+    header = ["`sim.move_to`", "moves", "reached", "touched something", "reached although touched"]
+    return f"**Moves from home to poses in the own scenes, simulated; contacts at every tick**\n\n{as_markdown(header, rows)}"
+
+
+def touches_at(problem: Problem, configurations: np.ndarray) -> bool:
+    """Whether the arm touches anything, by MuJoCo, or by brute force for capsules and boxes."""
+    data = mujoco.MjData(problem.arm.model)
+    return any(
+        contacts(problem.arm, problem.checker, data, q) or capsules_in_boxes(problem.arm, data, q) for q in configurations
+    )
 
 
 def cpu_time(action) -> float:
@@ -286,8 +379,8 @@ def own_problems() -> Iterator[Problem]:
             low = np.maximum(arm.limits.q_min - arm.home, -np.pi)
             points = arm.home + np.random.default_rng(0).uniform(low, span, (2000, arm.n))
             goals = [q for q in points if checker.hit(q, 2 * CLEARANCE_M) < 0 and tip_is_above(arm, q)][:PAIRS]
-            for goal in goals:
-                yield Problem(f"{name}, {scene}", arm, checker, arm.home, goal)
+            for index, goal in enumerate(goals):
+                yield Problem(f"{name}, {scene}", arm, checker, arm.home, goal, index)
 
 
 def tip_is_above(arm: armctl.Arm, q: np.ndarray) -> bool:

@@ -46,7 +46,7 @@ def shelf() -> None:
         sim.reset(moves[-1](moves[-1].duration).q)
     sim.reset()
     log = sim.run(moves[0].then(moves[1]))
-    record(log, sim.arm, HERE / "shelf.gif", width=400, height=300, quality="fast", speed=0.7)
+    record(log, sim.arm, HERE / "shelf.gif", width=400, height=300, quality="fast", speed=0.75)
 
 
 def four_panels() -> None:
