@@ -220,3 +220,21 @@ def test_more_solutions_of_a_point_are_looked_for_as_long_as_none_is_free(arm):
     found, reason = configurations_for(arm, START, point, np.random.default_rng(0), is_free)
     assert len(found) > 30
     assert not reason
+
+
+def test_no_simulated_move_among_things_touches_anything(tmp_path):
+    arm = arm_among(tmp_path)
+    checker = collision_checker(arm)
+    start = next(q for q in arm.limits.random(arm.home, 200, np.random.default_rng(2)) if checker.hit(q, 0.02) < 0)
+    goals = [q for q in arm.limits.random(arm.home, 200, np.random.default_rng(3)) if checker.hit(q, 0.02) < 0][:5]
+    straight = [armctl.check_clearance(arm, armctl.move_j(arm, start, goal)).ok for goal in goals]
+    sim = armctl.Simulation(arm)
+    reached = 0
+    for goal in goals:
+        sim.reset(start)
+        result = sim.move_to(arm.fk(goal))
+        if result.log is not None:
+            assert [str(contact) for contact in result.log.contacts] == []
+        reached += result.ok
+    assert reached >= 3
+    assert not all(straight)
