@@ -67,6 +67,8 @@ from .design.tuning import tune as tune
 from .ik.all_solutions import solve_ik_all as solve_ik_all
 from .ik.batch import solve_ik_batch as solve_ik_batch
 from .ik.differential import DifferentialIk as DifferentialIk
+from .ik.reachability import Reachability as Reachability
+from .ik.reachability import reachability as reachability
 from .ik.result import IkBatch as IkBatch
 from .ik.result import IkResult as IkResult
 from .ik.solve import solve_ik as solve_ik

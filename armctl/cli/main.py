@@ -21,6 +21,7 @@ from armctl.cli import (
     iso9283,
     margins,
     reach,
+    reachability,
     robots,
     simulate,
     study,
@@ -31,7 +32,23 @@ from armctl.cli import (
 from armctl.cli.common import DONE, INTERRUPTED, WRONG_CALL
 from armctl.core.errors import ArmctlError
 
-_COMMANDS = (robots, chains, info, doctor, reach, compare, iso9283, margins, tune, identify, simulate, study, view, warmup)
+_COMMANDS = (
+    robots,
+    chains,
+    info,
+    doctor,
+    reach,
+    compare,
+    iso9283,
+    margins,
+    reachability,
+    tune,
+    identify,
+    simulate,
+    study,
+    view,
+    warmup,
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -670,3 +670,14 @@ def find(form, reach, target, q0, slack, margin, min_samples, max_samples, wante
             if inside:
                 count += 1
     return count, doubtful, sample
+
+
+@njit
+def find_first(form, reach, targets, slack, margin, max_samples, q, found):
+    """Fills q (N, n) with a configuration for each of the targets (N, 12), and `found` (N,) with whether there is one."""
+    seeds = np.empty((MAX_SOLUTIONS, q.shape[1]))
+    for t in range(len(targets)):
+        count, _, _ = find(form, reach, targets[t], q[t], slack, margin, 1, max_samples, 1, seeds)
+        found[t] = count > 0
+        if count > 0:
+            q[t] = seeds[0]

@@ -8,14 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armctl.core.validation import Array, IntArray
+from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.ik.geometry import ClosedForm
-from armctl.ik.problem import Problem
+from armctl.ik.problem import PackedChain, Problem
 
 MIN_SAMPLES = 16  # of a sweep
 MAX_SEEDS_PER_SAMPLE = 16
 MIN_EMPTY_SAMPLES = 256  # of a sweep that finds nothing
 SAMPLES_PER_SOLUTION = 4  # of a sweep
+FIRST_SAMPLES = 64  # of a sweep that ends at the first solution
 # How far outside the limits a solution of the closed form may be before it is refined: at a double root, slack in a cosine
 # moves a joint by its square root.
 SINGULAR_MARGIN = 0.03  # rad
@@ -81,6 +82,18 @@ def closed_form_solutions(problem: Problem, closed_form: ClosedForm, limit: int)
     )
     found = polished(problem, seeds[:count], samples)
     return found._replace(is_complete=found.is_complete and closed_form.is_exact and not doubtful and not is_swept)
+
+
+def first_solutions(chain: PackedChain, closed_form: ClosedForm, targets: Array, q: Array) -> BoolArray:
+    """Fills q (N, n) with one solution for each of the targets (N, 12) that has any inside the limits; returns which have.
+
+    They are exact as far as the closed form is. `q` also holds the configurations near which to search first.
+    """
+    found = np.empty(len(targets), np.bool_)
+    margin = 0.0 if closed_form.is_exact else INEXACT_MARGIN
+    slack = 0.0 if closed_form.is_exact else DEVIATION_FACTOR * closed_form.deviation
+    _kernels().find_first(closed_form.form, chain.reach, targets, slack, margin, FIRST_SAMPLES, q, found)
+    return found
 
 
 def polished(problem: Problem, seeds: Array, starts: int) -> Solutions:

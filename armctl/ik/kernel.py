@@ -1097,6 +1097,41 @@ def null_step(constraint, desired, low, high, step, work):
 
 
 @njit
+def manipulabilities(chain, reach, rows, q, out):
+    """Fills out (N,) with sqrt(det(J J^T)) at each q (N, n), lengths in the unit of `reach`; J has 3 rows (a point) or 6.
+
+    With fewer unknowns than rows it is sqrt(det(J^T J)) (Yoshikawa, "Manipulability of robotic mechanisms", Int. J. Robotics
+    Research 4(2), 1985).
+    """
+    n = q.shape[1]
+    work = scratch(len(chain) - 1, n)
+    size = min(n, rows)
+    A = np.empty((size, size))
+    J = np.empty((rows, n))
+    for t in range(len(q)):
+        forward(chain, q[t], work)
+        jacobian(chain, work)
+        for k in range(rows):
+            for i in range(n):
+                J[k, i] = work[i, JACOBIAN + k] * (reach if k < 3 else 1.0)
+        for i in range(size):
+            for j in range(i + 1):
+                A[i, j] = 0.0
+                for k in range(max(n, rows)):
+                    A[i, j] += J[i, k] * J[j, k] if n >= rows else J[k, i] * J[k, j]
+        product = 1.0
+        for i in range(size):  # L D L^T in place
+            for j in range(i):
+                for k in range(j):
+                    A[i, j] -= A[i, k] * A[j, k] * A[k, k]
+                A[i, j] /= max(A[j, j], 1e-300)
+            for k in range(i):
+                A[i, i] -= A[i, k] * A[i, k] * A[k, k]
+            product *= max(A[i, i], 0.0)
+        out[t] = np.sqrt(product)
+
+
+@njit
 def residuals(constraint, targets, positions, rotations, position_errors, orientation_errors):
     """`residual` of N tips (N, 3), (N, 3, 3): fills (N,) and (N,)."""
     for t in range(len(targets)):

@@ -107,6 +107,18 @@ def test_robots_lists_every_name(capsys):
     assert {BUNDLED, "panda", "ur5e", "iiwa14", "xarm7", "gen3", "so_arm100"} <= {line.split()[0] for line in out.splitlines()}
 
 
+def test_reachability_is_printed_saved_and_drawn(capsys, tmp_path):
+    files = ["--out", str(tmp_path / "reach.npz"), "--plot", str(tmp_path / "reach.png")]
+    status, out, err = run(capsys, "reachability", BUNDLED, "--spacing", "0.3", *files)
+    assert status == 0
+    found = armctl.Reachability.load(tmp_path / "reach.npz")
+    assert out.strip() == str(found)
+    assert (tmp_path / "reach.png").stat().st_size > 1000
+    assert "wrote" in err
+    status, out, _ = run(capsys, "reachability", BUNDLED, "--spacing", "0.3", "--json")
+    assert json.loads(out) == found.to_dict()
+
+
 def test_margins_are_a_table_and_a_page(capsys, tmp_path):
     chosen = ("--controllers", "pd,adaptive", "--poses", "3", "--timestep", "0.002")
     status, out, err = run(capsys, "margins", BUNDLED, *chosen, "--report", str(tmp_path))

@@ -1,0 +1,365 @@
+"""reachability: which part of its space an arm reaches, with how many orientations, and how dexterous it is there."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armctl.core.atomic import atomic_path, file_path
+from armctl.core.errors import InputError
+from armctl.core.plotting import finish_figure
+from armctl.core.progress import progress_bar
+from armctl.core.validation import Array, array, frozen, integer, number, vector
+from armctl.ik.closed_form_solutions import first_solutions
+from armctl.ik.lm import TOLERANCE_SHARE
+from armctl.ik.problem import PackedChain, packed_chain
+from armctl.robot.arm import Arm
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DEFAULT_ORIENTATIONS = 32
+DEFAULT_SPACING_REACHES = 0.125
+MAX_POINTS = 2_000_000
+POINTS_PER_CHUNK = 16
+# Starts of the numerical search for each orientation; most targets need one, and those that none can reach cost all of them.
+NUMERICAL_STARTS = 24
+POSITION_TOLERANCE = 1e-5  # m
+ORIENTATION_TOLERANCE = 1e-4  # rad
+FULL_ROTATIONS = (np.sqrt(2.0), 1.533751168755204288)  # constants of the super-Fibonacci spiral
+_FILE_VERSION = 1
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Reachability:
+    """What an arm reaches, on a grid of points.
+
+    `bool(result)` is `result.ok`.
+
+    Attributes:
+        ok: Whether any point is reachable.
+        reason: Why `ok` is False; empty if it is True.
+        arm: The name of the arm.
+        points: (N, 3) m, in the world.
+        fraction: (N,) of the orientations, in [0, 1]; 0 or 1 if only points are asked for.
+        manipulability: (N,) the largest of Yoshikawa's sqrt(det(J J^T)) over the configurations found at the point; 0 where
+            there is none. Its unit is m^3, or m^2 and less with fewer joints.
+        spacing: m, between the points.
+        orientations: (M, 4) the orientations tried, wxyz; M is 0 if only points are asked for.
+    """
+
+    ok: bool
+    reason: str
+    arm: str
+    points: Array
+    fraction: Array
+    manipulability: Array
+    spacing: float
+    orientations: Array
+
+    def __bool__(self) -> bool:
+        return self.ok
+
+    def __str__(self) -> str:
+        if not self.ok:
+            return f"nothing reached: {self.reason}"
+        reached = self.fraction > 0
+        text = f"{int(reached.sum())} of {len(reached)} points reached, {self.volume:.3g} m^3"
+        if len(self.orientations):
+            text += f"; on average {100 * self.fraction[reached].mean():.0f} % of {len(self.orientations)} orientations there"
+        return text
+
+    @property
+    def volume(self) -> float:
+        """The volume of the grid cells around the reached points, m^3."""
+        return float((self.fraction > 0).sum()) * self.spacing**3
+
+    def to_dict(self) -> dict[str, float | int | str | bool]:
+        """The figures of the whole map, for JSON."""
+        reached = self.fraction > 0
+        return {
+            "arm": self.arm,
+            "ok": self.ok,
+            "reason": self.reason,
+            "points": len(self.points),
+            "reached": int(reached.sum()),
+            "volume_m3": self.volume,
+            "spacing_m": self.spacing,
+            "orientations": len(self.orientations),
+            "mean_fraction": float(self.fraction[reached].mean()) if self.ok else 0.0,
+            "max_manipulability": float(self.manipulability.max()),
+        }
+
+    def cloud(self, values: str = "fraction") -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """The reached points as a coloured cloud, in the form that viser's `scene.add_point_cloud` takes.
+
+        Args:
+            values: What the colour shows, from dark to bright: "fraction" or "manipulability".
+
+        Returns:
+            The points (K, 3) m and the colours (K, 3) RGB.
+
+        Raises:
+            InputError: There are no such values.
+        """
+        reached = self.fraction > 0
+        share = self._values(values)[reached]
+        share = share / max(float(share.max(initial=0.0)), 1e-300)
+        stops = np.linspace(0.0, 1.0, len(_COLOURS))
+        colours = np.stack([np.interp(share, stops, _COLOURS[:, k]) for k in range(3)], axis=1)
+        return self.points[reached].astype(np.float32), np.round(colours).astype(np.uint8)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes all of it as a NumPy file.
+
+        Args:
+            path: A file that ends in ".npz".
+
+        Raises:
+            InputError: It has another ending.
+            OSError: The file cannot be written.
+        """
+        with atomic_path(file_path("path", path, (".npz",))) as temporary:
+            np.savez_compressed(
+                temporary,
+                version=_FILE_VERSION,
+                arm=self.arm,
+                reason=self.reason,
+                points=self.points,
+                fraction=self.fraction,
+                manipulability=self.manipulability,
+                spacing=self.spacing,
+                orientations=self.orientations,
+            )
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Reachability:
+        """What `save` wrote.
+
+        Args:
+            path: A file that ends in ".npz".
+
+        Returns:
+            The map.
+
+        Raises:
+            InputError: It is no such file.
+            OSError: The file cannot be read.
+        """
+        file = file_path("path", path, (".npz",))
+        try:
+            with np.load(file, allow_pickle=False) as data:
+                points = array("points", data["points"], 2)
+                return cls(
+                    ok=not str(data["reason"]),
+                    reason=str(data["reason"]),
+                    arm=str(data["arm"]),
+                    points=frozen(points.copy()),
+                    fraction=frozen(vector("fraction", data["fraction"], len(points)).copy()),
+                    manipulability=frozen(vector("manipulability", data["manipulability"], len(points)).copy()),
+                    spacing=number("spacing", float(data["spacing"]), 1e-9),
+                    orientations=frozen(array("orientations", data["orientations"], 2).copy()),
+                )
+        except (KeyError, ValueError, EOFError) as error:
+            raise InputError(f"path: {file.name!r:.80} is no file of Reachability.save ({error!s:.120})") from None
+
+    def plot(self, path: str | os.PathLike[str] | None = None, values: str = "fraction") -> Path | None:
+        """Draws three slices through the middle of the reached points: seen from above, from the front and from the side.
+
+        Args:
+            path: An image file, such as "reach.png" or ".pdf"; without it a window opens.
+            values: "fraction" or "manipulability".
+
+        Returns:
+            The file, if one was written.
+
+        Raises:
+            InputError: There are no such values.
+        """
+        shown_values = self._values(values)
+
+        def draw(figure: Figure) -> None:
+            axes = np.atleast_1d(figure.subplots(1, 3))
+            for panel, (i, j, across) in zip(axes, ((0, 1, 2), (0, 2, 1), (1, 2, 0)), strict=True):
+                heights = self.points[self.fraction > 0, across] if self.ok else self.points[:, across]
+                level = float(heights[np.abs(heights - np.median(heights)).argmin()])
+                rows = np.abs(self.points[:, across] - level) < 0.25 * self.spacing
+                highest = max(float(shown_values.max()), 1e-12)
+                panel.scatter(
+                    self.points[rows, i], self.points[rows, j], c=shown_values[rows], s=12, marker="s", vmin=0.0, vmax=highest
+                )
+                panel.set_xlabel(f"{'xyz'[i]}, m")
+                panel.set_ylabel(f"{'xyz'[j]}, m")
+                panel.set_title(f"{'xyz'[across]} = {level:.3f} m")
+                panel.set_aspect("equal")
+            figure.colorbar(axes[0].collections[0], ax=list(axes), label=values)
+
+        return finish_figure(draw, (13.0, 4.5), path)
+
+    def _values(self, name: str) -> Array:
+        if name not in ("fraction", "manipulability"):
+            raise InputError(f"values: {name!s:.40} given, fraction or manipulability wanted")
+        return self.fraction if name == "fraction" else self.manipulability
+
+
+# From dark blue to yellow, evenly in brightness (viridis).
+_COLOURS = np.array([[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]], float)
+
+
+def reachability(
+    arm: Arm,
+    spacing: float | None = None,
+    orientations: int | None = None,
+    region: Sequence[ArrayLike] | None = None,
+    *,
+    threads: int | None = None,
+) -> Reachability:
+    """The points that an arm reaches, with how many orientations, and its manipulability there.
+
+    Each orientation is tried at each point of a grid, inside the joint limits; contacts are not considered. The orientations
+    are spread evenly (Alexa, "Super-Fibonacci spirals: fast, low-discrepancy sampling of SO(3)", CVPR 2022). Arms of six joints
+    with a closed form are answered exactly. Of seven joints one is swept in 64 steps, which misses poses that need a small part
+    of its range. Other arms are searched numerically from 24 starts, which may miss poses, too.
+
+    If stderr is a terminal, a progress bar appears after two seconds.
+
+    Args:
+        arm: The arm.
+        spacing: m, between the points; by default an eighth of the arm's length.
+        orientations: How many to try at each point; 0 asks for points only. By default 32, or 0 with fewer than six joints.
+        region: Two opposite corners of a box, (3,) m each. By default the sphere that the stretched arm could reach.
+        threads: How many threads to use; by default one per core. The result does not depend on it.
+
+    Returns:
+        The result.
+
+    Raises:
+        InputError: An argument has a wrong shape, type or value, or there are more than two million points.
+    """
+    chain = packed_chain(arm)
+    spacing = DEFAULT_SPACING_REACHES * chain.reach if spacing is None else number("spacing", spacing, 1e-6)
+    default = DEFAULT_ORIENTATIONS if arm.n >= 6 else 0
+    count = default if orientations is None else integer("orientations", orientations, 0, 100_000)
+    points = _grid(chain, spacing, region)
+    quaternions = even_orientations(count)
+    workers = (os.cpu_count() or 1) if threads is None else integer("threads", threads, 1)
+    rows = np.zeros((max(count, 1), 12))
+    if count:
+        rows[:, :9] = _rotations(quaternions).reshape(-1, 9)
+    fraction = np.zeros(len(points))
+    manipulability = np.zeros(len(points))
+    with progress_bar("reachability", len(points), "points") as progress, ThreadPoolExecutor(workers) as pool:
+        chunks = [slice(k, min(k + POINTS_PER_CHUNK, len(points))) for k in range(0, len(points), POINTS_PER_CHUNK)]
+        jobs = {pool.submit(_reached, chain, points[chunk], rows, count > 0): chunk for chunk in chunks}
+        try:
+            for job in as_completed(jobs):
+                chunk = jobs[job]
+                fraction[chunk], manipulability[chunk] = job.result()
+                progress.update(chunk.stop - chunk.start)
+        finally:
+            pool.shutdown(cancel_futures=True)
+    ok = bool((fraction > 0).any())
+    return Reachability(
+        ok=ok,
+        reason="" if ok else f"none of {len(points)} points is reachable",
+        arm=arm.name,
+        points=frozen(points),
+        fraction=frozen(fraction),
+        manipulability=frozen(manipulability),
+        spacing=spacing,
+        orientations=frozen(quaternions),
+    )
+
+
+def even_orientations(count: int) -> Array:
+    """(count, 4) unit quaternions wxyz, spread evenly over all orientations."""
+    s = np.arange(count) + 0.5
+    inner = np.sqrt(s / max(count, 1))
+    outer = np.sqrt(1.0 - s / max(count, 1))
+    alpha = 2 * np.pi * s / FULL_ROTATIONS[0]
+    beta = 2 * np.pi * s / FULL_ROTATIONS[1]
+    return np.stack([outer * np.cos(beta), inner * np.sin(alpha), inner * np.cos(alpha), outer * np.sin(beta)], axis=1)
+
+
+def _rotations(q: Array) -> Array:
+    """(M, 3, 3) of unit quaternions (M, 4) wxyz."""
+    w, x, y, z = q.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def _grid(chain: PackedChain, spacing: float, region: Sequence[ArrayLike] | None) -> Array:
+    """(N, 3) m the points of a cubic grid around the first joint, inside a box or the stretched arm's sphere."""
+    centre = chain.rows[0, 9:12] * chain.reach
+    if region is None:
+        low = centre - chain.reach
+        high = centre + chain.reach
+    else:
+        corners = array("region", cast(ArrayLike, region), 2)
+        if corners.shape != (2, 3):
+            raise InputError(f"region: shape {corners.shape} given, (2, 3) wanted: two opposite corners, m")
+        low = corners.min(axis=0)
+        high = corners.max(axis=0)
+    first = np.ceil((low - centre) / spacing - 1e-9)
+    last = np.floor((high - centre) / spacing + 1e-9)
+    counts = np.maximum(last - first + 1, 0)
+    if counts.prod() > MAX_POINTS:
+        raise InputError(f"spacing: {spacing:g} m makes {counts.prod():.3g} points, at most {MAX_POINTS} wanted")
+    axes = [spacing * np.arange(first[k], last[k] + 1) for k in range(3)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    if region is None:
+        points = points[np.linalg.norm(points, axis=1) <= chain.reach]
+    if len(points) == 0:
+        raise InputError(f"region: no point of the grid of {spacing:g} m is inside it")
+    return points + centre
+
+
+def _reached(chain: PackedChain, points: Array, rows: Array, is_oriented: bool) -> tuple[Array, Array]:
+    """The fraction of the orientations (M, 12) and the largest manipulability at each of the points (K, 3)."""
+    kernel = chain.kernel
+    targets = np.tile(rows, (len(points), 1))
+    targets[:, 9:] = np.repeat(points, len(rows), axis=0)
+    q = np.tile(chain.home, (len(targets), 1))
+    q0 = q.copy()
+    candidates = np.ones(len(targets), bool)
+    starts = NUMERICAL_STARTS
+    if chain.closed_form is not None and is_oriented:
+        candidates = first_solutions(chain, chain.closed_form, targets, q)
+        starts = 1
+    solved = np.zeros(len(targets), bool)
+    search = np.flatnonzero(candidates)
+    found = q[search]
+    report = np.empty((kernel.SEARCH_ROWS, len(search)), np.int64)
+    kernel.search(
+        chain.rows,
+        chain.reach,
+        targets[search],
+        kernel.POSE if is_oriented else kernel.POSITION,
+        POSITION_TOLERANCE * TOLERANCE_SHARE,
+        ORIENTATION_TOLERANCE * TOLERANCE_SHARE,
+        q0[search],
+        0,
+        starts,
+        0,
+        found,
+        report,
+    )
+    solved[search] = report[kernel.SOLVED] == 1
+    q[search] = found
+    index = np.zeros(len(targets))
+    measured = np.empty(int(solved.sum()))
+    kernel.manipulabilities(chain.rows, chain.reach, 6 if is_oriented else 3, q[solved], measured)
+    index[solved] = measured
+    shape = (len(points), len(rows))
+    return solved.reshape(shape).mean(axis=1), index.reshape(shape).max(axis=1)

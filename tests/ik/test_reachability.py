@@ -1,0 +1,82 @@
+"""reachability: the map agrees with solve_ik, does not depend on threads, and survives its file."""
+
+import numpy as np
+import pytest
+from arms import arm_of
+
+import armctl
+from armctl import InputError, Pose, Reachability
+from armctl.ik import solve_ik_batch
+
+
+@pytest.fixture(scope="module")
+def small() -> Reachability:
+    return armctl.reachability(armctl.load("robot_arm_3dof"), 0.2)
+
+
+def test_the_points_reached_are_those_that_solve_ik_batch_reaches(small):
+    arm = armctl.load("robot_arm_3dof")
+    reached = solve_ik_batch(arm, small.points).ok
+    assert 10 < reached.sum() < len(reached) - 10
+    assert np.array_equal(small.fraction > 0, reached)
+    assert small.volume == pytest.approx(reached.sum() * 0.2**3)
+
+
+def test_the_manipulability_is_at_most_that_of_any_configuration_and_positive_where_reached(small):
+    arm = armctl.load("robot_arm_3dof")
+    assert ((small.manipulability > 0) == (small.fraction > 0)).all()
+    J = [arm.jacobian(q)[:3] for q in arm.limits.random(arm.home, 4000, np.random.default_rng(0))]
+    highest = max(np.sqrt(np.linalg.det(each @ each.T)) for each in J)
+    assert 0.5 * highest < small.manipulability.max() < 1.02 * highest
+
+
+def test_the_fraction_of_orientations_is_what_solve_ik_batch_reaches():
+    arm = arm_of("ur5e")
+    found = armctl.reachability(arm, 0.3, 6, [(0.1, 0.1, 0.1), (1.0, 1.0, 0.8)])
+    turns = [Pose([0, 0, 0], quat=each).rotation for each in found.orientations]
+    T = np.tile(np.eye(4), (len(found.points) * 6, 1, 1))
+    T[:, :3, :3] = np.tile(turns, (len(found.points), 1, 1))
+    T[:, :3, 3] = np.repeat(found.points, 6, axis=0)
+    fraction = solve_ik_batch(arm, T).ok.reshape(-1, 6).mean(axis=1)
+    assert 0 < fraction.mean() < 1
+    assert np.array_equal(found.fraction, fraction)
+
+
+def test_the_result_does_not_depend_on_the_number_of_threads(small):
+    alone = armctl.reachability(armctl.load("robot_arm_3dof"), 0.2, threads=1)
+    assert alone.fraction.tobytes() == small.fraction.tobytes()
+    assert alone.manipulability.tobytes() == small.manipulability.tobytes()
+
+
+def test_a_saved_map_is_read_back_and_another_file_is_refused(small, tmp_path):
+    small.save(tmp_path / "reach.npz")
+    again = Reachability.load(tmp_path / "reach.npz")
+    assert str(again) == str(small)
+    assert again.to_dict() == small.to_dict()
+    assert again.points.tobytes() == small.points.tobytes()
+    np.savez(tmp_path / "other.npz", points=np.zeros((1, 3)))
+    with pytest.raises(InputError, match=r"^path: 'other.npz' is no file of Reachability.save"):
+        Reachability.load(tmp_path / "other.npz")
+
+
+def test_the_cloud_and_the_plot_show_the_points_reached(small, tmp_path):
+    points, colours = small.cloud("manipulability")
+    assert len(points) == len(colours) == (small.fraction > 0).sum()
+    assert colours[small.manipulability[small.fraction > 0].argmax()].tolist() == [253, 231, 37]
+    assert small.plot(tmp_path / "reach.png").stat().st_size > 1000
+    with pytest.raises(InputError, match=r"^values: volume given, fraction or manipulability wanted$"):
+        small.cloud("volume")
+
+
+def test_where_nothing_is_reached_there_is_a_reason():
+    found = armctl.reachability(armctl.load("robot_arm_3dof"), 0.1, region=[(5.0, 5.0, 5.0), (5.1, 5.1, 5.1)])
+    assert not found
+    assert found.reason == f"none of {len(found.points)} points is reachable"
+
+
+def test_a_wrong_call_is_one_sentence():
+    arm = armctl.load("robot_arm_3dof")
+    with pytest.raises(InputError, match=r"^spacing: 1e-06 m makes .* points, at most 2000000 wanted$"):
+        armctl.reachability(arm, 1e-6)
+    with pytest.raises(InputError, match=r"^region: shape \(1, 3\) given, \(2, 3\) wanted: two opposite corners, m$"):
+        armctl.reachability(arm, 0.1, region=[(0.0, 0.0, 0.0)])
