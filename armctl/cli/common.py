@@ -26,6 +26,7 @@ _CHAIN_OPTIONS = {
     "--base": "body that the chain stands on; joints above it are held",
     "--tool": "gripper, hand or MJCF file to mount at the tip",
     "--scene": "MJCF file of the tables and objects around the robot",
+    "--srdf": "SRDF file: which links may touch, where home is, and groups that --tip can name",
 }
 
 Commands = argparse._SubParsersAction  # argparse has no public name for it
@@ -71,7 +72,8 @@ def load_arm(args: argparse.Namespace) -> Arm:
     """The arm that the arguments select."""
     from armctl.loading.load import load
 
-    return load(args.robot, tip=args.tip, base=args.base, tool=args.tool, scene=args.scene, hold_base=args.hold_base)
+    ends = {"tip": args.tip, "base": args.base, "hold_base": args.hold_base}
+    return load(args.robot, **ends, tool=args.tool, scene=args.scene, srdf=args.srdf)
 
 
 def numbers(what: str, words: Sequence[str]) -> list[float]:

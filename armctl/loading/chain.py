@@ -21,11 +21,13 @@ from armctl.mjmodel.queries import (
     joint_name,
     joints_above,
     joints_of,
+    welded_behind,
 )
 from armctl.mjmodel.transmissions import Transmissions
 
 _JAW_NAME = re.compile(r"jaw|grip|finger|claw|knuckle", re.IGNORECASE)
 _JAW_BODY_NAME = re.compile(r"^(?!.*(fix|static|base)).*(jaw|finger|fngr|claw|moving)", re.IGNORECASE)
+_TIP_FRAME_NAME = re.compile(r"(?<![a-z])(tcp|grasp|pinch|tip)(?![a-z])", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -265,7 +267,18 @@ def _end_of_arm(analysis: Transmissions, run: Joints, counts: list[int]) -> int:
 def _is_jaw(analysis: Transmissions, joint: int) -> bool:
     model = analysis.model
     names = (joint_name(model, joint), actuator_name(model, analysis.actuators[joint]))
-    return any(map(_JAW_NAME.search, names)) or bool(_JAW_BODY_NAME.search(body_name(model, int(model.jnt_bodyid[joint]))))
+    body = int(model.jnt_bodyid[joint])
+    is_named_jaw = any(map(_JAW_NAME.search, names)) or _JAW_BODY_NAME.search(body_name(model, body))
+    return bool(is_named_jaw) or (
+        "grip" in body_name(model, body).lower() and _carries_a_tip(model, int(model.body_parentid[body]))
+    )
+
+
+def _carries_a_tip(model: mujoco.MjModel, body: int) -> bool:
+    """Whether something on a rigid piece is named like a tip, so that what moves behind it is a gripper, not a wrist."""
+    pieces = welded_behind(model, body)
+    sites = [model.site(s).name for s in range(model.nsite) if int(model.site_bodyid[s]) in pieces]
+    return any(map(_TIP_FRAME_NAME.search, [*(body_name(model, b) for b in pieces[1:]), *sites]))
 
 
 def _free_base_reason(model: mujoco.MjModel, joint: int) -> str:

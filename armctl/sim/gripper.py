@@ -12,7 +12,7 @@ from armctl.core.errors import InputError
 from armctl.core.validation import instance, number
 from armctl.mjmodel.queries import body_name
 from armctl.robot.arm import Arm
-from armctl.sim.gripper_model import find_gripper_model, make_servos, pad_distance
+from armctl.sim.gripper_model import find_gripper_model, make_servos
 from armctl.sim.stepper import Stepper
 
 _DEFAULT_FORCE = 10.0  # N
@@ -93,12 +93,16 @@ class Gripper:
         self._actuators = list(self.model.actuators)
         self._ctrl = stepper.model.actuator_ctrladr[self._actuators]
         self._servo = {name: getattr(stepper.model, name).copy() for name in (*_SERVO_ARRAYS, *_SERVO_RANGES)}
+        overlapping = self.model.overlapping
+        self._limited = stepper.model.jnt_limited[self.model.followers]
+        self._contype = stepper.model.geom_contype[overlapping]
+        self._conaffinity = stepper.model.geom_conaffinity[overlapping]
 
     @property
     def width(self) -> float:
         """The distance between the pads now, m."""
         mujoco.mj_kinematics(self._stepper.model, self._stepper.data)
-        return pad_distance(self._stepper.model, self._stepper.data, self.model.pads)
+        return self.model.jaws.width(self._stepper.model, self._stepper.data)
 
     @property
     def width_max(self) -> float:
@@ -183,14 +187,21 @@ class Gripper:
         return self._result(bool(held), held, pressed, begin, "" if held else "closed on nothing")
 
     def reset(self) -> None:
-        """Restores the gripper's own servo, as before its first use."""
+        """Restores the gripper's own servo, limits and contacts, as before its first use."""
         self._set_servo()
+        self._stepper.model.jnt_limited[self.model.followers] = self._limited
+        self._stepper.model.geom_contype[self.model.overlapping] = self._contype
+        self._stepper.model.geom_conaffinity[self.model.overlapping] = self._conaffinity
 
     def _begin(self) -> float:
         """Releases the brake, restores the gripper's own servo, and returns the time now."""
         self._stepper.release(self.model.dofs)
         self._set_servo()
-        make_servos(self._stepper.model, self.model.actuators)
+        make_servos(self._stepper.model, self.model.actuators, self.model.inertia)
+        self._stepper.model.jnt_limited[self.model.followers] = 0  # in a URDF they often contradict the leading joint's
+        # Two geoms touch if one's contype meets the other's conaffinity: without contype these touch other things only.
+        self._stepper.model.geom_conaffinity[self.model.overlapping] = self._contype | self._conaffinity
+        self._stepper.model.geom_contype[self.model.overlapping] = 0
         return float(self._stepper.data.time)
 
     def _set_servo(self) -> None:
@@ -259,10 +270,10 @@ class Gripper:
         data = self._stepper.data
         wrench = np.zeros(6)
         forces: list[dict[int, float]] = [{}, {}]
-        own = self.model.sides[0] | self.model.sides[1]
+        own = self.model.jaws.sides[0] | self.model.jaws.sides[1]
         for index, contact in enumerate(data.contact):
             bodies = [int(model.geom_bodyid[g]) for g in contact.geom]
-            for side, on in zip(self.model.sides, forces, strict=True):
+            for side, on in zip(self.model.jaws.sides, forces, strict=True):
                 for one, other in (bodies, bodies[::-1]):
                     if one in side and other not in own:
                         mujoco.mj_contactForce(model, data, index, wrench)

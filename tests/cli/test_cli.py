@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from arms import BUNDLED, MISSING, at_hand
+from synthetic import FIRST, SECOND, THIRD, TOOL, urdf
 
 import armctl
 from armctl.cli.main import main
@@ -309,3 +310,15 @@ def test_a_warmup_without_workers_is_refused(capsys):
     status, _, err = run(capsys, "warmup", "--workers", "0")
     assert status == 2
     assert err == "armctl: --workers: 0 given, at least 1 needed\n"
+
+
+def test_every_command_that_loads_an_arm_takes_an_srdf(capsys, tmp_path: Path):
+    robot = urdf(FIRST, SECOND, THIRD, TOOL)
+    (tmp_path / "robot.urdf").write_text(robot)
+    group = '<group name="short"><chain base_link="base" tip_link="one"/></group>'
+    (tmp_path / "other.srdf").write_text(f'<robot name="r">{group}</robot>')
+    options = [str(tmp_path / "robot.urdf"), "--srdf", str(tmp_path / "other.srdf"), "--tip", "short"]
+    status, out, err = run(capsys, "info", *options)
+    assert status == 0, err
+    assert "one" in out
+    assert "j2" not in out

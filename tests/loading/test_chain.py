@@ -58,6 +58,13 @@ def test_a_jaw_is_known_by_its_actuator_or_body_too():
     assert found(by_body, motors("a b c d")) == "a b c"
 
 
+def test_a_body_named_gripper_is_a_jaw_where_its_carrier_has_the_tip_and_else_a_wrist():
+    gripper = limb("d").replace("D", "gripper")
+    carrier = limb("a b c", "<site name='tcp'/>" + gripper)
+    assert found(carrier, motors("a b c d")) == "a b c"
+    assert found(limb("a b c", gripper), motors("a b c d")) == "a b c d"
+
+
 def test_a_wrist_that_carries_the_fingers_stays_in_the_arm_whatever_its_name():
     assert found(limb("a b joint_gripper", FINGERS), motors("a b joint_gripper left right")) == "a b joint_gripper"
 
