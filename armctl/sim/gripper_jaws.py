@@ -65,7 +65,7 @@ class Jaws:
         """
         if self.pads:
             return _geom_distance(model, data, self.pads[0], self.pads[1])
-        first, second = (data.xpos[p.body] + data.xmat[p.body].reshape(3, 3) @ p.position for p in self.points)
+        first, second = [data.xpos[p.body] + data.xmat[p.body].reshape(3, 3) @ p.position for p in self.points]
         return max(0.0, float(np.linalg.norm(first - second)) - self.offset)
 
 
@@ -183,6 +183,7 @@ def _travel(patch: _Patch) -> Array:
 
 
 def _tip_of(patch: _Patch) -> _Patch:
+    """Those points of a patch that move farthest."""
     travel = _travel(patch)
     far = travel >= _TIP_FRACTION * travel.max()
     return _Patch(patch.bodies[far], patch.local[far], patch.world[:, far])
@@ -190,6 +191,7 @@ def _tip_of(patch: _Patch) -> _Patch:
 
 def _nearest(first: Array, second: Array) -> tuple[float, int, int]:
     """The smallest distance between two sets of points, m, and the index of each."""
-    distances, indices = KDTree(second).query(first)
+    found = KDTree(second).query(first)
+    distances = np.asarray(found[0])
     best = int(np.argmin(distances))
-    return float(distances[best]), best, int(indices[best])
+    return float(distances[best]), best, int(np.asarray(found[1])[best])

@@ -117,7 +117,7 @@ def find_gripper_model(arm: Arm) -> GripperModel:
         width[k] = jaws.width(model, data)
         length[k] = data.actuator_length[list(actuators)]
     size = int(width.argmax()) + 1  # a jaw that turns by more than 180 degrees comes back
-    width = np.maximum.accumulate(width[:size]) + 1e-12 * np.arange(size)  # strictly increasing, for interpolation
+    width = np.array(np.maximum.accumulate(width[:size]) + 1e-12 * np.arange(size), dtype=float)  # strictly increasing
     if np.ptp(width) < _MIN_OPENING:
         raise ModelError(f"{arm.name}: no gripper: what is behind the tip {arm.tip!r} neither opens nor closes")
     gripper = GripperModel(
