@@ -44,6 +44,19 @@ class Range:
         if self.log and self.low <= 0.0:
             raise InputError(f"low: {self.low:g} given, a number above 0 wanted for a logarithmic range")
 
+    def at(self, share: float) -> float:
+        """The value below which a share of all values is.
+
+        Args:
+            share: From 0 to 1.
+
+        Returns:
+            The value.
+        """
+        if self.log:
+            return self.low * (self.high / self.low) ** share
+        return self.low + share * (self.high - self.low)
+
     def _quantiles(self, u: Array, name: str) -> list[Value]:
         if name in _WHOLE_NUMBERS:
             low = integer(f"{name}: low", self.low)

@@ -1,0 +1,8 @@
+"""Gymnasium environments: any arm, armctl's controllers as action spaces, many arms at once in the compiled loop."""
+
+from importlib.util import find_spec
+
+from armctl.core.errors import NotInstalledError
+
+if find_spec("gymnasium") is None:
+    raise NotInstalledError.of_extra("environments need gymnasium", "envs")

@@ -1,0 +1,123 @@
+"""ArmEnv: one arm as an environment of Gymnasium, which is a batch of one."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from armctl.core.validation import flag
+from armctl.envs.batch import Batch
+from armctl.envs.spaces import action_space, observation_space, with_goals
+from armctl.robot.arm import Arm
+
+
+class ArmEnv(gymnasium.Env):
+    """One arm that does a task.
+
+    Attributes:
+        batch: The episode, a batch of one.
+        metadata: The rendering modes, as Gymnasium wants them.
+    """
+
+    metadata = {  # noqa: RUF012
+        "render_modes": ["rgb_array", "human"],
+        "render_fps": 20,
+    }
+
+    def __init__(
+        self,
+        robot: str | os.PathLike[str] | Arm = "panda",
+        task: str = "Reach",
+        action: str = "cartesian_delta",
+        *,
+        render_mode: str | None = None,
+        goal_conditioned: bool = False,
+        **options: Any,
+    ):
+        """An environment that waits for `reset`.
+
+        Args:
+            robot: An arm, or what `armctl.load` takes.
+            task: As for `ArmVectorEnv`.
+            action: As for `ArmVectorEnv`.
+            render_mode: "rgb_array" for pictures, "human" for the viewer's page.
+            goal_conditioned: Whether an observation is a dictionary with the achieved and the desired goal.
+            options: Further arguments of `ArmVectorEnv`.
+
+        Raises:
+            InputError: An argument is not possible, with the reason.
+            UnknownNameError: There is no such robot, controller or attribute.
+        """
+        self.batch = Batch(robot, task, action, 1, **options)
+        self._has_goals = flag("goal_conditioned", goal_conditioned)
+        self.action_space = action_space(self.batch)
+        self.observation_space = observation_space(self.batch, self._has_goals)
+        self.render_mode = render_mode
+        self._screen = None
+        if render_mode is not None:
+            from armctl.envs.screen import Screen
+
+            self._screen = Screen(self.batch, render_mode)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Starts an episode.
+
+        Args:
+            seed: What decides everything random from now on; None goes on with the old one.
+            options: Not used.
+
+        Returns:
+            The observation, and an empty dictionary.
+        """
+        super().reset(seed=seed)
+        self.batch.reset((0,), (self.np_random,))
+        observation = self.batch.observe()[0]
+        self._show()
+        return self._formed(observation), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Steps the environment.
+
+        Args:
+            action: (k,) in [-1, 1].
+
+        Returns:
+            Observation, reward, termination (never), truncation (at the horizon), and information: `is_success` and
+            `distance` (m).
+
+        Raises:
+            InputError: The action has another shape.
+        """
+        batch = self.batch
+        batch.step(np.asarray(action)[None])
+        observation = batch.observe()
+        rewards, success, distance = batch.evaluate(observation)
+        self._show()
+        information = {"is_success": bool(success[0]), "distance": float(distance[0])}
+        truncated = bool(batch.steps[0] >= batch.horizon)
+        return self._formed(observation[0]), float(rewards[0]), False, truncated, information
+
+    def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
+        """The rewards of tips (..., 3) at goals (..., 3), m; `info` is not used."""
+        return self.batch.reward(np.asarray(achieved_goal), np.asarray(desired_goal))[0]
+
+    def render(self) -> Any:
+        """The picture (480, 640, 3) of the state now if the mode is "rgb_array", else None."""
+        return self._screen.picture() if self._screen is not None and self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Closes the page or the renderer."""
+        self.batch.rows.close()
+        if self._screen is not None:
+            self._screen.close()
+            self._screen = None
+
+    def _show(self) -> None:
+        if self._screen is not None and self.render_mode == "human":
+            self._screen.show()
+
+    def _formed(self, observation: Any) -> Any:
+        return with_goals(observation, self.batch.arm.n) if self._has_goals else observation

@@ -1,0 +1,21 @@
+"""The names of the environments, which Gymnasium finds by the entry point of the package."""
+
+from __future__ import annotations
+
+TASKS = ("Reach",)
+
+
+def register() -> None:
+    """Registers `armctl/Reach-v0` and `armctl/ReachGoal-v0`; Gymnasium adds the name space."""
+    import gymnasium
+
+    for task in TASKS:
+        for goal_conditioned in (False, True):
+            gymnasium.register(
+                f"{task}{'Goal' if goal_conditioned else ''}-v0",
+                entry_point="armctl.envs.arm_env:ArmEnv",
+                vector_entry_point="armctl.envs.vector_env:ArmVectorEnv",
+                kwargs={"task": task, "goal_conditioned": goal_conditioned},
+                disable_env_checker=True,  # its checks cost more than a step; a test makes them
+                order_enforce=False,
+            )

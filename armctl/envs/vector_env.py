@@ -1,0 +1,166 @@
+"""ArmVectorEnv: many arms in one compiled step, as a vector environment of Gymnasium."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.utils.seeding import np_random
+from gymnasium.vector.utils import batch_space
+
+from armctl.core.errors import InputError
+from armctl.core.validation import flag
+from armctl.envs.batch import Batch
+from armctl.envs.spaces import action_space, observation_space, with_goals
+from armctl.robot.arm import Arm
+from armctl.study.factors import Range
+
+
+class ArmVectorEnv(gymnasium.vector.VectorEnv):
+    """Many arms that do one task, in one compiled step on several threads.
+
+    Row k of a batch with seed s is, bit for bit, the single environment with seed s + k. An episode that ends is reset in the
+    same step: the observation is that of the next episode, and `info["final_obs"]` has the last one of the old.
+
+    Attributes:
+        batch: The episodes.
+        metadata: The autoreset mode and the rendering modes, as Gymnasium wants them.
+    """
+
+    metadata = {  # noqa: RUF012
+        "render_modes": [],
+        "autoreset_mode": gymnasium.vector.AutoresetMode.SAME_STEP,
+    }
+
+    def __init__(
+        self,
+        robot: str | os.PathLike[str] | Arm = "panda",
+        task: str = "Reach",
+        action: str = "cartesian_delta",
+        num_envs: int = 1,
+        threads: int = 1,
+        *,
+        controller: str = "computed-torque",
+        ticks: int = 25,
+        horizon: int = 50,
+        free_space: bool = True,
+        randomize: Mapping[str, Range] | None = None,
+        reward: str = "dense",
+        goal_conditioned: bool = False,
+    ):
+        """Environments that wait for `reset`.
+
+        Args:
+            robot: An arm, or what `armctl.load` takes.
+            task: "Reach".
+            action: "torque", "joint_delta", "joint_target", "cartesian_delta" or "cartesian_pose".
+            num_envs: How many.
+            threads: On how many threads; the result is the same.
+            controller: The name of a controller with a kernel, for all actions but torques.
+            ticks: Control periods of a step.
+            horizon: Steps of an episode.
+            free_space: Whether nothing touches the arm, so that no contacts are simulated; False for `mj_step`.
+            randomize: A range for attributes of the plant, such as `{"payload": armctl.Range(0.0, 0.5)}`.
+            reward: "dense" or "sparse".
+            goal_conditioned: Whether an observation is a dictionary with the achieved and the desired goal.
+
+        Raises:
+            InputError: An argument is not possible, with the reason.
+            UnknownNameError: There is no such robot, controller or attribute.
+        """
+        self.batch = Batch(
+            robot,
+            task,
+            action,
+            num_envs,
+            threads=threads,
+            controller=controller,
+            ticks=ticks,
+            horizon=horizon,
+            free_space=free_space,
+            randomize=randomize,
+            reward=reward,
+        )
+        self._has_goals = flag("goal_conditioned", goal_conditioned)
+        self.num_envs = len(self.batch.steps)
+        self.render_mode = None
+        self.single_action_space = action_space(self.batch)
+        self.single_observation_space = observation_space(self.batch, self._has_goals)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self._rngs = [np_random()[0] for _ in range(self.num_envs)]
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict]:
+        """Starts all episodes.
+
+        Args:
+            seed: That of the first environment, the others follow; or one for each; None goes on with the old ones.
+            options: Not used.
+
+        Returns:
+            The observations, and an empty dictionary.
+
+        Raises:
+            InputError: There are not as many seeds as environments.
+        """
+        seeds: Sequence[int | None]
+        if seed is None or isinstance(seed, (int, np.integer)):
+            seeds = [None if seed is None else int(seed) + k for k in range(self.num_envs)]
+        else:
+            seeds = seed
+        if len(seeds) != self.num_envs:
+            raise InputError(f"seed: {len(seeds)} seeds given for {self.num_envs} environments")
+        for k, each in enumerate(seeds):
+            if each is not None:
+                self._rngs[k] = np_random(each)[0]
+        self.batch.reset(range(self.num_envs), self._rngs)
+        return self._formed(self.batch.observe()), {}
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Steps all environments; ended episodes start again.
+
+        Args:
+            actions: (num_envs, k) in [-1, 1].
+
+        Returns:
+            Observations, rewards, terminations (never), truncations (at the horizon), and information: `is_success` and
+            `distance` (m) of each, and `final_obs` where an episode ended.
+
+        Raises:
+            InputError: The actions have another shape.
+        """
+        batch = self.batch
+        batch.step(actions)
+        observations = batch.observe()
+        n = batch.arm.n
+        rewards, success, distance = batch.evaluate(observations)
+        truncated = batch.steps >= batch.horizon
+        information: dict[str, Any] = {"is_success": success, "distance": distance}
+        information |= {f"_{name}": np.ones(self.num_envs, bool) for name in ("is_success", "distance")}
+        if truncated.any():
+            ended = np.flatnonzero(truncated)
+            last = np.full(self.num_envs, None, dtype=object)
+            for k in ended:
+                last[k] = with_goals(observations[k], n) if self._has_goals else observations[k]
+            information |= {"final_obs": last, "_final_obs": truncated}
+            final = {"is_success": success, "_is_success": truncated, "distance": distance, "_distance": truncated}
+            information |= {"final_info": final, "_final_info": truncated}
+            batch.reset(ended.tolist(), [self._rngs[k] for k in ended])
+            observations = batch.observe()
+        return self._formed(observations), rewards, np.zeros(self.num_envs, bool), truncated, information
+
+    def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
+        """The rewards of tips (..., 3) at goals (..., 3), m; `info` is not used."""
+        return self.batch.reward(np.asarray(achieved_goal), np.asarray(desired_goal))[0]
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Ends the threads."""
+        self.batch.rows.close()
+
+    def _formed(self, observations: Any) -> Any:
+        return with_goals(observations, self.batch.arm.n) if self._has_goals else observations

@@ -1,0 +1,116 @@
+"""Environments of the task Reach: limits, seeds, threads, and what Gymnasium asks of an environment."""
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+from gymnasium.envs.registration import namespace, registry
+from gymnasium.utils.env_checker import check_env
+
+import armctl
+from armctl.envs.plants import plant_vector
+from armctl.envs.registration import register
+from armctl.robot.dynamics_kernel import DRIVE_COLUMNS, FRICTION_GAIN
+from armctl.sim.free_space import FreeSpace
+
+ROBOT = "robot_arm_3dof"
+ACTIONS = ("torque", "joint_delta", "joint_target", "cartesian_delta", "cartesian_pose")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def names():
+    """The names, also where the package was installed before it had the entry point."""
+    if "armctl/Reach-v0" not in registry:
+        with namespace("armctl"):
+            register()
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return armctl.load(ROBOT)
+
+
+def run(env, actions):
+    """The observations of some steps."""
+    return np.array([env.step(action)[0] for action in actions])
+
+
+@pytest.mark.filterwarnings("ignore:.*A Box observation space")
+@pytest.mark.parametrize("name", ["armctl/Reach-v0", "armctl/ReachGoal-v0"])
+def test_gymnasium_accepts_the_environment(arm, name):
+    check_env(gymnasium.make(name, robot=arm).unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("free_space", [True, False])
+@pytest.mark.parametrize("action", ACTIONS)
+def test_joint_limits_hold_whatever_the_policy_does(arm, action, free_space):
+    env = armctl.ArmEnv(arm, action=action, free_space=free_space)
+    env.reset(seed=0)
+    size = env.action_space.shape[0]
+    pushes = np.sign(np.random.default_rng(1).uniform(-1.0, 1.0, (8, size)))
+    for push in np.repeat(pushes, 12, axis=0):
+        env.step(push)
+        assert arm.limits.contains(env.batch.rows.q)
+
+
+def test_the_seed_decides_everything(arm):
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (5, arm.n))
+    episodes = []
+    for seed in (3, 3, 4):
+        env = armctl.ArmEnv(arm, action="joint_delta", randomize={"payload": armctl.Range(0.0, 0.2)})
+        start, _ = env.reset(seed=seed)
+        episodes.append(np.vstack([start, run(env, actions)]))
+    assert np.array_equal(episodes[0], episodes[1])
+    assert not np.allclose(episodes[0], episodes[2])
+
+
+def test_a_batch_on_any_number_of_threads_is_its_single_environments(arm):
+    options = {"action": "joint_delta", "randomize": {"payload": armctl.Range(0.0, 0.2)}, "horizon": 3}
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (7, 5, arm.n))
+    batches = []
+    for threads in (1, 3):
+        env = armctl.ArmVectorEnv(arm, num_envs=5, threads=threads, **options)
+        env.reset(seed=10)
+        batches.append(run(env, actions))
+        env.close()
+    assert np.array_equal(*batches)
+    single = armctl.ArmEnv(arm, **options)
+    single.reset(seed=12)
+    for step, action in enumerate(actions[:, 2]):
+        observation, _, _, ended, _ = single.step(action)
+        if ended:
+            observation, _ = single.reset()
+        assert np.array_equal(observation, batches[0][step, 2])
+
+
+def test_the_last_observation_of_an_episode_is_kept(arm):
+    env = gymnasium.make_vec("armctl/ReachGoal-v0", num_envs=2, robot=arm, horizon=2)
+    assert env.metadata["autoreset_mode"] is gymnasium.vector.AutoresetMode.SAME_STEP
+    first, _ = env.reset(seed=0)
+    nothing = np.zeros(env.action_space.shape)
+    env.step(nothing)
+    observations, rewards, _, truncated, information = env.step(nothing)
+    assert truncated.all()
+    last = information["final_obs"][1]
+    assert np.array_equal(last["desired_goal"], first["desired_goal"][1])
+    assert not np.array_equal(observations["desired_goal"][1], last["desired_goal"])
+    assert env.compute_reward(last["achieved_goal"], last["desired_goal"], {}) == rewards[1]
+
+
+def test_a_varied_plant_has_the_dynamics_of_its_model(arm):
+    def vector(plant):
+        model = plant.model(arm)
+        found = FreeSpace(arm, model, mujoco.MjData(model)).vector
+        drives = len(found) - arm.n * (DRIVE_COLUMNS + arm.n)
+        found[drives + FRICTION_GAIN :: DRIVE_COLUMNS][: arm.n] = 0.0  # of dry friction, which there is none of
+        return found
+
+    plant = armctl.Plant(payload=0.3, mass_scale=1.2, viscous_friction=0.4)
+    varied = plant_vector(arm, vector(armctl.Plant()), plant)
+    assert varied == pytest.approx(vector(plant), rel=1e-9, abs=1e-12)
+
+
+def test_wrong_arguments_are_explained(arm):
+    for options in ({"action": "jump"}, {"randomize": {"delay": armctl.Range(0, 2)}}, {"controller": "operational-space"}):
+        with pytest.raises(armctl.InputError, match=next(iter(options))):
+            armctl.ArmEnv(arm, **options)
