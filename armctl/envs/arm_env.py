@@ -45,7 +45,7 @@ class ArmEnv(gymnasium.Env):
             action: As for `ArmVectorEnv`.
             render_mode: "rgb_array" for pictures, "human" for the viewer's page.
             goal_conditioned: Whether an observation is a dictionary with the achieved and the desired goal.
-            options: Further arguments of `ArmVectorEnv`.
+            **options: Further arguments of `ArmVectorEnv`.
 
         Raises:
             InputError: An argument is not possible, with the reason.
@@ -101,11 +101,24 @@ class ArmEnv(gymnasium.Env):
         return self._formed(observation[0]), float(rewards[0]), False, truncated, information
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """The rewards of tips (..., 3) at goals (..., 3), m; `info` is not used."""
+        """The rewards of tips at goals, for hindsight replay.
+
+        Args:
+            achieved_goal: (..., 3) m.
+            desired_goal: (..., 3) m.
+            info: Not used.
+
+        Returns:
+            (...,) rewards.
+        """
         return self.batch.reward(np.asarray(achieved_goal), np.asarray(desired_goal))[0]
 
     def render(self) -> Any:
-        """The picture (480, 640, 3) of the state now if the mode is "rgb_array", else None."""
+        """The state now as a picture.
+
+        Returns:
+            (480, 640, 3) if the mode is "rgb_array", else None.
+        """
         return self._screen.picture() if self._screen is not None and self.render_mode == "rgb_array" else None
 
     def close(self) -> None:

@@ -155,11 +155,24 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
         return self._formed(observations), rewards, np.zeros(self.num_envs, bool), truncated, information
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """The rewards of tips (..., 3) at goals (..., 3), m; `info` is not used."""
+        """The rewards of tips at goals, for hindsight replay.
+
+        Args:
+            achieved_goal: (..., 3) m.
+            desired_goal: (..., 3) m.
+            info: Not used.
+
+        Returns:
+            (...,) rewards.
+        """
         return self.batch.reward(np.asarray(achieved_goal), np.asarray(desired_goal))[0]
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Ends the threads."""
+        """Ends the threads.
+
+        Args:
+            **kwargs: Not used.
+        """
         self.batch.rows.close()
 
     def _formed(self, observations: Any) -> Any:
