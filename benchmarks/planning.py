@@ -17,6 +17,7 @@ import os
 import time
 import warnings
 from collections.abc import Iterator
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -309,8 +310,13 @@ def place(arm: armctl.Arm, data: mujoco.MjData, q: np.ndarray) -> None:
 def contacts(arm: armctl.Arm, checker: CollisionChecker, data: mujoco.MjData, q: np.ndarray) -> set[tuple[int, int]]:
     """The pairs that MuJoCo finds touching, of those that the checker counts."""
     place(arm, data, q)
-    counted = {tuple(sorted(checker.geometry.pair_geoms(p))) for p in range(len(checker.geometry.pairs))}
-    return {tuple(sorted(contact.geom.tolist())) for contact in data.contact if contact.dist < 0.0} & counted
+    return {tuple(sorted(contact.geom.tolist())) for contact in data.contact if contact.dist < 0.0} & counted_pairs(checker)
+
+
+@lru_cache(maxsize=1)
+def counted_pairs(checker: CollisionChecker) -> set[tuple[int, int]]:
+    """The geoms of the pairs that the checker counts."""
+    return {tuple(sorted(checker.geometry.pair_geoms(p))) for p in range(len(checker.geometry.pairs))}
 
 
 def capsules_in_boxes(arm: armctl.Arm, data: mujoco.MjData, q: np.ndarray) -> bool:

@@ -60,6 +60,20 @@ def test_out_of_reach_exits_1_and_says_by_how_many_millimetres(capsys):
     assert json.loads(out)["ok"] is False
 
 
+def test_reach_goes_around_what_stands_in_the_cell_and_refuses_what_it_cannot_reach(capsys, tmp_path):
+    cell = tmp_path / "cell.xml"
+    post = '<body name="post" pos="0.3 0.12 0.15"><geom type="box" size="0.02 0.02 0.15"/></body>'
+    cell.write_text(f"<mujoco><worldbody>{post}</worldbody></mujoco>")
+    straight = armctl.Simulation(armctl.load(BUNDLED, scene=cell)).move_to([0.3, 0.3, 0.2], avoid=False)
+    assert "touched post" in straight.reason
+    status, out, err = run(capsys, "reach", BUNDLED, "--scene", str(cell), "--target", "0.3", "0.3", "0.2")
+    assert status == 0, err
+    assert "touched" not in out
+    status, out, _ = run(capsys, "reach", BUNDLED, "--scene", str(cell), "--target", "0.3", "0.12", "0.2")
+    assert status == 1
+    assert "the goal cannot be reached without contact: link3 is 50.0 mm inside post" in out
+
+
 def test_a_controller_that_sags_exits_1(capsys, monkeypatch):
     monkeypatch.setitem(CONTROLLERS, "pd", lambda arm: armctl.PD(arm, bandwidth=10.0))
     status, out, _ = run(capsys, "reach", BUNDLED, "--controller", "pd")

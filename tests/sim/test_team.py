@@ -2,6 +2,7 @@
 
 import warnings
 
+import mujoco
 import numpy as np
 import pytest
 from arms import MISSING, at_hand
@@ -232,6 +233,33 @@ def test_each_limb_gets_a_verdict_of_its_own(limbs: tuple[armctl.Arm, ...]):
     results = armctl.Team(limbs).move_to(targets)
     assert [result.ok for result in results.values()] == [True] * (len(limbs) - 1) + [False]
     assert results[limbs[-1].tip].reason.startswith("out of reach by")
+
+
+def test_the_arms_of_aloha_exchange_places_without_contact():
+    if not at_hand("aloha"):
+        pytest.skip(f"aloha: {MISSING}")
+    team = armctl.Team(armctl.load_arms("aloha", ["left/gripper", "right/gripper"]))
+    left, right = team.arms
+    places = {left: team.tip(right).position, right: team.tip(left).position}
+    assert _touching_ticks(team, team.move_to(places, avoid=False)) > 0
+    team.reset()
+    results = team.move_to(places)
+    assert all(result.ok for result in results.values()), results
+    assert _touching_ticks(team, results) == 0
+
+
+def _touching_ticks(team: armctl.Team, results: dict[str, armctl.MoveResult]) -> int:
+    """At how many logged ticks MuJoCo finds something of one arm in something else."""
+    data = mujoco.MjData(team.model)
+    data.qpos[:] = next(iter(team.arms.values())).home_qpos
+    touching = 0
+    for rows in zip(*(results[tip].log.q for tip in team.arms), strict=True):
+        for arm, q in zip(team.arms.values(), rows, strict=True):
+            data.qpos[arm.joint_map.qpos_adr] = arm.joint_map.positions(q)
+        mujoco.mj_kinematics(team.model, data)
+        mujoco.mj_collision(team.model, data)
+        touching += any(contact.dist < 0.0 for contact in data.contact)
+    return touching
 
 
 def _small_motion(arm: armctl.Arm):
