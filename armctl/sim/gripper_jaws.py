@@ -65,8 +65,8 @@ class Jaws:
         """
         if self.pads:
             return _geom_distance(model, data, self.pads[0], self.pads[1])
-        first, second = [data.xpos[p.body] + data.xmat[p.body].reshape(3, 3) @ p.position for p in self.points]
-        return max(0.0, float(np.linalg.norm(first - second)) - self.offset)
+        places = [data.xpos[p.body] + data.xmat[p.body].reshape(3, 3) @ p.position for p in self.points]
+        return max(0.0, float(np.linalg.norm(places[0] - places[1])) - self.offset)
 
 
 def find_jaws(model: mujoco.MjModel, states: Sequence[mujoco.MjData], palm: frozenset[int]) -> tuple[Jaws, int, int]:
