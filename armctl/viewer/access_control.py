@@ -27,12 +27,14 @@ _SESSION_ID_BYTES = 32
 _WRONG_TOKEN_DELAY_S = 0.1  # wrong tokens are answered one after the other, so at most ten guesses a second
 _HEADERS = {
     "Cache-Control": "no-cache",
-    "Content-Security-Policy": "frame-ancestors 'none'",  # another page must not show this one and catch the clicks
     "Cross-Origin-Resource-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
-    "X-Frame-Options": "DENY",
 }
+# Another page must not show this one and catch the clicks.
+_NO_FRAMES = {"Content-Security-Policy": "frame-ancestors 'none'", "X-Frame-Options": "DENY"}
+# X-Frame-Options knows no list of pages, so browsers get the policy alone.
+_NOTEBOOK_FRAMES = {"Content-Security-Policy": "frame-ancestors http://localhost:* http://127.0.0.1:*"}
 
 
 def check_token(token: str) -> str:
@@ -52,9 +54,20 @@ class AccessControl:
     A request must name this machine in Host: otherwise a foreign page could reach this one through a DNS name of its own (DNS
     rebinding). A request from a script carries Origin, which must be the page itself: otherwise any page in the same browser
     could open a WebSocket. With a token, a visitor shows the token once and gets a random session id as a cookie.
+
+    Attributes:
+        in_notebook: Whether a notebook of this machine may show the page in a frame.
     """
 
-    def __init__(self, port: int, host: str | None = None, token: str | None = None, allowed_hosts: Sequence[str] = ()):
+    def __init__(
+        self,
+        port: int,
+        host: str | None = None,
+        token: str | None = None,
+        allowed_hosts: Sequence[str] = (),
+        *,
+        in_notebook: bool = False,
+    ):
         """Access control for one page.
 
         Args:
@@ -62,10 +75,12 @@ class AccessControl:
             host: Address that the page listens at; None for this machine alone.
             token: The token that visitors need; None if no token is needed.
             allowed_hosts: More names of this machine that a request may carry in Host.
+            in_notebook: Whether a notebook of this machine may show the page in a frame.
 
         Raises:
             InputError: The token is too short.
         """
+        self.in_notebook = in_notebook
         self._token = None if token is None else check_token(token).encode()
         self._cookie_name = f"armctl-{port}"  # cookies do not distinguish ports, so the name does
         self._sessions: OrderedDict[str, None] = OrderedDict()
@@ -175,9 +190,13 @@ class AccessControl:
             return False
 
 
-def add_security_headers(response: Response) -> Response:
-    """The same response with headers that restrict what other pages may do with it."""
-    for name, value in _HEADERS.items():
+def add_security_headers(response: Response, in_notebook: bool = False) -> Response:
+    """The same response with headers that restrict what other pages may do with it.
+
+    Only a page that a notebook kernel serves may be shown inside another page, and only inside one of this machine.
+    """
+    frames = _NOTEBOOK_FRAMES if in_notebook else _NO_FRAMES
+    for name, value in (_HEADERS | frames).items():
         if name not in response.headers:
             response.headers[name] = value
     return response

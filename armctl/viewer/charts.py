@@ -36,6 +36,7 @@ class Charts:
             title=f"tip error, mm; grey: {1e3 * TOLERANCE:g} mm",
             scales={"x": _SPAN, "y": {"distr": 3, "range": (_MIN_SHOWN_MM, _MAX_SHOWN_MM)}},
             axes=({}, {"grid": {"show": False}, "ticks": {"show": False}}),
+            legend=_LEGEND,
             height=_ERROR_CHART_HEIGHT_PX,
         )
         self._torque = server.gui.add_uplot(
@@ -43,6 +44,7 @@ class Charts:
             (_TIME, *joints, _bound("limit"), _bound("limit")),
             title="torque, % of each motor's limit",
             scales={"x": _SPAN, "y": {"range": _TORQUE_RANGE_PERCENT}},
+            legend=_LEGEND,
             height=_TORQUE_CHART_HEIGHT_PX,
         )
 
@@ -61,6 +63,7 @@ class Charts:
 
 
 _TIME: uplot.Series = {"label": "s"}
+_LEGEND: uplot.Legend = {"live": False}  # values would appear only under the mouse
 _SPAN: uplot.Scale = {"time": False, "range": (-DURATION_S, 0.0)}
 
 

@@ -118,7 +118,7 @@ def limited_value(control: object, value: object) -> bool | float | str | list[f
         return True
     if isinstance(control, viser.GuiCheckboxHandle):
         return value if isinstance(value, bool) else None
-    if isinstance(control, viser.GuiDropdownHandle):
+    if isinstance(control, viser.GuiDropdownHandle | viser.GuiButtonGroupHandle):
         return value if isinstance(value, str) and value in control.options else None
     if isinstance(control, viser.GuiSliderHandle):
         return min(max(float(value), control.min), control.max) if _is_finite(value) else None

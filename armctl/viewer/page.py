@@ -14,14 +14,14 @@ import numpy as np
 
 from armctl.control import CONTROLLERS
 from armctl.core.errors import InputError, UnknownNameError
-from armctl.core.pose import Pose
 from armctl.robot.arm import Arm
 from armctl.sim.realtime import RealTimeSession
 from armctl.viewer.panel import Panel
 from armctl.viewer.status_text import describe
+from armctl.viewer.target_controls import TargetControls
+from armctl.viewer.tip_trail import TipTrail
 from armctl.viewer.web_scene import DRAW_INTERVAL_S, PORT, WebScene
 
-_GIZMO_SIZE_M = 0.15
 _LABEL_OFFSET_M = np.array([0.0, 0.0, 0.1])
 _TEXT_INTERVAL_S = 0.15
 _START_DELAY_S = 1.0  # the first page is drawn before the arm moves
@@ -60,15 +60,12 @@ class Page:
         self.session = RealTimeSession(arm, controller)
         status = self.session.status
         self._drawn_target = status.target
-        self._gizmo = scene.server.scene.add_transform_controls(
-            "/goal", scale=_GIZMO_SIZE_M, depth_test=False, position=status.target.position, wxyz=status.target.quat
-        )
+        self._target = TargetControls(scene.server, self.session)
         self._label = scene.server.scene.add_label(
             "/status", describe(status), position=status.target.position + _LABEL_OFFSET_M, anchor="bottom-center"
         )
-        self._gizmo.on_update(self._dragged)
-        self.panel = Panel(scene.server, scene.text, self.session)
-        self._held_by: int | None = None
+        self._trail = TipTrail(scene.server.scene, arm.fk(status.q).position)
+        self.panel = Panel(scene.server, scene.text, self.session, self._target)
         self._closing = threading.Event()
         self._starter = threading.Thread(target=self._start_session, name="armctl start", daemon=True)
         self._failed = False
@@ -76,12 +73,7 @@ class Page:
     @property
     def is_target_held(self) -> bool:
         """Whether a client drags the target."""
-        return self._held_by is not None
-
-    async def _dragged(self, event) -> None:
-        """The target was dragged. A coroutine, so that viser runs it at once and in order."""
-        self._held_by = None if event.phase == "end" else event.client_id
-        self.session.aim(Pose(event.target.position, quat=event.target.wxyz))
+        return self._target.is_held
 
     def serve(self) -> None:
         """Keeps the page up to date until `close`. The session starts shortly after the first client has connected."""
@@ -118,20 +110,17 @@ class Page:
         status = self.session.status
         target = status.target
         self.scene.show_target(status.qpos, target)
-        if self._held_by is not None and self._held_by not in self.scene.server.get_clients():
-            self._held_by = None  # that client left without releasing the target
-        if target is self._drawn_target:
-            return
-        self._drawn_target = target
-        self._label.position = target.position + _LABEL_OFFSET_M
-        if self._held_by is None:
-            self._gizmo.position = target.position
-            self._gizmo.wxyz = target.quat
+        self._target.draw(target)
+        self._trail.add(self.session.arm.fk(status.q).position)
+        if target is not self._drawn_target:
+            self._drawn_target = target
+            self._label.position = target.position + _LABEL_OFFSET_M
 
     def _write(self) -> None:
         text = describe(self.session.status)
         if self._label.text != text:
             self._label.text = text
+        self._trail.draw()
         self.panel.update()
 
 

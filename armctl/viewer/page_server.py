@@ -171,7 +171,7 @@ def _checked(process_request, access: AccessControl):
         response = await access.answer(connection, request)
         if response is None:
             response = process_request(connection, request)
-        return response if response is None else add_security_headers(response)
+        return response if response is None else add_security_headers(response, access.in_notebook)
 
     return answer
 

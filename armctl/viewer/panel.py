@@ -8,22 +8,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from armctl.control import CONTROLLERS
-from armctl.core.pose import Pose
-from armctl.core.validation import Array
 from armctl.sim.realtime import RealTimeSession, Status
 from armctl.viewer.charts import Charts
 from armctl.viewer.comparison_panel import ComparisonPanel
 from armctl.viewer.latest_worker import LatestWorker
-from armctl.viewer.status_text import describe
+from armctl.viewer.status_text import describe, describe_load
+from armctl.viewer.target_controls import TargetControls
 
 if TYPE_CHECKING:
     import viser
 
 MAX_PAYLOAD_KG = 5.0
+_HINT = "Drag an arrow, a plane or an arc of the green target; the arm follows."
 _MIN_SPEED = 0.05
 _MAX_SPEED = 2.0
 _JOINT_SLIDERS_IDLE_S = 0.5  # joint sliders that were not moved for this long show the simulated joints
-_ROUNDING = 5e-4  # fields show three decimals
 
 
 class Panel:
@@ -33,19 +32,21 @@ class Panel:
     values that they read have passed the message filter.
     """
 
-    def __init__(self, server: viser.ViserServer, text: viser.GuiMarkdownHandle, session: RealTimeSession):
+    def __init__(
+        self, server: viser.ViserServer, text: viser.GuiMarkdownHandle, session: RealTimeSession, target: TargetControls
+    ):
         """Adds the controls of a session to a server's page, with the status in `text`."""
         self._gui = server.gui
         self._event_loop = server.get_event_loop()
         self._session = session
         self._text = text
-        self._shown_target = session.status.target
+        self._target = target
         self._joints_moved_at = -np.inf
         self._charts = Charts(server, session.arm.joint_names, session.history.read())
         self._payload_worker = LatestWorker("armctl payload")  # a new payload compiles a model
         self._add_plant()
         self._add_clock()
-        self._add_target()
+        target.add_fields()
         self._add_joints()
         self._add_gripper()
         self._comparison = ComparisonPanel(server, session)
@@ -53,19 +54,18 @@ class Panel:
     def update(self) -> None:
         """Shows the session's status."""
         status = self._session.status
+        samples = self._session.history.read()
+        lines = (f"**{describe(status)}**", describe_load(samples, self._session.arm.joint_names), _HINT)
         factor = status.real_time_factor * status.speed
-        self._text.content = f"**{describe(status)}**\n\nreal time x {factor:.2f}"
-        self._charts.update(self._session.history.read())
+        self._text.content = "\n\n".join(lines) + f"\n\nreal time x {factor:.2f}"
+        self._charts.update(samples)
         # On viser's event loop: written by this thread, a value could replace one that a client has just sent, before the
         # callback reads it.
         self._event_loop.call_soon_threadsafe(self._show_values, status)
 
     def _show_values(self, status: Status) -> None:
         """Shows target and joints in the fields and sliders."""
-        if status.target is not self._shown_target:  # otherwise a number that is being typed would be overwritten
-            self._shown_target = status.target
-            _show(self._position, status.target.position)
-            _show(self._rpy, np.degrees(status.target.rpy))
+        self._target.show_values(status)
         if not status.joint_control and time.monotonic() - self._joints_moved_at > _JOINT_SLIDERS_IDLE_S:
             for slider, angle in zip(self._joints, status.q, strict=True):
                 slider.value = round(float(angle), 3)
@@ -79,25 +79,6 @@ class Panel:
     def charts(self) -> Charts:
         """The charts of errors and torques."""
         return self._charts
-
-    def _add_target(self) -> None:
-        session = self._session
-        status = session.status
-        with self._gui.add_folder("Target"):
-            self._position = self._gui.add_vector3("position, m", _rounded(status.target.position), step=0.001)
-            self._rpy = self._gui.add_vector3("roll, pitch, yaw, deg", _rounded(np.degrees(status.target.rpy)), step=1.0)
-            oriented = self._gui.add_checkbox("orientation counts", status.oriented)
-
-        async def aim(event: viser.GuiEvent) -> None:
-            if event.client is not None:
-                session.aim(Pose(self._position.value, rpy=np.radians(self._rpy.value)))
-
-        async def set_oriented(event: viser.GuiEvent) -> None:
-            session.set_oriented(oriented.value)
-
-        self._position.on_update(aim)
-        self._rpy.on_update(aim)
-        oriented.on_update(set_oriented)
 
     def _add_plant(self) -> None:
         session = self._session
@@ -166,14 +147,3 @@ class Panel:
             session.grip(1e-3 * slider.value)
 
         slider.on_update(grip)
-
-
-def _show(field: viser.GuiVector3Handle, value: Array) -> None:
-    """Writes a value that differs from what the field shows."""
-    if np.abs(np.array(field.value) - value).max() > _ROUNDING:
-        field.value = _rounded(value)
-
-
-def _rounded(value: Array) -> tuple[float, float, float]:
-    x, y, z = np.round(value, 3).tolist()
-    return x, y, z

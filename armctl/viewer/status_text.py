@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
+
 from armctl.core.target import TOLERANCE
+from armctl.sim.history import Samples
 from armctl.sim.realtime import Activity, Status
 
 _MIN_SHOWN_MM = 1e-3
@@ -26,6 +31,15 @@ def describe(status: Status) -> str:
         case Activity.FOLLOWING:
             reach = f"; {_out_of_reach(status)}" if status.reach_error is not None else ""
             return f"following, {error_mm:.0f} mm to go{reach}"
+
+
+def describe_load(samples: Samples, joint_names: Sequence[str]) -> str:
+    """The last tip error relative to the reference, and the motor nearest to its limit."""
+    shares = np.abs(samples.torque_share[-1])
+    busiest = int(np.argmax(shares))
+    error_mm = max(1e3 * samples.to_reference[-1], _MIN_SHOWN_MM)
+    torque = f"largest torque {100 * shares[busiest]:.0f} % of its limit ({joint_names[busiest]})"
+    return f"{error_mm:.2g} mm from the reference; {torque}"
 
 
 def _out_of_reach(status: Status) -> str:

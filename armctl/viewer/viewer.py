@@ -15,6 +15,7 @@ from armctl.viewer.web_scene import PORT, WebScene
 
 _TEXT_INTERVAL_S = 0.2
 _BROWSER_TIMEOUT_S = 8.0
+_FRAME_HEIGHT_PX = 600
 
 
 class Viewer:
@@ -40,12 +41,13 @@ class Viewer:
             NotInstalledError: viser or mjviser is missing.
             InputError: The port is not a port.
         """
-        self.scene = WebScene(port)
+        in_notebook = _in_notebook()
+        self.scene = WebScene(port, in_notebook=in_notebook)
         self.clock = RealTimeClock()
         self.url = self.scene.url
         self._arm_name = arm.name
         self._text_written_at = -np.inf
-        browser_opens = self.scene.open_browser()
+        browser_opens = not in_notebook and self.scene.open_browser()
         self.scene.set(arm)
         self.scene.text.content = "waiting for a move"
         print(f"armctl: {arm.name} is at {self.url}", file=sys.stderr)
@@ -56,6 +58,10 @@ class Viewer:
     def real_time_factor(self) -> float:
         """1 if the simulation keeps up with the clock."""
         return self.clock.real_time_factor
+
+    def _repr_html_(self) -> str:
+        """The page in a frame, for a notebook of this machine. Elsewhere browsers refuse to show it."""
+        return f'<iframe src="{self.url}" title="armctl viewer" width="100%" height="{_FRAME_HEIGHT_PX}"></iframe>'
 
     def wait(self) -> None:
         """Keeps the page open until Ctrl-C."""
@@ -95,3 +101,10 @@ class Viewer:
         if time.monotonic() - self._text_written_at > _TEXT_INTERVAL_S:
             self._text_written_at = time.monotonic()
             self.scene.text.content = f"**{self._arm_name}**\n\nt = {data.time:.1f} s, real time x {self.real_time_factor:.2f}"
+
+
+def _in_notebook() -> bool:
+    """Whether this process is the kernel of a notebook."""
+    ipython = sys.modules.get("IPython")
+    shell = None if ipython is None else ipython.get_ipython()
+    return hasattr(shell, "kernel")

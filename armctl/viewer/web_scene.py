@@ -75,7 +75,15 @@ class WebScene:
         url: Address of the page, with the token if there is one.
     """
 
-    def __init__(self, port: int = PORT, host: str | None = None, token: str | None = None, allowed_hosts: Sequence[str] = ()):
+    def __init__(
+        self,
+        port: int = PORT,
+        host: str | None = None,
+        token: str | None = None,
+        allowed_hosts: Sequence[str] = (),
+        *,
+        in_notebook: bool = False,
+    ):
         """Serves an empty page at once: the browser opens while an arm is loaded.
 
         Args:
@@ -83,6 +91,7 @@ class WebScene:
             host: Address of this machine at which other machines reach the page; None for this machine alone.
             token: What visitors must know; None if no token is needed.
             allowed_hosts: More names of this machine that a request may carry in its Host header.
+            in_notebook: Whether a notebook of this machine may show the page in a frame.
 
         Raises:
             NotInstalledError: viser or mjviser is missing.
@@ -100,7 +109,7 @@ class WebScene:
             raise _missing(error.name) from None
         listener = page_server.listen(port, host)
         self.port = int(listener.getsockname()[1])
-        self._access = AccessControl(self.port, host, token, allowed_hosts)
+        self._access = AccessControl(self.port, host, token, allowed_hosts, in_notebook=in_notebook)
         self._root = f"http://{_shown_host(host)}:{self.port}"
         self.url = self._root + self._access.query()
         self._page_server = page_server.start_server(listener, self._access)
@@ -136,6 +145,7 @@ class WebScene:
         self._model = decimated(arm.model)
         self._data = mujoco.MjData(self._model)
         self._set_camera(arm)
+        self.server.gui.set_panel_label(arm.name)
         self._scene = mjviser.ViserMujocoScene(self.server, self._model, 1)
         self._scene.camera_tracking_enabled = False
         self.server.scene.configure_environment_map(None)

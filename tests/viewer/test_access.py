@@ -7,12 +7,14 @@ import re
 import resource
 import socket
 import stat
+import sys
 import time
+import types
 from http.cookies import SimpleCookie
 from pathlib import Path
 
 import pytest
-from arms import BUNDLED
+from arms import BUNDLED, arm_of
 
 from armctl import InputError
 from armctl.cli.main import main
@@ -27,6 +29,7 @@ from armctl.viewer import access_control, page_server
 from armctl.viewer.access_control import MAX_CLIENTS, AccessControl
 from armctl.viewer.message_filter import MAX_MESSAGE_BYTES
 from armctl.viewer.page_server import listen
+from armctl.viewer.viewer import Viewer
 from armctl.viewer.web_scene import WebScene
 
 TOKEN = "open sesame"
@@ -113,6 +116,19 @@ def test_the_page_cannot_be_shown_inside_another_page(page):
         headers = get(page, path).headers
         assert headers["X-Frame-Options"] == "DENY"
         assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
+
+
+def test_only_a_notebook_kernel_lets_pages_of_this_machine_show_its_page(monkeypatch: pytest.MonkeyPatch):
+    kernel_shell = types.SimpleNamespace(kernel=object())
+    monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=lambda: kernel_shell))
+    viewer = Viewer(arm_of(BUNDLED), 0)
+    try:
+        headers = get(viewer.scene).headers
+        assert headers["Content-Security-Policy"] == "frame-ancestors http://localhost:* http://127.0.0.1:*"
+        assert headers["X-Frame-Options"] is None  # it would forbid every frame
+        assert f'<iframe src="{viewer.url}"' in viewer._repr_html_()
+    finally:
+        viewer.close()
 
 
 @pytest.mark.parametrize("message", ["ShareUrlRequest", "ShareUrlDisconnect"])

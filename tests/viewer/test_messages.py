@@ -8,6 +8,7 @@ pytest.importorskip("mjviser", reason="pip install -e '.[view]'")
 
 from viewer_client import CAMERA, connected, control_id, follows, open_page, until
 
+from armctl import Pose
 from armctl.sim.realtime import Activity
 from armctl.viewer.message_filter import MAX_COORDINATE_M, limited_value
 
@@ -153,6 +154,33 @@ def test_a_far_target_is_limited_and_the_arm_says_that_it_is_out_of_reach(page, 
     until(lambda: page.session.status.activity is Activity.OUT_OF_REACH, "it is not called out of reach")
     assert page.session.status.target.position[0] == MAX_COORDINATE_M
     follows(page, client)
+
+
+def test_jog_buttons_move_the_target_along_tool_or_world_axes_and_undo_takes_it_back(page, client):
+    start = page.session.status.target
+    client.set(page, "step, mm", 30.0)
+    client.set(page, "axes", "tool")
+    client.set(page, "move", "+z")
+    along_tool = start.position + start.rotation @ [0.0, 0.0, 0.03]
+    until(lambda: np.allclose(page.session.status.target.position, along_tool), "no step along the tool's axis")
+    client.set(page, "axes", "world")
+    client.set(page, "move", "-x")
+    until(
+        lambda: np.allclose(page.session.status.target.position, along_tool - [0.03, 0.0, 0.0]),
+        "no step along the world's axis",
+    )
+    before = page.session.status.target
+    client.set(page, "step, deg", 10.0)
+    client.set(page, "turn", "+z")
+    turned = Pose(np.zeros(3), rpy=[0.0, 0.0, np.radians(10.0)]).rotation @ before.rotation
+    until(lambda: np.allclose(page.session.status.target.rotation, turned), "no turn about the world's axis")
+    client.set(page, "move", "up")  # no such button
+    for _ in range(3):
+        previous = page.session.status.target
+        client.set(page, "undo", True)
+        until(lambda previous=previous: page.session.status.target is not previous, "nothing is undone")
+    assert np.allclose(page.session.status.target.matrix, start.matrix)
+    client.set(page, "axes", "tool")
 
 
 def test_a_target_whose_holder_leaves_is_released(page, client):
