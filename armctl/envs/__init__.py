@@ -1,4 +1,7 @@
-"""Gymnasium environments: any arm, armctl's controllers as action spaces, many arms at once in the compiled loop."""
+"""Gymnasium environments: any arm, armctl's controllers as action spaces, many arms at once in the compiled loop.
+
+Gymnasium knows them when this package is imported, also by the name: `gymnasium.make("armctl.envs:armctl/Reach-v0")`.
+"""
 
 from importlib.util import find_spec
 
@@ -6,3 +9,7 @@ from armctl.core.errors import NotInstalledError
 
 if find_spec("gymnasium") is None:
     raise NotInstalledError.of_extra("environments need gymnasium", "envs")
+
+from armctl.envs.registration import register
+
+register()

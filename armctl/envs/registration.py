@@ -1,18 +1,18 @@
-"""The names of the environments, which Gymnasium finds by the entry point of the package."""
+"""The names of the environments in Gymnasium's registry."""
 
 from __future__ import annotations
+
+import gymnasium
 
 TASKS = ("Reach",)
 
 
 def register() -> None:
-    """Registers `armctl/Reach-v0` and `armctl/ReachGoal-v0`; Gymnasium adds the name space."""
-    import gymnasium
-
+    """Registers `armctl/Reach-v0` and `armctl/ReachGoal-v0`."""
     for task in TASKS:
         for goal_conditioned in (False, True):
             gymnasium.register(
-                f"{task}{'Goal' if goal_conditioned else ''}-v0",
+                f"armctl/{task}{'Goal' if goal_conditioned else ''}-v0",
                 entry_point="armctl.envs.arm_env:ArmEnv",
                 vector_entry_point="armctl.envs.vector_env:ArmVectorEnv",
                 kwargs={"task": task, "goal_conditioned": goal_conditioned},

@@ -4,25 +4,15 @@ import gymnasium
 import mujoco
 import numpy as np
 import pytest
-from gymnasium.envs.registration import namespace, registry
 from gymnasium.utils.env_checker import check_env
 
 import armctl
 from armctl.envs.plants import plant_vector
-from armctl.envs.registration import register
 from armctl.robot.dynamics_kernel import DRIVE_COLUMNS, FRICTION_GAIN
 from armctl.sim.free_space import FreeSpace
 
 ROBOT = "robot_arm_3dof"
 ACTIONS = ("torque", "joint_delta", "joint_target", "cartesian_delta", "cartesian_pose")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def names():
-    """The names, also where the package was installed before it had the entry point."""
-    if "armctl/Reach-v0" not in registry:
-        with namespace("armctl"):
-            register()
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +26,7 @@ def run(env, actions):
 
 
 @pytest.mark.filterwarnings("ignore:.*A Box observation space")
-@pytest.mark.parametrize("name", ["armctl/Reach-v0", "armctl/ReachGoal-v0"])
+@pytest.mark.parametrize("name", ["armctl.envs:armctl/Reach-v0", "armctl.envs:armctl/ReachGoal-v0"])
 def test_gymnasium_accepts_the_environment(arm, name):
     check_env(gymnasium.make(name, robot=arm).unwrapped, skip_render_check=True)
 
@@ -84,7 +74,7 @@ def test_a_batch_on_any_number_of_threads_is_its_single_environments(arm):
 
 
 def test_the_last_observation_of_an_episode_is_kept(arm):
-    env = gymnasium.make_vec("armctl/ReachGoal-v0", num_envs=2, robot=arm, horizon=2)
+    env = gymnasium.make_vec("armctl.envs:armctl/ReachGoal-v0", num_envs=2, robot=arm, horizon=2)
     assert env.metadata["autoreset_mode"] is gymnasium.vector.AutoresetMode.SAME_STEP
     first, _ = env.reset(seed=0)
     nothing = np.zeros(env.action_space.shape)
