@@ -17,7 +17,8 @@ envs = gymnasium.make_vec(
     threads=2,
     randomize={"payload": armctl.Range(0.0, 0.2)},  # kg that the controller does not know of
 )
-actions, observed = (space.shape[0] for space in (envs.single_action_space, envs.single_observation_space))
+actions = envs.single_action_space.shape[0]
+observed = envs.single_observation_space.shape[0]
 print(f"{envs.num_envs} environments: {actions} actions, {observed} observations")
 low = envs.unwrapped.batch.rows.limits[0]
 high = envs.unwrapped.batch.rows.limits[1]
