@@ -1,6 +1,8 @@
 """Inverse kinematics beside its peers: TRAC-IK and the Robotics Toolbox's `ik_LM`, taking turns on the same poses.
 
 Hot: each solver answers 250 poses in a row; cold: the solvers take turns call by call.
+All solutions: EAIK beside `solve_ik_all`, if it is installed (`pip install eaik`); it does not regard limits, so its answers
+are turned into them before they are counted. Seven joints: 64 solutions are asked for.
 Every answer is checked with MuJoCo's own kinematics and the joint limits. Prints the tables and writes them to
 `benchmarks/results/ik.md`, which the docs include. The peers are an extra, `pip install -e .[benchmark]`; one that is not
 installed is left out. `python benchmarks/ik.py --poses 200` is quick.
@@ -31,6 +33,8 @@ ROUNDS = 6  # of what another process on the machine may disturb for a while
 RACES = 3  # whose medians count: what disturbs one of them does not decide
 HOT_TURN = 250  # calls of a solver in a row: few are the first after another solver emptied the caches
 COLD_TURN = 1  # call by call: each call is the first after the other solvers, as in most programs
+SWEPT_SOLUTIONS = 64  # asked for with seven joints
+ALL_COLUMNS = ["arm", "all solutions by", "hot median us", "cold median us", "right solutions, mean", "most"]
 RESULTS = Path(__file__).parent / "results" / "ik.md"
 
 Solver = Callable[[Pose], np.ndarray | None]
@@ -148,6 +152,65 @@ def race(solvers: dict[str, Solver], judge: Judge, targets: list[Pose], turn_len
     return scores
 
 
+def eaik_solver(arm: Arm) -> Callable[[Pose], np.ndarray] | None:
+    """All solutions by EAIK for six joints, without regard to the limits; None if it is not installed or has no solution."""
+    try:
+        from eaik.IK_HP import HPRobot
+    except ImportError:
+        return None
+    T = np.eye(4)
+    axes = []
+    points = [np.zeros(3)]
+    for X in arm.pinocchio_model.placements:
+        T = T @ X
+        axes.append(T[:3, 2])
+        points.append(T[:3, 3])
+    tip = T @ arm.pinocchio_model.T_last_tip
+    robot = HPRobot(np.array(axes), np.diff([*points, tip[:3, 3]], axis=0))
+    if not robot.hasKnownDecomposition():
+        return None
+    turn = np.eye(4)
+    turn[:3, :3] = tip[:3, :3].T  # EAIK's tip has the orientation of the base in the zero configuration
+    return lambda T: robot.IK(T.matrix @ turn).Q
+
+
+def inside_limits(arm: Arm, q: np.ndarray) -> np.ndarray:
+    """A configuration turned by whole turns into the limits, as far as they permit."""
+    q = q + 2 * np.pi * np.round((arm.home - q) / (2 * np.pi))
+    q = q - 2 * np.pi * np.ceil(np.maximum(0.0, q - arm.limits.q_max) / (2 * np.pi))
+    return q + 2 * np.pi * np.ceil(np.maximum(0.0, arm.limits.q_min - q) / (2 * np.pi))
+
+
+def all_solutions(arm: Arm, judge: Judge, targets: list[Pose]) -> list[list[str]]:
+    """Rows of the table of all solutions: solvers in turns of HOT_TURN targets, and call by call."""
+    limit = 256 if arm.n == 6 else SWEPT_SOLUTIONS
+    solvers: dict[str, Callable[[Pose], np.ndarray]] = {"armctl": lambda T: solve_ik_all(arm, T, limit).q}
+    eaik = eaik_solver(arm) if arm.n == 6 else None
+    if eaik is not None:
+        solvers["EAIK"] = eaik
+    times: dict[tuple[str, int], list[float]] = {(name, turn): [] for name in solvers for turn in (HOT_TURN, COLD_TURN)}
+    found: dict[str, list[np.ndarray]] = {name: [] for name in solvers}
+    for turn in (HOT_TURN, COLD_TURN):
+        for first in range(0, len(targets), turn):
+            for name, solver in solvers.items():
+                for target in targets[first : first + turn]:
+                    start = time.perf_counter()
+                    answer = solver(target)
+                    times[name, turn].append(time.perf_counter() - start)
+                    if turn == HOT_TURN:
+                        found[name].append(answer)
+    rows = []
+    for name in solvers:
+        right = [
+            sum(judge.solves(inside_limits(arm, q), target) for q in answers)
+            for answers, target in zip(found[name], targets, strict=True)
+        ]
+        hot = 1e6 * np.median(times[name, HOT_TURN])
+        cold = 1e6 * np.median(times[name, COLD_TURN])
+        rows.append([arm.name, name, f"{hot:.1f}", f"{cold:.1f}", f"{np.mean(right):.2f}", f"{np.max(right)}"])
+    return rows
+
+
 def seconds(function: Callable[..., object], *args: object, **options: object) -> float:
     """How long a call takes."""
     start = time.perf_counter()
@@ -235,11 +298,21 @@ def main() -> None:
     parser.add_argument("--limit-poses", type=int, default=600, help="poses with joints at their limits")
     parser.add_argument("--arms", nargs="*", default=ARMS)
     parser.add_argument("--misses", type=int, metavar="N", help="only count the misses among N poses at joint limits per arm")
+    parser.add_argument("--all", action="store_true", help="only the table of all solutions, which is not written")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     if options.misses:
         for name in options.arms:
             print(misses(armctl.load(name), options.misses), flush=True)
+        return
+    if options.all:
+        arms = [armctl.load(name) for name in options.arms]
+        rows = [
+            cells
+            for arm in arms
+            for cells in all_solutions(arm, Judge(arm), poses(arm, options.poses, False, np.random.default_rng(2)))
+        ]
+        print(Table(ALL_COLUMNS, rows).markdown())
         return
     solver_columns = ["arm", "solver", "solved", "median ms", "p99 ms", "cold median ms", "solved at joint limits"]
     solver_rows = []
@@ -254,6 +327,7 @@ def main() -> None:
     ]
     rate_columns += ["jumps of warm starts", "mink step, us", "following, us"]
     rate_rows = []
+    all_rows = []
     for name in options.arms:
         arm = armctl.load(name)
         judge, rng = Judge(arm), np.random.default_rng(2)
@@ -273,7 +347,8 @@ def main() -> None:
         for label in makers.keys() - solvers.keys():
             solver_rows.append([name, label, "not installed", "", "", "", ""])
         rate_rows.append([name, *rates(arm, targets)])
-    tables = Table(solver_columns, solver_rows), Table(rate_columns, rate_rows)
+        all_rows += all_solutions(arm, judge, targets)
+    tables = Table(solver_columns, solver_rows), Table(ALL_COLUMNS, all_rows), Table(rate_columns, rate_rows)
     text = "\n\n".join(table.markdown() for table in tables) + "\n"
     print(text)
     RESULTS.parent.mkdir(exist_ok=True)
