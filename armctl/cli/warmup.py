@@ -6,6 +6,7 @@ import argparse
 import os
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -87,6 +88,36 @@ def _arm():
     return armctl.load("robot_arm_3dof", scene=scene)
 
 
+def _arm_with_closed_form():
+    """Six joints of which the last three meet in a point."""
+    import tempfile
+
+    import armctl
+
+    joints = [
+        ("0 0 0.3", "0 0 1"),
+        ("0 0 0", "0 1 0"),
+        ("0 0 0.4", "0 1 0"),
+        ("0 0 0.4", "0 0 1"),
+        ("0 0 0", "0 1 0"),
+        ("0 0 0", "0 0 1"),
+    ]
+    bodies = "".join(
+        f'<body pos="{place}"><joint name="j{k}" axis="{axis}" range="-3 3"/><geom type="sphere" size="0.01" mass="1" contype="0"/>'
+        for k, (place, axis) in enumerate(joints)
+    )
+    motors = "".join(f'<motor joint="j{k}" ctrlrange="-100 100"/>' for k in range(len(joints)))
+    tip = '<site name="tip" pos="0 0 0.1"/>'
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "arm.xml"
+        path.write_text(
+            f'<mujoco><compiler angle="radian"/><worldbody>{bodies}{tip}{"</body>" * len(joints)}</worldbody>'
+            f"<actuator>{motors}</actuator></mujoco>",
+            encoding="utf-8",
+        )
+        return armctl.load(path)
+
+
 def _inverse_kinematics() -> None:
     import armctl
 
@@ -97,6 +128,12 @@ def _inverse_kinematics() -> None:
         armctl.solve_ik_all(arm, goal, limit=4)
     armctl.solve_ik_batch(arm, [target])
     armctl.solve_ik_batch(arm, np.array([target.position]))
+    armctl.reachability(arm, spacing=1.0)
+    special = _arm_with_closed_form()
+    goal = special.fk(np.full(special.n, 0.5))
+    armctl.solve_ik_all(special, goal)
+    armctl.solve_ik(special, goal, nearest=True)
+    armctl.reachability(special, spacing=1.0, orientations=1)
 
 
 def _motion() -> None:

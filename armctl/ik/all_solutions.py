@@ -143,16 +143,18 @@ def solve_ik_all(
                 seed=seed,
             )
         )
+    if count < len(found.q):
+        found = found.select(np.arange(count))
     names = chain.branch_names
     return IkBatch(
         _column(count, True),  # by names: 1 us longer
-        frozen(found.q[:count]),
-        frozen(found.position_error[:count]),
-        frozen(found.orientation_error[:count]),
+        frozen(found.q),
+        frozen(found.position_error),
+        frozen(found.orientation_error),
         _column(count, ""),
         _column(count, found.steps),
         _column(count, found.starts),
-        tuple([names[int(number)] for number in found.branch[:count].tolist()]),
+        tuple([names[int(number)] for number in found.branch.tolist()]),
         is_complete,
     )
 
@@ -161,8 +163,8 @@ def _completed(problem: Problem, found: Solutions) -> Solutions:
     """The solutions of an arm whose axes are only almost special: near singularities its closed form may miss some."""
     chain = problem.chain
     more = _find(problem, chain.rows, found.q, MAX_SOLUTIONS_6R, is_first=False)
-    complete = polished(problem, more.q, found.starts + more.starts)
-    return complete._replace(steps=found.steps + more.steps + complete.steps, is_complete=len(more.q) == MAX_SOLUTIONS_6R)
+    complete = polished(problem, more.q, found.starts + more.starts, len(more.q) == MAX_SOLUTIONS_6R)
+    return complete._replace(steps=found.steps + more.steps + complete.steps)
 
 
 def _numerical_solutions(problem: Problem, limit: int) -> Solutions:

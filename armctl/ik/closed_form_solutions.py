@@ -80,8 +80,7 @@ def closed_form_solutions(problem: Problem, closed_form: ClosedForm, limit: int)
         limit,
         seeds,
     )
-    found = polished(problem, seeds[:count], samples)
-    return found._replace(is_complete=found.is_complete and closed_form.is_exact and not doubtful and not is_swept)
+    return polished(problem, seeds[:count], samples, closed_form.is_exact and not doubtful and not is_swept)
 
 
 def first_solutions(chain: PackedChain, closed_form: ClosedForm, targets: Array, q: Array) -> BoolArray:
@@ -96,8 +95,8 @@ def first_solutions(chain: PackedChain, closed_form: ClosedForm, targets: Array,
     return found
 
 
-def polished(problem: Problem, seeds: Array, starts: int) -> Solutions:
-    """The solutions that seeds (M, n) lead to, the nearest to q0 first."""
+def polished(problem: Problem, seeds: Array, starts: int, is_complete: bool) -> Solutions:
+    """The solutions that seeds (M, n) lead to, the nearest to q0 first; `is_complete` holds if none of the seeds is lost."""
     chain = problem.chain
     q = np.empty(seeds.shape)
     details = np.empty((3, len(seeds)))
@@ -115,7 +114,7 @@ def polished(problem: Problem, seeds: Array, starts: int) -> Solutions:
     if found < len(seeds):
         q = q[:found]
         details = details[:, :found]
-    return Solutions(q, details[0], details[1], details[2], starts, steps, lost == 0)
+    return Solutions(q, details[0], details[1], details[2], starts, steps, is_complete and lost == 0)
 
 
 @cache
