@@ -1,8 +1,8 @@
 """Inverse kinematics beside its peers: TRAC-IK and the Robotics Toolbox's `ik_LM`, taking turns on the same poses.
 
 Hot: each solver answers 250 poses in a row; cold: the solvers take turns call by call.
-All solutions: EAIK beside `solve_ik_all`, if it is installed (`pip install eaik`); it does not regard limits, so its answers
-are turned into them before they are counted. Seven joints: 64 solutions are asked for.
+All solutions (`--all`): EAIK (`pip install eaik`) beside `solve_ik_all`. It does not regard limits, so its answers are turned
+into them before they are counted. Seven joints: 64 solutions are asked for.
 Every answer is checked with MuJoCo's own kinematics and the joint limits. Prints the tables and writes them to
 `benchmarks/results/ik.md`, which the docs include. The peers are an extra, `pip install -e .[benchmark]`; one that is not
 installed is left out. `python benchmarks/ik.py --poses 200` is quick.
@@ -36,6 +36,7 @@ COLD_TURN = 1  # call by call: each call is the first after the other solvers, a
 SWEPT_SOLUTIONS = 64  # asked for with seven joints
 ALL_COLUMNS = ["arm", "all solutions by", "hot median us", "cold median us", "right solutions, mean", "most"]
 RESULTS = Path(__file__).parent / "results" / "ik.md"
+ALL_RESULTS = RESULTS.with_name("ik_all_solutions.md")
 
 Solver = Callable[[Pose], np.ndarray | None]
 
@@ -155,7 +156,7 @@ def race(solvers: dict[str, Solver], judge: Judge, targets: list[Pose], turn_len
 def eaik_solver(arm: Arm) -> Callable[[Pose], np.ndarray] | None:
     """All solutions by EAIK for six joints, without regard to the limits; None if it is not installed or has no solution."""
     try:
-        from eaik.IK_HP import HPRobot
+        from eaik.IK_HP import HPRobot  # pyright: ignore[reportMissingImports]
     except ImportError:
         return None
     T = np.eye(4)
@@ -298,7 +299,9 @@ def main() -> None:
     parser.add_argument("--limit-poses", type=int, default=600, help="poses with joints at their limits")
     parser.add_argument("--arms", nargs="*", default=ARMS)
     parser.add_argument("--misses", type=int, metavar="N", help="only count the misses among N poses at joint limits per arm")
-    parser.add_argument("--all", action="store_true", help="only the table of all solutions, which is not written")
+    parser.add_argument(
+        "--all", action="store_true", help="only the table of all solutions, which is written to a file of its own"
+    )
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     if options.misses:
@@ -312,7 +315,9 @@ def main() -> None:
             for arm in arms
             for cells in all_solutions(arm, Judge(arm), poses(arm, options.poses, False, np.random.default_rng(2)))
         ]
-        print(Table(ALL_COLUMNS, rows).markdown())
+        text = Table(ALL_COLUMNS, rows).markdown() + "\n"
+        print(text)
+        ALL_RESULTS.write_text(text, encoding="utf-8")
         return
     solver_columns = ["arm", "solver", "solved", "median ms", "p99 ms", "cold median ms", "solved at joint limits"]
     solver_rows = []
@@ -327,7 +332,6 @@ def main() -> None:
     ]
     rate_columns += ["jumps of warm starts", "mink step, us", "following, us"]
     rate_rows = []
-    all_rows = []
     for name in options.arms:
         arm = armctl.load(name)
         judge, rng = Judge(arm), np.random.default_rng(2)
@@ -347,8 +351,7 @@ def main() -> None:
         for label in makers.keys() - solvers.keys():
             solver_rows.append([name, label, "not installed", "", "", "", ""])
         rate_rows.append([name, *rates(arm, targets)])
-        all_rows += all_solutions(arm, judge, targets)
-    tables = Table(solver_columns, solver_rows), Table(ALL_COLUMNS, all_rows), Table(rate_columns, rate_rows)
+    tables = Table(solver_columns, solver_rows), Table(rate_columns, rate_rows)
     text = "\n\n".join(table.markdown() for table in tables) + "\n"
     print(text)
     RESULTS.parent.mkdir(exist_ok=True)

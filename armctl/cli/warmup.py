@@ -9,8 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from armctl.cli.common import DONE, Commands, add_command
 from armctl.core.errors import InputError
 
@@ -94,24 +92,20 @@ def _arm_with_closed_form():
 
     import armctl
 
-    joints = [
-        ("0 0 0.3", "0 0 1"),
-        ("0 0 0", "0 1 0"),
-        ("0 0 0.4", "0 1 0"),
-        ("0 0 0.4", "0 0 1"),
-        ("0 0 0", "0 1 0"),
-        ("0 0 0", "0 0 1"),
-    ]
+    heights = (0.3, 0.0, 0.4, 0.4, 0.0, 0.0)
+    axes = ("0 0 1", "0 1 0", "0 1 0", "0 0 1", "0 1 0", "0 0 1")
     bodies = "".join(
-        f'<body pos="{place}"><joint name="j{k}" axis="{axis}" range="-3 3"/><geom type="sphere" size="0.01" mass="1" contype="0"/>'
-        for k, (place, axis) in enumerate(joints)
+        f'<body pos="0 0 {height}"><joint name="j{k}" axis="{axis}" range="-3 3"/>'
+        '<geom type="sphere" size="0.01" mass="1" contype="0"/>'
+        for k, (height, axis) in enumerate(zip(heights, axes, strict=True))
     )
-    motors = "".join(f'<motor joint="j{k}" ctrlrange="-100 100"/>' for k in range(len(joints)))
+    motors = "".join(f'<motor joint="j{k}" ctrlrange="-100 100"/>' for k in range(len(axes)))
     tip = '<site name="tip" pos="0 0 0.1"/>'
+    ends = "</body>" * len(axes)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "arm.xml"
         path.write_text(
-            f'<mujoco><compiler angle="radian"/><worldbody>{bodies}{tip}{"</body>" * len(joints)}</worldbody>'
+            f'<mujoco><compiler angle="radian"/><worldbody>{bodies}{tip}{ends}</worldbody>'
             f"<actuator>{motors}</actuator></mujoco>",
             encoding="utf-8",
         )
@@ -119,6 +113,8 @@ def _arm_with_closed_form():
 
 
 def _inverse_kinematics() -> None:
+    import numpy as np
+
     import armctl
 
     arm = _arm()
@@ -137,6 +133,8 @@ def _inverse_kinematics() -> None:
 
 
 def _motion() -> None:
+    import numpy as np
+
     import armctl
 
     arm = _arm()
@@ -146,6 +144,8 @@ def _motion() -> None:
 
 
 def _planning() -> None:
+    import numpy as np
+
     import armctl
 
     start = np.array([-0.8, 0.9, -1.2])
