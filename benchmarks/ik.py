@@ -156,7 +156,7 @@ def race(solvers: dict[str, Solver], judge: Judge, targets: list[Pose], turn_len
 def eaik_solver(arm: Arm) -> Callable[[Pose], np.ndarray] | None:
     """All solutions by EAIK for six joints, without regard to the limits; None if it is not installed or has no solution."""
     try:
-        from eaik.IK_HP import HPRobot  # pyright: ignore[reportMissingImports]
+        from eaik.IK_HP import HPRobot
     except ImportError:
         return None
     T = np.eye(4)
