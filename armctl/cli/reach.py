@@ -25,7 +25,6 @@ from armctl.cli.common import (
     speed_from,
 )
 from armctl.core.errors import InputError, LimitError
-from armctl.core.validation import number
 
 
 def add(commands: Commands) -> None:
@@ -45,6 +44,7 @@ def run(args: argparse.Namespace) -> int:
     """Runs the command."""
     speed = speed_from(args.speed)
     from armctl.analysis.report import Report
+    from armctl.core.validation import number
     from armctl.render import film_path
     from armctl.sim.simulation import Simulation
 
