@@ -9,7 +9,7 @@ import numpy as np
 
 from armctl.core.filtering import choose_cutoff, derivatives, low_pass
 from armctl.core.log import RECORDED, Log
-from armctl.core.validation import Array
+from armctl.core.validation import Array, BoolArray
 from armctl.design.pseudo_inertia import PARAMETERS, from_log_cholesky, is_consistent, regularized, to_log_cholesky
 from armctl.design.regressor import ArmRegressor, FrictionShape
 
@@ -18,7 +18,10 @@ _ROWS_PER_PERIOD = 4
 _TRIMMED_PERIODS = 1.0  # at both ends, where the filter has no data on one side
 _MAX_DELAY_S = 0.05
 _ROUNDS = 3  # delay, shape of the friction and noise depend on each other
-_SHAPE_SPEEDS = np.geomspace(0.003, 0.3, 9)  # rad/s, candidates for the smoothing of Coulomb friction
+_SHAPE_SPEEDS = np.geomspace(0.003, 1.0, 11)  # rad/s, candidates for the smoothing of Coulomb friction
+_SLIDING_SPEEDS = np.concatenate([[0.0], np.geomspace(0.01, 1.0, 9)])  # rad/s, candidates for the least speed of a row
+_MIN_SLIDING_SHARE = 0.25  # of the rows
+_REVERSAL_PERIODS = 0.5  # of the cut-off: the filter spreads a reversal over this time on both sides
 _STRIBECK_SPEEDS = np.geomspace(0.02, 1.0, 7)  # rad/s, candidates
 _MIN_NOISE_SHARE = 1e-4  # of the typical torque: no joint's torque is known better
 _MIN_MASS_KG = 1e-6
@@ -43,6 +46,7 @@ class Rows:
         tau: (K, n) N m, measured.
         model: (K, n) N m, by the model.
         W: (K, n, p), the regressor.
+        used: (K, n), 1 for a torque that the fit uses, 0 close to a reversal of a joint, where dry friction is uncertain.
     """
 
     t: Array
@@ -50,13 +54,14 @@ class Rows:
     tau: Array
     model: Array
     W: Array
+    used: Array
 
     def __len__(self) -> int:
         return len(self.t)
 
     def part(self, rows: slice) -> Rows:
         """Some of the rows."""
-        return Rows(self.t[rows], self.v[rows], self.tau[rows], self.model[rows], self.W[rows])
+        return Rows(self.t[rows], self.v[rows], self.tau[rows], self.model[rows], self.W[rows], self.used[rows])
 
 
 class ParameterFit:
@@ -90,6 +95,7 @@ class ParameterFit:
         self._v = v[:: self._stride]
         self._a = a[:: self._stride]
         self.shape = FrictionShape(np.full(n, _SHAPE_SPEEDS[4]), np.full(n, _STRIBECK_SPEEDS[3]))
+        self._sliding = np.zeros(n)
         self._raw = regressor.rows(self._q, self._v, self._a, self.shape)
         self._model = regressor.model_torques(self._q, self._v, self._a)
         self.delay = 0.0
@@ -126,7 +132,7 @@ class ParameterFit:
 
     def weighted(self, rows: Rows) -> Array:
         """(K n, p): the regressor in units of the noise, for each standard deviation of the prior."""
-        return (rows.W / self.noise[:, None]).reshape(-1, rows.W.shape[2]) * self.regressor.prior
+        return (rows.W * (rows.used / self.noise)[:, :, None]).reshape(-1, rows.W.shape[2]) * self.regressor.prior
 
     def covariance(self) -> Array:
         """(p, p), in units of the prior's standard deviations."""
@@ -170,19 +176,29 @@ class ParameterFit:
         rows = slice(trimmed, K - trimmed, max(1, round(_REGRESSOR_SAMPLES_PER_PERIOD / _ROWS_PER_PERIOD)))
         W = filtered[:, : n * p].reshape(K, n, p)
         model = filtered[:, n * p : n * p + n]
-        return Rows(times[rows], filtered[rows, n * p + n :], tau[rows], model[rows], W[rows])
+        used = np.column_stack([self._slides(j, speed) for j, speed in enumerate(self._sliding)])
+        return Rows(times[rows], filtered[rows, n * p + n :], tau[rows], model[rows], W[rows], used[rows].astype(np.float64))
+
+    def _slides(self, j: int, speed: float) -> BoolArray:
+        """(T,) whether a joint is faster than a speed, and stays so for as long as the filter looks."""
+        from scipy.ndimage import binary_dilation
+
+        slow = np.abs(self._v[:, j]) < speed
+        reach = round(_REVERSAL_PERIODS * _REGRESSOR_SAMPLES_PER_PERIOD)
+        return ~np.asarray(binary_dilation(slow, np.ones(2 * reach + 1, bool)), dtype=np.bool_)
 
     def _set_noise(self) -> None:
         training = self.training
-        residual = training.tau - self.predicted(training)
-        self.noise = np.maximum(np.sqrt((residual**2).mean(axis=0)), _MIN_NOISE_SHARE * self._scale)
+        residual = training.used * (training.tau - self.predicted(training))
+        rms = np.sqrt((residual**2).sum(axis=0) / np.maximum(training.used.sum(axis=0), 1.0))
+        self.noise = np.maximum(rms, _MIN_NOISE_SHARE * self._scale)
 
     def _improve_delay(self, rows: Rows) -> None:
         """A Gauss-Newton step: a delay d changes a torque by -d times its rate."""
         predicted = self.predicted(rows)
-        rate = np.gradient(predicted, rows.t, axis=0) / self.noise
+        rate = rows.used * np.gradient(predicted, rows.t, axis=0) / self.noise
         W = np.column_stack([self.weighted(rows), -rate.ravel()])
-        y = ((rows.tau - predicted) / self.noise).ravel()
+        y = (rows.used * (rows.tau - predicted) / self.noise).ravel()
         information = W.T @ W
         information[:-1, :-1] += np.eye(W.shape[1] - 1)
         regularized = information + 1e-9 * np.trace(information) / len(information) * np.eye(len(information))
@@ -228,13 +244,25 @@ class ParameterFit:
                         best = cost
                         smoothing[j] = s
                         stribeck[j] = w
+            A = np.column_stack([signs[smoothing[j]][:, j], rows.v[:, j], np.ones(len(rows))])
+            least = np.inf
+            for speed in _SLIDING_SPEEDS:
+                slides = self._slides(j, speed)[kept][used]
+                if slides.sum() < _MIN_SLIDING_SHARE * len(slides):
+                    break
+                solution = np.linalg.lstsq(A[slides], rest[slides, j])[0]
+                residual = rest[slides, j] - A[slides] @ solution
+                variance = (residual @ residual) / slides.sum() * np.linalg.pinv(A[slides].T @ A[slides])[0, 0]
+                if variance < least:
+                    least = variance
+                    self._sliding[j] = speed
         self.shape = FrictionShape(smoothing, stribeck)
         self.regressor.set_friction(self._raw, self._v, self.shape)
         self.rows = self._filtered_rows()
 
     def _targets(self, rows: Rows) -> Array:
         """(K n,) what the start leaves of the torques, in units of the noise."""
-        return ((rows.tau - self.start_predicted(rows)) / self.noise).ravel()
+        return (rows.used * (rows.tau - self.start_predicted(rows)) / self.noise).ravel()
 
     def _linear_solution(self, rows: Rows) -> Array:
         """Least squares with the prior, without bounds."""
@@ -298,7 +326,7 @@ class ParameterFit:
     def _inflation(self) -> Array:
         """1 + 2 times the sum of the residuals' autocorrelations, until they are first negative; at least 1."""
         training = self.training
-        residual = training.tau - self.predicted(training)
+        residual = training.used * (training.tau - self.predicted(training))
         out = np.ones(residual.shape[1])
         for j, column in enumerate(residual.T):
             column = column - column.mean()
