@@ -10,15 +10,15 @@ import numpy as np
 from armctl.collision.checkers import collision_checker
 from armctl.collision.clearance import clearance_of
 from armctl.core.errors import LimitError, PlanError
-from armctl.core.validation import Array, IntArray
+from armctl.core.validation import Array
 from armctl.design.regressor import ArmRegressor, FrictionShape, pivoted_qr
 from armctl.motion import JointTrajectory, check_torque, move_through
 from armctl.robot.arm import Arm
 
 _SECONDS_PER_CONFIGURATION = 0.75  # at first; then by the durations of the motions
 _MIN_CONFIGURATIONS = 3
-_TRIES = 60
-_CANDIDATES = 6  # safe motions, of which the best is taken
+_TRIES = 200
+_CANDIDATES = 30  # safe motions, of which the best is taken
 _SIZES = (1.0, 0.8, 0.6, 0.4)  # of the range around home, in turn: wide sets touch something more often
 _MAX_DISTANCE = 1.5  # rad (m) from home
 _LIMIT_MARGIN = 0.05  # of a joint's range
@@ -26,7 +26,7 @@ _TORQUE_SHARE = 0.9  # of the limits; the controller needs the rest
 _CLEARANCE_M = 0.005  # for the error of the controller
 _SCORE_SAMPLES = 100
 _SMOOTHING_SPEED = 0.02  # rad/s, of Coulomb friction in the score
-_REGULARIZATION = 1e-6  # of the information matrix, so that its determinant exists
+_NOISE_SHARE = 2e-3  # of the torque limits, or of typical torques of joints without limits: noise of a sample in the score
 _PATH_SAMPLES = 10  # between two configurations, for a first check for collisions
 
 
@@ -49,24 +49,24 @@ class _Score(NamedTuple):
     """How well a motion shows the parameters.
 
     Attributes:
-        information: The logarithm of the determinant of the information matrix; more is better.
+        uncertainty: The mean over the joints of the logarithm of the variance of the torques of random states after a fit to
+            the motion; less is better.
         condition: The condition number of the regressor with columns of equal length.
     """
 
-    information: float
+    uncertainty: float
     condition: float
 
 
 def arm_excitation(arm: Arm, seconds: float, speed: float, seed: int) -> Excitation:
     """The most informative of several safe motions through random configurations, from home to home."""
-    regressor = ArmRegressor(arm, "coulomb+viscous")
-    base = _base_columns(regressor)
+    score_of = _Scorer(arm)
     checker = collision_checker(arm)
     checker.require_provable()
     rng = np.random.default_rng(seed)
     count = max(_MIN_CONFIGURATIONS, round(seconds / _SECONDS_PER_CONFIGURATION))
     best: Excitation | None = None
-    best_information = -np.inf
+    least = np.inf
     found = 0
     reason = "every path that was tried touches something"
     for attempt in range(_TRIES):
@@ -93,9 +93,9 @@ def arm_excitation(arm: Arm, seconds: float, speed: float, seed: int) -> Excitat
             reason = clearance.reason
             continue
         found += 1
-        score = _score(regressor, base, motion)
-        if score.information > best_information:
-            best_information = score.information
+        score = score_of(motion)
+        if score.uncertainty < least:
+            least = score.uncertainty
             best = _excitation(motion, score.condition, clearance.distance)
         if found == _CANDIDATES:
             break
@@ -129,25 +129,33 @@ def _waypoints(arm: Arm, count: int, size: float, rng: np.random.Generator) -> A
     return np.vstack([home, between, home])
 
 
-def _base_columns(regressor: ArmRegressor) -> IntArray:
-    """The parameters that lead the base parameters."""
-    rows = regressor.rows(*regressor.random_states(), _shape(regressor.arm.n)) / regressor.torque_scale()[:, None]
-    _, order, rank = pivoted_qr(rows.reshape(-1, regressor.layout.size) * regressor.prior)
-    return order[:rank]
+class _Scorer:
+    """Scores motions of an arm by what they leave uncertain."""
 
+    def __init__(self, arm: Arm):
+        self._regressor = ArmRegressor(arm, "coulomb+viscous")
+        typical = self._regressor.torque_scale()
+        limits = arm.limits.tau_max
+        self._noise = _NOISE_SHARE * np.where(np.isfinite(limits), limits, typical)
+        speed = np.full(arm.n, _SMOOTHING_SPEED)
+        self._shape = FrictionShape(speed, speed)
+        rows = self._regressor.rows(*self._regressor.random_states(), self._shape) * self._regressor.prior
+        self._targets = rows
+        _, order, rank = pivoted_qr((rows / typical[:, None]).reshape(-1, rows.shape[2]))
+        self._base = order[:rank]
 
-def _shape(n: int) -> FrictionShape:
-    return FrictionShape(np.full(n, _SMOOTHING_SPEED), np.full(n, _SMOOTHING_SPEED))
-
-
-def _score(regressor: ArmRegressor, base: IntArray, motion: JointTrajectory) -> _Score:
-    """The score of the base parameters along a motion, torques in units of typical ones."""
-    states = motion.sample(np.linspace(0.0, motion.duration, _SCORE_SAMPLES))
-    rows = regressor.rows(states.q, states.v, states.a, _shape(regressor.arm.n)) / regressor.torque_scale()[:, None]
-    W = (rows.reshape(-1, regressor.layout.size) * regressor.prior)[:, base]
-    information = float(np.linalg.slogdet(W.T @ W + _REGULARIZATION * np.eye(len(base)))[1])
-    lengths = np.linalg.norm(W, axis=0)
-    if not (lengths > 0).all():
-        return _Score(information, float("inf"))
-    singular = np.linalg.svd(W / lengths, compute_uv=False)
-    return _Score(information, float(singular[0] / max(singular[-1], np.finfo(float).tiny)))
+    def __call__(self, motion: JointTrajectory) -> _Score:
+        """The score of a motion."""
+        states = motion.sample(np.linspace(0.0, motion.duration, _SCORE_SAMPLES))
+        rows = self._regressor.rows(states.q, states.v, states.a, self._shape) / self._noise[:, None]
+        W = rows.reshape(-1, rows.shape[2]) * self._regressor.prior
+        factor = np.linalg.cholesky(W.T @ W + np.eye(W.shape[1]))
+        spread = np.linalg.solve(factor, self._targets.reshape(-1, W.shape[1]).T)
+        variance = (spread**2).sum(axis=0).reshape(-1, len(self._noise)).mean(axis=0)
+        uncertainty = float(np.log(variance).mean())
+        base = W[:, self._base]
+        lengths = np.linalg.norm(base, axis=0)
+        if not (lengths > 0).all():
+            return _Score(uncertainty, float("inf"))
+        singular = np.linalg.svd(base / lengths, compute_uv=False)
+        return _Score(uncertainty, float(singular[0] / max(singular[-1], np.finfo(float).tiny)))

@@ -19,6 +19,7 @@ from armctl.robot.dynamics import Dynamics
 if TYPE_CHECKING:
     from armctl.collision.checker import CollisionChecker
 
+_SPEEDS = {"arm": 0.9, "payload": 0.6}  # by default
 _PAYLOAD_PARAMETERS = 4  # mass and first moment
 _MAX_PAYLOAD_KG = 1e6
 _SETS = 120  # of configurations, from which the motion is chosen
@@ -46,7 +47,7 @@ class _Set(NamedTuple):
 
 
 def excitation(
-    arm: Arm, payload: float = 1.0, *, seconds: float = 5.0, for_: str = "payload", speed: float = 0.6, seed: int = 0
+    arm: Arm, payload: float = 1.0, *, seconds: float = 5.0, for_: str = "payload", speed: float | None = None, seed: int = 0
 ) -> Excitation:
     """A motion for identification: from home, so that every joint moves and is loaded differently, and back.
 
@@ -60,7 +61,8 @@ def excitation(
         payload: kg, the largest mass that its tip may be holding; only for a payload.
         seconds: s, the duration of a motion for the arm; one for a payload takes as long as it needs.
         for_: "arm" for `identify`, "payload" for `identify_payload`.
-        speed: Fraction of the full speed, in (0, 1]; for the arm the largest that the motion may have.
+        speed: Fraction of the full speed, in (0, 1]; for the arm the largest that the motion may have. By default 0.6 for a
+            payload and 0.9 for the arm.
         seed: Seed of the configurations.
 
     Returns:
@@ -72,10 +74,10 @@ def excitation(
         PlanError: There is no such motion from home.
     """
     check_arm(arm)
-    speed = check_speed(speed)
     payload = number("payload", payload, 0.0, _MAX_PAYLOAD_KG)
     seconds = number("seconds", seconds, _MIN_SECONDS, _MAX_SECONDS)
     for_ = choice("for_", for_, ("arm", "payload"))
+    speed = check_speed(_SPEEDS[for_] if speed is None else speed)
     instance("seed", seed, (int, np.integer), "give an integer")
     number("seed", seed, 0)
     if for_ == "arm":
