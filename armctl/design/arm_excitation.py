@@ -83,6 +83,8 @@ def arm_excitation(arm: Arm, seconds: float, speed: float, seed: int) -> Excitat
             reason = f"a motion through {count} configurations takes more than {seconds:g} s"
             count = max(_MIN_CONFIGURATIONS, min(count - 1, int(count * speed / factor)))
             continue
+        if factor < speed * count / (count + 1):
+            count += 1
         motion = fastest.scaled(factor)
         torque = check_torque(arm, motion)
         if torque.ratio > _TORQUE_SHARE:

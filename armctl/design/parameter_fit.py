@@ -32,7 +32,7 @@ _DIAGONAL = 4  # of a Cholesky factor's ten parameters
 # simulator accepts.
 _LOG_SIZE_PRIOR = 1.0
 _MAX_CORRELATED_ROWS = 30
-_SIGNIFICANT_ERRORS = 3.0  # standard errors
+_SIGNIFICANT_ERRORS = 4.0  # standard errors; the choice of a shape makes more of noise than one fit does
 _DROPPED_PRIOR = 1e-4  # factor on the standard deviation of the prior
 
 
@@ -224,12 +224,12 @@ class ParameterFit:
         dt = self._dt * self._stride
         trimmed = int(_TRIMMED_PERIODS / self.cutoff / dt) + 1
         kept = slice(trimmed, len(self._v) - trimmed, max(1, round(_REGRESSOR_SAMPLES_PER_PERIOD / _ROWS_PER_PERIOD)))
-        signs = {s: low_pass(np.tanh(self._v / s), self.cutoff, dt)[kept][used] for s in _SHAPE_SPEEDS}
+        signs = {s: low_pass(np.clip(self._v / s, -1.0, 1.0), self.cutoff, dt)[kept][used] for s in _SHAPE_SPEEDS}
         decays = {}
         if layout.has_stribeck:
             for s in _SHAPE_SPEEDS:
                 for w in _STRIBECK_SPEEDS:
-                    decay = np.tanh(self._v / s) * np.exp(-((self._v / w) ** 2))
+                    decay = np.clip(self._v / s, -1.0, 1.0) * np.exp(-((self._v / w) ** 2))
                     decays[s, w] = low_pass(decay, self.cutoff, dt)[kept][used]
         for j in range(layout.n):
             best = np.inf

@@ -148,7 +148,7 @@ class ArmRegressor:
         """Writes the columns of dry friction into W."""
         layout = self.layout
         joints = np.arange(layout.n)
-        sign = np.tanh(v / shape.smoothing)
+        sign = np.clip(v / shape.smoothing, -1.0, 1.0)
         if layout.has_friction:
             W[:, joints, layout.coulomb.start + joints] = sign
         if layout.has_stribeck:
@@ -192,15 +192,16 @@ class ArmRegressor:
             scale = np.concatenate([[mass], np.full(3, mass * length), np.full(6, mass * length**2)])
             prior[layout.link(i)] = _RELATIVE_PRIOR * scale
         inertia = np.diag(self.dynamics.mass_matrix(self.arm.limits.clamp(self.arm.home)))
-        tau_max = self.torque_scale()
+        limits = self.arm.limits.tau_max
+        strength = np.where(np.isfinite(limits), limits, self.torque_scale())
         rotor = np.maximum(_ROTOR_PRIOR * inertia, self.model_values[layout.rotor])
         prior[layout.rotor] = rotor
         if layout.has_friction:
-            prior[layout.viscous] = np.maximum(_FRICTION_PRIOR * tau_max, self.dynamics.damping)
-            prior[layout.coulomb] = np.maximum(_FRICTION_PRIOR * tau_max, self.dynamics.friction_loss)
+            prior[layout.viscous] = np.maximum(_FRICTION_PRIOR * strength, self.dynamics.damping)
+            prior[layout.coulomb] = np.maximum(_FRICTION_PRIOR * strength, self.dynamics.friction_loss)
         if layout.has_stribeck:
-            prior[layout.stribeck] = _FRICTION_PRIOR * tau_max
-        prior[layout.offset] = _FRICTION_PRIOR * tau_max
+            prior[layout.stribeck] = _FRICTION_PRIOR * strength
+        prior[layout.offset] = _FRICTION_PRIOR * strength
         return prior
 
     def torque_scale(self) -> Array:
