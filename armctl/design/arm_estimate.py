@@ -78,7 +78,7 @@ class ArmEstimate:
         coulomb_friction: (n,) N m.
         coulomb_error: (n,) standard errors.
         breakaway: (n,) N m above Coulomb friction at low speed; 0 unless friction is "stribeck".
-        friction_speeds: Coulomb friction is proportional to tanh(v / smoothing), breakaway decays as exp(-(v / stribeck)^2).
+        friction_speeds: dry friction is proportional to v / smoothing within [-1, 1], breakaway decays as exp(-(v / stribeck)^2).
         torque_offset: (n,) N m, of the torque measurement; not a part of the model.
         delay: s, by which torques are recorded later than positions.
         cutoff: Hz, of the zero-phase filter, chosen from the data.
@@ -141,7 +141,7 @@ class ArmEstimate:
         """
         speeds = self.friction_speeds
         breakaway = self.breakaway * np.exp(-((v / speeds.stribeck) ** 2))
-        return self.viscous_friction * v + (self.coulomb_friction + breakaway) * np.tanh(v / speeds.smoothing)
+        return self.viscous_friction * v + (self.coulomb_friction + breakaway) * np.clip(v / speeds.smoothing, -1.0, 1.0)
 
     def applied_to(self, arm: Arm) -> Arm:
         """The arm with the identified inertia, rotor inertia and friction: give it to a controller.

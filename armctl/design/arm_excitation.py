@@ -18,7 +18,7 @@ from armctl.robot.arm import Arm
 _SECONDS_PER_CONFIGURATION = 0.75  # at first; then by the durations of the motions
 _MIN_CONFIGURATIONS = 3
 _TRIES = 200
-_CANDIDATES = 30  # safe motions, of which the best is taken
+_CANDIDATES = 20  # safe motions, of which the best is taken
 _SIZES = (1.0, 0.8, 0.6, 0.4)  # of the range around home, in turn: wide sets touch something more often
 _MAX_DISTANCE = 1.5  # rad (m) from home
 _LIMIT_MARGIN = 0.05  # of a joint's range

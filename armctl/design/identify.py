@@ -123,7 +123,7 @@ def _judged(fit: ParameterFit, friction: str) -> ArmEstimate:
     hidden = _hidden(base, base_covariance)
     names = np.array(regressor.names)[base.leading]
     unexcited = tuple(str(name) for name in names[hidden])
-    condition = _condition_number(W[:, base.leading])
+    condition = _condition_number(W[:, base.leading[fit.kept[base.leading]]])
     validation = _validated(fit)
     reason = _reason(fit, unexcited, condition, validation)
     scale = regressor.prior[base.leading]

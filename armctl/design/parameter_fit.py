@@ -72,6 +72,7 @@ class ParameterFit:
         noise: (n,) N m, RMS of the residuals of the fit.
         torque_noise: (n,) N m, RMS of the white noise in the filtered torques.
         inflation: (n,) factors by which correlated residuals increase the variance of an estimate.
+        kept: (p,) False for dry friction and offsets that stay at the model's values.
         delay: s, by which torques were recorded later than positions.
         cutoff: Hz.
         shape: The shape of the friction.
@@ -100,6 +101,7 @@ class ParameterFit:
         self._model = regressor.model_torques(self._q, self._v, self._a)
         self.delay = 0.0
         self.x = regressor.start.copy()
+        self.kept = np.ones(regressor.layout.size, bool)
         self._scale = regressor.torque_scale()
         self.noise = 0.02 * self._scale
         for _ in range(_ROUNDS):
@@ -147,6 +149,7 @@ class ParameterFit:
         errors = regressor.prior * np.sqrt(np.diag(self.covariance()))
         for part in (layout.coulomb, layout.stribeck, layout.offset):
             small = np.abs(self.x[part] - regressor.start[part]) < _SIGNIFICANT_ERRORS * errors[part]
+            self.kept[part] = ~small
             regressor.prior[part] = np.where(small, _DROPPED_PRIOR * regressor.prior[part], regressor.prior[part])
 
     def _count_used(self) -> int:
@@ -245,20 +248,27 @@ class ParameterFit:
                         smoothing[j] = s
                         stribeck[j] = w
             A = np.column_stack([signs[smoothing[j]][:, j], rows.v[:, j], np.ones(len(rows))])
-            least = np.inf
-            for speed in _SLIDING_SPEEDS:
-                slides = self._slides(j, speed)[kept][used]
-                if slides.sum() < _MIN_SLIDING_SHARE * len(slides):
-                    break
-                solution = np.linalg.lstsq(A[slides], rest[slides, j])[0]
-                residual = rest[slides, j] - A[slides] @ solution
-                variance = (residual @ residual) / slides.sum() * np.linalg.pinv(A[slides].T @ A[slides])[0, 0]
-                if variance < least:
-                    least = variance
-                    self._sliding[j] = speed
+            self._sliding[j] = self._sliding_speed(A, rest[:, j], [self._slides(j, s)[kept][used] for s in _SLIDING_SPEEDS])
         self.shape = FrictionShape(smoothing, stribeck)
         self.regressor.set_friction(self._raw, self._v, self.shape)
         self.rows = self._filtered_rows()
+
+    def _sliding_speed(self, A: Array, torques: Array, slides: list[BoolArray]) -> float:
+        """The least speed of the rows with which Coulomb friction has the smallest standard error.
+
+        Rows close to a reversal have torques that a function of speed does not explain; far from it there are fewer rows.
+        """
+        best = 0.0
+        least = np.inf
+        for speed, kept in zip(_SLIDING_SPEEDS, slides, strict=True):
+            if kept.sum() < _MIN_SLIDING_SHARE * len(kept):
+                break
+            residual = torques[kept] - A[kept] @ np.linalg.lstsq(A[kept], torques[kept])[0]
+            variance = float(residual @ residual / kept.sum() * np.linalg.pinv(A[kept].T @ A[kept])[0, 0])
+            if variance < least:
+                least = variance
+                best = float(speed)
+        return best
 
     def _targets(self, rows: Rows) -> Array:
         """(K n,) what the start leaves of the torques, in units of the noise."""

@@ -80,7 +80,7 @@ class FrictionShape(NamedTuple):
     """The speeds at which friction changes, each (n,) rad/s.
 
     Attributes:
-        smoothing: Coulomb friction is proportional to tanh(v / smoothing).
+        smoothing: Dry friction is proportional to v / smoothing, clipped to [-1, 1].
         stribeck: The breakaway torque decays as exp(-(v / stribeck)^2).
     """
 
