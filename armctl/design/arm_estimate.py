@@ -78,7 +78,8 @@ class ArmEstimate:
         coulomb_friction: (n,) N m.
         coulomb_error: (n,) standard errors.
         breakaway: (n,) N m above Coulomb friction at low speed; 0 unless friction is "stribeck".
-        friction_speeds: dry friction is proportional to v / smoothing within [-1, 1], breakaway decays as exp(-(v / stribeck)^2).
+        friction_speeds: Dry friction is proportional to v / smoothing, clipped to [-1, 1]; breakaway decays as
+            exp(-(v / stribeck)^2).
         torque_offset: (n,) N m, of the torque measurement; not a part of the model.
         delay: s, by which torques are recorded later than positions.
         cutoff: Hz, of the zero-phase filter, chosen from the data.
