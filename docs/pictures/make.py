@@ -115,7 +115,7 @@ def page() -> None:
         tab.get_by_text("at the target").first.wait_for(timeout=60e3)
         tab.add_style_tag(content=".mantine-Notification-root { display: none }")  # that software draws is no news here
         session = page.session
-        center = session.target
+        center = session.status.target
         for k in range(600):
             offset = [0.0, -0.12 * np.sin(k / 60), 0.06 * np.sin(k / 30)]
             session.aim(Pose(center.position + offset, quat=center.quat))
