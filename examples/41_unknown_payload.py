@@ -14,7 +14,7 @@ print(f"identified: {found}")
 
 controllers = {
     "payload unknown": armctl.ComputedTorque(arm),
-    "disturbance observer": armctl.ComputedTorque(arm, observer_bandwidth=200.0),
+    "disturbance observer": armctl.ComputedTorqueObserver(arm),
     "payload identified": armctl.ComputedTorque(found.applied_to(arm)),
 }
 for name, controller in controllers.items():

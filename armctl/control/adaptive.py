@@ -17,7 +17,7 @@ ADAPTIVE_BANDWIDTH = 24.0  # rad/s; at a higher one, the adaptation reaches its 
 REGULARIZATION_RATIO = 0.1
 TYPICAL_PAYLOAD_CENTER_M = 0.1  # the distance that converts the observability of a mass to that of a first moment
 MIN_OBSERVABILITY = 1e-12  # m^2/s^4; below this, gravity does not reveal a payload: the value is rounding error
-# (stiffness of the adaptation) x dt / bandwidth; stable with a delay of two control periods. See `Adaptive._slowdown`.
+# Stiffness of the adaptation x dt / bandwidth. See `Adaptive._slowdown`.
 MAX_ADAPTATION_PER_PERIOD = 0.25
 
 
@@ -26,13 +26,13 @@ class Adaptive:
 
     With e = q_ref - q and s = e_dot + bandwidth e,
 
-        tau = M (a_ref + bandwidth e_dot + bandwidth s) + C (v + s) + g + Y theta,    theta_dot = gain Y^T s,
+        tau = M (a_ref + bandwidth e_dot + bandwidth s) + (C + D) (v + s) + g + Y theta, theta_dot = gain Y^T s,
 
-    after Slotine and Li, "On the adaptive control of robot manipulators" (1987). The most frequent unknown of an arm is its
-    payload, and the torque is linear in four numbers of it. Once estimated, they are correct at any speed and in any
-    configuration, whereas an observer or an integral term must follow a torque that changes all the time. The law uses no
-    measured acceleration, so it tolerates noise and delay, and its stability is proven. It does not estimate friction; use a
-    disturbance observer for that.
+    after Slotine and Li, "On the adaptive control of robot manipulators" (1987), with the joint damping D. The most frequent
+    unknown of an arm is its payload, and the torque is linear in four numbers of it. Once estimated, they are correct at any
+    speed and in any configuration, whereas an observer or an integral term must follow a torque that changes all the time. The
+    law uses no measured acceleration, so it tolerates noise and delay, and its stability is proven. It does not estimate
+    friction; use a disturbance observer for that.
 
     Attributes:
         bandwidth: rad/s, of the error.
@@ -79,13 +79,14 @@ class Adaptive:
         v = state.v
         v_ref, a_ref = feedforward.sampled(setpoint)
         error_rate = v_ref - v
-        s = error_rate + self.bandwidth * (setpoint.q - q)
+        correction = self.bandwidth * (setpoint.q - q)
+        s = error_rate + correction
         a = a_ref + self.bandwidth * (error_rate + s)
         Y = self._regressor(q, v, v + s, a)
         if not self._clock.follows(state):
             self.payload = np.zeros(4)
         tau = feedforward.inverse_dynamics_with_friction(self._dynamics, state, a, v_ref, a_ref)
-        tau = tau + self._dynamics.coriolis_product(q, v, s) + Y @ self.payload
+        tau = tau + self._dynamics.coriolis_product(q, v, s) + self._dynamics.damping * correction + Y @ self.payload
         if (np.abs(tau) < self._tau_max).all():  # the effect of the payload is not measurable while a motor is at its limit
             self.payload = self.payload + state.dt * self._slowdown(q, Y, state.dt) * (self._gain @ (Y.T @ s))
         return tau

@@ -9,7 +9,6 @@ import numpy as np
 from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH, extra_inertia
 from armctl.control.integral_gains import IntegralGains, integral_gains
 from armctl.control.interface import KernelController
-from armctl.control.observer import low_pass_weight
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, choice, instance, number
 from armctl.robot.arm import Arm, check_arm
@@ -38,7 +37,6 @@ class ComputedTorque(KernelController):
         bandwidth: rad/s; not used with integral action.
         damping_ratio: 1 is critically damped; not used with integral action.
         form: "discrete" or "textbook".
-        observer_bandwidth: rad/s of the disturbance observer; 0 without one.
         integral: Whether there is integral action.
         delay_margin: s, that of the loop with integral action, or two and a half control periods if they are longer.
     """
@@ -50,7 +48,6 @@ class ComputedTorque(KernelController):
         bandwidth: float = DEFAULT_BANDWIDTH,
         damping_ratio: float = 1.0,
         form: str = "discrete",
-        observer_bandwidth: float = 0.0,
         integral: bool = False,
         delay_margin: float = DEFAULT_DELAY_MARGIN_S,
     ):
@@ -61,44 +58,31 @@ class ComputedTorque(KernelController):
             bandwidth: rad/s, the natural frequency of the error.
             damping_ratio: 1 is critically damped.
             form: "discrete" or "textbook".
-            observer_bandwidth: rad/s up to which unknown torques are estimated and cancelled; 0 for no observer.
             integral: Whether to add integral action. The gains then follow from the delay margin.
             delay_margin: s, for the gains with integral action.
 
         Raises:
-            InputError: A gain is negative or not finite, the form is unknown, the textbook form has an observer, or integral
-                action is combined with a bandwidth, the textbook form or an observer.
+            InputError: A gain is negative or not finite, the form is unknown, or integral action is combined with a bandwidth
+                or the textbook form.
         """
         check_arm(arm)
         self.form = choice("form", form, FORMS)
         self.bandwidth = number("bandwidth", bandwidth, 0.0, MAX_BANDWIDTH)
         self.damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
-        self.observer_bandwidth = number("observer_bandwidth", observer_bandwidth, 0.0, MAX_BANDWIDTH)
         instance("integral", integral, bool, "True or False is one")
         self.integral = integral
         self.delay_margin = number("delay_margin", delay_margin, 1e-6, 10.0)
         self.name = "computed-torque"
         if self.integral:
             self.name = "computed-torque-integral"
-            if self.form == "textbook" or self.observer_bandwidth:
-                raise InputError("integral: it needs form='discrete' and no observer, whose estimate is an integral action too")
+            if self.form == "textbook":
+                raise InputError("integral: it needs form='discrete'")
             if (self.bandwidth, self.damping_ratio) != (DEFAULT_BANDWIDTH, 1.0):
                 raise InputError("bandwidth: with integral=True, all gains follow from delay_margin; leave the others out")
         elif self.form == "textbook":
             self.name = "computed-torque-textbook"
-            if self.observer_bandwidth:
-                raise InputError("observer_bandwidth: the observer compares ticks, so it needs form='discrete'")
-        elif self.observer_bandwidth:
-            self.name = "computed-torque-observer"
         super().__init__(arm.n)
         self._arm = arm
-
-    @property
-    def disturbance(self) -> Array:
-        """The torque (n,) N m that the observer estimates; zero without an observer."""
-        from armctl.control.computed_torque_kernel import estimate
-
-        return estimate(self.memory, self.n).copy()
 
     @property
     def kernel(self) -> Callable[..., None]:
@@ -109,7 +93,7 @@ class ComputedTorque(KernelController):
 
     @property
     def memory_size(self) -> int:
-        """Numbers of memory: those of the observer, and scratch."""
+        """Numbers of memory: the integral, and scratch."""
         from armctl.control.computed_torque_kernel import memory_size
 
         return memory_size(self.n, self._arm.packed_dynamics.work_size())
@@ -132,7 +116,7 @@ class ComputedTorque(KernelController):
         else:
             gains = IntegralGains(self.bandwidth**2, 2 * self.damping_ratio * self.bandwidth, 0.0)
             added = extra_inertia(self._arm, self.bandwidth, self.damping_ratio, dt)
-        header = [float(is_textbook), low_pass_weight(self.observer_bandwidth, dt), dt, gains.ki * dt]
+        header = [float(is_textbook), gains.ki * dt]
         kp = np.full(self.n, gains.kp)
         kd = np.full(self.n, gains.kd)
         return np.concatenate([header, kp, kd, added, self._arm.limits.tau_max, model])

@@ -7,11 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from armctl.control.computed_torque import ComputedTorque
-from armctl.control.gains import MAX_BANDWIDTH
+from armctl.control.computed_torque_observer import ComputedTorqueObserver
 from armctl.control.task_space import arm_length
 from armctl.core.errors import InputError
-from armctl.core.validation import Array, number
+from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 
 FILTER_BANDWIDTH = 60.0  # rad/s, of each of two low-passes; above most motion, and below the noise of measured accelerations
@@ -21,7 +20,7 @@ PRIOR_MASS_SHARE = 0.5  # of the moving mass of the arm: standard deviation of t
 PRIOR_LENGTH_SHARE = 0.1  # of the length of the arm: the distance of the payload from the tip in the prior
 
 
-class ComputedTorqueLearning(ComputedTorque):
+class ComputedTorqueLearning(ComputedTorqueObserver):
     """Computed torque with a disturbance observer, which learns the payload and feeds its torque forward.
 
         tau = computed torque with observer + Y(q_ref, v_ref, a_ref) theta
@@ -34,34 +33,35 @@ class ComputedTorqueLearning(ComputedTorque):
     the reference moves, and it starts at zero in each run.
 
     Attributes:
-        bandwidth: rad/s.
-        damping_ratio: 1 is critically damped.
-        observer_bandwidth: rad/s of the disturbance observer.
+        bandwidth: rad/s of the feedback; None if it follows from the margins.
+        damping_ratio: Of the feedback; None if it follows from the margins.
+        observer_bandwidth: rad/s up to which other unknown torques are cancelled; None if it follows from the margins.
     """
+
+    name = "computed-torque-learning"
 
     def __init__(
         self,
         arm: Arm,
         *,
-        bandwidth: float = 30.0,
-        damping_ratio: float = 1.0,
-        observer_bandwidth: float = 200.0,
+        bandwidth: float | None = None,
+        damping_ratio: float | None = None,
+        observer_bandwidth: float | None = None,
     ):
         """A controller that learns the payload of an arm.
 
         Args:
             arm: The arm whose model it uses, without the payload.
-            bandwidth: rad/s, the natural frequency of the error.
+            bandwidth: rad/s, the natural frequency of the error; by default it follows from the margins, like the others.
             damping_ratio: 1 is critically damped.
             observer_bandwidth: rad/s up to which torques that the payload does not explain are estimated and cancelled.
 
         Raises:
             InputError: A gain is negative or not finite, or the observer's bandwidth is zero.
         """
-        if number("observer_bandwidth", observer_bandwidth, 0.0, MAX_BANDWIDTH) == 0.0:
-            raise InputError("observer_bandwidth: 0 given; what the observer sees is what is learnt, so it must be above 0")
         super().__init__(arm, bandwidth=bandwidth, damping_ratio=damping_ratio, observer_bandwidth=observer_bandwidth)
-        self.name = "computed-torque-learning"
+        if self.observer_bandwidth == 0.0:
+            raise InputError("observer_bandwidth: 0 given; what the observer sees is what is learnt, so it must be above 0")
         self._constants = np.concatenate([1 / (TORQUE_NOISE_SHARE * arm.limits.tau_max), _prior_deviations(arm)])
 
     @property
@@ -72,7 +72,7 @@ class ComputedTorqueLearning(ComputedTorque):
     @property
     def disturbance(self) -> Array:
         """The torque (n,) N m that the observer estimates besides that of the payload."""
-        from armctl.control.computed_torque_kernel import estimate, memory_size
+        from armctl.control.computed_torque_observer_kernel import estimate, memory_size
 
         return estimate(self.memory[-memory_size(self.n, self._arm.packed_dynamics.work_size()) :], self.n).copy()
 
@@ -91,7 +91,7 @@ class ComputedTorqueLearning(ComputedTorque):
         return memory_size(self.n, self._arm.packed_dynamics.work_size())
 
     def parameters(self, dt: float, continuous: bool) -> Array:
-        """The constants of the estimator and those of computed torque.
+        """The constants of the estimator and those of computed torque with an observer.
 
         Args:
             dt: s, the control period.

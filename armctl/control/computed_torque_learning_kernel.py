@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from armctl.control import computed_torque_kernel as law
-from armctl.control.computed_torque_kernel import add_known, cancel, control, observe
+from armctl.control import computed_torque_observer_kernel as law
+from armctl.control.computed_torque_observer_kernel import add_known, cancel, control, observe
 from armctl.control.kernel import A_TICK, Q_REF, V_TICK
 from armctl.control.payload_kernel import (
     PARAMETERS,
@@ -15,9 +15,9 @@ from armctl.control.payload_kernel import (
 )
 from armctl.core.jit import njit
 
-# The parameters are the constants of the estimator, then those of computed torque. The memory is that of the estimator, the
-# regressor (n, 10) of the last tick, the torque (n,) that was fed forward, the estimate (10,) before, scratch of the regressor,
-# a number that is not 0 if the reference moved, and the memory of computed torque.
+# The parameters are the constants of the estimator, then those of the law with an observer. The memory is that of the
+# estimator, the regressor (n, 10) of the last tick, the torque (n,) that was fed forward, the estimate (10,) before, scratch of
+# the regressor, a number that is not 0 if the reference moved, and the memory of the law with an observer.
 
 
 def memory_size(n: int, work_size: int) -> int:
@@ -44,16 +44,17 @@ def computed_torque_learning(params, q, v, reference, memory, tau):
     at += regressor_scratch(n)
     moves = memory[at : at + 1]
     inner = memory[at + 1 :]
-    control(base, q, v, reference, inner, tau)
-    if inner[0] != 0.0:
-        observe(base, q, v, inner)
+    is_first = inner[0] == 0.0
+    observe(base, q, v, inner)
+    if not is_first:
         for k in range(p):
             before[k] = estimator[k]
         _learn(constants, Y, fed_forward, moves[0] != 0.0, before, estimator, inner)
+    control(base, reference, inner, tau)
     known = law.vector(inner, n, law.KNOWN)
     v_ref = reference[V_TICK]
-    work = inner[1 + law.VECTORS * n :]
-    payload_regressor(base[law.HEADER + 4 * n :], reference[Q_REF], v_ref, reference[A_TICK], work, scratch, Y)
+    work = law.scratch(inner, n)
+    payload_regressor(base[law.HEADER + law.ROWS * n :], reference[Q_REF], v_ref, reference[A_TICK], work, scratch, Y)
     moves[0] = 0.0
     for i in range(n):
         fed_forward[i] = 0.0
@@ -62,7 +63,7 @@ def computed_torque_learning(params, q, v, reference, memory, tau):
         known[i] += fed_forward[i]
         if v_ref[i] != 0.0:
             moves[0] = 1.0
-    cancel(base, q, v, inner, tau)
+    cancel(base, inner, tau)
     add_known(inner, tau)
 
 
@@ -73,7 +74,7 @@ def _learn(constants, Y, fed_forward, is_moving, before, estimator, inner):
     disturbance = law.vector(inner, n, law.ESTIMATE)
     last_torque = law.vector(inner, n, law.LAST_TORQUE)
     needed = law.vector(inner, n, law.NEEDED)
-    unmodelled = law.vector(inner, n, law.CORRECTION)
+    unmodelled = law.vector(inner, n, law.LOST)  # scratch until the torque is known
     for i in range(n):
         unmodelled[i] = last_torque[i] + fed_forward[i] - needed[i]
     learn_payload(constants, Y, unmodelled, is_moving, estimator)

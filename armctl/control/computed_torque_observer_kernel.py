@@ -36,7 +36,7 @@ POSITION = 2  # estimated
 VELOCITY = 3
 LOST = 4  # torque that the motors cut off
 ACCELERATION = 5  # commanded; after the tick that which the motors then achieve
-FRICTION = 6  # dry friction, which the observer's model does not have
+KNOWN = 6  # torques besides the observer's model, such as dry friction
 NEEDED = 7  # the torque that the model needs for the motion since the last tick
 LAST_POSITION = 8
 LAST_VELOCITY = 9
@@ -74,26 +74,31 @@ def row(params, n, k):
 @njit
 def computed_torque_observer(params, q, v, reference, memory, tau):
     """The law of `ComputedTorqueObserver`."""
+    observe(params, q, v, memory)
+    control(params, reference, memory, tau)
+    cancel(params, memory, tau)
+    add_known(memory, tau)
+
+
+@njit
+def control(params, reference, memory, tau):
+    """The torque of model and feedback at the estimated motion, without dry friction, which is stored in the memory."""
     n = tau.shape[0]
     model = params[HEADER + ROWS * n :]
     work = scratch(memory, n)
-    observe(params, q, v, memory)
     position = vector(memory, n, POSITION)
     velocity = vector(memory, n, VELOCITY)
     acceleration = vector(memory, n, ACCELERATION)
-    friction = vector(memory, n, FRICTION)
+    known = vector(memory, n, KNOWN)
     stiffness = row(params, n, STIFFNESS)
     damping = row(params, n, DAMPING)
     v_ref = reference[V_TICK]
     a_ref = reference[A_TICK]
     for i in range(n):
         acceleration[i] = a_ref[i] + stiffness[i] * (reference[Q_REF, i] - position[i]) + damping[i] * (v_ref[i] - velocity[i])
-        friction[i] = 0.0
+        known[i] = 0.0
     inverse_dynamics(model, position, velocity, acceleration, work, tau)
-    add_friction(model, v_ref, a_ref, work, friction)
-    cancel(params, memory, tau)
-    for i in range(n):
-        tau[i] += friction[i]
+    add_friction(model, v_ref, a_ref, work, known)
 
 
 @njit
@@ -134,20 +139,20 @@ def observe(params, q, v, memory):
 
 @njit
 def cancel(params, memory, tau):
-    """Subtracts the estimated disturbance from the torque, to which the caller then adds dry friction."""
+    """Subtracts the estimated disturbance from the torque, to which the caller then adds what is known."""
     n = tau.shape[0]
     disturbance = vector(memory, n, ESTIMATE)
     last_torque = vector(memory, n, LAST_TORQUE)
-    friction = vector(memory, n, FRICTION)
+    known = vector(memory, n, KNOWN)
     limit = row(params, n, TORQUE_LIMIT)
     lost = vector(memory, n, LOST)
     is_clipped = False
     memory[0] = 1.0
     for i in range(n):
         tau[i] -= disturbance[i]
-        last_torque[i] = clipped(tau[i] + friction[i], limit[i]) - friction[i]
+        last_torque[i] = clipped(tau[i] + known[i], limit[i]) - known[i]
         lost[i] = last_torque[i] - tau[i]
-        is_clipped = is_clipped or abs(tau[i] + friction[i]) > limit[i]
+        is_clipped = is_clipped or abs(tau[i] + known[i]) > limit[i]
     if is_clipped:  # what the motors cut off is no disturbance
         M = memory[1 + VECTORS * n : 1 + VECTORS * n + n * n].reshape((n, n))
         mass_matrix(params[HEADER + ROWS * n :], scratch(memory, n), M)
@@ -157,3 +162,12 @@ def cancel(params, memory, tau):
         acceleration = vector(memory, n, ACCELERATION)
         for i in range(n):
             acceleration[i] += lost[i]
+
+
+@njit
+def add_known(memory, tau):
+    """Adds the torque that is known besides the observer's model, such as dry friction."""
+    n = tau.shape[0]
+    known = vector(memory, n, KNOWN)
+    for i in range(n):
+        tau[i] += known[i]

@@ -45,12 +45,11 @@ class ComputedTorqueQP(ComputedTorque):
     a_desired; it is of second order in the errors.
 
     Clipping each torque, in contrast, moves the arm off its path in all directions. The limits hold for an arm like the model;
-    use the observer where the arm differs from it.
+    a known payload belongs into it (`Arm.with_payload`).
 
     Attributes:
         bandwidth: rad/s.
         damping_ratio: 1 is critically damped.
-        observer_bandwidth: rad/s of the disturbance observer; 0 without one.
         solver: "daqp", "osqp" or "proxqp".
     """
 
@@ -60,7 +59,6 @@ class ComputedTorqueQP(ComputedTorque):
         *,
         bandwidth: float = DEFAULT_BANDWIDTH,
         damping_ratio: float = 1.0,
-        observer_bandwidth: float = 0.0,
         solver: str = "daqp",
     ):
         """A computed torque controller with limits for an arm.
@@ -69,14 +67,13 @@ class ComputedTorqueQP(ComputedTorque):
             arm: The arm whose model and limits it uses.
             bandwidth: rad/s, the natural frequency of the error.
             damping_ratio: 1 is critically damped.
-            observer_bandwidth: rad/s up to which unknown torques are estimated and cancelled; 0 for no observer.
             solver: "daqp" (an active-set method, exact and fastest), "osqp" or "proxqp".
 
         Raises:
             InputError: A gain is negative or not finite, or there is no such solver.
             NotInstalledError: The solver is not installed.
         """
-        super().__init__(arm, bandwidth=bandwidth, damping_ratio=damping_ratio, observer_bandwidth=observer_bandwidth)
+        super().__init__(arm, bandwidth=bandwidth, damping_ratio=damping_ratio)
         self.solver = choice("solver", solver, SOLVERS)
         self.name = "qp"
         _check_installed(self.solver)
@@ -110,16 +107,13 @@ class ComputedTorqueQP(ComputedTorque):
             self._limits = self._limit_parameters(state.dt, state.continuous)
             self._limits_of = self._parameters
         v_ref, a_ref = feedforward.sampled(setpoint)
-        vectors = self.memory[1 : 1 + law.VECTORS * n].reshape(law.VECTORS, n)
+        vectors = self.memory[: law.VECTORS * n].reshape(law.VECTORS, n)
         rows = np.array([state.q, state.v, setpoint.q, v_ref, a_ref, vectors[law.CORRECTION], vectors[law.ADDED]])
         program = self._program
         if not limit_program(self._limits, rows, tau, self._scratch, *program):
             return tau
         tau_max = self._arm.limits.tau_max
-        tau = np.clip(tau + program.M @ self._deviation(program), -tau_max, tau_max)
-        if self.observer_bandwidth:
-            vectors[law.LAST_TORQUE] = tau - vectors[law.KNOWN]
-        return tau
+        return np.clip(tau + program.M @ self._deviation(program), -tau_max, tau_max)
 
     def _limit_parameters(self, dt: float, continuous: bool) -> Array:
         from armctl.robot.dynamics_kernel import HALF_STEP

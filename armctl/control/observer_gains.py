@@ -17,7 +17,7 @@ from math import expm1
 from armctl.control.gains import max_locked_inertia, required_delay
 from armctl.robot.arm import Arm
 
-# rad. A low-pass faster than this has no delay margin of two control periods, whatever the other gains are.
+# rad. A faster low-pass has a delay margin of less than two control periods with any other gains.
 MAX_BANDWIDTH_TIMES_DT = 0.3
 # Bandwidth of the estimated velocity x required delay. A slower one raises the peak sensitivity, a faster one gains nothing.
 _MIN_ESTIMATE = 2.85

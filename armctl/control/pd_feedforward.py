@@ -46,5 +46,4 @@ class PDFeedforward(PD):
         Returns:
             A new vector.
         """
-        model = self._arm.packed_dynamics.vector(dt, continuous)
-        return np.concatenate([self.stiffness, self.damping, model])
+        return np.concatenate([super().parameters(dt, continuous), self._arm.packed_dynamics.vector(dt, continuous)])

@@ -110,6 +110,7 @@ class _Guard(threading.local):
         functions = library()
         functions.mjb_makeBatch.restype = ctypes.c_void_p
         functions.mjb_error.restype = ctypes.c_char_p
+        functions.mjb_deleteBatch.argtypes = [ctypes.c_void_p]
         error = ctypes.create_string_buffer(_ERROR_SIZE)
         config = _BatchConfig(1, 0)
         address = ctypes.c_void_p(self._model._address)
@@ -117,6 +118,7 @@ class _Guard(threading.local):
         if not self._pool:
             raise ModelError(f"mujoco: {error.value.decode(errors='replace'):.300}")
         self._functions = functions
+        self._delete = functions.mjb_deleteBatch  # at the end of the interpreter, modules may be gone before this object is
 
     def call(self, function: int, argument: int) -> str:
         """Calls a C function `(model, data, sim, argument)`, which gets model and data of the pool.
@@ -130,7 +132,7 @@ class _Guard(threading.local):
 
     def __del__(self) -> None:
         if getattr(self, "_pool", None):
-            self._functions.mjb_deleteBatch(ctypes.c_void_p(self._pool))
+            self._delete(self._pool)
 
 
 @cache

@@ -71,15 +71,11 @@ def test_the_observer_is_stable_with_a_delay_of_two_ticks(bent, dt):
 
 
 def test_the_observer_does_not_mistake_clipped_torque_for_a_disturbance(bundled):
-    controller = armctl.ComputedTorque(bundled, observer_bandwidth=200.0)
+    controller = armctl.ComputedTorqueObserver(bundled)
     simulation = armctl.Simulation(bundled, controller, armctl.Plant(timestep=0.001))
     log = simulation.run(Still(bundled.home + np.array([2.0, 0.0, 0.0]), 0.2))
     assert (np.abs(log.tau_cmd) > bundled.limits.tau_max).any()
     assert np.abs(controller.disturbance).max() < 1e-6
-
-
-def test_without_an_observer_the_disturbance_is_zero(bundled):
-    assert np.array_equal(armctl.ComputedTorque(bundled).disturbance, np.zeros(bundled.n))
 
 
 @every_controller
@@ -135,11 +131,11 @@ def test_an_unknown_controller_has_a_suggestion(bundled):
         (lambda arm: armctl.PD(arm, stiffness=[1.0, float("nan"), 1.0]), "stiffness: element .1. is nan"),
         (lambda arm: armctl.PDGravity(arm, damping_ratio=[1.0]), "damping_ratio: .1.0. is not a number"),
         (lambda arm: armctl.PIDGravity(arm, integral_gain=float("inf")), "integral_gain: inf given, a finite number"),
-        (lambda arm: armctl.ComputedTorque(arm, observer_bandwidth="9"), "observer_bandwidth: '9' is not a number"),
+        (lambda arm: armctl.ComputedTorqueObserver(arm, observer_bandwidth="9"), "observer_bandwidth: '9' is not a number"),
         (lambda arm: armctl.Impedance(arm, posture_stiffness=-1.0), "posture_stiffness: every value must be at least 0"),
         (lambda arm: armctl.Adaptive(arm, bandwidth=1j), "bandwidth: 1j is not a number"),
         (lambda arm: armctl.ComputedTorque(arm, form="exact"), "form: 'exact' given, one of discrete, textbook"),
-        (lambda arm: armctl.ComputedTorque(arm, form="textbook", observer_bandwidth=9.0), "needs form='discrete'"),
+        (lambda arm: armctl.ComputedTorque(arm, form="textbook", integral=True), "needs form='discrete'"),
         (lambda arm: armctl.ComputedTorque(arm, bandwidth=float("nan")), "bandwidth: nan given, a finite number"),
         (lambda arm: armctl.OperationalSpace(arm, posture_bandwidth=-2.0), "posture_bandwidth: -2 given"),
         (lambda arm: armctl.Impedance(arm, stiffness=np.ones(3)), "stiffness: 3 numbers given, 6 wanted"),

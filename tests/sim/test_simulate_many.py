@@ -50,7 +50,7 @@ def test_a_plant_changed_in_place_is_a_new_plant():
 
 
 def test_one_controller_serves_all_runs_and_keeps_its_own_memory(bundled):
-    controller = armctl.ComputedTorque(bundled, observer_bandwidth=100.0)
+    controller = armctl.ComputedTorqueObserver(bundled)
     motions = [Sway(bundled), Still(bundled.home, 0.1), Still(bundled.home + 0.01, 0.1)]
     armctl.simulate(bundled, controller, motions[0], armctl.Plant(payload=0.5))
     before = controller.disturbance
