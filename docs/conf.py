@@ -52,20 +52,27 @@ CHAPTERS = {
 }
 
 
-def reference() -> str:
-    """The reference: every public name, by the subpackage it is in."""
+def reference() -> dict[str, str]:
+    """The pages of the reference by their file names: a list of all public names, and one page for each subpackage."""
     names: dict[str, list[str]] = {subpackage: [] for subpackage in CHAPTERS}
     for name in armctl.__all__:
         if name != "__version__":
             names[getattr(armctl, name).__module__.split(".")[1]].append(name)
-    lines = ["# Reference", "", "Every public name; each is `armctl.NAME`.", ""]
-    for subpackage, title in CHAPTERS.items():
-        if names[subpackage]:
-            introduction = (import_module(f"armctl.{subpackage}").__doc__ or "").split("\n")[0]
-            lines += [f"## {title}", "", introduction, ""]
+    chapters = [subpackage for subpackage in CHAPTERS if names[subpackage]]
+    toctree = ["```{toctree}", ":hidden:", "", *(f"reference/{subpackage}" for subpackage in chapters), "```", ""]
+    index = ["# Reference", "", "Every public name; each is `armctl.NAME`. The search finds classes and their methods.", "", *toctree]
+    pages: dict[str, str] = {}
+    for subpackage in chapters:
+        title = CHAPTERS[subpackage]
+        links = ", ".join(f"{{py:obj}}`~armctl.{name}`" for name in names[subpackage])
+        index += [f"## [{title}](reference/{subpackage}.md)", "", links, ""]
+        introduction = (import_module(f"armctl.{subpackage}").__doc__ or "").split("\n")[0]
+        lines = [f"# {title}", "", introduction, ""]
         for name in names[subpackage]:
-            lines += ["```{eval-rst}", *directive(name), "```", ""]
-    return "\n".join(lines)
+            lines += [f"## {name}", "", "```{eval-rst}", *directive(name), "```", ""]
+        pages[f"reference/{subpackage}.md"] = "\n".join(lines)
+    pages["reference.md"] = "\n".join(index)
+    return pages
 
 
 def directive(name: str) -> list[str]:
@@ -94,7 +101,10 @@ def without_generated_docstring(app, what, name, obj, options, lines):
 
 
 def setup(app):
-    (Path(__file__).parent / "reference.md").write_text(reference(), encoding="utf-8")
+    here = Path(__file__).parent
+    (here / "reference").mkdir(exist_ok=True)
+    for path, text in reference().items():
+        (here / path).write_text(text, encoding="utf-8")
     app.connect("autodoc-skip-member", skip_fields_of_named_tuples)
     app.connect("autodoc-process-signature", plain_aliases)
     app.connect("autodoc-process-docstring", without_generated_docstring)
