@@ -60,7 +60,13 @@ def reference() -> dict[str, str]:
             names[getattr(armctl, name).__module__.split(".")[1]].append(name)
     chapters = [subpackage for subpackage in CHAPTERS if names[subpackage]]
     toctree = ["```{toctree}", ":hidden:", "", *(f"reference/{subpackage}" for subpackage in chapters), "```", ""]
-    index = ["# Reference", "", "Every public name; each is `armctl.NAME`. The search finds classes and their methods.", "", *toctree]
+    index = [
+        "# Reference",
+        "",
+        "Every public name; each is `armctl.NAME`. The search finds classes and their methods.",
+        "",
+        *toctree,
+    ]
     pages: dict[str, str] = {}
     for subpackage in chapters:
         title = CHAPTERS[subpackage]

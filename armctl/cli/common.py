@@ -21,6 +21,23 @@ WRONG_CALL = 2
 INTERRUPTED = 130
 
 PLANTS_HELP = "nominal, payload=1, mass=1.2, friction, delay=2, noise, ripple, continuous, all, or several joined with +"
+# Those of armctl.control.CONTROLLERS, which the help must not import: it would take a second.
+CONTROLLER_NAMES = (
+    "pd",
+    "pd-feedforward",
+    "pd-gravity",
+    "pid-gravity",
+    "computed-torque",
+    "computed-torque-textbook",
+    "computed-torque-observer",
+    "computed-torque-integral",
+    "computed-torque-learning",
+    "qp",
+    "operational-space",
+    "impedance",
+    "adaptive",
+)
+CONTROLLERS_HELP = ", ".join(CONTROLLER_NAMES)
 _CHAIN_OPTIONS = {
     "--tip": "site, body or geom at the end of the chain",
     "--base": "body that the chain stands on; joints above it are held",

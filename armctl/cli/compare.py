@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armctl.cli.common import (
+    CONTROLLERS_HELP,
     DONE,
     PLANTS_HELP,
     Commands,
@@ -38,7 +39,12 @@ def add(commands: Commands) -> None:
     """Adds the command to the parser."""
     parser = add_command(commands, "compare", run, "follow the same motion under several controllers")
     add_arm(parser)
-    parser.add_argument("--controllers", default="pd,computed-torque", metavar="A,B,...", help="or all (default %(default)s)")
+    parser.add_argument(
+        "--controllers",
+        default="pd,computed-torque",
+        metavar="A,B,...",
+        help=f"all, or of {CONTROLLERS_HELP} (default %(default)s)",
+    )
     parser.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{PLANTS_HELP} (default nominal)")
     parser.add_argument("--report", type=Path, metavar="DIR", help="write JSON, Markdown and an HTML page into this folder")
     parser.add_argument(

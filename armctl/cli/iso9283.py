@@ -6,6 +6,7 @@ import argparse
 import sys
 
 from armctl.cli.common import (
+    CONTROLLERS_HELP,
     DONE,
     NOT_REACHED,
     PLANTS_HELP,
@@ -27,7 +28,7 @@ def add(commands: Commands) -> None:
     """Adds the command to the parser."""
     parser = add_command(commands, "iso9283", run, "the performance criteria of ISO 9283, by the standard's cycles")
     add_arm(parser)
-    parser.add_argument("--controller", default="computed-torque-observer", help="its name (default %(default)s)")
+    parser.add_argument("--controller", default="computed-torque-observer", help=f"{CONTROLLERS_HELP} (default %(default)s)")
     parser.add_argument("--plant", default="noise", metavar="A+B", help=f"{PLANTS_HELP} (default noise)")
     parser.add_argument("--identify", action="store_true", help="identify the payload first; the controller then uses it")
     parser.add_argument("--cycles", type=int, default=30, help="number of cycles through the five poses (default 30)")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 import warnings
 from collections.abc import Sequence
@@ -30,7 +31,7 @@ from armctl.cli import (
     warmup,
 )
 from armctl.cli.common import DONE, INTERRUPTED, WRONG_CALL
-from armctl.core.errors import ArmctlError
+from armctl.core.errors import ArmctlError, UnknownNameError
 
 _COMMANDS = (
     robots,
@@ -49,6 +50,7 @@ _COMMANDS = (
     view,
     warmup,
 )
+_NOT_OPTIONS = {"robot", "law", "file", "run"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -60,7 +62,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit status.
     """
-    args = _parser().parse_args(argv)
+    words = sys.argv[1:] if argv is None else list(argv)
+    parser = _parser()
+    if not words:
+        parser.print_help()
+        return DONE
+    known = [command.__name__.rpartition(".")[2] for command in _COMMANDS]
+    if not words[0].startswith("-") and words[0] not in known:
+        print(f"armctl: {UnknownNameError.of('command', words[0], known, 'armctl --help')}", file=sys.stderr)
+        return WRONG_CALL
+    args = parser.parse_args(words)
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
         return _run(args)
@@ -72,7 +83,7 @@ def _run(args: argparse.Namespace) -> int:
         sys.stdout.flush()
         return status
     except ArmctlError as error:
-        print(f"armctl: {error}", file=sys.stderr)
+        print(f"armctl: {_with_options(str(error), args)}", file=sys.stderr)
         return WRONG_CALL
     except BrokenPipeError:  # the reader of the output has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the flush at exit
@@ -84,6 +95,15 @@ def _run(args: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         print("armctl: stopped", file=sys.stderr)
         return INTERRUPTED
+
+
+def _with_options(message: str, args: argparse.Namespace) -> str:
+    """A message of the library with the options of the command in place of arguments of Python: `--tip` for `tip=`."""
+    for name in vars(args).keys() - _NOT_OPTIONS:
+        option = f"--{name.replace('_', '-')}"
+        message = re.sub(rf"^{name}(?=: )|(?<![\w-]){name}=(True\b|(?=\W|$))", option, message)
+        message = re.sub(rf"(?<![\w-]){name}=(?=\w)", f"{option} ", message)
+    return message
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from armctl.cli.common import (
+    CONTROLLERS_HELP,
     DONE,
     NOT_REACHED,
     PLANTS_HELP,
@@ -26,7 +27,7 @@ def add(commands: Commands) -> None:
     """Adds the command to the parser."""
     parser = add_command(commands, "margins", run, "delay, gain and phase margins of controllers over the workspace")
     add_arm(parser)
-    parser.add_argument("--controllers", default="all", metavar="A,B,...", help="their names (default all)")
+    parser.add_argument("--controllers", default="all", metavar="A,B,...", help=f"of {CONTROLLERS_HELP} (default all)")
     parser.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{PLANTS_HELP} (default nominal)")
     parser.add_argument("--poses", type=int, default=20, help="number of configurations (default 20)")
     parser.add_argument("--timestep", help="the control period, s (default the model's)")

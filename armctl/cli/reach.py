@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 
 from armctl.cli.common import (
+    CONTROLLERS_HELP,
     DONE,
     NOT_REACHED,
     Commands,
@@ -32,7 +34,7 @@ def add(commands: Commands) -> None:
     parser = add_command(commands, "reach", run, "move the tip to a target and report")
     add_arm(parser)
     parser.add_argument("--target", nargs="+", metavar="N", help="x y z in m, optionally with roll pitch yaw in rad")
-    parser.add_argument("--controller", default="computed-torque", help="its name (default computed-torque)")
+    parser.add_argument("--controller", default="computed-torque", help=f"{CONTROLLERS_HELP} (default %(default)s)")
     parser.add_argument("--video", type=Path, metavar="FILE", help="film the run into this .mp4 or .gif")
     parser.add_argument("--video-speed", metavar="X", default="1", help="0.5 films in slow motion (default 1)")
     add_speed(parser)
@@ -55,7 +57,8 @@ def run(args: argparse.Namespace) -> int:
     target = simulation.target if args.target is None else _target(args.target)
     result = simulation.move_to(target, speed=speed)
     if result.log is None:
-        figures = {"ok": False, "verdict": str(result), "robot": args.robot, "controller": args.controller}
+        figures = dict.fromkeys(field.name for field in fields(Report) if field.name != "log")
+        figures |= {"ok": False, "verdict": str(result), "robot": args.robot, "controller": args.controller}
         print_result(args, str(result), figures)
         return NOT_REACHED
     report = Report.from_log(result.log)

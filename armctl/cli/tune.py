@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from armctl.cli.common import (
+    CONTROLLERS_HELP,
     DONE,
     NOT_REACHED,
     PLANTS_HELP,
@@ -23,7 +24,7 @@ def add(commands: Commands) -> None:
     """Adds the command to the parser."""
     parser = add_command(commands, "tune", run, "find the highest gains of a controller within bounds on its margins")
     add_arm(parser)
-    parser.add_argument("law", help="name of the controller, such as pd")
+    parser.add_argument("law", help=f"the controller, of {CONTROLLERS_HELP}")
     parser.add_argument("--delay-margin", default="0.005", metavar="S", help="the smallest permitted one (default 0.005)")
     parser.add_argument("--peak-sensitivity", default="1.7", metavar="MS", help="the largest permitted one (default 1.7)")
     parser.add_argument("--chatter", metavar="NM", help="the largest permitted torque noise with an encoder of 1e-5 rad")

@@ -8,7 +8,7 @@ import os
 import platform
 from pathlib import Path
 
-from armctl.cli.common import DONE, Commands, add_arm, add_command, load_arm
+from armctl.cli.common import CONTROLLERS_HELP, DONE, Commands, add_arm, add_command, load_arm
 from armctl.core.errors import InputError
 
 _TOKEN_VARIABLE = "ARMCTL_TOKEN"
@@ -20,7 +20,9 @@ def add(commands: Commands) -> None:
     """Adds the command to the parser."""
     parser = add_command(commands, "view", run, "drag the target in the browser, and the arm follows")
     add_arm(parser)
-    parser.add_argument("--controller", default="computed-torque", help="the first controller (default computed-torque)")
+    parser.add_argument(
+        "--controller", default="computed-torque", help=f"the first controller, of {CONTROLLERS_HELP} (default %(default)s)"
+    )
     parser.add_argument("--port", type=int, default=8080, help="where to serve; the next free one if taken (default 8080)")
     parser.add_argument("--host", help="serve other machines too, at this address of this machine; requires a token")
     parser.add_argument("--token", help=f"what visitors must know, at least 8 characters; also read from {_TOKEN_VARIABLE}")

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
 DELAY_S = 2.0  # shorter work shows no bar
+LINE_INTERVAL_S = 10.0  # between two lines if stderr is no terminal
 
 
 class ProgressBar(Protocol):
@@ -18,14 +20,27 @@ class ProgressBar(Protocol):
         ...
 
 
-class _NoBar:
+class _Lines:
+    """Progress as plain lines, for files and pipes."""
+
+    def __init__(self, description: str, total: int, unit: str):
+        self._description = description
+        self._total = total
+        self._unit = unit
+        self._done = 0.0
+        self._printed_at = time.monotonic()
+
     def update(self, n: float | None = 1) -> None:
-        pass
+        self._done += n or 0
+        now = time.monotonic()
+        if now - self._printed_at >= LINE_INTERVAL_S and sys.stderr is not None:
+            self._printed_at = now
+            print(f"{self._description}: {self._done:g} of {self._total} {self._unit}", file=sys.stderr, flush=True)
 
 
 @contextmanager
 def progress_bar(description: str, total: int, unit: str) -> Iterator[ProgressBar]:
-    """A bar that appears after `DELAY_S` if stderr is a terminal; otherwise nothing is printed.
+    """A bar that appears after `DELAY_S` if stderr is a terminal; otherwise a line every `LINE_INTERVAL_S`.
 
     Args:
         description: What is being done, in a word or two.
@@ -36,7 +51,7 @@ def progress_bar(description: str, total: int, unit: str) -> Iterator[ProgressBa
         The bar; call its `update`.
     """
     if sys.stderr is None or not sys.stderr.isatty():
-        yield _NoBar()
+        yield _Lines(description, total, unit)
         return
     from tqdm import tqdm
 

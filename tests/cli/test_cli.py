@@ -1,5 +1,6 @@
 """The command line as a stranger uses it: what it prints, what it exits with, and how it says no."""
 
+import argparse
 import json
 import os
 import subprocess
@@ -11,7 +12,8 @@ from arms import BUNDLED, MISSING, at_hand
 from synthetic import FIRST, SECOND, THIRD, TOOL, urdf
 
 import armctl
-from armctl.cli.main import main
+from armctl.cli.common import CONTROLLER_NAMES
+from armctl.cli.main import _with_options, main
 from armctl.cli.warmup import compile_part
 from armctl.control import CONTROLLERS
 
@@ -27,6 +29,41 @@ def test_the_bundled_arm_reaches_the_green_target(capsys):
     assert status == 0, err
     assert out.startswith("reached: the tip ended")
     assert "computed-torque" in out
+
+
+def test_armctl_alone_prints_the_help(capsys):
+    status, out, err = run(capsys)
+    assert status == 0
+    assert out.startswith("usage: armctl")
+    assert "reach" in out
+    assert not err
+
+
+def test_a_mistyped_command_gets_a_suggestion(capsys):
+    status, out, err = run(capsys, "simulat", BUNDLED)
+    assert status == 2
+    assert not out
+    assert err == "armctl: unknown command 'simulat'; did you mean 'simulate'?\n"
+
+
+def test_the_help_lists_all_controllers():
+    assert tuple(CONTROLLERS) == CONTROLLER_NAMES
+
+
+def test_messages_name_options_and_not_arguments_of_python():
+    args = argparse.Namespace(robot="panda", tip=None, hold_base=False, run=main)
+    assert _with_options("choose one with tip=: a, b", args) == "choose one with --tip: a, b"
+    assert _with_options("hold_base=True holds it, tip=hand and tip_offset= too", args) == (
+        "--hold-base holds it, --tip hand and tip_offset= too"
+    )
+    assert _with_options("tip: no such body", args) == "--tip: no such body"
+    assert _with_options("robot: no such file", args) == "robot: no such file"
+
+
+def test_json_has_the_same_keys_whether_the_target_was_reached_or_not(capsys):
+    _, reached, _ = run(capsys, "reach", BUNDLED, "--json")
+    _, missed, _ = run(capsys, "reach", BUNDLED, "--target", "2", "0", "0.35", "--json")
+    assert json.loads(reached).keys() == json.loads(missed).keys()
 
 
 def test_a_menagerie_arm_reaches_a_target(capsys):
@@ -48,7 +85,7 @@ def test_a_pose_is_six_numbers(capsys):
 def test_angles_in_degrees_are_refused_and_turned_into_radians(capsys):
     status, _, err = run(capsys, "reach", BUNDLED, "--target", "0.3", "0.2", "0.3", "0", "-180", "90")
     assert status == 2
-    assert err == "armctl: target: -180 rad is more than a turn; -180 degrees are -3.1416 rad\n"
+    assert err == "armctl: --target: -180 rad is more than a turn; -180 degrees are -3.1416 rad\n"
 
 
 def test_out_of_reach_exits_1_and_says_by_how_many_millimetres(capsys):

@@ -1,4 +1,4 @@
-"""The progress bar appears for a person only, and only for long work."""
+"""Long work shows a bar on a terminal, and lines elsewhere."""
 
 import sys
 
@@ -14,7 +14,7 @@ def run() -> None:
             bar.update()
 
 
-def test_nothing_is_printed_if_stderr_is_no_terminal(monkeypatch, capsys):
+def test_short_work_prints_nothing_if_stderr_is_no_terminal(monkeypatch, capsys):
     monkeypatch.setattr(progress, "DELAY_S", 0.0)
     run()
     assert capsys.readouterr().err == ""
@@ -31,6 +31,12 @@ def test_short_work_shows_no_bar_and_long_work_does(monkeypatch, capsys):
     shown = capsys.readouterr().err
     assert "film" in shown
     assert "3/3" in shown
+
+
+def test_long_work_prints_plain_lines_if_stderr_is_no_terminal(monkeypatch, capsys):
+    monkeypatch.setattr(progress, "LINE_INTERVAL_S", 0.0)
+    run()
+    assert capsys.readouterr().err.splitlines()[-1] == "film: 3 of 3 frames"
 
 
 def fail_within_a_bar() -> None:
