@@ -87,7 +87,7 @@ def changed(arm: armctl.Arm, seed: int, coulomb: float) -> armctl.Arm:
 
 def measured(real: armctl.Arm, model: armctl.Arm, motion: armctl.JointTrajectory, seed: int) -> armctl.Log:
     """A recording of the real arm, without velocities."""
-    controller = armctl.ComputedTorque(model, bandwidth=30, observer_bandwidth=200)
+    controller = armctl.ComputedTorqueObserver(model)
     log = armctl.simulate(real, controller, motion, armctl.Plant(timestep=TICK_S), dwell=0.0)
     rng = np.random.default_rng(seed)
     q = log.q + ENCODER_NOISE * rng.standard_normal(log.q.shape)
@@ -97,8 +97,8 @@ def measured(real: armctl.Arm, model: armctl.Arm, motion: armctl.JointTrajectory
 
 def error(real: armctl.Arm, model: armctl.Arm, observer: bool) -> float:
     """rad, RMS of computed torque on the motion of the controllers' benchmark."""
-    extra = {"bandwidth": 30, "observer_bandwidth": 200} if observer else {}
-    log = armctl.simulate(real, armctl.ComputedTorque(model, **extra), quintic(model), armctl.Plant(timestep=TICK_S))
+    controller = armctl.ComputedTorqueObserver(model) if observer else armctl.ComputedTorque(model)
+    log = armctl.simulate(real, controller, quintic(model), armctl.Plant(timestep=TICK_S))
     return armctl.Report.from_log(log).joint_rms_rad
 
 
