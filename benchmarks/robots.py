@@ -16,7 +16,7 @@ import mujoco_menagerie as menagerie
 import armctl
 from armctl.analysis.chain_check import GOAL_DISTANCE, ChainCheck, arms_of, check_chain
 from armctl.core.tables import Table
-from armctl.loading.catalog import BUNDLED
+from armctl.loading.catalog import BUNDLED, installed_robots
 
 PAGE = Path(__file__).parent.parent / "docs" / "robots.md"
 HEAD = """# Robots
@@ -60,17 +60,16 @@ def joints_of(arm: armctl.Arm) -> str:
     return ", ".join(texts)
 
 
-def installed_robots() -> list[str]:
+def robot_entries() -> list[str]:
     """The bundled arm and the robots of Menagerie that need no download, each without its scene."""
-    store = menagerie.Cache()
-    here = [r for r in menagerie.robots() if ((store.root / r.name).is_dir() if store.root else store.is_cached(r))]
-    return [BUNDLED, *(f"{robot.name}/{robot.default_model}" for robot in here)]
+    names = [name for name in installed_robots() if name != BUNDLED]
+    return [BUNDLED, *(f"{name}/{menagerie.get(name).default_model}" for name in names)]
 
 
 def page(poses: int) -> str:
     """The whole page."""
     text = HEAD.format(poses=poses, step=GOAL_DISTANCE)
-    for robot in installed_robots():
+    for robot in robot_entries():
         rows = [row(check_chain(arm, base, poses)) for base, arm in arms_of(robot)]
         refused = [chain for chain in armctl.chains(robot) if not chain.ok]
         text += f"## {robot}\n\n"

@@ -223,6 +223,15 @@ def robots() -> dict[str, str]:
     return known | {short.get(r.name, r.name): f"{r.display_name}: {text}" for r, text in ability.items()}
 
 
+def installed_robots() -> list[str]:
+    """The names in MuJoCo Menagerie of the robots that need no download, and the bundled arm's."""
+    import mujoco_menagerie as menagerie
+
+    cache = menagerie.Cache()
+    known = menagerie.robots()
+    return [BUNDLED, *(r.name for r in known if ((cache.root / r.name).is_dir() if cache.root else cache.is_cached(r)))]
+
+
 def _check_network(robot: menagerie.Robot) -> None:
     """Raises at once if a robot that is not installed cannot be downloaded; the download itself would retry for seconds."""
     import mujoco_menagerie as menagerie

@@ -21,6 +21,9 @@ class Row:
         a_max: rad/s^2, likewise.
         j_max: rad/s^3, likewise.
         tau_max: N m, likewise.
+        payload: kg, the rated payload.
+        reach: m, the rated reach, as the maker measures it.
+        rating_source: Where these two are published; empty for `source`.
         tip: The site or body that carries the tip; None for the one that armctl finds.
         tip_offset: (3,) m, the tip in that site's or body's frame.
     """
@@ -30,8 +33,18 @@ class Row:
     a_max: tuple[float, ...] | None = None
     j_max: tuple[float, ...] | None = None
     tau_max: tuple[float, ...] | None = None
+    payload: float | None = None
+    reach: float | None = None
+    rating_source: str = ""
     tip: str | None = None
     tip_offset: tuple[float, float, float] | None = None
+
+    @property
+    def rating(self) -> str:
+        """The maker's rating in words; empty if the row has none."""
+        if self.payload is None or self.reach is None:
+            return ""
+        return f"rated payload {self.payload:g} kg, reach {self.reach:g} m ({self.rating_source or self.source})"
 
 
 def _deg(*values: float) -> tuple[float, ...]:
@@ -47,6 +60,9 @@ ROWS: dict[str, Row] = {
         a_max=(15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),
         j_max=(7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0),
         tau_max=(87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0),
+        payload=3.0,
+        reach=0.855,
+        rating_source="Franka Emika Panda data sheet",
         tip="hand",
         tip_offset=(0.0, 0.0, 0.1034),
     ),
@@ -56,38 +72,59 @@ ROWS: dict[str, Row] = {
         a_max=(10.0,) * 7,
         j_max=(5000.0,) * 7,
         tau_max=(87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0),
+        payload=3.0,
+        reach=0.855,
+        rating_source="Franka Research 3 data sheet",
     ),
     "universal_robots_ur5e": Row(
         source="Universal Robots UR5e data sheet",
         v_max=_deg(180, 180, 180, 180, 180, 180),
         tau_max=(150.0, 150.0, 150.0, 28.0, 28.0, 28.0),
+        payload=5.0,
+        reach=0.85,
     ),
     "universal_robots_ur10e": Row(
         source="Universal Robots UR10e data sheet",
         v_max=_deg(120, 120, 180, 180, 180, 180),
         tau_max=(330.0, 330.0, 150.0, 56.0, 56.0, 56.0),
+        payload=12.5,
+        reach=1.3,
     ),
     "kuka_iiwa_14": Row(
         source="KUKA LBR iiwa 14 R820 data sheet",
         v_max=_deg(85, 85, 100, 75, 130, 135, 135),
         tau_max=(320.0, 320.0, 176.0, 176.0, 110.0, 40.0, 40.0),
+        payload=14.0,
+        reach=0.82,
     ),
-    "ufactory_xarm7": Row(source="UFACTORY xArm 7 user manual", v_max=_deg(180, 180, 180, 180, 180, 180, 180)),
-    "ufactory_lite6": Row(source="UFACTORY Lite 6 user manual", v_max=_deg(180, 180, 180, 180, 180, 180)),
+    "ufactory_xarm7": Row(
+        source="UFACTORY xArm 7 user manual", v_max=_deg(180, 180, 180, 180, 180, 180, 180), payload=3.5, reach=0.7
+    ),
+    "ufactory_lite6": Row(
+        source="UFACTORY Lite 6 user manual", v_max=_deg(180, 180, 180, 180, 180, 180), payload=0.6, reach=0.44
+    ),
     "kinova_gen3": Row(
-        source="Kinova Gen3 user guide, actuator specifications",
+        source="Kinova Gen3 user guide: joint speeds; torques: hard limits of the safety thresholds, not actuator ratings",
         v_max=(1.39, 1.39, 1.39, 1.39, 1.22, 1.22, 1.22),
         tau_max=(105.0, 105.0, 105.0, 105.0, 52.0, 52.0, 52.0),
+        payload=4.0,
+        reach=0.902,
+        rating_source="Kinova Gen3 user guide, specifications",
     ),
     "rethink_robotics_sawyer": Row(
         source="Rethink Robotics Intera SDK, robot description",
         v_max=(1.74, 1.328, 1.957, 1.957, 3.485, 3.485, 4.545),
         tau_max=(80.0, 80.0, 40.0, 40.0, 9.0, 9.0, 9.0),
+        payload=4.0,
+        reach=1.26,
+        rating_source="Rethink Robotics Sawyer data sheet",
     ),
     "flexiv_rizon4": Row(
         source="Flexiv Rizon 4 data sheet",
         v_max=_deg(120, 120, 140, 140, 280, 280, 280),
         tau_max=(123.0, 123.0, 64.0, 64.0, 39.0, 39.0, 39.0),
+        payload=4.0,
+        reach=0.78,
     ),
 }
 

@@ -206,7 +206,8 @@ def _load_spec(source: Source, robot: _Robot, ends: Sequence[ArmEnds]) -> tuple[
         analysis = Transmissions(original)
         plans = describe_arms(source, analysis, ends)
     prepared = make_arm_model(source, spec, analysis, plans, robot.loose_links)
-    prepared = replace(prepared, quiet_notes=(*robot.quiet_notes, *prepared.quiet_notes))
+    rating = source.row.rating if source.row is not None and any(plan.datasheet is not None for plan in plans) else ""
+    prepared = replace(prepared, quiet_notes=(*filter(None, [rating]), *robot.quiet_notes, *prepared.quiet_notes))
     return _arms(source.name, prepared, [*robot.notes, *drag_notes(original), *reversed_range_notes(original)])
 
 

@@ -16,6 +16,7 @@ from armctl.cli.common import CONTROLLER_NAMES
 from armctl.cli.main import _with_options, main
 from armctl.cli.warmup import compile_part
 from armctl.control import CONTROLLERS
+from armctl.loading.datasheets import ROWS
 
 
 def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
@@ -157,6 +158,23 @@ def test_robots_lists_every_name(capsys):
     status, out, _ = run(capsys, "robots")
     assert status == 0
     assert {BUNDLED, "panda", "ur5e", "iiwa14", "xarm7", "gen3", "so_arm100"} <= {line.split()[0] for line in out.splitlines()}
+
+
+def test_robots_tells_which_are_on_this_machine(capsys, tmp_path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "franka_emika_panda").mkdir()
+    monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path))
+    _, out, _ = run(capsys, "robots")
+    here = {line.split()[0] for line in out.splitlines() if line.endswith("[on this machine]")}
+    assert here == {BUNDLED, "panda"}
+
+
+def test_ratings_have_a_payload_a_reach_and_a_source_for_each_data_sheet(capsys):
+    status, out, _ = run(capsys, "robots", "--ratings")
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in out.splitlines()[2:]]
+    assert status == 0
+    assert rows[0][:3] == ["franka_emika_panda", "3", "0.855"]
+    assert len(rows) == len(ROWS)
+    assert all(cells[1] and cells[2] and cells[4] for cells in rows)
 
 
 def test_reachability_is_printed_saved_and_drawn(capsys, tmp_path):

@@ -8,6 +8,7 @@ import mujoco
 import mujoco_menagerie as menagerie
 import numpy as np
 import pytest
+from arms import at_hand
 from synthetic import FIRST, JOINT, LIMIT, MESH, SECOND, THIRD, TOOL, limb, mjcf, motors, urdf
 
 import armctl
@@ -416,3 +417,11 @@ def test_an_argument_of_a_wrong_type_is_an_input_error(argument: str):
 def test_tips_that_are_no_list_of_names_are_an_input_error(tips: object):
     with pytest.raises(armctl.InputError, match=r"^tips: "):
         armctl.load_arms("robot_arm_3dof", tips)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.skipif(not at_hand("kinova_gen3"), reason="kinova_gen3: its model is not installed")
+def test_a_rating_is_noted_for_the_arm_of_the_data_sheet_and_for_no_other():
+    whole = armctl.load("gen3")
+    assert any(note.startswith("rated payload 4 kg, reach 0.902 m (Kinova Gen3 user guide") for note in whole.notes)
+    part = armctl.load("gen3", tip="forearm_link")
+    assert not any("rated" in note for note in part.notes)
