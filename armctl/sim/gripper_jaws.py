@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from scipy.spatial import KDTree
 
 from armctl.core.errors import ModelError
 from armctl.core.validation import Array, frozen
@@ -191,6 +190,8 @@ def _tip_of(patch: _Patch) -> _Patch:
 
 def _nearest(first: Array, second: Array) -> tuple[float, int, int]:
     """The smallest distance between two sets of points, m, and the index of each."""
+    from scipy.spatial import KDTree
+
     found = KDTree(second).query(first)
     distances = np.asarray(found[0])
     best = int(np.argmin(distances))
