@@ -64,8 +64,6 @@ from .design.payload import identify_payload as identify_payload
 from .design.stability import LoopMargins as LoopMargins
 from .design.tuning import Tuning as Tuning
 from .design.tuning import tune as tune
-from .envs.arm_env import ArmEnv as ArmEnv
-from .envs.vector_env import ArmVectorEnv as ArmVectorEnv
 from .ik.all_solutions import solve_ik_all as solve_ik_all
 from .ik.batch import solve_ik_batch as solve_ik_batch
 from .ik.differential import DifferentialIk as DifferentialIk

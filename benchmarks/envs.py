@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import armctl
+import armctl.envs
 from armctl.core.tables import Table
 
 ROBOT = "panda"
@@ -26,7 +27,7 @@ def random_actions(steps: int, *shape: int) -> np.ndarray:
 
 def batch(arm: armctl.Arm, action: str, steps: int, *, free_space: bool) -> tuple[float, np.ndarray]:
     """Steps per CPU second, and the observations (steps, COUNT, k)."""
-    env = armctl.ArmVectorEnv(arm, action=action, num_envs=COUNT, free_space=free_space)
+    env = armctl.envs.ArmVectorEnv(arm, action=action, num_envs=COUNT, free_space=free_space)
     env.reset(seed=SEED)
     actions = random_actions(steps, *env.action_space.shape)
     start = time.process_time()
@@ -37,7 +38,7 @@ def batch(arm: armctl.Arm, action: str, steps: int, *, free_space: bool) -> tupl
 
 def single(arm: armctl.Arm, action: str, steps: int, observed: np.ndarray) -> float:
     """Steps per CPU second, which must repeat what a row of a batch observed."""
-    env = armctl.ArmEnv(arm, action=action)
+    env = armctl.envs.ArmEnv(arm, action=action)
     env.reset(seed=SEED + CHECKED)
     actions = random_actions(len(observed), COUNT, *env.action_space.shape)[:, CHECKED]
     for k in range(min(len(observed), env.batch.horizon - 1)):

@@ -3,9 +3,11 @@
 import inspect
 import re
 from importlib import import_module
+from operator import attrgetter
 from pathlib import Path
 
 import armctl
+import armctl.envs
 
 project = "armctl"
 author = "the armctl authors"
@@ -58,6 +60,7 @@ def reference() -> dict[str, str]:
     for name in armctl.__all__:
         if name != "__version__":
             names[getattr(armctl, name).__module__.split(".")[1]].append(name)
+    names["envs"] = [f"envs.{name}" for name in armctl.envs.__all__]
     chapters = [subpackage for subpackage in CHAPTERS if names[subpackage]]
     toctree = ["```{toctree}", ":hidden:", "", *(f"reference/{subpackage}" for subpackage in chapters), "```", ""]
     index = [
@@ -83,7 +86,7 @@ def reference() -> dict[str, str]:
 
 def directive(name: str) -> list[str]:
     """The Sphinx directive that documents one public name."""
-    value = getattr(armctl, name)
+    value = attrgetter(name)(armctl)
     if not inspect.isclass(value):
         return [f".. autofunction:: armctl.{name}"]
     if issubclass(value, Exception):

@@ -7,6 +7,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import armctl
+import armctl.envs
 from armctl.envs.plants import plant_vector
 from armctl.robot.dynamics_kernel import DRIVE_COLUMNS, FRICTION_GAIN
 from armctl.sim.free_space import FreeSpace
@@ -34,7 +35,7 @@ def test_gymnasium_accepts_the_environment(arm, name):
 @pytest.mark.parametrize("free_space", [True, False])
 @pytest.mark.parametrize("action", ACTIONS)
 def test_joint_limits_hold_whatever_the_policy_does(arm, action, free_space):
-    env = armctl.ArmEnv(arm, action=action, free_space=free_space)
+    env = armctl.envs.ArmEnv(arm, action=action, free_space=free_space)
     env.reset(seed=0)
     size = env.action_space.shape[0]
     pushes = np.sign(np.random.default_rng(1).uniform(-1.0, 1.0, (8, size)))
@@ -47,7 +48,7 @@ def test_the_seed_decides_everything(arm):
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (5, arm.n))
     episodes = []
     for seed in (3, 3, 4):
-        env = armctl.ArmEnv(arm, action="joint_delta", randomize={"payload": armctl.Range(0.0, 0.2)})
+        env = armctl.envs.ArmEnv(arm, action="joint_delta", randomize={"payload": armctl.Range(0.0, 0.2)})
         start, _ = env.reset(seed=seed)
         episodes.append(np.vstack([start, run(env, actions)]))
     assert np.array_equal(episodes[0], episodes[1])
@@ -59,12 +60,12 @@ def test_a_batch_on_any_number_of_threads_is_its_single_environments(arm):
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (7, 5, arm.n))
     batches = []
     for threads in (1, 3):
-        env = armctl.ArmVectorEnv(arm, num_envs=5, threads=threads, **options)
+        env = armctl.envs.ArmVectorEnv(arm, num_envs=5, threads=threads, **options)
         env.reset(seed=10)
         batches.append(run(env, actions))
         env.close()
     assert np.array_equal(*batches)
-    single = armctl.ArmEnv(arm, **options)
+    single = armctl.envs.ArmEnv(arm, **options)
     single.reset(seed=12)
     for step, action in enumerate(actions[:, 2]):
         observation, _, _, ended, _ = single.step(action)
@@ -103,4 +104,4 @@ def test_a_varied_plant_has_the_dynamics_of_its_model(arm):
 def test_wrong_arguments_are_explained(arm):
     for options in ({"action": "jump"}, {"randomize": {"delay": armctl.Range(0, 2)}}, {"controller": "operational-space"}):
         with pytest.raises(armctl.InputError, match=next(iter(options))):
-            armctl.ArmEnv(arm, **options)
+            armctl.envs.ArmEnv(arm, **options)
