@@ -113,7 +113,10 @@ def test_one_instant_and_many_agree_and_outside_it_stands_still(name, plan):
         for x, y in zip(one[:3], many[:3], strict=True):
             assert np.allclose(x, y[k], atol=1e-12)
     assert not many.v[[0, -1]].any()
-    assert np.array_equal(many.q[-1], motion(motion.duration).q)
+    # After the end it stands at the end to the bit; one instant and many are sums of different order, and agree to rounding.
+    assert np.array_equal(motion(times[-1]).q, motion(motion.duration).q)
+    assert np.array_equal(many.q[-1], motion.sample(np.append(times[:-1], motion.duration)).q[-1])
+    assert np.allclose(many.q[-1], motion(motion.duration).q, rtol=0.0, atol=1e-14)
 
 
 @panda_or_bundled
