@@ -27,6 +27,7 @@ sync_api = pytest.importorskip("playwright.sync_api", reason="pip install playwr
 import viser  # noqa: E402
 from viewer_client import TIMEOUT_S, open_page, until  # noqa: E402
 
+from armctl.control import CONTROLLERS  # noqa: E402
 from armctl.sim.realtime import Activity  # noqa: E402
 from armctl.viewer.page import Page  # noqa: E402
 
@@ -104,7 +105,8 @@ def field_of(tab, label: str, which: int = 0):
 
 def choose(tab, controller: str) -> None:
     """Chooses a controller from the list."""
-    tab.get_by_role("combobox").click()
+    boxes = tab.get_by_role("combobox").all()
+    next(box for box in boxes if box.input_value() in CONTROLLERS).click()
     tab.get_by_role("option", name=controller, exact=True).click()
 
 
