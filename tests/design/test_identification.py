@@ -16,8 +16,8 @@ ROBOTS = ("robot_arm_3dof", "panda", "ur5e", "iiwa14", "so_arm100", "gantry")
 CENTER = np.array([0.02, 0.01, 0.05])
 
 
-def run(arm, motion, **plant):
-    return armctl.simulate(arm, "computed-torque-observer", motion, armctl.Plant(timestep=0.002, **plant))
+def run(arm, motion, controller="computed-torque-observer", **plant):
+    return armctl.simulate(arm, controller, motion, armctl.Plant(timestep=0.002, **plant))
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,11 @@ def test_what_takes_much_torque_is_shown_more_slowly(robot):
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_a_payload_is_found_within_one_percent(robot, mass, motions):
     arm = arm_of(robot)
-    found = armctl.identify_payload(arm, run(arm, motions(robot), payload=mass, payload_center=CENTER))
+    # Without an observer: an unknown 2 kg multiply the inertia at a wrist joint of the iiwa14 by 4.5 and of the gantry by 4.2,
+    # and the observer, whose default gains are for the inertia of its model, is unstable with them, as `margins` says, too.
+    log = run(arm, motions(robot), "computed-torque", payload=mass, payload_center=CENTER)
+    assert (np.abs(log.tau) < arm.limits.tau_max).all()
+    found = armctl.identify_payload(arm, log)
     assert found.ok, found.reason
     assert found.mass == pytest.approx(mass, rel=0.01)
     shown = found.center_error < 0.02  # a gantry's slides do not show where along them a mass hangs
