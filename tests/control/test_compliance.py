@@ -26,7 +26,7 @@ def displacement(log):
 
 
 def test_stiffness_follows_a_function_of_the_time(six_joints):
-    # The arm's own damping, 1 N m s/rad, adds to that of the controller: the slowest mode decays with 0.9 rad/s, then with half.
+    # The arm's own damping, 1 N m s/rad, adds to the controller's: the slowest mode decays with 0.9 rad/s, then with half.
     softer = armctl.Impedance(six_joints, stiffness=lambda t: STIFFNESS if t < 4.0 else 0.5 * STIFFNESS)
     log = pushed(six_joints, softer, 12.0)
     before = log.tip[log.t < 4.0][-1] - log.tip_ref[-1]
