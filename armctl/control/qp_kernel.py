@@ -62,16 +62,20 @@ def limit_program(params, rows, torque, work, J, H, M, factor, motion, lower, up
     q = rows[0]
     v = rows[1]
     desired = rows[5]
-    offset = rows[6]
+    added = rows[6]
+    offset = lower[:n]  # scratch until the bounds are known
     place(model, q, work)
     mass_matrix(model, work, M)
     add_step_inertia(model, M)
-    _add_acceleration(M, offset, factor, desired)
+    for i in range(n):
+        desired[i] += rows[4, i]
+    # The tip's law is that of stiffness and damping alone. With the added torques, which are of first order in the errors, the
+    # offset would cancel them, by a share that is not linear.
+    _tip_offset(params, rows, work, J, motion, offset)
+    _add_acceleration(M, added, factor, desired)
     feedback = 0.0
     for i in range(n):
-        feedback += desired[i] * desired[i]
-        desired[i] += rows[4, i]
-    _tip_offset(params, rows, work, J, motion, offset)
+        feedback += (desired[i] - rows[4, i]) ** 2
     _metric(params[LENGTH], J, H)
     _follow_tip(M, H, feedback, offset, factor, desired, torque)
     return _bounds(params, q, v, desired, torque, M, lower, upper)
