@@ -160,8 +160,11 @@ def test_switching_the_controller_and_the_payload_shows_in_the_error_plot(page: 
     typed(tab, "payload, kg", "0")
     until(lambda: page.session.status.payload == 0.0 and error() <= 0.011, "without payload it is exact again")
     choose(tab, "pd")
-    until(lambda: page.session.status.controller == "pd" and error() > 1.0, "PD sags")
+    until(lambda: page.session.status.controller == "pd" and error() > 0.1, "PD sags")
+    typed(tab, "payload, kg", "2")
     tab.get_by_text("steady-state error").first.wait_for(timeout=1e3 * TIMEOUT_S)
+    typed(tab, "payload, kg", "0")
+    until(lambda: page.session.status.payload == 0.0, "the payload is taken off")
     choose(tab, "computed-torque")
     arrives(page)
 
