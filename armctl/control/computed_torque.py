@@ -8,7 +8,7 @@ import numpy as np
 
 from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH, extra_inertia
 from armctl.control.integral_gains import IntegralGains, integral_gains
-from armctl.control.interface import KernelController
+from armctl.control.interface import KernelController, checked_period
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, choice, instance, number
 from armctl.robot.arm import Arm, check_arm
@@ -107,7 +107,11 @@ class ComputedTorque(KernelController):
 
         Returns:
             A new vector.
+
+        Raises:
+            InputError: The control period is no number in [0, 1] s, or `continuous` is not True or False.
         """
+        dt, continuous = checked_period(dt, continuous)
         is_textbook = self.form == "textbook"
         model = self._arm.packed_dynamics.vector(0.0 if is_textbook else dt, continuous and not is_textbook)
         if self.integral:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from armctl.control.computed_torque_observer import ComputedTorqueObserver
+from armctl.control.interface import checked_period
 from armctl.control.task_space import arm_length
 from armctl.core.errors import InputError
 from armctl.core.validation import Array
@@ -99,7 +100,11 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
 
         Returns:
             A new vector.
+
+        Raises:
+            InputError: The control period is no number in [0, 1] s, or `continuous` is not True or False.
         """
+        dt, continuous = checked_period(dt, continuous)
         filter_weight = -math.expm1(-FILTER_BANDWIDTH * dt)
         information_weight = 0.5 * FILTER_BANDWIDTH * dt  # filtered samples are correlated over two periods of the low-pass
         rates = [filter_weight, information_weight, FORGETTING_RATE * dt]

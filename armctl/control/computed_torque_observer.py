@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from armctl.control.gains import MAX_BANDWIDTH
-from armctl.control.interface import KernelController
+from armctl.control.interface import KernelController, checked_period
 from armctl.control.observer_gains import (
     ObserverGains,
     low_pass_weight,
@@ -91,7 +91,11 @@ class ComputedTorqueObserver(KernelController):
 
         Returns:
             A new vector.
+
+        Raises:
+            InputError: The control period is no number in [0, 1] s, or `continuous` is not True or False.
         """
+        dt, continuous = checked_period(dt, continuous)
         default = observer_gains(self._arm, dt)
         gains = ObserverGains(
             feedback=default.feedback if self.bandwidth is None else self.bandwidth,

@@ -13,7 +13,7 @@ from armctl.control.gains import MAX_BANDWIDTH, gain, sample_configurations
 from armctl.control.interface import State, explains_wrong_arguments
 from armctl.control.task_space import POSE_SIZE, consistent_inverse, tip_error
 from armctl.core.trajectory import Setpoint
-from armctl.core.validation import Array, frozen, number
+from armctl.core.validation import Array, frozen, number, vector
 from armctl.robot.arm import Arm, check_arm
 from armctl.robot.dynamics import Dynamics
 
@@ -117,16 +117,21 @@ class Impedance:
         damper = self.damping_ratio * _critical_damping(M, stiffness) @ (v_ref - v)
         return feedforward.inverse_dynamics_with_friction(self._dynamics, state, a_ref, v_ref, a_ref) + spring + damper
 
-    def joint_stiffness(self, q: Array, tip_stiffness: Array) -> Array:
+    def joint_stiffness(self, q: ArrayLike, tip_stiffness: ArrayLike) -> Array:
         """The springs of tip and posture as seen by the joints.
 
         Args:
             q: (n,) rad.
-            tip_stiffness: (6,) N/m and N m/rad.
+            tip_stiffness: (6,) N/m and N m/rad, or one number for all six.
 
         Returns:
             (n, n) N m/rad.
+
+        Raises:
+            InputError: A list has another length, a value is no finite number, or a stiffness is negative.
         """
+        q = vector("q", q, self._arm.n)
+        tip_stiffness = gain("tip_stiffness", tip_stiffness, POSE_SIZE)
         J = self._arm.pinocchio_model.jacobian(q)
         return J.T * tip_stiffness @ J + self._posture(J, self._dynamics.mass_matrix(q))
 

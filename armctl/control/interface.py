@@ -13,7 +13,10 @@ import numpy as np
 
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Setpoint
-from armctl.core.validation import Array, shown
+from armctl.core.validation import Array, flag, instance, number, shown
+
+_MAX_PERIOD_S = 1.0
+_STATE_HINT = "armctl.State(q, v) is one"
 
 
 class State(NamedTuple):
@@ -74,6 +77,22 @@ class Clock:
     def expect(self, t: float) -> None:
         """Sets the time of the next tick, s, after ticks that this clock did not see."""
         self._next = t
+
+
+def checked_period(dt: float, continuous: bool) -> tuple[float, bool]:
+    """The arguments of `KernelController.parameters`, checked.
+
+    Args:
+        dt: s, the control period; 0 means continuous time.
+        continuous: Whether the arm moves continuously during the control period.
+
+    Returns:
+        Both.
+
+    Raises:
+        InputError: The control period is no number in [0, 1] s, or `continuous` is not True or False.
+    """
+    return number("dt", dt, 0.0, _MAX_PERIOD_S), flag("continuous", continuous)
 
 
 _TorqueMethod = TypeVar("_TorqueMethod", bound=Callable[..., Array])
@@ -179,7 +198,11 @@ class KernelController(ABC):
 
         Returns:
             The parameters and the memory for the kernel, until the control period changes.
+
+        Raises:
+            InputError: It is no `State`.
         """
+        instance("state", state, State, _STATE_HINT)
         if self._period != (state.dt, state.continuous):
             self._parameters = self.parameters(state.dt, state.continuous)
             self._period = (state.dt, state.continuous)
@@ -193,8 +216,11 @@ class KernelController(ABC):
 
         Args:
             t: s, the time of the next tick.
+
+        Raises:
+            InputError: It is no finite number.
         """
-        self._clock.expect(t)
+        self._clock.expect(number("t", t))
 
     @explains_wrong_arguments
     def torque(self, state: State, setpoint: Setpoint) -> Array:
@@ -232,9 +258,8 @@ class KernelController(ABC):
         return tau
 
 
-def _check_arguments(state: object, setpoint: object) -> None:
-    if not isinstance(state, State):
-        raise InputError(f"state: {shown(state)} is no State; armctl.State(q, v) is one")
+def _check_arguments(state: Any, setpoint: object) -> None:
+    instance("state", state, State, _STATE_HINT)
     if not isinstance(setpoint, Setpoint):
         raise InputError(f"setpoint: {shown(setpoint)} is no Setpoint; armctl.Setpoint(q, v, a) is one")
     values = {

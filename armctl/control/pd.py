@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control.gains import MAX_BANDWIDTH, FeedbackGains, bandwidth_gains, margin_gains
-from armctl.control.interface import KernelController
+from armctl.control.interface import KernelController, checked_period
 from armctl.core.validation import Array, number
 from armctl.robot.arm import Arm, check_arm
 
@@ -79,7 +79,11 @@ class PD(KernelController):
 
         Returns:
             A new vector.
+
+        Raises:
+            InputError: The control period is no number in [0, 1] s, or `continuous` is not True or False.
         """
+        dt, continuous = checked_period(dt, continuous)
         gains = self._gains_at(dt)
         return np.concatenate([gains.stiffness, gains.damping])
 

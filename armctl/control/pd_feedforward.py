@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from armctl.control.interface import checked_period
 from armctl.control.pd import PD
 from armctl.core.validation import Array
 
@@ -45,5 +46,9 @@ class PDFeedforward(PD):
 
         Returns:
             A new vector.
+
+        Raises:
+            InputError: The control period is no number in [0, 1] s, or `continuous` is not True or False.
         """
+        dt, continuous = checked_period(dt, continuous)
         return np.concatenate([super().parameters(dt, continuous), self._arm.packed_dynamics.vector(dt, continuous)])

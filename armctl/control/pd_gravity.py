@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control.gains import gain, max_locked_inertia
+from armctl.control.interface import checked_period
 from armctl.control.pd import PD
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
@@ -51,7 +52,11 @@ class PDGravity(PD):
 
         Returns:
             A new vector.
+
+        Raises:
+            InputError: The control period is no number in [0, 1] s, or `continuous` is not True or False.
         """
+        dt, continuous = checked_period(dt, continuous)
         return np.concatenate([super().parameters(dt, continuous), self._arm.packed_dynamics.vector(0.0)])
 
 
@@ -124,7 +129,11 @@ class PIDGravity(PDGravity):
 
         Returns:
             A new vector.
+
+        Raises:
+            InputError: The control period is no number in [0, 1] s, or `continuous` is not True or False.
         """
+        dt, continuous = checked_period(dt, continuous)
         gains = self._gains_at(dt)
         integral = gains.integral_gain if self.integral_gain is self._default.integral_gain else self.integral_gain
         values = [gains.stiffness, gains.damping, dt * integral, self._tau_max]

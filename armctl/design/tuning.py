@@ -148,7 +148,7 @@ def tune(
         UnknownNameError: There is no such controller.
     """
     check_arm(arm)
-    if law not in CONTROLLERS:
+    if not isinstance(law, str) or law not in CONTROLLERS:
         raise UnknownNameError.of("controller", law, CONTROLLERS)
     if not isinstance(plants, Sequence):
         raise InputError(f"plants: {shown(plants)} given, a list of plants wanted, such as [armctl.Plant(payload=1.0)]")

@@ -7,6 +7,7 @@ import copy
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Self
 
 import mujoco
 import numpy as np
@@ -31,6 +32,16 @@ _TARGET_SCALE = 1.15  # the target stays visible around a tip of the same size
 
 class Film(type(Path())):  # type: ignore[misc]  # before Python 3.12 only the class of the system's paths can be derived from
     """The path of a film; a notebook shows the film itself."""
+
+    def __new__(cls, *parts: str | os.PathLike[str]) -> Self:
+        """The path of a film from its parts, as `pathlib.Path` takes them.
+
+        Raises:
+            InputError: A part is neither text nor a path.
+        """
+        for part in parts:
+            instance("parts", part, (str, os.PathLike), "'film.mp4' is one")
+        return super().__new__(cls, *parts)
 
     def _repr_html_(self) -> str:
         data = base64.b64encode(self.read_bytes()).decode("ascii")
