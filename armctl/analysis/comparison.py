@@ -15,7 +15,7 @@ from armctl.control import Controller, controller_name
 from armctl.core.errors import InputError, ModelError, PlanError
 from armctl.core.log import Log
 from armctl.core.trajectory import Trajectory
-from armctl.core.validation import integer, number
+from armctl.core.validation import integer, number, shown
 from armctl.design.margins import margins
 from armctl.motion import JointTrajectory, move_j
 from armctl.robot.arm import Arm, check_arm
@@ -63,6 +63,8 @@ def compare(
         for controller, controller_label in zip(controllers, _distinct(map(_name_of, controllers)), strict=True)
     ]
     poses = integer("poses", poses, 0)
+    if progress is not None and not callable(progress):
+        raise InputError(f"progress: {shown(progress)} given, a function of two numbers wanted")
     runs = rows_as_runs(arm, [(pair.controller, trajectory, pair.plant) for pair in pairs])
     reports = []
     for pair, report in zip(pairs, run_many(arm, runs, _report, threads=integer("workers", workers, 1)), strict=True):

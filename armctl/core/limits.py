@@ -122,7 +122,7 @@ class Limits:
         """(n,) or (T, n) float64; NaN is left to the caller, infinity is a position outside."""
         try:
             positions = np.asarray(q, dtype=np.float64)
-        except (TypeError, ValueError, OverflowError):
+        except Exception:  # a caller's object may raise anything while NumPy converts it
             raise InputError(f"q: {shown(q)} is not an array of numbers") from None
         if positions.ndim not in (1, 2) or positions.shape[-1] != len(self.q_min):
             raise InputError(

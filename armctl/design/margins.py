@@ -132,7 +132,7 @@ def margins(
 
 def configurations(arm: Arm, poses: int | ArrayLike) -> Array:
     """(k, n) rad, the configurations at which a controller is judged: home and random ones, or the given ones, checked."""
-    if np.ndim(poses) > 0:
+    if _dimensions(poses) > 0:
         given = matrix("poses", poses, arm.n)  # type: ignore[arg-type]
         if not len(given):
             raise InputError("poses: no configuration given, at least one wanted")
@@ -140,6 +140,14 @@ def configurations(arm: Arm, poses: int | ArrayLike) -> Array:
     count = integer("poses", poses, 1, _MAX_POSES)  # type: ignore[arg-type]
     home = arm.limits.clamp(arm.home)
     return np.vstack([home, arm.limits.random(home, count - 1, np.random.default_rng(_SEED))])
+
+
+def _dimensions(value: object) -> int:
+    """The number of dimensions; 0 for what is no array, which is no number either."""
+    try:
+        return np.ndim(value)  # type: ignore[arg-type]
+    except Exception:  # a caller's object may raise anything while NumPy converts it
+        return 0
 
 
 def _worst(arm: Arm, law: Controller, loops: list[Loop]) -> Margins:

@@ -11,7 +11,7 @@ from armctl.control import Controller, KernelController
 from armctl.core.errors import InputError
 from armctl.core.log import Log, SimulationError
 from armctl.core.trajectory import Trajectory
-from armctl.core.validation import instance, integer
+from armctl.core.validation import instance, integer, shown
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.move import read_controller
 from armctl.sim.plant import Plant
@@ -68,6 +68,8 @@ def simulate_many(
         SimulationError: A controller failed at its first tick.
     """
     check_arm(arm)
+    if progress is not None and not callable(progress):
+        raise InputError(f"progress: {shown(progress)} given, a function of two numbers wanted")
     columns = [
         list(each) if isinstance(each, Sequence) and not isinstance(each, str) else each
         for each in (controller, trajectories, Plant() if plants is None else plants)

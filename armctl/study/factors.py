@@ -89,6 +89,8 @@ class Normal:
     def __post_init__(self) -> None:
         object.__setattr__(self, "mean", number("mean", self.mean))
         object.__setattr__(self, "std", number("std", self.std, 1e-300))
+        object.__setattr__(self, "low", _bound("low", self.low))
+        object.__setattr__(self, "high", _bound("high", self.high))
         if not self.low <= self.mean <= self.high:
             raise InputError(f"mean: {self.mean:g} given, a number between the bounds {self.low:g} and {self.high:g} wanted")
 
@@ -143,9 +145,14 @@ _TABLES: dict[frozenset[str], type[Random]] = {
 }
 
 
+def _bound(name: str, value: float) -> float:
+    """A number, which may be infinite."""
+    return value if isinstance(value, float) and math.isinf(value) else number(name, value)
+
+
 def levels(name: str, values: Any) -> tuple[Value, ...]:
     """Values as plain data, without repeated ones; InputError for anything else."""
-    if isinstance(values, str) or not isinstance(values, Iterable):
+    if isinstance(values, str) or not isinstance(values, Iterable) or getattr(values, "ndim", None) == 0:
         values = (values,)
     out = tuple(dict.fromkeys(_plain(name, value) for value in values))
     if not out:
