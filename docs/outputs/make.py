@@ -7,7 +7,15 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
-TABLE = re.compile(r"(?<=<!-- armctl compare ur5e -->\n).*?(?=<!-- end -->)", re.DOTALL)
+COMPARE = (
+    "compare",
+    "panda",
+    "--controllers",
+    "pd,pd-feedforward,computed-torque,computed-torque-observer",
+    "--plants",
+    "nominal,payload=1",
+)
+TABLE = re.compile(rf"(?<=<!-- armctl {re.escape(' '.join(COMPARE))} -->\n).*?(?=<!-- end -->)", re.DOTALL)
 REACHED = re.compile(r"reached within .*")
 
 
@@ -22,5 +30,5 @@ if __name__ == "__main__":
         (HERE / f"{example.stem}.txt").write_text(printed(example), encoding="utf-8")
     (HERE / "info.txt").write_text(printed("-m", "armctl", "info", "robot_arm_3dof"), encoding="utf-8")
     readme, panda = ROOT / "README.md", (HERE / "05_menagerie_panda.txt").read_text(encoding="utf-8")
-    text = TABLE.sub(f"\n{printed('-m', 'armctl', 'compare', 'ur5e')}\n", readme.read_text(encoding="utf-8"))
+    text = TABLE.sub(f"\n{printed('-m', 'armctl', *COMPARE)}\n", readme.read_text(encoding="utf-8"))
     readme.write_text(REACHED.sub(REACHED.findall(panda)[0], text), encoding="utf-8")
