@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.pose import Pose, rotation_angle
-from armctl.core.validation import Array, frozen, number, vector
+from armctl.core.validation import Array, frozen, instance, number, vector
 
 TOLERANCE = 1e-3  # m
 ANGLE_TOLERANCE = 1e-2  # rad
@@ -79,7 +79,11 @@ class Target:
 
         Returns:
             Position error, m, and orientation error, rad; 0 rad if any orientation is accepted.
+
+        Raises:
+            InputError: The argument is no Pose.
         """
+        instance("tip", tip, Pose, "arm.fk gives one")
         angle = 0.0 if self.pose is None else rotation_angle(tip.rotation.T @ self.pose.rotation)
         return float(np.linalg.norm(tip.position - self.position)), angle
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from armctl.core.atomic import file_path, write_text
 from armctl.core.errors import InputError
-from armctl.core.validation import Array, shown
+from armctl.core.validation import Array, shown, vector
 from armctl.design.identified_model import consistent_model, edited_spec, urdf_text
 from armctl.design.regressor import FrictionShape
 from armctl.robot.arm import Arm, check_arm
@@ -135,11 +135,15 @@ class ArmEstimate:
         """The torque that overcomes the identified friction.
 
         Args:
-            v: (..., n) rad/s.
+            v: (n,) rad/s.
 
         Returns:
-            (..., n) N m, viscous, Coulomb and breakaway friction together.
+            (n,) N m, viscous, Coulomb and breakaway friction together.
+
+        Raises:
+            InputError: v has another shape.
         """
+        v = vector("v", v, self.arm.n)
         speeds = self.friction_speeds
         breakaway = self.breakaway * np.exp(-((v / speeds.stribeck) ** 2))
         return self.viscous_friction * v + (self.coulomb_friction + breakaway) * np.clip(v / speeds.smoothing, -1.0, 1.0)

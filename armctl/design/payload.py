@@ -75,8 +75,9 @@ class PayloadEstimate:
             The arm with payload and friction; friction that came out negative counts as none.
 
         Raises:
-            InputError: Nothing was identified.
+            InputError: Nothing was identified, or the argument is no arm with as many joints.
         """
+        instance("arm", arm, Arm, "armctl.load gives one")
         if not self.ok:
             raise InputError(f"estimate: {self}")
         coulomb = np.maximum(self.coulomb_friction, 0.0)

@@ -16,7 +16,7 @@ from armctl.core.atomic import atomic_path, file_path
 from armctl.core.errors import InputError
 from armctl.core.plotting import finish_figure
 from armctl.core.progress import progress_bar
-from armctl.core.validation import Array, array, frozen, integer, number, vector
+from armctl.core.validation import Array, array, choice, frozen, integer, number, vector
 from armctl.ik.closed_form_solutions import first_solutions
 from armctl.ik.lm import TOLERANCE_SHARE
 from armctl.ik.problem import PackedChain, packed_chain
@@ -204,9 +204,7 @@ class Reachability:
         return finish_figure(draw, (13.0, 4.5), path)
 
     def _values(self, name: str) -> Array:
-        if name not in ("fraction", "manipulability"):
-            raise InputError(f"values: {name!s:.40} given, fraction or manipulability wanted")
-        return self.fraction if name == "fraction" else self.manipulability
+        return self.fraction if choice("values", name, ("fraction", "manipulability")) == "fraction" else self.manipulability
 
 
 # From dark blue to yellow, evenly in brightness (viridis).

@@ -52,7 +52,11 @@ class Range:
 
         Returns:
             The value.
+
+        Raises:
+            InputError: The share is outside.
         """
+        share = number("share", share, 0.0, 1.0)
         if self.log:
             return self.low * (self.high / self.low) ** share
         return self.low + share * (self.high - self.low)

@@ -14,7 +14,7 @@ import numpy as np
 from armctl.core.atomic import atomic_path, file_path
 from armctl.core.errors import ArmctlError, InputError, NotInstalledError, UnknownNameError
 from armctl.core.log import Log
-from armctl.core.validation import choice, flag, integer
+from armctl.core.validation import choice, flag, instance, integer
 from armctl.study import plots
 from armctl.study.bench import FIGURES, Outcome, Run
 from armctl.study.plan import StudyPlan
@@ -164,6 +164,7 @@ class StudyResult:
         Raises:
             InputError: There is no finished run, or one of the metrics is unknown.
         """
+        instance("metrics", metrics, (str, Sequence), "give a list of names")
         names = [metrics] if isinstance(metrics, str) else list(metrics)
         for metric in names:
             self._check("metrics", metric)
@@ -220,6 +221,8 @@ class StudyResult:
         self._check("metric", metric)
         if flag("film", film) and folder is None:
             raise InputError("folder: none given; films need one")
+        if folder is not None:
+            instance("folder", folder, (str, os.PathLike), "give the name of a folder")
         values = np.asarray(self._columns[metric], dtype=float)
         chosen = np.ones(len(self), bool) if controller is None else self._columns["controller"] == self._controller(controller)
         badness = np.where(np.isnan(values), np.inf, -values if metric in ("ok", "completed") else values)
@@ -339,6 +342,7 @@ class StudyResult:
     def _controller(self, label: str | None) -> str:
         if label is None:
             return self._labels[0]
+        instance("controller", label, str, "give a label of the study's controllers")
         if label not in self.study.controllers:
             raise UnknownNameError.of("controller of the study", label, self._labels)
         return label

@@ -12,7 +12,7 @@ from functools import partial
 from armctl.core.atomic import file_path
 from armctl.core.errors import ArmctlWarning, InputError
 from armctl.core.progress import progress_bar
-from armctl.core.validation import flag, shown
+from armctl.core.validation import flag, instance, shown
 from armctl.study.bench import CONTROLLER_FACTOR, Outcome, Run, make_controller, run_chunk, versions
 from armctl.study.execution import execute, execute_here
 from armctl.study.factors import examples
@@ -123,6 +123,7 @@ class Study(StudyPlan):
         return study_result(self, store.outcomes(self.runs))
 
     def _store(self, folder: str | os.PathLike[str]) -> Store:
+        instance("folder", folder, (str, os.PathLike), "give the name of a folder")
         return Store(file_path("folder", os.path.join(folder, f"{self.name}.sqlite")), versions())
 
     def _check(self) -> None:

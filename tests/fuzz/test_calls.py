@@ -14,7 +14,9 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -65,8 +67,30 @@ class Fault:
     why: str
 
 
+@cache
+def costly_results() -> dict[str, object]:
+    """Results that take long to make and cannot be changed, by the name of the class."""
+    arm = arm_of("robot_arm_3dof")
+    excited = armctl.excitation(arm, payload=0.2)
+    log = armctl.simulate(arm, "computed-torque", excited, plant=armctl.Plant(payload=0.2))
+    payloads = {"payload": armctl.Range(0.0, 0.2)}
+    study = armctl.Study("fuzz", robot="robot_arm_3dof", controllers=["pd"], factors=payloads, samples=2)
+    with TemporaryDirectory() as folder:
+        result = study.run(folder=folder, progress=False)
+    return {
+        "ArmEstimate": armctl.identify(arm, log),
+        "Excitation": excited,
+        "Margins": armctl.margins(arm, "pd", poses=1),
+        "PayloadEstimate": armctl.identify_payload(arm, log),
+        "Reachability": armctl.reachability(arm, spacing=0.3, orientations=4),
+        "Study": study,
+        "StudyResult": result,
+        "Tuning": armctl.tune(arm, "pd", poses=1),
+    }
+
+
 def world() -> dict[str, object]:
-    """One object of every public class, by the name of the class."""
+    """One object of every public class with methods, by the name of the class."""
     arm = arm_of("robot_arm_3dof")
     motion = armctl.move_j(arm, arm.home, arm.home + 0.05)
     sim = armctl.Simulation(arm, "pd")
@@ -78,6 +102,9 @@ def world() -> dict[str, object]:
         "Arm": arm,
         "Arc": armctl.Arc([0.3, 0.1, 0.5], [0.3, 0.2, 0.5]),
         "ComputedTorque": armctl.ComputedTorque(arm),
+        "ComputedTorqueLearning": armctl.ComputedTorqueLearning(arm),
+        "ComputedTorqueObserver": armctl.ComputedTorqueObserver(arm),
+        "ComputedTorqueQP": armctl.ComputedTorqueQP(arm),
         "DifferentialIk": armctl.DifferentialIk(arm),
         "HybridForce": armctl.HybridForce(arm, {"z": 1.0}),
         "IkResult": armctl.solve_ik(arm, arm.fk(arm.home)),
@@ -86,21 +113,26 @@ def world() -> dict[str, object]:
         "Limits": arm.limits,
         "Line": armctl.Line([0.3, 0.1, 0.5]),
         "Log": log,
+        "Loop": armctl.linearize(arm, "pd", arm.home),
         "OnlineMotion": armctl.OnlineMotion(arm, arm.home),
         "OperationalSpace": armctl.OperationalSpace(arm),
         "PD": armctl.PD(arm),
+        "PDFeedforward": armctl.PDFeedforward(arm),
         "PDGravity": armctl.PDGravity(arm),
         "PIDGravity": armctl.PIDGravity(arm),
         "Plant": armctl.Plant(payload=0.1),
         "Pose": arm.fk(arm.home),
         "Push": armctl.Push(0.0, 0.1),
+        "Range": armctl.Range(0.1, 1.0),
         "Report": armctl.Report.from_log(log),
         "Scene": armctl.Scene().add_ball("ball", 0.02, [0.5, 0.5, 0.1]),
         "Setpoint": setpoint,
         "Simulation": sim,
         "State": armctl.State(setpoint.q, setpoint.v),
+        "Target": armctl.Target.read(arm.fk(arm.home)),
         "Team": armctl.Team([arm]),
-    }
+        "TorqueRateLimit": armctl.TorqueRateLimit(arm, armctl.PD(arm), 100.0),
+    } | costly_results()
 
 
 def valid_values(objects: dict[str, object]) -> dict[str, list[object]]:

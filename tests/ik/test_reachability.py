@@ -64,7 +64,7 @@ def test_the_cloud_and_the_plot_show_the_points_reached(small, tmp_path):
     assert len(points) == len(colours) == (small.fraction > 0).sum()
     assert colours[small.manipulability[small.fraction > 0].argmax()].tolist() == [253, 231, 37]
     assert small.plot(tmp_path / "reach.png").stat().st_size > 1000
-    with pytest.raises(InputError, match=r"^values: volume given, fraction or manipulability wanted$"):
+    with pytest.raises(InputError, match=r"^values: 'volume' given, one of fraction, manipulability wanted$"):
         small.cloud("volume")
 
 
