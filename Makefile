@@ -20,7 +20,8 @@ help:
 	@echo "make docs      build the pages in docs/_build"
 	@echo "make pytest    tests and examples"
 	@echo "make examples  only the examples"
-	@echo "make fuzz      random calls, files, motions and messages: make fuzz SEED=1 MINUTES=10"
+	@echo "make fuzz      random calls, files, motions and messages: make fuzz SEED=1 MINUTES=10;"
+	@echo "               10 000 motions of every kind per arm take hours: make fuzz MINUTES=0.1 MOTIONS=10000"
 	@echo "make soak      one hour of continuous use; memory must stay constant: make soak MINUTES=60"
 	@echo "make bench     the benchmarks, one table each"
 	@echo "make outputs   write the printed outputs in README and docs again"
@@ -76,8 +77,9 @@ examples: $(VENV)/dev.stamp
 
 fuzz: SEED ?= 0
 fuzz: MINUTES ?= 10
+fuzz: MOTIONS ?= 5
 fuzz: $(VENV)/dev.stamp
-	@$(BIN)/python -m pytest tests/fuzz -n $(WORKERS) --maxprocesses 8 --fuzz-seed $(SEED) --fuzz-minutes $(MINUTES)
+	@$(BIN)/python -m pytest tests/fuzz -n $(WORKERS) --maxprocesses 8 --fuzz-seed $(SEED) --fuzz-minutes $(MINUTES) --fuzz-motions $(MOTIONS)
 
 soak: MINUTES ?= 60
 soak: $(VENV)/dev.stamp

@@ -56,6 +56,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--fuzz-minutes", type=float, default=0.0, help="time for all fuzz tests together (default: a fixed number of cases)"
     )
+    group.addoption(
+        "--fuzz-motions", type=int, default=5, help="least number of motions of every kind for each arm (default: %(default)s)"
+    )
 
 
 def pytest_report_header() -> str:

@@ -27,6 +27,12 @@ def fuzz_seconds(request: pytest.FixtureRequest) -> float:
 
 
 @pytest.fixture
+def fuzz_motions(request: pytest.FixtureRequest) -> int:
+    """The least number of motions of every kind for each arm, `--fuzz-motions`."""
+    return request.config.getoption("--fuzz-motions")
+
+
+@pytest.fixture
 def fuzz_cases(fuzz_seed: int, fuzz_seconds: float) -> Callable[[int], Iterator[np.random.Generator]]:
     """One random generator per case: at least `min_cases` of them, and more until `fuzz_seconds` have passed.
 

@@ -16,7 +16,6 @@ from scipy.interpolate import PPoly
 import armctl
 from armctl.motion import JointTrajectory
 
-CASES = 5  # for each kind and arm in the suite
 SUITE_ARMS = ("robot_arm_3dof", "gantry")
 POSITION_TOLERANCE = 1e-9  # rad (m)
 RATIO_TOLERANCE = 1e-6
@@ -192,11 +191,11 @@ def expected(error: Exception, plan) -> bool:
 
 
 @pytest.mark.parametrize("plan", PLANNERS, ids=lambda plan: plan.__name__)
-def test_a_random_motion_keeps_its_limits_or_is_refused(plan, fuzz_cases, fuzz_seconds):
+def test_a_random_motion_keeps_its_limits_or_is_refused(plan, fuzz_cases, fuzz_seconds, fuzz_motions):
     names = ARMS if fuzz_seconds else [name for name in ARMS if name in SUITE_ARMS]
     arms = [arm_of(name) for name in names]
     tally = Counter()
-    for case, rng in enumerate(fuzz_cases(CASES * len(arms))):
+    for case, rng in enumerate(fuzz_cases(fuzz_motions * len(arms))):
         arm = scaled_limits(arms[case % len(arms)], rng)
         try:
             motion = plan(arm, rng)
@@ -212,10 +211,10 @@ def test_a_random_motion_keeps_its_limits_or_is_refused(plan, fuzz_cases, fuzz_s
     print(plan.__name__, dict(tally))
 
 
-def test_online_motion_keeps_its_limits_whatever_the_goals(fuzz_cases, fuzz_seconds):
+def test_online_motion_keeps_its_limits_whatever_the_goals(fuzz_cases, fuzz_seconds, fuzz_motions):
     names = ARMS if fuzz_seconds else [name for name in ARMS if name in SUITE_ARMS]
     arms = [arm_of(name) for name in names]
-    for case, rng in enumerate(fuzz_cases(CASES * len(arms))):
+    for case, rng in enumerate(fuzz_cases(fuzz_motions * len(arms))):
         arm = scaled_limits(arms[case % len(arms)], rng)
         limits = arm.limits
         motion = armctl.OnlineMotion(arm, random_q(arm, rng)[0])
