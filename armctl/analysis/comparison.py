@@ -56,7 +56,7 @@ def compare(
         values for values in (controllers, plants) if isinstance(values, Sequence) and not isinstance(values, str) and values
     ]
     if len(lists) < 2:
-        raise InputError("controllers, plants: a list of at least one of each wanted, such as ['pd', 'computed-torque']")
+        raise InputError("controllers, plants: expected a list of at least one of each, such as ['pd', 'computed-torque']")
     pairs = [
         _Pair(controller, plant, controller_label, plant_label)
         for plant, plant_label in zip(plants, _distinct(map(str, plants)), strict=True)
@@ -64,7 +64,7 @@ def compare(
     ]
     poses = integer("poses", poses, 0)
     if progress is not None and not callable(progress):
-        raise InputError(f"progress: {shown(progress)} given, a function of two numbers wanted")
+        raise InputError(f"progress: expected a function of two numbers, got {shown(progress)}")
     runs = rows_as_runs(arm, [(pair.controller, trajectory, pair.plant) for pair in pairs])
     reports = []
     for pair, report in zip(pairs, run_many(arm, runs, _report, threads=integer("workers", workers, 1)), strict=True):

@@ -133,9 +133,9 @@ def _overlay(figure: Figure, logs: Sequence[Log], labels: Sequence[str] | None) 
 
 def _check(logs: Sequence[Log]) -> None:
     if isinstance(logs, Log) or not isinstance(logs, Sequence):
-        raise InputError("logs: a list of logs wanted, such as [sim.log]")
+        raise InputError("logs: expected a list of logs, such as [sim.log]")
     if not logs:
-        raise InputError("logs: none given, nothing to draw")
+        raise InputError("logs: expected at least one log, got none")
     for log in logs:
         instance("log", log, Log, "armctl.simulate and every move of a Simulation give one")
         if len(log) == 0:
@@ -149,9 +149,9 @@ def _check_overlay(logs: Sequence[Log], labels: Sequence[str] | None) -> None:
     if labels is None:
         return
     if not isinstance(labels, Sequence) or isinstance(labels, str):
-        raise InputError(f"labels: {shown(labels)} given, a list of texts wanted")
+        raise InputError(f"labels: expected a list of texts, got {shown(labels)}")
     if len(labels) != len(logs):
-        raise InputError(f"labels: {len(labels)} given, {len(logs)} wanted, one for each log")
+        raise InputError(f"labels: expected {len(logs)}, got {len(labels)}; one for each log")
 
 
 def _lines(ax: Axes, t: Array, values: Array, reference: Array | None = None, names: tuple[str, ...] | None = None) -> None:

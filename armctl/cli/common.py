@@ -113,7 +113,7 @@ def speed_from(word: str) -> float:
     """The checked value of --speed."""
     speed = one_number("speed", word)
     if not 0.0 < speed <= 1.0:
-        raise InputError(f"speed: {speed:g} given, a fraction in (0, 1] wanted")
+        raise InputError(f"speed: expected a fraction in (0, 1], got {speed:g}")
     return speed
 
 

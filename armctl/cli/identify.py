@@ -70,6 +70,6 @@ def _table(what: str, words: Sequence[str] | None) -> dict[str, str] | None:
     for word in words or ():
         quantity, _, name = word.partition("=")
         if quantity not in _QUANTITIES or not name:
-            raise InputError(f"{what}: {word!r:.60} given, such as {what} t=... q=... tau=... wanted")
+            raise InputError(f"{what}: expected columns such as {what} t=... q=... tau=..., got {word!r:.60}")
         table[quantity] = name
     return table or None

@@ -75,7 +75,7 @@ def _target(words: Sequence[str]):
 
     values = numbers("target", words)
     if len(values) not in (3, 6):
-        raise InputError(f"target: {len(values)} numbers given, x y z or x y z roll pitch yaw wanted")
+        raise InputError(f"target: expected x y z or x y z roll pitch yaw, got {len(values)} numbers")
     angle = max(values[3:], key=abs, default=0.0)
     if abs(angle) > math.tau:
         raise LimitError(f"target: {angle:g} rad is more than a turn; {angle:g} degrees are {math.radians(angle):.4f} rad")

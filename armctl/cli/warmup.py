@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     """Runs the command."""
     workers = (os.cpu_count() or 1) if args.workers is None else args.workers
     if workers < 1:
-        raise InputError(f"--workers: {workers} given, at least 1 needed")
+        raise InputError(f"--workers: expected at least 1, got {workers}")
     began = time.perf_counter()
     for count, (part, compiled) in enumerate(_compiled(args.only, workers), start=1):
         done = f"{compiled.functions} functions compiled" if compiled.functions else "everything was in the cache"

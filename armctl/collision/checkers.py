@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def read_pairs(allow: object) -> tuple[tuple[str, str], ...]:
     """What a caller allows to touch, as a tuple; the pairs themselves are checked where they are used."""
     if not isinstance(allow, Iterable):
-        raise InputError(f"allow: {shown(allow)} given, pairs of names wanted")
+        raise InputError(f"allow: expected pairs of names, got {shown(allow)}")
     return tuple(allow)
 
 

@@ -150,7 +150,7 @@ def clearance_of(
     checker.require_provable()
     if trajectory.coefficients.shape[1] > MAX_DEGREE + 1:
         raise InputError(
-            f"trajectory: polynomials of degree {trajectory.coefficients.shape[1] - 1}, at most {MAX_DEGREE} wanted"
+            f"trajectory: expected polynomials of degree at most {MAX_DEGREE}, got {trajectory.coefficients.shape[1] - 1}"
         )
     approach = checker.closest_approach(trajectory.knots, trajectory.coefficients, clearance, keep)
     if approach.bound < 0.0:

@@ -62,7 +62,9 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
         """
         super().__init__(arm, bandwidth=bandwidth, damping_ratio=damping_ratio, observer_bandwidth=observer_bandwidth)
         if self.observer_bandwidth == 0.0:
-            raise InputError("observer_bandwidth: 0 given; what the observer sees is what is learnt, so it must be above 0")
+            raise InputError(
+                "observer_bandwidth: expected a number above 0, got 0; the controller learns from the observer's estimate"
+            )
         self._constants = np.concatenate([1 / (TORQUE_NOISE_SHARE * arm.limits.tau_max), _prior_deviations(arm)])
 
     @property

@@ -120,7 +120,7 @@ class HybridForce:
     @force.setter
     def force(self, force: Mapping[str, float]) -> None:
         if not isinstance(force, Mapping) or not force:
-            raise InputError(f"force: {shown(force)} given, a table of axes wanted; {{'z': -20.0}} presses down with 20 N")
+            raise InputError(f"force: expected a table of axes, got {shown(force)}; {{'z': -20.0}} presses down with 20 N")
         axes = {}
         for name, target in force.items():
             if name not in AXES:

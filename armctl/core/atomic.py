@@ -36,7 +36,7 @@ def file_path(what: str, path: str | os.PathLike[str], endings: Sequence[str] = 
         raise InputError(f"{what}: {shown(text)} is no name of a file")
     if endings and out.suffix not in endings:
         known = f"{', '.join(endings[:-1])} or {endings[-1]}" if len(endings) > 1 else endings[0]
-        raise InputError(f"{what}: {out.name!r:.80} ends in {out.suffix!r:.20}, {known} wanted")
+        raise InputError(f"{what}: {out.name!r:.80} ends in {out.suffix!r:.20}, expected {known}")
     return out
 
 

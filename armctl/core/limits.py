@@ -36,7 +36,7 @@ class Limits:
         for field in fields(self):
             value = vector(field.name, getattr(self, field.name), n, finite=False)
             if np.isnan(value).any():
-                raise InputError(f"{field.name}: joint {int(np.isnan(value).argmax())} is NaN, a number wanted")
+                raise InputError(f"{field.name}: joint {int(np.isnan(value).argmax())} is NaN, expected a number")
             if not field.name.startswith("q_") and not (value > 0).all():
                 raise InputError(f"{field.name}: every value must be greater than 0, got {value.min():g}")
             object.__setattr__(self, field.name, value)
@@ -75,7 +75,7 @@ class Limits:
         """
         positions = self._positions(q)
         if np.isnan(positions).any():
-            raise InputError("q: nan given, a number wanted")
+            raise InputError("q: expected a number, got NaN")
         return np.clip(positions, self.q_min, self.q_max)
 
     def random(self, around: Array, count: int, rng: np.random.Generator) -> Array:
@@ -125,9 +125,7 @@ class Limits:
         except Exception:  # a caller's object may raise anything while NumPy converts it
             raise InputError(f"q: {shown(q)} is not an array of numbers") from None
         if positions.ndim not in (1, 2) or positions.shape[-1] != len(self.q_min):
-            raise InputError(
-                f"q: an array of shape {positions.shape} given, ({len(self.q_min)},) or (T, {len(self.q_min)}) wanted"
-            )
+            raise InputError(f"q: expected shape ({len(self.q_min)},) or (T, {len(self.q_min)}), got {positions.shape}")
         return positions
 
 

@@ -109,7 +109,7 @@ class Log:
     def __post_init__(self) -> None:
         for name, values in (("joint_names", self.joint_names), ("units", self.units)):
             if not isinstance(values, (tuple, list)) or not all(isinstance(value, str) for value in values):
-                raise InputError(f"{name}: {shown(values)} given, a tuple of names wanted")
+                raise InputError(f"{name}: expected a tuple of names, got {shown(values)}")
         object.__setattr__(self, "units", tuple(self.units) or ("rad",) * len(self.joint_names))
         for each in fields(self):
             value = getattr(self, each.name)
@@ -321,7 +321,7 @@ def _check_arrays(arrays: Mapping[str, Array], n: int, dt: float) -> None:
     for name, shape in shapes.items():
         column = arrays[name]
         if column.dtype != np.float64 or column.shape != shape or len(nq) != 1:
-            raise InputError(f"{name}: {column.dtype} of shape {column.shape}, float64 of shape {shape} wanted")
+            raise InputError(f"{name}: expected float64 of shape {shape}, got {column.dtype} of shape {column.shape}")
     for name in ("t", *_STATE, "tip", "tip_quat", "qpos"):
         unknown = name.startswith("tip") and np.isnan(arrays[name]).all()  # a recording does not contain the tip
         if not np.isfinite(arrays[name]).all() and not unknown:

@@ -116,7 +116,7 @@ def _scales(units: Mapping[str, str] | None) -> tuple[dict[str, float], bool]:
     names = _merged("units", units, _DEFAULT_UNITS)
     for quantity, unit in names.items():
         if not isinstance(unit, str) or unit not in _UNITS[quantity]:
-            raise InputError(f"units: {quantity}: {shown(unit)} given, one of {', '.join(_UNITS[quantity])} wanted")
+            raise InputError(f"units: {quantity}: expected one of {', '.join(_UNITS[quantity])}, got {shown(unit)}")
     scales = {quantity: _UNITS[quantity][str(unit)] for quantity, unit in names.items()}
     return scales, names["q"] in _SLIDE_UNITS
 
@@ -165,9 +165,9 @@ def _matching(quantity: str, wanted: str | list[str], header: list[str]) -> list
 
 def _check_counts(names: Mapping[str, list[str]]) -> None:
     if len(names["t"]) != 1:
-        raise InputError(f"{len(names['t'])} columns for t, 1 wanted")
+        raise InputError(f"expected 1 column for t, found {len(names['t'])}")
     if len(names["q"]) != len(names["tau"]):
-        raise InputError(f"{len(names['q'])} columns for q and {len(names['tau'])} for tau, equal numbers wanted")
+        raise InputError(f"expected equal numbers of columns, found {len(names['q'])} for q and {len(names['tau'])} for tau")
 
 
 def _numbers(rows, order: list[int], width: int) -> Array:
@@ -184,7 +184,7 @@ def _numbers(rows, order: list[int], width: int) -> Array:
             text = next((row[k] for k in order if not _is_number(row[k])), "")
             raise InputError(f"line {line}: {text!r:.40} is not a number") from None
     if len(table) < _MIN_ROWS:
-        raise InputError(f"it has {len(table)} rows, at least {_MIN_ROWS} wanted")
+        raise InputError(f"expected at least {_MIN_ROWS} rows, found {len(table)}")
     out = np.array(table)
     bad = ~np.isfinite(out).all(axis=1)
     if bad.any():
@@ -211,7 +211,7 @@ def _on_even_grid(names: Mapping[str, list[str]], table: Array, scales: Mapping[
     t = t[new] - t[0]
     values = table[new, 1:] * np.repeat([scales["q"], scales["tau"]], n)
     if len(t) < _MIN_ROWS:
-        raise InputError(f"only {len(t)} rows differ from the one before, at least {_MIN_ROWS} wanted")
+        raise InputError(f"only {len(t)} rows differ from the one before, expected at least {_MIN_ROWS}")
     if np.abs(values).max() > _MAX_VALUE:
         raise InputError(f"a position or torque is above {_MAX_VALUE:g} in SI units")
     steps = np.diff(t)

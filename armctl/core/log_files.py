@@ -98,7 +98,7 @@ def load(path: Path) -> Content:
         NotInstalledError: A Parquet file, and pyarrow is not installed.
     """
     if path.suffix not in _READERS:
-        raise InputError(f"it ends in {path.suffix!r:.20}, one of {', '.join(_READERS)} wanted")
+        raise InputError(f"it ends in {path.suffix!r:.20}, expected one of {', '.join(_READERS)}")
     return _READERS[path.suffix](path)
 
 

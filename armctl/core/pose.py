@@ -87,7 +87,7 @@ class Pose:
         """
         T = array("matrix", matrix, 2)
         if T.shape != (4, 4):
-            raise InputError(f"matrix: shape {T.shape} given, (4, 4) wanted")
+            raise InputError(f"matrix: expected shape (4, 4), got {T.shape}")
         R = T[:3, :3]
         error = float(np.abs(R @ R.T - np.eye(3)).max())
         if error > 1e-6 or np.linalg.det(R) < 0 or not np.allclose(T[3], (0, 0, 0, 1), atol=1e-9):
@@ -118,7 +118,7 @@ class Pose:
         except Exception:  # this path is fast for valid values; the checks find out what is wrong
             matrix("rotation", rotation, 3)
             vector("position", position, 3)
-            raise InputError(f"rotation: {shown(rotation)} given, a (3, 3) rotation wanted") from None
+            raise InputError(f"rotation: expected a (3, 3) rotation, got {shown(rotation)}") from None
         return pose
 
     @property

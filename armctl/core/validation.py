@@ -63,7 +63,7 @@ def choice(what: str, value: object, known: Iterable[str]) -> str:
     """
     words = list(known)
     if not isinstance(value, str) or value not in words:
-        raise InputError(f"{what}: {shown(value)} given, one of {', '.join(words)} wanted")
+        raise InputError(f"{what}: expected one of {', '.join(words)}, got {shown(value)}")
     return value
 
 
@@ -84,7 +84,7 @@ def vector(what: str, value: ArrayLike, length: int | None = None, *, finite: bo
     """
     out = array(what, value, 1, finite=finite)
     if length is not None and out.shape != (length,):
-        raise InputError(f"{what}: {out.size} numbers given, {length} wanted")
+        raise InputError(f"{what}: expected {length} numbers, got {out.size}")
     return out
 
 
@@ -104,7 +104,7 @@ def matrix(what: str, value: ArrayLike, columns: int) -> Array:
     """
     out = array(what, value, 2)
     if out.shape[1] != columns:
-        raise InputError(f"{what}: rows of {out.shape[1]} numbers given, {columns} wanted")
+        raise InputError(f"{what}: expected rows of {columns} numbers, got {out.shape[1]}")
     return out
 
 
@@ -135,10 +135,10 @@ def array(what: str, value: ArrayLike, ndim: int, *, finite: bool = True) -> Arr
     if out.ndim != ndim:
         kind = {1: "a list of numbers", 2: "a list of rows"}.get(ndim, f"{ndim} dimensions")
         given = f"an array of shape {out.shape}" if out.ndim else "a single number"
-        raise InputError(f"{what}: {given} given, {kind} wanted")
+        raise InputError(f"{what}: expected {kind}, got {given}")
     if finite and not np.isfinite(out).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(out))[0])
-        raise InputError(f"{what}: element {list(where)} is {out[where]}, a finite number wanted")
+        raise InputError(f"{what}: element {list(where)} is {out[where]}, expected a finite number")
     return frozen(out)
 
 
@@ -163,9 +163,9 @@ def number(what: str, value: float, low: float = -np.inf, high: float = np.inf) 
     """
     out = value if type(value) is float else _as_float(what, value)
     if not math.isfinite(out):
-        raise InputError(f"{what}: {out} given, a finite number wanted")
+        raise InputError(f"{what}: expected a finite number, got {out}")
     if not low <= out <= high:
-        raise InputError(f"{what}: {out:g} given, a number {_bounds(low, high)} wanted")
+        raise InputError(f"{what}: expected a number {_bounds(low, high)}, got {out:g}")
     return out
 
 
@@ -186,7 +186,7 @@ def integer(what: str, value: float, low: float = -np.inf, high: float = np.inf)
     """
     out = number(what, value, low, high)
     if not out.is_integer():
-        raise InputError(f"{what}: {out:g} given, a whole number {_bounds(low, high)} wanted")
+        raise InputError(f"{what}: expected a whole number {_bounds(low, high)}, got {out:g}")
     return int(value)
 
 
@@ -221,7 +221,7 @@ def flag(what: str, value: object) -> bool:
         InputError: It is something else, such as an array, whose truth would be ambiguous.
     """
     if not isinstance(value, (bool, np.bool_)):
-        raise InputError(f"{what}: {shown(value)} given, True or False wanted")
+        raise InputError(f"{what}: expected True or False, got {shown(value)}")
     return bool(value)
 
 

@@ -26,7 +26,7 @@ def consistent_model(arm: Arm, model: mujoco.MjModel, inertia: Array) -> None:
     """Gives the links of an arm other inertia, in place: (n, 10), physically consistent. The caller must call `mj_setConst`.
 
     A link may consist of several bodies, such as a flange with a gripper. With the pseudo-inertia P = U U^T of the whole link,
-    P' = U' U'^T wanted and A = U' U^-1, every body gets A P_k A^T, so that all are consistent and their sum is P'. What is left
+    the required P' = U' U'^T and A = U' U^-1, every body gets A P_k A^T; all are consistent and their sum is P'. The remainder
     where P is singular goes to the first body.
     """
     owners = np.asarray(last_joint_above(arm.model, arm.joint_map.joints))

@@ -103,7 +103,7 @@ def _read_log(arm: Arm, log: Log | str | os.PathLike[str]) -> Log:
         raise InputError(f"log: its joints are measured in {shown(log.units)}, those of the arm in {shown(arm.units)}")
     duration = len(log) * log.dt
     if duration < _MIN_DURATION_S:
-        raise InputError(f"log: it lasts {duration:.2f} s, at least {_MIN_DURATION_S:g} s wanted")
+        raise InputError(f"log: expected at least {_MIN_DURATION_S:g} s, got {duration:.2f} s")
     for name in ("q", "tau"):
         if not np.isfinite(getattr(log, name)).all():
             raise InputError(f"log: {name}: a number is not finite")
@@ -214,7 +214,7 @@ def _validated(fit: ParameterFit) -> Validation:
         rms = np.full(arm.n, np.nan)
         model_rms = rms
         relative = rms
-        reason = f"only {len(rows)} rows are held out, at least {_MIN_HELD_OUT_ROWS} wanted; record a longer motion"
+        reason = f"only {len(rows)} rows are held out, and at least {_MIN_HELD_OUT_ROWS} are needed; record a longer motion"
     else:
         rms = np.sqrt(((rows.tau - predicted) ** 2).mean(axis=0))
         model_rms = np.sqrt(((rows.tau - by_model) ** 2).mean(axis=0))
@@ -264,7 +264,7 @@ def _reason(fit: ParameterFit, unexcited: tuple[str, ...], condition: float, val
     if unexcited:
         return f"the motion does not excite {counted(unexcited)}; follow armctl.excitation(arm, for_='arm')"
     if condition > _MAX_CONDITION:
-        return f"the condition number is {condition:.3g}, at most {_MAX_CONDITION:g} wanted; give a richer motion"
+        return f"the condition number is {condition:.3g}, above {_MAX_CONDITION:g}; record a richer motion"
     return f"validation failed: {validation.reason}" if not validation else ""
 
 

@@ -60,7 +60,7 @@ def loop_at(arm: Arm, controller: Controller, q: Array, plant: Plant, delay: flo
     dt = arm.dt if plant.timestep is None else plant.timestep
     ticks = round(delay / dt)
     if abs(delay / dt - ticks) > _WHOLE_TICK_TOLERANCE:
-        raise InputError(f"delay: {delay:g} s given, a whole number of control periods of {dt:g} s wanted")
+        raise InputError(f"delay: expected a whole number of control periods of {dt:g} s, got {delay:g} s")
     linear = _linear_arm(arm, plant, q, dt)
     return Loop(
         robot=arm.name,

@@ -218,9 +218,7 @@ class Loop:
     def _z(self, w: ArrayLike) -> ComplexArray:
         w = vector("w", w)
         if len(w) and not (w.min() > 0.0 and w.max() <= np.pi / self.dt * (1 + 1e-9)):
-            raise InputError(
-                f"w: frequencies from {w.min():g} to {w.max():g} given, they must be in (0, {np.pi / self.dt:g}] rad/s"
-            )
+            raise InputError(f"w: expected frequencies in (0, {np.pi / self.dt:g}] rad/s, got {w.min():g} to {w.max():g}")
         return np.exp(1j * w * self.dt)
 
 

@@ -125,7 +125,7 @@ def margins(
     check_arm(arm)
     law = read_controller(controller, arm)
     if not isinstance(plants, Sequence):
-        raise InputError(f"plants: {shown(plants)} given, a list of plants wanted, such as [armctl.Plant(payload=1.0)]")
+        raise InputError(f"plants: expected a list of plants, such as [armctl.Plant(payload=1.0)], got {shown(plants)}")
     loops = [loop_at(arm, law, q, read_plant(plant)) for plant in (plants or (NOMINAL,)) for q in configurations(arm, poses)]
     return _worst(arm, law, loops)
 
@@ -135,7 +135,7 @@ def configurations(arm: Arm, poses: int | ArrayLike) -> Array:
     if _dimensions(poses) > 0:
         given = matrix("poses", poses, arm.n)  # type: ignore[arg-type]
         if not len(given):
-            raise InputError("poses: no configuration given, at least one wanted")
+            raise InputError("poses: expected at least one configuration, got none")
         return np.array([arm.checked("poses", q) for q in given])
     count = integer("poses", poses, 1, _MAX_POSES)  # type: ignore[arg-type]
     home = arm.limits.clamp(arm.home)

@@ -281,7 +281,7 @@ class ParameterFit:
         return self.regressor.start + self.regressor.prior * dx
 
     def _solution(self, rows: Rows) -> Array:
-        """Least squares with the prior; friction and rotor inertias at least 0; links that exist, if wanted."""
+        """Least squares with the prior; friction and rotor inertias at least 0; physically consistent links on request."""
         from scipy.optimize import least_squares
 
         layout = self.regressor.layout

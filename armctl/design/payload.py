@@ -111,7 +111,7 @@ def identify_payload(arm: Arm, log: Log) -> PayloadEstimate:
         raise InputError(f"log: it is of the joints {recorded:.120}, but the arm has {wanted:.120}")
     least = _MIN_WINDOWS * (2 * _Filter(log.dt).radius + 1)
     if len(log) < least:
-        return _nothing(arm, f"the run lasts {len(log) * log.dt:.2f} s, at least {least * log.dt:.2f} s wanted")
+        return _nothing(arm, f"the run lasts {len(log) * log.dt:.2f} s, and at least {least * log.dt:.2f} s are needed")
     if not (np.abs(log.v) > 2 * _MIN_SPEED).any():
         return _nothing(arm, "no joint moves; follow armctl.excitation(arm)")
     fit = _Fit(arm, log)

@@ -151,7 +151,7 @@ def tune(
     if not isinstance(law, str) or law not in CONTROLLERS:
         raise UnknownNameError.of("controller", law, CONTROLLERS)
     if not isinstance(plants, Sequence):
-        raise InputError(f"plants: {shown(plants)} given, a list of plants wanted, such as [armctl.Plant(payload=1.0)]")
+        raise InputError(f"plants: expected a list of plants, such as [armctl.Plant(payload=1.0)], got {shown(plants)}")
     bounds = _Bounds(
         delay_margin=number("delay_margin", delay_margin, 0.0),
         peak_sensitivity=number("peak_sensitivity", peak_sensitivity, 1.0),
@@ -160,7 +160,7 @@ def tune(
     checked = [read_plant(plant) for plant in plants] or [NOMINAL]
     periods = {arm.dt if plant.timestep is None else plant.timestep for plant in checked}
     if len(periods) > 1:
-        raise InputError(f"plants: control periods of {sorted(periods)} s given; gains are tuned for one")
+        raise InputError(f"plants: expected one control period, got {sorted(periods)} s; gains are tuned for one")
     family = _family(arm, law, periods.pop())
     judge = _Judge(arm, checked, configurations(arm, poses), bounds)
     default = controller_by_name(law, arm)

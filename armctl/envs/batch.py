@@ -105,7 +105,7 @@ class Batch:
         """
         given = np.asarray(actions)
         if given.shape != self.rows.action.shape:
-            raise InputError(f"action: shape {given.shape} given, {self.rows.action.shape} wanted")
+            raise InputError(f"action: expected shape {self.rows.action.shape}, got {given.shape}")
         self.rows.action[:] = given
         self.rows.step()
         self.steps += 1

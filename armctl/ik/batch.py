@@ -134,11 +134,11 @@ def _solve(problem: Problem, rows: IntArray, stay_near: bool) -> IkBatch:
 def _read_targets(targets: Sequence[Pose] | ArrayLike, free_axis: str | None) -> tuple[int, Array]:
     """The constraint of the targets and their numbers (N, 12), checked."""
     if isinstance(targets, Pose):
-        raise InputError("targets: one Pose given, a list of Poses wanted; solve_ik takes one")
+        raise InputError("targets: expected a list of Poses, got one Pose; solve_ik takes one")
     if isinstance(targets, Sequence) and len(targets) and isinstance(targets[0], Pose):
         poses = [target for target in targets if isinstance(target, Pose)]
         if len(poses) < len(targets):
-            raise InputError(f"targets: {len(poses)} of {len(targets)} are Poses; all or none wanted")
+            raise InputError(f"targets: {len(poses)} of {len(targets)} are Poses, expected all or none")
         return constraint_of(True, free_axis), np.array([T.rows for T in poses]).reshape(-1, 12)
     numbers = cast(ArrayLike, targets)
     try:
@@ -154,7 +154,7 @@ def _read_targets(targets: Sequence[Pose] | ArrayLike, free_axis: str | None) ->
 def _read_transforms(T: Array) -> Array:
     """(N, 12) of homogeneous transforms, checked."""
     if T.shape[1:] != (4, 4):
-        raise InputError(f"targets: shape {T.shape} given, (N, 4, 4) or (N, 3) wanted")
+        raise InputError(f"targets: expected shape (N, 4, 4) or (N, 3), got {T.shape}")
     rows = np.empty((len(T), 12))
     read = compiled().read_transforms(T, rows)
     if read < len(T):

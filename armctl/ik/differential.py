@@ -194,7 +194,7 @@ class DifferentialIk:
 def _checked_list(what: str, value: object, kind: type) -> list:
     """A caller's sequence of mink objects as a list."""
     if not isinstance(value, Sequence) or not all(isinstance(item, kind) for item in value):
-        raise InputError(f"{what}: {shown(value)} given, a list of mink {kind.__name__} objects wanted")
+        raise InputError(f"{what}: expected a list of mink {kind.__name__} objects, got {shown(value)}")
     return list(value)
 
 

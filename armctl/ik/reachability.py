@@ -306,14 +306,14 @@ def _grid(chain: PackedChain, spacing: float, region: Sequence[ArrayLike] | None
     else:
         corners = array("region", cast(ArrayLike, region), 2)
         if corners.shape != (2, 3):
-            raise InputError(f"region: shape {corners.shape} given, (2, 3) wanted: two opposite corners, m")
+            raise InputError(f"region: expected two opposite corners, shape (2, 3), m, got shape {corners.shape}")
         low = corners.min(axis=0)
         high = corners.max(axis=0)
     first = np.ceil((low - centre) / spacing - 1e-9)
     last = np.floor((high - centre) / spacing + 1e-9)
     counts = np.maximum(last - first + 1, 0)
     if counts.prod() > MAX_POINTS:
-        raise InputError(f"spacing: {spacing:g} m makes {counts.prod():.3g} points, at most {MAX_POINTS} wanted")
+        raise InputError(f"spacing: {spacing:g} m makes {counts.prod():.3g} points, expected at most {MAX_POINTS}")
     axes = [spacing * np.arange(first[k], last[k] + 1) for k in range(3)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     if region is None:

@@ -179,5 +179,5 @@ class Scene:
 
 def _positive(what: str, value: Array, count: int = 3) -> Array:
     if np.any(value[:count] <= 0):
-        raise InputError(f"{what}: {value[:count].tolist()} given, lengths above 0 m wanted")
+        raise InputError(f"{what}: expected lengths above 0 m, got {value[:count].tolist()}")
     return value

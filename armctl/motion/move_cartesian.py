@@ -177,7 +177,7 @@ def move_path(
         PlanError: The path leaves the reach or the joint limits, or a motor cannot hold the arm on it.
     """
     if isinstance(path, (Pose, str)) or not isinstance(path, Iterable) or getattr(path, "shape", None) == ():
-        raise InputError(f"path: {shown(path)} given, a list of lines, arcs, poses or points wanted")
+        raise InputError(f"path: expected a list of lines, arcs, poses or points, got {shown(path)}")
     parts = [part if isinstance(part, (Line, Arc)) else Line(part) for part in path]
     return _plan(arm, "move_path", q_start, parts, number("blend", blend, 0.0), speed, tip_speed, tip_angular_speed)
 

@@ -73,7 +73,7 @@ def _vias(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike]) -> list[Vi
         rows = list(matrix("waypoints", waypoints, arm.n))  # type: ignore[arg-type]
         vias = [Via(row) for row in rows]
     if len(rows) < 2:
-        raise InputError(f"waypoints: {len(rows)} given, at least 2 wanted (the first one is where the arm is)")
+        raise InputError(f"waypoints: expected at least 2, got {len(rows)}; the first one is the start of the motion")
     return [replace(via, q=arm.checked(f"waypoints[{i}]", row)) for i, (via, row) in enumerate(zip(vias, rows, strict=True))]
 
 

@@ -160,7 +160,7 @@ def _checker(arm: Arm, start: Array, allow: Iterable[tuple[str, str]], holding: 
     elif isinstance(holding, Sequence) and all(isinstance(name, str) for name in holding):
         names = list(holding)
     else:
-        raise InputError(f"holding: {shown(holding)} given, the name of a body or a list of names wanted")
+        raise InputError(f"holding: expected the name of a body or a list of names, got {shown(holding)}")
     held = {_body(arm, name): arm.tip_body for name in names}
     return collision_checker(arm, arm.qpos(start) if held else None, allow, held)
 
@@ -216,7 +216,7 @@ def _goals(
             if keep is not None and (tilt := _tilt(arm, q, keep)) >= keep.within:
                 refusals.append(
                     f"goal: the tip's {keep.name} axis tilts by {tilt:.3g} rad from its direction at the start, "
-                    f"less than {keep.within:.3g} wanted"
+                    f"expected less than {keep.within:.3g}"
                 )
                 continue
             pair, distance = checker.nearest(q)

@@ -86,7 +86,7 @@ def record(
     path = film_path(path)
     width, height = check_size(width, height)
     if width % 2 or height % 2:
-        raise InputError(f"size: {width} x {height} pixels given, even numbers wanted")
+        raise InputError(f"size: expected even numbers, got {width} x {height} pixels")
     choice("quality", quality, QUALITIES)
     speed = number("speed", speed, 0.01, 100.0)
     frames_per_second = _FRAMES_PER_SECOND[path.suffix]
@@ -189,7 +189,7 @@ def images(logs: Sequence[Log], arm: Arm, times: Array, *, width: int, height: i
 def _check(logs: Sequence[Log], arm: Arm) -> None:
     check_arm(arm)
     if not isinstance(logs, Sequence) or not logs:
-        raise InputError("log: a Log or a list of at least one Log wanted")
+        raise InputError("log: expected a Log or a list of at least one Log")
     for log in logs:
         instance("log", log, Log, "armctl.simulate and every move of a Simulation give one")
         if len(log) == 0:

@@ -114,7 +114,7 @@ class Actuation:
             InputError: There are no parts, or two of them move the same joint.
         """
         if not isinstance(parts, Sequence) or not parts:
-            raise InputError(f"parts: {shown(parts)} given, a list of at least one Actuation wanted")
+            raise InputError(f"parts: expected a list of at least one Actuation, got {shown(parts)}")
         for part in parts:
             instance("parts", part, Actuation, "arm.actuation is one")
         maps = [part.joint_map for part in parts]

@@ -342,7 +342,7 @@ class Arm:
         """
         instance("limits", limits, Limits, "dataclasses.replace(arm.limits, v_max=0.5 * arm.limits.v_max) gives one")
         if len(limits.q_min) != self.n:
-            raise InputError(f"limits: {len(limits.q_min)} joints given, {self.n} needed for {self.name:.80}")
+            raise InputError(f"limits: expected {self.n} joints for {self.name:.80}, got {len(limits.q_min)}")
         return replace(self, actuation=replace(self.actuation, limits=limits))
 
     def with_payload(

@@ -317,7 +317,7 @@ def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: 
         added = np.asarray(getattr(plant, what))
         if len(added) not in (1, len(dofs)):
             names = ", ".join(arm.name for arm in arms)
-            raise InputError(f"{what}: {len(added)} numbers given, 1 or {len(dofs)} wanted for {names:.80}")
+            raise InputError(f"{what}: expected 1 or {len(dofs)} numbers, got {len(added)} ({names:.80})")
         column[dofs] += added
     mujoco.mj_setConst(model, data)
     if plant.continuous:
@@ -371,9 +371,9 @@ def _friction(what: str, value: ArrayLike) -> Array:
     """Friction as a vector of one number or one for each joint."""
     values = vector(what, [value] if np.ndim(value) == 0 else value)  # type: ignore[list-item]
     if not len(values):
-        raise InputError(f"{what}: no numbers given; give one, or one for each joint")
+        raise InputError(f"{what}: expected one number, or one for each joint, got none")
     if values.min() < 0.0:
-        raise InputError(f"{what}: {values.min():g} given, every value must be at least 0")
+        raise InputError(f"{what}: every value must be at least 0, got {values.min():g}")
     return values
 
 

@@ -69,14 +69,16 @@ def simulate_many(
     """
     check_arm(arm)
     if progress is not None and not callable(progress):
-        raise InputError(f"progress: {shown(progress)} given, a function of two numbers wanted")
+        raise InputError(f"progress: expected a function of two numbers, got {shown(progress)}")
     columns = [
         list(each) if isinstance(each, Sequence) and not isinstance(each, str) else each
         for each in (controller, trajectories, Plant() if plants is None else plants)
     ]
     lengths = {len(column) for column in columns if isinstance(column, list)}
     if len(lengths) > 1 or 0 in lengths:
-        raise InputError(f"controller, trajectories, plants: lists of {sorted(lengths)} runs given; give one length above 0")
+        raise InputError(
+            f"controller, trajectories, plants: expected lists of one length above 0, got lengths {sorted(lengths)}"
+        )
     count = lengths.pop() if lengths else 1
     rows = zip(*(column if isinstance(column, list) else [column] * count for column in columns), strict=True)
     logs = []

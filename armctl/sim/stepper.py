@@ -467,11 +467,11 @@ def checked_torque(tau: object, n: int) -> Array:
         InputError: It is no list of n real numbers.
     """
     if tau is None:
-        raise InputError(f"torque: None returned, {n} numbers wanted")
+        raise InputError(f"torque: expected {n} numbers, but the controller returned None")
     try:
         return vector("torque", tau, n, finite=False)  # type: ignore[arg-type]
     except TypeError:
-        raise InputError(f"torque: {shown(tau)} returned, {n} numbers wanted") from None
+        raise InputError(f"torque: expected {n} numbers, but the controller returned {shown(tau)}") from None
 
 
 def _index(addresses: IntArray) -> slice | IntArray:

@@ -60,7 +60,7 @@ class Team:
         """
         known = isinstance(arms, Sequence) and all(isinstance(arm, Arm) and arm.model is arms[0].model for arm in arms)
         if not known or not arms:
-            raise InputError("arms: arms of one model wanted; armctl.load_arms gives them")
+            raise InputError("arms: expected arms of one model; armctl.load_arms returns them")
         plant = read_plant(plant)
         if plant.payload or plant.pushes:
             raise InputError("plant: a team has no single tip for a payload or pushes; leave them out")

@@ -198,7 +198,7 @@ class Bench:
         for name in ("coulomb_friction", "viscous_friction"):
             given = np.size(getattr(plant, name))
             if given not in (1, self.arm.n):
-                raise InputError(f"{name}: {given} numbers given, 1 or {self.arm.n} wanted for {self.arm.name}")
+                raise InputError(f"{name}: expected 1 or {self.arm.n} numbers for {self.arm.name}, got {given}")
 
     def motion(self, point: Point) -> JointTrajectory:
         """The motion of a run."""

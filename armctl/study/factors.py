@@ -40,9 +40,9 @@ class Range:
         object.__setattr__(self, "high", number("high", self.high))
         object.__setattr__(self, "log", flag("log", self.log))
         if not self.low < self.high:
-            raise InputError(f"high: {self.high:g} given, a number above low = {self.low:g} wanted")
+            raise InputError(f"high: expected a number above low = {self.low:g}, got {self.high:g}")
         if self.log and self.low <= 0.0:
-            raise InputError(f"low: {self.low:g} given, a number above 0 wanted for a logarithmic range")
+            raise InputError(f"low: expected a number above 0 for a logarithmic range, got {self.low:g}")
 
     def at(self, share: float) -> float:
         """The value below which a share of all values is.
@@ -96,7 +96,7 @@ class Normal:
         object.__setattr__(self, "low", _bound("low", self.low))
         object.__setattr__(self, "high", _bound("high", self.high))
         if not self.low <= self.mean <= self.high:
-            raise InputError(f"mean: {self.mean:g} given, a number between the bounds {self.low:g} and {self.high:g} wanted")
+            raise InputError(f"mean: expected a number between {self.low:g} and {self.high:g}, got {self.mean:g}")
 
     def _quantiles(self, u: Array, name: str) -> list[Value]:
         from scipy.stats import truncnorm
@@ -176,7 +176,7 @@ def read_factor(name: str, value: Any) -> Factor:
                 return kind(**value)
             except TypeError:
                 break
-    raise InputError(f"factors: {name}: {shown(dict(value))} given; {{low, high}}, {{mean, std}} or {{values}} wanted")
+    raise InputError(f"factors: {name}: expected {{low, high}}, {{mean, std}} or {{values}}, got {shown(dict(value))}")
 
 
 def examples(factor: Factor) -> Sequence[Value]:
@@ -229,7 +229,7 @@ def _shares(d: int, samples: int, sampling: str, seed: int) -> Array:
     if sampling == "lhs":
         return qmc.LatinHypercube(d, rng=rng).random(samples)
     if samples & (samples - 1):
-        raise InputError(f"samples: {samples} given, a power of 2 wanted, such as {2 ** round(math.log2(samples))}")
+        raise InputError(f"samples: expected a power of 2 such as {2 ** round(math.log2(samples))}, got {samples}")
     if sampling == "sobol":
         return qmc.Sobol(d, rng=rng).random(samples)
     a, b = np.split(qmc.Sobol(2 * d, rng=rng).random(samples), 2, axis=1)

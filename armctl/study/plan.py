@@ -60,7 +60,7 @@ class StudyPlan:
     def __post_init__(self) -> None:
         instance("name", self.name, str, "'payload' is one")
         if not _NAME.fullmatch(self.name):
-            raise InputError(f"name: {shown(self.name)} given; letters, digits and . _ + - wanted, since it names files")
+            raise InputError(f"name: expected letters, digits and . _ + - (it names files), got {shown(self.name)}")
         instance("factors", self.factors, Mapping, "{'payload': armctl.Range(0, 2)} is one")
         checked = {
             "robot": _robot(self.robot),
@@ -202,7 +202,7 @@ def _robot(value: Any) -> dict[str, Any]:
             robot[name] = os.fspath(each)
     given = robot.get("robot")
     if not isinstance(given, str):
-        raise InputError(f"robot: {shown(value)} given; a study needs a name or a file, or a dict of the arguments of load")
+        raise InputError(f"robot: expected a name, a file or a dict of the arguments of load, got {shown(value)}")
     if os.path.isfile(given):
         robot["robot"] = os.path.abspath(given)
     return robot
@@ -217,18 +217,20 @@ def _controllers(value: Any) -> dict[str, dict[str, Any]]:
     elif isinstance(value, Sequence) and all(isinstance(each, str) for each in value):
         labelled = {each: each for each in value}
     else:
-        raise InputError(f"controllers: {shown(value)} given; names wanted, or a dict of labels and names with arguments")
+        raise InputError(f"controllers: expected names, or a dict of labels and names with arguments, got {shown(value)}")
     out = {}
     for label, spec in labelled.items():
         spec = {"controller": spec} if isinstance(spec, str) else spec
         if not isinstance(label, str) or not isinstance(spec, Mapping) or not isinstance(spec.get("controller"), str):
-            raise InputError(f"controllers: {shown(label)}: {shown(spec)} given; {{'controller': 'pd', 'damping': 9}} is one")
+            raise InputError(
+                f"controllers: {shown(label)}: expected a dict such as {{'controller': 'pd', 'damping': 9}}, got {shown(spec)}"
+            )
         try:
             out[label] = json.loads(json.dumps(dict(spec)))
         except (TypeError, ValueError):
-            raise InputError(f"controllers: {label:.80}: {shown(spec)}: numbers, texts and lists wanted") from None
+            raise InputError(f"controllers: {label:.80}: expected numbers, texts and lists, got {shown(spec)}") from None
     if not out:
-        raise InputError("controllers: none given, at least one wanted, such as ['pd', 'computed-torque']")
+        raise InputError("controllers: expected at least one, such as ['pd', 'computed-torque'], got none")
     return out
 
 
@@ -254,7 +256,7 @@ def _motion(value: Any) -> dict[str, Any]:
     if isinstance(value, (str, os.PathLike)) and Path(value).suffix == ".npz":
         value = JointTrajectory.load(value)
     if not isinstance(value, JointTrajectory):
-        raise InputError(f"motion: {shown(value)} given; 'out-and-back', 'reach', a .npz file or a JointTrajectory wanted")
+        raise InputError(f"motion: expected 'out-and-back', 'reach', a .npz file or a JointTrajectory, got {shown(value)}")
     return {
         "kind": "trajectory",
         "joint_names": list(value.joint_names),

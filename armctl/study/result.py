@@ -220,7 +220,7 @@ class StudyResult:
         count = integer("count", count, 1)
         self._check("metric", metric)
         if flag("film", film) and folder is None:
-            raise InputError("folder: none given; films need one")
+            raise InputError("folder: expected a folder for the films, got none")
         if folder is not None:
             instance("folder", folder, (str, os.PathLike), "give the name of a folder")
         values = np.asarray(self._columns[metric], dtype=float)
@@ -316,7 +316,7 @@ class StudyResult:
         others = [name for name in self.numeric_factors if name != first]
         second = self._factor("y", y if y is not None or not others else others[0])
         if first == second:
-            raise InputError(f"x, y: {first!r} twice, two factors with several numbers each wanted")
+            raise InputError(f"x, y: expected two different factors with several numbers each, got {first!r} twice")
         values = np.asarray(self._columns[metric], dtype=float)
         if (metric in ("ok", "completed")) != (limit is None):
             raise InputError("metric, limit: give a figure and its limit, or neither of them")

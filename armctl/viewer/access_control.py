@@ -44,7 +44,7 @@ def check_token(token: str) -> str:
         InputError: It is too short.
     """
     if len(token) < MIN_TOKEN_LENGTH:
-        raise InputError(f"token: {len(token)} characters given, at least {MIN_TOKEN_LENGTH} required")
+        raise InputError(f"token: expected at least {MIN_TOKEN_LENGTH} characters, got {len(token)}")
     return token
 
 

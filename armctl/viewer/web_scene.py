@@ -98,7 +98,7 @@ class WebScene:
             InputError: The port is not a port, the token is too short, or the page cannot listen there.
         """
         if not 0 <= port <= _MAX_PORT:
-            raise InputError(f"port: {port} given, a number in [0, {_MAX_PORT}] required")
+            raise InputError(f"port: expected a number in [0, {_MAX_PORT}], got {port}")
         if token is not None:
             check_token(token)
         if importlib.util.find_spec("mjviser") is None:

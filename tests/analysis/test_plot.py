@@ -70,11 +70,11 @@ def test_an_overlay_in_memory_is_the_picture_and_not_blank(logs: list[Log]):
 @pytest.mark.parametrize(
     ("call", "sentence"),
     [
-        (lambda logs, d: overlay([], d / "x.png"), "none given, nothing to draw"),
-        (lambda logs, d: overlay(logs, d / "x.png", labels=["one"]), "labels: 1 given, 2 wanted"),
-        (lambda logs, d: overlay(logs, d / "x.jpeg"), ".png, .svg or .pdf wanted"),
+        (lambda logs, d: overlay([], d / "x.png"), "expected at least one log, got none"),
+        (lambda logs, d: overlay(logs, d / "x.png", labels=["one"]), "labels: expected 2, got 1"),
+        (lambda logs, d: overlay(logs, d / "x.jpeg"), "expected .png, .svg or .pdf"),
         (lambda logs, d: overlay(logs, 5), "path: 5 is no name of a file"),
-        (lambda logs, d: overlay(logs[0], d / "x.png"), "a list of logs wanted"),
+        (lambda logs, d: overlay(logs[0], d / "x.png"), "expected a list of logs"),
         (lambda logs, d: overlay([3], d / "x.png"), "log: 3 is no Log"),
         (lambda logs, d: overlay([pushed()], d / "x.png"), "one of them has no reference"),
         (lambda logs, d: four_panels("x", d / "x.png"), "log: 'x' is no Log"),

@@ -211,11 +211,14 @@ def test_compare_shows_every_controller(capsys):
 
 BROKEN = "<mujoco><worldbody><body></worldbody></mujoco>"
 WRONG_CALLS = {
-    "no speed": (["reach", BUNDLED, "--speed", "0"], "speed: 0 given, a fraction in (0, 1] wanted"),
-    "too fast": (["compare", BUNDLED, "--speed", "1.5"], "speed: 1.5 given, a fraction in (0, 1] wanted"),
+    "no speed": (["reach", BUNDLED, "--speed", "0"], "speed: expected a fraction in (0, 1], got 0"),
+    "too fast": (["compare", BUNDLED, "--speed", "1.5"], "speed: expected a fraction in (0, 1], got 1.5"),
     "a word as speed": (["iso9283", BUNDLED, "--speed", "fast"], "speed: fast is no list of numbers"),
     "unknown robot": (["reach", "pandaa"], "unknown robot 'pandaa'; did you mean 'panda'?"),
-    "short target": (["reach", BUNDLED, "--target", "0.3", "0.2"], "target: 2 numbers given"),
+    "short target": (
+        ["reach", BUNDLED, "--target", "0.3", "0.2"],
+        "target: expected x y z or x y z roll pitch yaw, got 2 numbers",
+    ),
     "NaN target": (["reach", BUNDLED, "--target", "nan", "0", "0"], "target: element [0] is nan"),
     "word as target": (
         ["reach", BUNDLED, "--target", "here", "0", "0"],
@@ -223,10 +226,13 @@ WRONG_CALLS = {
     ),
     "unknown controller": (["reach", BUNDLED, "--controller", "pdd"], "unknown controller 'pdd'; did you mean 'pd'?"),
     "no such file": (["reach", "nothing.xml"], "nothing.xml: no such file"),
-    "negative time": (["simulate", BUNDLED, "--ctrl", "1", "1", "1", "--seconds", "-1"], "seconds: -1 given"),
+    "negative time": (
+        ["simulate", BUNDLED, "--ctrl", "1", "1", "1", "--seconds", "-1"],
+        "seconds: expected a number at least 0, got -1",
+    ),
     "control out of range": (["simulate", BUNDLED, "--ctrl", "1", "1", "9"], "ctrl: elbow: 9 is outside [-5, 5]"),
-    "no controllers": (["compare", BUNDLED, "--controllers", ""], "a list of at least one of each wanted"),
-    "no plants": (["compare", BUNDLED, "--plants", ","], "a list of at least one of each wanted"),
+    "no controllers": (["compare", BUNDLED, "--controllers", ""], "expected a list of at least one of each"),
+    "no plants": (["compare", BUNDLED, "--plants", ","], "expected a list of at least one of each"),
     "no folder": (["compare", BUNDLED, "--report", "/dev/null/x"], "/dev/null/x: Not a directory"),
     "unknown tip": (["reach", BUNDLED, "--tip", "end_efector"], "did you mean 'end_effector'?"),
 }
@@ -378,7 +384,7 @@ def test_after_a_warmup_nothing_is_left_to_compile(capsys):
 def test_a_warmup_without_workers_is_refused(capsys):
     status, _, err = run(capsys, "warmup", "--workers", "0")
     assert status == 2
-    assert err == "armctl: --workers: 0 given, at least 1 needed\n"
+    assert err == "armctl: --workers: expected at least 1, got 0\n"
 
 
 def test_every_command_that_loads_an_arm_takes_an_srdf(capsys, tmp_path: Path):

@@ -44,7 +44,7 @@ def test_stiffness_can_be_replaced_between_two_commands(six_joints):
 
 
 def test_a_wrong_function_of_the_time_is_reported(six_joints):
-    with pytest.raises(armctl.SimulationError, match="stiffness: 2 numbers given, 6 wanted"):
+    with pytest.raises(armctl.SimulationError, match="stiffness: expected 6 numbers, got 2"):
         pushed(six_joints, armctl.Impedance(six_joints, stiffness=lambda t: [1.0, 2.0]), 0.01)
 
 

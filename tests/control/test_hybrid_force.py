@@ -125,8 +125,8 @@ def test_axes_can_turn_with_the_tip(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "error", "sentence"),
     [
-        ({"force": {}}, armctl.InputError, "a table of axes wanted"),
-        ({"force": 20.0}, armctl.InputError, "a table of axes wanted"),
+        ({"force": {}}, armctl.InputError, "expected a table of axes"),
+        ({"force": 20.0}, armctl.InputError, "expected a table of axes"),
         ({"force": {"up": 1.0}}, armctl.UnknownNameError, "axis"),
         ({"force": {"z": "much"}}, armctl.InputError, "force along z"),
         ({"force": {"z": 1.0}, "frame": "base"}, armctl.InputError, "frame"),

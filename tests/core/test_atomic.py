@@ -74,7 +74,7 @@ def test_permissions_stay_links_are_followed_and_devices_are_written_directly(tm
 
 def test_the_ending_of_a_file_is_checked():
     assert file_path("path", "a/b.npz", (".npz", ".csv")) == Path("a/b.npz")
-    with pytest.raises(InputError, match=r"^path: 'b.txt' ends in '.txt', .npz, .csv or .png wanted$"):
+    with pytest.raises(InputError, match=r"^path: 'b.txt' ends in '.txt', expected .npz, .csv or .png$"):
         file_path("path", Path("a/b.txt"), (".npz", ".csv", ".png"))
     for wrong in (None, 3, b"a", "", "a\0b", ["a"]):
         with pytest.raises(InputError, match=r"^path: .* is no name of a file$"):

@@ -77,7 +77,7 @@ GOOD = "t,q1,tau1\n" + "".join(f"{k / 100},{k / 1000 + 0.01 * (k % 7)},{k}\n" fo
 BAD = {
     "no header": ("", "there is no column 't' for t"),
     "no torque": (GOOD.replace("tau1", "effort"), "there is no column 'tau\\*' for tau"),
-    "too short": ("\n".join(GOOD.splitlines()[:20]), "it has 19 rows"),
+    "too short": ("\n".join(GOOD.splitlines()[:20]), "expected at least .* rows, found 19"),
     "text": (GOOD.replace("0.5,", "x,"), "'x' is not a number"),
     "nan": (GOOD.replace("0.5,", "nan,"), "not finite"),
     "ragged": (GOOD + "3,4\n", "line 202 has 2 columns"),
@@ -124,7 +124,7 @@ WRONG_CALLS = [
     ({"columns": 3}, "columns: 3 is no table"),
     ({"columns": {"v": "x"}}, "columns: 'v' is not one of"),
     ({"columns": {"q": 3}}, "columns: q: 3 is neither"),
-    ({"units": {"q": "turns"}}, "units: q: 'turns' given"),
+    ({"units": {"q": "turns"}}, "units: q: expected .*got 'turns'"),
     ({"joint_names": ("a", "b")}, "1 joints are recorded, 2 are named"),
     ({"robot": 3}, "robot: 3"),
 ]

@@ -101,13 +101,13 @@ def test_equal_poses_are_equal_and_hash_alike():
 @pytest.mark.parametrize(
     ("call", "sentence"),
     [
-        (lambda: Pose([1, 2]), "position: 2 numbers given, 3 wanted"),
-        (lambda: Pose([1, 2, np.nan]), r"position: element \[2\] is nan, a finite number wanted"),
+        (lambda: Pose([1, 2]), "position: expected 3 numbers, got 2"),
+        (lambda: Pose([1, 2, np.nan]), r"position: element \[2\] is nan, expected a finite number"),
         (lambda: Pose("abc"), "position: 'abc' is not an array of numbers"),
         (lambda: Pose([1, 2, 3], quat=[0, 0, 0, 0]), "quat: its norm is zero"),
-        (lambda: Pose([1, 2, 3], quat=[1, 0, 0]), "quat: 3 numbers given, 4 wanted"),
+        (lambda: Pose([1, 2, 3], quat=[1, 0, 0]), "quat: expected 4 numbers, got 3"),
         (lambda: Pose([1, 2, 3], quat=[1, 0, 0, 0], rpy=[0, 0, 0]), "both quat and rpy given"),
-        (lambda: Pose.from_matrix(np.eye(3)), r"matrix: shape \(3, 3\) given, \(4, 4\) wanted"),
+        (lambda: Pose.from_matrix(np.eye(3)), r"matrix: expected shape \(4, 4\), got \(3, 3\)"),
         (lambda: Pose.from_matrix(2 * np.eye(4)), "matrix: no rigid transform"),
         (lambda: Pose.from_matrix(np.diag([1.0, 1, -1, 1])), "matrix: no rigid transform"),
     ],

@@ -240,9 +240,9 @@ def test_runs_into_nothing(name: str, walled: bool, tmp_path: Path):
     [
         ({"solver": "dacp"}, UnknownNameError, "unknown QP solver 'dacp'; did you mean 'daqp'?"),
         ({"posture": [0.0, 9.0, 0.0]}, LimitError, "posture: shoulder_pitch: 9 rad is outside [-1.570, 1.570] rad"),
-        ({"clearance": -1.0}, InputError, "clearance: -1 given, a number at least 0 wanted"),
-        ({"limits": 1.0}, InputError, "limits: 1.0 given, a list of mink Limit objects wanted"),
-        ({"tasks": ["tip"]}, InputError, "tasks: ['tip'] given, a list of mink BaseTask objects wanted"),
+        ({"clearance": -1.0}, InputError, "clearance: expected a number at least 0, got -1"),
+        ({"limits": 1.0}, InputError, "limits: expected a list of mink Limit objects, got 1.0"),
+        ({"tasks": ["tip"]}, InputError, "tasks: expected a list of mink BaseTask objects, got ['tip']"),
     ],
 )
 def test_a_wrong_follower_is_one_sentence(arguments, error, sentence):
@@ -253,7 +253,7 @@ def test_a_wrong_follower_is_one_sentence(arguments, error, sentence):
 
 def test_a_wrong_step_is_one_sentence():
     ik = DifferentialIk(arm_of("robot_arm_3dof"))
-    with pytest.raises(InputError, match=r"^dt: 0 given, a number at least 1e-09 wanted$"):
+    with pytest.raises(InputError, match=r"^dt: expected a number at least 1e-09, got 0$"):
         ik.step([0.0, 0.0, 0.0], [0.3, 0.2, 0.3], 0.0)
-    with pytest.raises(InputError, match=r"^q: element \[1\] is nan, a finite number wanted$"):
+    with pytest.raises(InputError, match=r"^q: element \[1\] is nan, expected a finite number$"):
         ik.step([0.0, float("nan"), 0.0], [0.3, 0.2, 0.3], DT)

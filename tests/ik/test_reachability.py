@@ -64,7 +64,7 @@ def test_the_cloud_and_the_plot_show_the_points_reached(small, tmp_path):
     assert len(points) == len(colours) == (small.fraction > 0).sum()
     assert colours[small.manipulability[small.fraction > 0].argmax()].tolist() == [253, 231, 37]
     assert small.plot(tmp_path / "reach.png").stat().st_size > 1000
-    with pytest.raises(InputError, match=r"^values: 'volume' given, one of fraction, manipulability wanted$"):
+    with pytest.raises(InputError, match=r"^values: expected one of fraction, manipulability, got 'volume'$"):
         small.cloud("volume")
 
 
@@ -76,7 +76,7 @@ def test_where_nothing_is_reached_there_is_a_reason():
 
 def test_a_wrong_call_is_one_sentence():
     arm = armctl.load("robot_arm_3dof")
-    with pytest.raises(InputError, match=r"^spacing: 1e-06 m makes .* points, at most 2000000 wanted$"):
+    with pytest.raises(InputError, match=r"^spacing: 1e-06 m makes .* points, expected at most 2000000$"):
         armctl.reachability(arm, 1e-6)
-    with pytest.raises(InputError, match=r"^region: shape \(1, 3\) given, \(2, 3\) wanted: two opposite corners, m$"):
+    with pytest.raises(InputError, match=r"^region: expected two opposite corners, shape \(2, 3\), m, got shape \(1, 3\)$"):
         armctl.reachability(arm, 0.1, region=[(0.0, 0.0, 0.0)])

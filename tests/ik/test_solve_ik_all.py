@@ -271,9 +271,9 @@ def test_the_same_call_gives_the_same_bits(tmp_path):
 
 def test_a_wrong_call_is_one_sentence():
     arm = armctl.load("robot_arm_3dof")
-    with pytest.raises(InputError, match=r"^limit: 0 given, a number at least 1 wanted$"):
+    with pytest.raises(InputError, match=r"^limit: expected a number at least 1, got 0$"):
         solve_ik_all(arm, [0.3, 0.2, 0.3], 0)
-    with pytest.raises(InputError, match=r"^target: 2 numbers given, 3 wanted$"):
+    with pytest.raises(InputError, match=r"^target: expected 3 numbers, got 2$"):
         solve_ik_all(arm, [0.3, 0.2])
     with pytest.raises(LimitError, match=r"^q0: "):
         solve_ik_all(arm, [0.3, 0.2, 0.3], q0=[9.0, 0.0, 0.0])

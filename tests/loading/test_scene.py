@@ -48,10 +48,10 @@ WRONG = {
         "'a' is empty or in the scene already",
     ),
     "no name": (lambda s: s.add_box("", [1, 1, 1], [0, 0, 0]), "'' is empty or in the scene"),
-    "flat": (lambda s: s.add_box("a", [1, 0, 1], [0, 0, 0]), r"size: \[1.0, 0.0, 1.0\] given, lengths above 0 m wanted"),
-    "no radius": (lambda s: s.add_ball("a", -1, [0, 0, 0]), r"radius: \[-1.0\] given, lengths above 0 m wanted"),
-    "weightless": (lambda s: s.add_ball("a", 1, [0, 0, 0], mass=0), "mass: 0 given, a number at least 1e-06 wanted"),
-    "nowhere": (lambda s: s.add_ball("a", 1, [0, 0]), "at: 2 numbers given, 3 wanted"),
+    "flat": (lambda s: s.add_box("a", [1, 0, 1], [0, 0, 0]), r"size: expected lengths above 0 m, got \[1.0, 0.0, 1.0\]"),
+    "no radius": (lambda s: s.add_ball("a", -1, [0, 0, 0]), r"radius: expected lengths above 0 m, got \[-1.0\]"),
+    "weightless": (lambda s: s.add_ball("a", 1, [0, 0, 0], mass=0), "mass: expected a number at least 1e-06, got 0"),
+    "nowhere": (lambda s: s.add_ball("a", 1, [0, 0]), "at: expected 3 numbers, got 2"),
 }
 
 

@@ -349,7 +349,7 @@ def test_bad_positions_are_refused(plan):
 
 def test_one_waypoint_is_too_few():
     arm = arm_of("panda")
-    with pytest.raises(armctl.InputError, match="at least 2 wanted"):
+    with pytest.raises(armctl.InputError, match="expected at least 2"):
         armctl.move_through(arm, [arm.home])
 
 

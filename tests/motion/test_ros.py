@@ -57,11 +57,17 @@ WRONG = {
     "no points": ({"joint_names": NAMES, "points": []}, "it has no points"),
     "other joints": ({"joint_names": ["a", "b", "c"], "points": [POINT]}, "it is for the joints a, b, c"),
     "one joint twice": ({"joint_names": [NAMES[0]] * 3, "points": [POINT]}, "a name is given twice"),
-    "too few": ({"joint_names": NAMES, "points": [POINT | {"positions": [1.0]}]}, "point 0: positions: 1 numbers given, 3"),
+    "too few": (
+        {"joint_names": NAMES, "points": [POINT | {"positions": [1.0]}]},
+        "point 0: positions: expected 3 numbers, got 1",
+    ),
     "text": ({"joint_names": NAMES, "points": [POINT | {"positions": "abc"}]}, "is not an array of numbers"),
-    "no time": ({"joint_names": NAMES, "points": [{"positions": [0.0] * 3}]}, "sec and nanosec wanted"),
+    "no time": ({"joint_names": NAMES, "points": [{"positions": [0.0] * 3}]}, "expected a stamp with sec and nanosec"),
     "backwards": ({"joint_names": NAMES, "points": [LATER, POINT]}, "point 1: its time_from_start, 0 s, is not after"),
-    "some rates": ({"joint_names": NAMES, "points": [POINT, LATER | {"velocities": [0.0] * 3}]}, "velocities: 0 numbers"),
+    "some rates": (
+        {"joint_names": NAMES, "points": [POINT, LATER | {"velocities": [0.0] * 3}]},
+        "velocities: expected 3 numbers, got 0",
+    ),
 }
 
 

@@ -1,4 +1,4 @@
-"""Sections of a path with limits of their own: kept in the section, left again after it, with pauses where they are wanted."""
+"""Sections of a path with limits of their own: kept in the section, left again after it, with pauses at given positions."""
 
 from dataclasses import replace
 

@@ -29,9 +29,9 @@ CALLS: dict[str, tuple[Callable[[], object], str]] = {
     "a motion to identify": (lambda: armctl.identify_payload(ARM, MOTION), "log: .* is no Log"),  # type: ignore
     "nothing to compare": (lambda: armctl.compare(ARM, [], MOTION), "a list of at least one of each"),
     "one name to compare": (lambda: armctl.compare(ARM, "pd", MOTION), "a list of at least one of each"),
-    "a pose for a path": (lambda: move_path(ARM, ARM.home, armctl.Pose([0, 0, 1])), "path: Pose.* given, a list of"),  # type: ignore
-    "a team's name": (lambda: armctl.Team("x"), "arms of one model wanted; armctl.load_arms gives them"),  # type: ignore
-    "a team of one": (lambda: armctl.Team(ARM), "arms of one model wanted; armctl.load_arms gives them"),  # type: ignore
+    "a pose for a path": (lambda: move_path(ARM, ARM.home, armctl.Pose([0, 0, 1])), "path: expected a list of .* got Pose"),  # type: ignore
+    "a team's name": (lambda: armctl.Team("x"), "expected arms of one model; armctl.load_arms returns them"),  # type: ignore
+    "a team of one": (lambda: armctl.Team(ARM), "expected arms of one model; armctl.load_arms returns them"),  # type: ignore
     "a number for a name": (lambda: armctl.Scene().add_box(3, [1, 1, 1], [0, 0, 0]), "name: 3 is no str"),  # type: ignore
     "complex joints": (lambda: ARM.fk(ARM.home + 1j), "q: array.* is not an array of numbers"),
     "a huge integer": (lambda: ARM.fk([0, 0, 10**400]), "q: .* is not an array of numbers"),
@@ -47,7 +47,7 @@ CALLS: dict[str, tuple[Callable[[], object], str]] = {
     "an arm's name to excite": (lambda: armctl.excitation(ARM.name), "arm: .* is no Arm"),  # type: ignore
     "a position to run": (lambda: armctl.Simulation(ARM).run([0, 0, 0]), "trajectory: .* is not a trajectory; armctl.move_j"),  # type: ignore
     "a report before any move": (lambda: armctl.Report.from_log(armctl.Simulation(ARM).log), "None .* every move of a Sim"),  # type: ignore
-    "no path": (lambda: move_path(ARM, ARM.home, None), "path: None given, a list of"),  # type: ignore
+    "no path": (lambda: move_path(ARM, ARM.home, None), "path: expected a list of .* got None"),  # type: ignore
 }
 
 
@@ -85,8 +85,8 @@ LINES = {
     "reach robot_arm_3dof --save FILE/run": "FILE/run/log.npz: cannot be written: Not a directory",
     "simulate robot_arm_3dof --ctrl 0 0 0 --plot FILE": "FILE/robot_arm_3dof.png: cannot be written: File exists",
     "simulate robot_arm_3dof --ctrl 0 0 0 --seconds 1e9": "fit into a log",
-    "compare robot_arm_3dof --controllers ,": "a list of at least one of each wanted",
-    "compare robot_arm_3dof --workers 0": "workers: 0 given, a number at least 1 wanted",
+    "compare robot_arm_3dof --controllers ,": "expected a list of at least one of each",
+    "compare robot_arm_3dof --workers 0": "workers: expected a number at least 1, got 0",
     "info FILE": "FILE: its name does not end in .xml or .urdf, no model",
     "info FOLDER": "FOLDER: a folder, no model",
     "info ./nothing": "known names; `armctl robots` lists them",

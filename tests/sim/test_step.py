@@ -117,11 +117,11 @@ def test_many_steps_are_all_in_the_log(two_joints: armctl.Arm):
 @pytest.mark.parametrize(
     ("torque", "sentence"),
     [
-        ([1.0], "torque: 1 numbers given, 3 wanted"),
+        ([1.0], "torque: expected 3 numbers, got 1"),
         ([np.nan, 0, 0], r"torque: element \[0\] is nan"),
         (["1", "2", "3"], "torque: .* is not an array of numbers"),
         ([1j, 0, 0], "torque: .* is not an array of numbers"),
-        (5.0, "torque: a single number given"),
+        (5.0, "torque: expected .*got a single number"),
     ],
 )
 def test_a_wrong_torque_is_one_sentence_and_nothing_is_simulated(bundled: armctl.Arm, torque, sentence: str):

@@ -79,7 +79,7 @@ def test_each_chain_can_stand_on_a_base_of_its_own(pair):
 
 def test_wrong_calls_are_refused(pair, bundled: armctl.Arm):
     arms = pair()
-    with pytest.raises(armctl.InputError, match=r"arms of one model wanted; armctl\.load_arms gives them"):
+    with pytest.raises(armctl.InputError, match=r"expected arms of one model; armctl\.load_arms returns them"):
         armctl.Team([arms[0], bundled])
     with pytest.raises(armctl.UnknownNameError, match="unknown tip 'X'; known: C, F"):
         armctl.Team(arms).move_to({"X": [0, 0, 0]})
@@ -109,8 +109,8 @@ class Failing:
     ("law", "cause"),
     [
         (Failing(error=ZeroDivisionError("division by zero")), "division by zero"),
-        (Failing(None), "torque: None returned, 3 numbers wanted"),
-        (Failing(np.zeros(2)), "torque: 2 numbers given, 3 wanted"),
+        (Failing(None), "torque: expected 3 numbers, but the controller returned None"),
+        (Failing(np.zeros(2)), "torque: expected 3 numbers, got 2"),
         (Failing(["a", "b", "c"]), "torque: .* is not an array of numbers"),
     ],
 )
@@ -168,8 +168,8 @@ def test_speed_slows_a_team(pair):
         (lambda arms: armctl.Team(arms).run({}, dwell=1e9), "at most 10,000,000 fit into a log"),
         (lambda arms: armctl.Team(arms).run({}, dwell="1"), "dwell: '1' is not a number"),
         (lambda arms: armctl.Team(arms).move_to([0, 0, 0]), "targets: .* is no mapping by tip"),
-        (lambda arms: armctl.Team(arms).move_to({"C": [0, 0]}), "target: 2 numbers given, 3 wanted"),
-        (lambda arms: armctl.Team(arms).move_to({"C": [0, 0, 9]}, speed=0), "speed: 0 given"),
+        (lambda arms: armctl.Team(arms).move_to({"C": [0, 0]}), "target: expected 3 numbers, got 2"),
+        (lambda arms: armctl.Team(arms).move_to({"C": [0, 0, 9]}, speed=0), "speed: expected .*got 0"),
         (lambda arms: armctl.Team(arms).tip(["C"]), r"tip: \['C'\] is no name"),
         (lambda arms: armctl.Team(arms).gripper("X"), "unknown tip 'X'; known: C, F"),
         (

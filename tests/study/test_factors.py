@@ -71,14 +71,14 @@ def test_a_factor_is_the_same_after_plain_data(factor):
 WRONG = {
     "no power of two": (
         lambda: points(100, payload=armctl.Range(0, 1)),
-        "samples: 100 given, a power of 2 wanted, such as 128",
+        "samples: expected a power of 2 such as 128, got 100",
     ),
-    "reversed": (lambda: armctl.Range(2, 1), "high: 1 given, a number above low = 2"),
-    "log of nothing": (lambda: armctl.Range(0, 1, log=True), "low: 0 given, a number above 0"),
-    "mean outside": (lambda: armctl.Normal(0, 1, low=1), "mean: 0 given"),
+    "reversed": (lambda: armctl.Range(2, 1), "high: expected a number above low = 2, got 1"),
+    "log of nothing": (lambda: armctl.Range(0, 1, log=True), "low: expected a number above 0"),
+    "mean outside": (lambda: armctl.Normal(0, 1, low=1), "mean: expected .*got 0"),
     "no values": (lambda: armctl.Choice([]), "values: no values given"),
-    "half a delay": (lambda: points(4, delay=armctl.Range(0.5, 2)), "delay: low: 0.5 given, a whole number"),
-    "an unknown table": (lambda: points(payload={"from": 0, "to": 1}), "factors: payload: .*wanted"),
+    "half a delay": (lambda: points(4, delay=armctl.Range(0.5, 2)), "delay: low: expected a whole number"),
+    "an unknown table": (lambda: points(payload={"from": 0, "to": 1}), "factors: payload: expected .*got"),
     "a list for sobol indices": (
         lambda: points(4, "saltelli", payload=armctl.Range(0, 1), delay=[0, 1]),
         "'saltelli' wants two",

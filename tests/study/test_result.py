@@ -159,14 +159,14 @@ def test_success_over_two_factors_shows_the_shares(finished, tmp_path, monkeypat
 
 
 WRONG = {
-    "a metric": (lambda r, d: r.summary(["speed"]), "metrics: 'speed' given"),
+    "a metric": (lambda r, d: r.summary(["speed"]), "metrics: expected .*got 'speed'"),
     "no saltelli": (lambda r, d: r.sensitivity(), "wants sampling='saltelli'"),
     "a controller": (lambda r, d: r.worst(controller="pid"), "unknown controller of the study"),
-    "films nowhere": (lambda r, d: r.worst(film=True), "folder: none given"),
+    "films nowhere": (lambda r, d: r.worst(film=True), "folder: expected .*got none"),
     "no limit": (lambda r, d: r.plot_success(d / "x.png", metric="tip_rms_m"), "give a figure and its limit"),
     "one factor": (lambda r, d: r.plot_success(d / "x.png", "delay", "delay"), "'delay' twice"),
-    "no factor": (lambda r, d: r.plot_quantiles(d / "x.png", over="noise"), "over: 'noise' given"),
-    "an ending": (lambda r, d: r.save(d / "x.xlsx"), r"\.parquet or \.csv wanted"),
+    "no factor": (lambda r, d: r.plot_quantiles(d / "x.png", over="noise"), "over: expected .*got 'noise'"),
+    "an ending": (lambda r, d: r.save(d / "x.xlsx"), r"expected \.parquet or \.csv"),
     "no file": (lambda r, d: armctl.StudyResult.load(d / "x.parquet"), "cannot be read"),
 }
 

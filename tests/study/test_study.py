@@ -259,18 +259,18 @@ def test_a_file_is_the_study_that_it_describes(study, toml, tmp_path):
 
 
 WRONG = {
-    "a name with a slash": ({"name": "a/b"}, "name: 'a/b' given"),
-    "an arm": ({"robot": 3}, "robot: 3 given; a study needs a name or a file"),
-    "no controllers": ({"controllers": []}, "controllers: none given"),
-    "a controller object": ({"controllers": [armctl.PD]}, "names wanted, or a dict"),
+    "a name with a slash": ({"name": "a/b"}, "name: expected .*got 'a/b'"),
+    "an arm": ({"robot": 3}, "robot: expected a name, a file or a dict .* got 3"),
+    "no controllers": ({"controllers": []}, "controllers: expected .*got none"),
+    "a controller object": ({"controllers": [armctl.PD]}, "expected names, or a dict"),
     "an argument that is no data": (
         {"controllers": {"x": {"controller": "pd", "stiffness": armctl}}},
-        "numbers, texts and lists wanted",
+        "expected numbers, texts and lists",
     ),
-    "no motion": ({"motion": "dance"}, "motion: 'dance' given"),
+    "no motion": ({"motion": "dance"}, "motion: expected .*got 'dance'"),
     "no target": ({"motion": "reach"}, "'reach' and the factor 'target' belong together"),
     "an unknown factor": ({"factors": {"paylod": [1]}}, "did you mean 'payload'"),
-    "no repetition": ({"repeats": 0}, "repeats: 0 given"),
+    "no repetition": ({"repeats": 0}, "repeats: expected .*got 0"),
 }
 
 
@@ -284,9 +284,12 @@ WRONG_FOR_ROBOT = {
     "a controller": ({"controllers": ["pdd"]}, "unknown controller 'pdd'"),
     "an argument": ({"controllers": {"x": {"controller": "pd", "stifness": 3}}}, "pd cannot be made with"),
     "a module": ({"controllers": ["nowhere:Controller"]}, "cannot be imported"),
-    "a value": ({"factors": {"payload": armctl.Range(-1, 1)}}, "payload: -1 given"),
-    "a length": ({"factors": {"coulomb_friction": [[0.1, 0.2]]}}, "coulomb_friction: 2 numbers given, 1 or 3 wanted"),
-    "a speed": ({"factors": {"speed": [2.0]}}, "speed: 2 given"),
+    "a value": ({"factors": {"payload": armctl.Range(-1, 1)}}, "payload: expected .*got -1"),
+    "a length": (
+        {"factors": {"coulomb_friction": [[0.1, 0.2]]}},
+        "coulomb_friction: expected 1 or 3 numbers for robot_arm_3dof, got 2",
+    ),
+    "a speed": ({"factors": {"speed": [2.0]}}, "speed: expected .*got 2"),
     "a robot": ({"robot": "no_such_robot"}, "no_such_robot"),
 }
 

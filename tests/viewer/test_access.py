@@ -251,7 +251,7 @@ def test_wrong_tokens_are_slow_and_do_not_delay_the_right_one(locked):
 
 
 def test_a_short_token_and_a_taken_port_are_refused():
-    with pytest.raises(InputError, match="token: 5 characters given, at least 8 required"):
+    with pytest.raises(InputError, match="token: expected at least 8 characters, got 5"):
         AccessControl(8080, token="short")
     with listen(0, None) as taken, pytest.raises(InputError, match="host: cannot listen at"):
         listen(taken.getsockname()[1], "127.0.0.1")
@@ -270,11 +270,11 @@ def test_without_a_host_the_next_free_port_is_used():
     ("argv", "environment", "sentence"),
     [
         (["--host", "127.0.0.1"], {}, "give a token of at least 8 characters"),
-        (["--host", "127.0.0.1", "--token", "short"], {}, "at least 8 required"),
-        (["--host", "127.0.0.1"], {"ARMCTL_TOKEN": "brief"}, "token: 5 characters given"),
+        (["--host", "127.0.0.1", "--token", "short"], {}, "token: expected at least 8 characters"),
+        (["--host", "127.0.0.1"], {"ARMCTL_TOKEN": "brief"}, "token: expected at least 8 characters, got 5"),
         (["--host", "127.0.0.1", "--token-file", "missing"], {}, "cannot read 'missing'"),
         (["--token", "long enough", "--token-file", "missing"], {}, "not both"),
-        (["--port", "70000"], {}, "port: 70000 given"),
+        (["--port", "70000"], {}, "port: expected a number in [0, 65535], got 70000"),
         (["--controller", "pdd"], {}, "unknown controller 'pdd'"),
     ],
 )

@@ -118,7 +118,7 @@ class JointTrajectory:
             raise InputError(f"t: {shown(t)} is not a number") from None
         inside = min(max(t, 0.0), knots[-1])
         if inside != inside:
-            raise InputError("t: nan given, a number wanted")
+            raise InputError("t: expected a number, got NaN")
         k = min(bisect_right(knots, inside), len(knots) - 1) - 1
         u = inside - knots[k]
         q, v, a = np.array(basis(u)) @ self.coefficients[k]

@@ -156,6 +156,6 @@ def _rows(name: str, rows: list[Any], n: int) -> Array:
 def _seconds(k: int, stamp: object) -> float:
     what = f"message: point {k}: time_from_start"
     if not isinstance(stamp, Mapping):
-        raise InputError(f"{what}: {shown(stamp)} given, sec and nanosec wanted")
+        raise InputError(f"{what}: expected a stamp with sec and nanosec, got {shown(stamp)}")
     whole = number(f"{what}: sec", stamp.get("sec", stamp.get("secs", 0)), 0.0, _MAX_SECONDS)
     return whole + 1e-9 * integer(f"{what}: nanosec", stamp.get("nanosec", stamp.get("nsecs", 0)), 0, 999_999_999)
