@@ -123,8 +123,8 @@ def follows(page: Page, client: Client) -> None:
     """Asserts that the arm still reaches two targets that a client sends."""
     session = page.session
     client.set(page, "pause", False)
-    client.set(page, "speed", 1.5)
-    client.set(page, "speed", 1.0)
+    client.set(page, "simulation speed", 1.5)
+    client.set(page, "simulation speed", 1.0)
     client.set(page, "payload, kg", 0.0)
     client.set(page, "controller", "computed-torque")
     client.set(page, "orientation counts", False)

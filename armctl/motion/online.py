@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -10,6 +12,7 @@ from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number, vector
 from armctl.motion.checks import planning_arm, start_velocity
 from armctl.motion.timing.otg import JointState, Profile, ProfileSolver
+from armctl.motion.trajectory.piecewise import Pieces
 from armctl.robot.arm import Arm
 
 _POSITION_ROUNDING = 1e-9  # rad (m)
@@ -79,17 +82,36 @@ class OnlineMotion:
             PlanError: No motion inside the limits leads there from the present state; the motion stops instead.
         """
         goal = self._checked(q)
-        self._start = self._state(self._t)
-        target = JointState(goal.tolist(), self._zero, self._zero)
-        for together in (True, False):
-            profile = self._solver.solve(self._start, target, together)
-            if profile is not None and self._stays_inside(profile):
-                self._profile = profile
-                self._t = 0.0
-                self._goal = goal
-                return
+        start = self._state(self._t)
+        profile = self._profile_to(start, goal)
+        if profile is not None:
+            self._take(start, goal, profile)
+            return
+        self._start = start
         self._brake()
         raise PlanError("go_to: no motion inside the limits leads there from here; it stops instead, ask again when it rests")
+
+    def go_to_if(self, q: ArrayLike, accepts: Callable[[Pieces], bool]) -> bool:
+        """Takes a new goal if the motion there is accepted; otherwise the motion goes on as it was.
+
+        Args:
+            q: (n,) rad, inside the limits.
+            accepts: Whether a motion, given as polynomials from now on, may be made: `check_clearance` proves one, for example.
+
+        Returns:
+            Whether the goal was taken. It is not either if no motion inside the limits leads there from the present state.
+
+        Raises:
+            InputError: A wrong length or a number that is not finite.
+            LimitError: A position outside the limits.
+        """
+        goal = self._checked(q)
+        start = self._state(self._t)
+        profile = self._profile_to(start, goal)
+        if profile is None or not accepts(profile.pieces(start)):
+            return False
+        self._take(start, goal, profile)
+        return True
 
     def stop(self) -> None:
         """Comes to rest as soon as the limits allow."""
@@ -147,6 +169,21 @@ class OnlineMotion:
             if all(inside):
                 return q.copy()
         return self._arm.checked("q", q)
+
+    def _profile_to(self, start: JointState, goal: Array) -> Profile | None:
+        """A motion from a state to rest at a goal, inside the limits."""
+        target = JointState(goal.tolist(), self._zero, self._zero)
+        for together in (True, False):
+            profile = self._solver.solve(start, target, together)
+            if profile is not None and self._stays_inside(profile):
+                return profile
+        return None
+
+    def _take(self, start: JointState, goal: Array, profile: Profile) -> None:
+        self._start = start
+        self._profile = profile
+        self._t = 0.0
+        self._goal = goal
 
     def _stays_inside(self, profile: Profile) -> bool:
         return profile.stays_inside(self._q_min_loose, self._q_max_loose)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
 import numpy as np
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 _KEPT_CHECKERS = 4  # of the last scenes: building one takes longer than planning in it
 _SAME_M = 1e-6  # rad, m: a smaller displacement is no new scene
+_NOTICED_M = 5e-4  # rad, m: a larger displacement is a new scene for `recent_checker`
 
 
 class Obstacles:
@@ -30,6 +31,16 @@ class Obstacles:
         self._is_own = np.zeros(arm.model.nq, bool)
         self._is_own[arm.joint_map.qpos_adr] = True
         self._checkers: OrderedDict[tuple[object, ...], CollisionChecker] = OrderedDict()
+        self._recent: _Recent | None = None
+
+    def recent_checker(self, held: str = "") -> CollisionChecker:
+        """A checker of the scene up to displacements of half a millimeter. Building a new one takes tens of milliseconds."""
+        outside = self._data.qpos[~self._is_own]
+        recent = self._recent
+        if recent is None or recent.held != held or np.abs(outside - recent.outside).max(initial=0.0) > _NOTICED_M:
+            recent = _Recent(self.checker(held=held), outside, held)
+            self._recent = recent
+        return recent.checker
 
     def checker(self, allow: Iterable[tuple[str, str]] = (), held: str = "") -> CollisionChecker:
         """A checker of the scene as it is.
@@ -63,6 +74,14 @@ class Obstacles:
         own = self._arm.limits.clamp(qpos[self._arm.qpos_adr])
         qpos[self._arm.joint_map.qpos_adr] = self._arm.joint_map.positions(own)
         return qpos
+
+
+class _Recent(NamedTuple):
+    """A checker, and the scene that it was made for."""
+
+    checker: CollisionChecker
+    outside: Array
+    held: str
 
 
 def touched_by(model: mujoco.MjModel, data: mujoco.MjData, held: str) -> list[tuple[str, str]]:

@@ -17,24 +17,23 @@ from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
 from armctl.core.target import TOLERANCE, Target
 from armctl.core.validation import Array, frozen, instance, number, vector
-from armctl.ik import DifferentialIk, solve_ik
+from armctl.ik import solve_ik
 from armctl.mjmodel.target_marker import find_target, target_pose
 from armctl.robot.arm import Arm
 from armctl.sim.clock import MAX_SPEED, MIN_SPEED, RealTimeClock
 from armctl.sim.gripper import Gripper
 from armctl.sim.history import History
-from armctl.sim.online_reference import OnlineReference
+from armctl.sim.obstacles import Obstacles
 from armctl.sim.plant import Plant
 from armctl.sim.recorder import Recorder
 from armctl.sim.stepper import Stepper
+from armctl.sim.target_follower import PlannedPath, TargetFollower
 
 UPDATE_INTERVAL_S = 0.01
 _AT_REST_SPEED = 1e-3  # rad/s, of the simulated joints
-_IK_AT_REST_SPEED = 1e-2  # rad/s: differential IK has converged
 _REFERENCE_ARRIVED = 1e-6  # rad
-_MIN_IMPROVEMENT_M = 0.01  # an unreachable target changes the posture only if the new one is nearer by this much
+_MIN_SPEED_OVERRIDE = 0.01
 _JOIN_TIMEOUT_S = 1.0
-_ACCELERATION_SCALE = 0.3  # a target moved by hand jerks; the jerk limits are scaled by its square
 
 _log = logging.getLogger("armctl.sim")
 
@@ -43,6 +42,8 @@ class Activity(Enum):
     """What a session does. After DIVERGED and FAILED it stands until `reset`."""
 
     FOLLOWING = "following"
+    PLANNING = "planning"
+    BLOCKED = "blocked"
     AT_TARGET = "at target"
     OUT_OF_REACH = "out of reach"
     SAGGING = "sagging"
@@ -60,9 +61,13 @@ class Status:
         failure: Why it stands, after DIVERGED and FAILED; else empty.
         position_error: Distance from the tip to the target, m.
         reach_error: Distance from the nearest reachable point to the target, m; None while no solver has found it unreachable.
+        refusal: Why the arm does not approach its target, after BLOCKED; else empty.
+        path: The planned path to the target; None if none was needed.
         target: T_world_tip to reach.
         oriented: Whether the target's orientation is part of the goal.
         joint_control: Whether joint angles were commanded, so that the target follows the tip.
+        avoiding: Whether contacts are avoided.
+        speed_override: Share of the speed of motions that the arm moves with.
         q: (n,) rad, where the arm is.
         qpos: (nq,) positions of the whole model.
         controller: Name of the controller.
@@ -78,9 +83,13 @@ class Status:
     failure: str
     position_error: float
     reach_error: float | None
+    refusal: str
+    path: PlannedPath | None
     target: Pose
     oriented: bool
     joint_control: bool
+    avoiding: bool
+    speed_override: float
     q: Array
     qpos: Array
     controller: str
@@ -123,8 +132,8 @@ class RealTimeSession:
         self._stepper = Stepper([arm], Plant(payload=self._payload))
         self._ticks = max(1, round(UPDATE_INTERVAL_S / self._stepper.dt))
         self._interval = self._ticks * self._stepper.dt
-        self._reference = OnlineReference(arm, self._stepper.dt, arm.home, acceleration_scale=_ACCELERATION_SCALE)
-        self._ik = DifferentialIk(arm)
+        self._follower = TargetFollower(arm, self._stepper.dt, Obstacles(arm, self._stepper.data))
+        self._speed_override = 1.0
         self._clock = RealTimeClock()
         self.history = History(arm.n, self._interval)
         self._gripper = self._gripper_of(self._stepper)
@@ -134,14 +143,8 @@ class RealTimeSession:
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
         self._paused = False
-        self._oriented = arm.n >= 6
         self._elapsed = 0.0
         self._failure = ""
-        self._joint_goal = arm.home
-        self._target = arm.fk(arm.home)
-        self._joint_control = False
-        self._ik_finished = True
-        self._reach_error: float | None = None
         self._restart()
         self._status = self._observed(arm.home)
 
@@ -150,17 +153,18 @@ class RealTimeSession:
         """The session after its last update."""
         return self._status
 
-    def aim(self, target: Pose) -> None:
+    def aim(self, target: Pose, *, held: bool = False) -> None:
         """Moves the tip to a target.
 
         Args:
             target: T_world_tip.
+            held: Whether it still moves, as while somebody drags it. Then a path around what is in the way is not planned yet.
 
         Raises:
             InputError: It is not a Pose.
         """
         instance("target", target, Pose, "give Pose(position, quat)")
-        self._command("goal", lambda: self._aim(target))
+        self._command("goal", lambda: self._follower.aim(target, held))
 
     def move_joints(self, q: Array) -> None:
         """Moves the joints; the target follows the tip.
@@ -172,16 +176,37 @@ class RealTimeSession:
             InputError: A wrong length, or a number that is not finite.
         """
         q = self.arm.limits.clamp(vector("q", q, self.arm.n))
-        self._command("goal", lambda: self._move_joints(q))
+        self._command("goal", lambda: self._follower.move_joints(q))
 
     def set_oriented(self, oriented: bool) -> None:
         """Chooses whether the target's orientation is part of the goal."""
 
         def change() -> None:
-            self._oriented = bool(oriented)
-            self._aim(self._target)
+            self._follower.oriented = bool(oriented)
+            self._follower.aim(self._follower.target)
 
         self._command("orientation", change)
+
+    def set_avoiding(self, avoiding: bool) -> None:
+        """Chooses whether the arm avoids contact with itself and the scene."""
+        self._command("avoiding", lambda: self._follower.set_avoiding(bool(avoiding)))
+
+    def set_speed_override(self, share: float) -> None:
+        """Changes the speed of the arm's motions, also during one; the limits of the joints hold throughout.
+
+        Args:
+            share: Share of the full speed, in [0.01, 1].
+
+        Raises:
+            InputError: It is outside that range.
+        """
+        share = number("share", share, _MIN_SPEED_OVERRIDE, 1.0)
+
+        def change() -> None:
+            self._follower.reference.set_speed(share)
+            self._speed_override = share
+
+        self._command("speed override", change)
 
     def set_controller(self, name: str) -> None:
         """Changes the controller while the arm moves.
@@ -218,6 +243,7 @@ class RealTimeSession:
             self._stepper = stepper
             self._payload = payload
             self._gripper = self._gripper_of(stepper)
+            self._follower.obstacles = Obstacles(self.arm, stepper.data)
 
         self._command("payload", change)
 
@@ -277,8 +303,9 @@ class RealTimeSession:
         self._thread.start()
 
     def stop(self) -> None:
-        """Ends the session's thread."""
+        """Ends the session's threads."""
         self._stopping.set()
+        self._follower.close()
         if self._thread is not None:
             self._thread.join(timeout=_JOIN_TIMEOUT_S)
 
@@ -312,17 +339,15 @@ class RealTimeSession:
             command()
         if self._paused or self._failure or self._stepper.failure:
             return False
-        if not self._ik_finished:
-            self._update_joint_goal()
-        reference = self._reference.toward(self._joint_goal, self._ticks)
+        reference = self._follower.advance(self._ticks, "" if self._gripper is None else self._gripper.held)
         self._stepper.run(self._controller, reference, self._recorder())
         self._elapsed += self._interval
-        self._status = self._observed(self._reference.q)
+        self._status = self._observed(self._follower.reference.q)
         return True
 
     def _run(self) -> None:
         try:
-            self._ik.step(self.arm.home, self._target, UPDATE_INTERVAL_S)  # loads what its first call needs
+            self._follower.prepare()
             self._clock.restart()
             while not self._stopping.is_set():
                 if self.advance():
@@ -344,9 +369,11 @@ class RealTimeSession:
             self._status,
             activity=self._activity(self._status.position_error, at_rest=False, arrived=False),
             failure=self._failure or self._stepper.failure,
-            target=self._target,
-            oriented=self._oriented,
-            joint_control=self._joint_control,
+            target=self._follower.target,
+            oriented=self._follower.oriented,
+            joint_control=self._follower.joint_control,
+            avoiding=self._follower.avoiding,
+            speed_override=self._speed_override,
             controller=self._controller_name,
             payload=self._payload,
             paused=self._paused,
@@ -382,47 +409,19 @@ class RealTimeSession:
         if self._gripper is not None:
             self._gripper.reset()
         self._stepper.reset(arm.home, np.zeros(arm.n))
-        self._reference.stand(arm.home)
         stepper = self._stepper
         has_target = find_target(stepper.model) is not None
         start = target_pose(stepper.model, stepper.data).position if has_target else stepper.tip_pose(arm).position
-        self._move_joints(solve_ik(arm, start, arm.home).q)
-        self._joint_control = False
+        self._follower.stand(arm.home, solve_ik(arm, start, arm.home).q)
         self._failure = ""
-
-    def _aim(self, target: Pose) -> None:
-        self._target = target
-        self._joint_control = False
-        self._reach_error = None
-        self._ik_finished = False
-
-    def _move_joints(self, q: Array) -> None:
-        self._aim(self.arm.fk(q))
-        self._joint_goal = q
-        self._joint_control = True
-        self._ik_finished = True
-
-    def _update_joint_goal(self) -> None:
-        """Moves the joint goal towards the target by differential IK; when that has converged, the global solver decides."""
-        target = self._target if self._oriented else self._target.position
-        rate = self._ik.step(self._joint_goal, target, self._interval)
-        self._joint_goal = self.arm.limits.clamp(self._joint_goal + self._interval * rate)
-        if np.abs(rate).max() > _IK_AT_REST_SPEED:
-            return
-        self._ik_finished = True
-        solution = solve_ik(self.arm, target, self._joint_goal)
-        position_error, _ = Target.read(target).distance(self.arm.fk(self._joint_goal))
-        if solution.ok or solution.position_error < position_error - _MIN_IMPROVEMENT_M:
-            self._joint_goal = solution.q
-        if not solution.ok:
-            self._reach_error = solution.position_error
 
     def _observed(self, q_ref: Array) -> Status:
         """The status now; adds a sample to the history."""
         stepper = self._stepper
         state = stepper.state
         tip = stepper.tip_pose(self.arm)
-        goal = Target(self._target.position, self._target if self._oriented else None)
+        follower = self._follower
+        goal = Target(follower.target.position, follower.target if follower.oriented else None)
         position_error, _ = goal.distance(tip)
         reference_error = float(np.linalg.norm(tip.position - self.arm.fk(q_ref).position))
         actuation = self.arm.actuation
@@ -432,14 +431,18 @@ class RealTimeSession:
             activity=self._activity(
                 position_error,
                 at_rest=bool(np.abs(state.v).max() < _AT_REST_SPEED),
-                arrived=bool(np.abs(q_ref - self._joint_goal).max() < _REFERENCE_ARRIVED),
+                arrived=bool(np.abs(q_ref - follower.joint_goal).max() < _REFERENCE_ARRIVED) and follower.reference.is_at_rest,
             ),
             failure=self._failure or stepper.failure,
             position_error=position_error,
-            reach_error=self._reach_error,
-            target=self._target,
-            oriented=self._oriented,
-            joint_control=self._joint_control,
+            reach_error=follower.reach_error,
+            refusal=follower.refusal,
+            path=follower.path,
+            target=follower.target,
+            oriented=follower.oriented,
+            joint_control=follower.joint_control,
+            avoiding=follower.avoiding,
+            speed_override=self._speed_override,
             q=frozen(state.q.copy()),
             qpos=frozen(stepper.data.qpos.copy()),
             controller=self._controller_name,
@@ -458,7 +461,11 @@ class RealTimeSession:
             return Activity.DIVERGED
         if self._paused:
             return Activity.PAUSED
-        if self._reach_error is not None and arrived:
+        if self._follower.is_planning:
+            return Activity.PLANNING
+        if self._follower.refusal:
+            return Activity.BLOCKED
+        if self._follower.reach_error is not None and arrived:
             return Activity.OUT_OF_REACH
         if position_error <= TOLERANCE and at_rest:
             return Activity.AT_TARGET

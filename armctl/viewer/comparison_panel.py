@@ -8,9 +8,9 @@ from armctl.analysis.comparison import compare, out_and_back
 from armctl.analysis.plot import overlay_image
 from armctl.analysis.report import Report
 from armctl.control import CONTROLLERS
+from armctl.core.latest_worker import LatestWorker
 from armctl.sim.plant import Plant
 from armctl.sim.realtime import RealTimeSession
-from armctl.viewer.latest_worker import LatestWorker
 
 if TYPE_CHECKING:
     import viser

@@ -7,16 +7,17 @@ import copy
 import mujoco
 import numpy as np
 
-_GRID_CELL = 5e-4  # of the model's extent: vertices in one cell become one
+FINE_CELL = 5e-4  # of the model's extent: vertices in one cell become one
 _MAX_DRAWN_GROUP = 2  # MuJoCo draws the geoms of groups 0 to 2 by default; collision shapes are in the others
 _HIDDEN_SITE_GROUP = 5
 _CELL_KEY_WEIGHTS = np.array([1 << 42, 1 << 21, 1])  # makes one integer of three cell indices below 2^21
 
 
-def decimated(model: mujoco.MjModel) -> mujoco.MjModel:
+def decimated(model: mujoco.MjModel, cell: float = FINE_CELL) -> mujoco.MjModel:
     """A copy for drawing: meshes simplified, without collision shapes, sites and convex hulls.
 
-    Meshes are simplified by clustering their vertices on a grid (Rossignac and Borrel, 1993).
+    Meshes are simplified by clustering their vertices on a grid (Rossignac and Borrel, 1993), whose cells are `cell` times the
+    model's extent.
     """
     model = copy.copy(model)
     hidden = model.geom_group > _MAX_DRAWN_GROUP
@@ -24,7 +25,7 @@ def decimated(model: mujoco.MjModel) -> mujoco.MjModel:
     model.site_group[:] = _HIDDEN_SITE_GROUP
     model.mesh_polynum[:] = 0
     for mesh in np.unique(model.geom_dataid[~hidden & (model.geom_type == int(mujoco.mjtGeom.mjGEOM_MESH))]):
-        _cluster_vertices(model, mesh, _GRID_CELL * model.stat.extent)
+        _cluster_vertices(model, mesh, cell * model.stat.extent)
     return model
 
 

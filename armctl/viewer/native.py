@@ -49,13 +49,16 @@ def view_natively(arm: Arm, controller: str) -> None:
             mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False) as window,
         ):
             window.perturb.select = find_target(model) or 0
+            is_held = False
             while window.is_running():
                 status = session.status
                 with window.lock():
                     target = read_target(model, data) if is_movable(model) else status.target
+                    was_held = is_held
+                    is_held = bool(window.perturb.active)
                     _show(status, model, data)
-                if target != status.target:
-                    session.aim(target)
+                if target != status.target or (was_held and not is_held):
+                    session.aim(target, held=is_held)
                 window.set_texts((None, mujoco.mjtGridPos.mjGRID_TOPLEFT, describe(status), ""))
                 window.sync()
                 time.sleep(_DRAW_INTERVAL_S)

@@ -15,8 +15,9 @@ import numpy as np
 from armctl.control import CONTROLLERS
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.robot.arm import Arm
-from armctl.sim.realtime import RealTimeSession
+from armctl.sim.realtime import Activity, RealTimeSession
 from armctl.viewer.panel import Panel
+from armctl.viewer.plan_preview import PlanPreview
 from armctl.viewer.status_text import describe
 from armctl.viewer.target_controls import TargetControls
 from armctl.viewer.tip_trail import TipTrail
@@ -65,6 +66,7 @@ class Page:
             "/status", describe(status), position=status.target.position + _LABEL_OFFSET_M, anchor="bottom-center"
         )
         self._trail = TipTrail(scene.server.scene, arm.fk(status.q).position)
+        self._preview = PlanPreview(scene.server, arm)
         self.panel = Panel(scene.server, scene.text, self.session, self._target)
         self._closing = threading.Event()
         self._starter = threading.Thread(target=self._start_session, name="armctl start", daemon=True)
@@ -117,10 +119,12 @@ class Page:
             self._label.position = target.position + _LABEL_OFFSET_M
 
     def _write(self) -> None:
-        text = describe(self.session.status)
+        status = self.session.status
+        text = describe(status)
         if self._label.text != text:
             self._label.text = text
         self._trail.draw()
+        self._preview.show(None if status.activity is Activity.AT_TARGET else status.path)
         self.panel.update()
 
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from armctl.control import CONTROLLERS
+from armctl.core.latest_worker import LatestWorker
 from armctl.sim.realtime import RealTimeSession, Status
 from armctl.viewer.charts import Charts
 from armctl.viewer.comparison_panel import ComparisonPanel
-from armctl.viewer.latest_worker import LatestWorker
 from armctl.viewer.status_text import describe, describe_load
 from armctl.viewer.target_controls import TargetControls
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 MAX_PAYLOAD_KG = 5.0
 _HINT = "Drag an arrow, a plane or an arc of the green target; the arm follows."
+_MIN_OVERRIDE_PERCENT = 5.0
 _MIN_SPEED = 0.05
 _MAX_SPEED = 2.0
 _JOINT_SLIDERS_IDLE_S = 0.5  # joint sliders that were not moved for this long show the simulated joints
@@ -99,9 +100,21 @@ class Panel:
 
     def _add_clock(self) -> None:
         session = self._session
-        speed = self._gui.add_slider("speed", _MIN_SPEED, _MAX_SPEED, 0.05, 1.0, hint="simulated seconds per second")
+        avoid = self._gui.add_checkbox("avoid contacts", session.status.avoiding, hint="off for pressing and grasping")
+        override = self._gui.add_slider(
+            "arm speed, %", _MIN_OVERRIDE_PERCENT, 100.0, 1.0, 100.0, hint="speed override of the arm's motions"
+        )
+        speed = self._gui.add_slider(
+            "simulation speed", _MIN_SPEED, _MAX_SPEED, 0.05, 1.0, hint="simulated seconds per second; 0.1 is slow motion"
+        )
         pause = self._gui.add_checkbox("pause", False)
         reset = self._gui.add_button("reset")
+
+        async def set_avoiding(event: viser.GuiEvent) -> None:
+            session.set_avoiding(avoid.value)
+
+        async def set_override(event: viser.GuiEvent) -> None:
+            session.set_speed_override(0.01 * override.value)
 
         async def set_speed(event: viser.GuiEvent) -> None:
             session.set_speed(speed.value)
@@ -112,6 +125,8 @@ class Panel:
         async def do_reset(event: viser.GuiEvent) -> None:
             session.reset()
 
+        avoid.on_update(set_avoiding)
+        override.on_update(set_override)
         speed.on_update(set_speed)
         pause.on_update(set_pause)
         reset.on_click(do_reset)

@@ -21,6 +21,10 @@ def describe(status: Status) -> str:
             return f"{status.failure}; press reset"
         case Activity.PAUSED:
             return "paused"
+        case Activity.PLANNING:
+            return "planning a path around what is in the way"
+        case Activity.BLOCKED:
+            return status.refusal
         case Activity.OUT_OF_REACH:
             return _out_of_reach(status)
         case Activity.AT_TARGET:
@@ -30,7 +34,8 @@ def describe(status: Status) -> str:
             return f"steady-state error {error_mm:.1f} mm with {status.controller}{payload}"
         case Activity.FOLLOWING:
             reach = f"; {_out_of_reach(status)}" if status.reach_error is not None else ""
-            return f"following, {error_mm:.0f} mm to go{reach}"
+            how = "following" if status.path is None else "on the planned path"
+            return f"{how}, {error_mm:.0f} mm to go{reach}"
 
 
 def describe_load(samples: Samples, joint_names: Sequence[str]) -> str:

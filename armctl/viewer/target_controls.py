@@ -122,7 +122,7 @@ class TargetControls:
         turned = Pose(event.target.position, quat=event.target.wxyz)
         if self._has_world_axes:
             turned = Pose.from_rotation(turned.position, turned.rotation @ self._grip.rotation)
-        self._session.aim(turned)
+        self._session.aim(turned, held=self.is_held)
 
     def _aim(self, target: Pose) -> None:
         self._undo.append(self._session.status.target)

@@ -198,7 +198,7 @@ def test_a_wrong_command_is_refused_at_once_and_changes_nothing(method: str, val
     assert session.status.activity is Activity.AT_TARGET
 
 
-@pytest.mark.parametrize("broken", ["_controller", "_reference", "_ik", "_gripper"])
+@pytest.mark.parametrize("broken", ["_controller", "_follower.reference", "_follower._ik", "_gripper"])
 def test_a_defect_anywhere_is_reported_and_reset_repairs_the_session(broken: str, monkeypatch, caplog):
     session = RealTimeSession(arm_of("panda"))
 
@@ -208,7 +208,8 @@ def test_a_defect_anywhere_is_reported_and_reset_repairs_the_session(broken: str
 
     go(session, 0.1)
     with monkeypatch.context() as patch:
-        patch.setattr(session, broken, Broken())
+        owner, _, name = broken.rpartition(".")
+        patch.setattr(getattr(session, owner) if owner else session, name, Broken())
         session.aim(Pose([0.4, 0.2, 0.4]))
         session.grip(0.02)
         go(session, 0.1)
@@ -292,6 +293,8 @@ def test_the_clock_refuses_a_speed_out_of_range(speed: float):
 
 STATUS_SENTENCES = {
     Activity.FOLLOWING: "following, 12 mm to go",
+    Activity.PLANNING: "planning a path around what is in the way",
+    Activity.BLOCKED: "wall and link would touch",
     Activity.AT_TARGET: "at the target, error 12 mm",
     Activity.OUT_OF_REACH: "out of reach by 34 mm",
     Activity.SAGGING: "steady-state error 12.0 mm with pd and 2 kg",
@@ -309,6 +312,7 @@ def test_each_activity_has_its_sentence(activity: Activity):
         failure="a defect" if activity in (Activity.DIVERGED, Activity.FAILED) else "",
         position_error=0.012,
         reach_error=0.034 if activity is Activity.OUT_OF_REACH else None,
+        refusal="wall and link would touch" if activity is Activity.BLOCKED else "",
         controller="pd",
         payload=2.0,
     )

@@ -44,7 +44,7 @@ VECTORS = [
     {},
 ]
 LABELS = [
-    "speed",
+    "simulation speed",
     "payload, kg",
     "shoulder_yaw",
     "elbow",
@@ -142,10 +142,10 @@ def test_a_wrong_pose_of_the_target_is_dropped(page, client, pose: dict):
     message = {"name": "/goal", "wxyz": [1, 0, 0, 0], "position": [0.9, 0.9, 0.9], "owner": ""}
     client.send({"type": "TransformControlsUpdateMessage"} | message | pose)
     client.send(CAMERA)
-    client.set(page, "speed", 0.75)
+    client.set(page, "simulation speed", 0.75)
     until(lambda: page.session.status.speed == 0.75, "the message after it is not handled")
     assert page.session.status.target is target
-    client.set(page, "speed", 1.0)
+    client.set(page, "simulation speed", 1.0)
 
 
 def test_a_far_target_is_limited_and_the_arm_says_that_it_is_out_of_reach(page, client):
@@ -227,7 +227,7 @@ def test_a_failed_session_is_shown_and_reset_repairs_it(page, client, monkeypatc
         raise ZeroDivisionError("a defect")
 
     with monkeypatch.context() as patch:
-        patch.setattr(page.session._reference, "toward", broken)
+        patch.setattr(page.session._follower, "advance", broken)
         until(lambda: page.session.status.activity is Activity.FAILED, "the failure is not noticed")
         until(lambda: "ZeroDivisionError: a defect" in page.scene.text.content, "the page does not show the failure")
         assert "at the target" not in page._label.text
@@ -238,7 +238,7 @@ def test_a_failed_session_is_shown_and_reset_repairs_it(page, client, monkeypatc
 
 
 def test_a_number_outside_a_sliders_range_becomes_its_bound(page):
-    slider = page.scene.server.gui._gui_input_handle_from_uuid[control_id(page, "speed")]
+    slider = page.scene.server.gui._gui_input_handle_from_uuid[control_id(page, "simulation speed")]
     assert [limited_value(slider, value) for value in (-1, 0.5, 1e300)] == [0.05, 0.5, 2.0]
     assert limited_value(slider, float("nan")) is None
     assert limited_value(slider, True) is None
@@ -250,11 +250,16 @@ def test_a_message_is_encoded_again_from_what_was_checked(page):
 
     messages = MessageFilter()
     messages.inputs = page.scene.server.gui._gui_input_handle_from_uuid
-    update = {"type": "GuiUpdateMessage", "uuid": control_id(page, "speed"), "updates": {"value": 9.0, "removed": True}, "x": 1}
+    update = {
+        "type": "GuiUpdateMessage",
+        "uuid": control_id(page, "simulation speed"),
+        "updates": {"value": 9.0, "removed": True},
+        "x": 1,
+    }
     checked = messages.checked(msgspec.msgpack.encode(update))
     assert checked is not None
     assert msgspec.msgpack.decode(checked) == {
         "type": "GuiUpdateMessage",
-        "uuid": control_id(page, "speed"),
+        "uuid": control_id(page, "simulation speed"),
         "updates": {"value": 2.0},
     }

@@ -113,7 +113,16 @@ def choose(tab, controller: str) -> None:
 def test_the_page_shows_the_arm_and_says_what_it_does(page: Page, tab):
     arrives(page)
     tab.get_by_text("at the target").first.wait_for(timeout=1e3 * TIMEOUT_S)
-    for text in ("tip error, mm", "torque, %", "controller", "payload, kg", "speed", "pause", "Target", "Comparison"):
+    for text in (
+        "tip error, mm",
+        "torque, %",
+        "controller",
+        "payload, kg",
+        "simulation speed",
+        "pause",
+        "Target",
+        "Comparison",
+    ):
         assert tab.get_by_text(text).first.is_visible(), text
     assert tab.get_by_role("button", name="reset", exact=True).is_visible()
     assert page.session.status.real_time_factor > 0.5

@@ -1,4 +1,4 @@
-"""LatestWorker: runs slow work of the page in one thread, newest order only."""
+"""LatestWorker: runs slow work in one thread, newest order only."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import logging
 import threading
 from collections.abc import Callable
 
-_log = logging.getLogger("armctl.viewer")
+_JOIN_TIMEOUT_S = 2.0
+
+_log = logging.getLogger("armctl")
 
 
 class LatestWorker:
@@ -17,7 +19,8 @@ class LatestWorker:
         self._order: Callable[[], object] | None = None
         self._ordered = threading.Condition()
         self._closed = False
-        threading.Thread(target=self._run, name=name, daemon=True).start()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
 
     def submit(self, order: Callable[[], object]) -> None:
         """Runs a function soon, unless a newer one comes first. Its exceptions go to the log."""
@@ -30,6 +33,7 @@ class LatestWorker:
         with self._ordered:
             self._closed = True
             self._ordered.notify()
+        self._thread.join(timeout=_JOIN_TIMEOUT_S)
 
     def _run(self) -> None:
         while True:
@@ -42,4 +46,5 @@ class LatestWorker:
             try:
                 order()
             except Exception:
-                _log.exception("work for the page failed")
+                _log.exception("work in the background failed")
+            del order  # what it refers to must not live until the next order

@@ -1,0 +1,80 @@
+"""PlanPreview: the planned path of the tip as a line, and the arm at its end as a transparent ghost."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from armctl.robot.arm import Arm
+from armctl.sim.target_follower import PATH_POINTS, PlannedPath
+from armctl.viewer.mesh_decimation import decimated
+
+if TYPE_CHECKING:
+    import trimesh
+    import viser
+
+_PATH_RGB = (0, 90, 200)
+_PATH_THICKNESS_PX = 4.0
+_GHOST_RGB = (0, 90, 200)
+_GHOST_OPACITY = 0.35
+_GHOST_CELL = 1e-2  # of the model's extent: a ghost is seen through, so it is coarse
+
+
+class PlanPreview:
+    """Shows a planned path until the arm has passed it. The ghost is made when the first path is shown."""
+
+    def __init__(self, server: viser.ViserServer, arm: Arm):
+        """Adds an invisible line to a server's scene."""
+        self._server = server
+        self._arm = arm
+        self._path: PlannedPath | None = None
+        self._ghost: dict[int, viser.MeshHandle] = {}
+        segments = np.zeros((PATH_POINTS - 1, 2, 3), np.float32)
+        self._line = server.scene.add_line_segments(
+            "/plan", segments, _PATH_RGB, thickness=_PATH_THICKNESS_PX, thickness_units="screen", visible=False
+        )
+
+    def show(self, path: PlannedPath | None) -> None:
+        """Shows a path, or none."""
+        if path is self._path:
+            return
+        self._path = path
+        with self._server.atomic():
+            if path is not None:
+                self._line.points = np.stack([path.tip[:-1], path.tip[1:]], axis=1).astype(np.float32)
+                self._place_ghost(path.q_end)
+            self._line.visible = path is not None
+            for mesh in self._ghost.values():
+                mesh.visible = path is not None
+
+    def _place_ghost(self, q: np.ndarray) -> None:
+        data = mujoco.MjData(self._arm.model)
+        data.qpos[:] = self._arm.qpos(q)
+        mujoco.mj_kinematics(self._arm.model, data)
+        if not self._ghost:
+            self._ghost = {body: self._add_body(body, mesh) for body, mesh in _moving_bodies(self._arm).items()}
+        for body, mesh in self._ghost.items():
+            mesh.position = data.xpos[body]
+            mesh.wxyz = data.xquat[body]
+
+    def _add_body(self, body: int, mesh: trimesh.Trimesh) -> viser.MeshHandle:
+        return self._server.scene.add_mesh_simple(
+            f"/ghost/{body}", mesh.vertices, mesh.faces, color=_GHOST_RGB, opacity=_GHOST_OPACITY, cast_shadow=False
+        )
+
+
+def _moving_bodies(arm: Arm) -> dict[int, trimesh.Trimesh]:
+    """The visible shape of each body that the arm moves."""
+    from mjviser.conversions import merge_geoms
+
+    model = decimated(arm.model, _GHOST_CELL)
+    visible = model.geom_rgba[:, 3] > 0
+    first = model.jnt_bodyid[model.dof_jntid[arm.dof_adr[0]]]
+    moving = {int(first)}
+    for body in range(int(first) + 1, model.nbody):
+        if int(model.body_parentid[body]) in moving:
+            moving.add(body)
+    geoms = {body: np.flatnonzero(visible & (model.geom_bodyid == body)).tolist() for body in sorted(moving)}
+    return {body: merge_geoms(model, members) for body, members in geoms.items() if members}
