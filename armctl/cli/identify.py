@@ -49,7 +49,8 @@ def run(args: argparse.Namespace) -> int:
     units = _table("units", args.units)
     holdout = one_number("holdout", args.holdout)
     arm = load_arm(args)
-    is_log = args.file.suffix == ".npz"
+    units = {"q": arm.units, "tau": arm.torque_units, **units}
+    is_log = args.file.suffix in (".npz", ".parquet")
     log = Log.load(args.file) if is_log else Log.from_csv(args.file, columns, units=units, robot=arm.name)
     estimate = identify(arm, log, args.friction, not args.any_inertia, holdout=holdout)
     print_result(args, str(estimate), estimate.to_dict())
@@ -64,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     return DONE
 
 
-def _table(what: str, words: Sequence[str] | None) -> dict[str, str] | None:
+def _table(what: str, words: Sequence[str] | None) -> dict[str, str]:
     """{"t": "time"} of ["t=time"]."""
     table = {}
     for word in words or ():
@@ -72,4 +73,4 @@ def _table(what: str, words: Sequence[str] | None) -> dict[str, str] | None:
         if quantity not in _QUANTITIES or not name:
             raise InputError(f"{what}: expected columns such as {what} t=... q=... tau=..., got {word!r:.60}")
         table[quantity] = name
-    return table or None
+    return table

@@ -14,7 +14,7 @@ import numpy as np
 from armctl.core import log_files
 from armctl.core.atomic import atomic_path, file_path
 from armctl.core.errors import ArmctlError, InputError, NotInstalledError
-from armctl.core.log_csv import Columns, read_recording
+from armctl.core.log_csv import Columns, Units, read_recording
 from armctl.core.log_files import PER_JOINT
 from armctl.core.validation import Array, frozen, instance, number, shown
 
@@ -222,7 +222,7 @@ class Log:
         path: str | os.PathLike[str],
         columns: Columns | None = None,
         *,
-        units: Mapping[str, str] | None = None,
+        units: Units | None = None,
         joint_names: Sequence[str] | None = None,
         robot: str = "",
     ) -> Log:
@@ -236,7 +236,8 @@ class Log:
             path: The file: a first line with names, then numbers; separated by commas, semicolons or tabs.
             columns: The columns of "t", "q" and "tau": a name, a list of names from the base to the tip, or a name in which "*"
                 stands for the number of the joint. The default is `{"t": "t", "q": "q*", "tau": "tau*"}`.
-            units: The units of "t" (s, ms, us, ns), "q" (rad, deg, m, mm) and "tau" (N m, mN m, N, N mm). The default is SI.
+            units: The units of "t" (s, ms, us, ns), "q" (rad, deg, m, mm) and "tau" (N m, mN m, N, N mm); a list for "q" and
+                "tau" if the joints have different units. The default is s, rad and N m.
             joint_names: The n joints, such as `arm.joint_names`; the names of the columns of q if left out.
             robot: The name of the robot.
 

@@ -19,6 +19,7 @@ from armctl.core.filtering import choose_cutoff, derivatives, low_pass
 from armctl.core.validation import Array, BoolArray, shown
 
 Columns = Mapping[str, str | Sequence[str]]
+Units = Mapping[str, str | Sequence[str]]
 
 _QUANTITIES = ("t", "q", "tau")
 _DEFAULT_COLUMNS: dict[str, str] = {"t": "t", "q": "q*", "tau": "tau*"}
@@ -68,13 +69,13 @@ class Recording:
         return f"a recording; {self.repeated} repeated rows left out, velocity by a zero-phase filter of {self.cutoff:.3g} Hz"
 
 
-def read_recording(path: str | os.PathLike[str], columns: Columns | None, units: Mapping[str, str] | None) -> Recording:
+def read_recording(path: str | os.PathLike[str], columns: Columns | None, units: Units | None) -> Recording:
     """Reads a CSV file of a real robot.
 
     Args:
         path: The file.
         columns: The names of the columns of "t", "q" and "tau"; see `Log.from_csv`.
-        units: The units of "t", "q" and "tau".
+        units: The units of "t", "q" and "tau"; those of "q" and "tau" may be lists of one unit per joint.
 
     Returns:
         The recording.
@@ -84,10 +85,10 @@ def read_recording(path: str | os.PathLike[str], columns: Columns | None, units:
     """
     path = file_path("path", path)
     wanted = _merged("columns", columns, _DEFAULT_COLUMNS)
-    scales, slides = _scales(units)
+    of_units = _checked_units(units)
     try:
-        header, table = _read_table(path, wanted)
-        return _on_even_grid(header, table, scales, slides)
+        names, table = _read_table(path, wanted)
+        return _on_even_grid(names, table, _unit_of_each_column(names, of_units))
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
     except InputError as error:
@@ -111,14 +112,25 @@ def _merged(what: str, given: object, defaults: Mapping[str, str]) -> dict[str, 
     return out
 
 
-def _scales(units: Mapping[str, str] | None) -> tuple[dict[str, float], bool]:
-    """Factors to SI units, and whether the joints slide."""
+def _checked_units(units: Units | None) -> dict[str, str | list[str]]:
+    """The units of each quantity, all of them known."""
     names = _merged("units", units, _DEFAULT_UNITS)
-    for quantity, unit in names.items():
-        if not isinstance(unit, str) or unit not in _UNITS[quantity]:
-            raise InputError(f"units: {quantity}: expected one of {', '.join(_UNITS[quantity])}, got {shown(unit)}")
-    scales = {quantity: _UNITS[quantity][str(unit)] for quantity, unit in names.items()}
-    return scales, names["q"] in _SLIDE_UNITS
+    for quantity, given in names.items():
+        for unit in [given] if isinstance(given, str) else given:
+            if unit not in _UNITS[quantity]:
+                raise InputError(f"units: {quantity}: expected one of {', '.join(_UNITS[quantity])}, got {shown(unit)}")
+    return names
+
+
+def _unit_of_each_column(names: Mapping[str, list[str]], units: Mapping[str, str | list[str]]) -> dict[str, list[str]]:
+    """The unit of every column of each quantity."""
+    out: dict[str, list[str]] = {}
+    for quantity, columns in names.items():
+        given = units[quantity]
+        out[quantity] = [given] * len(columns) if isinstance(given, str) else given
+        if len(out[quantity]) != len(columns):
+            raise InputError(f"units: {quantity}: expected one unit or {len(columns)}, got {len(given)}")
+    return out
 
 
 def _read_table(path: os.PathLike[str], wanted: Mapping[str, str | list[str]]) -> tuple[dict[str, list[str]], Array]:
@@ -200,16 +212,18 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _on_even_grid(names: Mapping[str, list[str]], table: Array, scales: Mapping[str, float], slides: bool) -> Recording:
+def _on_even_grid(names: Mapping[str, list[str]], table: Array, units: Mapping[str, list[str]]) -> Recording:
     """Repeated rows left out, the rest interpolated on a grid of the median interval."""
     n = len(names["q"])
-    t = table[:, 0] * scales["t"]
+    scales = np.array([_UNITS[quantity][unit] for quantity in _QUANTITIES for unit in units[quantity]])
+    table = table * scales
+    t = table[:, 0]
     if (np.diff(t) < 0).any():
         row = int((np.diff(t) < 0).argmax()) + 2
         raise InputError(f"t: the time of row {row} is before that of row {row - 1}")
     new = ~_is_repeated(t, table[:, 1:])
     t = t[new] - t[0]
-    values = table[new, 1:] * np.repeat([scales["q"], scales["tau"]], n)
+    values = table[new, 1:]
     if len(t) < _MIN_ROWS:
         raise InputError(f"only {len(t)} rows differ from the one before, expected at least {_MIN_ROWS}")
     if np.abs(values).max() > _MAX_VALUE:
@@ -229,7 +243,7 @@ def _on_even_grid(names: Mapping[str, list[str]], table: Array, scales: Mapping[
     velocity, _ = derivatives(low_pass(q, cutoff, dt), dt)
     return Recording(
         joint_names=tuple(names["q"]),
-        units=("m" if slides else "rad",) * n,
+        units=tuple("m" if unit in _SLIDE_UNITS else "rad" for unit in units["q"]),
         dt=dt,
         t=grid,
         q=q,

@@ -24,7 +24,7 @@ _MIN_SPEED = 0.02  # rad/s (m/s): a joint that never moves faster stands still
 # A base parameter counts as excited if the data reduce its standard deviation to this share of that before any data.
 _MAX_UNCERTAINTY_SHARE = 0.5
 _SIGNIFICANT_SHARE = 0.1  # of a joint's typical torque: the uncertainty of the torques of random states that is accepted
-_MAX_CONDITION = 1e4  # above, rounding and small model errors are amplified to arbitrary parameters
+_MAX_CONDITION = 1e5  # of columns of equal length; above, small errors of the positions change the result more than the data
 _MAX_RELATIVE_ERROR = 0.5  # of the standard deviation of a measured torque
 _MIN_TORQUE_SHARE = 0.01  # of the typical torque: a smaller error is no failure
 _MIN_LIMIT_SHARE = 0.01  # of the torque limit: a typical torque is at least this
@@ -68,7 +68,7 @@ def identify(
 
     Args:
         arm: The arm as its model knows it.
-        log: A recording, or a CSV file that `Log.from_csv` reads with its defaults.
+        log: A recording, or a CSV file with the default columns of `Log.from_csv` in the arm's units.
         friction: "none", "coulomb+viscous", or "stribeck" for a breakaway torque as well.
         consistent: Whether each link must be one that a rigid body can be.
         holdout: Share of the recording, at its end, that validates the result, in [0.05, 0.5].
@@ -93,7 +93,8 @@ def identify(
 def _read_log(arm: Arm, log: Log | str | os.PathLike[str]) -> Log:
     """A log of the arm, long enough."""
     if isinstance(log, (str, os.PathLike)):
-        log = Log.from_csv(log, robot=arm.name)
+        units = {"q": arm.units, "tau": arm.torque_units}
+        log = Log.from_csv(log, units=units, robot=arm.name)
     instance("log", log, Log, "armctl.simulate and armctl.Log.from_csv give one")
     if log.q.shape[1] != arm.n:
         raise InputError(f"log: {log.q.shape[1]} joints are recorded, but {arm.name:.80} has {arm.n}")

@@ -66,6 +66,16 @@ def test_units_and_names_of_columns(tmp_path):
     assert np.abs(log.q[:, ::-1] - log.tau).max() < 1e-9
 
 
+def test_joints_of_different_kinds_have_units_of_their_own(tmp_path):
+    t = uneven()
+    path = write(tmp_path / "run.csv", t, signal(t) * [1e3, 1.0], signal(t))
+    log = armctl.Log.from_csv(path, units={"q": ["mm", "rad"], "tau": ["N", "N m"]})
+    assert log.units == ("m", "rad")
+    assert np.abs(log.q - log.tau).max() < 1e-9
+    with pytest.raises(armctl.InputError, match=r"units: q: expected one unit or 2, got 3$"):
+        armctl.Log.from_csv(path, units={"q": ["mm", "rad", "rad"]})
+
+
 def test_a_log_from_csv_is_saved_and_loaded(tmp_path):
     t = uneven()
     log = armctl.Log.from_csv(write(tmp_path / "run.csv", t, signal(t), signal(t)))
