@@ -23,6 +23,7 @@ _MAX_RELATIVE_ERROR = 0.1  # of the mass; with a larger standard error nothing i
 _SMALL_MASS_KG = 0.5  # from which on the error is relative to the mass
 _PRIOR = (50.0, 0.5, 0.5, 0.5)  # kg and kg m, standard deviations: parameters that are not shown stay within them
 _ROUNDS = 4  # of the fit: inertia is not linear in a payload's centre, and joints differ in noise
+_FINDING_ERRORS = 3.0  # standard errors by which the model's friction must be too high to be reported
 _STATES = 20  # random states at which the regressor of the mass is compared with that of the centre
 _MIN_INDEPENDENT_SHARE = 1e-6  # of the mass's regressor that is not round-off
 
@@ -42,6 +43,7 @@ class PayloadEstimate:
         coulomb_error: (n,) N m, standard errors.
         viscous_friction: (n,) N m s/rad of damping.
         viscous_error: (n,) N m s/rad, standard errors.
+        findings: Joints whose friction in the model is too high, one sentence each.
     """
 
     ok: bool
@@ -54,6 +56,7 @@ class PayloadEstimate:
     coulomb_error: Array
     viscous_friction: Array
     viscous_error: Array
+    findings: tuple[str, ...] = ()
 
     def __bool__(self) -> bool:
         return self.ok
@@ -63,7 +66,8 @@ class PayloadEstimate:
             return f"not identified: {self.reason}"
         known = zip(self.center, self.center_error, strict=True)
         center = ", ".join(f"{1e3 * c:.1f}+-{1e3 * e:.1f}" if math.isfinite(e) else "not shown" for c, e in known)
-        return f"{self.mass:.4f}+-{self.mass_error:.4f} kg at [{center}] mm from the tip"
+        payload = f"{self.mass:.4f}+-{self.mass_error:.4f} kg at [{center}] mm from the tip"
+        return "\n".join([payload, *self.findings])
 
     def applied_to(self, arm: Arm) -> Arm:
         """An arm's model with what was identified: give it to a controller.
@@ -72,7 +76,7 @@ class PayloadEstimate:
             arm: The arm that the run was of.
 
         Returns:
-            The arm with payload and friction; friction that came out negative counts as none.
+            The arm with payload and friction. Negative friction reduces that of the model, to 0 at the least.
 
         Raises:
             InputError: Nothing was identified, or the argument is no arm with as many joints.
@@ -80,8 +84,8 @@ class PayloadEstimate:
         instance("arm", arm, Arm, "armctl.load gives one")
         if not self.ok:
             raise InputError(f"estimate: {self}")
-        coulomb = np.maximum(self.coulomb_friction, 0.0)
-        viscous = np.maximum(self.viscous_friction, 0.0)
+        coulomb = np.maximum(self.coulomb_friction, -arm.model.dof_frictionloss[arm.dof_adr])
+        viscous = np.maximum(self.viscous_friction, -arm.model.dof_damping[arm.dof_adr])
         return arm.with_payload(max(self.mass, 0.0), self.center, coulomb_friction=coulomb, viscous_friction=viscous)
 
 
@@ -248,7 +252,19 @@ def _estimate(arm: Arm, reason: str, theta: Array, error: Array) -> PayloadEstim
         coulomb_error=frozen(coulomb_error.copy()),
         viscous_friction=frozen(viscous.copy()),
         viscous_error=frozen(viscous_error.copy()),
+        findings=_findings(arm, (coulomb, viscous), (coulomb_error, viscous_error)),
     )
+
+
+def _findings(arm: Arm, frictions: tuple[Array, Array], errors: tuple[Array, Array]) -> tuple[str, ...]:
+    """Joints whose friction in the model is certainly too high."""
+    kinds = (("frictionloss", "N m", "N"), ("damping", "N m s/rad", "N s/m"))
+    found = []
+    for (what, turning, sliding), friction, error in zip(kinds, frictions, errors, strict=True):
+        for i in np.flatnonzero(friction < -_FINDING_ERRORS * error):
+            unit = turning if arm.units[i] == "rad" else sliding
+            found.append(f"the model's {what} of {arm.joint_names[i]} is {-friction[i]:.3g} {unit} too high")
+    return tuple(found)
 
 
 def _nothing(arm: Arm, reason: str) -> PayloadEstimate:

@@ -358,14 +358,15 @@ class Arm:
         Args:
             mass: kg, of a point mass at the tip.
             center: (3,) m, where it is, in the tip's frame.
-            coulomb_friction: N m of dry friction besides the model's, on each joint or (n,) for each.
-            viscous_friction: N m s/rad of damping besides the model's, on each joint or (n,) for each.
+            coulomb_friction: N m of dry friction added to the model's, on each joint or (n,) for each.
+            viscous_friction: N m s/rad of damping added to the model's, on each joint or (n,) for each.
 
         Returns:
             The arm. A simulation of it carries the payload as well: do not give the plant the same payload again.
 
         Raises:
-            InputError: The mass or a friction is negative, or a number is not finite or a list of a wrong length.
+            InputError: The mass or the friction of a joint becomes negative, or a number is not finite, or a list has a wrong
+                length.
         """
         model = copy.copy(self.model)
         for what, value, column in (
@@ -373,10 +374,13 @@ class Arm:
             ("viscous_friction", viscous_friction, model.dof_damping),
         ):
             is_one = isinstance(value, (int, float)) or getattr(value, "ndim", 1) == 0
-            added = np.full(self.n, number(what, value, 0.0)) if is_one else vector(what, value, self.n)  # type: ignore[arg-type]
-            if added.min() < 0.0:
-                raise InputError(f"{what}: every value must be at least 0, got {added.min():g}")
-            column[self.dof_adr] += added
+            added = np.full(self.n, number(what, value)) if is_one else vector(what, value, self.n)  # type: ignore[arg-type]
+            total = column[self.dof_adr] + added
+            if total.min() < 0.0:
+                i = int(total.argmin())
+                least = added[i] - total[i]
+                raise InputError(f"{what}: {added[i]:g} given for {self.joint_names[i]:.60}, at least {least:g} wanted")
+            column[self.dof_adr] = total
         mass = number("mass", mass, 0.0)
         if mass > 0.0:
             add_point_mass(model, self.tip_body, mass, self.T_body_tip.transform(vector("center", center, 3)))

@@ -90,6 +90,29 @@ def test_nothing_held_is_found_to_be_nothing(motions):
     assert abs(found.mass) < 0.02
 
 
+def test_too_much_damping_in_the_model_is_reported_and_corrected(motions):
+    real = arm_of("robot_arm_3dof")
+    model = real.with_payload(0.0, viscous_friction=[0.0, 1.5, 0.0])
+    found = armctl.identify_payload(model, run(real, motions("robot_arm_3dof"), "computed-torque", payload=0.5))
+    assert found.ok, found.reason
+    (finding,) = found.findings
+    assert re.fullmatch(r"the model's damping of shoulder_pitch is 1\.(49|50?|51)\d? N m s/rad too high", finding), finding
+    assert finding in str(found)
+    corrected = found.applied_to(model)
+    assert corrected.model.dof_damping[corrected.dof_adr] == pytest.approx(real.model.dof_damping[real.dof_adr], rel=0.02)
+    v = np.array([0.0, 1.0, 0.0])
+    torques = [
+        arm.inverse_dynamics(arm.home, v, np.zeros(3))[1] for arm in (corrected, real.with_payload(found.mass, found.center))
+    ]
+    assert torques[0] == pytest.approx(torques[1], abs=0.05)
+
+
+def test_less_friction_than_none_is_refused():
+    arm = arm_of("robot_arm_3dof")
+    with pytest.raises(armctl.InputError, match=r"^viscous_friction: -2.5 given for shoulder_yaw, at least -2 wanted$"):
+        arm.with_payload(0.0, viscous_friction=-2.5)
+
+
 def test_the_result_goes_into_a_controller(motions):
     arm = arm_of("ur5e")
     motion, plant = motions("ur5e"), armctl.Plant(timestep=0.002, payload=1.0, payload_center=CENTER)
