@@ -379,7 +379,7 @@ class Arm:
             if total.min() < 0.0:
                 i = int(total.argmin())
                 least = added[i] - total[i]
-                raise InputError(f"{what}: {added[i]:g} given for {self.joint_names[i]:.60}, at least {least:g} wanted")
+                raise InputError(f"{what}: {self.joint_names[i]:.60}: expected at least {least:g}, got {added[i]:g}")
             column[self.dof_adr] = total
         mass = number("mass", mass, 0.0)
         if mass > 0.0:
