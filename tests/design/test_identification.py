@@ -101,15 +101,14 @@ def test_too_much_damping_in_the_model_is_reported_and_corrected(motions):
     corrected = found.applied_to(model)
     assert corrected.model.dof_damping[corrected.dof_adr] == pytest.approx(real.model.dof_damping[real.dof_adr], rel=0.02)
     v = np.array([0.0, 1.0, 0.0])
-    torques = [
-        arm.inverse_dynamics(arm.home, v, np.zeros(3))[1] for arm in (corrected, real.with_payload(found.mass, found.center))
-    ]
+    loaded = real.with_payload(found.mass, found.center)
+    torques = [arm.inverse_dynamics(arm.home, v, np.zeros(3))[1] for arm in (corrected, loaded)]
     assert torques[0] == pytest.approx(torques[1], abs=0.05)
 
 
 def test_less_friction_than_none_is_refused():
     arm = arm_of("robot_arm_3dof")
-    with pytest.raises(armctl.InputError, match=r"^viscous_friction: -2.5 given for shoulder_yaw, at least -2 wanted$"):
+    with pytest.raises(armctl.InputError, match=r"^viscous_friction: shoulder_yaw: expected at least -2, got -2.5$"):
         arm.with_payload(0.0, viscous_friction=-2.5)
 
 
