@@ -1,9 +1,11 @@
 """Robots that others describe: which files of installed packages load, and how well the arms in them do.
 
-    python benchmarks/robots_elsewhere.py [--folder FOLDER ...] [--poses 50] [--limit 60]
+    python benchmarks/robots_elsewhere.py [--folder FOLDER ...] [--poses 50] [--moves 3] [--limit 60]
 
 Every MJCF, URDF and xacro with a joint in the folders is loaded; without --folder, in the packages of this Python. Of several
-equally long chains the first is taken, and a free base is held.
+equally long chains the first is taken, and a free base is held. `solve_ik` gets the poses of random configurations, `move_to`
+the points of others, one after another, with computed torque. A move counts as reached, refused (with a reason, before
+anything moves) or missed.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ import sysconfig
 import time
 import warnings
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 
@@ -23,9 +25,10 @@ import numpy as np
 
 import armctl
 from armctl.core.tables import Table
+from armctl.loading.catalog import BUNDLED
 from armctl.robot.parity import check_parity
 
-COLUMNS = ("file", "joints", "tip", "parity", "IK", "load, s", "warnings", "reason")
+COLUMNS = ("file", "joints", "tip", "parity", "IK", "moves", "gripper", "load, s", "warnings", "reason")
 _ENDINGS = (".urdf", ".xml", ".mjcf", ".xacro")
 _HEAD_CHARACTERS = 200_000  # of a file, in which its first joint is expected
 _SHOWN_CHARACTERS = 60
@@ -38,6 +41,7 @@ class Outcome:
     path: Path
     kind: str
     cells: tuple[str, ...]
+    moves: Counter[str] = field(default_factory=Counter)
 
 
 class TooSlowError(Exception):
@@ -74,8 +78,32 @@ def load_any(path: Path) -> armctl.Arm:
     raise AssertionError("unreachable: each hint is followed once")
 
 
-def checked(path: Path, folder: Path, poses: int) -> Outcome:
-    """Loads a file; compares its models and solves poses of random configurations."""
+def gripper_of(arm: armctl.Arm) -> str:
+    """The opening of the arm's gripper, or nothing."""
+    try:
+        width = armctl.Simulation(arm, "pd").gripper.model.width
+    except armctl.ArmctlError:
+        return ""
+    return f"{1e3 * float(max(width)):.0f} mm"
+
+
+def moves_of(arm: armctl.Arm, count: int) -> tuple[Counter[str], list[str]]:
+    """Outcomes of moves to the points of random configurations, and the reasons of those that did not reach theirs."""
+    outcomes: Counter[str] = Counter()
+    reasons = []
+    sim = armctl.Simulation(arm, "computed-torque")
+    for q in arm.limits.random(arm.home, count, np.random.default_rng(1)):
+        sim.reset()
+        result = sim.move_to(arm.fk(q).position)
+        kind = "reached" if result else "missed" if result.duration else "refused"
+        outcomes[kind] += 1
+        if not result:
+            reasons.append(f"{kind}: {result.reason}")
+    return outcomes, reasons
+
+
+def checked(path: Path, folder: Path, poses: int, moves: int) -> Outcome:
+    """Loads a file; compares its models, solves poses of random configurations and moves to random points."""
     name = str(path.relative_to(folder))[-_SHOWN_CHARACTERS:]
     started = time.perf_counter()
     try:
@@ -86,11 +114,23 @@ def checked(path: Path, folder: Path, poses: int) -> Outcome:
         targets = [arm.fk(q) for q in arm.limits.random(arm.home, poses, np.random.default_rng(0))]
         solved = sum(armctl.solve_ik(arm, target).ok for target in targets)
         count = sum(issubclass(each.category, armctl.ArmctlWarning) for each in caught)
-        cells = (name, str(arm.n), arm.tip, f"{check_parity(arm):.0e}", f"{solved}/{poses}", f"{seconds:.2f}", str(count), "")
-        return Outcome(path, "loaded", cells)
+        outcomes, reasons = moves_of(arm, moves)
+        cells = (
+            name,
+            str(arm.n),
+            arm.tip,
+            f"{check_parity(arm):.0e}",
+            f"{solved}/{poses}",
+            ", ".join(f"{number} {kind}" for kind, number in outcomes.items()),
+            gripper_of(arm),
+            f"{seconds:.2f}",
+            str(count),
+            "; ".join(reasons)[: 3 * _SHOWN_CHARACTERS],
+        )
+        return Outcome(path, "loaded", cells, outcomes)
     except (armctl.ArmctlError, TooSlowError) as error:
         kind = "no arm" if "no joints" in str(error) else "refused"
-        return Outcome(path, kind, (name, "", "", "", "", "", "", str(error)[-2 * _SHOWN_CHARACTERS :]))
+        return Outcome(path, kind, (name, *[""] * (len(COLUMNS) - 2), str(error)[-2 * _SHOWN_CHARACTERS :]))
 
 
 def _stop(_signal: int, _frame: FrameType | None) -> None:
@@ -101,18 +141,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--folder", type=Path, nargs="+", default=[Path(sysconfig.get_path("purelib"))])
     parser.add_argument("--poses", type=int, default=50)
+    parser.add_argument("--moves", type=int, default=3)
     parser.add_argument("--limit", type=int, default=60, help="seconds for each file")
     args = parser.parse_args()
+    moves_of(armctl.load(BUNDLED), 1)  # compiles: an exception inside numba's compiler would leave it unusable
     signal.signal(signal.SIGALRM, _stop)
     outcomes = []
     for folder in args.folder:
         for path in robot_files(folder):
             signal.alarm(args.limit)
-            outcomes.append(checked(path, folder, args.poses))
+            outcomes.append(checked(path, folder, args.poses, args.moves))
             signal.alarm(0)
     print(Table(COLUMNS, [outcome.cells for outcome in outcomes]).markdown())
     counts = Counter(outcome.kind for outcome in outcomes)
     print(f"\n{len(outcomes)} files: " + ", ".join(f"{count} {kind}" for kind, count in sorted(counts.items())))
+    moves = sum((outcome.moves for outcome in outcomes), Counter())
+    print(f"{moves.total()} moves: " + ", ".join(f"{count} {kind}" for kind, count in sorted(moves.items())))
 
 
 if __name__ == "__main__":
