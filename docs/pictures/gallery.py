@@ -20,9 +20,9 @@ WIDTH_PIXELS = 400
 HEIGHT_PIXELS = 400
 HEAD = """# Gallery
 
-Pictures of the robots that armctl was tested with, as `armctl.load` returns them, at their home configuration, with the target
-marker at one tip. Other robots of MuJoCo Menagerie load in the same way, and so does [your own](your-robot.md). [Robots](robots.md)
-lists every chain with its limits and test results; `armctl robots` prints the names.
+Pictures of the robots that armctl was tested with, as `armctl.load` returns them, at their home configuration, with the
+target marker at one tip. Other robots of MuJoCo Menagerie load in the same way, and so does [your own](your-robot.md).
+[Robots](robots.md) lists every chain with its limits and test results; `armctl robots` prints the names.
 
 """
 
