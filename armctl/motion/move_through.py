@@ -16,12 +16,12 @@ from armctl.core.validation import Array, matrix, vector
 from armctl.motion.checks import planning_arm
 from armctl.motion.move_j import move_j
 from armctl.motion.sections import NO_LIMITS, Via, pause, section_dwell, section_limits, within_sections
-from armctl.motion.timing.otg import stretch_needed
+from armctl.motion.timing.otg import slowed_to_bounds
 from armctl.motion.timing.waypoint_timing import Candidate, WaypointSearch
 from armctl.motion.torque_limits import slowed_relative_to, within_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory, joined
 from armctl.motion.trajectory.limit_check import is_inside
-from armctl.motion.trajectory.piecewise import standing, time_scaled
+from armctl.motion.trajectory.piecewise import standing
 from armctl.robot.arm import Arm
 
 _SAME_DURATION = 1e-9  # relative
@@ -148,7 +148,7 @@ def _timed(arm: TimedJoints, limits: Limits, search: WaypointSearch, candidate: 
         pieces = search.pieces(candidate)
     except PlanError:
         return None
-    pieces = time_scaled(pieces, 1 / stretch_needed(pieces, (limits.v_max, limits.a_max, limits.j_max)))
+    pieces = slowed_to_bounds(pieces, (limits.v_max, limits.a_max, limits.j_max))
     if not is_inside(pieces, limits):
         return None
     return JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)

@@ -110,6 +110,11 @@ def stopped_at(arm, rng):
     return motion.stopped_at(rng.uniform(0, motion.duration))
 
 
+def overridden(arm, rng):
+    motion = (move_j, move_j_free, move_through, move_l)[int(rng.integers(4))](arm, rng)
+    return motion.overridden(rng.uniform(0, motion.duration), 10.0 ** rng.uniform(-2, 0.5))
+
+
 PLANNERS = (
     move_j,
     move_j_moving,
@@ -121,6 +126,7 @@ PLANNERS = (
     move_path,
     scaled,
     stopped_at,
+    overridden,
 )
 
 

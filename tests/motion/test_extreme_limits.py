@@ -99,6 +99,13 @@ def test_a_free_move_that_swings_out_by_a_micrometre_is_refused():
     assert planned > 0
 
 
+def test_a_phase_of_nanoseconds_late_in_a_long_move_keeps_the_acceleration_limit(bundled):
+    """262 s into a move, times are rounded to 6e-14 s: at this jerk that is 1e-5 of the acceleration limit."""
+    slow = with_limits(bundled, [2.2e-3, 0.032, 18.0], [3900.0, 2.5, 0.0231972630], [857.0, 7580.0, 3.93717508e6])
+    motions = [armctl.move_j(slow, [q, 0.1, -2.0], [q + 0.572, 0.2, -0.5], straight=False) for q in np.linspace(0.0, 0.1, 20)]
+    assert all(motion.check_limits().ok for motion in motions)
+
+
 def test_the_closed_form_from_rest_to_rest_is_as_fast_as_ruckig():
     rng = np.random.default_rng(0)
     for _ in range(200):

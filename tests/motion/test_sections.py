@@ -133,10 +133,31 @@ def test_an_override_can_be_taken_back(arm):
     assert np.allclose(again(again.duration).q, arm.home + 0.4, atol=1e-9)
 
 
-def test_an_override_beyond_the_limits_is_refused(arm):
+def test_an_override_beyond_the_limits_gets_what_they_allow(arm):
+    start = arm.home - 0.4
+    fast = armctl.move_j(arm, start, arm.home + 0.4)
+    assert np.array_equal(fast.overridden(0.1 * fast.duration, 3.0).coefficients, fast.coefficients)
+    half = armctl.move_j(arm, start, arm.home + 0.4, speed=0.5)
+    faster = half.overridden(0.2 * half.duration, 3.0)
+    assert faster.check_limits().ok
+    assert fast.duration < faster.duration < 0.2 * half.duration + 0.75 * fast.duration + 0.1
+
+
+@pytest.mark.parametrize("share", [0.1, 0.4, 0.6, 0.9])
+@pytest.mark.parametrize("way", [0.005, 0.2])
+def test_an_override_of_a_short_motion_that_brakes_keeps_limits_and_goal(arm, way, share):
+    motion = armctl.move_j(arm, arm.home, arm.home + way)
+    begin = share * motion.duration
+    slower = motion.overridden(begin, 0.2)
+    assert slower.check_limits().ok
+    assert motion.duration <= slower.duration < begin + (motion.duration - begin) / 0.2
+    end = slower(slower.duration)
+    assert np.allclose(end.q, arm.home + way, atol=1e-9)
+    assert np.abs(end.v).max() < 1e-9
+
+
+def test_the_arguments_of_an_override_are_checked(arm):
     motion = armctl.move_j(arm, arm.home - 0.4, arm.home + 0.4)
-    with pytest.raises(armctl.PlanError, match="overridden: "):
-        motion.overridden(0.1 * motion.duration, 3.0)
     with pytest.raises(armctl.InputError, match="factor: "):
         motion.overridden(0.1, 0.0)
     with pytest.raises(armctl.InputError, match="t: "):

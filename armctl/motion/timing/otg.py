@@ -15,7 +15,7 @@ import ruckig
 from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
-from armctl.motion.trajectory.limit_check import piece_extremes
+from armctl.motion.trajectory.limit_check import stretch_needed
 from armctl.motion.trajectory.piecewise import DEGREE, Pieces, basis, standing, time_scaled
 
 _SOLVED = {ruckig.Result.Working, ruckig.Result.Finished}
@@ -25,7 +25,8 @@ _MIN_PIECE_S = 1e-12
 _TIGHTENING = (1e-9, 1e-7, 1e-5)  # relative; slightly tighter limits avoid a rounding failure inside ruckig
 _NEGLIGIBLE = 1e-8  # share of a limit that a correction of the end state may add without a check
 _DERIVATIVE_FACTORS = ((3.0, 4.0, 5.0), (6.0, 12.0, 20.0), (6.0, 24.0, 60.0))  # of x^3, x^4 and x^5 at x = 1
-MAX_EXCESS = 5e-7  # relative, of a move that does not start and end at rest, over velocity, acceleration and jerk limits
+MAX_EXCESS = 3e-7  # of the duration that velocity, acceleration and jerk limits would need more; of jerk it is three times that
+_MAX_SLOWDOWNS = 4
 _MAX_STRETCH = 1.2  # of a move from rest to rest; a straight line in closed form replaces one that needs more
 
 
@@ -191,13 +192,14 @@ def solve_pieces(solver: ProfileSolver, start: JointState, goal: JointState, max
     profile = solver.solve(start, goal)
     if profile is not None:
         pieces = ending_at(profile.pieces(start), goal)
-        stretch = 1.0 if _is_negligible(pieces.correction, solver.bounds) else stretch_needed(pieces.corrected, solver.bounds)
+        is_exact = _is_negligible(pieces.correction, solver.bounds) and _clock_error(profile.duration, solver.bounds) < _NEGLIGIBLE
+        stretch = 1.0 if is_exact else stretch_needed(pieces.corrected, solver.bounds)
         if stretch <= 1 + max_excess:
             return pieces.corrected
         if rests and stretch <= _MAX_STRETCH:
-            return time_scaled(pieces.corrected, 1 / stretch)
+            return slowed_to_bounds(pieces.corrected, solver.bounds)
         if not rests:
-            raise PlanError("the move between two states is too short to be computed accurately; place them farther apart")
+            raise PlanError("the move between two states is too short or too long to be computed accurately; move them apart")
     if not rests:
         raise PlanError("no jerk-limited move joins the two states; start and end slower")
     return straight_rest_to_rest(np.asarray(start.q), np.asarray(goal.q), solver.bounds)
@@ -243,14 +245,21 @@ def _is_negligible(correction: tuple[Array, Array, Array], bounds: tuple[Array, 
     return all((added <= _NEGLIGIBLE * bound).all() for added, bound in zip(correction, bounds, strict=True))
 
 
-def stretch_needed(pieces: Pieces, bounds: tuple[Array, Array, Array]) -> float:
-    """By which factor a move must be slowed down to keep limits on velocity, acceleration and jerk; 1 if it does."""
-    steps = np.diff(pieces.knots)
-    factor = 1.0
-    for order, bound in enumerate(bounds, start=1):
-        peak = np.abs(piece_extremes(pieces.coefficients, steps, order)[1]).max(axis=(0, 2))
-        factor = max(factor, float((peak / bound).max()) ** (1 / order))
-    return factor
+def _clock_error(duration: float, bounds: tuple[Array, Array, Array]) -> float:
+    """How much of a limit the rounding of times can add: 262 s into a motion, a phase of 6 ns lasts 6e-14 s too long."""
+    v_max, a_max, j_max = bounds
+    return float(np.spacing(duration) * max((j_max / a_max).max(), (a_max / v_max).max()))
+
+
+def slowed_to_bounds(pieces: Pieces, bounds: tuple[Array, Array, Array]) -> Pieces:
+    """A move, slowed down to keep limits on velocity, acceleration and jerk; unchanged if it does."""
+    for attempt in range(1, _MAX_SLOWDOWNS + 1):
+        stretch = stretch_needed(pieces, bounds)
+        if stretch <= 1 + MAX_EXCESS:
+            break
+        # times are rounded anew, which may add to a limit what the last attempt took away: take more each time
+        pieces = time_scaled(pieces, stretch**-attempt)
+    return pieces
 
 
 def straight_rest_to_rest(start: Array, goal: Array, bounds: tuple[Array, Array, Array]) -> Pieces:
@@ -280,8 +289,7 @@ def straight_rest_to_rest(start: Array, goal: Array, bounds: tuple[Array, Array,
     covered = np.array(basis(float(line.knots[-1] - line.knots[-2]))[0]) @ line.coefficients[-1]
     coefficients = line.coefficients * (way / covered)
     coefficients[:, 0] += start
-    slower = max(1.0, stretch_needed(Pieces(line.knots, coefficients), bounds))
-    return time_scaled(Pieces(line.knots, coefficients), 1 / slower)
+    return slowed_to_bounds(Pieces(line.knots, coefficients), bounds)
 
 
 def phase_nodes(phases: list[Phases], start: JointState) -> PhaseNodes:

@@ -189,19 +189,19 @@ class JointTrajectory:
     def overridden(self, t: float, factor: float) -> JointTrajectory:
         """The motion with another speed on its path from a time on: a speed override that is changed on the way.
 
-        The speed changes smoothly, as soon as the limits on position, speed, acceleration and jerk allow. Torque limits are not
-        considered; `check_torque` shows the torques.
+        The speed changes smoothly, as soon as the limits on position, speed, acceleration and jerk allow. A greater speed is
+        reduced to what the rest of the motion allows. A motion that is about to end may change its speed less, or not at all,
+        because its joints brake at their limits. Torque limits are not considered; `check_torque` shows the torques.
 
         Args:
             t: s, when the change is requested; until then nothing changes.
-            factor: Of the speed, greater than 0; more than 1 where the limits allow it.
+            factor: Of the speed, greater than 0.
 
         Returns:
             The motion; it never leaves the path.
 
         Raises:
             InputError: The time is outside the motion, or the factor is not greater than 0.
-            PlanError: No change from there on keeps the limits.
         """
         factor = number("factor", factor, 1e-3, 1e3)
         return self._with(speed_changed(self.pieces, self.limits, number("t", t, 0.0, self.duration), factor))

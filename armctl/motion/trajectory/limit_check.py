@@ -165,6 +165,16 @@ def is_inside(pieces: Pieces, limits: Limits) -> bool:
     return True
 
 
+def stretch_needed(pieces: Pieces, bounds: tuple[Array, Array, Array]) -> float:
+    """By which factor a move must be slowed down to keep limits on velocity, acceleration and jerk; 1 if it does."""
+    steps = np.diff(pieces.knots)
+    factor = 1.0
+    for order, bound in enumerate(bounds, start=1):
+        peak = np.abs(piece_extremes(pieces.coefficients, steps, order)[1]).max(axis=(0, 2))
+        factor = max(factor, float((peak / bound).max()) ** (1 / order))
+    return factor
+
+
 def piece_extremes(coefficients: Array, steps: Array, order: int) -> tuple[Array, Array]:
     """Where a derivative may be extreme in each piece, and its values there.
 

@@ -14,12 +14,14 @@ import numpy as np
 from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
-from armctl.motion.trajectory.limit_check import is_inside
+from armctl.motion.trajectory.limit_check import is_inside, stretch_needed
 from armctl.motion.trajectory.piecewise import Pieces, hermite, joined, locate, sample, time_scaled
 
 _DELAYS = 12  # start times of the deceleration that are tried
 _MIN_DECELERATION_S = 0.01
 _DECELERATION_GROWTH = 1.15  # from one duration to the next
+_MIN_CHANGE = 1e-6  # of the speed
+_CHANGE_SHARES = (1.0, 0.75, 0.5, 0.25)  # of a change of the speed that are tried
 _RAMP = 0.2  # share of the deceleration in which its slope grows, and again in which it falls
 _CUTS = 20  # pieces of a deceleration, at least
 _MIN_PIECE_S = 2e-5  # rounding decides the jerk of a shorter piece
@@ -62,30 +64,48 @@ def stopped(pieces: Pieces, limits: Limits, t: float) -> Pieces:
 
 
 def speed_changed(pieces: Pieces, limits: Limits, t: float, factor: float) -> Pieces:
-    """A motion that follows `pieces` until the time t and then changes to `factor` times its speed, as soon as that is found.
+    """A motion that follows `pieces` until the time t and then changes towards `factor` times its speed, as soon as possible.
 
-    Raises PlanError if no change keeps the limits.
+    Where the rest of the motion cannot be so fast, or the change is not found, it changes less; at worst not at all.
     """
+    bounds = (limits.v_max, limits.a_max, limits.j_max)
+    if factor > 1.0:
+        factor = max(1.0, factor / stretch_needed(time_scaled(_from(pieces, t), factor), bounds))
+    if abs(factor - 1.0) < _MIN_CHANGE:
+        return pieces
+    for share in _CHANGE_SHARES:
+        target = 1.0 + share * (factor - 1.0)
+        change = _soonest_change(pieces, limits, t, target)
+        if change is not None:
+            rest = time_scaled(_from(pieces, change.end), target)
+            return _until(pieces, change.begin, joined([change.pieces, rest]))
+    return pieces
+
+
+class _Change(NamedTuple):
+    """A change of the path speed: when it begins and ends in the motion, s, and the motion meanwhile."""
+
+    begin: float
+    end: float
+    pieces: Pieces
+
+
+def _soonest_change(pieces: Pieces, limits: Limits, t: float, factor: float) -> _Change | None:
+    """The change to `factor` times the speed that is over first; None if none keeps the limits."""
     left = float(pieces.knots[-1]) - t
     mean = 0.5 * (1 + factor)  # of the path speed while it changes
-    best: tuple[float, float, Pieces] | None = None
+    best: _Change | None = None
     soonest = np.inf
     for delay in np.linspace(0.0, 0.9 * left, _DELAYS):
         length = _MIN_DECELERATION_S
         while delay + length < soonest and delay + mean * length <= left:
             change = _decelerated(pieces, limits, t + delay, length, factor)
             if change is not None and is_inside(change, limits):
-                best = (t + delay, t + delay + mean * length, change)
+                best = _Change(t + delay, t + delay + mean * length, change)
                 soonest = delay + length
                 break
             length *= _DECELERATION_GROWTH
-    if best is None:
-        raise PlanError(f"overridden: no change to {factor:g} times the speed keeps the limits from {t:.4g} s on")
-    begin, end, change = best
-    rest = time_scaled(_from(pieces, end), factor)
-    if not is_inside(rest, limits):
-        raise PlanError(f"overridden: {factor:g} times the speed leaves the limits after {t:.4g} s; give a smaller factor")
-    return _until(pieces, begin, joined([change, rest]))
+    return best
 
 
 def _decelerated(pieces: Pieces, limits: Limits, begin: float, length: float, final: float = 0.0) -> Pieces | None:
