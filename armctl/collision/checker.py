@@ -11,7 +11,7 @@ import numpy as np
 
 from armctl.collision import kernel
 from armctl.collision.geometry import Geometry, build_geometry, colliding_pairs, frames_above, is_convex
-from armctl.collision.interface import Approach, Hit, KeptAxis, MovingJoints
+from armctl.collision.interface import Approach, Hit, KeptAxis, MovingJoints, NearPairs
 from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.mjmodel.queries import geom_owner_name, is_below, last_joint_above, name_of
@@ -44,6 +44,8 @@ class _Memory(threading.local):
         self.line = np.empty((1, 2, len(geometry.tree)))
         self.ranges = np.empty((1, 2, len(geometry.tree)))
         self.keep = np.zeros(kernel.KEEP_SIZE)
+        self.trace = np.empty((kernel.MAX_GJK_STEPS, kernel.TRACE_COLUMNS))
+        self.found = np.empty((count, kernel.GRADIENT + len(geometry.tree)))
         self.data: mujoco.MjData | None = None
 
     @property
@@ -212,6 +214,32 @@ class CollisionChecker:
         memory = self._memory
         kernel.locate_frames(self._moving(q), self.geometry.tree, memory.frames)
         return kernel.overlap_depth(pair, _directions(), *self._rows, memory.pairs, memory.frames)
+
+    def near(self, q: Array, moves: Array, share: float, clearances: Array) -> NearPairs:
+        """The pairs that a small motion can bring nearer by more than a share of what is free.
+
+        What is free of a pair is its distance less its clearance. The result does not depend on earlier queries.
+
+        Args:
+            q: (n,) rad.
+            moves: (n,) rad, how far each joint moves at most.
+            share: From 0 to 1.
+            clearances: (K,) m of each pair.
+
+        Returns:
+            The pairs, their distances and derivatives.
+        """
+        memory = self._memory
+        geometry = self.geometry
+        memory.pairs[:] = geometry.pairs
+        memory.delta[:] = np.abs(self._ratio) @ moves
+        q_all = self._moving(q)
+        count = kernel.near_pairs(
+            q_all, memory.delta, share, clearances, _directions(), memory.trace, memory.found, *self.scene_rows
+        )
+        found = memory.found[:count]
+        gradient = found[:, kernel.GRADIENT :] @ self._ratio
+        return NearPairs(found[:, kernel.PAIR].astype(np.int64), found[:, kernel.DISTANCE].copy(), gradient)
 
     def line_hit(self, start: Array, end: Array, clearance: float = 0.0, keep: KeptAxis | None = None) -> Hit | None:
         """Proves that the straight line between two configurations keeps more than a clearance.

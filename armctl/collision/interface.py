@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 import mujoco
 
 from armctl.core.limits import Limits
-from armctl.core.validation import Array
+from armctl.core.validation import Array, IntArray
 from armctl.robot.joint_map import JointMap
 
 
@@ -82,3 +82,17 @@ class Approach(NamedTuple):
     bound: float
     distance: float
     nearest: Hit
+
+
+class NearPairs(NamedTuple):
+    """Pairs that are close.
+
+    Attributes:
+        pairs: (k,) their rows in the checker's geometry.
+        distances: m, (k,) negative where a pair overlaps.
+        gradients: m/rad, (k, n) the derivatives of the distances by the joints.
+    """
+
+    pairs: IntArray
+    distances: Array
+    gradients: Array

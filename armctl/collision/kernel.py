@@ -95,7 +95,15 @@ WORK_ROWS = 16
 LARGE_HULL = 24  # vertices; larger hulls are searched by hill climbing
 MOTION_MIN_M = 1e-4  # an interval in which no point moves farther is not split again: the pair then counts as not free
 COARSE = 0.8  # of the size of the moving geom: while the motion is larger, a distance would not settle the pair
-_MAX_GJK_STEPS = 60
+PAIR = 0  # columns of what `near_pairs` finds
+DISTANCE = 1
+GRADIENT = 2  # (joints,)
+TRACE_COLUMNS = 6  # of the steps of GJK: the difference of two support points (3,), and that of the first geom (3,)
+MAX_GJK_STEPS = 60
+_WITNESS_GAP = 1e-10  # relative: the direction of a distance is less accurate than the distance
+_PARTED_M = 1e-3  # between geoms that are displaced until they are apart
+_MAX_DEPTH_STEPS = 20
+_DEPTH_GAP_M = 1e-9
 _GJK_RELATIVE_GAP = 1e-9
 _GJK_GAP_M = 1e-7
 _INFINITE = 1e300
@@ -549,7 +557,7 @@ def distance(p, enough, touching, is_exact, geoms, points, neighbors, pairs, fra
     lower = -_INFINITE
     upper = _INFINITE
     count = 0
-    for _ in range(_MAX_GJK_STEPS):
+    for _ in range(MAX_GJK_STEPS):
         square = vx * vx + vy * vy + vz * vz
         length = math.sqrt(square)
         wx, wy, wz = _difference_support(p, vx, vy, vz, relative, geoms, points, neighbors, pairs)
@@ -1062,33 +1070,36 @@ def _bound_pieces_together(middle, first, last, knots, coefficients, ranges, q, 
 @njit
 def overlap_depth(p, directions, geoms, points, neighbors, pairs, frames):
     """How far the second geom of a pair must move to part from the first: the least over many directions of the world."""
-    first = geoms[int(pairs[p, A])]
-    second = geoms[int(pairs[p, B])]
-    fa = frames[int(first[FRAME])]
-    fb = frames[int(second[FRAME])]
     least = _INFINITE
     for row in range(len(directions)):
         nx = directions[row, 0]
         ny = directions[row, 1]
         nz = directions[row, 2]
-        if int(first[SHAPE]) == PLANE:
-            nx = first[INFO]
-            ny = first[INFO + 1]
-            nz = first[INFO + 2]
-            top = first[INFO + 3]
-        else:
-            top = _extent(first, fa, nx, ny, nz, points, neighbors)
-        depth = top + _extent(second, fb, -nx, -ny, -nz, points, neighbors)
-        least = min(least, depth)
+        least = min(least, _depth_along(p, nx, ny, nz, geoms, points, neighbors, pairs, frames))
     return least
 
 
 @njit
-def _extent(geom, frame, nx, ny, nz, points, neighbors):
-    """How far a geom extends along a direction of the world."""
-    x = frame[0] * nx + frame[3] * ny + frame[6] * nz
-    y = frame[1] * nx + frame[4] * ny + frame[7] * nz
-    z = frame[2] * nx + frame[5] * ny + frame[8] * nz
+def _depth_along(p, nx, ny, nz, geoms, points, neighbors, pairs, frames):
+    """How far the second geom of a pair must move along a direction of the world to part from the first."""
+    first = geoms[int(pairs[p, A])]
+    second = geoms[int(pairs[p, B])]
+    if int(first[SHAPE]) == PLANE:
+        nx = first[INFO]
+        ny = first[INFO + 1]
+        nz = first[INFO + 2]
+        top = first[INFO + 3]
+    else:
+        x, y, z = _farthest(first, frames[int(first[FRAME])], nx, ny, nz, points, neighbors)
+        top = nx * x + ny * y + nz * z
+    x, y, z = _farthest(second, frames[int(second[FRAME])], -nx, -ny, -nz, points, neighbors)
+    return top - nx * x - ny * y - nz * z
+
+
+@njit
+def _farthest(geom, frame, nx, ny, nz, points, neighbors):
+    """The point of a geom, in the world, that is farthest in a direction of the world."""
+    x, y, z = _rotated_back(frame, nx, ny, nz)
     if int(geom[SHAPE]) == POINTS:
         i = _support(int(geom[FIRST]), int(geom[LAST]), x, y, z, -1, points, neighbors)
         px = points[i, 0]
@@ -1096,5 +1107,251 @@ def _extent(geom, frame, nx, ny, nz, points, neighbors):
         pz = points[i, 2]
     else:
         px, py, pz = _round_support(geom, x, y, z, points)
-    offset = frame[9] * nx + frame[10] * ny + frame[11] * nz
-    return x * px + y * py + z * pz + offset + geom[RADIUS]
+    radius = geom[RADIUS]
+    px, py, pz = _turned(frame, px, py, pz)
+    return px + frame[9] + radius * nx, py + frame[10] + radius * ny, pz + frame[11] + radius * nz
+
+
+@njit
+def near_pairs(
+    q,
+    delta,
+    share,
+    clearances,
+    directions,
+    trace,
+    found,
+    geoms,
+    points,
+    neighbors,
+    pairs,
+    groups,
+    tree,
+    frames,
+    spheres,
+    work,
+):
+    """The pairs that joints, moving by at most delta, can bring nearer by more than a share of what is free.
+
+    What is free of a pair is its distance less its clearance. Writes rows of `found`: the pair, its distance, negative where it
+    overlaps, and the derivative of the distance by each joint. Returns how many there are.
+    """
+    place(q, geoms, tree, frames, spheres)
+    count = 0
+    for row in range(len(groups)):
+        common_depth = int(pairs[groups[row, 2], COMMON_DEPTH])
+        motion = _relative_motion(groups[row, 0], groups[row, 1], common_depth, delta, geoms, tree, frames, spheres)
+        gap = _gap(groups[row, 0], groups[row, 1], geoms, spheres)
+        for p in range(groups[row, 2], groups[row, 3]):
+            if share * (gap - clearances[p]) >= motion:
+                continue
+            a = int(pairs[p, A])
+            b = int(pairs[p, B])
+            motion_of_pair = _relative_motion(a, b, common_depth, delta, geoms, tree, frames, spheres)
+            if share * (_gap(a, b, geoms, spheres) - clearances[p]) >= motion_of_pair:
+                continue
+            enough = clearances[p] + motion_of_pair / share
+            lower, _ = distance(p, enough, -_INFINITE, False, geoms, points, neighbors, pairs, frames, spheres, work)
+            if lower >= enough:
+                continue
+            out = found[count]
+            out[PAIR] = p
+            out[DISTANCE] = _witness(p, directions, trace, geoms, points, neighbors, pairs, frames, spheres, work)
+            _distance_gradient(p, work[FOUND], work[FACE : FACE + 2], out[GRADIENT:], geoms, pairs, tree, frames)
+            approach = 0.0
+            for j in range(len(delta)):
+                approach += abs(out[GRADIENT + j]) * delta[j]
+            if share * (out[DISTANCE] - clearances[p]) < approach:
+                count += 1
+    return count
+
+
+@njit
+def _witness(p, directions, trace, geoms, points, neighbors, pairs, frames, spheres, work):
+    """The distance of a pair, negative where it overlaps.
+
+    Writes the direction from the first geom to the second to `work[FOUND]`, and the nearest points of both, or points at the
+    same distance along it, to the next two rows; everything in the world.
+    """
+    first = geoms[int(pairs[p, A])]
+    second = geoms[int(pairs[p, B])]
+    if int(first[SHAPE]) == PLANE:
+        return _plane_witness(first, second, frames[int(second[FRAME])], points, neighbors, work)
+    length = _core_witness(p, 0.0, 0.0, 0.0, trace, geoms, points, neighbors, pairs, frames, spheres, work)
+    if length < 0.0:
+        return _overlap_witness(p, directions, trace, geoms, points, neighbors, pairs, frames, spheres, work)
+    return length - first[RADIUS] - second[RADIUS]
+
+
+@njit
+def _core_witness(p, x, y, z, trace, geoms, points, neighbors, pairs, frames, spheres, work):
+    """As `_witness`, for a pair without its radii, the second geom displaced in the world; -1 where it overlaps.
+
+    GJK as in `distance`; the steps are noted, because they tell which point of the first geom is the nearest.
+    """
+    fa = frames[int(geoms[int(pairs[p, A]), FRAME])]
+    relative = work[RELATIVE:]
+    _relate(fa, frames[int(geoms[int(pairs[p, B]), FRAME])], relative)
+    x, y, z = _rotated_back(fa, x, y, z)
+    relative[3, 0] += x
+    relative[3, 1] += y
+    relative[3, 2] += z
+    vx, vy, vz = _first_direction(p, geoms, pairs, frames, spheres)
+    count = 0
+    for step in range(MAX_GJK_STEPS):
+        ax, ay, az = _support_point(p, A, -vx, -vy, -vz, geoms, points, neighbors, pairs)
+        wx, wy, wz = _difference_support(p, vx, vy, vz, relative, geoms, points, neighbors, pairs)
+        square = vx * vx + vy * vy + vz * vz
+        if count > 0 and square - (vx * wx + vy * wy + vz * wz) <= _WITNESS_GAP * square:
+            break
+        is_known = False
+        for k in range(count):
+            is_known |= (work[k, 0] - wx) ** 2 + (work[k, 1] - wy) ** 2 + (work[k, 2] - wz) ** 2 < 1e-22
+        if is_known:
+            break
+        _write(trace[step], wx, wy, wz)
+        _write(trace[step, 3:], ax, ay, az)
+        _write(work[count], wx, wy, wz)
+        count = _closest_to_origin(work, count + 1, work[FOUND], work[FACE:KEPT], work[KEPT:LAST_HIT])
+        vx = work[FOUND, 0]
+        vy = work[FOUND, 1]
+        vz = work[FOUND, 2]
+        if count == 5 or vx * vx + vy * vy + vz * vz < 1e-18:
+            return -1.0
+    length = math.sqrt(vx * vx + vy * vy + vz * vz)
+    px, py, pz = _point_of_first(work, count, trace)
+    px, py, pz = _turned(fa, px, py, pz)
+    nx, ny, nz = _turned(fa, -vx / length, -vy / length, -vz / length)
+    _write(work[FOUND], nx, ny, nz)
+    _write(work[FACE], px + fa[9], py + fa[10], pz + fa[11])
+    _write(work[FACE + 1], px + fa[9], py + fa[10], pz + fa[11])  # the other one is along the direction
+    return length
+
+
+@njit
+def _write(row, x, y, z):
+    row[0] = x
+    row[1] = y
+    row[2] = z
+
+
+@njit
+def _plane_witness(plane, other, frame, points, neighbors, work):
+    """As `_witness`, for a plane."""
+    nx = plane[INFO]
+    ny = plane[INFO + 1]
+    nz = plane[INFO + 2]
+    x, y, z = _farthest(other, frame, -nx, -ny, -nz, points, neighbors)
+    _write(work[FOUND], nx, ny, nz)
+    _write(work[FACE], x, y, z)
+    _write(work[FACE + 1], x, y, z)
+    return nx * x + ny * y + nz * z - plane[INFO + 3]
+
+
+@njit
+def _point_of_first(simplex, count, trace):
+    """The point of the first geom that belongs to the point of a simplex closest to the origin."""
+    b = (0.0, 0.0)
+    if count > 1:
+        b = _barycentric(simplex, count)
+    weights = (1.0 - b[0] - b[1], b[0], b[1])
+    x = 0.0
+    y = 0.0
+    z = 0.0
+    for k in range(min(count, 3)):
+        step = 0
+        while trace[step, 0] != simplex[k, 0] or trace[step, 1] != simplex[k, 1] or trace[step, 2] != simplex[k, 2]:
+            step += 1  # the simplex has copies of the rows
+        x += weights[k] * trace[step, 3]
+        y += weights[k] * trace[step, 4]
+        z += weights[k] * trace[step, 5]
+    return x, y, z
+
+
+@njit
+def _barycentric(simplex, count):
+    """The weights of the second and third vertex in the point of a segment or triangle closest to the origin."""
+    uu = 0.0
+    uv = 0.0
+    vv = 0.0
+    ou = 0.0
+    ov = 0.0
+    for c in range(3):
+        u = simplex[1, c] - simplex[0, c]
+        v = simplex[2, c] - simplex[0, c] if count > 2 else 0.0
+        uu += u * u
+        uv += u * v
+        vv += v * v
+        ou -= u * simplex[0, c]
+        ov -= v * simplex[0, c]
+    if count == 2:
+        return ou / uu, 0.0
+    determinant = uu * vv - uv * uv
+    if determinant <= 1e-12 * uu * vv:
+        return ou / uu, 0.0
+    return (vv * ou - uv * ov) / determinant, (uu * ov - uv * ou) / determinant
+
+
+@njit
+def _overlap_witness(p, directions, trace, geoms, points, neighbors, pairs, frames, spheres, work):
+    """As `_witness`, for a pair that overlaps: the direction in which it parts soonest, improved from a lattice.
+
+    Displace the second geom along a direction n until the pair is just apart. Along the direction m of the shortest distance
+    it parts no later than along n: with the displacement s and the distance d, the depth along m is s n.m - d <= s - d.
+    """
+    radii = geoms[int(pairs[p, A]), RADIUS] + geoms[int(pairs[p, B]), RADIUS]
+    depth = _INFINITE
+    nx = 0.0
+    ny = 0.0
+    nz = 0.0
+    for row in range(len(directions)):
+        x = directions[row, 0]
+        y = directions[row, 1]
+        z = directions[row, 2]
+        along = _depth_along(p, x, y, z, geoms, points, neighbors, pairs, frames) - radii
+        if along < depth:
+            depth = along
+            nx = x
+            ny = y
+            nz = z
+    for _ in range(_MAX_DEPTH_STEPS):
+        way = depth + _PARTED_M
+        sx = way * nx
+        sy = way * ny
+        sz = way * nz
+        length = _core_witness(p, sx, sy, sz, trace, geoms, points, neighbors, pairs, frames, spheres, work)
+        nx = work[FOUND, 0]
+        ny = work[FOUND, 1]
+        nz = work[FOUND, 2]
+        _write(work[FACE + 1], work[FACE, 0] - sx, work[FACE, 1] - sy, work[FACE, 2] - sz)
+        along = sx * nx + sy * ny + sz * nz - length
+        has_converged = along > depth - _DEPTH_GAP_M
+        depth = along
+        if has_converged:
+            break
+    return -depth - radii
+
+
+@njit
+def _distance_gradient(p, direction, nearest, gradient, geoms, pairs, tree, frames):
+    """The derivative of a pair's distance by each joint: how fast the nearest points move apart along the direction."""
+    gradient[:] = 0.0
+    common = int(pairs[p, COMMON])
+    for side in range(2):
+        walk = int(geoms[int(pairs[p, side]), FRAME])
+        sign = -1.0 if side == 0 else 1.0
+        while walk != common:
+            joint = tree[walk - 1]
+            located = frames[walk]
+            if int(joint[KIND]) == SLIDE:
+                rate = located[15] * direction[0] + located[16] * direction[1] + located[17] * direction[2]
+            else:
+                x = nearest[side, 0] - located[12]
+                y = nearest[side, 1] - located[13]
+                z = nearest[side, 2] - located[14]
+                u = located[16] * z - located[17] * y
+                v = located[17] * x - located[15] * z
+                w = located[15] * y - located[16] * x
+                rate = u * direction[0] + v * direction[1] + w * direction[2]
+            gradient[int(joint[JOINT])] += sign * rate
+            walk = int(joint[PARENT])

@@ -67,6 +67,7 @@ class DifferentialIk:
         Raises:
             InputError: An argument has a wrong shape, type or value.
             LimitError: The posture is outside the joint limits.
+            ModelError: The arm could touch a height field or signed distance field, which `avoid_collisions` cannot avoid.
             UnknownNameError: The solver is not installed.
         """
         import mink
@@ -92,7 +93,7 @@ class DifferentialIk:
         clearance = number("clearance", clearance, 0.0)
         self._clearance = ClearanceLimit(arm, clearance) if flag("avoid_collisions", avoid_collisions) else None
         self._all_limits = [*self._limits, self._clearance] if self._clearance is not None else self._limits
-        self._needs_kinematics = bool(self._all_limits or self._constraints or not self._is_alone)
+        self._needs_kinematics = bool(self._limits or self._constraints or not self._is_alone)
 
     def step(self, q: ArrayLike, target: TargetLike, dt: float, *, free_axis: str | None = None) -> Array:
         """The joint velocity that brings the tip nearer to the target.
@@ -175,7 +176,7 @@ class DifferentialIk:
         """The step, shortened if the linear limits miss something: the nearest points of two bodies may change within it."""
         assert self._clearance is not None
         for _ in range(MAX_CUTS):
-            cut = self._clearance.violations(self.configuration, q, dq)
+            cut = self._clearance.violations(q, dq)
             if cut.G is None or cut.h is None:
                 return dq
             program = program.with_inequalities(cut.G, cut.h)
@@ -186,7 +187,7 @@ class DifferentialIk:
         self.status = "held back"
         for _ in range(MAX_HALVINGS):
             dq = 0.5 * dq
-            if self._clearance.violations(self.configuration, q, dq).inactive:
+            if self._clearance.violations(q, dq).inactive:
                 return dq
         return np.zeros_like(dq)
 

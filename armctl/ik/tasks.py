@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import mink
-import mujoco
 import numpy as np
 from mink.tasks import BaseTask
 
+from armctl.collision.checkers import collision_checker
 from armctl.core.validation import Array
-from armctl.ik.collision_pairs import avoidable_pairs
 from armctl.ik.problem import compiled, packed_chain
 from armctl.robot.arm import Arm
 
@@ -28,8 +26,9 @@ FAR_ERROR_REACHES = 0.01  # ... and at targets nearer than this
 SEARCH_DAMPING = 2e-2  # times the squared error, if the second order is left out
 APPROACH_SHARE = 0.5  # of the free distance that may be used up in one step
 RECOVERY_SPEED = 0.1  # m/s, with which bodies that are too near are moved apart
-MIN_NORMAL_LENGTH = 1e-9  # m: two nearest points closer than this give no direction
 DISTANCE_ROUNDING = 1e-9  # m
+MAX_MOVE = 10.0  # rad (m), of a joint in one step
+CLEARANCE_SAMPLES = 16  # configurations in which it is looked how far apart pairs can be
 
 
 class TipTask(BaseTask):
@@ -138,83 +137,58 @@ class _ErrorModel(NamedTuple):
     jacobian: Array
 
 
-class _Distance(NamedTuple):
-    """The distance of a pair of geoms, by its number, and the derivative by the model's joints (nv,)."""
-
-    pair: int
-    distance: float
-    gradient: Array
-
-
 class ClearanceLimit(mink.Limit):
     """Keeps pairs of geoms apart: in one step their distance may shrink by at most half of what is free.
 
     The rule is that of Faverjon and Tournassoud ("A local based approach for path planning of manipulators with a high number
-    of degrees of freedom", ICRA 1987).
+    of degrees of freedom", ICRA 1987). Distances are those of `armctl.collision`, with everything outside the arm at home.
     """
 
     def __init__(self, arm: Arm, clearance: float):
-        """The limit of an arm that keeps `clearance`, m; its model decides which pairs can be avoided."""
+        """The limit of an arm that keeps `clearance`, m, where it can.
+
+        Raises ModelError for a scene with a height field or signed distance field that the arm could touch.
+        """
         self._arm = arm
-        self._model = arm.model
-        self._clearance = clearance
-        self._pairs = avoidable_pairs(arm, clearance)
-        self._floor = np.full(len(self._pairs), 0.5 * clearance)  # m, the least distance that a step may end at
-        lever = np.where(arm.pinocchio_model.is_slide, 1.0, packed_chain(arm).reach)
-        speed_per_joint = lever @ np.abs(arm.joint_map.ratio[: arm.pinocchio_model.chain_length])
-        self._max_speed = float(speed_per_joint @ np.where(np.isfinite(arm.limits.v_max), arm.limits.v_max, 0.0))
+        self._checker = collision_checker(arm)
+        self._checker.require_provable()
+        self._clearances = self._attainable(clearance)
+        self._floor = 0.5 * self._clearances  # m, the least distances that a step may end at
+        self._still = np.zeros(arm.n)
 
     def compute_qp_inequalities(self, configuration: mink.Configuration, dt: float) -> mink.Constraint:
-        """G (k, nv) and h (k,) with one row for each pair that is close enough to touch within two steps."""
-        self._floor[:] = 0.5 * self._clearance
-        rows = []
-        bounds = []
-        for pair, distance, gradient in self._distances(configuration.data, self._clearance + 2 * self._max_speed * dt):
-            self._floor[pair] = min(distance, self._floor[pair])
-            free = distance - self._clearance
-            rows.append(-gradient)
-            bounds.append(APPROACH_SHARE * free if free > 0 else max(free, -RECOVERY_SPEED * dt))
-        return mink.Constraint(np.array(rows), np.array(bounds)) if rows else mink.Constraint()
+        """G (k, nv) and h (k,) with one row for each pair that a step can bring nearer by more than it may."""
+        arm = self._arm
+        q = configuration.data.qpos[arm.qpos_adr]
+        np.multiply(0.5, self._clearances, out=self._floor)
+        near = self._checker.near(q, np.minimum(arm.limits.v_max * dt, MAX_MOVE), APPROACH_SHARE, self._clearances)
+        if not len(near.pairs):
+            return mink.Constraint()
+        self._floor[near.pairs] = np.minimum(near.distances, self._floor[near.pairs])
+        free = near.distances - self._clearances[near.pairs]
+        G = np.zeros((len(free), configuration.nv))
+        G[:, arm.dof_adr] = -near.gradients
+        return mink.Constraint(G, np.where(free > 0, APPROACH_SHARE * free, np.maximum(free, -RECOVERY_SPEED * dt)))
 
-    def violations(self, configuration: mink.Configuration, q: Array, dq: Array) -> mink.Constraint:
+    def violations(self, q: Array, dq: Array) -> mink.Constraint:
         """G (k, n) and h (k,) that shorten a step dq (n,) from q whose end is too near something; inactive if none is.
 
-        No pair may come nearer than half the clearance, or nearer at all if it already is. `configuration` is moved to the end
-        of the step.
+        No pair may come nearer than half its clearance, or nearer at all if it already is.
         """
-        joint_map = self._arm.joint_map
-        configuration.data.qpos[joint_map.qpos_adr] = joint_map.positions(q + dq)
-        configuration.update()
-        rows = []
-        bounds = []
-        for pair, distance, gradient in self._distances(configuration.data, 0.5 * self._clearance + 1e-6):
-            if distance < self._floor[pair] - DISTANCE_ROUNDING:
-                reduced = joint_map.reduced(gradient)
-                rows.append(-reduced)
-                bounds.append(distance - self._floor[pair] - reduced @ dq)
-        return mink.Constraint(np.array(rows), np.array(bounds)) if rows else mink.Constraint()
+        near = self._checker.near(q + dq, self._still, 1.0, self._floor - DISTANCE_ROUNDING)
+        if not len(near.pairs):
+            return mink.Constraint()
+        return mink.Constraint(-near.gradients, near.distances - self._floor[near.pairs] - near.gradients @ dq)
 
-    def _distances(self, data: mujoco.MjData, far: float) -> Iterator[_Distance]:
-        """The pairs nearer than `far`, m."""
-        model = self._model
-        ends = np.empty(6)
-        first = np.empty((3, model.nv))
-        second = np.empty((3, model.nv))
-        for pair in self._close(data, far):
-            one, other = self._pairs[pair].tolist()
-            distance = mujoco.mj_geomDistance(model, data, one, other, far, ends)
-            span = ends[3:] - ends[:3]
-            length = float(np.sqrt(span @ span))
-            if distance < far and length > MIN_NORMAL_LENGTH:
-                mujoco.mj_jac(model, data, first, None, ends[:3], model.geom_bodyid[one])
-                mujoco.mj_jac(model, data, second, None, ends[3:], model.geom_bodyid[other])
-                yield _Distance(pair, distance, (np.sign(distance) / length) * (span @ (second - first)))
-
-    def _close(self, data: mujoco.MjData, far: float) -> list[int]:
-        """The pairs whose bounding spheres are nearer than `far`; planes and height fields have none."""
-        one = self._pairs[:, 0]
-        other = self._pairs[:, 1]
-        gap = np.linalg.norm(data.geom_xpos[one] - data.geom_xpos[other], axis=1)
-        bound = self._model.geom_rbound
-        unbounded = (bound[one] == 0) | (bound[other] == 0)
-        return np.flatnonzero(unbounded | (gap - bound[one] - bound[other] < far)).tolist()
+    def _attainable(self, clearance: float) -> Array:
+        """(K,) m, the clearance of each pair: less for pairs that are never so far apart."""
+        arm = self._arm
+        checker = self._checker
+        farthest = np.full(len(checker.geometry.pairs), -np.inf)
+        everywhere = np.full_like(farthest, 2.0 * clearance + DISTANCE_ROUNDING)
+        for q in [arm.home, *arm.limits.random(arm.home, CLEARANCE_SAMPLES, np.random.default_rng(0))]:
+            near = checker.near(q, np.zeros(arm.n), 1.0, everywhere)
+            distances = np.full_like(farthest, 2.0 * clearance)
+            distances[near.pairs] = near.distances
+            farthest = np.maximum(farthest, distances)
+        return np.minimum(clearance, 0.5 * np.maximum(farthest, 0.0))

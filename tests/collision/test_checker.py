@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import mujoco
 import numpy as np
 import pytest
-from collidable import arm_among, placed
+from collidable import arm_among, capsule_gaps, placed
 from hypothesis import given
 from hypothesis import strategies as st
 from synthetic import limb, mjcf, motors
@@ -37,14 +37,14 @@ def test_every_pair_touches_where_mujoco_says_so(arm):
     checker = CollisionChecker(arm)
     counted = {tuple(sorted(checker.geometry.pair_geoms(p))) for p in range(len(checker.geometry.pairs))}
     hits = 0
-    for q in configurations(arm, 400):
+    for q in configurations(arm, 150):
         touching = {tuple(sorted(contact.geom.tolist())) for contact in placed(arm, q).contact if contact.dist < 0.0} & counted
         found = {checker.geometry.pair_geoms(p) for p in np.flatnonzero(checker._all_hits(q))}
         found = {tuple(sorted(geoms)) for geoms in found}
         missed_by_mujoco = {geoms for geoms in found - touching if is_capsule_in_box(arm, geoms)}
         assert found - missed_by_mujoco == touching
         hits += len(found)
-    assert hits > 200
+    assert hits > 100
 
 
 def test_distances_are_mujocos(arm):
@@ -59,51 +59,82 @@ def test_distances_are_mujocos(arm):
     assert apart > 30
 
 
-def segment_box_distance(ends: np.ndarray, half: np.ndarray) -> float:
-    """From a segment to a box at the origin: convex along the segment, so golden section finds it."""
-    low, high = 0.0, 1.0
-    ratio = 0.5 * (np.sqrt(5.0) - 1.0)
-
-    def distance(share: float) -> float:
-        point = ends[0] + share * (ends[1] - ends[0])
-        return float(np.linalg.norm(np.maximum(np.abs(point) - half, 0.0)))
-
-    for _ in range(80):
-        first = high - ratio * (high - low)
-        second = low + ratio * (high - low)
-        if distance(first) < distance(second):
-            high = second
-        else:
-            low = first
-    return distance(0.5 * (low + high))
-
-
 def test_no_capsule_in_a_plate_is_missed(tmp_path):
     """MuJoCo's own test misses capsules whose axis runs inside a thin box."""
     plate = '<geom name="plate" type="box" size="0.3 0.3 0.025" pos="0.3 0.1 0.4"/>'
     arm = arm_among(tmp_path, plate)
-    model = arm.model
-    box = model.geom("plate").id
+    box = arm.model.geom("plate").id
     checker = CollisionChecker(arm)
     touching = 0
     missed_by_mujoco = 0
-    for q in configurations(arm, 1500, seed=2):
+    for q in configurations(arm, 400, seed=2):
         data = placed(arm, q)
         found = {tuple(sorted(checker.geometry.pair_geoms(p))) for p in np.flatnonzero(checker._all_hits(q))}
         contacts = {tuple(sorted(contact.geom.tolist())) for contact in data.contact if contact.dist < 0.0}
-        for geom in range(model.ngeom):
-            if model.geom_type[geom] != CAPSULE:
-                continue
-            axis = data.geom_xmat[geom].reshape(3, 3)[:, 2] * model.geom_size[geom, 1]
-            ends = np.array([data.geom_xpos[geom] - axis, data.geom_xpos[geom] + axis]) - data.geom_xpos[box]
-            gap = segment_box_distance(ends, model.geom_size[box]) - model.geom_size[geom, 0]
+        for geom, gap in capsule_gaps(arm.model, data, box).items():
             pair = tuple(sorted((geom, box)))
             if abs(gap) > 1e-6:
                 assert (pair in found) == (gap < 0.0)
             touching += gap < 0.0
             missed_by_mujoco += gap < 0.0 and pair not in contacts
-    assert touching > 300
-    assert missed_by_mujoco > 10  # if MuJoCo repairs its test, this comparison has lost its point
+    assert touching > 100
+    assert missed_by_mujoco > 3  # if MuJoCo repairs its test, this comparison has lost its point
+
+
+def near_all(checker: CollisionChecker, q: np.ndarray, within: float) -> dict[int, tuple[float, np.ndarray]]:
+    """The distance of each pair that is nearer than this, and its derivative."""
+    near = checker.near(q, np.zeros(len(q)), 1.0, np.full(len(checker.geometry.pairs), within))
+    return dict(zip(near.pairs.tolist(), zip(near.distances.tolist(), near.gradients, strict=True), strict=True))
+
+
+def test_distances_of_near_pairs_are_mujocos_and_their_derivatives_those_of_differences(arm):
+    checker = CollisionChecker(arm)
+    step = 1e-6
+    apart = 0
+    overlapping = 0
+    for q in configurations(arm, 25, seed=4):
+        data = placed(arm, q)
+        moved = [[near_all(checker, q + sign * step * row, 0.1) for sign in (1, -1)] for row in np.eye(arm.n)]
+        for pair, (distance, gradient) in near_all(checker, q, 0.05).items():
+            if distance > 0.0:
+                geoms = checker.geometry.pair_geoms(pair)
+                assert distance == pytest.approx(mujoco.mj_geomDistance(arm.model, data, *geoms, 1.0, None), abs=1e-8)
+            differences = [(above[pair][0] - below[pair][0]) / (2 * step) for above, below in moved]
+            assert np.allclose(gradient, differences, atol=2e-3)
+            apart += distance > 0.0
+            overlapping += distance < 0.0
+    assert apart > 15
+    assert overlapping > 15
+
+
+def test_the_depth_of_a_capsule_in_a_plate_is_at_most_a_tenth_above_the_least(tmp_path):
+    """A plate and a segment part soonest along a normal of the plate or across an edge of it and the segment."""
+    arm = arm_among(tmp_path, '<geom name="plate" type="box" size="0.3 0.2 0.05" pos="0.2 0.1 0.4"/>')
+    checker = CollisionChecker(arm)
+    model = arm.model
+    half = model.geom_size[model.geom("plate").id]
+    overlaps = 0
+    exact = 0
+    for q in configurations(arm, 60, seed=5):
+        data = placed(arm, q)
+        for pair, (distance, _) in near_all(checker, q, 0.0).items():
+            box, capsule = sorted(checker.geometry.pair_geoms(pair), key=lambda geom: model.geom_type[geom] != BOX)
+            if model.geom_type[box] != BOX:
+                continue
+            axis = data.geom_xmat[capsule].reshape(3, 3)[:, 2]
+            normals = np.vstack([np.eye(3), np.cross(np.eye(3), axis)])
+            normals /= np.linalg.norm(normals, axis=1)[:, None]
+            extent = np.abs(normals) @ half + np.abs(normals @ axis) * model.geom_size[capsule, 1] + model.geom_size[capsule, 0]
+            depth = (extent - np.abs(normals @ (data.geom_xpos[capsule] - data.geom_xpos[box]))).min()
+            gap = capsule_gaps(model, data, box)[capsule]
+            is_axis_inside = gap < 1e-9 - model.geom_size[capsule, 0]
+            if is_axis_inside:
+                assert depth - 1e-9 < -distance < 1.1 * depth
+                exact += -distance < depth + 1e-6
+            else:
+                assert distance == pytest.approx(gap, abs=1e-6)
+            overlaps += is_axis_inside
+    assert exact > 0.8 * overlaps > 15
 
 
 def test_links_that_neighbor_each_other_are_proved_once_and_left_out(arm):

@@ -1,6 +1,7 @@
 """DifferentialIk: limits hold whatever happens, targets out of reach end still, nothing is run into."""
 
 import shutil
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
@@ -9,12 +10,12 @@ import mujoco
 import numpy as np
 import pytest
 import qpsolvers
-from arms import ARMS, MENAGERIE_ARMS, arm_of
+from arms import ARMS, arm_of
+from collidable import arm_among, capsule_gaps, placed
 
 import armctl
-from armctl import Arm, DifferentialIk, InputError, LimitError, Pose, UnknownNameError
-from armctl.collision.checker import SAMPLES
-from armctl.collision.checkers import collision_checker, geom_owners
+from armctl import Arm, DifferentialIk, InputError, LimitError, ModelError, Pose, UnknownNameError
+from armctl.collision.checkers import collision_checker
 from armctl.loading.catalog import BUNDLED
 
 every_arm = pytest.mark.parametrize("name", ARMS)
@@ -177,34 +178,17 @@ def test_every_solver_arrives(solver: str):
     assert np.linalg.norm(arm.fk(q).position - [0.3, 0.2, 0.3]) < 1e-4
 
 
-class Depth:
-    """How deep the arm is in itself or in the scene, m, by MuJoCo's contacts."""
-
-    def __init__(self, arm: Arm):
-        self.arm = arm
-        self.data = mujoco.MjData(arm.model)
-        self.owner = geom_owners(arm)
-        at_home = set(self.pairs(arm.home))
-        always = at_home.copy()
-        for q in arm.limits.random(arm.home, SAMPLES, np.random.default_rng(0)):
-            always &= set(self.pairs(q))
-        # Neighboring links that touch at home overlap by design.
-        self.ignored = always | {(a, b) for a, b in at_home if abs(self.owner[a] - self.owner[b]) == 1}
-
-    def pairs(self, q: np.ndarray) -> dict[tuple[int, int], float]:
-        """The depth of each pair of geoms that touch and that the arm moves relative to each other."""
-        self.data.qpos[:] = self.arm.qpos(q)
-        mujoco.mj_kinematics(self.arm.model, self.data)
-        mujoco.mj_collision(self.arm.model, self.data)
-        found: dict[tuple[int, int], float] = {}
-        for contact in self.data.contact:
-            first, second = sorted(int(geom) for geom in contact.geom)
-            if self.owner[first] != self.owner[second]:
-                found[first, second] = max(found.get((first, second), 0.0), -float(contact.dist))
-        return found
-
-    def at(self, q: np.ndarray) -> float:
-        return max((depth for pair, depth in self.pairs(q).items() if pair not in self.ignored), default=0.0)
+def deepest(arm: Arm, q: np.ndarray) -> float:
+    """How deep geoms that the checker tells apart are in each other, m, by MuJoCo's contacts and for capsules by brute force."""
+    data = placed(arm, q)
+    geometry = collision_checker(arm).geometry
+    pairs = {tuple(sorted(geometry.pair_geoms(p))) for p in range(len(geometry.pairs))}
+    depths = [-contact.dist for contact in data.contact if tuple(sorted(contact.geom.tolist())) in pairs]
+    for box in np.flatnonzero(arm.model.geom_type == int(mujoco.mjtGeom.mjGEOM_BOX)).tolist():
+        if np.allclose(data.geom_xmat[box], np.eye(3).ravel()):
+            gaps = capsule_gaps(arm.model, data, box).items()
+            depths += [-gap for capsule, gap in gaps if tuple(sorted((capsule, box))) in pairs]
+    return max(depths, default=0.0)
 
 
 def with_wall(arm: Arm, name: str, folder: Path) -> Arm:
@@ -218,21 +202,67 @@ def with_wall(arm: Arm, name: str, folder: Path) -> Arm:
     return armctl.load(folder / "walled.xml")
 
 
-@pytest.mark.parametrize("walled", [False, True], ids=["itself", "a wall"])
-@pytest.mark.parametrize("name", [BUNDLED, *MENAGERIE_ARMS])
-@pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")
-def test_runs_into_nothing(name: str, walled: bool, tmp_path: Path):
-    arm = arm_of(name)
-    if walled:
-        arm = with_wall(arm, name, tmp_path)
-    ik, contacts, depth = DifferentialIk(arm, avoid_collisions=True), collision_checker(arm), Depth(arm)
-    starts = [q for q in positions(arm, 800) if not contacts.at(q)][:200]
-    assert len(starts) == 200
+def runs_into_nothing(arm: Arm, toward: Callable[[np.ndarray], np.ndarray], count: int, steps: int) -> int:
+    """Follows a target behind things from free configurations; returns how many of them came near something."""
+    ik = DifferentialIk(arm, avoid_collisions=True)
+    contacts = collision_checker(arm)
+    starts = [q for q in positions(arm, 20 * count) if not contacts.at(q)][:count]
+    assert len(starts) == count
+    near = 0
     for q in starts:
-        target = beside(arm, q, [1.0, 0.0, 0.0]) if walled else arm.pinocchio_model.placements[0, :3, 3] + [0.0, 0.0, 0.1]
-        for _ in range(40):
+        target = toward(q)
+        least = np.inf
+        for _ in range(steps):
             q = q + 2 * DT * ik.step(q, target, 2 * DT)
-            assert depth.at(q) < 1e-3
+            assert deepest(arm, q) < 1e-6
+            least = min(least, contacts.nearest(q)[1])
+        near += least < 0.02
+    return near
+
+
+@pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")
+def test_runs_into_nothing_of_any_shape_and_not_into_itself(tmp_path: Path):
+    arm = arm_among(tmp_path)
+    things = [arm.model.geom(name).pos for name in ("plate", "post", "egg", "ball", "rod", "rock")]
+    targets = iter([*things, np.array([0.0, 0.0, 0.1])] * 4)
+    assert runs_into_nothing(arm, lambda q: next(targets), 21, 20) > 10
+
+
+@pytest.mark.parametrize("name", [BUNDLED, "panda"])
+@pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")
+def test_stops_before_a_wall(name: str, tmp_path: Path):
+    arm = with_wall(arm_of(name), name, tmp_path)
+    assert runs_into_nothing(arm, lambda q: beside(arm, q, [1.0, 0.0, 0.0]), 4, 20) > 1
+
+
+@pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")
+def test_from_inside_a_plate_it_moves_out(tmp_path: Path):
+    arm = arm_among(tmp_path, '<geom name="plate" type="box" size="0.3 0.3 0.02" pos="0.45 0 0.3"/>')
+    contacts = collision_checker(arm)
+    ik = DifferentialIk(arm, avoid_collisions=True)
+    inside = [q for q in positions(arm, 200) if "plate" in contacts.at(q) and deepest(arm, q) < 0.04][:5]
+    ends = [follow(ik, q, arm.fk(q).position, 60, 2 * DT)[0] for q in inside]
+    assert [contacts.at(q) for q in ends] == [""] * 5
+
+
+def test_steps_that_avoid_collisions_do_not_depend_on_earlier_ones(tmp_path: Path):
+    arm = arm_among(tmp_path)
+    q = positions(arm, 1)[0]
+    target = beside(arm, q, [0.3, 0.0, -0.3])
+    first = DifferentialIk(arm, avoid_collisions=True).step(q, target, DT)
+    collision_checker(arm).nearest(arm.home)
+    used = DifferentialIk(arm, avoid_collisions=True)
+    follow(used, arm.home, target, 5)
+    assert np.array_equal(used.step(q, target, DT), first)
+
+
+def test_a_height_field_cannot_be_avoided(tmp_path: Path):
+    hills = '<hfield name="hills" nrow="3" ncol="3" elevation="0 0 0 0 1 0 0 0 0" size="1 1 0.3 0.1"/>'
+    arm = arm_among(tmp_path, '<geom name="hills" type="hfield" hfield="hills"/>', hills)
+    with pytest.raises(
+        ModelError, match="^hills: a height field or signed distance field, for which no clearance can be proved"
+    ):
+        DifferentialIk(arm, avoid_collisions=True)
 
 
 @pytest.mark.parametrize(
