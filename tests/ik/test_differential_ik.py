@@ -179,7 +179,7 @@ def test_every_solver_arrives(solver: str):
 
 
 def deepest(arm: Arm, q: np.ndarray) -> float:
-    """How deep geoms that the checker tells apart are in each other, m, by MuJoCo's contacts and for capsules by brute force."""
+    """How deep geoms that the checker tells apart are in each other, m: MuJoCo's contacts, and capsules by brute force."""
     data = placed(arm, q)
     geometry = collision_checker(arm).geometry
     pairs = {tuple(sorted(geometry.pair_geoms(p))) for p in range(len(geometry.pairs))}
@@ -259,9 +259,7 @@ def test_steps_that_avoid_collisions_do_not_depend_on_earlier_ones(tmp_path: Pat
 def test_a_height_field_cannot_be_avoided(tmp_path: Path):
     hills = '<hfield name="hills" nrow="3" ncol="3" elevation="0 0 0 0 1 0 0 0 0" size="1 1 0.3 0.1"/>'
     arm = arm_among(tmp_path, '<geom name="hills" type="hfield" hfield="hills"/>', hills)
-    with pytest.raises(
-        ModelError, match="^hills: a height field or signed distance field, for which no clearance can be proved"
-    ):
+    with pytest.raises(ModelError, match=r"^hills: a height field or signed distance field, for which no"):
         DifferentialIk(arm, avoid_collisions=True)
 
 

@@ -192,12 +192,9 @@ def solve_pieces(solver: ProfileSolver, start: JointState, goal: JointState, max
     profile = solver.solve(start, goal)
     if profile is not None:
         pieces = ending_at(profile.pieces(start), goal)
-        is_accurate = _clock_error(profile.duration, solver.bounds) < _NEGLIGIBLE
-        stretch = (
-            1.0
-            if is_accurate and _is_negligible(pieces.correction, solver.bounds)
-            else stretch_needed(pieces.corrected, solver.bounds)
-        )
+        stretch = 1.0
+        if not _is_negligible(pieces.correction, solver.bounds) or _clock_error(profile.duration, solver.bounds) > _NEGLIGIBLE:
+            stretch = stretch_needed(pieces.corrected, solver.bounds)
         if stretch <= 1 + max_excess:
             return pieces.corrected
         if rests and stretch <= _MAX_STRETCH:
