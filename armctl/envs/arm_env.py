@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any
 
 import gymnasium
@@ -10,8 +9,8 @@ import numpy as np
 
 from armctl.core.validation import flag
 from armctl.envs.batch import Batch
-from armctl.envs.spaces import action_space, observation_space, with_goals
-from armctl.robot.arm import Arm
+from armctl.envs.source import Robot
+from armctl.envs.spaces import action_space, observation_space
 
 
 class ArmEnv(gymnasium.Env):
@@ -29,7 +28,7 @@ class ArmEnv(gymnasium.Env):
 
     def __init__(
         self,
-        robot: str | os.PathLike[str] | Arm = "panda",
+        robot: Robot = "panda",
         task: str = "Reach",
         action: str = "cartesian_delta",
         *,
@@ -85,8 +84,8 @@ class ArmEnv(gymnasium.Env):
             action: (k,) in [-1, 1].
 
         Returns:
-            Observation, reward, termination (never), truncation (at the horizon), and information: `is_success` and
-            `distance` (m).
+            Observation, reward, termination (never), truncation (at the horizon), and information: `is_success`,
+            `distance` (m) and, if there is an obstacle, `touched`.
 
         Raises:
             InputError: The action has another shape.
@@ -94,24 +93,24 @@ class ArmEnv(gymnasium.Env):
         batch = self.batch
         batch.step(np.asarray(action)[None])
         observation = batch.observe()
-        rewards, success, distance = batch.evaluate(observation)
+        rewards, found = batch.evaluate(observation)
         self._show()
-        information = {"is_success": bool(success[0]), "distance": float(distance[0])}
-        truncated = bool(batch.steps[0] >= batch.horizon)
+        information = {name: values[0].item() for name, values in found.items()}
+        truncated = bool(batch.ended[0])
         return self._formed(observation[0]), float(rewards[0]), False, truncated, information
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """The rewards of tips at goals, for hindsight replay.
+        """The rewards of goals, for hindsight replay.
 
         Args:
-            achieved_goal: (..., 3) m.
+            achieved_goal: (..., 3) m, where the tip or the object is.
             desired_goal: (..., 3) m.
-            info: Not used.
+            info: The information of the step, or of each step.
 
         Returns:
             (...,) rewards.
         """
-        return self.batch.reward(np.asarray(achieved_goal), np.asarray(desired_goal))[0]
+        return self.batch.reward(achieved_goal, desired_goal, info)
 
     def render(self) -> Any:
         """The state now as a picture.
@@ -133,4 +132,4 @@ class ArmEnv(gymnasium.Env):
             self._screen.show()
 
     def _formed(self, observation: Any) -> Any:
-        return with_goals(observation, self.batch.arm.n) if self._has_goals else observation
+        return self.batch.observer.with_goals(observation) if self._has_goals else observation

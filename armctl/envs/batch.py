@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -10,36 +9,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.core.errors import InputError
-from armctl.core.validation import BoolArray, choice, flag, instance, integer
+from armctl.core.validation import BoolArray, choice, flag, integer
 from armctl.envs.actions import read_mode
-from armctl.envs.plants import draw_plant, read_ranges
+from armctl.envs.grip import find_grip
+from armctl.envs.observation import Observations, Observer
+from armctl.envs.randomization import Randomization
 from armctl.envs.rows import Rows
-from armctl.envs.tasks import Reach, reward_of
-from armctl.loading.load import load
-from armctl.robot.arm import Arm
+from armctl.envs.source import ArmSource, Robot
+from armctl.envs.tasks import TASKS
 from armctl.study.factors import Range
 
-TASKS = {"Reach": Reach}
 REWARDS = ("dense", "sparse")
-Observations = NDArray[np.float32]
+_MIN_HORIZON = 50
 
 
 class Batch:
-    """Several episodes of one task. An observation is [q, v, target - q, tip, goal, goal - tip], in rad, rad/s and m.
+    """Several episodes of one task.
 
     Attributes:
-        arm: The arm.
         task: The task.
+        arm: The arm.
         rows: The simulated arms.
+        observer: What is observed.
         horizon: Steps of an episode.
+        step_time: s, of a step.
         goal: (count, 3) m, the goal of each episode.
         goal_number: (count,) which of the task's goals it is.
+        obstacle: (count, 3) m, the obstacle of each episode.
+        was_touched: (count,) whether the obstacle was touched in this episode.
         steps: (count,) steps since the start of each episode.
     """
 
     def __init__(
         self,
-        robot: str | os.PathLike[str] | Arm,
+        robot: Robot,
         task: str,
         action: str,
         count: int,
@@ -47,35 +50,47 @@ class Batch:
         threads: int = 1,
         controller: str = "computed-torque",
         ticks: int = 25,
-        horizon: int = 50,
-        free_space: bool = True,
+        horizon: int | None = None,
+        free_space: bool | None = None,
         randomize: Mapping[str, Range] | None = None,
         reward: str = "dense",
+        load_options: Mapping[str, Any] | None = None,
     ):
         """Episodes that wait for `reset`; the arguments are those of `ArmVectorEnv`."""
-        instance("robot", robot, (str, os.PathLike, Arm), "'panda' or armctl.load('panda') is one")
-        self.arm = robot if isinstance(robot, Arm) else load(robot)
         mode = read_mode(action)
-        free_space = flag("free_space", free_space)
+        task_class = TASKS[choice("task", task, TASKS)]
+        needs_contacts = bool(task_class.object or task_class.obstacle)
+        free_space = not needs_contacts if free_space is None else flag("free_space", free_space)
+        if free_space and needs_contacts:
+            raise InputError(f"free_space: {task} is about contacts, which are not simulated in free space; leave it out")
         count = integer("num_envs", count, 1)
         threads = min(integer("threads", threads, 1), count)
-        self._ranges = read_ranges(randomize, free_space)
+        ticks = integer("ticks", ticks, 1)
+        self._randomization = Randomization.read(randomize, free_space=free_space, has_object=bool(task_class.object))
         self._is_sparse = choice("reward", reward, REWARDS) == "sparse"
-        self.horizon = integer("horizon", horizon, 1)
-        self.rows = Rows(self.arm, mode, controller, count, integer("ticks", ticks, 1), threads, free_space)
-        self.task = TASKS[choice("task", task, TASKS)](self.arm, self.rows.limits[0], self.rows.limits[1])
+        self.task = task_class(ArmSource(robot, load_options), ticks)
+        self.arm = self.task.arm
+        self.step_time = ticks * self.arm.dt
+        shortest = max(_MIN_HORIZON, int(np.ceil(self.task.min_duration / self.step_time)))
+        self.horizon = shortest if horizon is None else integer("horizon", horizon, 1)
+        self.rows = Rows(
+            self.task,
+            find_grip(self.arm) if self.task.uses_gripper else None,
+            mode,
+            controller,
+            count,
+            ticks=ticks,
+            threads=threads,
+            free_space=free_space,
+            randomization=self._randomization,
+        )
+        self.observer = Observer(self.task, self.rows)
         self.goal = np.zeros((count, 3))
         self.goal_number = np.zeros(count, np.int64)
+        self.obstacle = np.zeros((count, 3))
+        self.was_touched = np.zeros(count, bool)
         self.steps = np.zeros(count, np.int64)
-        n = self.arm.n
-        self._observation = np.zeros((count, 3 * n + 9))
-        self._parts = [self._observation[:, at : at + n] for at in (0, n, 2 * n)]
-        self._parts += [self._observation[:, at : at + 3] for at in (3 * n, 3 * n + 3, 3 * n + 6)]
-
-    @property
-    def observation_size(self) -> int:
-        """The numbers of an observation."""
-        return self._observation.shape[1]
+        self._goal_velocity = np.zeros((count, 3))
 
     def reset(self, which: Iterable[int], rngs: Iterable[np.random.Generator]) -> None:
         """Starts new episodes.
@@ -86,13 +101,18 @@ class Batch:
         """
         chosen = []
         for row, rng in zip(which, rngs, strict=True):
-            start, goal = self.task.draw(rng)
-            self.rows.reset(row, start, draw_plant(self._ranges, rng))
-            self.goal_number[row] = goal
+            episode = self.task.draw(rng)
+            plant = self._randomization.draw_plant(rng)
+            factors = self._randomization.draw_object(rng)
+            self.rows.reset(row, episode, plant, factors, rng)
+            self.goal_number[row] = episode.goal
+            if episode.obstacle is not None:
+                self.obstacle[row] = episode.obstacle
             chosen.append(row)
-        self.goal[chosen] = self.task.goals[self.goal_number[chosen]]
         self.steps[chosen] = 0
+        self.was_touched[chosen] = False
         self.rows.find_tips(chosen)
+        self._move_goals()
 
     def step(self, actions: Any) -> None:
         """Steps all episodes.
@@ -109,29 +129,49 @@ class Batch:
         self.rows.action[:] = given
         self.rows.step()
         self.steps += 1
+        if self.task.moves_goal:
+            self._move_goals()
+        if self.task.obstacle:
+            self.was_touched |= self.rows.touched > 0
 
     def observe(self) -> Observations:
         """(count, size) the observations now, as a new array."""
-        rows = self.rows
-        tip = rows.tip[:, :3]
-        q, v, way, place, goal, rest = self._parts
-        q[:] = rows.q
-        v[:] = rows.v
-        np.subtract(rows.target, rows.q, out=way)
-        place[:] = tip
-        goal[:] = self.goal
-        np.subtract(self.goal, tip, out=rest)
-        return self._observation.astype(np.float32)
+        return self.observer.observe(self.goal, self._goal_velocity, self.obstacle)
 
-    def evaluate(self, observations: Observations) -> tuple[NDArray[np.floating], BoolArray, NDArray[np.floating]]:
-        """Reward, success and distance (m) of observations, as their goals would give them."""
-        at = 3 * self.arm.n
-        return self.reward(observations[:, at : at + 3], observations[:, at + 3 : at + 6])
+    def evaluate(self, observations: Observations) -> tuple[NDArray[np.floating], dict[str, NDArray[Any]]]:
+        """The rewards (count,) of observations after a step, and the information about it."""
+        touched = self.rows.touched > 0
+        reward, success, distance = self.task.reward(
+            self.observer.achieved(observations), self.observer.desired(observations), touched, is_sparse=self._is_sparse
+        )
+        information: dict[str, NDArray[Any]] = {"is_success": success & ~self.was_touched, "distance": distance}
+        if self.task.obstacle:
+            information["touched"] = touched
+        return reward, information
 
-    def reward(
-        self, achieved: NDArray[Any], desired: NDArray[Any]
-    ) -> tuple[NDArray[np.floating], BoolArray, NDArray[np.floating]]:
-        """Reward, success and distance (m) of tips (..., 3) at goals (..., 3)."""
-        distance = np.linalg.norm(np.subtract(achieved, desired, dtype=np.float64), axis=-1)
-        success = distance < self.task.tolerance
-        return reward_of(distance, success, is_sparse=self._is_sparse), success, distance
+    def reward(self, achieved: Any, desired: Any, info: Any) -> NDArray[np.floating]:
+        """Rewards of goals (..., 3) that were achieved and desired, for hindsight replay.
+
+        Args:
+            achieved: (..., 3) m.
+            desired: (..., 3) m.
+            info: The information of the steps, which says whether the obstacle was touched: a dictionary, or one for each.
+        """
+        touched: NDArray[Any] | bool = False
+        if isinstance(info, Mapping):
+            touched = np.asarray(info.get("touched", False))
+        elif info is not None:
+            touched = np.array([each.get("touched", False) for each in info], dtype=bool)
+        return self.task.reward(np.asarray(achieved), np.asarray(desired), touched, is_sparse=self._is_sparse)[0]
+
+    @property
+    def ended(self) -> BoolArray:
+        """(count,) which episodes have reached their last step."""
+        return self.steps >= self.horizon
+
+    def _move_goals(self) -> None:
+        """Puts the goals where they are after these steps."""
+        self.goal[:] = self.task.goals_at(self.goal_number, self.steps)
+        if self.task.moves_goal:
+            ahead = self.task.goals_at(self.goal_number, self.steps + 1)
+            np.divide(ahead - self.goal, self.step_time, out=self._goal_velocity)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import gymnasium
 
-TASKS = ("Reach",)
+from armctl.envs.tasks import TASKS
 
 
 def register() -> None:
-    """Registers `armctl/Reach-v0` and `armctl/ReachGoal-v0`."""
+    """Registers `armctl/Reach-v0`, `armctl/ReachGoal-v0`, and so on."""
     for task in TASKS:
         for goal_conditioned in (False, True):
             gymnasium.register(

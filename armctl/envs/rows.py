@@ -13,20 +13,21 @@ from numpy.typing import NDArray
 from armctl.control import KernelController, State, controller_by_name
 from armctl.core.errors import InputError
 from armctl.core.log import SimulationError
-from armctl.core.validation import Array, IntArray
+from armctl.core.validation import IntArray
 from armctl.envs.actions import ActionMode
+from armctl.envs.grip import Grip
+from armctl.envs.limits import joint_limits
 from armctl.envs.plants import plant_vector
-from armctl.robot.arm import Arm
+from armctl.envs.randomization import ObjectFactors, Randomization
+from armctl.envs.signals import Signals
+from armctl.envs.simulated_arms import SimulatedArms
+from armctl.envs.tasks.interface import Episode, Task
 from armctl.sim.free_space import FreeSpace
-from armctl.sim.mujoco_library import address_of, guarded_call
-from armctl.sim.plant import Plant
+from armctl.sim.mujoco_library import address_of, contact_layout, guarded_call
+from armctl.sim.plant import NOMINAL, Plant
 
 _APPROACH_RATE = 40.0  # 1/s, at which a reference approaches its target, at most one fifth of the way in a tick
 _MAX_SHARE_PER_TICK = 0.2
-_DEFAULT_SPEED = 2.0  # rad/s (m/s), of a joint without a limit
-_DEFAULT_ACCELERATION = 10.0
-_DEFAULT_RANGE = 2.0 * np.pi  # rad (m) to both sides, of a joint without limits
-_MARGIN = 1e-3  # of the range of a joint, between the stops and the targets
 _IK_DAMPING = 1e-4  # of J J^T, whose entries are squares of m and rad
 
 
@@ -37,82 +38,90 @@ class Rows:
         arm: The arm as controllers know it.
         count: The number of copies.
         ticks: Control periods in a step.
+        mode: What the actions mean.
+        signals: What disturbs measurements and commands.
         q: (count, n) rad, the positions.
         v: (count, n) rad/s, the velocities.
         target: (count, n) rad, where the actions want the joints.
         tip: (count, 12) position and rotation matrix of the tip.
         action: (count, k), the actions of the next step.
         limits: (5, n) least and greatest position, greatest speed, acceleration and torque.
+        opening: (count,) of the gripper, from closed (0) to open (1).
+        object: (count, 13) position, quaternion, velocity and angular velocity of the loose object.
+        touched: (count,) ticks of the last step at which something touched the obstacle.
+        simulated: The copies on `mj_step`; None in free space.
     """
 
-    def __init__(self, arm: Arm, mode: ActionMode, controller: str, count: int, ticks: int, threads: int, free_space: bool):
+    def __init__(
+        self,
+        task: Task,
+        grip: Grip | None,
+        mode: ActionMode,
+        controller: str,
+        count: int,
+        *,
+        ticks: int,
+        threads: int,
+        free_space: bool,
+        randomization: Randomization,
+    ):
         """Copies of an arm at home.
 
         Args:
-            arm: The arm.
+            task: The task, whose arm it is.
+            grip: The gripper; None if it is braked.
             mode: What the actions mean.
             controller: The name of a controller with a kernel.
             count: The number of copies.
             ticks: Control periods in a step.
             threads: The number of threads.
             free_space: Whether nothing touches the arm, so that no contacts are simulated.
+            randomization: What will vary.
 
         Raises:
             InputError: The controller has no kernel, or the arm does not move freely.
         """
         from armctl.envs import step_kernel as kernel
-        from armctl.sim.tick_kernel import entry_point
 
-        law = controller_by_name(controller, arm)
-        if not isinstance(law, KernelController):
-            raise InputError(f"controller: {controller} is not compiled; computed-torque and pd-gravity are")
+        arm = task.arm
         n = arm.n
         self.arm = arm
         self.count = count
         self.ticks = ticks
-        self.limits = _limits(arm)
-        self.action = np.zeros((count, mode.size(arm)))
+        self.mode = mode
+        self.signals = Signals(count, ticks, n, arm.dt, is_noisy=randomization.is_noisy, max_delay=randomization.max_delay)
+        self.limits = np.array(joint_limits(arm))
+        self.action = np.zeros((count, mode.size(arm) + int(grip is not None)))
         self.q = np.tile(arm.home, (count, 1))
         self.v = np.zeros((count, n))
         self.target = self.q.copy()
         self.tip = np.zeros((count, 12))
+        self.opening = np.ones(count)
+        self.object = np.zeros((count, 13))
+        self.touched = np.zeros(count, np.int64)
+        self.simulated: SimulatedArms | None = None
         self._q_ref = self.q.copy()
         self._v_ref = np.zeros((count, n))
-        self._packed = arm.packed_dynamics
+        self._grip_target = np.ones(count)
+        self._grip = grip
+        law = controller_by_name(controller, arm)
+        if not isinstance(law, KernelController):
+            raise InputError(f"controller: {controller} is not compiled; computed-torque and pd-gravity are")
+        self._law = law
         self._parameters, memory = law.begin(State(arm.home, np.zeros(n), 0.0, arm.dt))
         self._memory = np.zeros((count, len(memory)))
-        self._nominal = self._packed.vector(arm.dt)
+        self._nominal = arm.packed_dynamics.vector(arm.dt)
         self._bounds = np.array([-arm.limits.tau_max, arm.limits.tau_max])
-        self._models: list[mujoco.MjModel] = []
-        self._datas: list[mujoco.MjData] = []
-        self._addresses = np.zeros((count, 5), np.int64)
+        self._free_vector = self._nominal
         if free_space:
             model = Plant(free_space=True).model(arm)
             free = FreeSpace(arm, model, mujoco.MjData(model))
             self._free_vector = free.vector
             self._bounds = free.bounds
         else:
-            self._free_vector = self._nominal
-            self._simulate_contacts()
+            self.simulated = SimulatedArms(arm, grip, task.object, task.obstacle, count)
         self._plants = np.tile(self._free_vector, (count, 1))
-        self._numbers = np.zeros(kernel.NUMBER_COUNT)
-        self._numbers[: kernel.HOME_TIP] = [
-            arm.dt,
-            mode.joint_scale * ticks * arm.dt,
-            mode.position_scale,
-            mode.rotation_scale,
-            min(_APPROACH_RATE, _MAX_SHARE_PER_TICK / arm.dt),
-            _IK_DAMPING,
-        ]
-        position, rotation = arm.fk_many(arm.home[None])
-        self._numbers[kernel.HOME_TIP :] = np.concatenate([position[0], rotation[0].ravel()])
-        sizes = {
-            kernel.TICKS: ticks,
-            kernel.MODE: mode.number,
-            kernel.PARAMETERS_SIZE: len(self._parameters),
-            kernel.KERNEL: entry_point(law.kernel),
-        }
-        self._make_tables(sizes, threads)
+        self._make_tables(threads)
         self._function = kernel.STEP_TABLE
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
@@ -122,6 +131,7 @@ class Rows:
         Raises:
             SimulationError: MuJoCo could not make a step.
         """
+        self.signals.draw()
         if self._pool is None:
             errors = [guarded_call(self._function, self._table_addresses[0])]
         else:
@@ -129,25 +139,34 @@ class Rows:
         if any(errors):
             raise SimulationError(f"mj_step: {next(filter(None, errors)):.300}")
 
-    def reset(self, row: int, q: Array, plant: Plant | None) -> None:
-        """Puts a copy at q, at rest.
+    def reset(
+        self, row: int, episode: Episode, plant: Plant | None, factors: ObjectFactors | None, rng: np.random.Generator
+    ) -> None:
+        """Starts an episode of a copy, at rest.
 
         Args:
             row: Which copy.
-            q: (n,) rad.
+            episode: Where everything is.
             plant: How it differs from the model from now on; None leaves it as it is.
+            factors: How the loose object differs; None leaves it as it is.
+            rng: What the noise is drawn from.
 
         Raises:
             InputError: Plants in free space cannot have one of the differences.
         """
-        self.q[row] = q
+        self.q[row] = episode.q
         self.v[row] = 0.0
-        self.target[row] = q
-        self._q_ref[row] = q
+        self.target[row] = episode.q
+        self._q_ref[row] = episode.q
         self._v_ref[row] = 0.0
         self._memory[row] = 0.0
-        if self._datas:
-            self._reset_data(row, q, plant)
+        self._grip_target[row] = 1.0
+        self.opening[row] = 1.0
+        self.touched[row] = 0
+        self.signals.reset(row, plant or NOMINAL, rng)
+        if self.simulated is not None:
+            self.simulated.reset(row, episode, plant, factors)
+            self.object[row] = self.simulated.object_state(row)
         elif plant is not None:
             self._plants[row] = plant_vector(self.arm, self._free_vector, plant)
 
@@ -163,45 +182,15 @@ class Rows:
             self._pool.shutdown()
             self._pool = None
 
-    def _make_tables(self, sizes: dict[int, int], threads: int) -> None:
+    def _make_tables(self, threads: int) -> None:
         """Makes a table for each thread."""
         from armctl.envs import step_kernel as kernel
 
-        arm = self.arm
-        self._indices = np.array([arm.qpos_adr, arm.dof_adr, arm.ctrl_adr], np.int64)
-        self._gear = np.array(arm.gear, dtype=float)
-        entries = sizes | {
-            kernel.ROWS: self.count,
-            kernel.N: arm.n,
-            kernel.NQ: arm.model.nq,
-            kernel.NV: arm.model.nv,
-            kernel.NCTRL: len(arm.home_ctrl),
-            kernel.ACTIONS: self.action.shape[1],
-            kernel.MEMORY_SIZE: self._memory.shape[1],
-            kernel.MODEL_SIZE: len(self._nominal),
-            kernel.STEP_FUNCTION: address_of("mj_step"),
-        }
-        arrays: dict[int, NDArray[Any]] = {
-            kernel.PARAMETERS: self._parameters,
-            kernel.MEMORY: self._memory,
-            kernel.NOMINAL: self._nominal,
-            kernel.PLANTS: self._plants,
-            kernel.DATAS: self._addresses,
-            kernel.BOUNDS: self._bounds,
-            kernel.LIMITS: self.limits,
-            kernel.NUMBERS: self._numbers,
-            kernel.INDICES: self._indices,
-            kernel.GEAR: self._gear,
-            kernel.ACTION: self.action,
-            kernel.Q: self.q,
-            kernel.V: self.v,
-            kernel.TARGET: self.target,
-            kernel.Q_REFERENCE: self._q_ref,
-            kernel.V_REFERENCE: self._v_ref,
-            kernel.TIP: self.tip,
-        }
-        entries |= {entry: array.ctypes.data for entry, array in arrays.items()}
-        self._scratch = np.zeros((threads, kernel.scratch_size(arm.n, self._packed.work_size())))
+        arrays = self._arrays()
+        entries = self._sizes() | {entry: array.ctypes.data if array.size else 0 for entry, array in arrays.items()}
+        self._kept = arrays
+        work_size = kernel.scratch_size(self.arm.n, self.arm.packed_dynamics.work_size())
+        self._scratch = np.zeros((threads, work_size))
         self._tables = np.zeros((threads, kernel.TABLE_SIZE), np.int64)
         for entry, number in entries.items():
             self._tables[:, entry] = number
@@ -212,35 +201,85 @@ class Rows:
         self._tables[:, kernel.SCRATCH] = [scratch.ctypes.data for scratch in self._scratch]
         self._table_addresses = [table.ctypes.data for table in self._tables]
 
-    def _simulate_contacts(self) -> None:
-        """Gives each copy a state of MuJoCo; copies share a model until one gets a plant of its own."""
-        nominal = Plant().model(self.arm)
-        for row in range(self.count):
-            self._datas.append(mujoco.MjData(nominal))
-            self._models.append(nominal)
-            self._set_addresses(row)
+    def _sizes(self) -> dict[int, int]:
+        """The numbers of a table that are no addresses of arrays."""
+        from armctl.envs import step_kernel as kernel
+        from armctl.sim.tick_kernel import entry_point
 
-    def _set_addresses(self, row: int) -> None:
-        data = self._datas[row]
-        arrays = (data.qpos, data.qvel, data.ctrl)
-        self._addresses[row] = [self._models[row]._address, data._address, *(array.ctypes.data for array in arrays)]
+        arm = self.arm
+        layout = contact_layout()
+        simulated = self.simulated
+        qpos, qvel = (-1, -1) if simulated is None else simulated.object_addresses
+        return {
+            kernel.ROWS: self.count,
+            kernel.N: arm.n,
+            kernel.NQ: arm.model.nq,
+            kernel.NV: arm.model.nv,
+            kernel.NCTRL: len(arm.home_ctrl),
+            kernel.NU: arm.model.nu,
+            kernel.TICKS: self.ticks,
+            kernel.MODE: self.mode.number,
+            kernel.ACTIONS: self.mode.size(arm),
+            kernel.ACTION_WIDTH: self.action.shape[1],
+            kernel.PARAMETERS_SIZE: len(self._parameters),
+            kernel.MEMORY_SIZE: self._memory.shape[1],
+            kernel.MODEL_SIZE: len(self._nominal),
+            kernel.GRIPPERS: 0 if self._grip is None else self._grip.indices.shape[1],
+            kernel.COMMAND_DEPTH: self.signals.commands.shape[1],
+            kernel.OBJECT_QPOS: qpos,
+            kernel.OBJECT_QVEL: qvel,
+            kernel.OBSTACLE: -1 if simulated is None else simulated.obstacle_geom,
+            kernel.CONTACT_COUNT: layout.size,
+            kernel.CONTACT_ARRAY: layout.array,
+            kernel.CONTACT_STRIDE: layout.stride,
+            kernel.CONTACT_GEOMS: layout.geoms,
+            kernel.STEP_FUNCTION: address_of("mj_step"),
+            kernel.KERNEL: entry_point(self._law.kernel),
+        }
 
-    def _reset_data(self, row: int, q: Array, plant: Plant | None) -> None:
-        if plant is not None:
-            self._models[row] = plant.model(self.arm)
-            self._set_addresses(row)
-        data = self._datas[row]
-        mujoco.mj_resetData(self._models[row], data)
-        data.qpos[:] = self.arm.qpos(q)
-        data.ctrl[:] = self.arm.home_ctrl
+    def _arrays(self) -> dict[int, NDArray[Any]]:
+        """The arrays of a table."""
+        from armctl.envs import step_kernel as kernel
 
-
-def _limits(arm: Arm) -> Array:
-    """(5, n) least and greatest position, greatest speed, acceleration and torque, all finite."""
-    limits = arm.limits
-    low = np.where(np.isfinite(limits.q_min), limits.q_min, arm.home - _DEFAULT_RANGE)
-    high = np.where(np.isfinite(limits.q_max), limits.q_max, arm.home + _DEFAULT_RANGE)
-    margin = _MARGIN * (high - low)
-    speed = np.where(np.isfinite(limits.v_max), limits.v_max, _DEFAULT_SPEED)
-    acceleration = np.where(np.isfinite(limits.a_max), limits.a_max, _DEFAULT_ACCELERATION)
-    return np.array([low + margin, high - margin, speed, acceleration, limits.tau_max])
+        arm = self.arm
+        mode = self.mode
+        numbers = np.zeros(kernel.NUMBER_COUNT)
+        numbers[kernel.PERIOD] = arm.dt
+        numbers[kernel.JOINT_SCALE] = mode.joint_scale * self.ticks * arm.dt
+        numbers[kernel.POSITION_SCALE] = mode.position_scale
+        numbers[kernel.ROTATION_SCALE] = mode.rotation_scale
+        numbers[kernel.APPROACH_RATE] = min(_APPROACH_RATE, _MAX_SHARE_PER_TICK / arm.dt)
+        numbers[kernel.DAMPING] = _IK_DAMPING
+        numbers[kernel.GRIP_STEP] = 0.0 if self._grip is None else self._grip.speed * arm.dt
+        home = arm.fk(arm.home)
+        numbers[kernel.HOME_TIP :] = np.concatenate([home.position, home.rotation.ravel()])
+        in_free_space = np.zeros((self.count, 6), np.int64)
+        return {
+            kernel.PARAMETERS: self._parameters,
+            kernel.MEMORY: self._memory,
+            kernel.NOMINAL: self._nominal,
+            kernel.PLANTS: self._plants,
+            kernel.DATAS: in_free_space if self.simulated is None else self.simulated.addresses,
+            kernel.BOUNDS: self._bounds,
+            kernel.LIMITS: self.limits,
+            kernel.NUMBERS: numbers,
+            kernel.INDICES: np.array([arm.qpos_adr, arm.dof_adr, arm.ctrl_adr], np.int64),
+            kernel.GEAR: np.array(arm.gear, dtype=float),
+            kernel.ACTION: self.action,
+            kernel.Q: self.q,
+            kernel.V: self.v,
+            kernel.TARGET: self.target,
+            kernel.Q_REFERENCE: self._q_ref,
+            kernel.V_REFERENCE: self._v_ref,
+            kernel.TIP: self.tip,
+            kernel.GRIPPER_INDICES: np.zeros((2, 0), np.int64) if self._grip is None else self._grip.indices,
+            kernel.GRIPPER_ENDS: np.zeros((4, 0)) if self._grip is None else self._grip.ends,
+            kernel.GRIP_TARGET: self._grip_target,
+            kernel.OPENING: self.opening,
+            kernel.OBJECT: self.object,
+            kernel.TOUCHED: self.touched,
+            kernel.DELAYS: self.signals.delays,
+            kernel.COMMANDS: self.signals.commands,
+            kernel.GIVEN: self.signals.given,
+            kernel.NOISE: self.signals.noise,
+        }

@@ -47,7 +47,7 @@ class Screen:
             self._renderer = Renderer(self._arm.model, _WIDTH, _HEIGHT)
         if self._camera is None:
             self._place(self._arm.home)
-            self._camera = fitted_camera(self._arm, [self._data], self._batch.task.goals, _WIDTH / _HEIGHT)
+            self._camera = fitted_camera(self._arm, [self._data], self._batch.task.points, _WIDTH / _HEIGHT)
         self._place(self._batch.rows.q[0])
         return self._renderer.image(self._data, self._camera)
 

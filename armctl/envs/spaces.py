@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from armctl.envs.batch import Batch, Observations
+from armctl.envs.batch import Batch
 
 
 def action_space(batch: Batch) -> gymnasium.spaces.Box:
@@ -17,17 +17,8 @@ def action_space(batch: Batch) -> gymnasium.spaces.Box:
 
 def observation_space(batch: Batch, has_goals: bool) -> gymnasium.spaces.Space[Any]:
     """The observations of one environment, a vector or a dictionary with goals."""
-    box = gymnasium.spaces.Box(-np.inf, np.inf, (batch.observation_size,), np.float32)
+    box = gymnasium.spaces.Box(-np.inf, np.inf, (batch.observer.size,), np.float32)
     if not has_goals:
         return box
     goal = gymnasium.spaces.Box(-np.inf, np.inf, (3,), np.float32)
     return gymnasium.spaces.Dict({"observation": box, "achieved_goal": goal, "desired_goal": goal})
-
-
-def with_goals(observations: Observations, n: int) -> dict[str, Observations]:
-    """Observations (..., size) of arms with n joints as a dictionary, with the tip and its goal."""
-    return {
-        "observation": observations,
-        "achieved_goal": observations[..., 3 * n : 3 * n + 3],
-        "desired_goal": observations[..., 3 * n + 3 : 3 * n + 6],
-    }

@@ -28,7 +28,7 @@ from armctl.robot.dynamics_kernel import (
     tip_position,
     tip_rotation,
 )
-from armctl.sim.tick_kernel import _call_kernel, _integers, _matrix, _step, _vector
+from armctl.sim.tick_kernel import _call_kernel, _floats, _integers, _matrix, _short_integers, _step, _vector
 
 # Entries of the table. SIZES:
 ROWS = 0
@@ -36,37 +36,60 @@ N = 1  # joints
 NQ = 2
 NV = 3
 NCTRL = 4
-FIRST = 5  # the range of rows
-LAST = 6
-TICKS = 7  # of a step of the environment
-MODE = 8  # one of the action modes
-ACTIONS = 9  # numbers of an action of the arm
-PARAMETERS_SIZE = 10
-MEMORY_SIZE = 11
-MODEL_SIZE = 12
-SCRATCH_SIZE = 13
+NU = 5
+FIRST = 6  # the range of rows
+LAST = 7
+TICKS = 8  # of a step of the environment
+MODE = 9  # one of the action modes
+ACTIONS = 10  # numbers of an action of the arm
+ACTION_WIDTH = 11  # ... and of the gripper
+PARAMETERS_SIZE = 12
+MEMORY_SIZE = 13
+MODEL_SIZE = 14
+SCRATCH_SIZE = 15
+GRIPPERS = 16  # actuators of the gripper; 0 without one
+COMMAND_DEPTH = 17  # ticks in the ring buffer of commands; 1 without delays
+# Where the loose object and the obstacle are; -1 without one:
+OBJECT_QPOS = 18
+OBJECT_QVEL = 19
+OBSTACLE = 20  # its geom
+# Offsets of MuJoCo's contacts, as in ContactLayout:
+CONTACT_COUNT = 21
+CONTACT_ARRAY = 22
+CONTACT_STRIDE = 23
+CONTACT_GEOMS = 24
 # Addresses:
-STEP_FUNCTION = 14
-KERNEL = 15
-PARAMETERS = 16
-MEMORY = 17  # (rows, size)
-NOMINAL = 18  # the model that the controller knows
-PLANTS = 19  # (rows, size) dynamics of each plant in free space
-DATAS = 20  # (rows, 5) int64: addresses of MjModel, MjData, qpos, qvel, ctrl; 0 in free space
-BOUNDS = 21  # (2, n) torques of the motors
-LIMITS = 22  # (5, n): least and greatest position, greatest speed, acceleration and torque
-NUMBERS = 23  # (NUMBER_COUNT,)
-INDICES = 24  # (3, n) int64: the joints in qpos, in qvel, their motors in ctrl
-GEAR = 25
-SCRATCH = 26
-ACTION = 27  # (rows, actions)
-Q = 28  # (rows, n), as all that follow up to TIP
-V = 29
-TARGET = 30
-Q_REFERENCE = 31
-V_REFERENCE = 32
-TIP = 33  # (rows, 12): position, rotation matrix
-TABLE_SIZE = 34
+STEP_FUNCTION = 25
+KERNEL = 26
+PARAMETERS = 27
+MEMORY = 28  # (rows, size)
+NOMINAL = 29  # the model that the controller knows
+PLANTS = 30  # (rows, size) dynamics of each plant in free space
+DATAS = 31  # (rows, 6) int64: addresses of MjModel, MjData, qpos, qvel, ctrl, actuator_length; 0 in free space
+BOUNDS = 32  # (2, n) torques of the motors
+LIMITS = 33  # (5, n): least and greatest position, greatest speed, acceleration and torque
+NUMBERS = 34  # (NUMBER_COUNT,)
+INDICES = 35  # (3, n) int64: the joints in qpos, in qvel, their motors in ctrl
+GEAR = 36
+SCRATCH = 37
+ACTION = 38  # (rows, width)
+Q = 39  # (rows, n), as all that follow up to TIP
+V = 40
+TARGET = 41
+Q_REFERENCE = 42
+V_REFERENCE = 43
+TIP = 44  # (rows, 12): position, rotation matrix
+GRIPPER_INDICES = 45  # (2, grippers) int64: in ctrl, in actuator_length
+GRIPPER_ENDS = 46  # (4, grippers): controls when closed and open, lengths when closed and open
+GRIP_TARGET = 47  # (rows,) where the gripper's controls are, from closed (0) to open (1)
+OPENING = 48  # (rows,) where the gripper is
+OBJECT = 49  # (rows, 13): position, quaternion, velocity, angular velocity
+TOUCHED = 50  # (rows,) int64: ticks of this step at which something touched the obstacle
+DELAYS = 51  # (rows,) int64: ticks
+COMMANDS = 52  # (rows, depth, n): ring buffer of the torques
+GIVEN = 53  # (rows,) int64: commands since the start of the episode
+NOISE = 54  # (rows, ticks, 2, n) on measured positions and velocities; 0 for none
+TABLE_SIZE = 55
 
 # Numbers:
 PERIOD = 0  # s
@@ -75,8 +98,9 @@ POSITION_SCALE = 2  # m, of a full cartesian action
 ROTATION_SCALE = 3  # rad
 APPROACH_RATE = 4  # 1/s
 DAMPING = 5  # of the inverse Jacobian, squared
-HOME_TIP = 6  # (12,)
-NUMBER_COUNT = 18
+GRIP_STEP = 6  # of the way from closed to open, in a tick
+HOME_TIP = 7  # (12,)
+NUMBER_COUNT = 19
 
 TORQUE = 0
 JOINT_DELTA = 1
@@ -196,7 +220,7 @@ def _set_target(table, row, numbers, limits, scratch):
     n = table[N]
     mode = table[MODE]
     actions = table[ACTIONS]
-    action = _matrix(table[ACTION], table[ROWS], actions)[row]
+    action = _matrix(table[ACTION], table[ROWS], table[ACTION_WIDTH])[row]
     target = _matrix(table[TARGET], table[ROWS], n)[row]
     if mode == JOINT_DELTA:
         scale = numbers[JOINT_SCALE]
@@ -234,8 +258,10 @@ def _set_target(table, row, numbers, limits, scratch):
 
 
 @njit
-def _advance_reference(dt, rate, limits, target, reference, q_ref, v_ref):
+def _advance_reference(numbers, limits, target, reference, q_ref, v_ref):
     """The reference of the next tick: towards the target within speed and acceleration, and a stop at it without overshoot."""
+    dt = numbers[PERIOD]
+    rate = numbers[APPROACH_RATE]
     for i in range(target.shape[0]):
         way = target[i] - q_ref[i]
         speed = approach_speed(way, limits[3, i], rate)
@@ -252,9 +278,11 @@ def _advance_reference(dt, rate, limits, target, reference, q_ref, v_ref):
 
 
 @njit
-def _guard(model, dt, rate, limits, q, v, tau, M, a, zero, force, work):
+def _guard(model, numbers, limits, q, v, tau, M, a, zero, force, work):
     """Changes a torque that would drive a joint too fast or into a stop, to one that brakes it; others stay as they are."""
     n = q.shape[0]
+    dt = numbers[PERIOD]
+    rate = numbers[APPROACH_RATE]
     for i in range(n):
         zero[i] = 0.0
     inverse_dynamics(model, q, v, zero, work, force)
@@ -279,15 +307,88 @@ def _guard(model, dt, rate, limits, q, v, tau, M, a, zero, force, work):
 
 
 @njit
-def _stop(limits, q, v):
-    """The mechanical stops of a plant in free space: a joint that reaches one stays there."""
-    for i in range(q.shape[0]):
+def _move_freely(plant, bounds, limits, tau, zero, work, q, v):
+    """One tick in free space, with mechanical stops: a joint that reaches one stays there."""
+    n = q.shape[0]
+    for i in range(n):
+        zero[i] = 0.0
+    free_step(plant, bounds, tau, zero, work, q, v)
+    for i in range(n):
         if q[i] < limits[0, i]:
             q[i] = limits[0, i]
             v[i] = max(v[i], 0.0)
         elif q[i] > limits[1, i]:
             q[i] = limits[1, i]
             v[i] = min(v[i], 0.0)
+
+
+@njit
+def _delay(table, row, tau):
+    """Replaces the torque of this tick by that of some ticks ago, or by the first one until then."""
+    n = table[N]
+    rows = table[ROWS]
+    depth = table[COMMAND_DEPTH]
+    commands = numba.carray(_floats(table[COMMANDS]), (rows, depth, n))[row]
+    given = numba.carray(_integers(table[GIVEN]), (rows,))
+    delay = numba.carray(_integers(table[DELAYS]), (rows,))[row]
+    newest = given[row] % depth
+    oldest = max(given[row] - delay, 0) % depth
+    for i in range(n):
+        commands[newest, i] = tau[i]
+    for i in range(n):
+        tau[i] = commands[oldest, i]
+    given[row] += 1
+
+
+@njit
+def _drive_gripper(table, row, addresses, step):
+    """Moves the controls of the gripper towards the last number of the action, at a limited speed."""
+    grippers = table[GRIPPERS]
+    indices = numba.carray(_integers(table[GRIPPER_INDICES]), (2, grippers))
+    ends = _matrix(table[GRIPPER_ENDS], 4, grippers)
+    ctrl = _vector(addresses[4], table[NCTRL])
+    targets = _vector(table[GRIP_TARGET], table[ROWS])
+    action = _matrix(table[ACTION], table[ROWS], table[ACTION_WIDTH])[row]
+    wanted = 0.5 * (1.0 + _unit(action[table[ACTIONS]]))
+    targets[row] = min(max(wanted, targets[row] - step), targets[row] + step)
+    for k in range(grippers):
+        ctrl[indices[0, k]] = ends[0, k] + targets[row] * (ends[1, k] - ends[0, k])
+
+
+@njit
+def _touches(table, data, geom):
+    """Whether a geom is in contact."""
+    count = numba.carray(_short_integers(data + table[CONTACT_COUNT]), (1,))[0]
+    if count == 0:
+        return False
+    first = numba.carray(_integers(data + table[CONTACT_ARRAY]), (1,))[0] + table[CONTACT_GEOMS]
+    for k in range(count):
+        pair = numba.carray(_short_integers(first + k * table[CONTACT_STRIDE]), (2,))
+        if pair[0] == geom or pair[1] == geom:
+            return True
+    return False
+
+
+@njit
+def _observe_scene(table, row, addresses):
+    """Reads the gripper's opening and the loose object."""
+    grippers = table[GRIPPERS]
+    if grippers > 0:
+        indices = numba.carray(_integers(table[GRIPPER_INDICES]), (2, grippers))
+        ends = _matrix(table[GRIPPER_ENDS], 4, grippers)
+        lengths = _vector(addresses[5], table[NU])
+        share = 0.0
+        for k in range(grippers):
+            share += (lengths[indices[1, k]] - ends[2, k]) / (ends[3, k] - ends[2, k])
+        _vector(table[OPENING], table[ROWS])[row] = share / grippers
+    if table[OBJECT_QPOS] >= 0:
+        qpos = _vector(addresses[2], table[NQ])
+        qvel = _vector(addresses[3], table[NV])
+        found = _matrix(table[OBJECT], table[ROWS], 13)[row]
+        for k in range(7):
+            found[k] = qpos[table[OBJECT_QPOS] + k]
+        for k in range(6):
+            found[7 + k] = qvel[table[OBJECT_QVEL] + k]
 
 
 @njit
@@ -309,6 +410,15 @@ def _step_mujoco(table, addresses, tau, q, v):
 
 
 @njit
+def _simulate(table, row, addresses, grip_step, tau, q, v):
+    """One tick of a copy on MuJoCo; whether something touches the obstacle."""
+    if table[GRIPPERS] > 0:
+        _drive_gripper(table, row, addresses, grip_step)
+    _step_mujoco(table, addresses, tau, q, v)
+    return table[OBSTACLE] >= 0 and _touches(table, addresses[1], table[OBSTACLE])
+
+
+@njit
 def step_rows(table):
     """One step of the environments [FIRST, LAST)."""
     n = table[N]
@@ -321,44 +431,49 @@ def step_rows(table):
     memories = _matrix(table[MEMORY], rows, table[MEMORY_SIZE])
     nominal = _vector(table[NOMINAL], table[MODEL_SIZE])
     plants = _matrix(table[PLANTS], rows, table[MODEL_SIZE])
-    actions = _matrix(table[ACTION], rows, table[ACTIONS])
-    positions = _matrix(table[Q], rows, n)
-    velocities = _matrix(table[V], rows, n)
-    targets = _matrix(table[TARGET], rows, n)
-    q_references = _matrix(table[Q_REFERENCE], rows, n)
-    v_references = _matrix(table[V_REFERENCE], rows, n)
-    tips = _matrix(table[TIP], rows, 12)
-    addresses = numba.carray(_integers(table[DATAS]), (rows, 5))
+    actions = _matrix(table[ACTION], rows, table[ACTION_WIDTH])
+    touched = numba.carray(_integers(table[TOUCHED]), (rows,))
+    is_noisy = table[NOISE] != 0
+    noise = numba.carray(_floats(table[NOISE]), (rows, table[TICKS], 2, n))  # not read unless there is any
+    addresses = numba.carray(_integers(table[DATAS]), (rows, 6))
     tau = scratch[:n]
     zero = scratch[n : 2 * n]
     force = scratch[2 * n : 3 * n]
     a = scratch[3 * n : 4 * n]
+    q_seen = scratch[4 * n : 5 * n]
+    v_seen = scratch[5 * n : 6 * n]
     reference = scratch[_VECTORS * n : _VECTORS * n + 5 * n].reshape((5, n))
     M = scratch[_VECTORS * n + 5 * n : _VECTORS * n + 5 * n + n * n].reshape((n, n))
     work = scratch[_VECTORS * n + 5 * n + n * n + 6 * n + 72 :]
     inner = work[: work.shape[0] - n]
-    dt = numbers[PERIOD]
-    rate = numbers[APPROACH_RATE]
     for row in range(table[FIRST], table[LAST]):
-        q = positions[row]
-        v = velocities[row]
+        q = _matrix(table[Q], rows, n)[row]
+        v = _matrix(table[V], rows, n)[row]
+        target = _matrix(table[TARGET], rows, n)[row]
+        q_reference = _matrix(table[Q_REFERENCE], rows, n)[row]
+        v_reference = _matrix(table[V_REFERENCE], rows, n)[row]
+        touched[row] = 0
         _set_target(table, row, numbers, limits, scratch)
-        for _ in range(table[TICKS]):
+        for tick in range(table[TICKS]):
+            for i in range(n):
+                q_seen[i] = q[i] + noise[row, tick, 0, i] if is_noisy else q[i]
+                v_seen[i] = v[i] + noise[row, tick, 1, i] if is_noisy else v[i]
             if table[MODE] == TORQUE:
                 for i in range(n):
                     tau[i] = limits[4, i] * _unit(actions[row, i])
-                _guard(nominal, dt, rate, limits, q, v, tau, M, a, zero, force, inner)
+                _guard(nominal, numbers, limits, q_seen, v_seen, tau, M, a, zero, force, inner)
             else:
-                _advance_reference(dt, rate, limits, targets[row], reference, q_references[row], v_references[row])
-                _call_kernel(table[KERNEL], parameters, q, v, reference, memories[row], tau)
+                _advance_reference(numbers, limits, target, reference, q_reference, v_reference)
+                _call_kernel(table[KERNEL], parameters, q_seen, v_seen, reference, memories[row], tau)
+            if table[COMMAND_DEPTH] > 1:
+                _delay(table, row, tau)
             if addresses[row, 1] == 0:
-                for i in range(n):
-                    zero[i] = 0.0
-                free_step(plants[row], bounds, tau, zero, work, q, v)
-                _stop(limits, q, v)
-            else:
-                _step_mujoco(table, addresses[row], tau, q, v)
-        _find_tip(nominal, q, inner, tips[row])
+                _move_freely(plants[row], bounds, limits, tau, zero, work, q, v)
+            elif _simulate(table, row, addresses[row], numbers[GRIP_STEP], tau, q, v):
+                touched[row] += 1
+        if addresses[row, 1] != 0:
+            _observe_scene(table, row, addresses[row])
+        _find_tip(nominal, q, inner, _matrix(table[TIP], rows, 12)[row])
 
 
 @c_function(types.void(types.intp, types.intp, types.int32, types.intp))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,8 +13,8 @@ from gymnasium.vector.utils import batch_space
 from armctl.core.errors import InputError
 from armctl.core.validation import flag
 from armctl.envs.batch import Batch
-from armctl.envs.spaces import action_space, observation_space, with_goals
-from armctl.robot.arm import Arm
+from armctl.envs.source import Robot
+from armctl.envs.spaces import action_space, observation_space
 from armctl.study.factors import Range
 
 
@@ -37,7 +36,7 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
 
     def __init__(
         self,
-        robot: str | os.PathLike[str] | Arm = "panda",
+        robot: Robot = "panda",
         task: str = "Reach",
         action: str = "cartesian_delta",
         num_envs: int = 1,
@@ -45,27 +44,30 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
         *,
         controller: str = "computed-torque",
         ticks: int = 25,
-        horizon: int = 50,
-        free_space: bool = True,
+        horizon: int | None = None,
+        free_space: bool | None = None,
         randomize: Mapping[str, Range] | None = None,
         reward: str = "dense",
         goal_conditioned: bool = False,
+        load_options: Mapping[str, Any] | None = None,
     ):
         """Environments that wait for `reset`.
 
         Args:
-            robot: An arm, or what `armctl.load` takes.
-            task: "Reach".
+            robot: What `armctl.load` takes, or, for Reach and Track, also an arm.
+            task: "Reach", "ReachPast", "Track", "Push" or "PickPlace".
             action: "torque", "joint_delta", "joint_target", "cartesian_delta" or "cartesian_pose".
             num_envs: How many.
             threads: On how many threads; the result is the same.
             controller: The name of a controller with a kernel, for all actions but torques.
             ticks: Control periods of a step.
-            horizon: Steps of an episode.
-            free_space: Whether nothing touches the arm, so that no contacts are simulated; False for `mj_step`.
-            randomize: A range for attributes of the plant, such as `{"payload": armctl.Range(0.0, 0.5)}`.
+            horizon: Steps of an episode; left out, as many as the task needs.
+            free_space: Whether nothing touches the arm, so that no contacts are simulated; False for `mj_step`. Left out, it is
+                True for Reach and Track.
+            randomize: A range for attributes of the plant and of the object, such as `{"payload": armctl.Range(0.0, 0.5)}`.
             reward: "dense" or "sparse".
             goal_conditioned: Whether an observation is a dictionary with the achieved and the desired goal.
+            load_options: Keyword arguments of `armctl.load`, such as `{"tool": "robotiq_2f85"}`.
 
         Raises:
             InputError: An argument is not possible, with the reason.
@@ -83,6 +85,7 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
             free_space=free_space,
             randomize=randomize,
             reward=reward,
+            load_options=load_options,
         )
         self._has_goals = flag("goal_conditioned", goal_conditioned)
         self.num_envs = len(self.batch.steps)
@@ -128,8 +131,8 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
             actions: (num_envs, k) in [-1, 1].
 
         Returns:
-            Observations, rewards, terminations (never), truncations (at the horizon), and information: `is_success` and
-            `distance` (m) of each, and `final_obs` where an episode ended.
+            Observations, rewards, terminations (never), truncations (at the horizon), and information: `is_success`,
+            `distance` (m) and, if there is an obstacle, `touched` of each, and `final_obs` where an episode ended.
 
         Raises:
             InputError: The actions have another shape.
@@ -137,35 +140,32 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
         batch = self.batch
         batch.step(actions)
         observations = batch.observe()
-        n = batch.arm.n
-        rewards, success, distance = batch.evaluate(observations)
-        truncated = batch.steps >= batch.horizon
-        information: dict[str, Any] = {"is_success": success, "distance": distance}
-        information |= {f"_{name}": np.ones(self.num_envs, bool) for name in ("is_success", "distance")}
+        rewards, found = batch.evaluate(observations)
+        truncated = batch.ended
+        information: dict[str, Any] = _with_masks(found, np.ones(self.num_envs, bool))
         if truncated.any():
             ended = np.flatnonzero(truncated)
             last = np.full(self.num_envs, None, dtype=object)
             for k in ended:
-                last[k] = with_goals(observations[k], n) if self._has_goals else observations[k]
+                last[k] = self._formed(observations[k])
             information |= {"final_obs": last, "_final_obs": truncated}
-            final = {"is_success": success, "_is_success": truncated, "distance": distance, "_distance": truncated}
-            information |= {"final_info": final, "_final_info": truncated}
+            information |= {"final_info": _with_masks(found, truncated), "_final_info": truncated}
             batch.reset(ended.tolist(), [self._rngs[k] for k in ended])
             observations = batch.observe()
         return self._formed(observations), rewards, np.zeros(self.num_envs, bool), truncated, information
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """The rewards of tips at goals, for hindsight replay.
+        """The rewards of goals, for hindsight replay.
 
         Args:
-            achieved_goal: (..., 3) m.
+            achieved_goal: (..., 3) m, where the tip or the object is.
             desired_goal: (..., 3) m.
-            info: Not used.
+            info: The information of the step, or of each step.
 
         Returns:
             (...,) rewards.
         """
-        return self.batch.reward(np.asarray(achieved_goal), np.asarray(desired_goal))[0]
+        return self.batch.reward(achieved_goal, desired_goal, info)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Ends the threads.
@@ -176,4 +176,9 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
         self.batch.rows.close()
 
     def _formed(self, observations: Any) -> Any:
-        return with_goals(observations, self.batch.arm.n) if self._has_goals else observations
+        return self.batch.observer.with_goals(observations) if self._has_goals else observations
+
+
+def _with_masks(values: Mapping[str, Any], mask: Any) -> dict[str, Any]:
+    """Information of all environments as Gymnasium wants it: with the names of who has it."""
+    return {**values, **{f"_{name}": mask for name in values}}

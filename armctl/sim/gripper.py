@@ -12,7 +12,7 @@ from armctl.core.errors import InputError
 from armctl.core.validation import instance, number
 from armctl.mjmodel.queries import body_name
 from armctl.robot.arm import Arm
-from armctl.sim.gripper_model import find_gripper_model, make_servos
+from armctl.sim.gripper_model import find_gripper_model, make_usable
 from armctl.sim.stepper import Stepper
 
 _DEFAULT_FORCE = 10.0  # N
@@ -197,11 +197,7 @@ class Gripper:
         """Releases the brake, restores the gripper's own servo, and returns the time now."""
         self._stepper.release(self.model.dofs)
         self._set_servo()
-        make_servos(self._stepper.model, self.model.actuators, self.model.inertia)
-        self._stepper.model.jnt_limited[self.model.followers] = 0  # in a URDF they often contradict the leading joint's
-        # Two geoms touch if one's contype meets the other's conaffinity: without contype these touch other things only.
-        self._stepper.model.geom_conaffinity[self.model.overlapping] = self._contype | self._conaffinity
-        self._stepper.model.geom_contype[self.model.overlapping] = 0
+        make_usable(self._stepper.model, self.model)
         return float(self._stepper.data.time)
 
     def _set_servo(self) -> None:

@@ -187,6 +187,23 @@ def make_servos(model: mujoco.MjModel, actuators: tuple[int, ...], inertia: Arra
             model.actuator_ctrlrange[ctrl] = (low, high)
 
 
+def make_usable(model: mujoco.MjModel, gripper: GripperModel) -> None:
+    """Makes servos of a gripper's actuators and lets it move, in place.
+
+    Args:
+        model: The model to change.
+        gripper: The gripper.
+
+    Raises:
+        ModelError: A motor without limits, or one on a tendon.
+    """
+    make_servos(model, gripper.actuators, gripper.inertia)
+    model.jnt_limited[gripper.followers] = 0  # in a URDF they often contradict the leading joint's
+    # Two geoms touch if one's contype meets the other's conaffinity: without contype these touch other things only.
+    model.geom_conaffinity[gripper.overlapping] |= model.geom_contype[gripper.overlapping]
+    model.geom_contype[gripper.overlapping] = 0
+
+
 def _make_servo(model: mujoco.MjModel, actuator: int, joint: int, inertia: float) -> None:
     """Turns a motor into a critically damped servo, which pushes with its full force at a tenth of its range.
 

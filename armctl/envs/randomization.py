@@ -1,0 +1,116 @@
+"""Randomization: attributes of the plant and of the loose object that are drawn from ranges, for each episode."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+
+from armctl.core.errors import InputError, UnknownNameError
+from armctl.core.validation import instance, number, shown
+from armctl.sim.plant import Plant
+from armctl.study.factors import Range
+
+_OF_DYNAMICS = ("payload", "mass_scale", "viscous_friction", "coulomb_friction")
+_OF_FREE_DYNAMICS = _OF_DYNAMICS[:3]
+_OF_SIGNALS = ("encoder_noise", "delay")
+_OF_OBJECT = ("object_size", "object_mass", "object_friction")
+
+
+class ObjectFactors(NamedTuple):
+    """How the loose object differs from its model.
+
+    Attributes:
+        object_size: Factor on its lengths.
+        object_mass: kg; None for that of the model.
+        object_friction: Coefficient of friction; None for that of the model.
+    """
+
+    object_size: float = 1.0
+    object_mass: float | None = None
+    object_friction: float | None = None
+
+
+@dataclass(frozen=True)
+class Randomization:
+    """Ranges from which each episode draws.
+
+    Attributes:
+        plant: Ranges of attributes of a plant.
+        object: Ranges of attributes of the loose object.
+    """
+
+    plant: Mapping[str, Range]
+    object: Mapping[str, Range]
+
+    @classmethod
+    def read(cls, ranges: object, *, free_space: bool, has_object: bool) -> Randomization:
+        """Ranges as a caller gave them.
+
+        Args:
+            ranges: A mapping from names to ranges, or None.
+            free_space: Whether the plant moves in free space.
+            has_object: Whether there is a loose object.
+
+        Returns:
+            The randomization.
+
+        Raises:
+            InputError: It is no mapping, a value is no Range, or an attribute cannot vary here.
+            UnknownNameError: There is no such attribute.
+        """
+        instance("randomize", {} if ranges is None else ranges, Mapping, "{'payload': armctl.Range(0.0, 0.5)} is one")
+        given: dict[str, Range] = dict(ranges or {})  # type: ignore[call-overload]
+        of_plant = (*(_OF_FREE_DYNAMICS if free_space else _OF_DYNAMICS), *_OF_SIGNALS)
+        allowed = (*of_plant, *(_OF_OBJECT if has_object else ()))
+        for name, each in given.items():
+            if name not in {*_OF_OBJECT, *(field.name for field in fields(Plant))}:
+                raise UnknownNameError.of("attribute that can vary", f"{name!s:.80}", allowed)
+            if name not in allowed:
+                where = " in free space" if name in _OF_DYNAMICS else ""
+                raise InputError(f"randomize: {name} cannot vary{where}; {', '.join(allowed)} can")
+            if not isinstance(each, Range):
+                raise InputError(f"randomize: {name}: {shown(each)} is no Range; armctl.Range(0.0, 0.5) is one")
+            if name in _OF_OBJECT:
+                number(f"randomize: {name}: low", each.low, 1e-6)
+            else:
+                Plant(**{name: _whole(name, each.low)})
+        return cls(
+            plant={name: each for name, each in given.items() if name in of_plant},
+            object={name: each for name, each in given.items() if name in _OF_OBJECT},
+        )
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether measured positions have noise."""
+        return "encoder_noise" in self.plant
+
+    @property
+    def max_delay(self) -> int:
+        """The greatest delay of commands, ticks."""
+        return int(self.plant["delay"].high) if "delay" in self.plant else 0
+
+    def draw_plant(self, rng: np.random.Generator) -> Plant | None:
+        """A plant; None if it does not vary."""
+        if not self.plant:
+            return None
+        return Plant(**{name: _whole(name, _value(name, each, rng)) for name, each in self.plant.items()})
+
+    def draw_object(self, rng: np.random.Generator) -> ObjectFactors | None:
+        """What the loose object is like; None if it does not vary."""
+        if not self.object:
+            return None
+        return ObjectFactors(**{name: each.at(rng.random()) for name, each in self.object.items()})
+
+
+def _value(name: str, each: Range, rng: np.random.Generator) -> float:
+    """A number within a range; a whole number has the same probability as each other."""
+    if name != "delay":
+        return each.at(rng.random())
+    return min(each.low + rng.random() * (each.high - each.low + 1.0), each.high)
+
+
+def _whole(name: str, value: float) -> float:
+    return int(value) if name == "delay" else value

@@ -1,0 +1,150 @@
+"""SimulatedArms: the models and states of MuJoCo for several copies of an arm, and what changes in them for each episode."""
+
+from __future__ import annotations
+
+import copy
+
+import mujoco
+import numpy as np
+
+from armctl.core.validation import Array
+from armctl.envs.grip import Grip
+from armctl.envs.randomization import ObjectFactors
+from armctl.envs.tasks.interface import Episode
+from armctl.robot.arm import Arm
+from armctl.sim.gripper_model import make_usable
+from armctl.sim.plant import NOMINAL, Plant, apply_plant, brake, held_dofs
+
+_UPRIGHT = (1.0, 0.0, 0.0, 0.0)  # quaternion
+
+
+class SimulatedArms:
+    """Several copies of an arm on `mj_step`. They share a model until one gets a plant or an object of its own.
+
+    Attributes:
+        addresses: (count, 6) of each copy's MjModel, MjData, qpos, qvel, ctrl and actuator_length.
+    """
+
+    def __init__(self, arm: Arm, grip: Grip | None, thing: str, obstacle: str, count: int):
+        """Copies at home.
+
+        Args:
+            arm: The arm in its scene.
+            grip: The gripper; None if it is braked.
+            thing: The name of the loose object; empty for none.
+            obstacle: The name of the obstacle; empty for none.
+            count: The number of copies.
+        """
+        self._arm = arm
+        self._grip = grip
+        held = held_dofs(arm)
+        self._held = held if grip is None else np.setdiff1d(held, grip.model.dofs)
+        self._thing = arm.model.body(thing).id if thing else -1
+        self._mocap = int(arm.model.body(obstacle).mocapid[0]) if obstacle else -1
+        self._nominal = copy.copy(arm.model)
+        self._set_plant(self._nominal, NOMINAL)
+        if grip is not None:
+            make_usable(self._nominal, grip.model)
+        self._models = [self._nominal] * count
+        self._datas = [mujoco.MjData(self._nominal) for _ in range(count)]
+        self.addresses = np.zeros((count, 6), np.int64)
+        for row in range(count):
+            self._set_addresses(row)
+
+    def data(self, row: int) -> mujoco.MjData:
+        """The state of a copy."""
+        return self._datas[row]
+
+    def model(self, row: int) -> mujoco.MjModel:
+        """The model of a copy."""
+        return self._models[row]
+
+    def reset(self, row: int, episode: Episode, plant: Plant | None, factors: ObjectFactors | None) -> None:
+        """Starts an episode of a copy, at rest.
+
+        Args:
+            row: Which copy.
+            episode: Where everything is.
+            plant: How it differs from the model from now on; None leaves it as it is.
+            factors: How the loose object differs; None leaves it as it is.
+        """
+        if plant is not None or factors is not None:
+            self._change_model(row, plant or NOMINAL, factors or ObjectFactors())
+        model = self._models[row]
+        data = self._datas[row]
+        mujoco.mj_resetData(model, data)
+        data.qpos[:] = self._arm.qpos(episode.q)
+        data.ctrl[:] = self._arm.home_ctrl
+        if self._grip is not None:
+            data.qpos[self._grip.qpos_adr] = self._grip.open_qpos
+            data.ctrl[self._grip.indices[0]] = self._grip.ends[1]
+        if episode.object is not None:
+            geom = model.body_geomadr[self._thing]
+            raised = model.geom_size[geom, 1] - self._nominal.geom_size[geom, 1]  # a larger one stands on the same table
+            address = self.object_addresses[0]
+            data.qpos[address : address + 3] = episode.object + np.array([0.0, 0.0, raised])
+            data.qpos[address + 3 : address + 7] = _UPRIGHT
+        if episode.obstacle is not None:
+            data.mocap_pos[self._mocap] = episode.obstacle
+        mujoco.mj_forward(model, data)
+
+    def object_state(self, row: int) -> Array:
+        """(13,) position, quaternion, velocity and angular velocity of the loose object of a copy; zeros without one."""
+        if self._thing < 0:
+            return np.zeros(13)
+        qpos, qvel = self.object_addresses
+        data = self._datas[row]
+        return np.concatenate([data.qpos[qpos : qpos + 7], data.qvel[qvel : qvel + 6]])
+
+    @property
+    def object_addresses(self) -> tuple[int, int]:
+        """Where the loose object begins in qpos and in qvel; -1 without one."""
+        if self._thing < 0:
+            return -1, -1
+        joint = self._arm.model.body_jntadr[self._thing]
+        return int(self._arm.model.jnt_qposadr[joint]), int(self._arm.model.jnt_dofadr[joint])
+
+    @property
+    def obstacle_geom(self) -> int:
+        """The geom of the obstacle; -1 without one."""
+        body = np.flatnonzero(self._arm.model.body_mocapid == self._mocap)
+        return int(self._arm.model.body_geomadr[body[0]]) if self._mocap >= 0 else -1
+
+    def _change_model(self, row: int, plant: Plant, factors: ObjectFactors) -> None:
+        """Gives a copy its own model, changed by a plant and by the factors of the object."""
+        if self._models[row] is self._nominal:
+            self._models[row] = copy.copy(self._nominal)
+            self._datas[row] = mujoco.MjData(self._models[row])
+            self._set_addresses(row)
+        self._set_plant(self._models[row], plant)
+        if self._thing >= 0:
+            self._set_object(self._models[row], factors)
+            mujoco.mj_setConst(self._models[row], self._datas[row])
+
+    def _set_plant(self, model: mujoco.MjModel, plant: Plant) -> None:
+        apply_plant(model, mujoco.MjData(model), plant, [self._arm])
+        brake(model, self._held)
+        if self._grip is not None:
+            model.jnt_limited[self._grip.model.followers] = 0
+
+    def _set_object(self, model: mujoco.MjModel, factors: ObjectFactors) -> None:
+        """Sets size, mass and friction of the loose object, which has one geom."""
+        nominal = self._nominal
+        body = self._thing
+        geom = model.body_geomadr[body]
+        box = model.body_bvhadr[body]
+        model.geom_size[geom] = factors.object_size * nominal.geom_size[geom]
+        model.geom_rbound[geom] = factors.object_size * nominal.geom_rbound[geom]
+        model.geom_aabb[geom] = factors.object_size * nominal.geom_aabb[geom]
+        model.bvh_aabb[box] = factors.object_size * nominal.bvh_aabb[box]
+        mass = float(nominal.body_mass[body]) if factors.object_mass is None else factors.object_mass
+        model.body_mass[body] = mass
+        model.body_inertia[body] = nominal.body_inertia[body] * (mass / nominal.body_mass[body]) * factors.object_size**2
+        if factors.object_friction is not None:
+            model.geom_friction[geom, 0] = factors.object_friction
+
+    def _set_addresses(self, row: int) -> None:
+        model = self._models[row]
+        data = self._datas[row]
+        arrays = (data.qpos, data.qvel, data.ctrl, data.actuator_length)
+        self.addresses[row] = [model._address, data._address, *(array.ctypes.data for array in arrays)]

@@ -1,0 +1,113 @@
+"""Task: what an arm shall do. A task has goals, draws episodes, and says what is measured against the goal."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armctl.core.validation import Array, BoolArray
+from armctl.envs.limits import joint_limits
+from armctl.envs.source import ArmSource
+from armctl.robot.arm import Arm
+
+_DISTANCE_WEIGHT = 5.0  # 1/m
+_TOUCH_COST = 1.0
+_START_SPREAD = 0.1  # rad (m), of all joints around the start
+
+
+class Episode(NamedTuple):
+    """How an episode starts.
+
+    Attributes:
+        q: (n,) rad, the configuration.
+        goal: Which of the task's goals it has.
+        object: (3,) m, where the loose object is; None without one.
+        obstacle: (3,) m, where the obstacle is; None without one.
+    """
+
+    q: Array
+    goal: int
+    object: Array | None = None
+    obstacle: Array | None = None
+
+
+class Task(ABC):
+    """A task of an arm. A subclass is one file and one row of `TASKS`.
+
+    Its constructor takes an `ArmSource` and the ticks of a step, loads the arm in the scene of the task, and sets those of the
+    attributes that do not belong to the class.
+
+    Attributes:
+        name: As in `armctl/Reach-v0`.
+        instruction: The task in words, for data sets.
+        min_duration: s, of an episode, if fifty steps are shorter.
+        tolerance: m from the goal that counts as success.
+        held_fraction: Of an episode, at its end, in which a policy that solves the task is at the goal.
+        object: The name of the loose object that shall be at the goal; empty if the tip shall be.
+        obstacle: The name of the body that shall not be touched; empty for none.
+        uses_gripper: Whether an action has a number for the gripper.
+        moves_goal: Whether the goal moves during an episode.
+        arm: The arm.
+        start_q: (n,) rad, around which episodes start.
+        goals: (k, s, 3) m, positions of each goal at the steps of an episode; the last one stays.
+    """
+
+    name: ClassVar[str]
+    instruction: ClassVar[str]
+    min_duration: ClassVar[float] = 0.0
+    tolerance: ClassVar[float] = 0.02
+    held_fraction: ClassVar[float] = 0.0
+    object: ClassVar[str] = ""
+    obstacle: ClassVar[str] = ""
+    uses_gripper: ClassVar[bool] = False
+    moves_goal: ClassVar[bool] = False
+    arm: Arm
+    start_q: Array
+    goals: Array
+
+    @abstractmethod
+    def __init__(self, source: ArmSource, ticks: int):
+        """The task for a robot."""
+
+    @abstractmethod
+    def draw(self, rng: np.random.Generator) -> Episode:
+        """The start of an episode."""
+
+    @property
+    def points(self) -> Array:
+        """(k, 3) m, what a camera shall show."""
+        return self.goals[:, 0]
+
+    def start(self, rng: np.random.Generator, spread: float = _START_SPREAD) -> Array:
+        """(n,) rad, a configuration around the start."""
+        limits = joint_limits(self.arm)
+        return np.clip(self.start_q + rng.uniform(-spread, spread, self.arm.n), limits.low, limits.high)
+
+    def goals_at(self, numbers: NDArray[np.int64], steps: NDArray[np.int64]) -> Array:
+        """(count, 3) m, the goals of episodes with these goal numbers (count,) after these steps (count,)."""
+        return self.goals[numbers, np.minimum(steps, self.goals.shape[1] - 1)]
+
+    def reward(
+        self, achieved: NDArray[Any], desired: NDArray[Any], touched: NDArray[Any] | bool, *, is_sparse: bool
+    ) -> tuple[NDArray[np.floating], BoolArray, NDArray[np.floating]]:
+        """The reward of a state.
+
+        It is 1 at the goal, less 5 for each m of distance; or, if it is sparse, 0 at the goal and -1 elsewhere. A step in which
+        the obstacle is touched costs 1 more.
+
+        Args:
+            achieved: (..., 3) m, the tip or the object.
+            desired: (..., 3) m, the goal.
+            touched: (...,) whether the obstacle was touched.
+            is_sparse: Whether the distance does not count.
+
+        Returns:
+            (...,) reward, success, and distance in m.
+        """
+        distance = np.linalg.norm(np.subtract(achieved, desired, dtype=np.float64), axis=-1)
+        success = distance < self.tolerance
+        reward = success - 1.0 if is_sparse else success - _DISTANCE_WEIGHT * distance
+        return reward - _TOUCH_COST * np.asarray(touched), success, distance

@@ -1,0 +1,38 @@
+"""Reach: the tip shall be at a point."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from armctl.envs.limits import joint_limits
+from armctl.envs.source import ArmSource
+from armctl.envs.tasks.configurations import free_configurations
+from armctl.envs.tasks.interface import Episode, Task
+
+_GOAL_SPREAD = 0.5  # rad (m), of all joints around home
+_GOALS = 2048
+
+
+class Reach(Task):
+    """The tip shall be at a point, which is new in each episode.
+
+    Goals are tips of configurations around home at which nothing touches, so the arm can reach each of them.
+
+    Attributes:
+        goal_q: (k, n) rad, configurations whose tips are the goals.
+    """
+
+    name = "Reach"
+    instruction = "Move the tip to the target."
+
+    def __init__(self, source: ArmSource, ticks: int):
+        """The task; the ticks of a step do not matter."""
+        self.arm = source.load()
+        limits = joint_limits(self.arm)
+        self.start_q = np.clip(self.arm.home, limits.low, limits.high)
+        self.goal_q = free_configurations(self.arm, _GOALS, _GOAL_SPREAD)
+        self.goals = self.arm.fk_many(self.goal_q)[0][:, None]
+
+    def draw(self, rng: np.random.Generator) -> Episode:
+        """A start around home, and one of the goals."""
+        return Episode(self.start(rng), int(rng.integers(len(self.goals))))
