@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from armctl.core.errors import InputError
 from armctl.core.validation import BoolArray, choice, flag, integer
 from armctl.envs.actions import read_mode
-from armctl.envs.grip import find_grip
 from armctl.envs.observation import Observations, Observer
 from armctl.envs.randomization import Randomization
 from armctl.envs.rows import Rows
@@ -29,6 +28,7 @@ class Batch:
     Attributes:
         task: The task.
         arm: The arm.
+        action: The name of what the actions mean.
         rows: The simulated arms.
         observer: What is observed.
         horizon: Steps of an episode.
@@ -67,6 +67,7 @@ class Batch:
         threads = min(integer("threads", threads, 1), count)
         ticks = integer("ticks", ticks, 1)
         self._randomization = Randomization.read(randomize, free_space=free_space, has_object=bool(task_class.object))
+        self.action = action
         self._is_sparse = choice("reward", reward, REWARDS) == "sparse"
         self.task = task_class(ArmSource(robot, load_options), ticks)
         self.arm = self.task.arm
@@ -75,7 +76,6 @@ class Batch:
         self.horizon = shortest if horizon is None else integer("horizon", horizon, 1)
         self.rows = Rows(
             self.task,
-            find_grip(self.arm) if self.task.uses_gripper else None,
             mode,
             controller,
             count,

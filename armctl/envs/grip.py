@@ -23,7 +23,8 @@ class Grip(NamedTuple):
     Attributes:
         model: The gripper as it was found in the MuJoCo model.
         qpos_adr: Addresses in `MjData.qpos` of its joints.
-        open_qpos: Their positions when it is open.
+        closed: The state of the arm at home when it is closed.
+        opened: The state of the arm at home when it is open.
         indices: (2, actuators) of its actuators in `MjData.ctrl` and in `MjData.actuator_length`.
         ends: (4, actuators) the controls when closed and open, and the actuators' lengths when closed and open.
         speed: 1/s, the fraction of the way from closed to open that its controls move in a second.
@@ -31,7 +32,8 @@ class Grip(NamedTuple):
 
     model: GripperModel
     qpos_adr: IntArray
-    open_qpos: Array
+    closed: mujoco.MjData
+    opened: mujoco.MjData
     indices: IntArray
     ends: Array
     speed: float
@@ -49,7 +51,7 @@ def find_grip(arm: Arm) -> Grip:
         arm: The arm.
 
     Returns:
-        The gripper, with the open state that a simulation finds.
+        The gripper, with the states that a simulation finds.
 
     Raises:
         ModelError: Nothing moves behind the tip, or it is a hand of many actuators.
@@ -58,18 +60,18 @@ def find_grip(arm: Arm) -> Grip:
     actuators = list(gripper.actuators)
     indices = np.array([arm.model.actuator_ctrladr[actuators], actuators], np.int64)
     joints = np.unique(arm.model.dof_jntid[gripper.dofs])
-    qpos_adr = arm.model.jnt_qposadr[joints].astype(np.int64)
     return Grip(
         model=gripper,
-        qpos_adr=qpos_adr,
-        open_qpos=grip_state(arm, gripper, gripper.ctrl[-1]).qpos[qpos_adr].copy(),
+        qpos_adr=arm.model.jnt_qposadr[joints].astype(np.int64),
+        closed=_state(arm, gripper, gripper.ctrl[0]),
+        opened=_state(arm, gripper, gripper.ctrl[-1]),
         indices=indices,
         ends=np.array([gripper.ctrl[0], gripper.ctrl[-1], gripper.length[0], gripper.length[-1]]),
         speed=_PAD_SPEED / float(np.ptp(gripper.width)),
     )
 
 
-def grip_state(arm: Arm, gripper: GripperModel, ctrl: Array) -> mujoco.MjData:
+def _state(arm: Arm, gripper: GripperModel, ctrl: Array) -> mujoco.MjData:
     """The state at home in which controls (actuators,) hold the gripper, without contacts and gravity."""
     model = copy.copy(arm.model)
     model.opt.gravity[:] = 0.0

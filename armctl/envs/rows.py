@@ -15,7 +15,6 @@ from armctl.core.errors import InputError
 from armctl.core.log import SimulationError
 from armctl.core.validation import IntArray
 from armctl.envs.actions import ActionMode
-from armctl.envs.grip import Grip
 from armctl.envs.limits import joint_limits
 from armctl.envs.plants import plant_vector
 from armctl.envs.randomization import ObjectFactors, Randomization
@@ -55,7 +54,6 @@ class Rows:
     def __init__(
         self,
         task: Task,
-        grip: Grip | None,
         mode: ActionMode,
         controller: str,
         count: int,
@@ -69,7 +67,6 @@ class Rows:
 
         Args:
             task: The task, whose arm it is.
-            grip: The gripper; None if it is braked.
             mode: What the actions mean.
             controller: The name of a controller with a kernel.
             count: The number of copies.
@@ -91,7 +88,7 @@ class Rows:
         self.mode = mode
         self.signals = Signals(count, ticks, n, arm.dt, is_noisy=randomization.is_noisy, max_delay=randomization.max_delay)
         self.limits = np.array(joint_limits(arm))
-        self.action = np.zeros((count, mode.size(arm) + int(grip is not None)))
+        self.action = np.zeros((count, mode.size(arm) + int(task.uses_gripper)))
         self.q = np.tile(arm.home, (count, 1))
         self.v = np.zeros((count, n))
         self.target = self.q.copy()
@@ -103,7 +100,7 @@ class Rows:
         self._q_ref = self.q.copy()
         self._v_ref = np.zeros((count, n))
         self._grip_target = np.ones(count)
-        self._grip = grip
+        self._grip = task.grip if task.uses_gripper else None
         law = controller_by_name(controller, arm)
         if not isinstance(law, KernelController):
             raise InputError(f"controller: {controller} is not compiled; computed-torque and pd-gravity are")
@@ -119,7 +116,7 @@ class Rows:
             self._free_vector = free.vector
             self._bounds = free.bounds
         else:
-            self.simulated = SimulatedArms(arm, grip, task.object, task.obstacle, count)
+            self.simulated = SimulatedArms(task, count)
         self._plants = np.tile(self._free_vector, (count, 1))
         self._make_tables(threads)
         self._function = kernel.STEP_TABLE

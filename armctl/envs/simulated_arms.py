@@ -8,10 +8,8 @@ import mujoco
 import numpy as np
 
 from armctl.core.validation import Array
-from armctl.envs.grip import Grip
 from armctl.envs.randomization import ObjectFactors
-from armctl.envs.tasks.interface import Episode
-from armctl.robot.arm import Arm
+from armctl.envs.tasks.interface import Episode, Task
 from armctl.sim.gripper_model import make_usable
 from armctl.sim.plant import NOMINAL, Plant, apply_plant, brake, held_dofs
 
@@ -25,26 +23,24 @@ class SimulatedArms:
         addresses: (count, 6) of each copy's MjModel, MjData, qpos, qvel, ctrl and actuator_length.
     """
 
-    def __init__(self, arm: Arm, grip: Grip | None, thing: str, obstacle: str, count: int):
+    def __init__(self, task: Task, count: int):
         """Copies at home.
 
         Args:
-            arm: The arm in its scene.
-            grip: The gripper; None if it is braked.
-            thing: The name of the loose object; empty for none.
-            obstacle: The name of the obstacle; empty for none.
+            task: The task, whose arm it is.
             count: The number of copies.
         """
-        self._arm = arm
-        self._grip = grip
+        self._arm = arm = task.arm
+        self._grip = task.grip
+        self._uses_gripper = task.uses_gripper
         held = held_dofs(arm)
-        self._held = held if grip is None else np.setdiff1d(held, grip.model.dofs)
-        self._thing = arm.model.body(thing).id if thing else -1
-        self._mocap = int(arm.model.body(obstacle).mocapid[0]) if obstacle else -1
+        self._held = np.setdiff1d(held, task.grip.model.dofs) if task.grip is not None and task.uses_gripper else held
+        self._thing = arm.model.body(task.object).id if task.object else -1
+        self._mocap = int(arm.model.body(task.obstacle).mocapid[0]) if task.obstacle else -1
         self._nominal = copy.copy(arm.model)
         self._set_plant(self._nominal, NOMINAL)
-        if grip is not None:
-            make_usable(self._nominal, grip.model)
+        if self._grip is not None and self._uses_gripper:
+            make_usable(self._nominal, self._grip.model)
         self._models = [self._nominal] * count
         self._datas = [mujoco.MjData(self._nominal) for _ in range(count)]
         self.addresses = np.zeros((count, 6), np.int64)
@@ -76,8 +72,9 @@ class SimulatedArms:
         data.qpos[:] = self._arm.qpos(episode.q)
         data.ctrl[:] = self._arm.home_ctrl
         if self._grip is not None:
-            data.qpos[self._grip.qpos_adr] = self._grip.open_qpos
-            data.ctrl[self._grip.indices[0]] = self._grip.ends[1]
+            state = self._grip.opened if self._uses_gripper else self._grip.closed
+            data.qpos[self._grip.qpos_adr] = state.qpos[self._grip.qpos_adr]
+            data.ctrl[self._grip.indices[0]] = self._grip.ends[1 if self._uses_gripper else 0]
         if episode.object is not None:
             geom = model.body_geomadr[self._thing]
             raised = model.geom_size[geom, 1] - self._nominal.geom_size[geom, 1]  # a larger one stands on the same table
@@ -124,7 +121,7 @@ class SimulatedArms:
     def _set_plant(self, model: mujoco.MjModel, plant: Plant) -> None:
         apply_plant(model, mujoco.MjData(model), plant, [self._arm])
         brake(model, self._held)
-        if self._grip is not None:
+        if self._grip is not None and self._uses_gripper:
             model.jnt_limited[self._grip.model.followers] = 0
 
     def _set_object(self, model: mujoco.MjModel, factors: ObjectFactors) -> None:

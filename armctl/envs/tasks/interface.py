@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.core.validation import Array, BoolArray
+from armctl.envs.grip import Grip
 from armctl.envs.limits import joint_limits
 from armctl.envs.source import ArmSource
 from armctl.robot.arm import Arm
@@ -51,6 +52,8 @@ class Task(ABC):
         uses_gripper: Whether an action has a number for the gripper.
         moves_goal: Whether the goal moves during an episode.
         arm: The arm.
+        grip: Its gripper, if the task uses or closes it. An episode starts with an open gripper if an action has a number for it,
+            else it is closed and braked.
         start_q: (n,) rad, around which episodes start.
         goals: (k, s, 3) m, positions of each goal at the steps of an episode; the last one stays.
     """
@@ -65,6 +68,7 @@ class Task(ABC):
     uses_gripper: ClassVar[bool] = False
     moves_goal: ClassVar[bool] = False
     arm: Arm
+    grip: Grip | None = None
     start_q: Array
     goals: Array
 

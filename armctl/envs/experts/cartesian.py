@@ -1,0 +1,78 @@
+"""CartesianExpert: moves the tip along straight lines over a table, with the tool down."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from armctl.core.validation import Array
+from armctl.envs.batch import Batch
+from armctl.envs.experts.interface import Expert
+from armctl.envs.tasks.table import Table
+from armctl.ik.problem import packed_chain
+from armctl.ik.solve import solve_ik
+
+_SPEED = 0.4  # reaches per second
+_ACCELERATION = 1.0  # reaches per second squared
+_MAX_TURN = 0.5  # rad, of a joint in a step: more is another branch of the kinematics
+
+
+class CartesianExpert(Expert):
+    """A policy that commands positions of the tip.
+
+    Attributes:
+        table: The table.
+        position: (3,) m, the commanded position.
+    """
+
+    table: Table
+    position: Array
+
+    def __init__(self, batch: Batch, row: int):
+        """A policy that waits for the start of an episode."""
+        super().__init__(batch, row)
+        self._reach = packed_chain(self.arm).reach
+
+    def begin(self) -> None:
+        """Notes where the tip is."""
+        self.position = self.batch.rows.tip[self.row, :3].copy()
+        self._q = self.arm.limits.clamp(self.batch.rows.q[self.row])
+        self._speed = 0.0
+
+    @property
+    def object(self) -> Array:
+        """(3,) m, where the object is."""
+        return self.batch.rows.object[self.row, :3].copy()
+
+    @property
+    def goal(self) -> Array:
+        """(3,) m, where it shall be."""
+        return self.batch.goal[self.row].copy()
+
+    def above_table(self, point: Array, height: float) -> Array:
+        """(3,) m, a place of the tip over a point, at a height above the table."""
+        return np.array([point[0], point[1], self.table.center[2] + height])
+
+    def go(self, goal: Array, speed: float = _SPEED) -> Array:
+        """Moves the commanded position towards a goal (3,) m, with at most a speed in reaches per second.
+
+        Returns:
+            (n,) rad, the configuration; the last one if there is none for the position.
+        """
+        way = goal - self.position
+        distance = float(np.linalg.norm(way))
+        acceleration = _ACCELERATION * self._reach
+        step_time = self.batch.step_time
+        fastest = min(speed * self._reach, np.sqrt(2.0 * acceleration * distance), self._speed + acceleration * step_time)
+        moved = min(fastest * step_time, distance)
+        position = self.position + (way * (moved / distance) if distance > 0.0 else 0.0)
+        result = solve_ik(self.arm, self.table.pose(position), self._q, free_axis=self.table.tool.axis)
+        if result.ok and np.abs(result.q - self._q).max() < _MAX_TURN:
+            self.position = position
+            self._q = np.array(result.q)
+            self._speed = moved / step_time
+        return self._q
+
+    def is_at(self, goal: Array, tolerance: float) -> bool:
+        """Whether the commanded position and the tip are at a goal (3,) m."""
+        tip = self.batch.rows.tip[self.row, :3]
+        return bool(max(np.linalg.norm(goal - self.position), np.linalg.norm(goal - tip)) < tolerance)

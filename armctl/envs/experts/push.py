@@ -1,0 +1,105 @@
+"""PushExpert: puts the tool behind the object, and pushes it to the goal."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from armctl.core.validation import Array
+from armctl.envs.batch import Batch
+from armctl.envs.experts.cartesian import CartesianExpert
+from armctl.envs.experts.interface import Command
+from armctl.envs.tasks.push import BEHIND, Push
+
+_PUSH_SPEED = 0.15  # reaches per second
+_SLOWING = 3.0  # 1/s, of the speed near the goal
+_CLOSE = 0.005  # m
+_DONE = 0.007  # m, between object and goal
+_AGAIN = 0.014  # m
+# The side of the tool off the line to the goal, relative to the distance between tool and object: beyond the first the tool backs
+# off and lines up again, beyond the second it has to move over the object.
+_MAX_STROKE_OFFSET = 0.12
+_MAX_LINE_UP_OFFSET = 0.7
+
+
+class PushExpert(CartesianExpert):
+    """Moves above the place behind the object, lowers the tool, and pushes along the line to the goal, in strokes.
+
+    A pushed disc is unstable: a tool beside the line through its center turns it away. So a stroke ends when the tool is too far
+    beside the line, and the tool lines up again.
+    """
+
+    def __init__(self, batch: Batch, row: int):
+        """A policy that waits for the start of an episode."""
+        super().__init__(batch, row)
+        task = batch.task
+        assert isinstance(task, Push)
+        self.table = task.table
+        self._radius = task.radius
+        self._distance = task.radius + task.table.tool.radius + BEHIND
+
+    def begin(self) -> None:
+        """Begins above the table."""
+        super().begin()
+        self._phase = self._above
+
+    def next(self) -> Command:
+        """The next part of the way."""
+        return Command(self._phase())
+
+    def _behind(self, height: float) -> Array:
+        """(3,) m, the place of the tip behind the object."""
+        way = (self.goal - self.object)[:2]
+        direction = way / max(float(np.linalg.norm(way)), 1e-9)
+        return self.above_table(self.object[:2] - self._distance * direction, height)
+
+    def _above(self) -> Array:
+        place = self._behind(self.table.lift)
+        if self.is_at(place, _CLOSE):
+            self._phase = self._down
+        return self.go(place)
+
+    def _down(self) -> Array:
+        place = self._behind(self.table.low)
+        if self.is_at(place, _CLOSE):
+            self._phase = self._push
+        return self.go(place)
+
+    def _up(self) -> Array:
+        place = self.above_table(self.position, self.table.lift)
+        if self.is_at(place, _CLOSE):
+            self._phase = self._above
+        return self.go(place)
+
+    def _rest(self) -> Array:
+        if np.linalg.norm(self.goal - self.object) > _AGAIN:
+            self._phase = self._up
+        return self.go(self.position)
+
+    def _line_up(self) -> Array:
+        along, lateral = self._offsets()
+        if along > 0.0 or lateral > _MAX_LINE_UP_OFFSET * self._distance:
+            self._phase = self._up
+        place = self._behind(self.table.low)
+        if self.is_at(place, _CLOSE):
+            self._phase = self._push
+        return self.go(place)
+
+    def _push(self) -> Array:
+        way = (self.goal - self.object)[:2]
+        left = float(np.linalg.norm(way))
+        if left < _DONE:
+            self._phase = self._rest
+            return self.go(self.position)
+        if self._offsets()[1] > _MAX_STROKE_OFFSET * self._distance:
+            self._phase = self._line_up
+            return self.go(self.position)
+        speed = min(_PUSH_SPEED, _SLOWING * left / self._reach)
+        return self.go(self.above_table(self.position[:2] + way, self.table.low), speed)
+
+    def _offsets(self) -> tuple[float, float]:
+        """m, how far the tool is beyond the object along the line to the goal, and beside this line."""
+        way = (self.goal - self.object)[:2]
+        direction = way / max(float(np.linalg.norm(way)), 1e-9)
+        offset = self.position[:2] - self.object[:2]
+        along = float(offset @ direction)
+        return along, float(np.linalg.norm(offset - along * direction))

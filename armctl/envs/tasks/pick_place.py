@@ -1,0 +1,80 @@
+"""PickPlace: a gripper shall lift an object to a goal."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from armctl.core.errors import InputError, ModelError
+from armctl.core.validation import Array
+from armctl.envs.grip import find_grip
+from armctl.envs.source import ArmSource
+from armctl.envs.tasks.interface import Episode, Task
+from armctl.envs.tasks.table import find_table, load_at_table
+from armctl.envs.tasks.tool import find_tool
+from armctl.ik.problem import packed_chain
+
+_WIDTH_SHARE = 0.5  # of the object, of the open gripper
+_MAX_WIDTH = 0.05  # m
+_MIN_HEIGHT = 0.04  # m
+_DENSITY = 600.0  # kg/m^3
+_TIP_HEIGHT = 0.01  # m, of the end of the tool above the table
+_LIFT = 0.15  # how high the tip moves, in reaches
+_START_SPREAD = 0.03  # rad (m)
+_GOALS = 1024
+_LIFTED = (0.3, 0.8)  # of the height at which the tip moves, of goals above the table
+
+
+class PickPlace(Task):
+    """A gripper shall lift an object to a goal.
+
+    The table is where the tool can point down, by the reach of the arm. The object is an upright cylinder, half as wide as the
+    open gripper.
+
+    Attributes:
+        table: The table.
+        height: m, of the object.
+    """
+
+    name = "PickPlace"
+    instruction = "Lift the object to the target."
+    min_duration = 8.0
+    object = "object"
+    uses_gripper = True
+
+    def __init__(self, source: ArmSource, ticks: int):
+        """The task; the ticks of a step do not matter.
+
+        Args:
+            source: The robot, which is loaded among the objects.
+            ticks: Not used.
+
+        Raises:
+            InputError: The robot was loaded already, has no gripper, or its tool cannot point down over a table.
+        """
+        alone = source.load()
+        try:
+            self.grip = find_grip(alone)
+        except ModelError as error:
+            hint = "load_options={'tool': 'robotiq_2f85'} mounts one"
+            raise InputError(f"robot: PickPlace needs a gripper: {error:.250}; {hint}") from None
+        tool = find_tool(alone, [self.grip.closed, self.grip.opened])
+        width = min(_WIDTH_SHARE * self.grip.width_max, _MAX_WIDTH)
+        self.height = max(_MIN_HEIGHT, 1.5 * width)
+        mass = _DENSITY * np.pi * (0.5 * width) ** 2 * self.height
+        low = tool.overhang + _TIP_HEIGHT
+        lift = low + max(_LIFT * packed_chain(alone).reach, 2.0 * self.height)
+        places = find_table(alone, tool, low=low, lift=lift, margin=0.0, task=self.name)
+        self.arm, self.table = load_at_table(source, places, 0.5 * width, self.height, mass, self.name)
+        self.start_q = self.table.q
+        rng = np.random.default_rng(0)
+        self.goals = np.array([[self._goal(rng)] for _ in range(_GOALS)])
+
+    def draw(self, rng: np.random.Generator) -> Episode:
+        """A start above the table, a goal in the air, and a place of the object."""
+        goal = int(rng.integers(len(self.goals)))
+        return Episode(self.start(rng, _START_SPREAD), goal, object=self.table.place(rng, 0.5 * self.height))
+
+    def _goal(self, rng: np.random.Generator) -> Array:
+        """(3,) m, a goal above the table."""
+        lifted = rng.uniform(*_LIFTED) * (self.table.lift - self.table.low)
+        return self.table.place(rng, 0.5 * self.height + lifted)

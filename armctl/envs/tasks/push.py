@@ -1,0 +1,84 @@
+"""Push: an object on a table shall be pushed to a goal on the table."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from armctl.core.errors import ModelError
+from armctl.envs.grip import find_grip
+from armctl.envs.source import ArmSource
+from armctl.envs.tasks.interface import Episode, Task
+from armctl.envs.tasks.table import find_table, load_at_table
+from armctl.envs.tasks.tool import find_tool
+from armctl.ik.problem import packed_chain
+from armctl.robot.arm import Arm
+
+_RADIUS = 0.04  # of the object, in reaches
+_SHARE_OF_TOOL = 0.65  # of the radius of the tool, at least: an object does not fit between the fingers of a hand
+_HEIGHT = 0.04  # m
+_MASS = 0.2  # kg
+_TIP_HEIGHT = 0.01  # m, of the end of the tool above the table
+_CLEARANCE = 0.03  # m, between the tool and the object below it
+_START_SPREAD = 0.03  # rad (m)
+_GOALS = 1024
+_MIN_WAY = 0.06  # m, between object and goal
+BEHIND = 0.02  # m, between the tool and the object before it pushes
+
+
+class Push(Task):
+    """An object on a table shall be pushed to a goal on the table.
+
+    The table is where the tool can point down, by the reach of the arm. The object is an upright cylinder. A gripper
+    is closed and braked.
+
+    Attributes:
+        table: The table.
+        radius: m, of the object.
+    """
+
+    name = "Push"
+    instruction = "Push the object to the target."
+    min_duration = 6.0
+    object = "object"
+
+    def __init__(self, source: ArmSource, ticks: int):
+        """The task; the ticks of a step do not matter.
+
+        Args:
+            source: The robot, which is loaded among the objects.
+            ticks: Not used.
+
+        Raises:
+            InputError: The robot was loaded already, or its tool cannot point down over a table.
+        """
+        alone = source.load()
+        try:
+            self.grip = find_grip(alone)
+            tool = find_tool(alone, [self.grip.closed])
+        except ModelError:  # no gripper
+            tool = find_tool(alone, [_home(alone)])
+        self.radius = max(_RADIUS * packed_chain(alone).reach, _SHARE_OF_TOOL * tool.radius)
+        margin = self.radius + tool.radius + BEHIND
+        low = tool.overhang + _TIP_HEIGHT
+        places = find_table(alone, tool, low=low, lift=low + _HEIGHT + _CLEARANCE, margin=margin, task=self.name)
+        self.arm, self.table = load_at_table(source, places, self.radius, _HEIGHT, _MASS, self.name)
+        self.start_q = self.table.q
+        rng = np.random.default_rng(0)
+        self.goals = np.array([[self.table.place(rng, 0.5 * _HEIGHT)] for _ in range(_GOALS)])
+
+    def draw(self, rng: np.random.Generator) -> Episode:
+        """A start above the table, a goal, and a place of the object away from it."""
+        goal = int(rng.integers(len(self.goals)))
+        place = self.table.place(rng, 0.5 * _HEIGHT)
+        while np.linalg.norm(place - self.goals[goal, 0]) < _MIN_WAY:
+            place = self.table.place(rng, 0.5 * _HEIGHT)
+        return Episode(self.start(rng, _START_SPREAD), goal, object=place)
+
+
+def _home(arm: Arm) -> mujoco.MjData:
+    """The state of an arm at home."""
+    data = mujoco.MjData(arm.model)
+    data.qpos[:] = arm.home_qpos
+    mujoco.mj_kinematics(arm.model, data)
+    return data

@@ -1,0 +1,169 @@
+"""Table: a place in front of an arm over which its tool points down."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from armctl.collision.checkers import collision_checker
+from armctl.core.errors import InputError
+from armctl.core.pose import Pose
+from armctl.core.validation import Array
+from armctl.envs.limits import joint_limits
+from armctl.envs.source import ArmSource
+from armctl.envs.tasks.tool import Tool
+from armctl.ik.problem import packed_chain
+from armctl.ik.solve import solve_ik
+from armctl.loading.scene import Scene
+from armctl.robot.arm import Arm
+
+# Candidates: radius of the area in which objects and goals are, height and distance from the first joint, in reaches; rad from
+# the direction of the tip at home.
+_RADII = (0.1, 0.08, 0.06, 0.045)
+_HEIGHTS = (-0.25, -0.15, -0.05, -0.35, 0.05, 0.15)
+_DISTANCES = (0.5, 0.45, 0.55, 0.4, 0.6, 0.35)
+_DIRECTIONS = (0.0, np.pi / 2, -np.pi / 2, np.pi)
+_MIN_TOP = 0.03  # m: the table is above the ground
+_THICKNESS = 0.02  # m
+_MAX_TURN = 2.0  # rad, of a joint over the whole area
+_MIN_MARGIN = 0.05  # rad, to the limits of the joints
+_EDGE = np.array([[np.cos(angle), np.sin(angle)] for angle in np.arange(8) * np.pi / 4])  # of a unit disc
+_MAX_SCENES = 8  # that are built to look for contacts
+
+
+class Table(NamedTuple):
+    """A table in front of an arm.
+
+    Attributes:
+        center: (3,) m, of the area, on top of the table.
+        radius: m, of the area.
+        low: m, height of the tip above the table when the tool works there.
+        lift: m, height of the tip above the table when it moves.
+        tool: The tool, which points down.
+        q: (n,) rad, with the tip above the center at its greatest height.
+    """
+
+    center: Array
+    radius: float
+    low: float
+    lift: float
+    tool: Tool
+    q: Array
+
+    def place(self, rng: np.random.Generator, height: float) -> Array:
+        """(3,) m, a random point of the area, at a height above the table."""
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        distance = self.radius * np.sqrt(rng.random())
+        return self.center + np.array([distance * np.cos(angle), distance * np.sin(angle), height])
+
+    def pose(self, position: Array) -> Pose:
+        """A pose of the tip in which the tool points down."""
+        return Pose.from_rotation(position, self.tool.rotation_down)
+
+
+class _Place(NamedTuple):
+    """A candidate: the table, and the configurations over its corners."""
+
+    table: Table
+    corners: list[Array]
+
+
+def find_table(arm: Arm, tool: Tool, *, low: float, lift: float, margin: float, task: str) -> Iterator[_Place]:
+    """Places for a table, the best first.
+
+    At each of them the tool can point down over all corners of the area, at both heights, and the arm moves there without
+    large turns of its joints.
+
+    Args:
+        arm: The arm alone.
+        tool: Its tool.
+        low: m, height of the tip above the table when it works there.
+        lift: m, height of the tip above the table when it moves.
+        margin: m, around the area, in which the tip moves as well.
+        task: The name of the task, for the error.
+
+    Raises:
+        InputError: There is none.
+    """
+    reach = packed_chain(arm).reach
+    data = mujoco.MjData(arm.model)
+    data.qpos[:] = arm.qpos(arm.home)
+    mujoco.mj_kinematics(arm.model, data)
+    base = data.xanchor[arm.joint_map.joints[0]]
+    ahead = arm.fk(arm.home).position - base
+    heading = float(np.arctan2(ahead[1], ahead[0]))
+    has_ground = base[2] > 0.0
+    found = False
+    for turn, radius, height, distance in product(_DIRECTIONS, _RADII, _HEIGHTS, _DISTANCES):
+        direction = np.array([np.cos(heading + turn), np.sin(heading + turn), 0.0])
+        center = base + reach * (distance * direction + np.array([0.0, 0.0, height]))
+        center[2] = max(center[2], _MIN_TOP) if has_ground else center[2]
+        table = Table(center, radius * reach, low, lift, tool, arm.home)
+        corners = _corners(arm, table, margin)
+        if corners is not None:
+            found = True
+            yield _Place(table._replace(q=corners[0]), corners)
+    if not found:
+        raise InputError(
+            f"robot: {task} needs a tool that points down over a table, and {arm.name:.80} has no place {2 * (_RADII[-1] * reach + margin):.2f} m "
+            "wide where it can"
+        )
+
+
+def load_at_table(source: ArmSource, places: Iterator[_Place], radius: float, height: float, mass: float, name: str) -> tuple:
+    """The arm at the first place where it touches neither the table nor itself, with a cylinder on the table.
+
+    Args:
+        source: The robot.
+        places: Candidates.
+        radius: m, of the cylinder.
+        height: m, of the cylinder.
+        mass: kg, of the cylinder.
+        name: The name of the task, for the error.
+
+    Returns:
+        The arm and the table.
+
+    Raises:
+        InputError: There is no such place, or the robot was loaded already.
+    """
+    arm = None
+    for _, place in zip(range(_MAX_SCENES), places, strict=False):
+        table = place.table
+        edge = 2.0 * (table.radius + 3.0 * radius)
+        scene = Scene()
+        scene.add_box("table", [edge, edge, _THICKNESS], table.center - np.array([0.0, 0.0, 0.5 * _THICKNESS]))
+        away = table.center + np.array([0.0, 0.0, 10.0 * edge])  # where it touches nothing; each episode places it
+        scene.add_cylinder("object", radius, height, away, mass=mass)
+        arm = source.load_among(scene, name)
+        checker = collision_checker(arm)
+        if not any(checker.at(q) for q in place.corners):
+            return arm, table
+    raise InputError(f"robot: {name} finds no place for a table that the arm does not touch; mount the arm higher or alone")
+
+
+def _corners(arm: Arm, table: Table, margin: float) -> list[Array] | None:
+    """Configurations over the area, that above its center first; None if the arm is not good there."""
+    limits = joint_limits(arm)
+    middle = _solve(arm, table, np.array([0.0, 0.0, table.lift]), arm.home)
+    if middle is None:
+        return None
+    found = [middle]
+    for (x, y), height in product((table.radius + margin) * _EDGE, (table.lift, table.low)):
+        q = _solve(arm, table, np.array([x, y, height]), middle)
+        if q is None or np.abs(q - middle).max() > _MAX_TURN:
+            return None
+        if (q < limits.low + _MIN_MARGIN).any() or (q > limits.high - _MIN_MARGIN).any():
+            return None
+        found.append(q)
+    return found
+
+
+def _solve(arm: Arm, table: Table, offset: Array, q: Array) -> Array | None:
+    """The configuration near q whose tip is at an offset from the center of the area, with the tool down; None if there is none."""
+    result = solve_ik(arm, table.pose(table.center + offset), q, free_axis=table.tool.axis)
+    return result.q if result.ok else None

@@ -1,0 +1,115 @@
+"""Tool: what is at the end of an arm, as it works on a table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from armctl.core.validation import Array
+from armctl.mjmodel.queries import is_below
+from armctl.robot.arm import Arm
+
+_MIN_OFFSET = 1e-3  # m, between the last joint and the tip: below it the joint's axis is where the tool points
+_ALONG_AXIS = 0.7  # cosine, above which the tool points along the last joint's axis
+_NEAR_END = 0.04  # m from the end of the tool: what touches an object on the table
+_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+_ROUND = {int(kind) for kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)}
+_RING = np.array([[np.cos(a), np.sin(a), z] for a in np.arange(8) * np.pi / 4 for z in (-1.0, 1.0)])
+_MAX_TOOL = 0.5  # m from the tip
+
+
+class Tool(NamedTuple):
+    """The end of an arm.
+
+    Attributes:
+        axis: "x", "y" or "z": the axis of the tip along which the tool points.
+        sign: 1 or -1, the direction on it.
+        overhang: m, how far the tool extends beyond the tip.
+        radius: m, how far the end of the tool extends to the sides of the tip.
+    """
+
+    axis: str
+    sign: float
+    overhang: float
+    radius: float
+
+    @property
+    def rotation_down(self) -> Array:
+        """(3, 3) a rotation of the tip in which the tool points down."""
+        column = "xyz".index(self.axis)
+        rotation = np.zeros((3, 3))
+        rotation[:, column] = [0.0, 0.0, -self.sign]
+        rotation[:, (column + 1) % 3] = [1.0, 0.0, 0.0]
+        rotation[:, (column + 2) % 3] = np.cross(rotation[:, column], rotation[:, (column + 1) % 3])
+        return rotation
+
+
+def find_tool(arm: Arm, states: Sequence[mujoco.MjData]) -> Tool:
+    """The tool of an arm.
+
+    It points from the last joint to the tip: along the joint's axis if that is nearly the direction.
+
+    Args:
+        arm: The arm.
+        states: States of its model, after forward kinematics, such as with the gripper closed and open.
+
+    Returns:
+        The tool.
+    """
+    direction = _direction(arm, states[0])
+    column = int(np.abs(direction).argmax())
+    sign = float(np.sign(direction[column]))
+    points = np.concatenate([_points(arm, data) for data in states] or [np.zeros((1, 3))])
+    points = points[np.linalg.norm(points, axis=1) < _MAX_TOOL]
+    if not len(points):
+        return Tool("xyz"[column], sign, 0.0, 0.0)
+    depth = sign * points[:, column]
+    overhang = float(depth.max())
+    sides = np.delete(points, column, axis=1)[depth > overhang - _NEAR_END]
+    return Tool("xyz"[column], sign, overhang, float(np.linalg.norm(sides, axis=1).max()))
+
+
+def _direction(arm: Arm, data: mujoco.MjData) -> Array:
+    """(3,) the direction in which the tool points, in the tip's frame."""
+    joint = arm.joint_map.joints[-1]
+    tip = _tip(arm, data)
+    offset = tip[0].T @ (tip[1] - data.xanchor[joint])
+    axis = tip[0].T @ data.xaxis[joint]
+    length = float(np.linalg.norm(offset))
+    if length < _MIN_OFFSET:
+        return axis
+    if abs(axis @ offset) > _ALONG_AXIS * length:
+        return np.sign(axis @ offset) * axis
+    return offset / length
+
+
+def _points(arm: Arm, data: mujoco.MjData) -> Array:
+    """(k, 3) m, points of everything behind the last joint that can touch, in the tip's frame."""
+    model = arm.model
+    last = int(model.dof_bodyid[arm.dof_adr[-1]])
+    rotation, position = _tip(arm, data)
+    points = [np.zeros((0, 3))]
+    for geom in range(model.ngeom):
+        if not is_below(model, int(model.geom_bodyid[geom]), last):
+            continue
+        if not model.geom_contype[geom] and not model.geom_conaffinity[geom]:
+            continue
+        if model.geom_type[geom] == int(mujoco.mjtGeom.mjGEOM_MESH):
+            mesh = int(model.geom_dataid[geom])
+            first = int(model.mesh_vertadr[mesh])
+            local = model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])]
+        else:
+            unit = _RING if int(model.geom_type[geom]) in _ROUND else _CORNERS
+            local = model.geom_aabb[geom, :3] + unit * model.geom_aabb[geom, 3:]
+        world = data.geom_xpos[geom] + local @ data.geom_xmat[geom].reshape(3, 3).T
+        points.append((world - position) @ rotation)
+    return np.concatenate(points)
+
+
+def _tip(arm: Arm, data: mujoco.MjData) -> tuple[Array, Array]:
+    """Rotation (3, 3) and position (3,) of the tip in a state."""
+    body = data.xmat[arm.tip_body].reshape(3, 3)
+    return body @ arm.T_body_tip.rotation, data.xpos[arm.tip_body] + body @ arm.T_body_tip.position
