@@ -159,3 +159,35 @@ def serial_arm(folder: Path, shape: Shape, integrator: str = "implicitfast") -> 
     path = folder / "serial.xml"
     path.write_text(text)
     return armctl.load(path)
+
+
+def arm_with_gripper(folder: Path) -> Path:
+    """A file: an arm of five joints that points down over a table, with a gripper of two fingers on one actuator."""
+    lengths = (0.3, 0.3, 0.3, 0.06, 0.04)
+    axes = ("0 0 1", "0 1 0", "0 1 0", "0 1 0", "0 0 1")
+    ranges = ("-3 3", "-1.5 2.5", "-0.2 2.7", "-1 3", "-3 3")
+    bodies = ""
+    for k, (axis, bounds) in enumerate(zip(axes, ranges, strict=True)):
+        height = 0.0 if k == 0 else lengths[k - 1]
+        bodies += (
+            f'<body pos="0 0 {height}"><joint name="j{k}" axis="{axis}" range="{bounds}" damping="0.5" armature="0.05"/>'
+            f'<geom type="capsule" fromto="0 0 0 0 0 {lengths[k]}" size="0.03" mass="1" contype="0" conaffinity="0"/>'
+        )
+    for side, name in ((1, "left"), (-1, "right")):
+        bodies += (
+            f'<body pos="0 {0.035 * side} 0.06">'
+            f'<joint name="{name}" type="slide" axis="0 {side} 0" range="-0.03 0" damping="5"/>'
+            f'<geom type="box" size="0.01 0.005 0.03" pos="0 0 0.03" mass="0.05"/></body>'
+        )
+    bodies += '<site name="tip" pos="0 0 0.1"/>' + len(axes) * "</body>"
+    drives = "".join(f'<motor joint="j{k}" ctrlrange="-80 80"/>' for k in range(len(axes)))
+    drives += '<position name="grip" joint="left" kp="1000" ctrlrange="-0.03 0" forcerange="-40 40"/>'
+    tie = '<equality><joint joint1="right" joint2="left" polycoef="0 1 0 0 0"/></equality>'
+    home = '<keyframe><key name="home" qpos="0 0.2 1.7 1.24 0 0 0"/></keyframe>'
+    path = folder / "gripping.xml"
+    path.write_text(
+        '<mujoco><compiler angle="radian"/><option timestep="0.002" integrator="implicitfast"/>'
+        f"<worldbody>{bodies}</worldbody><actuator>{drives}</actuator>{tie}{home}</mujoco>",
+        encoding="utf-8",
+    )
+    return path

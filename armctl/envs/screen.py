@@ -70,7 +70,13 @@ class Screen:
             self._viewer.close()
 
     def _place(self, q: np.ndarray) -> None:
-        """Puts the arm at q (n,) and the marker at the goal."""
-        self._data.qpos[:] = self._arm.qpos(q)
+        """Puts the arm at q (n,), everything else where it is, and the marker at the goal."""
+        simulated = self._batch.rows.simulated
+        if simulated is not None:
+            self._data.qpos[:] = simulated.data(0).qpos
+            self._data.mocap_pos[:] = simulated.data(0).mocap_pos
+            self._data.qpos[self._arm.joint_map.qpos_adr] = self._arm.joint_map.positions(q)
+        else:
+            self._data.qpos[:] = self._arm.qpos(q)
         set_target(self._arm.model, self._data, self._batch.goal[0])
         mujoco.mj_forward(self._arm.model, self._data)

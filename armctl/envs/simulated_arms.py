@@ -30,7 +30,8 @@ class SimulatedArms:
             task: The task, whose arm it is.
             count: The number of copies.
         """
-        self._arm = arm = task.arm
+        arm = task.arm
+        self._arm = arm
         self._grip = task.grip
         self._uses_gripper = task.uses_gripper
         held = held_dofs(arm)

@@ -7,12 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from armctl.core.errors import PlanError
 from armctl.core.target import Target
 from armctl.envs.experts.interface import Command, Expert
 from armctl.ik.solve import solve_ik
 from armctl.motion.move_j import move_j
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.planning.move_free import move_free
+
+_GROWTH = 1.35  # of the obstacle in the plan, from which the followed motion may deviate
 
 
 class ReachExpert(Expert):
@@ -35,19 +38,20 @@ class ReachPastExpert(ReachExpert):
     """A motion around the obstacle, by the planner."""
 
     def begin(self) -> None:
-        """Plans the motion among the obstacles of this episode.
-
-        Raises:
-            PlanError: There is none.
-        """
+        """Plans the motion among the obstacles of this episode; without a plan it moves straight, and the episode fails."""
         model = copy.copy(self.arm.model)
-        model.body_pos[model.body(self.batch.task.obstacle).id] = self.batch.obstacle[self.row]
+        obstacle = model.body(self.batch.task.obstacle)
+        obstacle.pos[:] = self.batch.obstacle[self.row]
+        model.geom_size[obstacle.geomadr[0]] *= _GROWTH
+        model.geom_rbound[obstacle.geomadr[0]] *= _GROWTH
+        model.geom_aabb[obstacle.geomadr[0]] *= _GROWTH
         arm = replace(self.arm, model=model)
         start = arm.limits.clamp(self.batch.rows.q[self.row])
-        self._motion = move_free(arm, start, Target.read(np.array(self.batch.goal[self.row])), clearance=_CLEARANCE)
-
-
-_CLEARANCE = 0.01  # m, of the planned motion to the obstacle
+        goal = Target.read(np.array(self.batch.goal[self.row]))
+        try:
+            self._motion = move_free(arm, start, goal)
+        except PlanError:
+            super().begin()
 
 
 class TrackExpert(Expert):

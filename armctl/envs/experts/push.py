@@ -15,14 +15,14 @@ _SLOWING = 3.0  # 1/s, of the speed near the goal
 _CLOSE = 0.005  # m
 _DONE = 0.007  # m, between object and goal
 _AGAIN = 0.014  # m
-# The side of the tool off the line to the goal, relative to the distance between tool and object: beyond the first the tool backs
-# off and lines up again, beyond the second it has to move over the object.
+# How far the tool may be beside the line to the goal, relative to its distance from the object before it pushes: farther, it
+# backs off and lines up again; or, beyond the second number, it moves over the object.
 _MAX_STROKE_OFFSET = 0.12
 _MAX_LINE_UP_OFFSET = 0.7
 
 
 class PushExpert(CartesianExpert):
-    """Moves above the place behind the object, lowers the tool, and pushes along the line to the goal, in strokes.
+    """Moves above where it begins, lowers the tool, and pushes in strokes along the line to the goal.
 
     A pushed disc is unstable: a tool beside the line through its center turns it away. So a stroke ends when the tool is too far
     beside the line, and the tool lines up again.

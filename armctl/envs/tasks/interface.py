@@ -52,8 +52,8 @@ class Task(ABC):
         uses_gripper: Whether an action has a number for the gripper.
         moves_goal: Whether the goal moves during an episode.
         arm: The arm.
-        grip: Its gripper, if the task uses or closes it. An episode starts with an open gripper if an action has a number for it,
-            else it is closed and braked.
+        grip: Its gripper, if the task uses or closes it. It is open at the start of an episode if an action has a number for
+            it, else it is closed and braked.
         start_q: (n,) rad, around which episodes start.
         goals: (k, s, 3) m, positions of each goal at the steps of an episode; the last one stays.
     """

@@ -9,7 +9,7 @@ from armctl.core.validation import Array
 from armctl.envs.grip import find_grip
 from armctl.envs.source import ArmSource
 from armctl.envs.tasks.interface import Episode, Task
-from armctl.envs.tasks.table import find_table, load_at_table
+from armctl.envs.tasks.table import Cylinder, find_table, load_at_table
 from armctl.envs.tasks.tool import find_tool
 from armctl.ik.problem import packed_chain
 
@@ -56,7 +56,7 @@ class PickPlace(Task):
             self.grip = find_grip(alone)
         except ModelError as error:
             hint = "load_options={'tool': 'robotiq_2f85'} mounts one"
-            raise InputError(f"robot: PickPlace needs a gripper: {error:.250}; {hint}") from None
+            raise InputError(f"robot: PickPlace needs a gripper: {error!s:.250}; {hint}") from None
         tool = find_tool(alone, [self.grip.closed, self.grip.opened])
         width = min(_WIDTH_SHARE * self.grip.width_max, _MAX_WIDTH)
         self.height = max(_MIN_HEIGHT, 1.5 * width)
@@ -64,7 +64,7 @@ class PickPlace(Task):
         low = tool.overhang + _TIP_HEIGHT
         lift = low + max(_LIFT * packed_chain(alone).reach, 2.0 * self.height)
         places = find_table(alone, tool, low=low, lift=lift, margin=0.0, task=self.name)
-        self.arm, self.table = load_at_table(source, places, 0.5 * width, self.height, mass, self.name)
+        self.arm, self.table = load_at_table(source, places, Cylinder(0.5 * width, self.height, mass), self.name)
         self.start_q = self.table.q
         rng = np.random.default_rng(0)
         self.goals = np.array([[self._goal(rng)] for _ in range(_GOALS)])

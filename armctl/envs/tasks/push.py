@@ -9,7 +9,7 @@ from armctl.core.errors import ModelError
 from armctl.envs.grip import find_grip
 from armctl.envs.source import ArmSource
 from armctl.envs.tasks.interface import Episode, Task
-from armctl.envs.tasks.table import find_table, load_at_table
+from armctl.envs.tasks.table import Cylinder, find_table, load_at_table
 from armctl.envs.tasks.tool import find_tool
 from armctl.ik.problem import packed_chain
 from armctl.robot.arm import Arm
@@ -62,7 +62,7 @@ class Push(Task):
         margin = self.radius + tool.radius + BEHIND
         low = tool.overhang + _TIP_HEIGHT
         places = find_table(alone, tool, low=low, lift=low + _HEIGHT + _CLEARANCE, margin=margin, task=self.name)
-        self.arm, self.table = load_at_table(source, places, self.radius, _HEIGHT, _MASS, self.name)
+        self.arm, self.table = load_at_table(source, places, Cylinder(self.radius, _HEIGHT, _MASS), self.name)
         self.start_q = self.table.q
         rng = np.random.default_rng(0)
         self.goals = np.array([[self.table.place(rng, 0.5 * _HEIGHT)] for _ in range(_GOALS)])

@@ -65,6 +65,20 @@ class Table(NamedTuple):
         return Pose.from_rotation(position, self.tool.rotation_down)
 
 
+class Cylinder(NamedTuple):
+    """An upright cylinder.
+
+    Attributes:
+        radius: m.
+        height: m.
+        mass: kg.
+    """
+
+    radius: float
+    height: float
+    mass: float
+
+
 class _Place(NamedTuple):
     """A candidate: the table, and the configurations over its corners."""
 
@@ -73,7 +87,7 @@ class _Place(NamedTuple):
 
 
 def find_table(arm: Arm, tool: Tool, *, low: float, lift: float, margin: float, task: str) -> Iterator[_Place]:
-    """Places for a table, the best first.
+    """Places for a table, the preferred ones first.
 
     At each of them the tool can point down over all corners of the area, at both heights, and the arm moves there without
     large turns of its joints.
@@ -108,21 +122,19 @@ def find_table(arm: Arm, tool: Tool, *, low: float, lift: float, margin: float, 
             found = True
             yield _Place(table._replace(q=corners[0]), corners)
     if not found:
+        width = 2.0 * (_RADII[-1] * reach + margin)
         raise InputError(
-            f"robot: {task} needs a tool that points down over a table, and {arm.name:.80} has no place {2 * (_RADII[-1] * reach + margin):.2f} m "
-            "wide where it can"
+            f"robot: {task} needs a tool that points down over a table; {arm.name:.80} can do so nowhere {width:.2f} m wide"
         )
 
 
-def load_at_table(source: ArmSource, places: Iterator[_Place], radius: float, height: float, mass: float, name: str) -> tuple:
+def load_at_table(source: ArmSource, places: Iterator[_Place], cylinder: Cylinder, name: str) -> tuple[Arm, Table]:
     """The arm at the first place where it touches neither the table nor itself, with a cylinder on the table.
 
     Args:
         source: The robot.
         places: Candidates.
-        radius: m, of the cylinder.
-        height: m, of the cylinder.
-        mass: kg, of the cylinder.
+        cylinder: The object.
         name: The name of the task, for the error.
 
     Returns:
@@ -131,14 +143,13 @@ def load_at_table(source: ArmSource, places: Iterator[_Place], radius: float, he
     Raises:
         InputError: There is no such place, or the robot was loaded already.
     """
-    arm = None
     for _, place in zip(range(_MAX_SCENES), places, strict=False):
         table = place.table
-        edge = 2.0 * (table.radius + 3.0 * radius)
+        edge = 2.0 * (table.radius + 3.0 * cylinder.radius)
         scene = Scene()
         scene.add_box("table", [edge, edge, _THICKNESS], table.center - np.array([0.0, 0.0, 0.5 * _THICKNESS]))
         away = table.center + np.array([0.0, 0.0, 10.0 * edge])  # where it touches nothing; each episode places it
-        scene.add_cylinder("object", radius, height, away, mass=mass)
+        scene.add_cylinder("object", cylinder.radius, cylinder.height, away, mass=cylinder.mass)
         arm = source.load_among(scene, name)
         checker = collision_checker(arm)
         if not any(checker.at(q) for q in place.corners):
@@ -164,6 +175,6 @@ def _corners(arm: Arm, table: Table, margin: float) -> list[Array] | None:
 
 
 def _solve(arm: Arm, table: Table, offset: Array, q: Array) -> Array | None:
-    """The configuration near q whose tip is at an offset from the center of the area, with the tool down; None if there is none."""
+    """The configuration near q with the tip at an offset from the center of the area; None if there is none."""
     result = solve_ik(arm, table.pose(table.center + offset), q, free_axis=table.tool.axis)
     return result.q if result.ok else None

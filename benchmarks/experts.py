@@ -1,0 +1,68 @@
+"""Experts: how many episodes of each task the scripted policies solve. `python benchmarks/experts.py`.
+
+An episode is solved if the policy is at the goal in its last step, in Track during all of its second half, and if it did not
+touch the obstacle. Seeds are 0, 1, 2, ...; each has a start, a goal and a scene of its own.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+
+import armctl
+import armctl.envs
+from armctl.core.tables import Table
+from armctl.envs.tasks import TASKS
+
+ROBOTS = ("robot_arm_3dof", "panda", "xarm7", "ur5e+robotiq_2f85")
+ACTIONS = ("joint_target", "joint_delta", "cartesian_delta")
+RESULTS = Path(__file__).parent / "results" / "experts.md"
+
+
+def solved(robot: str, task: str, action: str, episodes: int) -> list[str]:
+    """A row of the table: solved episodes, time to the goal, and error at the end; or why there is none."""
+    name, _, tool = robot.partition("+")
+    try:
+        options = {"tool": tool} if tool else None
+        env = armctl.envs.ArmVectorEnv(name, task, action, num_envs=episodes, load_options=options)
+    except armctl.InputError as error:
+        return [robot, task, action, "does not fit", str(error).partition(": ")[2].partition(";")[0], ""]
+    start = time.process_time()
+    policy = armctl.envs.ExpertPolicy(env)
+    env.reset(seed=0)
+    horizon = env.batch.horizon
+    success = np.zeros((horizon, episodes), bool)
+    distance = np.zeros((horizon, episodes))
+    for step in range(horizon):
+        information = env.step(policy())[4]
+        success[step] = information["is_success"]
+        distance[step] = information["distance"]
+    seconds = time.process_time() - start
+    env.close()
+    held = max(1, int(env.batch.task.held_fraction * horizon))
+    good = success[-held:].all(axis=0)
+    time_to_goal = env.batch.step_time * (1 + np.median(success[:, good].argmax(axis=0)))
+    error = 1e3 * np.median(distance[-1])
+    return [robot, task, action, f"{good.sum()} of {episodes}", f"{time_to_goal:.2f} s, {error:.1f} mm", f"{seconds:.0f} s"]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--episodes", type=int, default=200)
+    parser.add_argument("--robots", nargs="+", default=ROBOTS)
+    parser.add_argument("--tasks", nargs="+", choices=TASKS, default=list(TASKS))
+    parser.add_argument("--actions", nargs="+", choices=ACTIONS, default=ACTIONS[:1])
+    arguments = parser.parse_args()
+    rows = []
+    for robot in arguments.robots:
+        for task in arguments.tasks:
+            for action in arguments.actions:
+                rows.append(solved(robot, task, action, arguments.episodes))
+                print(*rows[-1], sep=" | ", flush=True)
+    headers = ["robot", "task", "action", "solved", "median time to the goal, error at the end", "CPU"]
+    RESULTS.write_text(Table(headers, rows).markdown() + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,159 @@
+"""All tasks: what Gymnasium asks, what is randomized, what counts, and experts that solve them."""
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from synthetic import arm_with_gripper
+
+import armctl
+import armctl.envs
+
+ROBOT = "robot_arm_3dof"
+RANGES = {
+    "object_size": armctl.Range(0.8, 1.1),
+    "object_mass": armctl.Range(0.05, 0.1),
+    "encoder_noise": armctl.Range(1e-5, 1e-4),
+    "delay": armctl.Range(0, 2),
+}
+TASKS = ("Reach", "ReachPast", "Track", "Push", "PickPlace")
+ON_A_TABLE = ("Push", "PickPlace")
+
+
+@pytest.fixture(scope="module")
+def gripping(tmp_path_factory):
+    return arm_with_gripper(tmp_path_factory.mktemp("arm"))
+
+
+@pytest.fixture(scope="module")
+def make(gripping):
+    """Environments by task, made once."""
+    made = {}
+
+    def of(task):
+        if task not in made:
+            robot = gripping if task in ON_A_TABLE else ROBOT
+            made[task] = armctl.envs.ArmVectorEnv(robot, task, "joint_target", num_envs=3)
+        return made[task]
+
+    yield of
+    for env in made.values():
+        env.close()
+
+
+@pytest.mark.filterwarnings("ignore:.*A Box observation space")
+@pytest.mark.parametrize("name", ["ReachPast", "TrackGoal", "PushGoal", "PickPlace"])
+def test_gymnasium_accepts_the_tasks(gripping, name):
+    robot = gripping if name.removesuffix("Goal") in ON_A_TABLE else ROBOT
+    env = gymnasium.make(f"armctl.envs:armctl/{name}-v0", robot=robot, horizon=5)
+    check_env(env.unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_expert_solves_the_task(make, task):
+    env = make(task)
+    policy = armctl.envs.ExpertPolicy(env)
+    env.reset(seed=0)
+    for _ in range(env.batch.horizon):
+        _, _, _, ended, information = env.step(policy())
+        assert env.batch.arm.limits.contains(env.batch.rows.q)
+    assert ended.all()
+    assert information["is_success"].all()
+
+
+@pytest.mark.parametrize("action", ["joint_delta", "cartesian_delta"])
+def test_the_expert_acts_by_other_actions(action):
+    env = armctl.envs.ArmEnv(ROBOT, "Reach", action)
+    policy = armctl.envs.ExpertPolicy(env)
+    env.reset(seed=1)
+    successes = [env.step(policy())[4]["is_success"] for _ in range(env.batch.horizon)]
+    assert successes[-1]
+
+
+@pytest.mark.parametrize("task", ["Track", "PickPlace"])
+def test_a_seed_gives_the_same_bits_on_any_number_of_threads(gripping, task):
+    robot = gripping if task in ON_A_TABLE else ROBOT
+    ranges = RANGES if task in ON_A_TABLE else {name: RANGES[name] for name in ("encoder_noise", "delay")}
+    seen = []
+    for threads in (1, 3):
+        env = armctl.envs.ArmVectorEnv(robot, task, "joint_delta", 3, threads, randomize=ranges, horizon=4)
+        rng = np.random.default_rng(0)
+        first, _ = env.reset(seed=5)
+        steps = [env.step(rng.uniform(-1.0, 1.0, env.action_space.shape))[0] for _ in range(6)]
+        seen.append([first, *steps])
+        env.close()
+    assert np.array_equal(*seen)
+
+
+def test_a_touched_obstacle_costs_and_rules_success_out(make):
+    env = make("ReachPast")
+    env.reset(seed=0)
+    batch = env.batch
+    middles = [armctl.solve_ik(batch.arm, *where).q for where in zip(batch.obstacle.copy(), batch.rows.q.copy(), strict=True)]
+    low, high = batch.rows.limits[:2]
+    for _ in range(20):
+        observation, reward, _, _, information = env.step(2.0 * (np.array(middles) - low) / (high - low) - 1.0)
+        distance = information["distance"]
+        assert reward == pytest.approx((distance < 0.02) - 5.0 * distance - information["touched"])
+        goals = (batch.observer.achieved(observation), batch.observer.desired(observation))
+        assert env.compute_reward(*goals, information) == pytest.approx(reward)
+        assert env.compute_reward(*goals, [{"touched": each} for each in information["touched"]]) == pytest.approx(reward)
+    assert information["touched"].any()
+    assert not information["is_success"][batch.was_touched].any()
+
+
+def test_a_varied_object_stands_on_the_table_and_has_its_mass(gripping):
+    env = armctl.envs.ArmVectorEnv(gripping, "Push", "joint_delta", 3, randomize={k: RANGES[k] for k in list(RANGES)[:2]})
+    env.reset(seed=0)
+    for _ in range(4):
+        env.step(np.zeros(env.action_space.shape))
+    batch = env.batch
+    top = batch.task.table.center[2]
+    masses = set()
+    for row in range(3):
+        model = batch.rows.simulated.model(row)
+        body = model.body("object")
+        half = float(model.geom("object").size[1])
+        assert batch.rows.object[row, 2] == pytest.approx(top + half, abs=1e-3)
+        assert 0.05 <= float(body.mass[0]) <= 0.1
+        masses.add(float(body.mass[0]))
+    assert len(masses) == 3
+    env.close()
+
+
+def test_noise_is_observed_with_its_deviation_and_moves_nothing_by_itself():
+    env = armctl.envs.ArmVectorEnv(ROBOT, "Track", "joint_delta", 40, randomize={"encoder_noise": armctl.Range(1e-3, 1.001e-3)})
+    env.reset(seed=0)
+    observations = [env.step(np.zeros(env.action_space.shape))[0] for _ in range(5)]
+    n = env.batch.arm.n
+    error = observations[-1][:, :n] - env.batch.rows.q
+    assert error.std() == pytest.approx(1e-3, rel=0.25)
+    env.close()
+
+
+def test_a_goal_of_track_moves_with_the_velocity_that_is_observed(make):
+    env = make("Track")
+    columns = env.batch.observer.columns
+    first, _ = env.reset(seed=0)
+    second = env.step(np.zeros(env.action_space.shape))[0]
+    moved = second[:, columns["goal"]] - first[:, columns["goal"]]
+    assert moved == pytest.approx(env.batch.step_time * first[:, columns["goal_velocity"]], abs=1e-6)
+    assert np.linalg.norm(moved, axis=1).min() > 0.0
+
+
+def test_an_arm_that_does_not_fit_is_refused_in_one_sentence():
+    for options, message in (
+        ({"robot": ROBOT, "task": "PickPlace"}, "needs a gripper"),
+        ({"robot": ROBOT, "task": "Push"}, "points down over a table"),
+        ({"robot": armctl.load(ROBOT), "task": "ReachPast"}, "loaded already"),
+        ({"robot": armctl.load(ROBOT), "load_options": {"tip": "link2"}}, "loaded already"),
+        ({"robot": ROBOT, "load_options": {"scene": armctl.Scene()}}, "belongs to the task"),
+        ({"robot": ROBOT, "task": "ReachPast", "free_space": True}, "contacts"),
+        ({"robot": ROBOT, "randomize": {"object_mass": armctl.Range(1, 2)}}, "object_mass cannot vary"),
+    ):
+        with pytest.raises(armctl.InputError, match=message):
+            armctl.envs.ArmEnv(**options)
+    with pytest.raises(armctl.UnknownNameError, match="colour"):
+        armctl.envs.ArmEnv(ROBOT, randomize={"colour": armctl.Range(1, 2)})
+    with pytest.raises(armctl.InputError, match="torque"):
+        armctl.envs.ExpertPolicy(armctl.envs.ArmEnv(ROBOT, action="torque"))
