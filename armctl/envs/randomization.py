@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -62,7 +62,7 @@ class Randomization:
             UnknownNameError: There is no such attribute.
         """
         instance("randomize", {} if ranges is None else ranges, Mapping, "{'payload': armctl.Range(0.0, 0.5)} is one")
-        given: dict[str, Range] = dict(ranges or {})  # type: ignore[call-overload]
+        given: dict[str, Range] = dict(cast(Mapping[str, Range], ranges or {}))
         of_plant = (*(_OF_FREE_DYNAMICS if free_space else _OF_DYNAMICS), *_OF_SIGNALS)
         allowed = (*of_plant, *(_OF_OBJECT if has_object else ()))
         for name, each in given.items():
@@ -76,7 +76,7 @@ class Randomization:
             if name in _OF_OBJECT:
                 number(f"randomize: {name}: low", each.low, 1e-6)
             else:
-                Plant(**{name: _whole(name, each.low)})
+                _plant({name: each.low})
         return cls(
             plant={name: each for name, each in given.items() if name in of_plant},
             object={name: each for name, each in given.items() if name in _OF_OBJECT},
@@ -96,7 +96,7 @@ class Randomization:
         """A plant; None if it does not vary."""
         if not self.plant:
             return None
-        return Plant(**{name: _whole(name, _value(name, each, rng)) for name, each in self.plant.items()})
+        return _plant({name: _value(name, each, rng) for name, each in self.plant.items()})
 
     def draw_object(self, rng: np.random.Generator) -> ObjectFactors | None:
         """What the loose object is like; None if it does not vary."""
@@ -112,5 +112,7 @@ def _value(name: str, each: Range, rng: np.random.Generator) -> float:
     return min(each.low + rng.random() * (each.high - each.low + 1.0), each.high)
 
 
-def _whole(name: str, value: float) -> float:
-    return int(value) if name == "delay" else value
+def _plant(values: dict[str, Any]) -> Plant:
+    """A plant with these attributes; the delay is a whole number."""
+    rounded: dict[str, Any] = {name: int(value) if name == "delay" else value for name, value in values.items()}
+    return Plant(**rounded)

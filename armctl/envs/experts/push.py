@@ -24,8 +24,8 @@ _MAX_LINE_UP_OFFSET = 0.7
 class PushExpert(CartesianExpert):
     """Moves above where it begins, lowers the tool, and pushes in strokes along the line to the goal.
 
-    A pushed disc is unstable: a tool beside the line through its center turns it away. So a stroke ends when the tool is too far
-    beside the line, and the tool lines up again.
+    A pushed disc is unstable: a tool beside the line through its center turns it away. So a stroke ends when the tool is too
+    far beside the line, and the tool lines up again.
     """
 
     def __init__(self, batch: Batch, row: int):

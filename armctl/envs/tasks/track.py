@@ -53,7 +53,7 @@ class Track(Task):
         checker = collision_checker(self.arm)
         rng = np.random.default_rng(1)
         step_time = ticks * self.arm.dt
-        times = step_time * np.arange(math.ceil(_DURATION / step_time) + 1)
+        times = step_time * np.arange(math.ceil(_DURATION / step_time) + 1, dtype=float)
         paths: list[Array] = []
         for center in free_configurations(self.arm, _CENTERS, _CENTER_SPREAD):
             q = np.clip(center + self._waves(rng, times), limits.low, limits.high)
