@@ -14,7 +14,7 @@ import viser
 import websockets.sync.client
 from arms import BUNDLED, arm_of
 
-from armctl.sim.realtime import Activity
+from armctl.sim.status import Activity
 from armctl.viewer.page import Page
 from armctl.viewer.web_scene import WebScene
 

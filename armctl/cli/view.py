@@ -50,6 +50,7 @@ def run(args: argparse.Namespace) -> int:
             host=args.host,
             token=_token(args.token, args.token_file),
             allowed_hosts=args.allow_host,
+            title=f"{Path(args.robot).stem} - armctl",
         )
     return DONE
 

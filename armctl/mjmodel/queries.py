@@ -5,11 +5,15 @@ from __future__ import annotations
 import math
 
 import mujoco
+import numpy as np
+
+from armctl.core.validation import Array
 
 # As numbers: `numpy.int32(3) in (mjtJoint.mjJNT_HINGE,)` is False, although the two compare equal with ==.
 SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
+_MAX_CONTACTS = 64  # whose forces are read: more take longer than a control period
 _UNLIMITED_TRAVEL_M = 1000.0  # of a sliding joint; no axis of a robot is that long
 
 Joints = tuple[int, ...]
@@ -152,3 +156,21 @@ def branches(model: mujoco.MjModel, body: int) -> list[int]:
     """The jointed bodies that hang on a body, or on what is welded to it."""
     rigid = welded_behind(model, body)
     return [b for b in range(1, model.nbody) if model.body_parentid[b] in rigid and model.body_jntnum[b] and b not in rigid]
+
+
+def keyframe_names(model: mujoco.MjModel) -> tuple[str, ...]:
+    """The names of a model's keyframes; their numbers where they have none."""
+    return tuple(model.key(i).name or f"keyframe {i}" for i in range(model.nkey))
+
+
+def contact_forces(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+    """(k, 2, 3) where two geoms press on each other, m, and the force on the second, N, in world axes: the first 64."""
+    count = min(data.ncon, _MAX_CONTACTS)
+    forces = np.zeros((count, 2, 3))
+    wrench = np.zeros(6)
+    for i in range(count):
+        mujoco.mj_contactForce(model, data, i, wrench)
+        contact = data.contact[i]
+        forces[i, 0] = contact.pos
+        forces[i, 1] = contact.frame.reshape(3, 3).T @ wrench[:3]
+    return forces[np.linalg.norm(forces[:, 1], axis=1) > 0.0]

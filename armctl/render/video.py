@@ -7,7 +7,7 @@ import copy
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Self
+from typing import IO, Self
 
 import mujoco
 import numpy as np
@@ -101,7 +101,7 @@ def record(
         if path.suffix == ".gif":
             _write_gif(temporary, frames, frames_per_second)
         else:
-            _write_mp4(temporary, frames, frames_per_second, width, height)
+            write_mp4(temporary, frames, frames_per_second, width, height)
     return Film(path)
 
 
@@ -182,7 +182,7 @@ def images(logs: Sequence[Log], arm: Arm, times: Array, *, width: int, height: i
     data = states[-1]
     with Renderer(model, width, height, quality) as renderer:
         for k in np.rint(np.clip(times / logs[0].dt, 0, len(qpos) - 1)).astype(int):
-            _pose(arm, data, qpos[k], targets[k])
+            pose(arm, data, qpos[k], targets[k])
             yield renderer.image(data, camera, tip[: k + 1])
 
 
@@ -213,11 +213,12 @@ def _target(log: Log) -> Array:
 def _state(arm: Arm, qpos: Array, target: Array) -> mujoco.MjData:
     """A state of the model, after forward kinematics, with the green target in its place."""
     data = mujoco.MjData(arm.model)
-    _pose(arm, data, qpos, target)
+    pose(arm, data, qpos, target)
     return data
 
 
-def _pose(arm: Arm, data: mujoco.MjData, qpos: Array, target: Array) -> None:
+def pose(arm: Arm, data: mujoco.MjData, qpos: Array, target: Array) -> None:
+    """Puts a model at positions (nq,), with the green target at (7,) position and quaternion, ready for drawing."""
     set_target(arm.model, data, target[:3], target[3:])
     data.qpos[:] = qpos
     mujoco.mj_kinematics(arm.model, data)
@@ -227,12 +228,13 @@ def _pose(arm: Arm, data: mujoco.MjData, qpos: Array, target: Array) -> None:
         mujoco.mj_tendon(arm.model, data)
 
 
-def _write_mp4(path: Path, frames: Iterable[Image], frames_per_second: int, width: int, height: int) -> None:
+def write_mp4(file: Path | IO[bytes], frames: Iterable[Image], frames_per_second: int, width: int, height: int) -> None:
+    """Writes frames, each (height, width, 3), into an .mp4."""
     import av
     from av.error import FFmpegError
 
     try:
-        with av.open(path, "w") as container:
+        with av.open(file, "w", format="mp4") as container:
             stream = container.add_stream("h264", rate=frames_per_second)
             stream.width = width
             stream.height = height

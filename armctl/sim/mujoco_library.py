@@ -102,8 +102,8 @@ def _word(data: mujoco.MjData, offset: int) -> int:
     return ctypes.c_size_t.from_address(data._address + offset).value
 
 
-class _Guard(threading.local):
-    """A pool of MuJoCo with one simulation, for each thread."""
+class _Guard:
+    """A pool of MuJoCo with one simulation."""
 
     def __init__(self) -> None:
         self._model = mujoco.MjModel.from_xml_string(_EMPTY_MODEL)
@@ -135,9 +135,16 @@ class _Guard(threading.local):
             self._delete(self._pool)
 
 
+class _Guards(threading.local):
+    """A guard for each thread. It has no `__del__` itself: in a thread without a guard that would make one."""
+
+    def __init__(self) -> None:
+        self.guard = _Guard()
+
+
 @cache
-def _guards() -> _Guard:
-    return _Guard()
+def _guards() -> _Guards:
+    return _Guards()
 
 
 def guarded_call(function: int, argument: int) -> str:
@@ -150,4 +157,4 @@ def guarded_call(function: int, argument: int) -> str:
     Returns:
         The message of the error by which MuJoCo ended the call; empty if it returned.
     """
-    return _guards().call(function, argument)
+    return _guards().guard.call(function, argument)

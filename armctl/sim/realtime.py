@@ -6,18 +6,19 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from enum import Enum
+from dataclasses import replace
 
+import mujoco
 import numpy as np
 
 from armctl.control import Controller, controller_by_name
-from armctl.core.errors import ModelError
+from armctl.core.errors import ModelError, UnknownNameError
 from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
 from armctl.core.target import TOLERANCE, Target
 from armctl.core.validation import Array, frozen, instance, number, vector
 from armctl.ik import solve_ik
+from armctl.mjmodel.queries import contact_forces, keyframe_names
 from armctl.mjmodel.target_marker import find_target, target_pose
 from armctl.robot.arm import Arm
 from armctl.sim.clock import MAX_SPEED, MIN_SPEED, RealTimeClock
@@ -26,8 +27,9 @@ from armctl.sim.history import History
 from armctl.sim.obstacles import Obstacles
 from armctl.sim.plant import Plant
 from armctl.sim.recorder import Recorder
+from armctl.sim.status import Activity, Status
 from armctl.sim.stepper import Stepper
-from armctl.sim.target_follower import PlannedPath, TargetFollower
+from armctl.sim.target_follower import TargetFollower
 
 UPDATE_INTERVAL_S = 0.01
 _AT_REST_SPEED = 1e-3  # rad/s, of the simulated joints
@@ -36,69 +38,6 @@ _MIN_SPEED_OVERRIDE = 0.01
 _JOIN_TIMEOUT_S = 1.0
 
 _log = logging.getLogger("armctl.sim")
-
-
-class Activity(Enum):
-    """What a session does. After DIVERGED and FAILED it stands until `reset`."""
-
-    FOLLOWING = "following"
-    PLANNING = "planning"
-    BLOCKED = "blocked"
-    AT_TARGET = "at target"
-    OUT_OF_REACH = "out of reach"
-    SAGGING = "sagging"
-    PAUSED = "paused"
-    DIVERGED = "diverged"
-    FAILED = "failed"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Status:
-    """A session at one instant. It is never changed: each update makes a new one, so any thread can read it.
-
-    Attributes:
-        activity: What the session does.
-        failure: Why it stands, after DIVERGED and FAILED; else empty.
-        position_error: Distance from the tip to the target, m.
-        reach_error: Distance from the nearest reachable point to the target, m; None while no solver has found it unreachable.
-        refusal: Why the arm does not approach its target, after BLOCKED; else empty.
-        path: The planned path to the target; None if none was needed.
-        target: T_world_tip to reach.
-        oriented: Whether the target's orientation is part of the goal.
-        joint_control: Whether joint angles were commanded, so that the target follows the tip.
-        avoiding: Whether contacts are avoided.
-        speed_override: Share of the speed of motions that the arm moves with.
-        q: (n,) rad, where the arm is.
-        qpos: (nq,) positions of the whole model.
-        controller: Name of the controller.
-        payload: Mass at the tip, kg.
-        gripper_width: Width between the gripper's pads, m; None without a gripper.
-        paused: Whether time stands still.
-        elapsed: Simulated time since the session began, s; `reset` does not change it.
-        speed: Simulated seconds per second that are commanded.
-        real_time_factor: Share of that speed that is achieved.
-    """
-
-    activity: Activity
-    failure: str
-    position_error: float
-    reach_error: float | None
-    refusal: str
-    path: PlannedPath | None
-    target: Pose
-    oriented: bool
-    joint_control: bool
-    avoiding: bool
-    speed_override: float
-    q: Array
-    qpos: Array
-    controller: str
-    payload: float
-    gripper_width: float | None
-    paused: bool
-    elapsed: float
-    speed: float
-    real_time_factor: float
 
 
 class RealTimeSession:
@@ -110,6 +49,7 @@ class RealTimeSession:
     Attributes:
         arm: The arm.
         history: Errors and torques of the last seconds.
+        keyframes: Names of the model's keyframes.
         gripper_width_max: Largest width of the gripper, m; None without a gripper.
     """
 
@@ -126,6 +66,7 @@ class RealTimeSession:
             InputError: The payload is negative.
         """
         self.arm = arm
+        self.keyframes = keyframe_names(arm.model)
         self._controller_name = controller
         self._controller: Controller = controller_by_name(controller, arm)
         self._payload = number("payload", payload, 0.0)
@@ -288,12 +229,21 @@ class RealTimeSession:
 
         self._command("pause", change)
 
-    def reset(self) -> None:
-        """Puts the arm at home, at rest, with the first target. It also ends DIVERGED and FAILED."""
+    def reset(self, keyframe: str = "") -> None:
+        """Puts everything at home, at rest, with the first target. It also ends DIVERGED and FAILED.
+
+        Args:
+            keyframe: One of `keyframes`, to put everything there instead, with the target at the tip.
+
+        Raises:
+            UnknownNameError: There is no such keyframe.
+        """
+        if keyframe and keyframe not in self.keyframes:
+            raise UnknownNameError.of("keyframe", keyframe, self.keyframes)
 
         def restart() -> None:
-            self._restart()
-            self._status = self._observed(self.arm.home)
+            self._restart(keyframe)
+            self._status = self._observed(self._follower.reference.q)
 
         self._command("reset", restart)
 
@@ -404,16 +354,25 @@ class RealTimeSession:
         """A session keeps no log, so each record is thrown away."""
         return Recorder(self._stepper.model, self._stepper.actuation)
 
-    def _restart(self) -> None:
+    def _restart(self, keyframe: str = "") -> None:
         arm = self.arm
         if self._gripper is not None:
             self._gripper.reset()
-        self._stepper.reset(arm.home, np.zeros(arm.n))
         stepper = self._stepper
+        self._failure = ""
+        if keyframe:
+            qpos = arm.model.key_qpos[self.keyframes.index(keyframe)]
+            q = arm.limits.clamp(qpos[arm.qpos_adr])
+            stepper.reset(q, np.zeros(arm.n))
+            stepper.data.qpos[:] = qpos
+            arm.joint_map.set_positions(stepper.data.qpos, q)
+            mujoco.mj_forward(stepper.model, stepper.data)
+            self._follower.stand(q, q)
+            return
+        stepper.reset(arm.home, np.zeros(arm.n))
         has_target = find_target(stepper.model) is not None
         start = target_pose(stepper.model, stepper.data).position if has_target else stepper.tip_pose(arm).position
         self._follower.stand(arm.home, solve_ik(arm, start, arm.home).q)
-        self._failure = ""
 
     def _observed(self, q_ref: Array) -> Status:
         """The status now; adds a sample to the history."""
@@ -438,6 +397,7 @@ class RealTimeSession:
             reach_error=follower.reach_error,
             refusal=follower.refusal,
             path=follower.path,
+            contacts=frozen(contact_forces(stepper.model, stepper.data)),
             target=follower.target,
             oriented=follower.oriented,
             joint_control=follower.joint_control,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +21,7 @@ _MAX_SHOWN_MM = 3e3  # leaves room above the last label, 1000
 _SAMPLES_PER_POINT = 4
 _ERROR_CHART_HEIGHT_PX = 150
 _TORQUE_CHART_HEIGHT_PX = 190
+_BOUND_COLOR = "#555555"
 _TORQUE_RANGE_PERCENT = (-115.0, 115.0)
 
 
@@ -29,16 +31,18 @@ class Charts:
     def __init__(self, server: viser.ViserServer, joint_names: tuple[str, ...], samples: Samples):
         """Adds the charts at the end of the page's panel, with what has been sampled so far."""
         self._last_t = samples.t[-1]
+        self._joint_names = joint_names
         joints = [_line(name, COLORS[i % len(COLORS)]) for i, name in enumerate(joint_names)]
         self._error = server.gui.add_uplot(
             _errors(samples),
             (_TIME, _line("to the target", COLORS[2]), _line("to its reference", COLORS[0]), _bound("tolerance")),
-            title=f"tip error, mm; grey: {1e3 * TOLERANCE:g} mm",
+            title="tip error, mm",
             scales={"x": _SPAN, "y": {"distr": 3, "range": (_MIN_SHOWN_MM, _MAX_SHOWN_MM)}},
             axes=({}, {"grid": {"show": False}, "ticks": {"show": False}}),
             legend=_LEGEND,
             height=_ERROR_CHART_HEIGHT_PX,
         )
+        self._error_legend = server.gui.add_html(_error_legend(samples))
         self._torque = server.gui.add_uplot(
             _torques(samples),
             (_TIME, *joints, _bound("limit"), _bound("limit")),
@@ -47,6 +51,7 @@ class Charts:
             legend=_LEGEND,
             height=_TORQUE_CHART_HEIGHT_PX,
         )
+        self._torque_legend = server.gui.add_html(_torque_legend(samples, joint_names))
 
     def update(self, samples: Samples) -> None:
         """Draws new samples."""
@@ -55,6 +60,8 @@ class Charts:
         self._last_t = samples.t[-1]
         self._error.data = _errors(samples)
         self._torque.data = _torques(samples)
+        self._error_legend.content = _error_legend(samples)
+        self._torque_legend.content = _torque_legend(samples, self._joint_names)
 
     @property
     def shown_reference_error_mm(self) -> float:
@@ -63,7 +70,7 @@ class Charts:
 
 
 _TIME: uplot.Series = {"label": "s"}
-_LEGEND: uplot.Legend = {"live": False}  # values would appear only under the mouse
+_LEGEND: uplot.Legend = {"show": False}  # uPlot shows values only under the mouse
 _SPAN: uplot.Scale = {"time": False, "range": (-DURATION_S, 0.0)}
 
 
@@ -72,7 +79,36 @@ def _line(label: str, color: str) -> uplot.Series:
 
 
 def _bound(label: str) -> uplot.Series:
-    return {**_line(label, "#555555"), "width": 1.0}
+    return {**_line(label, _BOUND_COLOR), "width": 1.0}
+
+
+def _error_legend(samples: Samples) -> str:
+    return _legend(
+        [
+            (COLORS[2], "to the target", _millimeters(1e3 * samples.to_target[-1])),
+            (COLORS[0], "to its reference", _millimeters(1e3 * samples.to_reference[-1])),
+            (_BOUND_COLOR, "tolerance", f"{1e3 * TOLERANCE:g} mm"),
+        ]
+    )
+
+
+def _torque_legend(samples: Samples, joint_names: tuple[str, ...]) -> str:
+    shares = np.nan_to_num(100 * samples.torque_share[-1])
+    return _legend([(COLORS[i % len(COLORS)], name, f"{shares[i]:.0f} %") for i, name in enumerate(joint_names)])
+
+
+def _millimeters(value: float) -> str:
+    return "-" if np.isnan(value) else f"{max(value, _MIN_SHOWN_MM):.3g} mm"
+
+
+def _legend(entries: list[tuple[str, str, str]]) -> str:
+    """Colour, name and value of each line."""
+    rows = (
+        f'<span style="white-space: nowrap; margin-right: 1em"><span style="color: {color}">&#9632;</span> '
+        f"{html.escape(name)} <b>{value}</b></span>"
+        for color, name, value in entries
+    )
+    return f'<div style="font-size: 0.8em; line-height: 1.5; padding: 0 0.8em; color: #212529">{" ".join(rows)}</div>'
 
 
 def _errors(samples: Samples) -> tuple[Array, ...]:

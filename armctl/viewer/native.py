@@ -13,7 +13,8 @@ import mujoco
 from armctl.core.errors import NotInstalledError
 from armctl.mjmodel.target_marker import find_target, is_movable, read_target, set_target
 from armctl.robot.arm import Arm
-from armctl.sim.realtime import RealTimeSession, Status
+from armctl.sim.realtime import RealTimeSession
+from armctl.sim.status import Status
 from armctl.viewer.status_text import describe
 
 _DRAW_INTERVAL_S = 1 / 60

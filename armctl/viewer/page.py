@@ -15,7 +15,8 @@ import numpy as np
 from armctl.control import CONTROLLERS
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.robot.arm import Arm
-from armctl.sim.realtime import Activity, RealTimeSession
+from armctl.sim.realtime import RealTimeSession
+from armctl.sim.status import Activity
 from armctl.viewer.panel import Panel
 from armctl.viewer.plan_preview import PlanPreview
 from armctl.viewer.status_text import describe
@@ -113,6 +114,7 @@ class Page:
         target = status.target
         self.scene.show_target(status.qpos, target)
         self._target.draw(target)
+        self.panel.pictures.add(status)
         self._trail.add(self.session.arm.fk(status.q).position)
         if target is not self._drawn_target:
             self._drawn_target = target
@@ -124,7 +126,7 @@ class Page:
         if self._label.text != text:
             self._label.text = text
         self._trail.draw()
-        self._preview.show(None if status.activity is Activity.AT_TARGET else status.path)
+        self._preview.show(status.path, with_ghost=status.activity is not Activity.AT_TARGET)
         self.panel.update()
 
 
@@ -136,6 +138,7 @@ def view(
     host: str | None = None,
     token: str | None = None,
     allowed_hosts: Sequence[str] = (),
+    title: str = "armctl",
 ) -> None:
     """Serves a page with an arm that follows a target, until Ctrl-C.
 
@@ -146,6 +149,7 @@ def view(
         host: Address of this machine at which other machines reach the page; None for this machine alone.
         token: What visitors must know. Required with a host.
         allowed_hosts: More names of this machine under which the page is reached, such as that of a gateway.
+        title: What the browser's tab shows.
 
     Raises:
         InputError: The token is missing or too short, or the page cannot listen there.
@@ -158,7 +162,7 @@ def view(
         raise InputError("host: everybody who can reach the page can control the arm; give a token of at least 8 characters")
     with contextlib.ExitStack() as stack:
         stack.callback(signal.signal, signal.SIGINT, signal.getsignal(signal.SIGINT))
-        scene = WebScene(port, host, token, allowed_hosts)
+        scene = WebScene(port, host, token, allowed_hosts, title=title)
         stack.callback(scene.close)
         # some browsers block their caller until they are open
         threading.Thread(target=scene.open_browser, daemon=True).start()

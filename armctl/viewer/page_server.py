@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gzip
+import html
 import io
 import logging
 import socket
@@ -33,6 +35,21 @@ _CLOSE_TIMEOUT_S = 0.5  # for a client that does not answer when the page closes
 _OPEN_TIMEOUT_S = 10.0
 _MAX_CONNECTIONS = 256  # of browsers that load the page, and of others that have not sent a request yet
 _TOO_MANY_CLIENTS = 1013  # WebSocket close code "try again later"
+_GZIP_LEVEL = 6
+# Text and buttons with the contrast of WCAG 2 AA, 4.5 to 1. On a phone the panel is as wide as the page and leaves room above.
+_STYLE = """
+:root {
+  --mantine-color-dimmed: #495057 !important;
+  --mantine-primary-color-filled: #1864ab !important;
+  --mantine-primary-color-filled-hover: #134f87 !important;
+  --mantine-color-custom-outline: #1864ab !important;
+}
+.mantine-Slider-markLabel { color: #495057 !important; }
+@media (max-width: 600px) {
+  .mantine-Paper-root:has(> div .mantine-ScrollArea-root) { width: 100% !important; max-height: 45% !important; }
+  .mantine-ScrollArea-content > div { width: 100% !important; }
+}
+"""
 _start_lock = threading.Lock()
 
 _log = logging.getLogger("armctl.viewer")
@@ -88,8 +105,8 @@ class PageServer:
             connection.transport.abort()
 
 
-def start_server(listener: socket.socket, access: AccessControl) -> PageServer:
-    """Starts viser's server on a socket, behind access control and a message filter.
+def start_server(listener: socket.socket, access: AccessControl, title: str) -> PageServer:
+    """Starts viser's server on a socket, behind access control and a message filter. The browser's tab shows the title.
 
     Raises:
         NotInstalledError: This version of viser serves in another way, so that it cannot be protected.
@@ -102,7 +119,7 @@ def start_server(listener: socket.socket, access: AccessControl) -> PageServer:
         calls.append("serve")
         options.update(_options(messages, connections))
         return websockets.asyncio.server.serve(
-            _counted(handler, access), sock=listener, process_request=_checked(process_request, access), **options
+            _counted(handler, access), sock=listener, process_request=_checked(process_request, access, title), **options
         )
 
     with _start_lock, contextlib.redirect_stdout(io.StringIO()):  # viser prints a table
@@ -166,14 +183,31 @@ def _counted(handler, access: AccessControl):
     return handle
 
 
-def _checked(process_request, access: AccessControl):
+def _checked(process_request, access: AccessControl, title: str):
+    pages: dict[str, bytes] = {}
+
     async def answer(connection: ServerConnection, request: Request) -> Response | None:
         response = await access.answer(connection, request)
         if response is None:
             response = process_request(connection, request)
+            if response is not None and response.headers.get("Content-Type", "").startswith("text/html"):
+                encoding = response.headers["Content-Encoding"]
+                if encoding not in pages:
+                    pages[encoding] = _styled(response.body, title, compressed=encoding == "gzip")
+                response.body = pages[encoding]
+                del response.headers["Content-Length"]
+                response.headers["Content-Length"] = str(len(response.body))
         return response if response is None else add_security_headers(response, access.in_notebook)
 
     return answer
+
+
+def _styled(page: bytes, title: str, *, compressed: bool) -> bytes:
+    """viser's page with a title and a style of its own."""
+    plain = gzip.decompress(page) if compressed else page
+    head = f"<title>{html.escape(title)}</title><style>{_STYLE}</style>"
+    styled = plain.replace(b"<title>Viser</title>", head.encode(), 1)
+    return gzip.compress(styled, _GZIP_LEVEL) if compressed else styled
 
 
 def _replaced_serve(serve) -> types.ModuleType:

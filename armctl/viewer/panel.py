@@ -9,17 +9,22 @@ import numpy as np
 
 from armctl.control import CONTROLLERS
 from armctl.core.latest_worker import LatestWorker
-from armctl.sim.realtime import RealTimeSession, Status
+from armctl.core.validation import Array
+from armctl.sim.realtime import RealTimeSession
+from armctl.sim.status import Status
 from armctl.viewer.charts import Charts
 from armctl.viewer.comparison_panel import ComparisonPanel
-from armctl.viewer.status_text import describe, describe_load
+from armctl.viewer.contact_arrows import ContactArrows
+from armctl.viewer.picture_panel import PicturePanel
+from armctl.viewer.status_text import describe, describe_contacts, describe_load
 from armctl.viewer.target_controls import TargetControls
 
 if TYPE_CHECKING:
     import viser
 
 MAX_PAYLOAD_KG = 5.0
-_HINT = "Drag an arrow, a plane or an arc of the green target; the arm follows."
+_HINT = "*Drag an arrow, a plane or an arc of the green target; the arm follows.*"
+_HOME = "home"
 _MIN_OVERRIDE_PERCENT = 5.0
 _MIN_SPEED = 0.05
 _MAX_SPEED = 2.0
@@ -43,22 +48,29 @@ class Panel:
         self._text = text
         self._target = target
         self._joints_moved_at = -np.inf
-        self._charts = Charts(server, session.arm.joint_names, session.history.read())
+        self._joint_command: Array | None = None
         self._payload_worker = LatestWorker("armctl payload")  # a new payload compiles a model
-        self._add_plant()
+        self._contact_arrows = ContactArrows(server.scene)
         self._add_clock()
+        self._add_plant()
+        self._add_motion()
+        with server.gui.add_folder("Charts"):
+            self._charts = Charts(server, session.arm.joint_names, session.history.read())
         target.add_fields()
         self._add_joints()
         self._add_gripper()
+        self.pictures = PicturePanel(server, session)
         self._comparison = ComparisonPanel(server, session)
 
     def update(self) -> None:
         """Shows the session's status."""
         status = self._session.status
         samples = self._session.history.read()
-        lines = (f"**{describe(status)}**", describe_load(samples, self._session.arm.joint_names), _HINT)
         factor = status.real_time_factor * status.speed
-        self._text.content = "\n\n".join(lines) + f"\n\nreal time x {factor:.2f}"
+        load = f"{describe_load(samples, self._session.arm.joint_names)}; real time x {factor:.2f}"
+        contacts = describe_contacts(status)
+        self._text.content = "\n\n".join([f"**{describe(status)}**", load, *([contacts] if contacts else []), _HINT])
+        self._contact_arrows.show(status.contacts)
         self._charts.update(samples)
         # On viser's event loop: written by this thread, a value could replace one that a client has just sent, before the
         # callback reads it.
@@ -74,6 +86,7 @@ class Panel:
     def close(self) -> None:
         """Ends the panel's threads."""
         self._payload_worker.close()
+        self.pictures.close()
         self._comparison.close()
 
     @property
@@ -100,15 +113,32 @@ class Panel:
 
     def _add_clock(self) -> None:
         session = self._session
-        avoid = self._gui.add_checkbox("avoid contacts", session.status.avoiding, hint="off for pressing and grasping")
+        pause = self._gui.add_checkbox("pause", False)
+        keyframe = None
+        others = tuple(name for name in session.keyframes if name != _HOME)
+        if others:
+            keyframe = self._gui.add_dropdown("reset to", (_HOME, *others), initial_value=_HOME, hint="a keyframe of the scene")
+        reset = self._gui.add_button("reset")
+
+        async def set_pause(event: viser.GuiEvent) -> None:
+            session.pause(pause.value)
+
+        async def do_reset(event: viser.GuiEvent) -> None:
+            session.reset("" if keyframe is None or keyframe.value == _HOME else keyframe.value)
+
+        pause.on_update(set_pause)
+        reset.on_click(do_reset)
+
+    def _add_motion(self) -> None:
+        session = self._session
         override = self._gui.add_slider(
             "arm speed, %", _MIN_OVERRIDE_PERCENT, 100.0, 1.0, 100.0, hint="speed override of the arm's motions"
         )
         speed = self._gui.add_slider(
             "simulation speed", _MIN_SPEED, _MAX_SPEED, 0.05, 1.0, hint="simulated seconds per second; 0.1 is slow motion"
         )
-        pause = self._gui.add_checkbox("pause", False)
-        reset = self._gui.add_button("reset")
+        avoid = self._gui.add_checkbox("avoid contacts", session.status.avoiding, hint="off for pressing and grasping")
+        contacts = self._gui.add_checkbox("contact forces", False, hint="arrows, 1 cm per N, at most 30 cm")
 
         async def set_avoiding(event: viser.GuiEvent) -> None:
             session.set_avoiding(avoid.value)
@@ -119,17 +149,13 @@ class Panel:
         async def set_speed(event: viser.GuiEvent) -> None:
             session.set_speed(speed.value)
 
-        async def set_pause(event: viser.GuiEvent) -> None:
-            session.pause(pause.value)
-
-        async def do_reset(event: viser.GuiEvent) -> None:
-            session.reset()
+        async def show_contacts(event: viser.GuiEvent) -> None:
+            self._contact_arrows.visible = contacts.value
 
         avoid.on_update(set_avoiding)
         override.on_update(set_override)
         speed.on_update(set_speed)
-        pause.on_update(set_pause)
-        reset.on_click(do_reset)
+        contacts.on_update(show_contacts)
 
     def _add_joints(self) -> None:
         session = self._session
@@ -141,14 +167,29 @@ class Panel:
                 self._gui.add_slider(name, float(low[i]), float(high[i]), 0.001, float(session.status.q[i]))
                 for i, name in enumerate(session.arm.joint_names)
             ]
+            joint = self._gui.add_dropdown("joint", session.arm.joint_names)
+            step = self._gui.add_slider("joint step", 0.01, 0.5, 0.01, 0.1, hint="rad, or m for a slide joint")
+            jog = self._gui.add_button_group("jog", ("-", "+"))
 
         async def move_joints(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                self._joints_moved_at = time.monotonic()
-                session.move_joints(np.array([slider.value for slider in self._joints]))
+                self._command_joints(np.array([slider.value for slider in self._joints]))
 
+        async def jog_joint(event: viser.GuiEvent) -> None:
+            status = session.status
+            is_steered = status.joint_control or time.monotonic() - self._joints_moved_at < _JOINT_SLIDERS_IDLE_S
+            q = np.array(self._joint_command if is_steered and self._joint_command is not None else status.q)
+            q[session.arm.joint_names.index(joint.value)] += step.value if jog.value == "+" else -step.value
+            self._command_joints(q)
+
+        jog.on_click(jog_joint)
         for slider in self._joints:
             slider.on_update(move_joints)
+
+    def _command_joints(self, q: Array) -> None:
+        self._joints_moved_at = time.monotonic()
+        self._joint_command = self._session.arm.limits.clamp(q)
+        self._session.move_joints(self._joint_command)
 
     def _add_gripper(self) -> None:
         session = self._session

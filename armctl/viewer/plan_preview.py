@@ -23,7 +23,7 @@ _GHOST_CELL = 1e-2  # of the model's extent: a ghost is seen through, so it is c
 
 
 class PlanPreview:
-    """Shows a planned path until the arm has passed it. The ghost is made when the first path is shown."""
+    """Shows the planned path to the target. The ghost is made when the first path is shown."""
 
     def __init__(self, server: viser.ViserServer, arm: Arm):
         """Adds an invisible line to a server's scene."""
@@ -36,18 +36,16 @@ class PlanPreview:
             "/plan", segments, _PATH_RGB, thickness=_PATH_THICKNESS_PX, thickness_units="screen", visible=False
         )
 
-    def show(self, path: PlannedPath | None) -> None:
-        """Shows a path, or none."""
-        if path is self._path:
-            return
-        self._path = path
+    def show(self, path: PlannedPath | None, *, with_ghost: bool) -> None:
+        """Shows a path, or none, with or without the arm at its end."""
         with self._server.atomic():
-            if path is not None:
+            if path is not None and path is not self._path:
                 self._line.points = np.stack([path.tip[:-1], path.tip[1:]], axis=1).astype(np.float32)
                 self._place_ghost(path.q_end)
             self._line.visible = path is not None
             for mesh in self._ghost.values():
-                mesh.visible = path is not None
+                mesh.visible = path is not None and with_ghost
+        self._path = path
 
     def _place_ghost(self, q: np.ndarray) -> None:
         data = mujoco.MjData(self._arm.model)

@@ -8,7 +8,7 @@ import numpy as np
 
 from armctl.core.target import TOLERANCE
 from armctl.sim.history import Samples
-from armctl.sim.realtime import Activity, Status
+from armctl.sim.status import Activity, Status
 
 _MIN_SHOWN_MM = 1e-3
 
@@ -45,6 +45,14 @@ def describe_load(samples: Samples, joint_names: Sequence[str]) -> str:
     error_mm = max(1e3 * samples.to_reference[-1], _MIN_SHOWN_MM)
     torque = f"largest torque {100 * shares[busiest]:.0f} % of its limit ({joint_names[busiest]})"
     return f"{error_mm:.2g} mm from the reference; {torque}"
+
+
+def describe_contacts(status: Status) -> str:
+    """The contacts and the largest force; empty without contacts."""
+    if not len(status.contacts):
+        return ""
+    forces = np.linalg.norm(status.contacts[:, 1], axis=1)
+    return f"{len(forces)} contact{'s' if len(forces) > 1 else ''}, largest force {forces.max():.3g} N"
 
 
 def _out_of_reach(status: Status) -> str:

@@ -9,7 +9,8 @@ import numpy as np
 
 from armctl.core.pose import Pose
 from armctl.core.validation import Array
-from armctl.sim.realtime import RealTimeSession, Status
+from armctl.sim.realtime import RealTimeSession
+from armctl.sim.status import Status
 
 if TYPE_CHECKING:
     import viser

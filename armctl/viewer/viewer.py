@@ -42,7 +42,7 @@ class Viewer:
             InputError: The port is not a port.
         """
         in_notebook = _in_notebook()
-        self.scene = WebScene(port, in_notebook=in_notebook)
+        self.scene = WebScene(port, title=f"{arm.name} - armctl", in_notebook=in_notebook)
         self.clock = RealTimeClock()
         self.url = self.scene.url
         self._arm_name = arm.name

@@ -33,6 +33,8 @@ DRAW_INTERVAL_S = 1 / 30
 _MIN_MOTION = 1e-6  # rad, m: smaller changes are not drawn
 _FIELD_OF_VIEW_DEG = 45.0  # vertical
 _DISTANCE_FACTOR = 1.15
+_PORTRAIT_ASPECT = 0.8  # width over height: in a narrower picture the arm is drawn smaller, and above the panel
+_PANEL_SHARE = 0.45  # of the height of a narrow page
 _SKY_TOP_RGB = (72.0, 93.0, 115.0)
 _SKY_BOTTOM_RGB = (172.0, 186.0, 199.0)
 _SKY_HEIGHT_PX = 256
@@ -51,6 +53,16 @@ class _Lamp(NamedTuple):
 
 
 _LAMPS = (_Lamp((2.0, -1.5, 4.0), 3.0), _Lamp((-3.0, 2.0, 1.5), 1.5), _Lamp((-1.0, -2.0, -3.0), 0.8))
+
+
+class _View(NamedTuple):
+    """A view of the whole arm: directions (3,), distance from the eye in m, vertical field of view in rad."""
+
+    look_at: Array
+    forward: Array
+    up: Array
+    distance: float
+    fov: float
 
 
 class _Frame(NamedTuple):
@@ -82,6 +94,7 @@ class WebScene:
         token: str | None = None,
         allowed_hosts: Sequence[str] = (),
         *,
+        title: str = "armctl",
         in_notebook: bool = False,
     ):
         """Serves an empty page at once: the browser opens while an arm is loaded.
@@ -91,6 +104,7 @@ class WebScene:
             host: Address of this machine at which other machines reach the page; None for this machine alone.
             token: What visitors must know; None if no token is needed.
             allowed_hosts: More names of this machine that a request may carry in its Host header.
+            title: What the browser's tab shows.
             in_notebook: Whether a notebook of this machine may show the page in a frame.
 
         Raises:
@@ -112,13 +126,14 @@ class WebScene:
         self._access = AccessControl(self.port, host, token, allowed_hosts, in_notebook=in_notebook)
         self._root = f"http://{_shown_host(host)}:{self.port}"
         self.url = self._root + self._access.query()
-        self._page_server = page_server.start_server(listener, self._access)
+        self._page_server = page_server.start_server(listener, self._access, title)
         self.server = self._page_server.viser
         atexit.register(self.close)
         self.server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         self.server.gui.main_panel.dock_right()
         self.text = self.server.gui.add_markdown("loading")
         _add_background_and_lamps(self.server.scene)
+        self._view: _View | None = None
         self._latest: _Frame | None = None
         self._drawn: _Frame | None = None
         self._client_connected = threading.Event()
@@ -126,7 +141,8 @@ class WebScene:
         self.server.on_client_connect(self._note_client)
         self._thread = threading.Thread(target=self._run, name="armctl drawing", daemon=True)
 
-    async def _note_client(self, client: object) -> None:
+    async def _note_client(self, client: viser.ClientHandle) -> None:
+        self._fit_portrait(client)
         self._client_connected.set()
 
     def open_browser(self) -> bool:
@@ -221,7 +237,7 @@ class WebScene:
         if target is not None:
             points.append(self._data.xpos[target])
         view = fitted_camera(arm, [self._data], np.array(points), 0.8)
-        forward, _, _ = axes(*np.radians([view.azimuth, view.elevation]))
+        forward, _, up = axes(*np.radians([view.azimuth, view.elevation]))
         model_fov = np.radians(self._model.vis.global_.fovy)
         fov = np.radians(_FIELD_OF_VIEW_DEG)
         distance = _DISTANCE_FACTOR * view.distance * np.tan(model_fov / 2) / np.tan(fov / 2)
@@ -229,6 +245,21 @@ class WebScene:
         camera.look_at = view.lookat
         camera.position = view.lookat - distance * forward
         camera.fov = fov
+        self._view = _View(np.array(view.lookat), forward, up, distance, fov)
+        for client in self.server.get_clients().values():
+            self._fit_portrait(client)
+
+    def _fit_portrait(self, client: viser.ClientHandle) -> None:
+        """Gives a client with a narrow page a view that shows the whole arm above the panel."""
+        view = self._view
+        aspect = client.camera.image_width / client.camera.image_height
+        if view is None or aspect >= _PORTRAIT_ASPECT:
+            return
+        distance = view.distance * _PORTRAIT_ASPECT / aspect
+        below = _PANEL_SHARE * distance * np.tan(0.5 * view.fov)
+        look_at = view.look_at - below * view.up
+        client.camera.position = look_at - distance * view.forward  # this moves the point that the camera looks at
+        client.camera.look_at = look_at
 
 
 def _missing(module: str | None) -> NotInstalledError:

@@ -3,15 +3,18 @@
 import time
 from dataclasses import FrozenInstanceError, replace
 
+import mujoco
 import numpy as np
 import pytest
 from arms import BUNDLED, arm_of
+from synthetic import limb, mjcf, motors
 
-from armctl import InputError, Pose, UnknownNameError
+from armctl import InputError, Pose, UnknownNameError, load
 from armctl.sim.clock import MAX_SPEED, MIN_SPEED, RealTimeClock
 from armctl.sim.history import DURATION_S
 from armctl.sim.online_reference import OnlineReference
-from armctl.sim.realtime import UPDATE_INTERVAL_S, Activity, RealTimeSession
+from armctl.sim.realtime import UPDATE_INTERVAL_S, RealTimeSession
+from armctl.sim.status import Activity
 from armctl.viewer.status_text import describe
 
 SOME = ["robot_arm_3dof", "panda", "ur5e", "xarm7", "so_arm100", "endless", "gantry"]
@@ -145,6 +148,28 @@ def test_pause_holds_time_and_reset_starts_afresh():
     session.advance()
     assert session.status.target == first
     np.testing.assert_allclose(session.status.q, session.arm.home, atol=0.01)
+
+
+def test_a_keyframe_puts_everything_there_and_contact_forces_bear_the_weight():
+    spec = mujoco.MjSpec.from_string(mjcf(limb("a b c"), motors("a b c")))
+    spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[3, 3, 0.1], pos=[0, 0, -2])
+    box = spec.worldbody.add_body(name="box", pos=[2, 2, -1.9])
+    box.add_freejoint()
+    box.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 0.1, 0.1], mass=2.0)
+    bent = np.array(spec.compile().qpos0)
+    bent[:3] = 0.2
+    spec.add_key(name="bent", qpos=bent)
+    session = RealTimeSession(load(spec.compile()))
+    assert "bent" in session.keyframes
+    session.reset("bent")
+    go(session, 0.5)
+    np.testing.assert_allclose(session.status.q, 0.2, atol=1e-3)
+    point = session.status.contacts[:, 0]
+    force = session.status.contacts[:, 1]
+    np.testing.assert_allclose(force.sum(axis=0), [0.0, 0.0, 2.0 * 9.81], atol=0.1)
+    np.testing.assert_allclose(point[:, 2], -2.0, atol=1e-2)
+    with pytest.raises(UnknownNameError, match="keyframe"):
+        session.reset("bend")
 
 
 def test_an_arm_that_runs_away_says_so_and_reset_brings_it_back():

@@ -1,15 +1,20 @@
 """What a client may send: checked values reach the session, everything else is dropped, and nothing ends the viewer."""
 
+import io
+
 import msgspec
 import numpy as np
 import pytest
+from PIL import Image
 
 pytest.importorskip("mjviser", reason="pip install -e '.[view]'")
 
+import viser
 from viewer_client import CAMERA, connected, control_id, follows, open_page, until
 
 from armctl import Pose
-from armctl.sim.realtime import Activity
+from armctl.sim.status import Activity
+from armctl.viewer import picture_panel
 from armctl.viewer.message_filter import MAX_COORDINATE_M, limited_value
 
 NUMBERS = [
@@ -181,6 +186,55 @@ def test_jog_buttons_move_the_target_along_tool_or_world_axes_and_undo_takes_it_
         until(lambda previous=previous: page.session.status.target is not previous, "nothing is undone")
     assert np.allclose(page.session.status.target.matrix, start.matrix)
     client.set(page, "axes", "tool")
+
+
+def test_jog_buttons_move_single_joints_one_step_after_another(page, client):
+    follows(page, client)
+    before = page.session.status.q
+    client.set(page, "joint", "elbow")
+    client.set(page, "joint step", 0.05)
+    for _ in range(3):
+        client.set(page, "jog", "-")
+    client.set(page, "jog", "+")
+    wanted = before - np.array([0.0, 0.0, 0.1])
+    until(lambda: np.allclose(page.session.status.q, wanted, atol=1e-3), "the joint is elsewhere")
+    client.set(page, "joint", "no joint")
+    follows(page, client)
+
+
+def test_avoidance_and_arm_speed_reach_the_session(page, client):
+    client.set(page, "avoid contacts", False)
+    client.set(page, "arm speed, %", -50.0)
+    until(lambda: not page.session.status.avoiding, "contacts are still avoided")
+    until(lambda: page.session.status.speed_override == pytest.approx(0.05), "the speed is not the least")
+    client.set(page, "avoid contacts", True)
+    client.set(page, "arm speed, %", 100.0)
+    until(lambda: page.session.status.avoiding and page.session.status.speed_override == 1.0, "they are not as before")
+
+
+def test_a_screenshot_and_a_film_are_offered_for_download(page, client, monkeypatch: pytest.MonkeyPatch):
+    files = {}
+
+    def keep(receiver, name: str, content: bytes, **how: bool) -> None:
+        files[name] = content
+
+    monkeypatch.setattr(picture_panel, "_SCREENSHOT_PX", (64, 48))
+    monkeypatch.setattr(picture_panel, "_FILM_PX", (64, 48))
+    monkeypatch.setattr(
+        viser.ClientHandle, "send_file_download", lambda self, name, content, **how: files.update({name: content})
+    )
+    client.set(page, "screenshot", True)
+    until(lambda: "robot_arm_3dof.png" in files, "there is no screenshot")
+    image = np.asarray(Image.open(io.BytesIO(files["robot_arm_3dof.png"])))
+    assert image.shape == (48, 64, 3)
+    assert image.std() > 5.0
+    pictures = page.panel.pictures
+    client.set(page, "record a film", True)
+    until(lambda: pictures._film is not None and len(pictures._film) > 5, "nothing is recorded")
+    client.set(page, "stop and download", True)
+    until(lambda: "robot_arm_3dof.mp4" in files, "there is no film")
+    assert files["robot_arm_3dof.mp4"][4:8] == b"ftyp"
+    assert pictures._film is None
 
 
 def test_a_target_whose_holder_leaves_is_released(page, client):

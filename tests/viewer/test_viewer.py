@@ -1,6 +1,9 @@
 """A simulation that is watched: it shows all it does, in real time, and computes the same."""
 
+import gzip
 import time
+import urllib.request
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -85,6 +88,23 @@ def test_a_simplified_model_looks_the_same():
         first, faces = light.mesh_faceadr[mesh], light.mesh_facenum[mesh]
         assert 0 < faces <= model.mesh_facenum[mesh]
         assert light.mesh_face[first : first + faces].max() < kept
+
+
+def test_the_tab_shows_the_title_and_a_narrow_page_the_whole_arm(watched: Simulation):
+    for encoding in ("identity", "gzip"):
+        request = urllib.request.Request(watched.viewer.url, headers={"Accept-Encoding": encoding})
+        body = urllib.request.urlopen(request).read()
+        page = gzip.decompress(body) if encoding == "gzip" else body
+        assert b"<title>robot_arm_3dof - armctl</title>" in page
+    scene = watched.viewer.scene
+    wide = scene._view
+    cameras = [SimpleNamespace(image_width=width, image_height=844, position=None, look_at=None) for width in (390, 1280)]
+    for camera in cameras:
+        scene._fit_portrait(SimpleNamespace(camera=camera))
+    phone, desktop = cameras
+    assert np.linalg.norm(phone.look_at - phone.position) > 1.5 * wide.distance
+    assert phone.look_at[2] < wide.look_at[2]
+    assert desktop.position is None
 
 
 def test_without_a_viewer_there_is_none():

@@ -1,0 +1,58 @@
+"""ContactArrows: the forces at contacts, as arrows in the scene."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from armctl.core.validation import Array
+
+if TYPE_CHECKING:
+    import viser
+
+M_PER_N = 0.01
+MAX_LENGTH_M = 0.3
+_MIN_FORCE_N = 0.05
+_RGB = (200, 0, 0)
+_SHAFT_RADIUS_M = 0.004
+_HEAD_RADIUS_M = 0.01
+_HEAD_LENGTH_M = 0.02
+
+
+class ContactArrows:
+    """An arrow for each contact: 1 cm per N, at most 30 cm."""
+
+    def __init__(self, scene: viser.SceneApi):
+        """Adds no arrows yet; they are switched on by `visible`."""
+        self.visible = False
+        self._scene = scene
+        self._arrows: viser.ArrowsHandle | None = None
+
+    def show(self, contacts: Array) -> None:
+        """Shows contacts: (k, 2, 3) points, m, and forces, N."""
+        force = np.linalg.norm(contacts[:, 1], axis=1)
+        pressing = contacts[force > _MIN_FORCE_N]
+        if not self.visible or not len(pressing):
+            self._remove()
+            return
+        force = np.linalg.norm(pressing[:, 1], axis=1, keepdims=True)
+        length = np.minimum(M_PER_N * force, MAX_LENGTH_M)
+        points = np.stack([pressing[:, 0], pressing[:, 0] + length * pressing[:, 1] / force], axis=1).astype(np.float32)
+        if self._arrows is None or len(self._arrows.points) != len(points):
+            self._remove()
+            self._arrows = self._scene.add_arrows(
+                "/contacts",
+                points,
+                _RGB,
+                shaft_radius=_SHAFT_RADIUS_M,
+                head_radius=_HEAD_RADIUS_M,
+                head_length=_HEAD_LENGTH_M,
+            )
+        elif not np.allclose(self._arrows.points, points, atol=1e-3):
+            self._arrows.points = points
+
+    def _remove(self) -> None:
+        if self._arrows is not None:
+            self._arrows.remove()
+            self._arrows = None
