@@ -10,10 +10,14 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-import numba
+from numba.core import types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.ccallback import CFunc
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompileResult, Flags, compile_extra
 from numba.core.dispatcher import Dispatcher
+from numba.core.registry import CPUDispatcher
+from numba.core.typing.templates import make_concrete_template
 
 from armctl.core.errors import ArmctlWarning
 
@@ -91,9 +95,62 @@ def _source_stamp(function: Callable) -> list[tuple[float, int]]:
     return [(status.st_mtime, status.st_size) for status in map(os.stat, files)]
 
 
+class _CalledCode(JITCodeLibrary):
+    """The code of a function that compiled code calls. It stays as it is: its callers optimize it as a part of themselves."""
+
+    def finalize(self) -> None:
+        """Adds the code of the functions that this one calls."""
+        self._raise_if_finalized()
+        for library in dict.fromkeys(self._linking_libraries):
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._finalized = True
+
+
+class _Kernel(CPUDispatcher):
+    """A compiled function of which numba makes machine code only if Python calls it, not if only compiled code does.
+
+    numba's own dispatcher makes machine code of every function, with wrappers for calls from Python and C, and optimizes it
+    again in each of its callers, which takes half of the time. It also compiles a function again for each integer constant
+    among its arguments. A function must not call itself.
+
+    Attributes:
+        called: What compiled code calls, by the types of the arguments.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any):
+        super().__init__(*arguments, **options)
+        self.called: dict[tuple, CompileResult] = {}
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """What numba asks for when it compiles a call: the signature for these types of arguments."""
+        signature, args = self.fold_argument_types(args, kws)
+        args = tuple(map(types.unliteral, args))
+        if args not in self.called:
+            self.called[args] = self._compile_called(args)
+        template = make_concrete_template(self.py_func.__name__, self, [self.called[args].signature])
+        return template, signature, args, {}
+
+    def get_overload(self, sig: Any) -> Any:
+        """The key under which numba finds the code for a call."""
+        return self.called[tuple(sig)].fndesc
+
+    def _compile_called(self, args: tuple) -> CompileResult:
+        flags: Any = Flags()
+        target: Any = self.targetctx
+        self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
+        flags.no_compile = True
+        flags.no_cpython_wrapper = True
+        flags.no_cfunc_wrapper = True
+        library = _CalledCode(target.codegen(), self.py_func.__qualname__)
+        result = compile_extra(self.typingctx, target, self.py_func, args, None, flags, {}, library)
+        target.insert_user_function(result.fndesc, result.fndesc, [library])
+        return result
+
+
 def njit(function: Callable) -> Callable:
     """The compiled function, with a cache on disk if there is a folder for it."""
-    compiled: Any = numba.njit(nogil=True, error_model="numpy")(function)
+    options = {"nopython": True, "nogil": True, "error_model": "numpy", "boundscheck": None}
+    compiled: Any = _Kernel(function, targetoptions=options)
     with suppress(RuntimeError, OSError):  # no source file, or no folder that can be written: compile in every process
         compiled._cache = _TolerantCache(function)
     return compiled

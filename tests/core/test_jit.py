@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from armctl.core.jit import njit
+
 KERNEL = """
 from armctl.core.jit import njit
 
@@ -64,6 +66,18 @@ def test_a_change_of_a_called_function_in_another_file_compiles_its_callers_agai
     assert Outcome(tmp_path).results == "6.0 2.0"
     (tmp_path / "called.py").write_text("from armctl.core.jit import njit\n@njit\ndef half(x):\n    return 0.75 * x\n")
     assert Outcome(tmp_path).results == "8.0 3.0"
+
+
+def test_what_only_compiled_code_calls_is_compiled_once_for_all_constants_and_not_for_python():
+    code = "@njit\ndef power(x, k):\n    return x**k\n@njit\ndef total(x):\n    return power(x, 2) + power(x, 3)\n"
+    namespace: dict = {"njit": njit}
+    exec(code, namespace)
+    power = namespace["power"]
+    assert namespace["total"](2.0) == 12.0
+    assert len(power.called) == 1
+    assert power.signatures == []
+    assert power(2.0, 2) == 4.0
+    assert len(power.signatures) == 1
 
 
 @pytest.mark.parametrize("content", [b"", b"\x80\x04rubbish" * 40, os.urandom(4000)], ids=["empty", "rubbish", "random"])
