@@ -6,6 +6,7 @@ import math
 from dataclasses import fields
 
 from armctl.control.margin_exceptions import margin_exceptions
+from armctl.control.observer_gains import max_unknown_payload
 from armctl.core import units
 from armctl.core.log import Log
 from armctl.loading.chain import SerialChain
@@ -29,6 +30,7 @@ def facts(arm: Arm) -> dict[str, object]:
         "mass_kg": float(sum(inertia.mass for inertia in arm.pinocchio_model.pin_model.inertias)),
         "timestep_s": arm.dt,
         "notes": list(arm.notes),
+        "unknown_payload_kg": max_unknown_payload(arm),
         "margin_exceptions": list(margin_exceptions(arm)),
     }
 
@@ -50,6 +52,10 @@ def describe(arm: Arm) -> str:
     lines.append("units: rad, rad/s, rad/s^2, rad/s^3, N m (m and N for a slide joint)")
     lines += [f"{name} from: {source}" for name, source in arm.sources.items() if name != "q_min"]
     lines += [f"note: {note}" for note in arm.notes]
+    lines.append(
+        "default gains, computed-torque-observer: made for unknown payloads of up to "
+        f"{data['unknown_payload_kg']:.3g} kg at the tip, and stable with twice that"
+    )
     return "\n".join(lines + [f"default gains, {exception}" for exception in exceptions])
 
 

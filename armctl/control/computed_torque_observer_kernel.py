@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 from armctl.control.kernel import A_TICK, Q_REF, V_TICK, clipped
 from armctl.core.jit import njit
 from armctl.core.validation import Array
 from armctl.robot.dynamics_kernel import (
     add_friction,
     add_implicit_damping,
+    add_linear_damping,
     factorize,
     inverse_dynamics,
     mass_matrix,
@@ -98,6 +101,13 @@ def control(params, reference, memory, tau):
         acceleration[i] = a_ref[i] + stiffness[i] * (reference[Q_REF, i] - position[i]) + damping[i] * (v_ref[i] - velocity[i])
         known[i] = 0.0
     inverse_dynamics(model, position, velocity, acceleration, work, tau)
+    corrected = vector(memory, n, LOST)  # scratch until the torque is known
+    for i in range(n):
+        corrected[i] = v_ref[i] + sqrt(stiffness[i]) * (reference[Q_REF, i] - position[i]) - velocity[i]
+    # Damping is compensated at the velocity v_ref + bandwidth x error: the arm's own damping then helps the feedback, and the
+    # error of a joint that hardly anything but damping resists decays as fast as those of the others. Compensated at the
+    # estimated velocity, which is late, large damping would be a large positive feedback.
+    add_linear_damping(model, corrected, tau)
     add_friction(model, v_ref, a_ref, work, known)
 
 

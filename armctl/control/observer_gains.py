@@ -12,18 +12,22 @@ difference behind a low-pass of the same noise; see Friedland, Control System De
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import expm1
+from math import expm1, log
 
-from armctl.control.gains import max_locked_inertia, required_delay
+import numpy as np
+
+from armctl.control.gains import max_locked_inertia, required_delay, sample_configurations, sampled_inertia
 from armctl.robot.arm import Arm
 
 # rad. A faster low-pass has a delay margin of less than two control periods with any other gains.
 MAX_BANDWIDTH_TIMES_DT = 0.3
-# Bandwidth of the estimated velocity x required delay. A slower one raises the peak sensitivity, a faster one gains nothing.
-_MIN_ESTIMATE = 2.85
+# Bandwidth of the estimated velocity x required delay. A slower one raises the peak sensitivity, a faster one gains little.
+_MIN_ESTIMATE = 2.7
 _MAX_ESTIMATE = 9.0
 # rad/s^2. Noise is a share of the motors' torque: where they accelerate the arm less than this, the estimate is the slowest.
 _NOISE_ACCELERATION = 23.0
+# Payloads that multiply the inertia more than this are left out: the lower gains that they need track worse with all others.
+MAX_INERTIA_RATIO = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,11 +48,14 @@ class ObserverGains:
 
 
 def observer_gains(arm: Arm, dt: float) -> ObserverGains:
-    """The bandwidths that suppress slow disturbances best with the required delay margin and a peak sensitivity of 1.6.
+    """The bandwidths that suppress disturbances best with sufficient margins, with and without an unknown payload.
 
     Inverse dynamics make every joint a unit mass, so one design holds for all arms, and all joints have the same gains:
-    different ones would couple them. With T the delay of `required_delay`, and the bandwidth of the estimate given,
-    optimization yields the others; the formulas fit the results for control periods of 1, 2 and 4 ms.
+    different ones would couple them. A payload divides the loop gain by the ratio in which it multiplies the inertia. The
+    error after a step of torque and that of a slow motion are minimal subject to the required delay margin and a peak
+    sensitivity of 1.6 without payload, a peak sensitivity of 2 with the ratio of `max_unknown_payload`, and stability with
+    twice that ratio. With T the delay of `required_delay`, the formulas fit the results of that optimization for ratios of
+    1.2 to 4 and control periods of 1, 2 and 4 ms.
 
     Args:
         arm: The arm.
@@ -56,13 +63,46 @@ def observer_gains(arm: Arm, dt: float) -> ObserverGains:
     """
     acceleration = float((arm.limits.tau_max / max_locked_inertia(arm)).min())
     estimate = min(max(acceleration / _NOISE_ACCELERATION, 1.0) * _MIN_ESTIMATE, _MAX_ESTIMATE)
+    ratio = 1 + max_unknown_payload(arm) / min_effective_mass(arm)
     delay = required_delay(dt)
+    disturbance = 0.717 - 0.243 / ratio - 0.156 / estimate
+    feedback = 0.57 - 0.194 * log(ratio) - 0.384 / estimate
     return ObserverGains(
-        feedback=(0.455 - 0.16 / estimate) / delay,
-        damping_ratio=0.535 - 0.013 * estimate,
+        feedback=feedback / delay,
+        damping_ratio=0.5 * disturbance / feedback,
         estimate=estimate / delay,
-        disturbance=(0.38 + 0.045 * estimate) / delay,
+        disturbance=disturbance / delay,
     )
+
+
+def max_unknown_payload(arm: Arm) -> float:
+    """The unknown payload, kg, a point mass at the tip, that the gains are designed for.
+
+    It is the largest one that the motors hold at all sampled configurations, but at most the one that multiplies the inertia by
+    4 in some direction of motion. A payload multiplies it by 1 + its mass / effective mass of the tip (Khatib, "A unified
+    approach for motion and force control of robot manipulators", 1987).
+
+    Args:
+        arm: The arm.
+    """
+    return min(max_held_payload(arm), (MAX_INERTIA_RATIO - 1) * min_effective_mass(arm))
+
+
+def min_effective_mass(arm: Arm) -> float:
+    """The least mass, kg, that a force on the tip has to accelerate, over `sample_configurations` and directions."""
+    jacobians = [arm.jacobian(q)[:3] for q in sample_configurations(arm)]
+    mobility = [J @ W @ J.T for J, W in zip(jacobians, sampled_inertia(arm).mobility, strict=True)]
+    return 1 / max(float(np.linalg.eigvalsh(mobility).max()), np.finfo(float).tiny)
+
+
+def max_held_payload(arm: Arm) -> float:
+    """The largest mass, kg, at the tip that the motors hold at all `sample_configurations`; infinite without gravity."""
+    largest = np.inf
+    for q in sample_configurations(arm):
+        per_kg = np.abs(arm.jacobian(q)[:3].T @ arm.model.opt.gravity)
+        reserve = np.maximum(arm.limits.tau_max - np.abs(arm.gravity(q)), 0.0)
+        largest = min(largest, float(np.min(reserve[per_kg > 0] / per_kg[per_kg > 0], initial=np.inf)))
+    return largest
 
 
 def low_pass_weight(bandwidth: float, dt: float) -> float:

@@ -22,6 +22,8 @@ _TORQUE_NOISE = 2e-3  # of the torque limit: no joint's torque is known better, 
 _MAX_RELATIVE_ERROR = 0.1  # of the mass; with a larger standard error nothing is identified
 _SMALL_MASS_KG = 0.5  # from which on the error is relative to the mass
 _PRIOR = (50.0, 0.5, 0.5, 0.5)  # kg and kg m, standard deviations: parameters that are not shown stay within them
+_MAX_SATURATED_SHARE = 0.05  # of a run that a motor spends at its torque limit
+_MIN_OSCILLATION = 0.2  # rad/s (m/s): smaller differences from the velocity of the reference are noise
 _ROUNDS = 4  # of the fit: inertia is not linear in a payload's centre, and joints differ in noise
 _FINDING_ERRORS = 3.0  # standard errors by which the model's friction must be too high to be reported
 _STATES = 20  # random states at which the regressor of the mass is compared with that of the centre
@@ -118,10 +120,34 @@ def identify_payload(arm: Arm, log: Log) -> PayloadEstimate:
         return _nothing(arm, f"the run lasts {len(log) * log.dt:.2f} s, and at least {least * log.dt:.2f} s are needed")
     if not (np.abs(log.v) > 2 * _MIN_SPEED).any():
         return _nothing(arm, "no joint moves; follow armctl.excitation(arm)")
+    disturbed = _disturbed(arm, log)
+    if disturbed:
+        return _nothing(arm, disturbed)
     fit = _Fit(arm, log)
     for _ in range(_ROUNDS):
         fit.improve()
     return _judged(fit)
+
+
+def _disturbed(arm: Arm, log: Log) -> str:
+    """Why a run with saturated motors or oscillations does not show a payload, in words; empty if there is neither.
+
+    An oscillation has large accelerations above the cut-off of the filter, and what they need would count as payload.
+    """
+    saturated = (np.abs(log.tau) >= (1 - 1e-6) * arm.limits.tau_max).mean(axis=0)
+    worst = int(saturated.argmax())
+    cure = "repeat the run with lower gains or computed-torque"
+    if saturated[worst] > _MAX_SATURATED_SHARE:
+        share = f"{100 * saturated[worst]:.0f} % of the run"
+        return (
+            f"{arm.joint_names[worst]:.80} is at its torque limit in {share}: it oscillates, or the motion is too fast; {cure}"
+        )
+    beside = np.sqrt(np.mean((log.v - log.v_ref) ** 2, axis=0))
+    ratio = beside / np.maximum(np.sqrt(np.mean(log.v_ref**2, axis=0)), _MIN_OSCILLATION)
+    worst = int(ratio.argmax())
+    if ratio[worst] > 1.0:
+        return f"{arm.joint_names[worst]:.80} oscillates: it moves faster beside its reference than the reference does; {cure}"
+    return ""
 
 
 class _Filter:

@@ -6,10 +6,11 @@ from collections import deque
 import numpy as np
 import pytest
 from instability import grows
-from synthetic import BENT, serial_arm
+from synthetic import BENT, SHAPES, serial_arm
 
 import armctl
 from armctl.control import CONTROLLERS
+from armctl.control.observer_gains import max_unknown_payload
 
 PLANT = armctl.Plant(timestep=0.004)
 
@@ -51,6 +52,24 @@ class Averaging(Filtered):
         self.row = (self.row + 1) % len(self.ring)
         q, v = np.split(self.ring.mean(axis=0), 2)
         return self.stiffness * (setpoint.q - q) - self.damping * v
+
+
+@pytest.mark.parametrize("dt", [0.001, 0.004])
+@pytest.mark.parametrize(
+    "shape", [SHAPES["tapering"], SHAPES["damped"], SHAPES["sliding"]], ids=["tapering", "damped", "sliding"]
+)
+def test_the_observer_bears_an_unknown_payload_by_default(shape, dt, tmp_path):
+    arm = serial_arm(tmp_path, shape)
+    mass = max_unknown_payload(arm)
+    without, designed, twice = (
+        armctl.margins(arm, "computed-torque-observer", 3, [armctl.Plant(timestep=dt, payload=payload)])
+        for payload in (0.0, mass, 2 * mass)
+    )
+    for found in (without, designed):
+        assert found.delay.value >= max(5e-3, 2.5 * dt)
+    assert without.peak_sensitivity.value <= 1.7
+    assert designed.peak_sensitivity.value <= 3.0  # 2 along the eigenvectors of the inertias, of which joints are sums
+    assert twice.ok, twice.reason
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
