@@ -63,7 +63,7 @@ class ChainCheck:
             return f"inverse kinematics solves {100 * self.ik_success:.2f} % of reachable poses"
         if not self.computed_torque_error <= self.tracking_bound:
             note = f" ({self.tracking_note})" if self.tracking_note else ""
-            return f"computed torque is {self.computed_torque_error:.2g} off, at most {self.tracking_bound:g} expected{note}"
+            return f"computed torque has an error of {self.computed_torque_error:.2g}, above {self.tracking_bound:g}{note}"
         return ""
 
     @property
@@ -104,7 +104,7 @@ def check_chain(arm: Arm, base: str, poses: int) -> ChainCheck:
     computed_torque = simulate(arm, "computed-torque", motion, dwell=0.0)
     error = float(np.abs(computed_torque.q - computed_torque.q_ref).max())
     if not note and error > EXACT_TRACKING and not arm.joint_map.is_plain and not _is_rigid(arm):
-        note = "an equality of the model ties joints to each other, and gives way"
+        note = "an equality of the model ties joints to each other, and is a soft constraint"
     if not note and (np.abs(computed_torque.tau_cmd) > computed_torque.tau_max).any():
         note = "a motor saturates"
     return ChainCheck(

@@ -154,4 +154,4 @@ def out_and_back(arm: Arm, distance: float = 0.6, *, speed: float = 1.0) -> Join
         if not checker.along(arm.home + fractions * (there - arm.home)):
             motion = move_j(arm, arm.home, there).then(move_j(arm, there, arm.home))
             return motion if speed == 1.0 else motion.scaled(speed)
-    raise PlanError(f"{arm.name}: it touches something wherever it moves from home, so there is no motion to compare on")
+    raise PlanError(f"{arm.name}: every motion from home touches something, so there is no motion for the comparison")

@@ -56,7 +56,7 @@ def identification_page(estimate: ArmEstimate, path: str | os.PathLike[str]) -> 
         InputError: It is no estimate, or the path has another ending.
         ArmctlError: The file cannot be written.
     """
-    instance("estimate", estimate, ArmEstimate, "armctl.identify(arm, log) gives one")
+    instance("estimate", estimate, ArmEstimate, "armctl.identify(arm, log) returns one")
     path = file_path("path", path, (".html",))
     findings = "".join(f"<li>{html.escape(line)}</li>" for line in estimate.findings)
     facts = (

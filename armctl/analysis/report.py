@@ -218,7 +218,7 @@ def table(reports: Sequence[Report]) -> str:
         InputError: Something else than reports.
     """
     if not isinstance(reports, Sequence) or not all(isinstance(report, Report) for report in reports):
-        raise InputError(f"reports: expected a list of reports, got {shown(reports)}; armctl.compare gives one")
+        raise InputError(f"reports: expected a list of reports, got {shown(reports)}; armctl.compare returns one")
     return report_table(reports).markdown()
 
 

@@ -40,10 +40,10 @@ CONTROLLER_NAMES = (
 CONTROLLERS_HELP = ", ".join(CONTROLLER_NAMES)
 _CHAIN_OPTIONS = {
     "--tip": "site, body or geom at the end of the chain",
-    "--base": "body that the chain stands on; joints above it are held",
+    "--base": "body at the start of the chain; joints above it are held",
     "--tool": "gripper, hand or MJCF file to mount at the tip",
     "--scene": "MJCF file of the tables and objects around the robot",
-    "--srdf": "SRDF file: which links may touch, where home is, and groups that --tip can name",
+    "--srdf": "SRDF file: allowed contacts, home, and groups for --tip",
 }
 
 Commands = argparse._SubParsersAction  # argparse has no public name for it
@@ -100,7 +100,7 @@ def numbers(what: str, words: Sequence[str]) -> list[float]:
     try:
         values = [float(word) for word in words]
     except ValueError:
-        raise InputError(f"{what}: {' '.join(words)} is no list of numbers; write them with spaces between") from None
+        raise InputError(f"{what}: {' '.join(words)} is not a list of numbers; write them with spaces between") from None
     return vector(what, values).tolist()
 
 

@@ -9,10 +9,10 @@ from armctl.cli.common import DONE, NOT_REACHED, Commands, add_command, add_json
 
 def add(commands: Commands) -> None:
     """Adds the command to the parser."""
-    parser = add_command(commands, "doctor", run, "say what is missing, impossible or assumed in a robot's file")
+    parser = add_command(commands, "doctor", run, "list what is missing, impossible or assumed in a robot's file")
     add_robot(parser)
     parser.add_argument("--tip", help="site, body or geom at the end of the chain")
-    parser.add_argument("--base", help="body the chain stands on")
+    parser.add_argument("--base", help="body at the start of the chain")
     parser.add_argument("--srdf", help="path of an SRDF")
     parser.add_argument("--hold-base", action="store_true", help="hold a floating or walking robot at its keyframe")
     add_json(parser)

@@ -25,14 +25,14 @@ _QUANTITIES = ("t", "q", "tau")
 
 def add(commands: Commands) -> None:
     """Adds the command to the parser."""
-    parser = add_command(commands, "identify", run, "inertia and friction of an arm from a recording")
+    parser = add_command(commands, "identify", run, "identify inertia and friction of an arm from a recording")
     add_arm(parser)
     parser.add_argument("file", type=Path, help="the recording: a .csv of t, q and tau, or a log of armctl (.npz)")
     parser.add_argument("--friction", default="coulomb+viscous", help="none, coulomb+viscous (the default) or stribeck")
     parser.add_argument("--columns", nargs="+", metavar="QUANTITY=NAME", help="columns, such as t=time q=pos* tau=torque*")
     parser.add_argument("--units", nargs="+", metavar="QUANTITY=UNIT", help="units, such as t=ms q=deg")
     parser.add_argument("--holdout", default="0.2", help="share of the recording that validates the result (default 0.2)")
-    parser.add_argument("--any-inertia", action="store_true", help="accept inertia that no rigid body can have")
+    parser.add_argument("--any-inertia", action="store_true", help="accept physically inconsistent inertia")
     parser.add_argument("--page", type=Path, metavar="FILE", help="write the torques and figures into this .html")
     parser.add_argument("--mjcf", type=Path, metavar="FILE", help="write the robot with the result into this .xml")
     parser.add_argument("--urdf", type=Path, metavar="FILE", help="write the chain with the result into this .urdf")

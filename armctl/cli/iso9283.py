@@ -26,7 +26,7 @@ _STANDARD_SPEEDS = (1.0, 0.5, 0.1)
 
 def add(commands: Commands) -> None:
     """Adds the command to the parser."""
-    parser = add_command(commands, "iso9283", run, "the performance criteria of ISO 9283, by the standard's cycles")
+    parser = add_command(commands, "iso9283", run, "measure the performance criteria of ISO 9283")
     add_arm(parser)
     parser.add_argument("--controller", default="computed-torque-observer", help=f"{CONTROLLERS_HELP} (default %(default)s)")
     parser.add_argument("--plant", default="noise", metavar="A+B", help=f"{PLANTS_HELP} (default noise)")

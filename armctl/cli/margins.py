@@ -25,7 +25,7 @@ from armctl.core.errors import UnknownNameError
 
 def add(commands: Commands) -> None:
     """Adds the command to the parser."""
-    parser = add_command(commands, "margins", run, "delay, gain and phase margins of controllers over the workspace")
+    parser = add_command(commands, "margins", run, "compute the margins of controllers over the workspace")
     add_arm(parser)
     parser.add_argument("--controllers", default="all", metavar="A,B,...", help=f"of {CONTROLLERS_HELP} (default all)")
     parser.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{PLANTS_HELP} (default nominal)")

@@ -16,13 +16,13 @@ _FRICTION = 0.02  # Coulomb friction as a fraction of the torque limit; viscous 
 _DEFAULT = {"payload": 1.0, "mass": 1.2, "friction": _FRICTION, "delay": 2.0, "noise": 1.0, "ripple": 0.02}
 PLANTS = {
     "nominal": "the model",
-    "payload": "mass at the tip that no controller knows, kg (1)",
+    "payload": "mass at the tip that is missing in the controller's model, kg (1)",
     "mass": "factor on the links' masses (1.2)",
     "friction": "Coulomb friction as a fraction of the torque limit, and half as much viscous friction per rad/s (0.02)",
     "delay": "delay of commands, ticks (2)",
-    "noise": "noise of encoders, times 1e-5 rad (1); velocities are differenced from them",
+    "noise": "noise of encoders, times 1e-5 rad (1); velocities are position differences",
     "ripple": "torque ripple as a fraction of the torque (0.02)",
-    "continuous": "nearly continuous motion between ticks",
+    "continuous": "simulate with smaller steps between ticks",
     "all": "payload, mass, friction, delay and noise at once",
 }
 

@@ -21,7 +21,9 @@ from armctl.cli.common import (
 
 def add(commands: Commands) -> None:
     """Adds the command to the parser."""
-    parser = add_command(commands, "reachability", run, "the points that an arm reaches, and with how many orientations")
+    parser = add_command(
+        commands, "reachability", run, "compute the points that an arm reaches, and with how many orientations"
+    )
     add_arm(parser)
     parser.add_argument("--spacing", help="m, between the points (default an eighth of the arm's length)")
     parser.add_argument("--orientations", type=int, help="at each point (default 32, or 0 with fewer than six joints)")

@@ -20,11 +20,13 @@ _CONNECT_TIMEOUT_S = 30
 
 def add(commands: Commands) -> None:
     """Adds the command to the parser."""
-    parser = add_command(commands, "study", run, "many runs over factors and controllers; a second start continues")
+    parser = add_command(commands, "study", run, "simulate many runs over factors and controllers; a second start continues")
     parser.add_argument("file", type=Path, help="the study, a .toml file with the arguments of armctl.Study")
-    parser.add_argument("--folder", type=Path, default=Path(), metavar="DIR", help="where NAME.sqlite is (default here)")
+    parser.add_argument(
+        "--folder", type=Path, default=Path(), metavar="DIR", help="folder of NAME.sqlite (default the current one)"
+    )
     parser.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tcp://10.0.0.1:8786")
-    parser.add_argument("--metric", default="tip_rms_m", help="the figure of the table and the plots (default %(default)s)")
+    parser.add_argument("--metric", default="tip_rms_m", help="the metric of the table and the plots (default %(default)s)")
     parser.add_argument("--save", type=Path, metavar="DIR", help="write the table (Parquet) and plots into this folder")
     add_json(parser)
 

@@ -1,4 +1,4 @@
-"""`armctl view ROBOT`: drag the target in the browser, and the arm follows."""
+"""`armctl view ROBOT`: drag a target in the browser; the arm follows it."""
 
 from __future__ import annotations
 
@@ -18,18 +18,22 @@ _LARGE_BUFFER_BYTES = 128 * 1024
 
 def add(commands: Commands) -> None:
     """Adds the command to the parser."""
-    parser = add_command(commands, "view", run, "drag the target in the browser, and the arm follows")
+    parser = add_command(commands, "view", run, "drag a target in the browser; the arm follows it")
     add_arm(parser)
     parser.add_argument(
         "--controller", default="computed-torque", help=f"the first controller, of {CONTROLLERS_HELP} (default %(default)s)"
     )
-    parser.add_argument("--port", type=int, default=8080, help="where to serve; the next free one if taken (default 8080)")
+    parser.add_argument(
+        "--port", type=int, default=8080, help="port of the page; the next free one if it is in use (default 8080)"
+    )
     parser.add_argument("--host", help="serve other machines too, at this address of this machine; requires a token")
-    parser.add_argument("--token", help=f"what visitors must know, at least 8 characters; also read from {_TOKEN_VARIABLE}")
+    parser.add_argument("--token", help=f"token that visitors need, at least 8 characters; also read from {_TOKEN_VARIABLE}")
     parser.add_argument(
         "--token-file", type=Path, metavar="PATH", help="read the token from a file, since others can list processes"
     )
-    parser.add_argument("--allow-host", action="append", default=[], metavar="NAME", help="one more name of this machine")
+    parser.add_argument(
+        "--allow-host", action="append", default=[], metavar="NAME", help="an additional host name of this machine"
+    )
     parser.add_argument("--native", action="store_true", help="MuJoCo's own viewer instead of the browser")
 
 

@@ -29,7 +29,7 @@ class Compiled(NamedTuple):
 
 def add(commands: Commands) -> None:
     """Adds the command to the parser."""
-    parser = add_command(commands, "warmup", run, "compile everything now, so that no first call takes seconds")
+    parser = add_command(commands, "warmup", run, "compile all kernels in advance")
     parser.add_argument("--workers", type=int, metavar="N", help="processes that compile at the same time (default: all cores)")
     parser.add_argument("--only", nargs="+", choices=list(PARTS), default=list(PARTS), help="parts to compile")
 

@@ -414,7 +414,7 @@ def _allowed_geoms(model: mujoco.MjModel, allow: Iterable[tuple[str, str]]) -> s
     for pair in allow:
         names = list(pair) if isinstance(pair, Sequence) and not isinstance(pair, str) else []
         if len(names) != 2 or not all(isinstance(name, str) for name in names):
-            raise InputError(f"allow: {pair!r:.80} is no pair of names; allow=[('cube', 'table')] is one")
+            raise InputError(f"allow: {pair!r:.80} is not a pair of names; allow=[('cube', 'table')] is one")
         first = _geoms_named(model, names[0])
         second = _geoms_named(model, names[1])
         allowed |= {(min(a, b), max(a, b)) for a in first for b in second}

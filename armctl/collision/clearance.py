@@ -120,7 +120,7 @@ def check_clearance(
     clearance = number("clearance", clearance, 0.0)
     if not isinstance(trajectory, PiecewiseTrajectory):
         raise InputError(
-            f"trajectory: {trajectory!r:.80} is no motion of polynomial pieces; armctl.move_j(arm, arm.home, q) is one"
+            f"trajectory: {trajectory!r:.80} is not a motion of polynomial pieces; armctl.move_j(arm, arm.home, q) is one"
         )
     if trajectory.joint_names != arm.joint_names:
         raise InputError(
@@ -177,7 +177,7 @@ def _refused(
     pair, distance = checker.nearest(q)
     first, second = checker.names(pair)
     if distance > 0.0:
-        what = f"{second} comes within {1e3 * distance:.2f} mm of {first}, {1e3 * clearance:.2f} mm are asked for"
+        what = f"{second} comes within {1e3 * distance:.2f} mm of {first}, {1e3 * clearance:.2f} mm are required"
     else:
         distance = -max(checker.depth(q, pair), 0.0)
         what = f"{second} is {-1e3 * distance:.1f} mm inside {first}"

@@ -94,7 +94,7 @@ class HybridForce:
                 the noise and the bias of the sensor.
 
         Raises:
-            InputError: No axis, a force that is no finite number, or a gain that is negative or not finite.
+            InputError: No axis, a force that is not a finite number, or a gain that is negative or not finite.
             UnknownNameError: There is no such axis or frame.
         """
         check_arm(arm)

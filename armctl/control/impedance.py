@@ -128,7 +128,7 @@ class Impedance:
             (n, n) N m/rad.
 
         Raises:
-            InputError: A list has another length, a value is no finite number, or a stiffness is negative.
+            InputError: A list has another length, a value is not a finite number, or a stiffness is negative.
         """
         q = vector("q", q, self._arm.n)
         tip_stiffness = gain("tip_stiffness", tip_stiffness, POSE_SIZE)

@@ -218,7 +218,7 @@ class KernelController(ABC):
             t: s, the time of the next tick.
 
         Raises:
-            InputError: It is no finite number.
+            InputError: It is not a finite number.
         """
         self._clock.expect(number("t", t))
 
@@ -261,7 +261,7 @@ class KernelController(ABC):
 def _check_arguments(state: Any, setpoint: object) -> None:
     instance("state", state, State, _STATE_HINT)
     if not isinstance(setpoint, Setpoint):
-        raise InputError(f"setpoint: {shown(setpoint)} is no Setpoint; armctl.Setpoint(q, v, a) is one")
+        raise InputError(f"setpoint: expected Setpoint, got {shown(setpoint)}; armctl.Setpoint(q, v, a) is one")
     values = {
         "state.q": state.q,
         "state.v": state.v,

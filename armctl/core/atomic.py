@@ -25,15 +25,15 @@ def file_path(what: str, path: str | os.PathLike[str], endings: Sequence[str] = 
         The path.
 
     Raises:
-        InputError: It is no name of a file, or it has another ending.
+        InputError: It is not the name of a file, or it has another ending.
     """
     try:
         text = os.fspath(path)
         out = Path(text)
     except TypeError:
-        raise InputError(f"{what}: {shown(path)} is no name of a file") from None
+        raise InputError(f"{what}: {shown(path)} is not the name of a file") from None
     if not out.name or "\0" in str(text):
-        raise InputError(f"{what}: {shown(text)} is no name of a file")
+        raise InputError(f"{what}: {shown(text)} is not the name of a file")
     if endings and out.suffix not in endings:
         known = f"{', '.join(endings[:-1])} or {endings[-1]}" if len(endings) > 1 else endings[0]
         raise InputError(f"{what}: {out.name!r:.80} ends in {out.suffix!r:.20}, expected {known}")

@@ -338,20 +338,20 @@ def _check_arrays(arrays: Mapping[str, Array], n: int, dt: float) -> None:
     for name in ("tip_quat", "tip_ref_quat", "target"):
         norms = np.linalg.norm(np.atleast_2d(arrays[name])[:, -4:], axis=1)
         if not (np.isnan(norms) | (np.abs(norms - 1) < _QUATERNION_TOLERANCE)).all():
-            raise InputError(f"{name}: a quaternion has not length 1")
+            raise InputError(f"{name}: a quaternion does not have length 1")
     if not np.allclose(np.diff(arrays["t"]), dt, rtol=1e-6, atol=1e-9 * dt + 1e-15 * ticks):
         raise InputError(f"t: the times are not {dt:g} s apart")
 
 
 def _words(name: str, value: object) -> tuple[str, ...]:
     if not isinstance(value, list) or not all(isinstance(word, str) for word in value):
-        raise InputError(f"{name}: {shown(value)} is no text")
+        raise InputError(f"{name}: {shown(value)} is not a text")
     return tuple(value)
 
 
 def _contact(value: object) -> Contact:
     if not isinstance(value, list) or len(value) != 4:
-        raise InputError(f"contacts: {shown(value)} is no contact")
+        raise InputError(f"contacts: {shown(value)} is not a contact")
     body, other = _words("contacts", value[:2])
     return Contact(body, other, number("start", value[2], 0.0), number("duration", value[3], 0.0))
 

@@ -98,7 +98,7 @@ def read_recording(path: str | os.PathLike[str], columns: Columns | None, units:
 def _merged(what: str, given: object, defaults: Mapping[str, str]) -> dict[str, str | list[str]]:
     """The caller's entries, and the defaults for those that are missing."""
     if given is not None and not isinstance(given, Mapping):
-        raise InputError(f"{what}: {shown(given)} is no table; {dict(defaults)} is the default")
+        raise InputError(f"{what}: {shown(given)} is not a table; {dict(defaults)} is the default")
     out: dict[str, str | list[str]] = dict(defaults)
     for key, value in (given or {}).items():
         if key not in _QUANTITIES:
@@ -152,7 +152,7 @@ def _read_table(path: os.PathLike[str], wanted: Mapping[str, str | list[str]]) -
     except (UnicodeDecodeError, csv.Error, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"it is no CSV file of text in UTF-8 ({str(error)[:100]})") from None
+        raise InputError(f"it is not a CSV file in UTF-8 ({str(error)[:100]})") from None
     return names, table
 
 

@@ -111,7 +111,7 @@ def _load_npz(path: Path) -> Content:
         arrays = {k: data[k] for k in data.files if k != "meta"}
         facts = json.loads(str(data["meta"]))
     if not isinstance(facts, dict):
-        raise InputError("its head is no table")
+        raise InputError("its head is not a table")
     return Content(arrays, facts)
 
 
@@ -183,7 +183,7 @@ def _tabular(content: Content) -> tuple[dict[str, Any], list[Column]]:
 def _untabular(facts: Any, header: Sequence[str], table: Sequence[Any] | Array) -> Content:
     """The inverse of `_tabular` and `flat`."""
     if not isinstance(facts, dict) or not isinstance(facts.get("arrays"), dict):
-        raise InputError("its head is no table")
+        raise InputError("its head is not a table")
     constant = facts.pop("arrays")
     optional = facts.pop("optional")
     if not all(isinstance(width, int) and 0 <= width <= len(header) for width in optional.values()):

@@ -83,7 +83,7 @@ class Target:
         Raises:
             InputError: The argument is no Pose.
         """
-        instance("tip", tip, Pose, "arm.fk gives one")
+        instance("tip", tip, Pose, "arm.fk returns one")
         angle = 0.0 if self.pose is None else rotation_angle(tip.rotation.T @ self.pose.rotation)
         return float(np.linalg.norm(tip.position - self.position)), angle
 

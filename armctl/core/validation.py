@@ -44,7 +44,7 @@ def instance(what: str, value: object, kind: type | tuple[type, ...], hint: str)
     """
     if not isinstance(value, kind):
         names = " or ".join(k.__name__ for k in (kind if isinstance(kind, tuple) else (kind,)))
-        raise InputError(f"{what}: {shown(value)} is no {names}; {hint}")
+        raise InputError(f"{what}: expected {names}, got {shown(value)}; {hint}")
 
 
 def choice(what: str, value: object, known: Iterable[str]) -> str:

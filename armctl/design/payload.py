@@ -83,7 +83,7 @@ class PayloadEstimate:
         Raises:
             InputError: Nothing was identified, or the argument is no arm with as many joints.
         """
-        instance("arm", arm, Arm, "armctl.load gives one")
+        instance("arm", arm, Arm, "armctl.load returns one")
         if not self.ok:
             raise InputError(f"estimate: {self}")
         coulomb = np.maximum(self.coulomb_friction, -arm.model.dof_frictionloss[arm.dof_adr])
@@ -238,9 +238,9 @@ def _judged(fit: _Fit) -> PayloadEstimate:
     error = float(fit.error[0])
     reason = ""
     if error > _MAX_RELATIVE_ERROR * max(mass, _SMALL_MASS_KG):
-        why = "the joints that carry it hardly move or rub too much; armctl.excitation(arm) shows what this arm can"
+        why = "the joints that carry it move too little or have too much friction; follow armctl.excitation(arm)"
         if not _can_show_mass(fit.arm):
-            why = "and no motion of this arm tells it from the payload's centre"
+            why = "and no motion of this arm separates it from the payload's center"
         reason = f"the mass is known to {error:.2g} kg only, {why}"
     elif mass < -2 * error:
         reason = f"the torques ask for a payload of {mass:.3g} kg: the arm's model has too much mass already"

@@ -158,5 +158,5 @@ def _read_transforms(T: Array) -> Array:
     rows = np.empty((len(T), 12))
     read = compiled().read_transforms(T, rows)
     if read < len(T):
-        raise InputError(f"targets: element {read} is no rigid transform")
+        raise InputError(f"targets: element {read} is not a rigid transform")
     return rows

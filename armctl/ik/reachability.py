@@ -168,7 +168,7 @@ class Reachability:
                     orientations=frozen(array("orientations", data["orientations"], 2).copy()),
                 )
         except (KeyError, ValueError, EOFError) as error:
-            raise InputError(f"path: {file.name!r:.80} is no file of Reachability.save ({error!s:.120})") from None
+            raise InputError(f"path: {file.name!r:.80} is not a file of Reachability.save ({error!s:.120})") from None
 
     def plot(self, path: str | os.PathLike[str] | None = None, values: str = "fraction") -> Path | None:
         """Draws three slices through the middle of the reached points: seen from above, from the front and from the side.

@@ -141,16 +141,16 @@ def chain_to(analysis: Transmissions, body: int, base: int = 0) -> Joints:
     model = analysis.model
     name = shown(body_name(model, body))
     if not is_below(model, body, base):
-        raise ModelError(f"{name} does not hang on {shown(body_name(model, base))}; choose a base on the way to it")
+        raise ModelError(f"{name} is not attached to {shown(body_name(model, base))}; choose a base among its ancestors")
     joints = joints_above(model, body, base)
     if joints and is_free(model, joints[0]):
         raise ModelError(_free_base_reason(model, joints[0]))
     if not joints:
-        raise ModelError(f"no joint moves {name}, so it is the tip of no arm")
+        raise ModelError(f"no joint moves {name}, so it cannot be the tip of an arm")
     try:
         _check_drivable(analysis, base, joints)
     except ModelError as error:
-        raise ModelError(f"on the way to {name}: {error}; base= can be a body behind it, which holds it") from None
+        raise ModelError(f"in the chain to {name}: {error}; base= a body after this joint holds the joint") from None
     return joints
 
 

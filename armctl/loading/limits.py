@@ -90,7 +90,7 @@ def torque_limits(model: mujoco.MjModel, transmissions: Sequence[Transmission], 
             bound = min(-low, high)
             if bound <= 0:
                 name = shown(joint_name(model, transmission.joint))
-                raise ModelError(f"joint {name}: its {source} [{low:g}, {high:g}] lacks one direction")
+                raise ModelError(f"joint {name}: its {source} [{low:g}, {high:g}] permits only one direction")
             if bound <= tau[i]:
                 tau[i] = bound
                 sources.add(source)
@@ -173,7 +173,7 @@ def _torque_ranges(model: mujoco.MjModel, transmission: Transmission) -> Iterato
     gear = transmission.gear
     name = shown(joint_name(model, transmission.joint))
     if model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_MUSCLE:
-        raise ModelError(f"joint {name} is moved by a muscle, which pulls one way only; an arm needs motors")
+        raise ModelError(f"joint {name} is driven by a muscle, which pulls in one direction only; an arm needs motors")
     if gear == 0:
         raise ModelError(f"joint {name}: its actuator has a gear of 0 and cannot move it")
     if model.actuator_forcelimited[actuator]:

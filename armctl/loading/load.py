@@ -87,7 +87,7 @@ def load(
             model has a mocap body named "target", and `hold_base`, `tool`, `scene` and `srdf` need the MjSpec or the file.
         tip: The site, body or geom at the end of the chain. Left out, armctl finds the chain and its tip.
         tip_offset: The tip in that element's frame.
-        base: The body the chain stands on: joints above it are held. Left out, the chain starts at the world.
+        base: The body at the start of the chain: joints above it are held. Left out, the chain starts at the world.
         hold_base: Whether to hold a robot that floats or walks, such as a quadruped, where its keyframe puts it.
         tool: The gripper or hand to mount at the tip: by name, MJCF file or MjSpec. The tip is then the tool's.
         scene: The objects around the robot: a Scene, or the path of an MJCF file that holds one.
@@ -155,7 +155,7 @@ def load_arms(
         ArmctlWarning: As for `load`.
     """
     if isinstance(tips, str) or not isinstance(tips, Sequence) or not tips:
-        raise InputError(f"tips: {shown(tips)} is no list of names, such as ['left/gripper', 'right/gripper']")
+        raise InputError(f"tips: {shown(tips)} is not a list of names, such as ['left/gripper', 'right/gripper']")
     bases: list[str | None]
     if base is None or isinstance(base, str):
         bases = [base for _ in tips]
@@ -269,7 +269,9 @@ def _refuse_additions(**given: bool) -> None:
     """Refuses what a compiled model cannot get."""
     for what, is_given in given.items():
         if is_given:
-            raise InputError(f"{what}: a compiled MjModel cannot be changed so; give the MjSpec or the path of the file")
+            raise InputError(
+                f"{what}: a compiled MjModel cannot be changed in this way; pass the MjSpec or the path of the file"
+            )
 
 
 @contextlib.contextmanager

@@ -45,7 +45,7 @@ def check_mass_matrix(arm: Arm) -> None:
         name = shown(body_name(model, heaviest))
         raise ModelError(
             f"{arm.name}: the mass matrix at home is singular (condition {condition:.2g}, at most {_MAX_CONDITION:g}); "
-            f"check masses and inertias, the greatest of which is {model.body_mass[heaviest]:.3g} kg of {name}"
+            f"check masses and inertias; the largest is {model.body_mass[heaviest]:.3g} kg of {name}"
         )
 
 

@@ -111,7 +111,7 @@ def make_arm_model_from_compiled(analysis: Transmissions, plans: Sequence[ArmPla
             notes.append(f"{first} and {second} overlap at home, and their contact brakes the joint; exclude it in the MJCF")
         if payload_body(original, plan.tip.body) is None:
             body = body_name(original, plan.tip.body)
-            notes.append(f"gravcomp lifts {body} and would lift a payload with it; give the MjSpec for right payloads")
+            notes.append(f"gravcomp lifts {body} and would also lift a payload; pass the MjSpec for correct payloads")
     mujoco.mj_setConst(model, mujoco.MjData(model))
     quiet = [] if find_target(model) else ["the model has no target marker, and a compiled model cannot get one"]
     return PreparedModel(model, tuple(plans), tuple(notes), tuple(quiet))

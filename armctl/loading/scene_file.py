@@ -56,7 +56,7 @@ class SceneFile:
         model = source.compile(self._spec)
         if model.nu or model.ntendon:
             what = f"the actuator {actuator_name(model, 0)!r}" if model.nu else "a tendon"
-            raise ModelError(f"scene: {path} has {what}, as a robot has; a scene is made of bodies, geoms and joints alone")
+            raise ModelError(f"scene: {path} has {what}, so it is a robot; a scene has only bodies, geoms and joints")
         self.bodies = [body.name for body in self._spec.bodies[1:] if body.name]
         self.is_loose = bool((model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).any())
 

@@ -65,7 +65,7 @@ def read_srdf(path: Path) -> Srdf:
     """Reads an SRDF.
 
     Raises:
-        ModelError: It cannot be read, is no SRDF, or a position in it is no finite number.
+        ModelError: It cannot be read, is no SRDF, or a position in it is not a finite number.
     """
     try:
         root = parse_xml(path.read_bytes(), path)
@@ -129,7 +129,7 @@ def _positions(state: ElementTree.Element, path: Path) -> Iterator[tuple[str, fl
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            raise ModelError(f"{shown_path(path)}: joint {name!r:.80}: its position {texts[0]!r:.40} is no finite number")
+            raise ModelError(f"{shown_path(path)}: joint {name!r:.80}: its position {texts[0]!r:.40} is not a finite number")
         yield name, value
 
 

@@ -79,7 +79,7 @@ def _speed(joint: str, limit: ElementTree.Element | None) -> float:
     try:
         speed = float(text)
     except ValueError:
-        raise ModelError(f"joint {joint!r}: its velocity limit {text!r} is no number") from None
+        raise ModelError(f"joint {joint!r}: its velocity limit {text!r} is not a number") from None
     return speed if math.isfinite(speed) else 0.0
 
 

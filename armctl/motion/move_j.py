@@ -59,7 +59,7 @@ def move_j(
         pieces = solve_pieces(ProfileSolver.of(planning.limits), JointState(start, v, np.zeros(arm.n)), at_rest(goal))
     motion = JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)
     if v.any() and not (check := motion.check_limits()).ok:
-        raise LimitError(f"v_start: {check.violations[0]}; start slower, or let it stop before")
+        raise LimitError(f"v_start: {check.violations[0]}; start slower, or stop before")
     return within_torque(arm, motion)
 
 

@@ -89,7 +89,9 @@ class OnlineMotion:
             return
         self._start = start
         self._brake()
-        raise PlanError("go_to: no motion inside the limits leads there from here; it stops instead, ask again when it rests")
+        raise PlanError(
+            "go_to: no motion inside the limits leads to the goal from this state; the arm stops, call go_to again at rest"
+        )
 
     def go_to_if(self, q: ArrayLike, accepts: Callable[[Pieces], bool]) -> bool:
         """Takes a new goal if the motion there is accepted; otherwise the motion goes on as it was.

@@ -119,7 +119,9 @@ def within_torque(arm: Arm, trajectory: JointTrajectory) -> JointTrajectory:
     if needed.ok:
         return trajectory
     if trajectory(0.0).v.any() or trajectory(0.0).a.any():
-        raise PlanError(f"{needed}, and a motion that starts moving cannot start slower; stop first, or go less far")
+        raise PlanError(
+            f"{needed}, and a motion that starts moving cannot be slowed down at its start; stop first, or choose a nearer goal"
+        )
     torques = TorqueBounds(arm)
     pieces = slowed_down(MotionPath(trajectory), trajectory.limits, trajectory.knots, torques)
     feasible = JointTrajectory(*joints_of(pieces), trajectory.joint_names, trajectory.limits, units=trajectory.units)
@@ -204,8 +206,8 @@ class TorqueBounds:
             k, i = np.argwhere((low >= 0) | (high <= 0))[0]
             unit = self._arm.torque_units[i]
             raise PlanError(
-                f"{self._arm.joint_names[i]}: holding still takes {static[k, i] + friction[k, i]:.4g} {unit} at "
-                f"{100 * k / (len(q) - 1):.0f} % of the motion, and its motor gives {self._arm.limits.tau_max[i]:.4g} {unit}; "
+                f"{self._arm.joint_names[i]}: holding still needs {static[k, i] + friction[k, i]:.4g} {unit} at "
+                f"{100 * k / (len(q) - 1):.0f} % of the motion, but the limit is {self._arm.limits.tau_max[i]:.4g} {unit}; "
                 "take a lighter payload or another path"
             )
         return TorqueRows(alpha, beta, damping, low, high)

@@ -128,7 +128,7 @@ def move_free_with(
     checker.require_provable()
     clearance = number("clearance", clearance, 0.0)
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise InputError(f"seed: {seed!r:.80} is no integer of at least 0")
+        raise InputError(f"seed: {seed!r:.80} is not an integer of at least 0")
     rng = np.random.default_rng(seed)
     start_distance = _distance_at(checker, start, "start")
     goals, goal_distance = _goals(checker, arm, start, goal, rng, keep)
@@ -247,12 +247,10 @@ def _goal_list(arm: Arm, goal: FreeGoal) -> list[Pose | Target | Array]:
             continue
         numbers = np.asarray(item, dtype=object).reshape(-1)
         if len(numbers) not in (3, arm.n):
-            raise InputError(
-                f"goal: {item!r:.80} is no configuration of {arm.n} joints, no Pose, and no point of three numbers"
-            )
+            raise InputError(f"goal: {item!r:.80} is not a configuration of {arm.n} joints, a Pose or a point of three numbers")
         checked.append(arm.checked("goal", item) if len(numbers) == arm.n else Target.read(item))
     if not checked:
-        raise InputError(f"goal: {goal!r:.80} is no configuration of {arm.n} joints, no Pose, no point, and no list of these")
+        raise InputError(f"goal: {goal!r:.80} is not a configuration of {arm.n} joints, a Pose, a point or a list of these")
     return checked
 
 

@@ -48,7 +48,7 @@ def gl_context(width: int, height: int) -> GlContext:
         return importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
     except Exception as error:  # each backend raises other types
         why = " ".join(str(error).split()) or type(error).__name__
-        raise NotInstalledError(f"OpenGL by {backend} gives no picture ({why:.200}); on Debian: {INSTALL}") from None
+        raise NotInstalledError(f"OpenGL by {backend} produces no picture ({why:.200}); on Debian: {INSTALL}") from None
 
 
 def _installed_backend() -> str:

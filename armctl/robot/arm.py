@@ -340,7 +340,7 @@ class Arm:
         Raises:
             InputError: The argument is no Limits, or has another number of joints.
         """
-        instance("limits", limits, Limits, "dataclasses.replace(arm.limits, v_max=0.5 * arm.limits.v_max) gives one")
+        instance("limits", limits, Limits, "dataclasses.replace(arm.limits, v_max=0.5 * arm.limits.v_max) returns one")
         if len(limits.q_min) != self.n:
             raise InputError(f"limits: expected {self.n} joints for {self.name:.80}, got {len(limits.q_min)}")
         return replace(self, actuation=replace(self.actuation, limits=limits))
@@ -411,4 +411,4 @@ def check_arm(arm: object) -> None:
     Raises:
         InputError: It is something else, such as a name.
     """
-    instance("arm", arm, Arm, f"armctl.load({arm if isinstance(arm, str) else 'panda'!r}) gives one")
+    instance("arm", arm, Arm, f"armctl.load({arm if isinstance(arm, str) else 'panda'!r}) returns one")

@@ -85,7 +85,7 @@ class Gripper:
             InputError: An argument of another type.
             ModelError: Nothing moves behind the arm's tip, or it is a hand of many actuators.
         """
-        instance("arm", arm, Arm, "armctl.load(name) gives one")
+        instance("arm", arm, Arm, "armctl.load(name) returns one")
         instance("stepper", stepper, Stepper, "sim.gripper is a gripper that is ready to use")
         self.model = find_gripper_model(arm)
         self._stepper = stepper
@@ -174,7 +174,7 @@ class Gripper:
         """
         force = number("force", force, 0.0)
         if force > self.model.force_max * (1 + _FORCE_TOLERANCE):
-            raise InputError(f"force: {force:g} N is more than this gripper has, {self.model.force_max:.3g} N")
+            raise InputError(f"force: {force:g} N is more than the maximum of this gripper, {self.model.force_max:.3g} N")
         begin = self._begin()
         self._ramp(0.0, until_touch=True)
         if not self._grasped()[0]:

@@ -92,7 +92,7 @@ def find_jaws(model: mujoco.MjModel, states: Sequence[mujoco.MjData], palm: froz
     openings = [_opening(model, states, found) for found in (by_points, by_geoms)]
     best = by_geoms if openings[1] >= _MIN_SHOWN_FRACTION * openings[0] else by_points
     if best is None or max(openings) < _MIN_OPENING:
-        raise ModelError("no gripper: nothing behind the tip opens or closes")
+        raise ModelError("no gripper: nothing attached to the tip opens or closes")
     return best
 
 

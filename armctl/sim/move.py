@@ -190,7 +190,7 @@ class ControlledArms:
     def planned(self, target: Target, plan: Callable[[], PlannedMove]) -> PlannedMove:
         """A plan; a refusal if the state diverged, from where no motion starts."""
         if self.stepper.diverged:
-            return PlannedMove(target, refusal=f"{self.stepper.failure}; reset() starts afresh")
+            return PlannedMove(target, refusal=f"{self.stepper.failure}; call reset() to start again")
         return plan()
 
     def move(self, moves: Mapping[str, PlannedMove], settle_timeout: float) -> dict[str, MoveResult]:

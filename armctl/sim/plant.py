@@ -82,7 +82,7 @@ class Push:
             Whether it acts.
 
         Raises:
-            InputError: The time is no finite number.
+            InputError: The time is not a finite number.
         """
         time = number("t", t)
         return self.start <= time < self.start + self.duration
@@ -252,7 +252,7 @@ class Plant:
         Raises:
             InputError: It is no arm, or friction is given for another number of joints.
         """
-        instance("arm", arm, Arm, "armctl.load(name) gives one")
+        instance("arm", arm, Arm, "armctl.load(name) returns one")
         model = copy.copy(arm.model)
         apply_plant(model, mujoco.MjData(model), self, [arm])
         brake(model, held_dofs(arm))
@@ -384,7 +384,7 @@ def _pushes(value: Push | Iterable[Push]) -> tuple[Push, ...]:
     pushes = tuple(value) if isinstance(value, Iterable) else (value,)
     for push in pushes:
         if not isinstance(push, Push):
-            raise InputError(f"pushes: {shown(push)} is no Push; armctl.Push(0.5, 0.1, force=[0, 20, 0]) is one")
+            raise InputError(f"pushes: expected Push, got {shown(push)}; armctl.Push(0.5, 0.1, force=[0, 20, 0]) is one")
     return pushes
 
 

@@ -411,7 +411,7 @@ class Simulation:
             SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
         if not isinstance(path, (Sequence, np.ndarray)) or isinstance(path, str):
-            raise InputError(f"path: {shown(path)} is no list of lines, arcs, poses or points")
+            raise InputError(f"path: {shown(path)} is not a list of lines, arcs, poses or points")
         if len(path) == 0:
             raise InputError("path: it is empty; give at least one line or arc")
         last = path[-1]

@@ -237,7 +237,7 @@ class Stepper:
             SimulationError: An earlier run ended early, or the controller failed.
         """
         if self.failure:
-            raise SimulationError(f"{self.failure}; reset() starts afresh")
+            raise SimulationError(f"{self.failure}; call reset() to start again")
         rows = recorder.begin(reference)
         if self._observer is None:
             self._run_ticks(controller, rows, 0, len(reference.q))
@@ -258,7 +258,7 @@ class Stepper:
             SimulationError: As for `run`; also if this tick ended early.
         """
         if self.failure:
-            raise SimulationError(f"{self.failure}; reset() starts afresh")
+            raise SimulationError(f"{self.failure}; call reset() to start again")
         if self._observer is not None and self._unobserved == 0.0:
             self._observer.before_run()
         self._run_ticks(controller, rows, rows.count, rows.count + 1)

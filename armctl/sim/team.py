@@ -210,7 +210,7 @@ class Team:
     def _by_tip(self, what: str, given: Mapping[str, _Value], example: str) -> Mapping[str, _Value]:
         """A caller's values by tip, checked."""
         if not isinstance(given, Mapping):
-            raise InputError(f"{what}: {shown(given)} is no mapping by tip such as {example}")
+            raise InputError(f"{what}: {shown(given)} is not a mapping by tip such as {example}")
         for tip in given:
             self._known(tip)
         return given

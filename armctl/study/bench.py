@@ -132,10 +132,10 @@ class Bench:
         self.digest = _model_digest(self.arm)
         if setup.get("versions", versions()) != versions():
             raise ModelError(
-                f"a worker has {versions()}, but the study was begun with {setup['versions']}; install the same there"
+                f"a worker has {versions()}, but the study was started with {setup['versions']}; install the same there"
             )
         if setup.get("model", self.digest) != self.digest:
-            raise ModelError(f"{self.arm.name}: its model here is not the one with which the study was begun")
+            raise ModelError(f"{self.arm.name}: its model on this machine differs from that of the study")
         self._motion = setup["motion"]
         self._controllers = setup["controllers"]
         self._dwell = setup["dwell"]
@@ -223,7 +223,7 @@ class Bench:
                 raise InputError(f"target: {target.round(4).tolist()}: {solution.reason}")
             return move_j(self.arm, self.arm.home, solution.q, speed=speed)
         if tuple(self._motion["joint_names"]) != self.arm.joint_names:
-            raise InputError(f"motion: it is one of the joints {', '.join(self._motion['joint_names']):.120}")
+            raise InputError(f"motion: it is for the joints {', '.join(self._motion['joint_names']):.120}")
         knots: Array = np.array(self._motion["knots"])
         coefficients: Array = np.array(self._motion["coefficients"])
         motion = JointTrajectory(knots, coefficients, self.arm.joint_names, self.arm.limits, units=self.arm.units)

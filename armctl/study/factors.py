@@ -209,7 +209,7 @@ def design_points(factors: Mapping[str, Factor], samples: int, sampling: str, se
     lists = {name: factor for name, factor in factors.items() if not isinstance(factor, Random)}
     combinations = math.prod(len(values) for values in lists.values())
     if sampling == "saltelli" and (combinations > 1 or len(random) < 2):
-        raise InputError("sampling: 'saltelli' wants two distributions or more, and no list of several values")
+        raise InputError("sampling: 'saltelli' needs two or more distributions, and no list of several values")
     blocks = len(random) + 2 if sampling == "saltelli" else 1
     if combinations * blocks * (samples if random else 1) > MAX_RUNS:
         raise InputError(f"samples: {samples} of {combinations} combinations are more than {MAX_RUNS} points")

@@ -93,7 +93,7 @@ class StudyPlan:
             InputError: A name or a value is wrong.
             UnknownNameError: There is no such argument.
         """
-        instance("study", values, Mapping, "Study.to_dict() gives one")
+        instance("study", values, Mapping, "Study.to_dict() returns one")
         known = set(cls.__dataclass_fields__)
         unknown = sorted(set(values) - known, key=str)
         if unknown:
@@ -124,7 +124,7 @@ class StudyPlan:
         except OSError as error:
             raise InputError(f"{path!s:.160}: cannot be read: {error.strerror or error}") from None
         except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-            raise InputError(f"{path!s:.160}: it is no TOML: {error!s:.120}") from None
+            raise InputError(f"{path!s:.160}: it is not valid TOML: {error!s:.120}") from None
         for name in ("robot", "motion"):
             value = values.get(name)
             if isinstance(value, str) and (path.parent / value).is_file():

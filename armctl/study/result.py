@@ -186,7 +186,7 @@ class StudyResult:
         self._check("metric", metric)
         label = self._controller(controller)
         if self.study.sampling != "saltelli":
-            raise InputError("sensitivity: the study wants sampling='saltelli'; plot_tornado works with any sampling")
+            raise InputError("sensitivity: the study needs sampling='saltelli'; plot_tornado works with any sampling")
         if not self.ok:
             raise InputError(f"sensitivity: {self.reason}; run the study again")
         values = np.asarray(self._columns[metric][self._columns["controller"] == label], dtype=float)

@@ -80,6 +80,6 @@ class Store:
         except sqlite3.OperationalError as error:
             raise ArmctlError(f"{self._path!s:.160}: cannot be used: {error}") from None
         except (sqlite3.DatabaseError, ValueError) as error:
-            raise InputError(f"{self._path!s:.160}: it is no file of a study ({error!s:.120})") from None
+            raise InputError(f"{self._path!s:.160}: it is not a file of a study ({error!s:.120})") from None
         except OSError as error:
             raise ArmctlError(f"{self._path!s:.160}: cannot be used: {error.strerror or error}") from None

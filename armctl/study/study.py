@@ -80,7 +80,9 @@ class Study(StudyPlan):
                 is kept, as after Ctrl-C.
         """
         if executor is not None and not callable(getattr(executor, "submit", None)):
-            raise InputError(f"executor: {shown(executor)} is no Executor; for Dask give client.get_executor(pure=False)")
+            raise InputError(
+                f"executor: expected Executor, got {shown(executor)}; for Dask pass client.get_executor(pure=False)"
+            )
         flag("progress", progress)
         self._check()
         with self._store(folder) as store:

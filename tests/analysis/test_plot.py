@@ -73,11 +73,11 @@ def test_an_overlay_in_memory_is_the_picture_and_not_blank(logs: list[Log]):
         (lambda logs, d: overlay([], d / "x.png"), "expected at least one log, got none"),
         (lambda logs, d: overlay(logs, d / "x.png", labels=["one"]), "labels: expected 2, got 1"),
         (lambda logs, d: overlay(logs, d / "x.jpeg"), "expected .png, .svg or .pdf"),
-        (lambda logs, d: overlay(logs, 5), "path: 5 is no name of a file"),
+        (lambda logs, d: overlay(logs, 5), "path: 5 is not the name of a file"),
         (lambda logs, d: overlay(logs[0], d / "x.png"), "expected a list of logs"),
-        (lambda logs, d: overlay([3], d / "x.png"), "log: 3 is no Log"),
+        (lambda logs, d: overlay([3], d / "x.png"), "log: expected Log, got 3"),
         (lambda logs, d: overlay([pushed()], d / "x.png"), "one of them has no reference"),
-        (lambda logs, d: four_panels("x", d / "x.png"), "log: 'x' is no Log"),
+        (lambda logs, d: four_panels("x", d / "x.png"), "log: expected Log, got 'x'"),
     ],
 )
 def test_what_cannot_be_drawn_is_one_sentence(logs: list[Log], tmp_path: Path, call, sentence: str):

@@ -196,15 +196,15 @@ UNFIT = {
     ),
     "whole numbers": ({"q": np.zeros((1001, 1), int)}, "q: expected float64 .* got int64 of shape"),
     "a quaternion of three": ({"tip_quat": np.ones((1001, 3))}, "tip_quat: expected float64 of shape"),
-    "no rotation": ({"tip_quat": np.ones((1001, 4))}, "tip_quat: a quaternion has not length 1"),
+    "no rotation": ({"tip_quat": np.ones((1001, 4))}, "tip_quat: a quaternion does not have length 1"),
     "a hole in the state": ({"q": np.full((1001, 1), np.nan)}, "q: a number is not finite"),
     "an infinite reference": ({"q_ref": np.full((1001, 1), np.inf)}, "q_ref: a number is infinite"),
     "a huge position": ({"tip": np.full((1001, 3), 1e300)}, r"tip: a number is above 1e\+20"),
     "no torque": ({"tau_max": np.zeros(1)}, "tau_max: a torque limit is not greater than 0"),
     "joints without units": ({"units": ("rad", "rad")}, "units: .* do not fit 1 joints"),
     "an unknown unit": ({"units": ("deg",)}, "units: .* do not fit 1 joints"),
-    "a number as name": ({"robot": 5}, r"robot: \[5\] is no text"),
-    "a contact of one": ({"contacts": (("hand",),)}, "contacts: .* is no contact"),
+    "a number as name": ({"robot": 5}, r"robot: \[5\] is not a text"),
+    "a contact of one": ({"contacts": (("hand",),)}, "contacts: .* is not a contact"),
 }
 
 
@@ -217,9 +217,9 @@ def test_a_loaded_log_must_mean_something(tmp_path, changes: dict, sentence: str
 
 @pytest.mark.parametrize("path", [None, 5, b"run.npz", "", "a\0b"])
 def test_what_is_no_name_of_a_file_is_rejected(path):
-    with pytest.raises(InputError, match=r"^path: .* is no name of a file$"):
+    with pytest.raises(InputError, match=r"^path: .* is not the name of a file$"):
         Log.load(path)
-    with pytest.raises(InputError, match=r"^path: .* is no name of a file$"):
+    with pytest.raises(InputError, match=r"^path: .* is not the name of a file$"):
         made_log().save(path)
 
 

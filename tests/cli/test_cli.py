@@ -213,7 +213,7 @@ BROKEN = "<mujoco><worldbody><body></worldbody></mujoco>"
 WRONG_CALLS = {
     "no speed": (["reach", BUNDLED, "--speed", "0"], "speed: expected a fraction in (0, 1], got 0"),
     "too fast": (["compare", BUNDLED, "--speed", "1.5"], "speed: expected a fraction in (0, 1], got 1.5"),
-    "a word as speed": (["iso9283", BUNDLED, "--speed", "fast"], "speed: fast is no list of numbers"),
+    "a word as speed": (["iso9283", BUNDLED, "--speed", "fast"], "speed: fast is not a list of numbers"),
     "unknown robot": (["reach", "pandaa"], "unknown robot 'pandaa'; did you mean 'panda'?"),
     "short target": (
         ["reach", BUNDLED, "--target", "0.3", "0.2"],
@@ -222,7 +222,7 @@ WRONG_CALLS = {
     "NaN target": (["reach", BUNDLED, "--target", "nan", "0", "0"], "target: element [0] is nan"),
     "word as target": (
         ["reach", BUNDLED, "--target", "here", "0", "0"],
-        "target: here 0 0 is no list of numbers; write them with spaces",
+        "target: here 0 0 is not a list of numbers; write them with spaces",
     ),
     "unknown controller": (["reach", BUNDLED, "--controller", "pdd"], "unknown controller 'pdd'; did you mean 'pd'?"),
     "no such file": (["reach", "nothing.xml"], "nothing.xml: no such file"),

@@ -176,7 +176,7 @@ def test_allowed_pairs_are_left_out_by_the_names_of_bodies_or_geoms(arm):
 
 @pytest.mark.parametrize("allow", [["ab"], [("a",)], [("link1", "link2", "link3")]])
 def test_what_is_allowed_is_a_list_of_pairs(arm, allow):
-    with pytest.raises(armctl.InputError, match="is no pair of names"):
+    with pytest.raises(armctl.InputError, match="is not a pair of names"):
         CollisionChecker(arm, allow=allow)
 
 

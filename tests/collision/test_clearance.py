@@ -66,7 +66,7 @@ def test_a_clearance_that_is_not_kept_is_refused_with_what_is_there(arm):
     assert armctl.check_clearance(arm, motion, clearance=0.9 * distance)
     refused = armctl.check_clearance(arm, motion, clearance=distance + 5e-4)
     assert not refused
-    assert "are asked for" in refused.reason
+    assert "are required" in refused.reason
 
 
 def test_a_contact_that_is_allowed_does_not_count(arm):
@@ -89,7 +89,7 @@ def test_nothing_to_touch_is_said(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"trajectory": [0.0]}, "is no motion of polynomial pieces"),
+        ({"trajectory": [0.0]}, "is not a motion of polynomial pieces"),
         ({"clearance": -1.0}, "clearance"),
         ({"clearance": float("nan")}, "clearance"),
     ],

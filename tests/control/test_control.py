@@ -149,7 +149,7 @@ def test_wrong_gains_are_refused_in_one_sentence(bundled, make, sentence):
 
 @every_controller
 def test_a_controller_of_no_arm_is_rejected(name):
-    with pytest.raises(armctl.InputError, match="arm: 'panda' is no Arm"):
+    with pytest.raises(armctl.InputError, match="arm: expected Arm, got 'panda'"):
         controller_by_name(name, "panda")
 
 
@@ -177,9 +177,9 @@ def test_one_number_is_the_gain_of_all_joints(bundled, controller, gain, size, v
 @pytest.mark.parametrize(
     ("wrong", "sentence"),
     [
-        ({"state": "x"}, "state: 'x' is no State; armctl.State"),
-        ({"state": None}, "state: None is no State"),
-        ({"setpoint": [0.0, 0.0, 0.0]}, "setpoint: .* is no Setpoint; armctl.Setpoint"),
+        ({"state": "x"}, "state: expected State, got 'x'; armctl.State"),
+        ({"state": None}, "state: expected State, got None"),
+        ({"setpoint": [0.0, 0.0, 0.0]}, "setpoint: expected Setpoint, got .*; armctl.Setpoint"),
         ({"state": armctl.State("q", np.zeros(3))}, "state.q: 'q' is not a vector of floats"),
         ({"state": armctl.State([0.0, 0.0, 0.0], None)}, "state.q: .* is not a vector of floats"),
         ({"setpoint": Setpoint(np.zeros(3), None, np.zeros(3))}, "setpoint.v: None is not a vector of floats"),

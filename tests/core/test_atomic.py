@@ -77,5 +77,5 @@ def test_the_ending_of_a_file_is_checked():
     with pytest.raises(InputError, match=r"^path: 'b.txt' ends in '.txt', expected .npz, .csv or .png$"):
         file_path("path", Path("a/b.txt"), (".npz", ".csv", ".png"))
     for wrong in (None, 3, b"a", "", "a\0b", ["a"]):
-        with pytest.raises(InputError, match=r"^path: .* is no name of a file$"):
+        with pytest.raises(InputError, match=r"^path: .* is not the name of a file$"):
             file_path("path", wrong)

@@ -131,12 +131,12 @@ def test_truncated_and_damaged_copies_raise_nothing_but_input_errors(tmp_path):
 
 
 WRONG_CALLS = [
-    ({"columns": 3}, "columns: 3 is no table"),
+    ({"columns": 3}, "columns: 3 is not a table"),
     ({"columns": {"v": "x"}}, "columns: 'v' is not one of"),
     ({"columns": {"q": 3}}, "columns: q: 3 is neither"),
     ({"units": {"q": "turns"}}, "units: q: expected .*got 'turns'"),
     ({"joint_names": ("a", "b")}, "1 joints are recorded, 2 are named"),
-    ({"robot": 3}, "robot: 3"),
+    ({"robot": 3}, "robot: expected str, got 3"),
 ]
 
 

@@ -91,7 +91,7 @@ def test_a_message_shows_a_long_value_in_one_short_line(value):
         assert len(str(error.value)) < 130
         assert "\n" not in str(error.value)
     with pytest.raises(InputError) as error:
-        instance("name", value, armctl.Arm, "armctl.load gives one")
+        instance("name", value, armctl.Arm, "armctl.load returns one")
     assert len(str(error.value)) < 160
     assert len(shown(value)) <= 80
 

@@ -203,7 +203,7 @@ def test_a_mass_that_no_motion_shows_is_refused_for_that(tmp_path):
     arm = scara(tmp_path, "z")
     found = armctl.identify_payload(arm, run(arm, armctl.excitation(arm), payload=0.5, payload_center=CENTER))
     assert not found
-    assert "no motion of this arm tells it from the payload's centre" in found.reason
+    assert "no motion of this arm separates it from the payload's center" in found.reason
 
 
 def test_a_log_of_other_joints_is_refused():

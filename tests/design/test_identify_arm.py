@@ -261,7 +261,7 @@ WRONG = [
     ({"friction": "viscous"}, "friction: expected .*got 'viscous'"),
     ({"consistent": 1}, "consistent: expected .*got 1"),
     ({"holdout": 0.0}, "holdout: expected .*got 0"),
-    ({"log": 3}, "log: 3 is no Log"),
+    ({"log": 3}, "log: expected Log, got 3"),
 ]
 
 

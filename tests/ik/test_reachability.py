@@ -55,7 +55,7 @@ def test_a_saved_map_is_read_back_and_another_file_is_refused(small, tmp_path):
     assert again.to_dict() == small.to_dict()
     assert again.points.tobytes() == small.points.tobytes()
     np.savez(tmp_path / "other.npz", points=np.zeros((1, 3)))
-    with pytest.raises(InputError, match=r"^path: 'other.npz' is no file of Reachability.save"):
+    with pytest.raises(InputError, match=r"^path: 'other.npz' is not a file of Reachability.save"):
         Reachability.load(tmp_path / "other.npz")
 
 

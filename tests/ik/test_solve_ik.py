@@ -338,7 +338,7 @@ def test_a_wrong_call_is_one_sentence(arguments, error, sentence):
 
 def test_a_name_is_not_an_arm():
     for call in (solve_ik, solve_ik_batch):
-        with pytest.raises(InputError, match=r"^arm: 'panda' is no Arm; armctl.load\('panda'\) gives one$"):
+        with pytest.raises(InputError, match=r"^arm: expected Arm, got 'panda'; armctl.load\('panda'\) returns one$"):
             call("panda", [[0.3, 0.2, 0.3]] if call is solve_ik_batch else [0.3, 0.2, 0.3])
 
 
@@ -346,11 +346,11 @@ def test_a_name_is_not_an_arm():
     ("targets", "more", "sentence"),
     [
         (Pose([0.0, 0.0, 0.0]), {}, "targets: expected a list of Poses, got one Pose; solve_ik takes one"),
-        (np.zeros((2, 4, 4)), {}, "targets: element 0 is no rigid transform"),
-        (np.stack([np.eye(4), np.diag([0.0, 0, 0, 1])]), {}, "targets: element 1 is no rigid transform"),
-        (np.stack([np.eye(4), np.diag([1.0, 1, -1, 1])]), {}, "targets: element 1 is no rigid transform"),
-        (np.stack([np.eye(4), np.eye(4) + np.eye(4, k=1) * 1e-5]), {}, "targets: element 1 is no rigid transform"),
-        (np.stack([np.eye(4), np.eye(4) + np.eye(4, k=-3)]), {}, "targets: element 1 is no rigid transform"),
+        (np.zeros((2, 4, 4)), {}, "targets: element 0 is not a rigid transform"),
+        (np.stack([np.eye(4), np.diag([0.0, 0, 0, 1])]), {}, "targets: element 1 is not a rigid transform"),
+        (np.stack([np.eye(4), np.diag([1.0, 1, -1, 1])]), {}, "targets: element 1 is not a rigid transform"),
+        (np.stack([np.eye(4), np.eye(4) + np.eye(4, k=1) * 1e-5]), {}, "targets: element 1 is not a rigid transform"),
+        (np.stack([np.eye(4), np.eye(4) + np.eye(4, k=-3)]), {}, "targets: element 1 is not a rigid transform"),
         (np.zeros((2, 3)), {"threads": 0}, "threads: expected a number at least 1, got 0"),
         (np.zeros((2, 3)), {"q0": np.zeros((3, 3))}, "q0: 3 rows given for 2 targets"),
         (np.zeros((2, 5)), {}, "targets: expected rows of 3 numbers, got 5"),

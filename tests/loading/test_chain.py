@@ -154,7 +154,7 @@ def test_a_damper_drives_nothing():
 
 WAY = {
     "ball": ('<body><joint name="ball" type="ball"/><geom size="0.1" mass="1"/>' + limb("a") + "</body>", "joint 'ball'.*ball"),
-    "passive": (limb("p a"), "on the way to 'A': joint 'p' has no actuator of its own; base= can be a body behind it"),
+    "passive": (limb("p a"), "in the chain to 'A': joint 'p' has no actuator of its own; base= a body after this joint"),
 }
 
 
@@ -166,7 +166,7 @@ def test_the_way_to_a_tip_says_what_blocks_it(load, trap: str):
 
 
 def test_no_joint_moves_the_tip(load):
-    with pytest.raises(armctl.ModelError, match="no joint moves 'plate', so it is the tip of no arm"):
+    with pytest.raises(armctl.ModelError, match="no joint moves 'plate', so it cannot be the tip of an arm"):
         load(limb("a b") + '<body name="plate"/>', motors("a b"), tip="plate")
 
 
@@ -177,7 +177,7 @@ def test_a_base_holds_what_is_above_it(load):
 
 
 def test_a_base_must_be_a_body_above_the_tip(load):
-    with pytest.raises(armctl.ModelError, match="'B' does not hang on 'C'; choose a base on the way to it"):
+    with pytest.raises(armctl.ModelError, match="'B' is not attached to 'C'; choose a base among its ancestors"):
         load(limb("a b c"), motors("a b c"), base="C", tip="B")
     with pytest.raises(armctl.UnknownNameError, match="unknown body 'BB'; known: world, A, B, BC"):
         load(limb("a b bc"), motors("a b bc"), base="BB")

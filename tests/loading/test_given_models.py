@@ -141,7 +141,9 @@ def test_actuators_with_memory_need_the_specification(actuator: str, what: str):
 @pytest.mark.parametrize("how", [{"hold_base": True}, {"tool": "robotiq_2f85"}, {"scene": armctl.Scene()}])
 def test_what_a_compiled_model_cannot_get_is_refused(how: dict):
     model = mujoco.MjModel.from_xml_string(MODELS["motors"])
-    with pytest.raises(armctl.InputError, match=f"{next(iter(how))}: a compiled MjModel cannot be changed so; give the MjSpec"):
+    with pytest.raises(
+        armctl.InputError, match=f"{next(iter(how))}: a compiled MjModel cannot be changed in this way; pass the MjSpec"
+    ):
         armctl.load(model, **how)
 
 

@@ -75,15 +75,15 @@ def test_no_name_at_all_is_a_wrong_call(name: object):
 
 
 def test_a_tip_offset_is_a_pose(bundled: armctl.Arm):
-    with pytest.raises(armctl.InputError, match=r"tip_offset: \[0, 0, 1\] is no Pose; armctl.Pose"):
+    with pytest.raises(armctl.InputError, match=r"tip_offset: expected Pose, got \[0, 0, 1\]; armctl.Pose"):
         armctl.load(bundled.name, tip_offset=[0, 0, 1])  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize(
     ("how", "sentence"),
     [
-        ({"tip": 3}, "tip: 3 is no str; give the name of a site, body or geom"),
-        ({"base": 3}, "base: 3 is no str; give the name of a body"),
+        ({"tip": 3}, "tip: expected str, got 3; give the name of a site, body or geom"),
+        ({"base": 3}, "base: expected str, got 3; give the name of a body"),
         ({"scene": "table"}, "scene: 'table' is neither a Scene nor the path of an .xml file; armctl.Scene()"),
         ({"scene": 3}, "scene: 3 is neither a Scene nor"),
         ({"tool": 3}, "tool: 3 is neither a name nor a path; try tool='robotiq_2f85'"),
@@ -191,11 +191,11 @@ def test_an_actuator_becomes_a_motor_of_just_that_torque(one, what: str):
 
 
 UNUSABLE = {
-    "muscle": ('<muscle joint="a" lengthrange="-1 1"/>', "joint 'a' is moved by a muscle, which pulls one way only"),
+    "muscle": ('<muscle joint="a" lengthrange="-1 1"/>', "joint 'a' is driven by a muscle, which pulls in one direction only"),
     "gear 0": ('<motor joint="a" gear="0"/>', "joint 'a': its actuator has a gear of 0 and cannot move it"),
     "one direction": (
         '<position joint="a" kp="5" forcerange="0 5"/>',
-        r"joint 'a': its forcerange \[0, 5\] lacks one direction",
+        r"joint 'a': its forcerange \[0, 5\] permits only one direction",
     ),
     "adhesion": ('<adhesion body="A" ctrlrange="0 1"/>', "no hinge or slide joint has an actuator"),
 }

@@ -154,7 +154,7 @@ FILES = {
     "a robot": (
         '<mujoco><worldbody><body><joint name="a"/><geom size="1"/></body></worldbody>'
         '<actuator><motor name="m" joint="a"/></actuator></mujoco>',
-        "a robot.xml has the actuator 'm', as a robot has; a scene is made of bodies, geoms and joints alone",
+        "a robot.xml has the actuator 'm', so it is a robot; a scene has only bodies, geoms and joints",
     ),
     "no MJCF": ("not XML at all", r"no MJCF\.xml: MuJoCo cannot read it: XML"),
     "nonsense": (

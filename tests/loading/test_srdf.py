@@ -111,8 +111,8 @@ def test_of_several_srdfs_with_the_name_of_the_robot_none_is_guessed(load, folde
 
 
 BROKEN = {
-    "no number": (STATE.replace("0.3", "up"), "joint 'j1': its position 'up' is no finite number"),
-    "not finite": (STATE.replace("0.3", "nan"), "its position 'nan' is no finite number"),
+    "no number": (STATE.replace("0.3", "up"), "joint 'j1': its position 'up' is not a finite number"),
+    "not finite": (STATE.replace("0.3", "nan"), "its position 'nan' is not a finite number"),
     "no XML": ("<group", "no well-formed XML"),
 }
 
@@ -129,7 +129,7 @@ def test_an_srdf_that_does_not_exist_or_is_none_is_one_clear_sentence(load, tmp_
     (tmp_path / "x.srdf").write_text("<mujoco/>")
     with pytest.raises(armctl.ModelError, match="no SRDF: its first element is <mujoco>"):
         load(srdf=tmp_path / "x.srdf")
-    with pytest.raises(armctl.InputError, match="srdf: 3"):
+    with pytest.raises(armctl.InputError, match="srdf: expected str or PathLike, got 3"):
         load(srdf=3)
 
 

@@ -44,7 +44,7 @@ def test_a_joint_without_a_speed_limit_takes_the_default_and_the_others_keep_the
 
 
 def test_a_speed_limit_that_is_no_number_is_one_clear_sentence(load):
-    with pytest.raises(armctl.ModelError, match="joint 'j1': its velocity limit 'fast' is no number"):
+    with pytest.raises(armctl.ModelError, match="joint 'j1': its velocity limit 'fast' is not a number"):
         load(urdf(FIRST.replace('velocity="2.5"', 'velocity="fast"'), SECOND, THIRD, TOOL))
 
 

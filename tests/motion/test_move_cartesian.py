@@ -95,7 +95,7 @@ def test_an_arc_keeps_its_distance_from_its_centre(panda, angle):
 
 
 def test_three_points_on_a_line_make_no_arc(panda):
-    with pytest.raises(armctl.InputError, match="on one line, so no one circle does; give three points apart"):
+    with pytest.raises(armctl.InputError, match="on one line and define no circle; give three points apart"):
         armctl.move_c(panda, panda.home, moved(panda, 0, 0.1, 0), moved(panda, 0, 0.2, 0))
 
 

@@ -53,7 +53,7 @@ NAMES = ["shoulder_yaw", "shoulder_pitch", "elbow"]
 POINT = {"positions": [0.0, 0.0, 0.0], "time_from_start": {"sec": 0, "nanosec": 0}}
 LATER = {"positions": [0.1, 0.1, 0.1], "time_from_start": {"sec": 1, "nanosec": 0}}
 WRONG = {
-    "no message": ([], "it is no JointTrajectory, since it has no list of joint_names"),
+    "no message": ([], "it is not a JointTrajectory, since it has no list of joint_names"),
     "no points": ({"joint_names": NAMES, "points": []}, "it has no points"),
     "other joints": ({"joint_names": ["a", "b", "c"], "points": [POINT]}, "it is for the joints a, b, c"),
     "one joint twice": ({"joint_names": [NAMES[0]] * 3, "points": [POINT]}, "a name is given twice"),

@@ -17,36 +17,39 @@ ARM = arm_of("robot_arm_3dof")
 MOTION = armctl.move_j(ARM, ARM.home, ARM.home + 0.1)
 
 CALLS: dict[str, tuple[Callable[[], object], str]] = {
-    "an arm's name": (lambda: armctl.simulate("panda", "pd", MOTION), "arm: 'panda' is no Arm; armctl.load"),  # type: ignore
+    "an arm's name": (lambda: armctl.simulate("panda", "pd", MOTION), "arm: expected Arm, got 'panda'; armctl.load"),  # type: ignore
     "no controller": (lambda: armctl.simulate(ARM, None, MOTION), "controller: None has no method torque"),  # type: ignore
     "a class": (lambda: armctl.simulate(ARM, armctl.PD, MOTION), "has no method torque.*armctl.PD.arm. has"),  # type: ignore
     "no motion": (lambda: armctl.simulate(ARM, "pd", None), "trajectory: None is not a trajectory"),  # type: ignore
     "a position": (lambda: armctl.simulate(ARM, "pd", ARM.home), "trajectory: array.* is not a trajectory"),  # type: ignore
-    "a plant's name": (lambda: armctl.simulate(ARM, "pd", MOTION, "friction"), "plant: 'friction' is no Plant"),  # type: ignore
-    "a plant's name to Simulation": (lambda: armctl.Simulation(ARM, plant=3), "plant: 3 is no Plant"),  # type: ignore
+    "a plant's name": (lambda: armctl.simulate(ARM, "pd", MOTION, "friction"), "plant: expected Plant, got 'friction'"),  # type: ignore
+    "a plant's name to Simulation": (lambda: armctl.Simulation(ARM, plant=3), "plant: expected Plant, got 3"),  # type: ignore
     "days": (lambda: armctl.simulate(ARM, "pd", MOTION, dwell=1e9), f"ticks of .* s, at most {MOST_TICKS:,} fit into a log"),
-    "a motion to report": (lambda: armctl.Report.from_log(MOTION), "log: .* is no Log; armctl.simulate"),  # type: ignore
-    "a motion to identify": (lambda: armctl.identify_payload(ARM, MOTION), "log: .* is no Log"),  # type: ignore
+    "a motion to report": (lambda: armctl.Report.from_log(MOTION), "log: expected Log, got .*; armctl.simulate"),  # type: ignore
+    "a motion to identify": (lambda: armctl.identify_payload(ARM, MOTION), "log: expected Log, got .*"),  # type: ignore
     "nothing to compare": (lambda: armctl.compare(ARM, [], MOTION), "a list of at least one of each"),
     "one name to compare": (lambda: armctl.compare(ARM, "pd", MOTION), "a list of at least one of each"),
     "a pose for a path": (lambda: move_path(ARM, ARM.home, armctl.Pose([0, 0, 1])), "path: expected a list of .* got Pose"),  # type: ignore
     "a team's name": (lambda: armctl.Team("x"), "expected arms of one model; armctl.load_arms returns them"),  # type: ignore
     "a team of one": (lambda: armctl.Team(ARM), "expected arms of one model; armctl.load_arms returns them"),  # type: ignore
-    "a number for a name": (lambda: armctl.Scene().add_box(3, [1, 1, 1], [0, 0, 0]), "name: 3 is no str"),  # type: ignore
+    "a number for a name": (lambda: armctl.Scene().add_box(3, [1, 1, 1], [0, 0, 0]), "name: expected str, got 3"),  # type: ignore
     "complex joints": (lambda: ARM.fk(ARM.home + 1j), "q: array.* is not an array of numbers"),
     "a huge integer": (lambda: ARM.fk([0, 0, 10**400]), "q: .* is not an array of numbers"),
     "an arm's name to a controller": (
         lambda: armctl.PD(ARM.name),
-        "arm: 'robot_arm_3dof' is no Arm; armctl.load.'robot_arm_3dof'",
+        "arm: expected Arm, got 'robot_arm_3dof'; armctl.load.'robot_arm_3dof'",
     ),  # type: ignore
-    "an arm's name to computed torque": (lambda: armctl.ComputedTorque(ARM.name), "arm: .* is no Arm; armctl.load"),  # type: ignore
-    "an arm's name to a motion": (lambda: armctl.move_j(ARM.name, [0, 0, 0], [0, 0, 0]), "arm: .* is no Arm"),  # type: ignore
-    "an arm's name to a line": (lambda: armctl.move_l(ARM.name, [0, 0, 0], [0, 0, 0]), "arm: .* is no Arm"),  # type: ignore
+    "an arm's name to computed torque": (lambda: armctl.ComputedTorque(ARM.name), "arm: expected Arm, got .*; armctl.load"),  # type: ignore
+    "an arm's name to a motion": (lambda: armctl.move_j(ARM.name, [0, 0, 0], [0, 0, 0]), "arm: expected Arm, got .*"),  # type: ignore
+    "an arm's name to a line": (lambda: armctl.move_l(ARM.name, [0, 0, 0], [0, 0, 0]), "arm: expected Arm, got .*"),  # type: ignore
     "a position to check": (lambda: armctl.check_torque(ARM, ARM.home), "trajectory: .* is not a trajectory"),  # type: ignore
-    "an arm's name to identify": (lambda: armctl.identify_payload(ARM.name, None), "arm: .* is no Arm"),  # type: ignore
-    "an arm's name to excite": (lambda: armctl.excitation(ARM.name), "arm: .* is no Arm"),  # type: ignore
+    "an arm's name to identify": (lambda: armctl.identify_payload(ARM.name, None), "arm: expected Arm, got .*"),  # type: ignore
+    "an arm's name to excite": (lambda: armctl.excitation(ARM.name), "arm: expected Arm, got .*"),  # type: ignore
     "a position to run": (lambda: armctl.Simulation(ARM).run([0, 0, 0]), "trajectory: .* is not a trajectory; armctl.move_j"),  # type: ignore
-    "a report before any move": (lambda: armctl.Report.from_log(armctl.Simulation(ARM).log), "None .* every move of a Sim"),  # type: ignore
+    "a report before any move": (
+        lambda: armctl.Report.from_log(armctl.Simulation(ARM).log),
+        "got None; .* every move of a Sim",
+    ),  # type: ignore
     "no path": (lambda: move_path(ARM, ARM.home, None), "path: expected a list of .* got None"),  # type: ignore
 }
 

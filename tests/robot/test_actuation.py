@@ -78,5 +78,5 @@ def test_an_arm_with_other_limits_keeps_everything_else(bundled: armctl.Arm):
 def test_limits_of_another_arm_are_refused(bundled: armctl.Arm):
     with pytest.raises(armctl.InputError, match=r"expected 3 joints .*, got 2"):
         bundled.with_limits(armctl.Limits(*(np.ones(2) * scale for scale in (-1, 1, 1, 1, 1, 1))))
-    with pytest.raises(armctl.InputError, match="is no Limits"):
+    with pytest.raises(armctl.InputError, match="expected Limits"):
         bundled.with_limits(3)  # pyright: ignore[reportArgumentType]

@@ -156,7 +156,7 @@ REFUSED = {
 def test_what_no_one_actuator_moves_says_why(load, what: str):
     rest, sentence = REFUSED[what]
     with pytest.raises(
-        armctl.ModelError, match=f"on the way to 'C': .*{sentence.removesuffix('$')}.*; base= can be a body behind"
+        armctl.ModelError, match=f"in the chain to 'C': .*{sentence.removesuffix('$')}.*; base= a body after this joint"
     ):
         load(limb("a b c d") + limb("x y"), rest + motors("a b"), tip="C")
 

@@ -137,7 +137,7 @@ def test_wrong_widths_and_forces_are_refused(gripper_arm):
     gripper = armctl.Simulation(gripper_arm("tendon")).gripper
     with pytest.raises(armctl.InputError, match=r"width: expected a number in \[0, 0.0[78].*, got 0.2"):
         gripper.move(0.2)
-    with pytest.raises(armctl.InputError, match="force: 500 N is more than this gripper has, 20 N"):
+    with pytest.raises(armctl.InputError, match="force: 500 N is more than the maximum of this gripper, 20 N"):
         gripper.grasp(500)
     with pytest.raises(armctl.InputError, match=r"force: expected .*got -1"):
         gripper.grasp(-1)

@@ -94,5 +94,5 @@ def test_what_moves_behind_the_tip_without_opening_is_no_gripper(tmp_path: Path)
     knob = WHEEL.replace("continuous", "revolute").replace(
         "</joint>", '<limit lower="0" upper="1" effort="1" velocity="1"/></joint>'
     )
-    with pytest.raises(armctl.ModelError, match="nothing behind the tip opens or closes; the tip is 'tool0'"):
+    with pytest.raises(armctl.ModelError, match="nothing attached to the tip opens or closes; the tip is 'tool0'"):
         find_gripper_model(gripper_arm(tmp_path, knob))

@@ -206,14 +206,14 @@ def test_a_push_that_cannot_be_is_refused(arguments, sentence):
         ({"timestep": 1.0}, "timestep: expected .*got 1"),
         ({"payload_center": [0.0, 1.0]}, "payload_center: expected 3 numbers, got 2"),
         ({"viscous_friction": ()}, "viscous_friction: expected one number, or one for each joint, got none"),
-        ({"pushes": 1}, r"pushes: 1 is no Push; armctl\.Push"),
-        ({"pushes": ["x"]}, "pushes: 'x' is no Push"),
+        ({"pushes": 1}, r"pushes: expected Push, got 1; armctl\.Push"),
+        ({"pushes": ["x"]}, "pushes: expected Push, got 'x'"),
         ({"payload": "1"}, "payload: '1' is not a number"),
         ({"delay": "1"}, "delay: '1' is not a number"),
         ({"seed": -1}, "seed: expected .*got -1"),
         ({"seed": np.random.default_rng(1)}, "seed: .* is not a number"),
-        ({"continuous": "yes"}, "continuous: 'yes' is no bool"),
-        ({"name": 3}, "name: 3 is no str"),
+        ({"continuous": "yes"}, "continuous: expected bool, got 'yes'"),
+        ({"name": 3}, "name: expected str, got 3"),
     ],
 )
 def test_a_plant_that_cannot_be_is_refused(arguments, sentence):

@@ -144,7 +144,7 @@ def test_a_step_that_diverges_raises_with_the_log_and_only_reset_helps(tmp_path)
     assert caught.value.log is sim.log
     assert 0 < len(sim.log) < 10_000
     assert "diverged" in sim.log.failure
-    with pytest.raises(SimulationError, match=r"reset\(\) starts afresh"):
+    with pytest.raises(SimulationError, match=r"call reset\(\) to start again"):
         sim.step()
     assert "reset()" in sim.move_j(arm.home).reason
     sim.reset()

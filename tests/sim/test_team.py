@@ -65,7 +65,7 @@ def test_arms_that_would_shake_each_other_are_refused(pair):
         pair(limb("t u", limb("a b") + limb("d e")), "t u a b d e", ("B", "E"))
     with pytest.raises(armctl.ModelError, match="one of the chains to 'B' and 'A' is part of the other; give each chain once"):
         pair(trunk, "t a b d e", ("B", "A"))
-    with pytest.raises(armctl.InputError, match="tips: 'B' is no list of names"):
+    with pytest.raises(armctl.InputError, match="tips: 'B' is not a list of names"):
         armctl.load_arms("robot_arm_3dof", "B")
 
 
@@ -161,16 +161,16 @@ def test_speed_slows_a_team(pair):
     [
         (lambda arms: armctl.Team(arms, {"C": 3}), "controller: 3 has no method torque"),
         (lambda arms: armctl.Team(arms, {"C": None}), "controller: None has no method torque"),
-        (lambda arms: armctl.Team(arms, ["pd", "pd"]), "controllers: .* is no mapping by tip"),
-        (lambda arms: armctl.Team(arms, plant=3), "plant: 3 is no Plant"),
-        (lambda arms: armctl.Team(arms).run([]), r"trajectories: \[\] is no mapping by tip"),
+        (lambda arms: armctl.Team(arms, ["pd", "pd"]), "controllers: .* is not a mapping by tip"),
+        (lambda arms: armctl.Team(arms, plant=3), "plant: expected Plant, got 3"),
+        (lambda arms: armctl.Team(arms).run([]), r"trajectories: \[\] is not a mapping by tip"),
         (lambda arms: armctl.Team(arms).run({"C": 3}), "trajectory: 3 is not a trajectory"),
         (lambda arms: armctl.Team(arms).run({}, dwell=1e9), "at most 10,000,000 fit into a log"),
         (lambda arms: armctl.Team(arms).run({}, dwell="1"), "dwell: '1' is not a number"),
-        (lambda arms: armctl.Team(arms).move_to([0, 0, 0]), "targets: .* is no mapping by tip"),
+        (lambda arms: armctl.Team(arms).move_to([0, 0, 0]), "targets: .* is not a mapping by tip"),
         (lambda arms: armctl.Team(arms).move_to({"C": [0, 0]}), "target: expected 3 numbers, got 2"),
         (lambda arms: armctl.Team(arms).move_to({"C": [0, 0, 9]}, speed=0), "speed: expected .*got 0"),
-        (lambda arms: armctl.Team(arms).tip(["C"]), r"tip: \['C'\] is no name"),
+        (lambda arms: armctl.Team(arms).tip(["C"]), r"tip: \['C'\] is not a name"),
         (lambda arms: armctl.Team(arms).gripper("X"), "unknown tip 'X'; known: C, F"),
         (
             lambda arms: armctl.Team(arms).run({"C": armctl.move_j(arms[1], arms[1].home, arms[1].home)}),

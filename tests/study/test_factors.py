@@ -81,7 +81,7 @@ WRONG = {
     "an unknown table": (lambda: points(payload={"from": 0, "to": 1}), "factors: payload: expected .*got"),
     "a list for sobol indices": (
         lambda: points(4, "saltelli", payload=armctl.Range(0, 1), delay=[0, 1]),
-        "'saltelli' wants two",
+        "'saltelli' needs two",
     ),
     "too many": (lambda: points(2**20, payload=armctl.Range(0, 1), delay=list(range(100))), "more than 10000000 points"),
 }

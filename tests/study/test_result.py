@@ -160,7 +160,7 @@ def test_success_over_two_factors_shows_the_shares(finished, tmp_path, monkeypat
 
 WRONG = {
     "a metric": (lambda r, d: r.summary(["speed"]), "metrics: expected .*got 'speed'"),
-    "no saltelli": (lambda r, d: r.sensitivity(), "wants sampling='saltelli'"),
+    "no saltelli": (lambda r, d: r.sensitivity(), "needs sampling='saltelli'"),
     "a controller": (lambda r, d: r.worst(controller="pid"), "unknown controller of the study"),
     "films nowhere": (lambda r, d: r.worst(film=True), "folder: expected .*got none"),
     "no limit": (lambda r, d: r.plot_success(d / "x.png", metric="tip_rms_m"), "give a figure and its limit"),

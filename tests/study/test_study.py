@@ -235,8 +235,8 @@ def test_runs_of_other_versions_are_kept_apart(study, tmp_path, monkeypatch):
 
 def test_a_worker_with_another_model_or_version_refuses(study):
     for changes, reason in (
-        ({"model": "another"}, "is not the one with which the study was begun"),
-        ({"versions": "armctl 9.9"}, "a worker has armctl .*, but the study was begun with armctl 9.9"),
+        ({"model": "another"}, "differs from that of the study"),
+        ({"versions": "armctl 9.9"}, "a worker has armctl .*, but the study was started with armctl 9.9"),
     ):
         with pytest.raises(armctl.ModelError, match=reason):
             run_chunk(json.dumps({**study().setup, **changes}), study().runs[:1])
@@ -302,10 +302,10 @@ def test_what_does_not_fit_the_robot_is_refused_before_anything_runs(study, tmp_
 
 
 def test_a_foreign_database_and_a_foreign_executor_are_refused(study, tmp_path):
-    with pytest.raises(armctl.InputError, match=r"is no Executor; for Dask give client.get_executor"):
+    with pytest.raises(armctl.InputError, match=r"expected Executor, .* for Dask pass client.get_executor"):
         study().run(3, folder=tmp_path)
     Path(tmp_path / "trial.sqlite").write_bytes(b"no database" * 100)
-    with pytest.raises(armctl.InputError, match="it is no file of a study"):
+    with pytest.raises(armctl.InputError, match="it is not a file of a study"):
         study().run(folder=tmp_path)
 
 

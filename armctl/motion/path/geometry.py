@@ -170,7 +170,7 @@ class Circle:
         size = float(normal @ normal)
         if size <= 1e-12 * float(a @ a) * float(b @ b) or size == 0.0:
             raise InputError(
-                "via: start, via and target are on one line, so no one circle does; give three points apart, or use a line"
+                "via: start, via and target are on one line and define no circle; give three points apart, or use a line"
             )
         center = start + np.cross((a @ a) * b - (b @ b) * a, normal) / (2 * size)
         axis = normal / math.sqrt(size)

@@ -61,7 +61,7 @@ def load(path: str | os.PathLike[str]) -> Mapping[str, Any]:
     except OSError as error:
         raise InputError(f"{path!s:.160}: cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError:
-        raise InputError(f"{path!s:.160}: it is no text in UTF-8") from None
+        raise InputError(f"{path!s:.160}: it is not a text in UTF-8") from None
     try:
         return json.loads(text) if path.suffix == ".json" else _first_document(text)
     except NotInstalledError:
@@ -90,9 +90,9 @@ def waypoints(content: object) -> Waypoints:
     names = content.get("joint_names") if isinstance(content, Mapping) else None
     points = content.get("points") if isinstance(content, Mapping) else None
     if not isinstance(names, Sequence) or isinstance(names, str) or not all(isinstance(name, str) for name in names):
-        raise InputError("message: it is no JointTrajectory, since it has no list of joint_names")
+        raise InputError("message: it is not a JointTrajectory, since it has no list of joint_names")
     if not isinstance(points, Sequence) or isinstance(points, str) or not points:
-        raise InputError("message: it is no JointTrajectory, since it has no points")
+        raise InputError("message: it is not a JointTrajectory, since it has no points")
     if len(set(names)) < len(names):
         raise InputError("message: joint_names: a name is given twice")
     times = np.array([_seconds(k, _entry(k, point, "time_from_start")) for k, point in enumerate(points)])
@@ -138,7 +138,7 @@ def _accelerations(t: Array, q: Array, v: Array) -> Array:
 
 def _entry(k: int, point: object, name: str) -> Any:
     if not isinstance(point, Mapping):
-        raise InputError(f"message: point {k}: {shown(point)} is no table")
+        raise InputError(f"message: point {k}: {shown(point)} is not a table")
     return point.get(name, ())
 
 
