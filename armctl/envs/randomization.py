@@ -72,7 +72,7 @@ class Randomization:
                 where = " in free space" if name in _OF_DYNAMICS else ""
                 raise InputError(f"randomize: {name} cannot vary{where}; {', '.join(allowed)} can")
             if not isinstance(each, Range):
-                raise InputError(f"randomize: {name}: {shown(each)} is no Range; armctl.Range(0.0, 0.5) is one")
+                raise InputError(f"randomize: {name}: expected Range, got {shown(each)}; armctl.Range(0.0, 0.5) is one")
             if name in _OF_OBJECT:
                 number(f"randomize: {name}: low", each.low, 1e-6)
             else:

@@ -135,5 +135,5 @@ def test_an_srdf_that_does_not_exist_or_is_none_is_one_clear_sentence(load, tmp_
 
 @pytest.mark.filterwarnings("ignore:r. contacts of")
 def test_a_compiled_model_takes_no_srdf(load):
-    with pytest.raises(armctl.InputError, match="srdf: a compiled MjModel cannot be changed so"):
+    with pytest.raises(armctl.InputError, match="srdf: a compiled MjModel cannot be changed in this way"):
         armctl.load(load().model, srdf="r.srdf")
