@@ -83,6 +83,7 @@ from .motion.move_cartesian import move_c as move_c
 from .motion.move_cartesian import move_l as move_l
 from .motion.move_cartesian import move_path as move_path
 from .motion.move_j import move_j as move_j
+from .motion.move_sequence import move_sequence as move_sequence
 from .motion.move_through import move_through as move_through
 from .motion.online import OnlineMotion as OnlineMotion
 from .motion.sections import Via as Via

@@ -2,6 +2,7 @@
 
 from armctl.motion.move_cartesian import Arc, Line, move_c, move_l, move_path
 from armctl.motion.move_j import move_j
+from armctl.motion.move_sequence import move_sequence
 from armctl.motion.move_through import move_through
 from armctl.motion.online import OnlineMotion
 from armctl.motion.sections import Via
@@ -20,5 +21,6 @@ __all__ = [
     "move_j",
     "move_l",
     "move_path",
+    "move_sequence",
     "move_through",
 ]

@@ -9,6 +9,8 @@ from armctl.core.errors import InputError, LimitError
 from armctl.core.validation import Array, vector
 from armctl.robot.arm import Arm, check_arm
 
+_LIMIT_ROUNDING = 1e-9  # of a limit
+
 
 def planning_arm(arm: Arm, speed: float) -> Arm:
     """The arm with its limits at a fraction of the full speed.
@@ -33,10 +35,29 @@ def start_velocity(arm: Arm, v_start: ArrayLike | None) -> Array:
     if v_start is None:
         return np.zeros(arm.n)
     v = vector("v_start", v_start, arm.n)
-    too_fast = np.abs(v) > arm.limits.v_max
+    too_fast = np.abs(v) > arm.limits.v_max * (1 + _LIMIT_ROUNDING)
     if too_fast.any():
         i = int(too_fast.argmax())
         name = arm.joint_names[i]
         unit = arm.units[i]
         raise LimitError(f"v_start: {name}: {v[i]:g} {unit}/s is outside +-{arm.limits.v_max[i]:g} {unit}/s")
     return v
+
+
+def require_feasible_start(arm: Arm, v: Array, a: Array) -> None:
+    """Refuses a start from which a joint would have to exceed its speed or acceleration. Raises LimitError."""
+    limits = arm.limits
+    names = arm.joint_names
+    units = arm.units
+    over = np.abs(a) > limits.a_max * (1 + _LIMIT_ROUNDING)
+    if over.any():
+        i = int(over.argmax())
+        raise LimitError(f"a_start: {names[i]}: {a[i]:g} {units[i]}/s^2 is outside +-{limits.a_max[i]:g} {units[i]}/s^2")
+    later = np.abs(v + a * np.abs(a) / (2 * limits.j_max))
+    over = later > limits.v_max * (1 + _LIMIT_ROUNDING)
+    if over.any():
+        i = int(over.argmax())
+        raise LimitError(
+            f"v_start: {names[i]}: with this acceleration its speed comes to {later[i]:g} {units[i]}/s, "
+            f"more than its limit {limits.v_max[i]:g} {units[i]}/s; start slower"
+        )

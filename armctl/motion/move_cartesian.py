@@ -15,6 +15,7 @@ from armctl.core.pose import Pose
 from armctl.core.validation import Array, number, shown, vector
 from armctl.ik.all_solutions import solve_ik_all
 from armctl.motion.checks import planning_arm
+from armctl.motion.moving_start import planned_from
 from armctl.motion.path.blending import Blend, CompositePath, SubPath
 from armctl.motion.path.geometry import Circle, Shape, Straight, Turn
 from armctl.motion.path.joint_path import joint_path_along
@@ -86,10 +87,13 @@ def move_l(
     speed: float = 1.0,
     tip_speed: float | None = None,
     tip_angular_speed: float | None = None,
+    v_start: ArrayLike | None = None,
+    a_start: ArrayLike | None = None,
 ) -> JointTrajectory:
     """The tip on a straight line, its orientation turning along about one axis, as fast as the joints can.
 
-    Near a singularity, where the joints have far to go, it slows down.
+    Near a singularity, where the joints have far to go, it slows down. If the arm moves at the start, the line begins where it
+    would come to rest, and the arm turns onto it while it slows down.
 
     Args:
         arm: The arm.
@@ -98,16 +102,19 @@ def move_l(
         speed: Fraction of the full speed, in (0, 1]; it scales the caps on the tip's speed, too.
         tip_speed: m/s, the greatest speed of the tip's point; None for no cap.
         tip_angular_speed: rad/s, the greatest speed of its turning; None for no cap.
+        v_start: (n,) rad/s, if it starts while the arm moves; zero if left out.
+        a_start: (n,) rad/s^2, likewise.
 
     Returns:
-        The motion, at rest at both ends.
+        The motion, at rest at its end.
 
     Raises:
         InputError: An argument of the wrong shape, kind or value.
-        LimitError: q_start is outside the limits.
+        LimitError: q_start is outside the limits, or the start so fast that the arm cannot stop inside them.
         PlanError: The line leaves the reach or the joint limits, or a motor cannot hold the arm on it.
     """
-    return _plan(arm, "move_l", q_start, [Line(target)], 0.0, speed, tip_speed, tip_angular_speed)
+    caps = (speed, tip_speed, tip_angular_speed)
+    return planned_from(arm, q_start, v_start, a_start, lambda q: _plan(arm, "move_l", q, [Line(target)], 0.0, *caps))
 
 
 def move_c(
@@ -120,6 +127,8 @@ def move_c(
     speed: float = 1.0,
     tip_speed: float | None = None,
     tip_angular_speed: float | None = None,
+    v_start: ArrayLike | None = None,
+    a_start: ArrayLike | None = None,
 ) -> JointTrajectory:
     """The tip on an arc from where it is through one point to another, its orientation turning along about one axis.
 
@@ -133,16 +142,21 @@ def move_c(
         speed: Fraction of the full speed, in (0, 1]; it scales the caps on the tip's speed, too.
         tip_speed: m/s, the greatest speed of the tip's point; None for no cap.
         tip_angular_speed: rad/s, the greatest speed of its turning; None for no cap.
+        v_start: (n,) rad/s, if it starts while the arm moves; zero if left out.
+        a_start: (n,) rad/s^2, likewise.
 
     Returns:
-        The motion, at rest at both ends.
+        The motion, at rest at its end.
 
     Raises:
         InputError: An argument of the wrong shape, kind or value, or three points on one line.
-        LimitError: q_start is outside the limits.
+        LimitError: q_start is outside the limits, or the start so fast that the arm cannot stop inside them.
         PlanError: The arc leaves the reach or the joint limits, or a motor cannot hold the arm on it.
     """
-    return _plan(arm, "move_c", q_start, [Arc(via, target, angle)], 0.0, speed, tip_speed, tip_angular_speed)
+    caps = (speed, tip_speed, tip_angular_speed)
+    return planned_from(
+        arm, q_start, v_start, a_start, lambda q: _plan(arm, "move_c", q, [Arc(via, target, angle)], 0.0, *caps)
+    )
 
 
 def move_path(
@@ -154,6 +168,8 @@ def move_path(
     speed: float = 1.0,
     tip_speed: float | None = None,
     tip_angular_speed: float | None = None,
+    v_start: ArrayLike | None = None,
+    a_start: ArrayLike | None = None,
 ) -> JointTrajectory:
     """The tip on lines and arcs, one after another, the corners between them rounded.
 
@@ -167,19 +183,23 @@ def move_path(
         speed: Fraction of the full speed, in (0, 1]; it scales the caps on the tip's speed, too.
         tip_speed: m/s, the greatest speed of the tip's point; None for no cap.
         tip_angular_speed: rad/s, the greatest speed of its turning; None for no cap.
+        v_start: (n,) rad/s, if it starts while the arm moves; zero if left out.
+        a_start: (n,) rad/s^2, likewise.
 
     Returns:
-        The motion, at rest at both ends.
+        The motion, at rest at its end.
 
     Raises:
         InputError: An argument of the wrong shape, kind or value.
-        LimitError: q_start is outside the limits.
+        LimitError: q_start is outside the limits, or the start so fast that the arm cannot stop inside them.
         PlanError: The path leaves the reach or the joint limits, or a motor cannot hold the arm on it.
     """
     if isinstance(path, (Pose, str)) or not isinstance(path, Iterable) or getattr(path, "shape", None) == ():
         raise InputError(f"path: expected a list of lines, arcs, poses or points, got {shown(path)}")
     parts = [part if isinstance(part, (Line, Arc)) else Line(part) for part in path]
-    return _plan(arm, "move_path", q_start, parts, number("blend", blend, 0.0), speed, tip_speed, tip_angular_speed)
+    radius = number("blend", blend, 0.0)
+    caps = (speed, tip_speed, tip_angular_speed)
+    return planned_from(arm, q_start, v_start, a_start, lambda q: _plan(arm, "move_path", q, parts, radius, *caps))
 
 
 def _plan(

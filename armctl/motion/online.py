@@ -10,13 +10,12 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import LimitError, PlanError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number, vector
-from armctl.motion.checks import planning_arm, start_velocity
+from armctl.motion.checks import planning_arm, require_feasible_start, start_velocity
 from armctl.motion.timing.otg import JointState, Profile, ProfileSolver
 from armctl.motion.trajectory.piecewise import Pieces
 from armctl.robot.arm import Arm
 
 _POSITION_ROUNDING = 1e-9  # rad (m)
-_LIMIT_ROUNDING = 1e-9  # of a limit
 
 
 class OnlineMotion:
@@ -57,7 +56,7 @@ class OnlineMotion:
         q = arm.checked("q_start", q_start)
         v = start_velocity(arm, v_start)
         a = np.zeros(arm.n) if a_start is None else vector("a_start", a_start, arm.n)
-        self._require_feasible(v, a)
+        require_feasible_start(arm, v, a)
         self._t = 0.0
         self._start = JointState(q.tolist(), v.tolist(), a.tolist())
         self._goal: Array | None = None
@@ -145,24 +144,6 @@ class OnlineMotion:
     def time_left(self) -> float:
         """How long until it comes to rest, s, if nothing changes."""
         return max(0.0, self._profile.duration - self._t)
-
-    def _require_feasible(self, v: Array, a: Array) -> None:
-        """Refuses a start from which a joint would have to exceed its speed or acceleration."""
-        limits = self._arm.limits
-        names = self._arm.joint_names
-        units = self._arm.units
-        over = np.abs(a) > limits.a_max * (1 + _LIMIT_ROUNDING)
-        if over.any():
-            i = int(over.argmax())
-            raise LimitError(f"a_start: {names[i]}: {a[i]:g} {units[i]}/s^2 is outside +-{limits.a_max[i]:g} {units[i]}/s^2")
-        later = np.abs(v + a * np.abs(a) / (2 * limits.j_max))
-        over = later > limits.v_max * (1 + _LIMIT_ROUNDING)
-        if over.any():
-            i = int(over.argmax())
-            raise LimitError(
-                f"v_start: {names[i]}: with this acceleration its speed comes to {later[i]:g} {units[i]}/s, "
-                f"more than its limit {limits.v_max[i]:g} {units[i]}/s; start slower"
-            )
 
     def _checked(self, q: ArrayLike) -> Array:
         """A caller's goal, checked. A correct array takes a short path, because `go_to` is called in real time."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.collision.checkers import KEEP_WITHIN_RAD, collision_checker, read_kept_axis
+from armctl.collision.clearance import clearance_of
 from armctl.collision.interface import Hit, KeptAxis
 from armctl.core.errors import InputError, PlanError, UnknownNameError
 from armctl.core.pose import Pose
@@ -21,6 +22,7 @@ from armctl.ik import solve_ik
 from armctl.motion import JointTrajectory, move_j
 from armctl.motion.checks import planning_arm
 from armctl.motion.move_through import TimedJoints, through_waypoints
+from armctl.motion.moving_start import begun_moving, stop_from
 from armctl.motion.torque_limits import within_torque
 from armctl.planning.path import find_path, sampling_bounds, shorten
 from armctl.robot.arm import Arm, check_arm
@@ -53,8 +55,10 @@ def move_free(
     keep_within: float = KEEP_WITHIN_RAD,
     speed: float = 1.0,
     seed: int = 0,
+    v_start: ArrayLike | None = None,
+    a_start: ArrayLike | None = None,
 ) -> JointTrajectory:
-    """A motion around obstacles, at rest at both ends: jerk-limited, torque-limited, and proved to touch nothing.
+    """A motion around obstacles, at rest at its end: jerk-limited, torque-limited, and proved to touch nothing.
 
     The straight move is taken if it is proved free. Otherwise RRT-Connect finds a path whose every line is proved, it is
     shortened, and `move_through` times it; where the smooth motion comes too near to something, points of the path are added.
@@ -75,23 +79,37 @@ def move_free(
         keep_within: rad that this axis may tilt.
         speed: Fraction of the full speed, in (0, 1].
         seed: Of the random samples.
+        v_start: (n,) rad/s, if it starts while the arm moves; zero if left out. The arm then slows down as fast as it can, and
+            turns to the way around the obstacles meanwhile.
+        a_start: (n,) rad/s^2, likewise.
 
     Returns:
         The motion.
 
     Raises:
         InputError: An argument of the wrong kind, a negative clearance, or an arm without finite limits.
-        LimitError: A configuration outside the limits.
+        LimitError: A configuration outside the limits, or a start so fast that the arm cannot stop inside them.
         ModelError: The scene has a height field or signed distance field that the arm could touch.
-        PlanError: Start or goal touches something, the goal cannot be reached, or no path was found; the reason names the
-            bodies.
+        PlanError: Start or goal touches something, the goal cannot be reached, no path was found, or the arm cannot stop before
+            something that it moves towards; the reason names the bodies.
         UnknownNameError: The model has no body or geom of a name in `allow` or `holding`, or there is no such axis.
     """
     check_arm(arm)
     start = arm.checked("q_start", q_start)
     kept = read_kept_axis(arm, keep, keep_within, start)
     checker = _checker(arm, start, allow, holding)
-    return move_free_with(checker, arm, start, goal, clearance=clearance, speed=speed, seed=seed, keep=kept)
+    stop = None if v_start is None and a_start is None else stop_from(planning_arm(arm, 1.0), start, v_start, a_start)
+    if stop is None:
+        return move_free_with(checker, arm, start, goal, clearance=clearance, speed=speed, seed=seed, keep=kept)
+    checker.require_provable()
+    free = clearance_of(checker, stop, 0.0, kept)
+    if not free.ok:
+        raise PlanError(f"start: the arm cannot stop in time: {free.reason}; start slower or allow the contact")
+    rest = arm.limits.clamp(stop(stop.duration).q)
+    motion = move_free_with(checker, arm, rest, goal, clearance=clearance, speed=speed, seed=seed, keep=kept)
+    ends = [checker.nearest(q)[1] for q in (start, rest, motion(motion.duration).q)]
+    required = _Required(checker, min(0.5 * clearance, 0.25 * min(ends), 0.5 * free.distance), kept)
+    return begun_moving(arm, stop, motion, lambda whole: required.hit(whole) is None)
 
 
 def move_free_with(

@@ -41,6 +41,25 @@ def test_it_goes_around_a_wall_that_the_straight_move_runs_into(arm):
     np.testing.assert_allclose(motion(motion.duration).v, 0.0, atol=1e-12)
 
 
+def test_it_starts_while_the_arm_moves_and_goes_around_the_wall(arm):
+    first = armctl.move_j(arm, START - 0.2, START + [0.3, 0.0, 0.3, 0.1, 0.0, 0.0])
+    state = first(0.5 * first.duration)
+    motion = armctl.move_free(arm, state.q, GOAL, v_start=state.v, a_start=state.a)
+    assert_free(arm, first.until(0.5 * first.duration).then(motion))
+    for given, started in zip(state[:3], motion(0.0)[:3], strict=True):
+        np.testing.assert_allclose(started, given, atol=1e-9)
+    np.testing.assert_allclose(motion(motion.duration).q, GOAL, atol=1e-12)
+
+
+def test_a_start_towards_the_wall_from_which_the_arm_cannot_stop_is_refused(arm):
+    into = armctl.move_j(arm, START, GOAL)
+    times = np.linspace(0.0, into.duration, 200)
+    last = max(t for t in times if armctl.check_clearance(arm, into.until(t)).ok)
+    state = into(last)
+    with pytest.raises(armctl.PlanError, match=r"^start: the arm cannot stop in time: .*wall.*; start slower or allow"):
+        armctl.move_free(arm, state.q, GOAL, v_start=state.v, a_start=state.a)
+
+
 def test_a_straight_move_that_is_free_is_taken(arm):
     straight = armctl.move_j(arm, START, START + 0.1)
     motion = armctl.move_free(arm, START, START + 0.1)

@@ -206,6 +206,22 @@ class JointTrajectory:
         factor = number("factor", factor, 1e-3, 1e3)
         return self._with(speed_changed(self.pieces, self.limits, number("t", t, 0.0, self.duration), factor))
 
+    def until(self, t: float) -> JointTrajectory:
+        """The motion up to a time, where it may be moving: `then` appends what was planned from its state there.
+
+        Args:
+            t: s.
+
+        Returns:
+            Its first part.
+
+        Raises:
+            InputError: The time is outside the motion.
+        """
+        t = number("t", t, 0.0, self.duration)
+        k = max(1, int(np.searchsorted(self.knots, t, side="left")))
+        return self._with(Pieces(np.append(self.knots[:k], t), self.coefficients[:k]))
+
     def scaled(self, factor: float) -> JointTrajectory:
         """The same path at another speed, as the speed override of a robot controller.
 

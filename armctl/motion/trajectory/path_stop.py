@@ -15,7 +15,7 @@ from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
 from armctl.motion.trajectory.limit_check import is_inside, stretch_needed
-from armctl.motion.trajectory.piecewise import Pieces, hermite, joined, locate, sample, time_scaled
+from armctl.motion.trajectory.piecewise import Pieces, hermite, joined, locate, sample, shifted, time_scaled
 
 _DELAYS = 12  # start times of the deceleration that are tried
 _MIN_DECELERATION_S = 0.01
@@ -153,12 +153,8 @@ def _crossings(knots: Array, begin: float, length: float, final: float) -> Array
 def _from(pieces: Pieces, t: float) -> Pieces:
     """What is left of a motion after a time."""
     k = int(locate(pieces.knots, np.array([t]))[1][0])
-    u = t - float(pieces.knots[k])
-    first = pieces.coefficients[k].copy()
-    for low in range(len(first)):  # Taylor's series about the time, by repeated synthetic division
-        for power in range(len(first) - 2, low - 1, -1):
-            first[power] += u * first[power + 1]
-    coefficients = np.concatenate([first[None], pieces.coefficients[k + 1 :]])
+    first = shifted(pieces.coefficients[k : k + 1], t - pieces.knots[k : k + 1])
+    coefficients = np.concatenate([first, pieces.coefficients[k + 1 :]])
     return Pieces(np.concatenate([[0.0], pieces.knots[k + 1 :] - t]), coefficients)
 
 

@@ -93,6 +93,16 @@ def time_scaled(pieces: Pieces, factor: float) -> Pieces:
     return Pieces(pieces.knots / factor, pieces.coefficients * powers[:, None])
 
 
+def shifted(coefficients: Array, by: Array) -> Array:
+    """Polynomials (m, d + 1, n) as polynomials of the time since `by` (m,): Taylor's series, by repeated synthetic division."""
+    out = coefficients.copy()
+    degree = out.shape[1] - 1
+    for low in range(degree):
+        for power in range(degree - 1, low - 1, -1):
+            out[:, power] += by[:, None] * out[:, power + 1]
+    return out
+
+
 def joined(parts: Sequence[Pieces]) -> Pieces:
     """Motions one after another; each must start in the state in which the one before it ends."""
     starts = np.cumsum([0.0, *(part.knots[-1] for part in parts)])
