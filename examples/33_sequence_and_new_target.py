@@ -7,9 +7,9 @@ import armctl
 arm = armctl.load("robot_arm_3dof")
 above = arm.home + np.array([0.6, 0.3, -0.3])
 approach = armctl.move_j(arm, arm.home, above)
-line = armctl.move_l(arm, above, arm.fk(above).position + [0.0, -0.1, 0.05])
+line = armctl.move_l(arm, above, arm.fk(above).position + np.array([0.0, -0.1, 0.05]))
 end = line(line.duration).q
-back = armctl.move_through(arm, [end, end + [0.3, -0.2, 0.1], arm.home])
+back = armctl.move_through(arm, [end, end + np.array([0.3, -0.2, 0.1]), arm.home])
 
 for blend in (0.0, 0.01, 0.05):
     whole = armctl.move_sequence(arm, [approach, line, back], blend=blend)
@@ -17,7 +17,7 @@ for blend in (0.0, 0.01, 0.05):
 
 t = 0.5 * approach.duration  # a new target comes up on the way
 now = approach(t)
-target = arm.fk(above).position + [0.0, -0.05, -0.05]
+target = arm.fk(above).position + np.array([0.0, -0.05, -0.05])
 turned = approach.until(t).then(armctl.move_l(arm, now.q, target, v_start=now.v, a_start=now.a))
 print(f"at {t:.3f} s the tip turns to another target, which it reaches at {turned.duration:.3f} s")
 print(f"it ends {1e3 * np.linalg.norm(arm.fk(turned(turned.duration).q).position - target):.3f} mm from it")

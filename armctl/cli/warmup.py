@@ -151,6 +151,7 @@ def _planning() -> None:
     start = np.array([-0.8, 0.9, -1.2])
     goal = np.array([0.8, 0.9, -1.2])
     armctl.check_clearance(_arm(), armctl.move_free(_arm(), start, goal))
+    armctl.DifferentialIk(_arm(), avoid_collisions=True)
 
 
 def _simulation() -> None:

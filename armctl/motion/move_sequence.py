@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from armctl.core.errors import InputError
+from armctl.core.limits import Limits
 from armctl.core.validation import Array, instance, number
 from armctl.motion.timing.path_timing import slowed_down
 from armctl.motion.torque_limits import MotionPath, within_torque
@@ -99,6 +100,6 @@ def _rounded(arm: Arm, first: Pieces, second: Pieces, overlap: float) -> Pieces:
     return overlapped(first, second, 0.0)
 
 
-def _positions_only(arm: Arm):
+def _positions_only(arm: Arm) -> Limits:
     unlimited: Array = np.full(arm.n, np.inf)
     return replace(arm.limits, v_max=unlimited, a_max=unlimited, j_max=unlimited)

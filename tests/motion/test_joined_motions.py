@@ -88,7 +88,7 @@ def test_wrong_starts_are_one_sentence(arm):
     at_limit = arm.limits.clamp(arm.home + np.array([9.0, 0.0, 0.0]))
     with pytest.raises(armctl.LimitError, match=r"^v_start: the arm cannot stop inside its position limits"):
         armctl.move_l(arm, at_limit, target, v_start=[0.5, 0.0, 0.0])
-    with pytest.raises(armctl.InputError, match="^t: "):
+    with pytest.raises(armctl.InputError, match=r"^t: "):
         armctl.move_l(arm, arm.home, target).until(-1.0)
 
 
@@ -99,7 +99,7 @@ def parts(arm) -> list[armctl.JointTrajectory]:
     q1 = arm.home + np.array([0.6, 0.3, -0.3])
     line = armctl.move_l(arm, q1, arm.fk(q1).position + np.array([0.0, -0.1, 0.05]))
     q2 = line(line.duration).q
-    through = armctl.move_through(arm, [q2, q2 + [0.3, -0.2, 0.1], q2 + [0.6, 0.1, -0.2]])
+    through = armctl.move_through(arm, q2 + np.array([[0.0, 0.0, 0.0], [0.3, -0.2, 0.1], [0.6, 0.1, -0.2]]))
     q3 = through(through.duration).q
     return [armctl.move_j(arm, q0, q1), line, through, armctl.move_j(arm, q3, q2)]
 

@@ -42,7 +42,7 @@ def test_it_goes_around_a_wall_that_the_straight_move_runs_into(arm):
 
 
 def test_it_starts_while_the_arm_moves_and_goes_around_the_wall(arm):
-    first = armctl.move_j(arm, START - 0.2, START + [0.3, 0.0, 0.3, 0.1, 0.0, 0.0])
+    first = armctl.move_j(arm, START - 0.2, START + np.array([0.3, 0.0, 0.3, 0.1, 0.0, 0.0]))
     state = first(0.5 * first.duration)
     motion = armctl.move_free(arm, state.q, GOAL, v_start=state.v, a_start=state.a)
     assert_free(arm, first.until(0.5 * first.duration).then(motion))
