@@ -1,4 +1,4 @@
-"""An arm's tip goes to the green target: the three-line way."""
+"""Move the tip of an arm to the green target, in three lines."""
 
 import armctl
 

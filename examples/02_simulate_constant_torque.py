@@ -1,4 +1,4 @@
-"""An arm under constant torques, without any controller: what the simulator makes of them."""
+"""An arm under constant torques, without any controller."""
 
 import armctl
 

@@ -1,4 +1,4 @@
-"""A PD controller goes through four waypoints and shows what it lacks: the arm settles, but it sags under its own weight."""
+"""A PD controller moves through four waypoints: the arm settles, but sags under its own weight."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The same motion under PD and under computed torque: one table, and what a model of the arm is worth."""
+"""The same motion under PD and under computed torque, in one table: the benefit of a model of the arm."""
 
 import armctl
 from armctl.analysis.report import table

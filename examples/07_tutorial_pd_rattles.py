@@ -1,4 +1,4 @@
-"""Why a tutorial's PD rattles: its control is clipped first and geared up afterwards, and its damping is too much for 2 ms."""
+"""Why a PD law of a tutorial oscillates: the gear multiplies its gains, and its damping is too large for 2 ms."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Inverse kinematics of one pose: the solution, how far off it is measured to be, and what a failure says."""
+"""Inverse kinematics of one pose: the solution, its measured error, and the result of a failure."""
 
 import armctl
 

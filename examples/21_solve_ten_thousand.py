@@ -1,4 +1,4 @@
-"""Inverse kinematics of ten thousand points at once, on all cores: how much of a box the arm can reach."""
+"""Inverse kinematics of ten thousand points on all cores: the share of a box that the arm can reach."""
 
 import time
 

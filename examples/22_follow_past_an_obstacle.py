@@ -1,4 +1,4 @@
-"""Following a target that moves straight through an obstacle: the tip goes round it and is back on the target behind it."""
+"""Follow a target that moves through an obstacle: the tip moves around the obstacle and returns to the target."""
 
 import tempfile
 from pathlib import Path

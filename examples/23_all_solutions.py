@@ -1,4 +1,4 @@
-"""All configurations for one pose, what their branches are called, and the branch in which a line is fastest."""
+"""All configurations for one pose, the names of their branches, and the branch in which a line is fastest."""
 
 import armctl
 

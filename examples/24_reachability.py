@@ -1,4 +1,4 @@
-"""Which points an arm reaches, with how many orientations: a map, saved, drawn, and as a cloud of coloured points."""
+"""The points that an arm reaches, and with how many orientations: a map, saved, drawn, and as colored points."""
 
 import tempfile
 from pathlib import Path

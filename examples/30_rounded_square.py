@@ -1,4 +1,4 @@
-"""The Panda draws a square with rounded corners without stopping, and keeps to its lines elsewhere."""
+"""The Panda draws a square with rounded corners without stopping; outside the corners the lines are exact."""
 
 import numpy as np
 

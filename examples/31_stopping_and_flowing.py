@@ -1,4 +1,4 @@
-"""Ten waypoints, with a stop at each and flowing through them, drawn over each other."""
+"""Ten waypoints, with a stop at each and without stops, in one plot."""
 
 import sys
 import tempfile

@@ -1,4 +1,4 @@
-"""Sections of a path with a speed and a payload of their own, a pause, and a speed that changes on the way."""
+"""Sections of a path with different speeds and payloads, a pause, and a speed override during the motion."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""PD, PD with gravity and computed torque follow the same motion: a table, and the tips laid over each other."""
+"""PD, PD with gravity and computed torque follow the same motion: a table, and the paths of the tip in one plot."""
 
 import tempfile
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""An arm holds something that its model does not know: what that costs, an observer's help, and the payload identified."""
+"""An unknown payload: its effect on the error, the error with an observer, and the identified payload."""
 
 import armctl
 from armctl.analysis.comparison import out_and_back

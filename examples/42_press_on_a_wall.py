@@ -1,4 +1,4 @@
-"""The tip presses on a wall: the target lies ever deeper behind its face, and impedance control makes force of depth."""
+"""The tip presses on a wall with impedance control: the deeper the target is behind the surface, the larger the force."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""A payload that the model does not know: one controller learns it in the first motion and is exact in the third."""
+"""An unknown payload: one controller learns it during the first motion and is exact in the third."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Tune a controller: the highest gains that bear a delay of 8 ms everywhere, and the bound that limits each joint."""
+"""Tune a controller: the highest gains that tolerate a delay of 8 ms everywhere, and the bound that limits each joint."""
 
 import armctl
 

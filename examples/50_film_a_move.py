@@ -1,4 +1,4 @@
-"""Film a move, draw it, and lay it over the same move by another controller."""
+"""Film a move, plot it, and compare it with the same move under another controller."""
 
 import sys
 from pathlib import Path

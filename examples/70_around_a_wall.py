@@ -1,4 +1,4 @@
-"""Around a wall: the straight move runs into it, the planned one is proved to keep its distance."""
+"""Around a wall: the straight move collides, and the planned move has a proved clearance."""
 
 import numpy as np
 

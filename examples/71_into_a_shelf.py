@@ -1,4 +1,4 @@
-"""Into a shelf and out again: a Panda reaches between two boards, and every motion is proved to keep its distance."""
+"""Into a shelf and out again: a Panda reaches between two boards, and every motion has a proved clearance."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Carrying a glass over a wall: the hand keeps it upright, and the glass is part of what must not touch anything."""
+"""Carry a glass over a wall: the hand keeps it upright, and the glass must not touch anything."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Two Pandas at one table exchange places: planned together, so that they never touch each other."""
+"""Two Pandas at one table exchange places: their motions are planned together, with a proved clearance."""
 
 import mujoco
 import mujoco_menagerie

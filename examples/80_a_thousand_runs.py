@@ -1,4 +1,4 @@
-"""A thousand runs: three controllers over payload, friction, delay and noise; which factor decides, and where each one fails.
+"""A thousand runs: three controllers over payload, friction, delay and noise; the dominant factor, and where each one fails.
 
 `python 80_a_thousand_runs.py` makes 1152 runs; with a folder as its argument it makes 72 and writes into that folder. Stop it
 with Ctrl-C and start it again: it continues.

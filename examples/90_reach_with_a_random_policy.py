@@ -1,4 +1,4 @@
-"""Environments for learning: many arms in one step, with unknown payloads; a random policy beside inverse kinematics."""
+"""Environments for learning: many arms in one step, with unknown payloads; a random policy and inverse kinematics."""
 
 import gymnasium
 import numpy as np

@@ -137,7 +137,7 @@ def _are_answers(arm: Arm, q: Array, ok: BoolArray, targets: Sequence[Pose]) -> 
 
 
 def _is_rigid(arm: Arm) -> bool:
-    """Whether the equalities of a model do not give way: MuJoCo's impedance is nearly 1 from the start."""
+    """Whether the equalities of a model are rigid: MuJoCo's impedance is nearly 1 from the start."""
     return bool((arm.model.eq_solimp[:, 0] >= _RIGID_IMPEDANCE).all())
 
 

@@ -76,7 +76,7 @@ def compare(
 
 
 def remarks(reports: Sequence[Report]) -> list[str]:
-    """What to know before reading any figure: failures first, then contacts, then saturated motors; one sentence each."""
+    """Remarks on the figures: failures first, then contacts, then saturated motors; one sentence each."""
     failed = [f"{_name(r)}: {r.log.failure}" for r in reports if r.log.failure]
     touched = [f"{_name(r)}: {contacts_in_words(r.contacts)}" for r in reports if r.contacts]
     saturated = [
@@ -130,7 +130,7 @@ def _distinct(names: Iterable[str]) -> list[str]:
 def out_and_back(arm: Arm, distance: float = 0.6, *, speed: float = 1.0) -> JointTrajectory:
     """Plans a motion for comparing controllers: all joints at once from home and back, as fast as the limits allow.
 
-    If the arm would touch something on the way, the joints move in the other direction, or half as far, up to four times.
+    If the arm would touch something, the joints move in the other direction, or half as far, up to four times.
 
     Args:
         arm: The arm.

@@ -45,7 +45,7 @@ class Finding:
     Attributes:
         severity: "error" if the arm cannot work so, "warning" if results can be wrong, "note" for an assumption.
         text: What was found.
-        advice: What to write or to give instead; empty if armctl knows none.
+        advice: What to write or to pass instead; empty if there is no advice.
     """
 
     severity: str

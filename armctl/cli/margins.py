@@ -1,4 +1,4 @@
-"""`armctl margins ROBOT`: how much delay, gain and phase the controllers bear, and where they are worst."""
+"""`armctl margins ROBOT`: the delay, gain and phase margins of controllers, and the worst configurations."""
 
 from __future__ import annotations
 

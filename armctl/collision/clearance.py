@@ -53,7 +53,7 @@ class PiecewiseTrajectory(Protocol):
 
 @dataclass(frozen=True)
 class ClearanceCheck:
-    """How near an arm comes to itself and to its scene during a motion.
+    """The smallest distance of an arm from itself and from its scene during a motion.
 
     Attributes:
         ok: Whether the motion is proved to keep more than the clearance at all times.
@@ -62,7 +62,7 @@ class ClearanceCheck:
         time: s, when the arm is nearest (if not ok: when it is too near).
         first: One body of the nearest pair; empty if nothing can touch, or if the kept axis tilts.
         second: The other.
-        clearance: m that was asked for.
+        clearance: The required clearance, m.
         reason: Why it is not ok, in one sentence; empty if it is.
     """
 

@@ -37,7 +37,7 @@ class Shape(NamedTuple):
         kind: POINTS, CYLINDER, ELLIPSOID or PLANE of the kernel.
         points: (P, 3) m, the vertices; the center of a round shape.
         radius: m by which it is inflated.
-        info: (16,) what the kernel wants to know of a round shape or a plane.
+        info: (16,) the parameters of a round shape or a plane for the kernel.
         box: (15,) center, inverse rotation, half sizes of a box; None for other shapes.
         center: (3,) m, of its bounding sphere.
         bound: m, the radius of its bounding sphere.

@@ -1,4 +1,4 @@
-"""Gains from margins: how fast a loop may be so that it bears a delay, in any configuration of the arm."""
+"""Gains from margins: the highest gains for which the loop tolerates a delay, in any configuration of the arm."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ class Log:
         joint_names: The n joints.
         dt: s, the tick.
         tau_max: (n,) N m.
-        motion_duration: s, when the reference comes to rest; the log may go on.
+        motion_duration: s, until the reference is at rest; the log may continue.
         target: (7,) where the tip should end, m and wxyz; NaN for what is free. After `Simulation.follow` the target at the end
             of the run.
         real_time_factor: Simulated time divided by computing time.

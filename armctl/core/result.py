@@ -43,5 +43,5 @@ class MoveResult:
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
-        """What the arm touched on the way; empty if it touched nothing or did not move."""
+        """What the arm touched; empty if it touched nothing or did not move."""
         return () if self.log is None else self.log.contacts

@@ -19,8 +19,8 @@ class Setpoint(NamedTuple):
         q: Position, rad (m for a slide joint).
         v: Velocity, rad/s.
         a: Acceleration, rad/s^2.
-        v_tick: What a sampled velocity reads on the way, rad/s: the backward difference of q over the control period, or v
-            where the arm moves continuously. None where nobody samples.
+        v_tick: The sampled velocity, rad/s: the backward difference of q over the control period, or v
+            if the arm moves continuously. None if the reference is not sampled.
         a_tick: The change of v_tick over the coming period, rad/s^2: the acceleration that a discrete step must make.
     """
 
@@ -70,7 +70,7 @@ class TickReference(NamedTuple):
         q: Position, rad (m for a slide joint).
         v: Velocity, rad/s.
         a: Acceleration, rad/s^2.
-        v_tick: What a sampled velocity reads on the way, rad/s.
+        v_tick: The sampled velocity, rad/s.
         a_tick: The forward difference of v_tick, rad/s^2.
     """
 

@@ -65,7 +65,7 @@ class ArmEstimate:
     Attributes:
         ok: Whether the motion excited all parameters that matter, and the prediction of held-out torques is good.
         reason: Why not, in words; empty if so.
-        arm: The arm as its model knows it.
+        arm: The model of the arm.
         friction: The friction model: "none", "coulomb+viscous" or "stribeck".
         inertia: (n, 10) of the link behind each joint, in the frame of the joint in `arm.pinocchio_model`: m, m c (3), Ixx,
             Ixy, Iyy, Ixz, Iyz, Izz, in kg, kg m and kg m^2; inertia about the origin of that frame.

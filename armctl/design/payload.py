@@ -100,7 +100,7 @@ def identify_payload(arm: Arm, log: Log) -> PayloadEstimate:
     parameters of a payload would be ill-conditioned; its inertia is taken to be a point mass's.
 
     Args:
-        arm: The arm as its model knows it.
+        arm: The model of the arm.
         log: A run of it with the payload, best along `excitation`.
 
     Returns:

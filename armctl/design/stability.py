@@ -1,4 +1,4 @@
-"""Margins of one linear loop: how much delay, gain and phase it bears, and its peak sensitivity."""
+"""Margins of one linear loop: its delay, gain and phase margins and its peak sensitivity."""
 
 from __future__ import annotations
 

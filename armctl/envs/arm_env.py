@@ -18,7 +18,7 @@ class ArmEnv(gymnasium.Env):
 
     Attributes:
         batch: The episode, a batch of one.
-        metadata: The rendering modes, as Gymnasium wants them.
+        metadata: The rendering modes, in the form of Gymnasium.
     """
 
     metadata = {  # noqa: RUF012

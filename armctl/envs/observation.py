@@ -17,7 +17,7 @@ class Observer:
 
     An observation has the positions and velocities of the joints, how far their targets are, the tip, what belongs to the task
     (opening of the gripper; object, its vertical axis, its velocity, and the vector to it from the tip; obstacle and the vector
-    to it; velocity of the goal), the goal, and the vector to the goal from what shall be there.
+    to it; velocity of the goal), the goal, and the vector from the controlled point to the goal.
 
     Attributes:
         columns: Where each quantity is.
@@ -83,7 +83,7 @@ class Observer:
         return self._numbers.astype(np.float32)
 
     def achieved(self, observations: Observations) -> Observations:
-        """(..., 3) m, what shall be at the goal."""
+        """(..., 3) m, the controlled point."""
         return observations[..., self._achieved]
 
     def desired(self, observations: Observations) -> Observations:

@@ -34,14 +34,14 @@ class Rows:
     """Several copies of an arm, each with its own plant, state and target.
 
     Attributes:
-        arm: The arm as controllers know it.
+        arm: The model of the controllers.
         count: The number of copies.
         ticks: Control periods in a step.
         mode: What the actions mean.
         signals: What disturbs measurements and commands.
         q: (count, n) rad, the positions.
         v: (count, n) rad/s, the velocities.
-        target: (count, n) rad, where the actions want the joints.
+        target: (count, n) rad, the joint targets of the actions.
         tip: (count, 12) position and rotation matrix of the tip.
         action: (count, k), the actions of the next step.
         limits: (5, n) least and greatest position, greatest speed, acceleration and torque.

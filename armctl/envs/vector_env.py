@@ -26,7 +26,7 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
 
     Attributes:
         batch: The episodes.
-        metadata: The autoreset mode and the rendering modes, as Gymnasium wants them.
+        metadata: The autoreset mode and the rendering modes, in the form of Gymnasium.
     """
 
     metadata = {  # noqa: RUF012
@@ -180,5 +180,5 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
 
 
 def _with_masks(values: Mapping[str, Any], mask: Any) -> dict[str, Any]:
-    """Information of all environments as Gymnasium wants it: with the names of who has it."""
+    """Information of all environments in the form of Gymnasium, with masks of the environments that have it."""
     return {**values, **{f"_{name}": mask for name in values}}

@@ -48,11 +48,11 @@ class Reachability:
         reason: Why `ok` is False; empty if it is True.
         arm: The name of the arm.
         points: (N, 3) m, in the world.
-        fraction: (N,) of the orientations, in [0, 1]; 0 or 1 if only points are asked for.
+        fraction: (N,) of the orientations, in [0, 1]; 0 or 1 if only points are tested.
         manipulability: (N,) the largest of Yoshikawa's sqrt(det(J J^T)) over the configurations found at the point; 0 where
             there is none. Its unit is m^3, or m^2 and less with fewer joints.
         spacing: m, between the points.
-        orientations: (M, 4) the orientations tried, wxyz; M is 0 if only points are asked for.
+        orientations: (M, 4) the orientations tried, wxyz; M is 0 if only points are tested.
     """
 
     ok: bool
@@ -231,7 +231,7 @@ def reachability(
     Args:
         arm: The arm.
         spacing: m, between the points; by default an eighth of the arm's length.
-        orientations: How many to try at each point; 0 asks for points only. By default 32, or 0 with fewer than six joints.
+        orientations: How many to try at each point; 0 tests points only. By default 32, or 0 with fewer than six joints.
         region: Two opposite corners of a box, (3,) m each. By default the sphere that the stretched arm could reach.
         threads: How many threads to use; by default one per core. The result does not depend on it.
 

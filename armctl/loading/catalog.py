@@ -210,7 +210,7 @@ def _is_folder(path: Path) -> bool:
 
 
 def robots() -> dict[str, str]:
-    """Every robot that `load` knows by name, and what armctl can do with it. Downloads nothing.
+    """All robots that `load` finds by name, and what armctl can do with them. Downloads nothing.
 
     Returns:
         Name, the alias where there is one, to a line of text: the bundled arm, then all of MuJoCo Menagerie.

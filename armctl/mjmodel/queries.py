@@ -72,7 +72,7 @@ def joint_actuators(model: mujoco.MjModel) -> dict[int, int]:
 
 
 def joint_range(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
-    """How far a joint can go, rad or m; infinite where it has no limit, or one that stands for "no limit".
+    """The range of a joint, rad or m; infinite where it has no limit, or one that stands for "no limit".
 
     Files without a notation for an unlimited sliding joint write 999999 m; such a range would set the scale of every length.
     """
@@ -153,7 +153,7 @@ def branch_counts(model: mujoco.MjModel) -> list[int]:
 
 
 def branches(model: mujoco.MjModel, body: int) -> list[int]:
-    """The jointed bodies that hang on a body, or on what is welded to it."""
+    """The jointed bodies that are attached to a body, or to a body welded to it."""
     rigid = welded_behind(model, body)
     return [b for b in range(1, model.nbody) if model.body_parentid[b] in rigid and model.body_jntnum[b] and b not in rigid]
 

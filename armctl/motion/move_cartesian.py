@@ -135,7 +135,7 @@ def move_c(
     Args:
         arm: The arm.
         q_start: (n,) rad, where it starts; or the pose of the tip there: then the branch with the shortest motion is chosen.
-        via: T_world_tip or (3,) m, a point on the way; its orientation does not matter.
+        via: T_world_tip or (3,) m, an intermediate point; its orientation is ignored.
         target: T_world_tip, or (3,) m with the orientation left free.
         angle: rad, how far to go on the circle; None stops at the target's point. 2 pi is the full circle, back to the start's.
             The target's orientation is reached at the end in any case.

@@ -30,7 +30,7 @@ def move_j(
 
     Straight: one path parameter carries all joints, its limits the tightest of theirs along the direction; ruckig
     (Berscheid and Kroeger, "Jerk-limited Real-time Trajectory Generation with Arbitrary Target States", RSS 2021) times it.
-    Where a motor would saturate it goes slower, and its `slowed` says so.
+    If a motor would saturate, the motion is slowed down, and `slowed` contains the factor.
 
     Args:
         arm: The arm.
@@ -47,7 +47,7 @@ def move_j(
     Raises:
         InputError: A wrong length, a number that is not finite, or a start velocity that leads off the line.
         LimitError: A position or velocity outside the limits, or a start so fast that the motion would leave them.
-        PlanError: A motor cannot hold the arm on the way, however slowly it moves.
+        PlanError: A motor cannot hold the arm at some point of the path.
     """
     planning = planning_arm(arm, speed)
     start = arm.checked("q_start", q_start)

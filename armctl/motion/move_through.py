@@ -48,7 +48,7 @@ def move_through(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike], *, 
     Raises:
         InputError: A wrong shape, a number that is not finite, or an arm without finite limits.
         LimitError: A position outside the limits.
-        PlanError: A motor cannot hold the arm on the way, however slowly it moves.
+        PlanError: A motor cannot hold the arm at some point of the path.
     """
     planning = planning_arm(arm, speed)
     vias = _vias(arm, waypoints)

@@ -32,7 +32,7 @@ class OnlineMotion:
     """
 
     def __init__(self, arm: Arm, q_start: ArrayLike, *, v_start: ArrayLike | None = None, a_start: ArrayLike | None = None):
-        """A motion from where the arm is; until it is given a goal it comes to rest.
+        """A motion that starts at the state of the arm; without a goal it decelerates to rest.
 
         Args:
             arm: The arm.
@@ -142,7 +142,7 @@ class OnlineMotion:
 
     @property
     def time_left(self) -> float:
-        """How long until it comes to rest, s, if nothing changes."""
+        """The time until it is at rest, s, if nothing changes."""
         return max(0.0, self._profile.duration - self._t)
 
     def _checked(self, q: ArrayLike) -> Array:

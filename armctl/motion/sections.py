@@ -51,7 +51,7 @@ class LimitedSection(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Via:
-    """A waypoint of `move_through`, and what holds on the way to it from the one before.
+    """A waypoint of `move_through`, and the limits of the section that ends at it.
 
     Attributes:
         q: (n,) rad.

@@ -1,4 +1,4 @@
-"""move_free: from one configuration to a goal around everything that is in the way, proved over the whole motion."""
+"""move_free: from one configuration to a goal around all obstacles, proved over the whole motion."""
 
 from __future__ import annotations
 

@@ -191,7 +191,7 @@ def build_pinocchio_model(
 
 
 def _joints_behind(model: mujoco.MjModel, joints: tuple[int, ...]) -> list[int]:
-    """For every joint, the position in `joints` of the one it hangs on, -1 where it hangs on none."""
+    """For every joint, the position in `joints` of its parent joint, -1 if it has none."""
     carried = last_joint_above(model, joints)
     behind: list[int] = []
     for i, joint in enumerate(joints):

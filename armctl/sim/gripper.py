@@ -36,7 +36,7 @@ class GripResult:
     """How a movement of the gripper ended. `bool(result)` is `result.ok`.
 
     Attributes:
-        ok: Whether the gripper grasped something, or reached the width that was asked for.
+        ok: Whether the gripper grasped something, or reached the requested width.
         grasped: Whether something is held between the pads.
         held: The body that is held; empty if none.
         width: m between the pads.
@@ -129,7 +129,7 @@ class Gripper:
             width: m.
 
         Returns:
-            How it ended; if an object stopped the pads, `reason` says so.
+            How it ended; if an object stopped the pads, `reason` names it.
 
         Raises:
             InputError: A width outside the gripper's range.

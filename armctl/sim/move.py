@@ -258,7 +258,7 @@ class ControlledArms:
         """A recorder whose ticks become the logs, however the run ends; a SimulationError gets the log of its arm.
 
         Args:
-            durations: s, when the reference of each arm comes to rest; left-out arms do not move.
+            durations: s, until the reference of each arm is at rest; left-out arms do not move.
             targets: (7,) of each arm; changes until the end of the run count. None for no targets.
             controller: The controller of an open-loop run, instead of the arms' own.
         """

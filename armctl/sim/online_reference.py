@@ -85,7 +85,7 @@ class OnlineReference:
         return self._motion.go_to_if(goal, accepts)
 
     def toward(self, goal: Array, ticks: int) -> TickReference:
-        """The next ticks on the way to a goal, (n,) rad, where the reference comes to rest."""
+        """The next ticks of a motion to a goal, (n,) rad, where the reference is at rest."""
         with contextlib.suppress(PlanError):  # the motion then stops; the next call plans again
             self._motion.go_to(goal)
         return self.next(ticks)

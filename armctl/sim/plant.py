@@ -244,7 +244,7 @@ class Plant:
         """The MuJoCo model of this plant.
 
         Args:
-            arm: The arm as controllers know it.
+            arm: The model of the controllers.
 
         Returns:
             A new model. All joints of the robot outside the chain, such as a gripper's, are braked.

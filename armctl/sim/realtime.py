@@ -99,7 +99,7 @@ class RealTimeSession:
 
         Args:
             target: T_world_tip.
-            held: Whether it still moves, as while somebody drags it. Then a path around what is in the way is not planned yet.
+            held: Whether it still moves, for example while it is dragged. No path around obstacles is planned then.
 
         Raises:
             InputError: It is not a Pose.
@@ -167,7 +167,7 @@ class RealTimeSession:
         self._command("controller", change)
 
     def set_payload(self, payload: float) -> None:
-        """Changes the mass at the tip. The controller does not know it.
+        """Changes the mass at the tip. The controller's model does not include it.
 
         Args:
             payload: Mass, kg.

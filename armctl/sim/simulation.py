@@ -44,7 +44,7 @@ class Simulation:
     and the next command continues from there. After a run that diverged, only `reset` helps.
 
     Attributes:
-        arm: The arm as its controller knows it.
+        arm: The model of the controller.
         plant: How the simulated arm differs.
         model: The plant's MuJoCo model.
         data: Its MjData, for reading.
@@ -235,7 +235,7 @@ class Simulation:
             tolerance: m, the largest position error at which the target counts as reached.
             angle_tolerance: rad, likewise.
             settle_timeout: s that the arm may take to come to rest after the motion.
-            avoid: Whether to go around everything that is in the way, where it is now; otherwise the move is straight.
+            avoid: Whether to plan around all bodies at their current positions; otherwise the move is straight.
             allow: Pairs of names of bodies or geoms that may touch.
             keep: "x", "y" or "z": the axis of the tip that keeps the direction it has now, as for a glass; needs `avoid`.
             keep_within: rad that this axis may tilt.
@@ -267,7 +267,7 @@ class Simulation:
             q: (n,) rad, inside the limits.
             speed: Fraction of the full speed, in (0, 1].
             settle_timeout: s that the arm may take to come to rest after the motion.
-            avoid: Whether to go around everything that is in the way, where it is now; otherwise the move is straight.
+            avoid: Whether to plan around all bodies at their current positions; otherwise the move is straight.
             allow: Pairs of names of bodies or geoms that may touch.
 
         Returns:
@@ -432,7 +432,7 @@ class Simulation:
         return self._move_along(goal, planner, settle_timeout, self._checker(avoid, allow), ends_at_target)
 
     def follow(self, target: str | Callable[[float], Pose | ArrayLike] = TARGET, *, seconds: float = 10.0) -> Log:
-        """Follows a moving target: reads it 50 times a second, and keeps every joint limit on the way to it.
+        """Follows a moving target: reads it 50 times per second, and respects all joint limits.
 
         If the target is out of reach, the tip goes to the closest point.
 

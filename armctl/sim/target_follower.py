@@ -1,4 +1,4 @@
-"""TargetFollower: the reference of an arm that follows a target, and that touches nothing on the way."""
+"""TargetFollower: the reference of an arm that follows a target without touching anything."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class PlannedPath:
     """A planned motion, as it is shown.
 
     Attributes:
-        tip: (T, 3) m, the way of the tip.
+        tip: (T, 3) m, the path of the tip.
         q_end: (n,) rad, where it ends.
         duration: s, at full speed.
     """
@@ -149,7 +149,7 @@ class TargetFollower:
         return self.reference.next(ticks)
 
     def _begin(self, wanted: Array | None, held: bool) -> None:
-        """Starts afresh towards the target, or towards joint angles (n,)."""
+        """Starts again towards the target, or towards joint angles (n,)."""
         self._wanted = wanted
         self._held = held
         self._finished = False

@@ -26,8 +26,8 @@ class WrenchSensor:
     """The wrenches on the tips of k arms, (6 k,) N and N m: force first, world axes, at the tip.
 
     A true wrench is the sum of all contacts, connections and pushes on the bodies behind the arm's last joint; an ideal flange
-    sensor that knows weight and inertia of the tool measures it. MuJoCo computes it during a step: the wrench at a tick is
-    that of the step before.
+    sensor measures it, with weight and inertia of the tool compensated. MuJoCo computes it during a step: the wrench at a tick
+    is that of the previous step.
 
     Attributes:
         true: (6 k,) the true wrenches at the last call of `read`.

@@ -147,7 +147,7 @@ def view(
         controller: Name of the first controller.
         port: Port of the page. Without a host, the next free one if it is taken; any free one if 0.
         host: Address of this machine at which other machines reach the page; None for this machine alone.
-        token: What visitors must know. Required with a host.
+        token: The token that visitors need. Required with a host.
         allowed_hosts: More names of this machine under which the page is reached, such as that of a gateway.
         title: What the browser's tab shows.
 

@@ -46,7 +46,7 @@ class _Moment(NamedTuple):
 
 
 class PicturePanel:
-    """Two buttons. The server draws in one thread, from the view of the browser that asked, and writes no file."""
+    """Two buttons. The server draws in one thread, from the view of the requesting browser, and writes no file."""
 
     def __init__(self, server: viser.ViserServer, session: RealTimeSession):
         """Adds the buttons to a server's page."""

@@ -1,4 +1,4 @@
-"""TipTrail: the way of the tip over the last seconds, as a line in the scene."""
+"""TipTrail: the path of the tip over the last seconds, as a line in the scene."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ class WebScene:
         Args:
             port: Port of the page. Without a host, the next free one if it is taken; any free one if 0.
             host: Address of this machine at which other machines reach the page; None for this machine alone.
-            token: What visitors must know; None if no token is needed.
+            token: The token that visitors need; None if no token is needed.
             allowed_hosts: More names of this machine that a request may carry in its Host header.
             title: What the browser's tab shows.
             in_notebook: Whether a notebook of this machine may show the page in a frame.

@@ -45,7 +45,7 @@ class CartesianExpert(Expert):
 
     @property
     def goal(self) -> Array:
-        """(3,) m, where it shall be."""
+        """(3,) m, its goal."""
         return self.batch.goal[self.row].copy()
 
     def above_table(self, point: Array, height: float) -> Array:

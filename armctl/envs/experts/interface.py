@@ -58,7 +58,7 @@ class Expert(ABC):
 
     @abstractmethod
     def next(self) -> Command:
-        """What the joints shall do in the next step."""
+        """The reference of the joints for the next step."""
 
     def act(self) -> Array:
         """The action of the next step."""

@@ -1,4 +1,4 @@
-"""Tasks: what the arm shall do, from which the goals of episodes, rewards and success follow."""
+"""Tasks: they define the goals of episodes, the rewards and success."""
 
 from armctl.envs.tasks.interface import Episode, Task
 from armctl.envs.tasks.pick_place import PickPlace

@@ -1,4 +1,4 @@
-"""Task: what an arm shall do. A task has goals, draws episodes, and says what is measured against the goal."""
+"""Task: the base of all tasks. A task has goals, draws episodes, and defines the point that is compared with the goal."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ class Task(ABC):
         min_duration: s, of an episode, if fifty steps are shorter.
         tolerance: m from the goal that counts as success.
         held_fraction: Of an episode, at its end, in which a policy that solves the task is at the goal.
-        object: The name of the loose object that shall be at the goal; empty if the tip shall be.
-        obstacle: The name of the body that shall not be touched; empty for none.
+        object: The name of the loose object to move to the goal; empty for the tip.
+        obstacle: The name of the body to avoid; empty for none.
         uses_gripper: Whether an action has a number for the gripper.
         moves_goal: Whether the goal moves during an episode.
         arm: The arm.
@@ -82,7 +82,7 @@ class Task(ABC):
 
     @property
     def points(self) -> Array:
-        """(k, 3) m, what a camera shall show."""
+        """(k, 3) m, the points that a camera must show."""
         return self.goals[:, 0]
 
     def start(self, rng: np.random.Generator, spread: float = _START_SPREAD) -> Array:

@@ -1,4 +1,4 @@
-"""PickPlace: a gripper shall lift an object to a goal."""
+"""PickPlace: lift an object to a goal with a gripper."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _LIFTED = (0.3, 0.8)  # of the height at which the tip moves, of goals above the
 
 
 class PickPlace(Task):
-    """A gripper shall lift an object to a goal.
+    """Lift an object to a goal with a gripper.
 
     The table is where the tool can point down, by the reach of the arm. The object is an upright cylinder, half as wide as the
     open gripper.

@@ -1,4 +1,4 @@
-"""Push: an object on a table shall be pushed to a goal on the table."""
+"""Push: push an object on a table to a goal on the table."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BEHIND = 0.02  # m, between the tool and the object before it pushes
 
 
 class Push(Task):
-    """An object on a table shall be pushed to a goal on the table.
+    """Push an object on a table to a goal on the table.
 
     The table is where the tool can point down, by the reach of the arm. The object is an upright cylinder. A gripper
     is closed and braked.

@@ -1,4 +1,4 @@
-"""Reach: the tip shall be at a point."""
+"""Reach: move the tip to a point."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _GOALS = 2048
 
 
 class Reach(Task):
-    """The tip shall be at a point, which is new in each episode.
+    """Move the tip to a point, which is new in each episode.
 
     Goals are tips of configurations around home at which nothing touches, so the arm can reach each of them.
 

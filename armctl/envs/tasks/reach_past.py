@@ -1,4 +1,4 @@
-"""ReachPast: the tip shall be at a point, and an obstacle is on the straight way."""
+"""ReachPast: move the tip to a point with an obstacle on the straight path."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class _SceneWithBall(Scene):
 
 
 class ReachPast(Task):
-    """The tip shall be at a point, and shall not touch a ball on the straight way.
+    """Move the tip to a point without touching a ball on the straight path.
 
     The ball is where the tip is in the middle of the straight way between the start and the goal in joint space. At the start
     and at the goal the arm is clear of it by half of its radius.

@@ -1,4 +1,4 @@
-"""Track: the tip shall stay at a point that moves on a smooth path."""
+"""Track: follow a point that moves on a smooth path."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _DURATION = 6.0  # s, of a path; its last point stays
 
 
 class Track(Task):
-    """The tip shall stay at a point that moves on a smooth path, which is new in each episode.
+    """Follow a point that moves on a smooth path, which is new in each episode.
 
     The path is that of the tip while each joint moves by the sum of two sines, so the arm can follow it. At all of twelve
     checked points of a path the arm touches nothing.

@@ -102,7 +102,7 @@ class Straight:
     Attributes:
         start: (3,) m.
         end: (3,) m.
-        turn: How the orientation goes along.
+        turn: How the orientation changes along the path.
     """
 
     start: Array
@@ -138,7 +138,7 @@ class Circle:
         center: (3,) m.
         axis: (3,) unit vector that it turns about.
         angle: rad, how far.
-        turn: How the orientation goes along.
+        turn: How the orientation changes along the path.
     """
 
     start: Array
@@ -156,7 +156,7 @@ class Circle:
             via: (3,) m.
             end: (3,) m.
             angle: rad, how far to go on the circle; None stops at the third point.
-            turn: How the orientation goes along.
+            turn: How the orientation changes along the path.
 
         Returns:
             The arc.

@@ -187,7 +187,7 @@ class JointTrajectory:
         return self._with(stopped(self.pieces, self.limits, number("t", t, 0.0, self.duration)))
 
     def overridden(self, t: float, factor: float) -> JointTrajectory:
-        """The motion with another speed on its path from a time on: a speed override that is changed on the way.
+        """The motion with another speed on its path from a time on: a speed override that changes during the motion.
 
         The speed changes smoothly, as soon as the limits on position, speed, acceleration and jerk allow. A greater speed is
         reduced to what the rest of the motion allows. A motion that is about to end may change its speed less, or not at all,
