@@ -43,7 +43,7 @@ class Finding:
     """One thing that is doubtful in a robot's file.
 
     Attributes:
-        severity: "error" if the arm cannot work so, "warning" if results can be wrong, "note" for an assumption.
+        severity: "error" if the arm cannot be used, "warning" if results can be wrong, "note" for an assumption.
         text: What was found.
         advice: What to write or to pass instead; empty if there is no advice.
     """

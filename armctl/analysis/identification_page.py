@@ -53,7 +53,7 @@ def identification_page(estimate: ArmEstimate, path: str | os.PathLike[str]) -> 
         The path.
 
     Raises:
-        InputError: It is no estimate, or the path has another ending.
+        InputError: It is no estimate, or the path has another file extension.
         ArmctlError: The file cannot be written.
     """
     instance("estimate", estimate, ArmEstimate, "armctl.identify(arm, log) returns one")

@@ -56,10 +56,10 @@ class Iso9283:
 
     Attributes:
         ok: Whether all cycles were run.
-        reason: Why not, in words; empty if `ok`.
+        reason: The reason if it is not ok; empty if it is.
         robot: The arm's name.
         controller: The controller's name.
-        plant: How the plant differed from the model, in words.
+        plant: The differences of the plant from the model.
         cycles: Number of cycles through the five poses.
         path_cycles: Number of cycles along the path.
         speed: Fraction of the maximum speed.

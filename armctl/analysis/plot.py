@@ -38,7 +38,7 @@ def four_panels(log: Log, path: str | os.PathLike[str] | None = None) -> Path | 
         The path, if one was given.
 
     Raises:
-        InputError: The log is empty, or the path has another ending.
+        InputError: The log is empty, or the path has another file extension.
         ArmctlError: The file cannot be written.
         NotInstalledError: There is no screen for a window.
     """

@@ -31,11 +31,11 @@ class Report:
 
     Attributes:
         ok: Whether the run was completed and the tip was at its goal at the end.
-        reason: Why not, in words; empty if `ok`.
+        reason: The reason if it is not ok; empty if it is.
         verdict: The result in one sentence.
         robot: The arm's name.
         controller: The controller's name.
-        plant: How the plant differed from the model, in words.
+        plant: The differences of the plant from the model.
         joint_rms_rad: Root mean square of q_ref - q over ticks and hinge joints, while the reference moves; NaN without hinges.
         joint_max_rad: The largest of these errors.
         joint_rms_m: Root mean square of q_ref - q over ticks and slide joints, while the reference moves; NaN without slides.
@@ -206,7 +206,7 @@ def contacts_in_words(contacts: Sequence[Contact]) -> str:
 
 
 def table(reports: Sequence[Report]) -> str:
-    """Shows reports side by side, as a Markdown table.
+    """Formats reports side by side as a Markdown table.
 
     Args:
         reports: The reports, one per row.

@@ -98,7 +98,7 @@ def check_clearance(
 
     The geometry is MuJoCo's: convex hulls and primitives, everything outside the arm's chain at home. Pairs that touch by
     design are left out, and so are neighboring links that are proved apart over the whole range of their joint. The proof is of
-    the planned motion: the error of the controller and things that move are what the clearance is for.
+    the planned motion: choose the clearance for tracking errors and bodies that move.
 
     Args:
         arm: The arm, in its scene.

@@ -26,7 +26,7 @@ _WRENCH_FILTER = 20.0
 
 
 class Admittance:
-    """Admittance control: a position loop follows a reference that yields.
+    """Admittance control: a position loop follows a compliant reference.
 
         mass x_c'' + damping x_c' + stiffness x_c = wrench,    tip reference = reference + x_c
 
@@ -39,9 +39,9 @@ class Admittance:
     Attributes:
         mass: (6,) kg and kg m^2 along and about the world's axes.
         damping: (6,) N s/m and N m s/rad.
-        stiffness: (6,) N/m and N m/rad; where it is 0, the tip stays where it was moved to.
+        stiffness: (6,) N/m and N m/rad; if it is 0, the tip stays where it was displaced to.
         bandwidth: rad/s, of the position loop.
-        offset: (6,) m and rad, how far the reference has yielded.
+        offset: (6,) m and rad, the displacement of the reference.
     """
 
     name = "admittance"

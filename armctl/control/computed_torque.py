@@ -21,7 +21,7 @@ class ComputedTorque(KernelController):
     """Computed torque (inverse dynamics control): tau = ID(q, v, a_ref + k_p (q_ref - q) + k_d (v_ref - v)).
 
     After Siciliano, Sciavicco, Villani, Oriolo, Robotics: Modelling, Planning and Control (2009), 8.5.2. Dry friction is fed
-    forward at the velocity of the reference, so that measurement noise does not make it chatter. The feedback of a joint with
+    forward at the velocity of the reference, so that measurement noise does not cause chatter. The feedback of a joint with
     negligible inertia is that of a joint with a small one (`gains.extra_inertia`).
 
     The discrete form (the default) inverts the plant's motion over one control period instead of the differential equation.

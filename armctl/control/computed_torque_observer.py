@@ -23,10 +23,10 @@ class ComputedTorqueObserver(KernelController):
     """Computed torque with estimated velocities and disturbance torques d: tau = ID(q, v, a_ref + k_p e + k_d e_dot) - d.
 
     The commanded acceleration predicts position and velocity, and the measured position corrects both, so that the noise of
-    encoders that a velocity would be differenced from hardly reaches the motors. The observer cancels all torques that the
+    encoders has little effect on the torques. The observer cancels all torques that the
     model does not explain. Default gains suppress disturbances as well as a delay margin of 5 ms (and of 2.5 control periods)
     and a peak sensitivity of 1.7 permit, and are stable with unknown payloads (`observer_gains`), so they depend on the control
-    period. `armctl info` prints the payload that they are made for.
+    period. `armctl info` prints the payload that they tolerate.
 
     Attributes:
         bandwidth: rad/s of the feedback; None if it follows from the margins.

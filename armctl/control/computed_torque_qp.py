@@ -31,7 +31,7 @@ _VIOLATION_WEIGHT = 1e4  # of limits that cannot be respected, relative to the d
 class ComputedTorqueQP(ComputedTorque):
     """Computed torque that respects the limits of torque, velocity and position with the least error of the tip.
 
-    While the desired acceleration respects all limits, it is used as it is. Otherwise a minimizes the square of
+    While the desired acceleration respects all limits, it is applied unchanged. Otherwise a minimizes the square of
     J (a - a_desired), subject to
 
         -tau_max <= M a + h <= tau_max,    -v_max <= v + dt a <= v_max,    and the viability of q,
@@ -39,13 +39,13 @@ class ComputedTorqueQP(ComputedTorque):
     in which rotations weigh less than translations, and the joints decide what the tip leaves open. Speeds are viable if the
     joint stops before the end of its range with its greatest acceleration, or with the torque that is left (Del Prete, "Joint
     position and velocity bounds in discrete-time acceleration/torque control of robot manipulators", 2018). If the limits
-    exclude each other, torque limits hold and the others are violated least.
+    contradict each other, the torque limits hold and the violation of the others is minimal.
 
-    The joints then recover on a curve of the tip. What the tip's acceleration lacks for a straight return is therefore added to
+    The joints then recover on a curve of the tip. The missing acceleration for a straight return is therefore added to
     a_desired; it is of second order in the errors.
 
     Clipping each torque, in contrast, moves the arm off its path in all directions. The limits hold for an arm like the model;
-    a known payload belongs into it (`Arm.with_payload`).
+    add a known payload to it (`Arm.with_payload`).
 
     Attributes:
         bandwidth: rad/s.

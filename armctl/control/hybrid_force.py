@@ -83,7 +83,7 @@ class HybridForce:
 
         Args:
             arm: The arm whose model it uses.
-            force: What the tip exerts, N along "x", "y", "z" and N m about "rx", "ry", "rz"; all other axes follow the motion.
+            force: The target force, N along "x", "y", "z" and N m about "rx", "ry", "rz"; all other axes follow the motion.
                 `{"z": -20.0}` presses down with 20 N.
             frame: "world" for axes of the world, "tip" for axes that turn with the tip.
             bandwidth: rad/s, of the tip's error along motion axes.
@@ -114,7 +114,7 @@ class HybridForce:
 
     @property
     def force(self) -> dict[str, float]:
-        """What the tip exerts along the force axes, N and N m. It can be replaced during a run; other axes move."""
+        """The target forces along the force axes, N and N m. It can be replaced during a run; other axes move."""
         return {name: axis.target for name, axis in self._axes.items()}
 
     @force.setter
@@ -132,7 +132,7 @@ class HybridForce:
 
     @property
     def in_contact(self) -> bool:
-        """Whether every axis with a force has found its contact."""
+        """Whether every force axis is in contact."""
         return all(axis.touches for axis in self._axes.values() if axis.target)
 
     @explains_wrong_arguments

@@ -20,7 +20,7 @@ _STATE_HINT = "armctl.State(q, v) is one"
 
 
 class State(NamedTuple):
-    """What a controller measures at a tick.
+    """The measurements of a controller at a tick.
 
     Attributes:
         q: (n,) measured positions, rad.

@@ -14,7 +14,7 @@ from armctl.robot.arm import Arm, check_arm
 
 
 class TorqueRateLimit:
-    """A controller whose torques change no faster than the interfaces of many arms allow.
+    """A controller with limited torque rates, as the interfaces of many arms require.
 
     The first torque of a run is not limited.
 
@@ -22,7 +22,7 @@ class TorqueRateLimit:
         controller: The controller whose torques are limited.
         tau_rate_max: (n,) N m/s.
         name: The name of the controller.
-        needs_wrench: Whether the controller does.
+        needs_wrench: Whether the controller needs the wrench.
     """
 
     def __init__(self, arm: Arm, controller: Controller, tau_rate_max: ArrayLike):

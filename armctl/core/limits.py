@@ -13,15 +13,15 @@ from armctl.core.validation import Array, instance, number, shown, vector
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What the joints can do. Each (n,), read-only; `inf` where a joint is not limited.
+    """The limits of the joints. Each (n,), read-only; `inf` if a joint is not limited.
 
     Attributes:
-        q_min: Least position, rad (m for a slide joint).
-        q_max: Greatest position, rad.
-        v_max: Greatest speed, rad/s.
-        a_max: Greatest acceleration, rad/s^2.
-        j_max: Greatest jerk, rad/s^3.
-        tau_max: Greatest torque, N m (N for a slide joint).
+        q_min: Minimum position, rad (m for a slide joint).
+        q_max: Maximum position, rad.
+        v_max: Maximum speed, rad/s.
+        a_max: Maximum acceleration, rad/s^2.
+        j_max: Maximum jerk, rad/s^3.
+        tau_max: Maximum torque, N m (N for a slide joint).
     """
 
     q_min: Array

@@ -58,7 +58,7 @@ class Log:
         target: (7,) where the tip should end, m and wxyz; NaN for what is free. After `Simulation.follow` the target at the end
             of the run.
         real_time_factor: Simulated time divided by computing time.
-        failure: Why the run ended early, in words; empty if it did not.
+        failure: The reason if the run ended early; empty if it did not.
         t: (T,) s.
         q: (T, n) rad.
         v: (T, n) rad/s.
@@ -71,7 +71,7 @@ class Log:
         tip_quat: (T, 4) wxyz.
         tip_ref: (T, 3) m.
         tip_ref_quat: (T, 4) wxyz.
-        plant: How the plant differed from the model, in words.
+        plant: The differences of the plant from the model.
         qpos: (T, nq) the positions of the whole model as in MjData.qpos, with grippers and loose objects, for films.
         units: The unit of each joint, "rad" or "m"; rad for all joints if left out.
         contacts: What the arm touched, in the order of time; empty if it touched nothing.
@@ -136,7 +136,7 @@ class Log:
         return log_files.flat(vars(self), log_files.columns(self.joint_names, self.units, log_files.widths(vars(self))))
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes the log. Its ending decides the format: .npz, .parquet and .csv contain the whole log, and `load` reads them.
+        """Writes the log. The extension selects the format: .npz, .parquet and .csv contain the whole log, and `load` reads them.
 
         Parquet has one column per quantity and joint, such as "q/joint1", with its unit in the metadata of the column. CSV has
         the same columns after one line with everything else: `pandas.read_csv(path, comment="#")`. MCAP has ROS 2 messages,
@@ -152,7 +152,7 @@ class Log:
             The path.
 
         Raises:
-            InputError: Another ending.
+            InputError: Another file extension.
             NotInstalledError: Parquet needs the extra `study`, MCAP the extra `ros`.
             ArmctlError: The file cannot be written.
         """
@@ -179,7 +179,7 @@ class Log:
             The path.
 
         Raises:
-            InputError: Another ending.
+            InputError: Another file extension.
             NotInstalledError: The extra `rerun` is not installed.
             ArmctlError: The file cannot be written.
         """

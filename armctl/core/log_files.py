@@ -86,15 +86,16 @@ def flat(arrays: Mapping[str, Array], layout: Sequence[Column]) -> dict[str, Arr
 
 
 def save(path: Path, content: Content) -> None:
-    """Writes a file in the format of its ending."""
+    """Writes a file in the format of its file extension."""
     WRITERS[path.suffix](path, content)
 
 
 def load(path: Path) -> Content:
-    """Reads a file in the format of its ending.
+    """Reads a file in the format of its file extension.
 
     Raises:
-        InputError: Another ending, or no log that armctl wrote; what damaged bytes raise otherwise depends on the format.
+        InputError: Another file extension, or no log that armctl wrote; what damaged bytes raise otherwise depends on the
+            format.
         NotInstalledError: A Parquet file, and pyarrow is not installed.
     """
     if path.suffix not in _READERS:

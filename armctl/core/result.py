@@ -10,14 +10,14 @@ from armctl.core.log import Contact, Log
 
 @dataclass(frozen=True, eq=False)
 class MoveResult:
-    """How a move ended. `bool(result)` is `result.ok`.
+    """The result of a move. `bool(result)` is `result.ok`.
 
     Attributes:
         ok: Whether the tip is at the target and at rest.
         position_error: m, measured in the simulation.
         orientation_error: rad, measured likewise; 0 if any orientation is accepted.
         duration: s of simulated time.
-        reason: Why it is not ok, in words; empty if it is.
+        reason: The reason if it is not ok; empty if it is.
         log: Every tick of it; None if nothing moved.
     """
 

@@ -27,7 +27,7 @@ class Validation:
 
     Attributes:
         ok: Whether the prediction is good enough on every joint.
-        reason: Which joint it is not good enough on; empty if it is.
+        reason: The joint with a prediction that is not good enough; empty if there is none.
         t: (K,) s.
         measured: (K, n) N m, low-pass filtered as in the fit.
         predicted: (K, n) N m, by the identified parameters.
@@ -64,12 +64,12 @@ class ArmEstimate:
 
     Attributes:
         ok: Whether the motion excited all parameters that matter, and the prediction of held-out torques is good.
-        reason: Why not, in words; empty if so.
+        reason: The reason if it is not ok; empty if it is.
         arm: The model of the arm.
         friction: The friction model: "none", "coulomb+viscous" or "stribeck".
         inertia: (n, 10) of the link behind each joint, in the frame of the joint in `arm.pinocchio_model`: m, m c (3), Ixx,
             Ixy, Iyy, Ixz, Iyz, Izz, in kg, kg m and kg m^2; inertia about the origin of that frame.
-        inertia_error: (n, 10) standard errors; as large as the uncertainty before the fit where the motion shows nothing.
+        inertia_error: (n, 10) standard errors; as large as the prior uncertainty if the motion does not excite them.
         consistent: (n,) bool, whether a rigid body can have these parameters.
         rotor_inertia: (n,) kg m^2, reflected to the joint (MuJoCo's armature).
         rotor_inertia_error: (n,) standard errors.
@@ -86,9 +86,9 @@ class ArmEstimate:
         base_names: Names of the base parameters, each by the parameter that leads the combination.
         base_values: Their values, SI units.
         base_errors: Their standard errors.
-        unexcited: Names of base parameters that matter for torques and that the motion did not show.
+        unexcited: Names of relevant base parameters that the motion did not excite.
         condition_number: Of the regressor of the base parameters, with columns of equal length.
-        findings: What differs most from the arm's model, one sentence each.
+        findings: The largest differences from the arm's model, one sentence each.
         validation: Measured and predicted torques on held-out data.
     """
 
@@ -149,7 +149,7 @@ class ArmEstimate:
         return self.viscous_friction * v + (self.coulomb_friction + breakaway) * np.clip(v / speeds.smoothing, -1.0, 1.0)
 
     def applied_to(self, arm: Arm) -> Arm:
-        """The arm with the identified inertia, rotor inertia and friction: give it to a controller.
+        """The arm with the identified inertia, rotor inertia and friction, for a controller.
 
         `inverse_dynamics` of the result contains the identified viscous friction. Its Coulomb friction is MuJoCo's
         `frictionloss`, which `inverse_dynamics` leaves out by definition and controllers compensate. Breakaway friction and

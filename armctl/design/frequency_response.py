@@ -47,7 +47,7 @@ class FrequencyResponse:
         measured: (k,) complex, the sensitivity S_ii from the simulation.
         predicted: (k,) complex, from the linear loop.
         coherence: (k,) in [0, 1], the share of the measured torque that follows from the excitation.
-        reason: Why it is not ok, in words; empty if it is.
+        reason: The reason if it is not ok; empty if it is.
     """
 
     ok: bool

@@ -70,7 +70,7 @@ def identify(
         arm: The model of the arm.
         log: A recording, or a CSV file with the default columns of `Log.from_csv` in the arm's units.
         friction: "none", "coulomb+viscous", or "stribeck" for a breakaway torque as well.
-        consistent: Whether each link must be one that a rigid body can be.
+        consistent: Whether each link must be physically consistent.
         holdout: Share of the recording, at its end, that validates the result, in [0.05, 0.5].
 
     Returns:

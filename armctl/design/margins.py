@@ -52,7 +52,7 @@ class Margins:
         phase: The smallest phase margin, rad.
         peak_sensitivity: The largest Ms.
         loops: How many loops were examined.
-        reason: Why it is not ok, in words; empty if it is.
+        reason: The reason if it is not ok; empty if it is.
     """
 
     ok: bool

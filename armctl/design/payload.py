@@ -32,15 +32,15 @@ _MIN_INDEPENDENT_SHARE = 1e-6  # of the mass's regressor that is not round-off
 
 @dataclass(frozen=True, eq=False)
 class PayloadEstimate:
-    """A payload, and friction that the model does not have, identified from one run. True if the run showed enough.
+    """A payload, and friction that the model does not have, identified from one run. True if the run determines them.
 
     Attributes:
-        ok: Whether the run showed enough.
-        reason: Why not, in words; empty if it did.
+        ok: Whether the run determines them.
+        reason: The reason if it is not ok; empty if it is.
         mass: kg; NaN, like all numbers here, where nothing could be fitted.
         mass_error: kg, its standard error.
         center: (3,) m, in the tip's frame.
-        center_error: (3,) m, standard errors; infinite where the run does not show the centre.
+        center_error: (3,) m, standard errors; infinite if the run does not determine the center.
         coulomb_friction: (n,) N m of dry friction.
         coulomb_error: (n,) N m, standard errors.
         viscous_friction: (n,) N m s/rad of damping.
@@ -92,7 +92,7 @@ class PayloadEstimate:
 
 
 def identify_payload(arm: Arm, log: Log) -> PayloadEstimate:
-    """The payload and the friction that explain a run's torques.
+    """Identifies payload and friction from the torques of a run.
 
     Least squares of the torques that the arm's model leaves over on {m, m c} at the tip, Coulomb and viscous friction, both
     sides through the same zero-phase filter; after Swevers, Verdonck, De Schutter, "Dynamic model identification for industrial
@@ -104,7 +104,7 @@ def identify_payload(arm: Arm, log: Log) -> PayloadEstimate:
         log: A run of it with the payload, best along `excitation`.
 
     Returns:
-        The estimate; where the run shows too little, `ok` is False and `reason` says why.
+        The estimate; if the run does not determine it, `ok` is False with a reason.
 
     Raises:
         InputError: It is not an arm, not a log, or the log is of an arm with other joints.

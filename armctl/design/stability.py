@@ -31,7 +31,7 @@ class LoopMargins:
         phase_margin: rad, the smallest phase shift, lag or lead, that makes it unstable; infinite if there is none.
         peak_sensitivity: Ms, the largest sensitivity of any joint at any frequency, with the loops of the other joints closed.
         spectral_radius: The largest magnitude of an eigenvalue of the closed loop; below 1 if it is stable.
-        reason: Why it is not ok, in words; empty if it is.
+        reason: The reason if it is not ok; empty if it is.
     """
 
     ok: bool

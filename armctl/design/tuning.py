@@ -77,9 +77,9 @@ class Tuning:
         active: The bound that the next higher gain of each joint violates: "delay margin", "peak sensitivity", "chatter" or
             "none"; one for all joints where they have a common gain.
         gains: The gains by name, each a number or (n,).
-        before: What the default gains achieve.
-        after: What the tuned gains achieve.
-        reason: Why no gains satisfy the bounds, in words; empty if ok.
+        before: The figures of the default gains.
+        after: The figures of the tuned gains.
+        reason: The reason if no gains satisfy the bounds; empty if ok.
     """
 
     ok: bool

@@ -27,13 +27,13 @@ POSITION_ROUNDING = 4 * np.finfo(float).eps  # relative: q + dt * v must not rou
 
 
 class DifferentialIk:
-    """Follows a target with joint velocities. Position and velocity limits hold whatever the solver answers.
+    """Follows a target with joint velocities. Position and velocity limits hold even if the solver fails.
 
     Attributes:
         arm: The arm.
         configuration: mink's configuration, at the last step.
         tip: The mink task that brings the tip to the target.
-        status: How the last step ended: "solved", "held back" (shortened, because it would have come too near something), or
+        status: How the last step ended: "solved", "held back" (shortened, because it would have ended too near a body), or
             "no solution" (the velocity is zero).
     """
 
@@ -56,7 +56,7 @@ class DifferentialIk:
             arm: The arm.
             posture: (n,) rad (m for a slide joint), which the joints approach as far as the tip leaves them free. By default
                 the arm's home.
-            posture_gain: 1/s, how fast; 0 for not at all.
+            posture_gain: 1/s, the gain of the posture; 0 disables it.
             avoid_collisions: Whether to keep the arm clear of itself and of the scene.
             clearance: m, the distance to keep.
             tasks: Further mink tasks, made for `arm.model`.

@@ -39,7 +39,7 @@ _FILE_VERSION = 1
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Reachability:
-    """What an arm reaches, on a grid of points.
+    """The points of a grid that an arm reaches.
 
     `bool(result)` is `result.ok`.
 
@@ -123,7 +123,7 @@ class Reachability:
             path: A file that ends in ".npz".
 
         Raises:
-            InputError: It has another ending.
+            InputError: It has another file extension.
             OSError: The file cannot be written.
         """
         with atomic_path(file_path("path", path, (".npz",))) as temporary:

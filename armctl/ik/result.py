@@ -21,7 +21,7 @@ class IkResult:
         reason: Why `ok` is False, in words; empty if it is True.
         iterations: Solver steps over all starts.
         starts: From how many configurations the solver started.
-        branch: Which branch of the arm's configurations `q` is in, as "shoulder+ elbow- wrist+": the signs of the factors of
+        branch: The branch of the configuration `q`, such as "shoulder+ elbow- wrist+": the signs of the factors of
             the Jacobian's determinant, which change only at a singularity, where they are "0". None for an arm without a
             closed form.
     """

@@ -35,12 +35,12 @@ class SerialChain:
     """Joints in series inside a model: an arm, a leg, a finger, a head.
 
     Attributes:
-        base: The body it stands on; "world" if no joint moves its base.
+        base: The body at its start; "world" if no joint moves its base.
         tip: The site or body at its end.
         joint_names: Its joints, from the base to the tip, as an arm's; of joints tied to each other the first one.
-        actuator_names: What moves them; empty for a joint that nothing moves.
+        actuator_names: Their actuators; empty for a joint without one.
         followers: The joints, in the chain or beside it, that equalities tie to one of these and that follow it.
-        reason: Why `armctl.load` refuses it; empty if it does not.
+        reason: The reason if `armctl.load` rejects it; empty if it does not.
     """
 
     base: str
@@ -52,7 +52,7 @@ class SerialChain:
 
     @property
     def ok(self) -> bool:
-        """Whether `armctl.load(robot, base=..., tip=...)` takes it."""
+        """Whether `armctl.load(robot, base=..., tip=...)` accepts it."""
         return not self.reason
 
     def __bool__(self) -> bool:

@@ -91,7 +91,7 @@ def load(
         hold_base: Whether to hold a robot that floats or walks, such as a quadruped, where its keyframe puts it.
         tool: The gripper or hand to mount at the tip: by name, MJCF file or MjSpec. The tip is then the tool's.
         scene: The objects around the robot: a Scene, or the path of an MJCF file that holds one.
-        srdf: The path of an SRDF, which says which links may touch, where home is, and which groups `tip` can name. Left out,
+        srdf: The path of an SRDF, with allowed contacts, the home configuration, and groups for `tip`. Left out,
             armctl uses the one beside a URDF; without any, links of a URDF that touch at home may touch.
 
     Returns:
@@ -133,12 +133,13 @@ def load_arms(
     scene: Scene | str | os.PathLike[str] | None = None,
     srdf: str | os.PathLike[str] | None = None,
 ) -> tuple[Arm, ...]:
-    """Several chains of one robot that move at once: two arms, four legs, five fingers.
+    """Several chains of one robot that move at the same time: two arms, four legs, five fingers.
 
     Args:
         robot: As for `load`.
         tips: The site, body or geom at the end of each chain.
-        base: The body they all stand on, or one for each: joints above it are held. Left out (None), they start at the world.
+        base: The body at the start of all chains, or one for each: joints above it are held. Left out (None), they start at
+            the world.
         hold_base: As for `load`.
         scene: As for `load`.
         srdf: As for `load`.
@@ -149,7 +150,7 @@ def load_arms(
     Raises:
         InputError: As for `load`; or the bases are not as many as the tips.
         UnknownNameError: As for `load`.
-        ModelError: As for `load`; or two chains share a joint, or one stands on another, which it would shake.
+        ModelError: As for `load`; or two chains share a joint, or one is mounted on another.
 
     Warns:
         ArmctlWarning: As for `load`.
@@ -177,13 +178,13 @@ def load_arms(
 
 
 def chains(robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel) -> list[SerialChain]:
-    """Every serial chain of a robot: its arms, legs, fingers, heads. A free base is taken as held.
+    """Every serial chain of a robot: its arms, legs, fingers, heads. A free base is treated as fixed.
 
     Args:
         robot: As for `load`.
 
     Returns:
-        Those that `load` takes with their base and tip, longest first, then those it refuses, with the reason.
+        The chains that `load` accepts with their base and tip, longest first, then those it rejects, with the reason.
 
     Raises:
         InputError: The argument is no robot.

@@ -39,11 +39,11 @@ class Line:
 
     Attributes:
         target: T_world_tip at its end, or (3,) m with the orientation left free.
-        blend: m, how far around its end the corner to what follows may be rounded; None for the path's own.
+        blend: m, the radius in which the corner at its end may be rounded; None for that of the path.
         speed: Fraction of the speed that the motion has without it, in (0, 1].
         acceleration: Fraction of the joints' acceleration limits, in (0, 1].
-        payload: kg at the tip, beside what the arm carries.
-        dwell: s, how long the arm stands still at its end; the corner there is not rounded.
+        payload: kg at the tip, in addition to the payload of the arm.
+        dwell: s, a pause at its end; the corner there is not rounded.
     """
 
     target: Pose | ArrayLike
@@ -61,12 +61,12 @@ class Arc:
     Attributes:
         via: T_world_tip or (3,) m, a point that it goes through.
         target: T_world_tip at its end, or (3,) m with the orientation left free.
-        angle: rad, how far to go on the circle; None stops at the target. 2 pi is the full circle.
-        blend: m, how far around its end the corner to what follows may be rounded; None for the path's own.
+        angle: rad, the angle on the circle; None stops at the target. 2 pi is the full circle.
+        blend: m, the radius in which the corner at its end may be rounded; None for that of the path.
         speed: Fraction of the speed that the motion has without it, in (0, 1].
         acceleration: Fraction of the joints' acceleration limits, in (0, 1].
-        payload: kg at the tip, beside what the arm carries.
-        dwell: s, how long the arm stands still at its end; the corner there is not rounded.
+        payload: kg at the tip, in addition to the payload of the arm.
+        dwell: s, a pause at its end; the corner there is not rounded.
     """
 
     via: Pose | ArrayLike
@@ -90,18 +90,18 @@ def move_l(
     v_start: ArrayLike | None = None,
     a_start: ArrayLike | None = None,
 ) -> JointTrajectory:
-    """The tip on a straight line, its orientation turning along about one axis, as fast as the joints can.
+    """The fastest motion of the tip on a straight line; its orientation rotates about one axis.
 
-    Near a singularity, where the joints have far to go, it slows down. If the arm moves at the start, the line begins where it
+    Near a singularity, where the joints must move far, it slows down. If the arm moves at the start, the line begins where it
     would come to rest, and the arm turns onto it while it slows down.
 
     Args:
         arm: The arm.
-        q_start: (n,) rad, where it starts; or the pose of the tip there: then the branch with the shortest motion is chosen.
+        q_start: (n,) rad, the start; or the pose of the tip at the start: then the branch with the shortest motion is chosen.
         target: T_world_tip at the end, or (3,) m with the orientation left free.
-        speed: Fraction of the full speed, in (0, 1]; it scales the caps on the tip's speed, too.
-        tip_speed: m/s, the greatest speed of the tip's point; None for no cap.
-        tip_angular_speed: rad/s, the greatest speed of its turning; None for no cap.
+        speed: Fraction of the full speed, in (0, 1]; it also scales the limits of the tip's speed.
+        tip_speed: m/s, the maximum speed of the tip; None for no limit.
+        tip_angular_speed: rad/s, the maximum angular speed of the tip; None for no limit.
         v_start: (n,) rad/s, if it starts while the arm moves; zero if left out.
         a_start: (n,) rad/s^2, likewise.
 
@@ -130,18 +130,18 @@ def move_c(
     v_start: ArrayLike | None = None,
     a_start: ArrayLike | None = None,
 ) -> JointTrajectory:
-    """The tip on an arc from where it is through one point to another, its orientation turning along about one axis.
+    """The fastest motion of the tip on an arc through one point to another; its orientation rotates about one axis.
 
     Args:
         arm: The arm.
-        q_start: (n,) rad, where it starts; or the pose of the tip there: then the branch with the shortest motion is chosen.
+        q_start: (n,) rad, the start; or the pose of the tip at the start: then the branch with the shortest motion is chosen.
         via: T_world_tip or (3,) m, an intermediate point; its orientation is ignored.
         target: T_world_tip, or (3,) m with the orientation left free.
-        angle: rad, how far to go on the circle; None stops at the target's point. 2 pi is the full circle, back to the start's.
+        angle: rad, the angle on the circle; None stops at the target's point. 2 pi is the full circle, back to the start's.
             The target's orientation is reached at the end in any case.
-        speed: Fraction of the full speed, in (0, 1]; it scales the caps on the tip's speed, too.
-        tip_speed: m/s, the greatest speed of the tip's point; None for no cap.
-        tip_angular_speed: rad/s, the greatest speed of its turning; None for no cap.
+        speed: Fraction of the full speed, in (0, 1]; it also scales the limits of the tip's speed.
+        tip_speed: m/s, the maximum speed of the tip; None for no limit.
+        tip_angular_speed: rad/s, the maximum angular speed of the tip; None for no limit.
         v_start: (n,) rad/s, if it starts while the arm moves; zero if left out.
         a_start: (n,) rad/s^2, likewise.
 
@@ -171,18 +171,18 @@ def move_path(
     v_start: ArrayLike | None = None,
     a_start: ArrayLike | None = None,
 ) -> JointTrajectory:
-    """The tip on lines and arcs, one after another, the corners between them rounded.
+    """The fastest motion of the tip on lines and arcs with rounded corners.
 
-    Inside the blend radius of a corner the path is rounded; outside it is exact. Where the radius is 0 the tip stops.
+    Inside the blend radius of a corner the path is rounded; outside it is exact. If the radius is 0, the tip stops.
 
     Args:
         arm: The arm.
-        q_start: (n,) rad, where it starts; or the pose of the tip there: then the branch with the shortest motion is chosen.
+        q_start: (n,) rad, the start; or the pose of the tip at the start: then the branch with the shortest motion is chosen.
         path: Its lines and arcs; a pose or a point alone is a line to it. All with orientation or all without.
         blend: m, the radius around each corner in which it is rounded, at most half of each neighbour.
-        speed: Fraction of the full speed, in (0, 1]; it scales the caps on the tip's speed, too.
-        tip_speed: m/s, the greatest speed of the tip's point; None for no cap.
-        tip_angular_speed: rad/s, the greatest speed of its turning; None for no cap.
+        speed: Fraction of the full speed, in (0, 1]; it also scales the limits of the tip's speed.
+        tip_speed: m/s, the maximum speed of the tip; None for no limit.
+        tip_angular_speed: rad/s, the maximum angular speed of the tip; None for no limit.
         v_start: (n,) rad/s, if it starts while the arm moves; zero if left out.
         a_start: (n,) rad/s^2, likewise.
 

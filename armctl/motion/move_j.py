@@ -28,7 +28,7 @@ def move_j(
 ) -> JointTrajectory:
     """The fastest jerk-limited motion from one joint position to another.
 
-    Straight: one path parameter carries all joints, its limits the tightest of theirs along the direction; ruckig
+    A straight motion has one path parameter for all joints, with the tightest of their limits along the direction; ruckig
     (Berscheid and Kroeger, "Jerk-limited Real-time Trajectory Generation with Arbitrary Target States", RSS 2021) times it.
     If a motor would saturate, the motion is slowed down, and `slowed` contains the factor.
 
@@ -38,7 +38,7 @@ def move_j(
         q_goal: (n,) rad, inside the limits.
         speed: Fraction of the full speed, in (0, 1]; 0.5 takes twice as long.
         v_start: (n,) rad/s, the velocity it starts with, along the line if the move is straight; left out, it starts at rest.
-        straight: Whether the path is a straight line in joint space. Otherwise each joint goes its own fastest way in the time
+        straight: Whether the path is a straight line in joint space. Otherwise each joint moves independently in the time
             that the slowest needs.
 
     Returns:

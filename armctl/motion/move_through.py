@@ -32,14 +32,14 @@ _TOO_CLOSE = "move_through: rounding takes every motion through these waypoints 
 def move_through(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike], *, speed: float = 1.0) -> JointTrajectory:
     """The motion through every waypoint without stopping, at rest at the first and the last.
 
-    Between waypoints each joint takes its own way, jerk-limited and inside its position limits; the velocities and
-    accelerations at the waypoints are those that a search finds fastest. Where a motor would saturate it goes slower on the
-    same path, and its `slowed` says by how much. It is never slower than `move_j` from waypoint to waypoint.
+    Between waypoints each joint moves independently, jerk-limited and inside its position limits; the velocities and
+    accelerations at the waypoints are optimized. If a motor would saturate, the motion is slower on the
+    same path, and `slowed` contains the factor. It is never slower than `move_j` from waypoint to waypoint.
 
     Args:
         arm: The arm.
-        waypoints: (k, n) rad, at least two, each inside the limits; the first is where the arm is. A `Via` instead of a row
-            says how fast and with which payload the arm moves to it, and how long it stands still there.
+        waypoints: (k, n) rad, at least two, each inside the limits; the first is the start. A `Via` instead of a row
+            also contains speed, acceleration and payload of the section that ends at it, and a pause.
         speed: Fraction of the full speed, in (0, 1]; 0.5 takes twice as long.
 
     Returns:

@@ -19,10 +19,10 @@ _POSITION_ROUNDING = 1e-9  # rad (m)
 
 
 class OnlineMotion:
-    """A motion that is planned while it runs: a goal now, another one at any later tick; jerk-limited throughout.
+    """A jerk-limited motion that is planned while it runs, with a new goal at any tick.
 
-    Each new goal is planned for from the position, velocity and acceleration of that instant, all joints arriving together.
-    Where that would swing a joint beyond its position limits, each joint goes as fast as it can by itself instead.
+    Each new goal is planned from the current position, velocity and acceleration; all joints arrive at the same time.
+    If a joint would then leave its position limits, each joint moves independently as fast as possible instead.
 
     ```python
     motion = OnlineMotion(arm, arm.home)
@@ -37,7 +37,7 @@ class OnlineMotion:
         Args:
             arm: The arm.
             q_start: (n,) rad, inside the limits.
-            v_start: (n,) rad/s; at rest if left out. With `a_start` it takes over a motion that is under way.
+            v_start: (n,) rad/s; at rest if left out. With `a_start` it continues a motion.
             a_start: (n,) rad/s^2; zero if left out.
 
         Raises:
@@ -66,19 +66,19 @@ class OnlineMotion:
 
     @property
     def goal(self) -> Array | None:
-        """(n,) rad, where it goes; None while it only stops."""
+        """(n,) rad, the goal; None while it only stops."""
         return self._goal
 
     def go_to(self, q: ArrayLike) -> None:
-        """Takes a new goal, to arrive there at rest.
+        """Sets a new goal, which is reached at rest.
 
         Args:
             q: (n,) rad, inside the limits.
 
         Raises:
-            InputError: A wrong length or a number that is not finite; the motion goes on as it was.
-            LimitError: A position outside the limits; the motion goes on as it was.
-            PlanError: No motion inside the limits leads there from the present state; the motion stops instead.
+            InputError: A wrong length or a number that is not finite; the motion does not change.
+            LimitError: A position outside the limits; the motion does not change.
+            PlanError: No motion inside the limits leads to the goal from the current state; the motion stops instead.
         """
         goal = self._checked(q)
         start = self._state(self._t)
@@ -93,14 +93,14 @@ class OnlineMotion:
         )
 
     def go_to_if(self, q: ArrayLike, accepts: Callable[[Pieces], bool]) -> bool:
-        """Takes a new goal if the motion there is accepted; otherwise the motion goes on as it was.
+        """Sets a new goal if the motion to it is accepted; otherwise the motion does not change.
 
         Args:
             q: (n,) rad, inside the limits.
             accepts: Whether a motion, given as polynomials from now on, may be made: `check_clearance` proves one, for example.
 
         Returns:
-            Whether the goal was taken. It is not either if no motion inside the limits leads there from the present state.
+            Whether the goal was accepted. It is also rejected if no motion inside the limits leads to it.
 
         Raises:
             InputError: A wrong length or a number that is not finite.
@@ -115,13 +115,13 @@ class OnlineMotion:
         return True
 
     def stop(self) -> None:
-        """Comes to rest as soon as the limits allow."""
+        """Stops as soon as the limits allow."""
         self._start = self._state(self._t)
         self._goal = None
         self._brake()
 
     def step(self, dt: float) -> Setpoint:
-        """Goes on by one tick.
+        """Advances by one tick.
 
         Args:
             dt: s, the tick, at least 0.
@@ -137,7 +137,7 @@ class OnlineMotion:
 
     @property
     def setpoint(self) -> Setpoint:
-        """Where it is now: q, v, a, each (n,)."""
+        """The current setpoint: q, v, a, each (n,)."""
         return Setpoint(*(np.array(x) for x in self._state(self._t)))
 
     @property

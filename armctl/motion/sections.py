@@ -57,8 +57,8 @@ class Via:
         q: (n,) rad.
         speed: Fraction of the speed that the motion has without it, in (0, 1].
         acceleration: Fraction of the joints' acceleration limits, in (0, 1].
-        payload: kg at the tip, beside what the arm carries.
-        dwell: s, how long the arm stands still there; 0 passes it without a stop.
+        payload: kg at the tip, in addition to the payload of the arm.
+        dwell: s, a pause at the waypoint; 0 for no stop.
     """
 
     q: ArrayLike

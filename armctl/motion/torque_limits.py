@@ -60,7 +60,7 @@ class TorqueCheck:
 
     @property
     def reason(self) -> str:
-        """Which joint needs too much torque, in words; empty if none does."""
+        """The joint that needs too much torque; empty if none does."""
         return "" if self.ok else str(self)
 
     def __str__(self) -> str:

@@ -60,17 +60,17 @@ def move_free(
 ) -> JointTrajectory:
     """A motion around obstacles, at rest at its end: jerk-limited, torque-limited, and proved to touch nothing.
 
-    The straight move is taken if it is proved free. Otherwise RRT-Connect finds a path whose every line is proved, it is
-    shortened, and `move_through` times it; where the smooth motion comes too near to something, points of the path are added.
+    The result is the straight move if it is proved free. Otherwise RRT-Connect finds a path of proved lines, which is
+    shortened and timed by `move_through`; if the smooth motion is too near to a body, points of the path are added.
     The proof covers the whole continuous motion (`check_clearance`), with the geometry that MuJoCo collides and everything
     outside the chain at home. Nothing depends on a clock: the same seed gives the same bits.
 
     Args:
         arm: The arm, in its scene.
-        q_start: (n,) rad, where it is.
-        goal: (n,) rad, a Pose, (3,) m where the orientation does not matter, or a list of these, of which it takes one. For an
-            arm of three joints three numbers are a configuration; `Target.read(point)` is a point.
-        clearance: m that the path keeps; the smooth motion keeps half of it. Less where the start or the goal is nearer to
+        q_start: (n,) rad, the start.
+        goal: (n,) rad, a Pose, (3,) m where the orientation does not matter, or a list of these, of which one is reached. For
+            an arm of three joints three numbers are a configuration; `Target.read(point)` is a point.
+        clearance: m, of the path; the smooth motion keeps half of it. It is less if the start or the goal is nearer to
             something.
         allow: Pairs of names of bodies or geoms that may touch, such as `[("cube", "table")]`.
         holding: A body, or several, that the tip carries from where they are at the start.

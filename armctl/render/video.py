@@ -79,7 +79,8 @@ def record(
         The path, as a `Film` that a notebook shows.
 
     Raises:
-        InputError: Another ending, an empty log or one of another arm, a size that is odd or out of bounds, an unknown quality.
+        InputError: Another file extension, an empty log or one of another arm, a size that is odd or out of bounds, an unknown
+            quality.
         ArmctlError: The file cannot be written.
         NotInstalledError: No OpenGL works here without a screen, or there is no encoder for .mp4.
     """
@@ -130,7 +131,7 @@ def still(
         The path.
 
     Raises:
-        InputError: Another ending, an empty log or one of another arm, a size out of bounds, or an unknown quality.
+        InputError: Another file extension, an empty log or one of another arm, a size out of bounds, or an unknown quality.
         ArmctlError: The file cannot be written.
         NotInstalledError: No OpenGL works here without a screen.
     """

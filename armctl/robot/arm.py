@@ -35,10 +35,10 @@ class _ThreadDynamics(threading.local):
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """A serial arm. Made by `armctl.load`; frozen, as are its arrays.
+    """A serial arm. Returned by `armctl.load`; immutable, with read-only arrays.
 
     Attributes:
-        name: What it was loaded as.
+        name: The name it was loaded by.
         model: The compiled MuJoCo model; treat it as read-only: simulations copy it.
         actuation: Its n joints: names, limits, couplings, and addresses in the arrays of MuJoCo.
         tip: The name of the site, body or geom at the end.
@@ -48,8 +48,8 @@ class Arm:
         home_ctrl: (nctrl,) the controls of the whole model at home; the arm's own are zero.
         tip_body: The body that carries the tip.
         T_body_tip: The tip in that body.
-        notes: What had to be assumed when it was loaded, one sentence each.
-        sources: Where each kind of limit comes from, such as `{"tau_max": "forcerange"}`.
+        notes: The assumptions made when it was loaded, one sentence each.
+        sources: The source of each kind of limit, such as `{"tau_max": "forcerange"}`.
     """
 
     name: str
@@ -112,12 +112,12 @@ class Arm:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """What each joint is measured in: "rad", or "m" where it slides."""
+        """The unit of each joint: "rad", or "m" for a slide joint."""
         return self.actuation.units
 
     @property
     def torque_units(self) -> tuple[str, ...]:
-        """What each joint's torque is measured in: "N m", or "N" where it slides."""
+        """The unit of each joint's torque: "N m", or "N" for a slide joint."""
         return self.actuation.torque_units
 
     def checked(self, what: str, q: ArrayLike, tolerance: float = 1e-9) -> Array:
@@ -240,7 +240,7 @@ class Arm:
         return self._dynamics.coriolis(vector("q", q, self.n), vector("v", v, self.n))
 
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
-        """The joint torque that gives the arm an acceleration, in continuous time.
+        """The joint torque for an acceleration of the arm, in continuous time.
 
             tau = mass_matrix(q) a + coriolis(q, v) + gravity(q) + damping(v)
 
@@ -262,7 +262,7 @@ class Arm:
         return self._dynamics.inverse_dynamics(vector("q", q, self.n), vector("v", v, self.n), vector("a", a, self.n))
 
     def forward_dynamics(self, q: ArrayLike, v: ArrayLike, tau: ArrayLike) -> Array:
-        """The acceleration that a joint torque gives the arm, in continuous time: the inverse of `inverse_dynamics`.
+        """The acceleration for a joint torque, in continuous time: the inverse of `inverse_dynamics`.
 
         It includes and leaves out the same forces, so `forward_dynamics(q, v, inverse_dynamics(q, v, a))` is a. Torque limits
         are not applied.
@@ -329,7 +329,7 @@ class Arm:
         return qvel
 
     def with_limits(self, limits: Limits) -> Arm:
-        """The same arm with other limits, such as lower speeds beside people.
+        """The same arm with other limits, such as lower speeds near people.
 
         Args:
             limits: The new limits of its n joints.

@@ -33,16 +33,16 @@ _SERVO_RANGES = ("actuator_ctrllimited", "actuator_ctrlrange", "actuator_forceli
 
 @dataclass(frozen=True)
 class GripResult:
-    """How a movement of the gripper ended. `bool(result)` is `result.ok`.
+    """The result of a movement of the gripper. `bool(result)` is `result.ok`.
 
     Attributes:
         ok: Whether the gripper grasped something, or reached the requested width.
         grasped: Whether something is held between the pads.
         held: The body that is held; empty if none.
         width: m between the pads.
-        force: N with which the pads press on what is held; the smaller of the two sides.
+        force: N, the contact force on the held body; the smaller of the two sides.
         duration: s of simulated time.
-        reason: Why it is not ok, in words; empty if it is.
+        reason: The reason if it is not ok; empty if it is.
     """
 
     ok: bool
@@ -66,8 +66,8 @@ class GripResult:
 class Gripper:
     """The gripper behind an arm's tip. Made by `Simulation.gripper`.
 
-    Until its first use it is braked like all other joints outside the chain, so that the controller's model is exact. From then
-    on it moves freely, as a real one does.
+    Until its first use it is rigid like all other joints outside the chain, so that the controller's model is exact. After
+    that its joints move freely.
 
     Attributes:
         model: The gripper as it was found in the MuJoCo model.
@@ -129,7 +129,7 @@ class Gripper:
             width: m.
 
         Returns:
-            How it ended; if an object stopped the pads, `reason` names it.
+            The result; if an object stopped the pads, `reason` names it.
 
         Raises:
             InputError: A width outside the gripper's range.
@@ -152,7 +152,7 @@ class Gripper:
         """Grasps with a gentle force: 10 N, or half of the gripper's largest force if that is less.
 
         Returns:
-            How it ended: ok if something is held, else the gripper closed on nothing.
+            The result: ok if a body is held.
 
         Raises:
             SimulationError: The arm's controller failed.
@@ -160,13 +160,13 @@ class Gripper:
         return self.grasp(min(_DEFAULT_FORCE, 0.5 * self.model.force_max))
 
     def grasp(self, force: float) -> GripResult:
-        """Closes until both pads touch something, then presses with a force until the next command.
+        """Closes until both pads touch a body, then holds it with a force until the next command.
 
         Args:
             force: N between the pads.
 
         Returns:
-            How it ended: ok if something is held, else the gripper closed on nothing.
+            The result: ok if a body is held.
 
         Raises:
             InputError: More force than the gripper has.

@@ -23,7 +23,7 @@ _idle: WeakKeyDictionary[Arm, list[Stepper]] = WeakKeyDictionary()
 def simulate(
     arm: Arm, controller: Controller | str, trajectory: Trajectory, plant: Plant | None = None, dwell: float = 0.25
 ) -> Log:
-    """Follows a trajectory from its start, in a simulation of its own.
+    """Follows a trajectory from its start, in a new simulation.
 
     Args:
         arm: The arm.
@@ -33,7 +33,7 @@ def simulate(
         dwell: s to hold the end of the motion.
 
     Returns:
-        Every tick of it. A run that diverges ends early, and `log.failure` says why.
+        Every tick of it. A run that diverges ends early, and `log.failure` gives the reason.
 
     Raises:
         InputError: An argument has a wrong type or value, or the motion is one of other joints.

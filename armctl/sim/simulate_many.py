@@ -45,7 +45,7 @@ def simulate_many(
     threads: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Log]:
-    """Follows many trajectories, or one on many plants, each from its start in a simulation of its own.
+    """Follows many trajectories, or one on many plants, each from its start in a new simulation.
 
     The logs are those of `simulate`, bit for bit, with any number of threads. Threads run at the same time while a controller
     has a compiled kernel, as those of armctl have that `armctl.KernelController` lists; the others take turns.
@@ -60,7 +60,8 @@ def simulate_many(
         progress: Called after each run with the number of completed runs and their total.
 
     Returns:
-        A log for each run, in their order. A run that diverges, or whose controller fails, ends early: `log.failure` says why.
+        A log for each run, in their order. A run that diverges, or whose controller fails, ends early, with the reason in
+        `log.failure`.
 
     Raises:
         InputError: Lists of different lengths, or an argument that `simulate` does not accept.

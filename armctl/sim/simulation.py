@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 class Simulation:
-    """An arm in its scene, with a controller, commanded in Cartesian or joint targets.
+    """An arm in its scene with a controller, commanded by Cartesian or joint targets.
 
     Every command starts where the last one ended. After Ctrl-C or a failing controller, `log` contains all ticks until then,
     and the next command continues from there. After a run that diverged, only `reset` helps.
@@ -79,7 +79,7 @@ class Simulation:
 
     @property
     def controller(self) -> Controller:
-        """What computes the torques. It can be replaced between two commands."""
+        """The controller. It can be replaced between two commands."""
         return self._arms.controllers[self.arm.tip]
 
     @controller.setter
@@ -158,11 +158,11 @@ class Simulation:
         self._arms.reset(q, v)
 
     def step(self, torque: ArrayLike | None = None) -> State:
-        """Simulates one tick, for callers with a loop of their own, such as MPC, teleoperation or learning.
+        """Simulates one tick, for control loops of the caller, such as MPC, teleoperation or learning.
 
-        The torque is treated like a controller's: limited by the motors, delayed and disturbed by the plant, recorded in `log`
-        and shown by the viewer. A loop of `sim.step(controller.torque(sim.measured_state, setpoint))` gives the same bits as
-        `run`.
+        The torque is processed like that of a controller: limited by the motors, delayed and disturbed by the plant, recorded
+        in `log` and shown by the viewer. A loop of `sim.step(controller.torque(sim.measured_state, setpoint))` gives the same
+        bits as `run`.
 
         Args:
             torque: (n,) N m; None lets the controller hold the last reference. After a step with a torque, that is the
@@ -185,7 +185,7 @@ class Simulation:
             dwell: s to hold its end.
 
         Returns:
-            Every tick of it. A run that diverges ends early, and `log.failure` says why.
+            Every tick of it. A run that diverges ends early, and `log.failure` gives the reason.
 
         Raises:
             InputError: It is no motion or a motion of other joints, or the dwell time is negative or too long for a log.
@@ -241,7 +241,7 @@ class Simulation:
             keep_within: rad that this axis may tilt.
 
         Returns:
-            How it ended. It does not raise if the target cannot be reached: `ok` is False, and `reason` tells why.
+            The result. No error is raised if the target cannot be reached: `ok` is False, and `reason` gives the reason.
 
         Raises:
             InputError: An argument has a wrong length or a number that is not finite or out of its bounds.
@@ -271,7 +271,7 @@ class Simulation:
             allow: Pairs of names of bodies or geoms that may touch.
 
         Returns:
-            How it ended, measured at the tip.
+            The result, measured at the tip.
 
         Raises:
             InputError: An argument has a wrong length or a number that is not finite or out of its bounds.
@@ -313,7 +313,7 @@ class Simulation:
             allow: Pairs of names of bodies or geoms that may touch.
 
         Returns:
-            How it ended. A line outside the workspace or the limits is not started, and `reason` says where it leaves them.
+            The result. A line that leaves the workspace or the limits is not started, and `reason` says where.
 
         Raises:
             InputError: An argument has a wrong length or a number that is not finite or out of its bounds.
@@ -345,7 +345,7 @@ class Simulation:
         Args:
             via: T_world_tip or (3,) m, a point on the arc.
             target: T_world_tip, or (3,) m if any orientation is accepted.
-            angle: rad, how far to go on the circle; None stops at the target. 2 pi is the full circle.
+            angle: rad, the angle on the circle; None stops at the target. 2 pi is the full circle.
             speed: Fraction of the full speed, in (0, 1].
             tip_speed: m/s, the highest speed of the tip; by default only the joints limit it.
             tip_angular_speed: rad/s, likewise.
@@ -354,7 +354,7 @@ class Simulation:
             allow: Pairs of names of bodies or geoms that may touch.
 
         Returns:
-            How it ended. An arc outside the workspace or the limits is not started, and `reason` says where it leaves them.
+            The result. An arc that leaves the workspace or the limits is not started, and `reason` says where.
 
         Raises:
             InputError: An argument has a wrong length or a number that is not finite or out of its bounds, or the points are on
@@ -403,7 +403,7 @@ class Simulation:
             allow: Pairs of names of bodies or geoms that may touch.
 
         Returns:
-            How it ended. A path outside the workspace or the limits is not started, and `reason` says where it leaves them.
+            The result. A path that leaves the workspace or the limits is not started, and `reason` says where.
 
         Raises:
             InputError: The path is empty, or an argument has a wrong length or a number that is not finite or out of its
@@ -434,7 +434,7 @@ class Simulation:
     def follow(self, target: str | Callable[[float], Pose | ArrayLike] = TARGET, *, seconds: float = 10.0) -> Log:
         """Follows a moving target: reads it 50 times per second, and respects all joint limits.
 
-        If the target is out of reach, the tip goes to the closest point.
+        If the target is out of reach, the tip moves to the closest point.
 
         Args:
             target: The name of a body of the model, whose position is followed; or a function of the time since the start, s,
@@ -462,7 +462,7 @@ class Simulation:
             The path.
 
         Raises:
-            InputError: Nothing has run yet, or the path has another ending.
+            InputError: Nothing has run yet, or the path has another file extension.
         """
         if self.log is None:
             raise InputError("log: nothing has run yet, so there is nothing to film; move first")

@@ -76,7 +76,7 @@ class Team:
 
     @property
     def controllers(self) -> dict[str, Controller]:
-        """What computes each arm's torques, by tip. Controllers can be replaced between two commands."""
+        """The controller of each arm, by tip. Controllers can be replaced between two commands."""
         return self._arms.controllers
 
     @property
@@ -149,20 +149,20 @@ class Team:
         avoid: bool = True,
         allow: Iterable[tuple[str, str]] = (),
     ) -> dict[str, MoveResult]:
-        """Moves each tip to a target of its own, all at once.
+        """Moves each tip to its target, all at the same time.
 
-        With `avoid` the motions are planned together, around everything in the way, and proved to touch neither each other
-        nor anything else. If there are no such motions, no arm moves, and every `reason` tells why.
+        With `avoid` the motions are planned together, around all bodies, and proved to touch neither each other
+        nor anything else. If there are no such motions, no arm moves, and every `reason` says why.
 
         Args:
             targets: T_world_tip, or (3,) m if any orientation is accepted, by tip.
             speed: Fraction of the full speed, in (0, 1].
             settle_timeout: s that the arms may take to come to rest after the longest motion.
-            avoid: Whether to go around everything that is in the way, where it is now; otherwise each arm moves straight.
+            avoid: Whether to plan around all bodies at their current positions; otherwise each arm moves straight.
             allow: Pairs of names of bodies or geoms that may touch.
 
         Returns:
-            How it ended for each. An arm whose target cannot be reached holds its position, and its `reason` tells why.
+            The result of each arm. An arm whose target cannot be reached holds its position, and its `reason` says why.
 
         Raises:
             InputError: An argument has a wrong length or a number that is not finite or out of its bounds.

@@ -45,7 +45,7 @@ class Range:
             raise InputError(f"low: expected a number above 0 for a logarithmic range, got {self.low:g}")
 
     def at(self, share: float) -> float:
-        """The value below which a share of all values is.
+        """The quantile: a share of all values is below it.
 
         Args:
             share: From 0 to 1.
@@ -111,7 +111,7 @@ class Normal:
 
 @dataclass(frozen=True)
 class Choice:
-    """A factor that is drawn from values of equal probability. A plain list instead gives a grid: every value with every other.
+    """A factor that is drawn from values of equal probability. A plain list instead gives a grid: all combinations.
 
     Attributes:
         values: The values.

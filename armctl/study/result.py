@@ -48,7 +48,7 @@ class StudyResult:
 
     Attributes:
         ok: Whether all runs are finished; a run that failed is finished, too.
-        reason: Why not, in words; empty if `ok`.
+        reason: The reason if it is not ok; empty if it is.
         study: The study.
     """
 
@@ -101,7 +101,7 @@ class StudyResult:
             The path.
 
         Raises:
-            InputError: Another ending.
+            InputError: Another file extension.
             NotInstalledError: The extra `study` is not installed.
             ArmctlError: The file cannot be written.
         """

@@ -39,7 +39,7 @@ class Sensitivity:
 
     Attributes:
         ok: Whether every interval is narrower than 0.2; otherwise more samples are needed.
-        reason: Why not, in words; empty if `ok`.
+        reason: The reason if it is not ok; empty if it is.
         metric: The metric.
         controller: The controller.
         samples: The number of samples; runs are (d + 2) times as many.

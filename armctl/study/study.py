@@ -26,7 +26,7 @@ class Study(StudyPlan):
 
     A study is plain data, and so is each of its runs, about 200 bytes. The seed of a run follows from what it is (the study,
     the values of the factors, the repetition), not from when or where it is made, nor from the controller. All controllers
-    therefore meet the same noise, and their differences are paired.
+    therefore run with the same noise, and their differences are paired.
 
     A factor is a field of `Plant` (payload, mass_scale, coulomb_friction, viscous_friction, delay, encoder_noise, ...), or:
     "friction", Coulomb friction as a fraction of the torque limits and half as much viscous friction per rad/s; "noise", of
@@ -38,7 +38,7 @@ class Study(StudyPlan):
         name: Names the study and its files; part of the seeds.
         robot: The robot as for `load`, or a dict of the arguments of `load`.
         controllers: Names of controllers, or a dict: label to a name, or to a dict of "controller" and its arguments. A name
-            such as "module:Class" is a class of one's own that is made with the arm; workers must be able to import it.
+            such as "module:Class" is a class that is called with the arm; workers must be able to import it.
         motion: "out-and-back", all joints at once from home and back; "reach", from home to the factor "target"; the .npz file
             of a motion; or a motion.
         factors: The factors by name; a single value is the same for all runs.
@@ -59,8 +59,8 @@ class Study(StudyPlan):
     ) -> StudyResult:
         """Makes all runs that are not yet finished, and returns the results of all.
 
-        Each finished run is kept in the file NAME.sqlite. Whatever ends the program or a worker, a second call makes only the
-        runs that remain, and their bits are the same. Results of other versions of armctl, MuJoCo, Pinocchio or NumPy are kept,
+        Finished runs are stored in the file NAME.sqlite. If the program or a worker is interrupted, a second call makes only
+        the remaining runs, with the same bits. Results of other versions of armctl, MuJoCo, Pinocchio or NumPy are kept,
         but not mixed with these.
 
         Args:

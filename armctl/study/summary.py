@@ -39,7 +39,7 @@ class StudySummary:
 
     Attributes:
         ok: Whether all runs of the study are finished.
-        reason: Why not, in words; empty if `ok`.
+        reason: The reason if it is not ok; empty if it is.
         name: The name of the study.
         metrics: The metrics.
         controllers: One for each controller.

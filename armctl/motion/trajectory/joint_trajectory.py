@@ -57,7 +57,7 @@ class JointTrajectory:
         coefficients: (m, 6, n) rad/s^i.
         joint_names: The n joints. `Simulation.run` and `check_torque` reject a motion of other joints.
         limits: The limits it was planned for.
-        slowed: Where the motors made it slower than speed, acceleration and jerk allow: by how much, for which joint.
+        slowed: The factor and the joint, if torque limits make it slower than the limits of speed, acceleration and jerk.
         units: The unit of each joint, "rad" or "m"; all in rad if left out.
 
     Raises:
@@ -182,7 +182,7 @@ class JointTrajectory:
 
         Raises:
             InputError: The time is outside the motion.
-            PlanError: The motion does not end at rest, and what is left of it is too short to stop.
+            PlanError: The motion does not end at rest, and its remaining part is too short to stop.
         """
         return self._with(stopped(self.pieces, self.limits, number("t", t, 0.0, self.duration)))
 

@@ -28,7 +28,7 @@ class Peak:
         value: The value, in `unit`.
         bound: The limit that it is compared with.
         unit: For example "rad/s^2", or "m/s^2" for a slide joint.
-        ratio: How much of the limit is used; more than 1 is outside. A position has ratio 1 at a limit and 0 midway between
+        ratio: The share of the limit; more than 1 is outside. A position has ratio 1 at a limit and 0 midway between
             the two limits; with one limit only, the ratio grows by 1 for each rad (m).
     """
 
