@@ -136,7 +136,7 @@ class Log:
         return log_files.flat(vars(self), log_files.columns(self.joint_names, self.units, log_files.widths(vars(self))))
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes the log. The extension selects the format: .npz, .parquet and .csv contain the whole log, and `load` reads them.
+        """Writes the log. The extension selects the format. `load` reads .npz, .parquet and .csv, which contain the whole log.
 
         Parquet has one column per quantity and joint, such as "q/joint1", with its unit in the metadata of the column. CSV has
         the same columns after one line with everything else: `pandas.read_csv(path, comment="#")`. MCAP has ROS 2 messages,
