@@ -9,6 +9,7 @@ from armctl.control.margin_exceptions import margin_exceptions
 from armctl.control.observer_gains import max_unknown_payload
 from armctl.core import units
 from armctl.core.log import Log
+from armctl.core.tables import Table
 from armctl.loading.chain import SerialChain
 from armctl.robot.arm import Arm
 
@@ -74,13 +75,10 @@ def describe_end(log: Log) -> str:
 def describe_chains(robot: str, chains: list[SerialChain]) -> str:
     """The chains of a robot in words: a table with base, tip and joints; a rejected chain comes with the reason."""
     usable = sum(chain.ok for chain in chains)
-    width = {name: max([len(name), *(len(getattr(chain, name)) for chain in chains)]) for name in ("base", "tip")}
-    lines = [
-        f"{robot}: {usable} chains that load(robot, base=..., tip=...) accepts, {len(chains) - usable} that it rejects",
-        f"{'base':{width['base']}} {'tip':{width['tip']}} joints",
-    ]
+    rows = []
     for chain in chains:
         said = f"rejected: {chain.reason}" if chain.reason else f"{len(chain.joint_names)}: {' '.join(chain.joint_names)}"
         said += f", with {' '.join(chain.followers)}" if chain.followers else ""
-        lines.append(f"{chain.base:{width['base']}} {chain.tip:{width['tip']}} {said}")
-    return "\n".join(lines)
+        rows.append((chain.base, chain.tip, said))
+    found = f"{robot}: {usable} chains that load(robot, base=..., tip=...) accepts, {len(chains) - usable} that it rejects"
+    return f"{found}\n{Table(('base', 'tip', 'joints'), rows).text()}"

@@ -59,7 +59,14 @@ def add_command(commands: Commands, name: str, run: Run, text: str) -> argparse.
 
 def add_robot(parser: argparse.ArgumentParser) -> None:
     """Adds the robot's name."""
-    parser.add_argument("robot", help="bundled name, alias, Menagerie name, or path of an .xml or .urdf file")
+    robot = parser.add_argument("robot", help="bundled name, alias, Menagerie name, or path of an .xml or .urdf file")
+    robot.completer = _robot_names  # type: ignore[attr-defined]  # read by argcomplete
+
+
+def _robot_names(**_: object) -> list[str]:
+    from armctl.loading.catalog import robots
+
+    return list(robots())
 
 
 def add_arm(parser: argparse.ArgumentParser) -> None:
@@ -123,8 +130,11 @@ def names(text: str | None) -> list[str]:
 
 
 def print_result(args: argparse.Namespace, text: str, figures: object) -> None:
-    """Prints text, or JSON with --json."""
-    print(json.dumps(figures, indent=2) if args.json else text)
+    """Prints text, or JSON with --json. On a terminal longer lines are folded; in a pipe a sentence stays on one line."""
+    from armctl.core.tables import folded
+
+    shown = folded(text) if sys.stdout.isatty() else text
+    print(json.dumps(figures, indent=2) if args.json else shown)
 
 
 def save_report(report: Report, folder: Path, prefix: str) -> None:

@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     speed = speed_from(args.speed)
     from armctl.analysis.comparison import compare, out_and_back, remarks
     from armctl.analysis.comparison_html import write_comparison
-    from armctl.analysis.report import table
+    from armctl.analysis.report import report_table
     from armctl.cli.plants import plant_by_name
     from armctl.control import CONTROLLERS
     from armctl.core.progress import progress_bar
@@ -89,8 +89,8 @@ def run(args: argparse.Namespace) -> int:
         )
     notes = remarks(reports)
     if notes:
-        notes.append("")  # a table in Markdown starts after an empty line
-    print_result(args, "\n".join([*notes, table(reports)]), [r.to_dict() for r in reports])
+        notes.append("")
+    print_result(args, "\n".join([*notes, report_table(reports).text(keys=2)]), [r.to_dict() for r in reports])
     if args.save:
         for report, prefix in zip(reports, _file_prefixes(reports), strict=True):
             save_report(report, args.save, prefix)

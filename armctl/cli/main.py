@@ -64,6 +64,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     words = sys.argv[1:] if argv is None else list(argv)
     parser = _parser()
+    if "_ARGCOMPLETE" in os.environ:  # set by the shell when Tab is pressed
+        from argcomplete import autocomplete
+
+        autocomplete(parser)
     if not words:
         parser.print_help()
         return DONE

@@ -43,4 +43,4 @@ def _ratings() -> str:
         figures = ["" if figure is None else f"{figure:g}" for figure in (row.payload, row.reach)]
         sources = dict.fromkeys(filter(None, [row.rating_source, row.source]))
         rows.append([name, *figures, speeds, "; ".join(sources)])
-    return Table(("robot", "payload, kg", "reach, m", "joint speeds, deg/s", "source"), rows).markdown()
+    return Table(("robot", "payload, kg", "reach, m", "joint speeds, deg/s", "source"), rows).text()

@@ -39,7 +39,8 @@ def run(args: argparse.Namespace) -> int:
     with _executor(args.dask) as executor:
         result = study.run(executor, folder=args.folder)
     summary = result.summary([args.metric])
-    print_result(args, str(summary), summary.to_dict())
+    reason = "" if summary.ok else f"{summary.reason}\n\n"
+    print_result(args, f"{reason}{summary.table().text()}", summary.to_dict())
     if args.save:
         _save(result, args.save, args.metric)
     return DONE if result else NOT_REACHED

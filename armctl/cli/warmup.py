@@ -31,7 +31,14 @@ def add(commands: Commands) -> None:
     """Adds the command to the parser."""
     parser = add_command(commands, "warmup", run, "compile all kernels in advance")
     parser.add_argument("--workers", type=int, metavar="N", help="processes that compile at the same time (default: all cores)")
-    parser.add_argument("--only", nargs="+", choices=list(PARTS), default=list(PARTS), help="parts to compile")
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        choices=list(PARTS),
+        default=list(PARTS),
+        metavar="PART",
+        help=f"of {', '.join(PARTS)} (default all)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:

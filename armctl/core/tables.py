@@ -1,9 +1,15 @@
-"""Tables of text in Markdown and HTML, for reports, pages and benchmarks."""
+"""Tables of text for terminals, in Markdown and in HTML, for reports, pages and benchmarks."""
 
 from __future__ import annotations
 
+import re
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
+
+TERMINAL_COLUMNS = 80
+_LONGEST_LABEL = 30  # characters; a longer beginning of a line is no label
+_MAX_CELL = 36  # columns; longer cells are wrapped
 
 
 @dataclass(frozen=True)
@@ -22,6 +28,23 @@ class Table:
         """The table in GitHub's Markdown; a `|` in a cell is escaped."""
         return self._formatted("github", [[_one_line(cell).replace("|", r"\|") for cell in row] for row in self._lines()])
 
+    def text(self, width: int = TERMINAL_COLUMNS, keys: int = 1) -> str:
+        """The table for a terminal. One that is wider continues below, with its first columns repeated.
+
+        Args:
+            width: Characters in a line.
+            keys: How many columns are repeated.
+        """
+        lines = [[_one_line(cell) for cell in row] for row in self._lines()]
+        columns = [[_wrapped(row[i], k == 0, lines, i) for k, row in enumerate(lines)] for i in range(len(self.header))]
+        widths = [max(len(line) for cell in column for line in cell) for column in columns]
+        blocks = [list(range(keys))]
+        for i in range(keys, len(columns)):
+            if sum(widths[j] + 2 for j in blocks[-1]) + widths[i] > width and len(blocks[-1]) > keys:
+                blocks.append(list(range(keys)))
+            blocks[-1].append(i)
+        return "\n\n".join(_block(columns, widths, block) for block in blocks)
+
     def html(self) -> str:
         """The table as an HTML element; special characters are escaped."""
         return self._formatted("html", [[_one_line(cell) for cell in row] for row in self._lines()])
@@ -39,3 +62,38 @@ class Table:
 
 def _one_line(cell: str) -> str:
     return " ".join(str(cell).split())
+
+
+def folded(text: str, width: int = TERMINAL_COLUMNS) -> str:
+    """Text whose longer lines continue below, in line with the value after a label and two spaces."""
+    return "\n".join(_folded(line, width) for line in text.split("\n"))
+
+
+def _folded(line: str, width: int) -> str:
+    if len(line) <= width:
+        return line
+    label = re.match(r"\s*\S.*?(:\s|\s\s+)", line)
+    indent = len(label[0]) if label and len(label[0]) <= _LONGEST_LABEL else 2
+    return textwrap.fill(line, width, subsequent_indent=indent * " ", break_long_words=False, break_on_hyphens=False)
+
+
+def _wrapped(cell: str, is_header: bool, lines: list[list[str]], column: int) -> list[str]:
+    """A cell in lines; a header is as narrow as the cells and words of its column allow."""
+    limit = _MAX_CELL
+    if is_header:
+        cells = (min(len(row[column]), _MAX_CELL) for row in lines[1:])
+        limit = max([1, *cells, *map(len, cell.split())])
+    return textwrap.wrap(cell, limit, break_long_words=False, break_on_hyphens=False) or [""]
+
+
+def _block(columns: list[list[list[str]]], widths: list[int], shown: list[int]) -> str:
+    """Some columns of a table, with a line below the header."""
+    text = []
+    for row in range(len(columns[0])):
+        cells = [columns[i][row] for i in shown]
+        for k in range(max(map(len, cells))):
+            parts = [(cell[k] if k < len(cell) else "").ljust(widths[i]) for cell, i in zip(cells, shown, strict=True)]
+            text.append("  ".join(parts).rstrip())
+        if row == 0:
+            text.append("  ".join("-" * widths[i] for i in shown))
+    return "\n".join(text)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from arms import BUNDLED, MISSING, at_hand
+from commands import armctl_command
 from synthetic import FIRST, SECOND, THIRD, TOOL, urdf
 
 import armctl
@@ -16,6 +17,7 @@ from armctl.cli.common import CONTROLLER_NAMES
 from armctl.cli.main import _with_options, main
 from armctl.cli.warmup import compile_part
 from armctl.control import CONTROLLERS
+from armctl.core.tables import TERMINAL_COLUMNS, Table, folded
 from armctl.loading.datasheets import ROWS
 
 
@@ -45,6 +47,32 @@ def test_a_mistyped_command_gets_a_suggestion(capsys):
     assert status == 2
     assert not out
     assert err == "armctl: unknown command 'simulat'; did you mean 'simulate'?\n"
+
+
+@pytest.mark.parametrize(("typed", "completed"), [("armctl simu", {"simulate"}), ("armctl reach robot_arm_3", {BUNDLED})])
+def test_the_shell_completes_commands_and_robots(tmp_path, typed: str, completed: set[str]):
+    answer = tmp_path / "answer"
+    asked = {
+        "_ARGCOMPLETE": "1",
+        "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
+        "COMP_LINE": typed,
+        "COMP_POINT": str(len(typed)),
+    }
+    subprocess.run(armctl_command(), env=os.environ | asked, timeout=120, check=True)
+    assert {word.strip() for word in answer.read_text().split("\x0b")} == completed
+
+
+def test_tables_and_long_lines_fit_a_terminal_and_lose_no_word():
+    words = ["controller,", "delay", "margin", "and", "many", "more", "words"]
+    table = Table([f"{word} of a column" for word in words], [[f"{k} {word}" for word in words] for k in range(3)])
+    text = table.text(40)
+    assert max(map(len, text.splitlines())) <= 40
+    for row in table.rows:
+        for cell in row:
+            assert cell in text
+    line = "  label       " + " ".join(words) + " " + " ".join(words)
+    assert folded(line, 40).split() == line.split()
+    assert all(len(each) <= 40 and each.startswith("  ") for each in folded(line, 40).splitlines())
 
 
 def test_the_help_lists_all_controllers():
@@ -170,11 +198,14 @@ def test_robots_tells_which_are_on_this_machine(capsys, tmp_path, monkeypatch: p
 
 def test_ratings_have_a_payload_a_reach_and_a_source_for_each_data_sheet(capsys):
     status, out, _ = run(capsys, "robots", "--ratings")
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in out.splitlines()[2:]]
     assert status == 0
+    assert max(map(len, out.splitlines())) <= TERMINAL_COLUMNS
+    ratings, sources = out.split("\n\n")
+    rows = [line.split() for line in ratings.splitlines()[3:]]
     assert rows[0][:3] == ["franka_emika_panda", "3", "0.855"]
     assert len(rows) == len(ROWS)
-    assert all(cells[1] and cells[2] and cells[4] for cells in rows)
+    assert all(len(cells) > 2 for cells in rows)
+    assert [line.split()[0] for line in sources.splitlines()[2:] if not line.startswith(" ")] == [cells[0] for cells in rows]
 
 
 def test_reachability_is_printed_saved_and_drawn(capsys, tmp_path):
@@ -193,7 +224,7 @@ def test_margins_are_a_table_and_a_page(capsys, tmp_path):
     chosen = ("--controllers", "pd,adaptive", "--poses", "3", "--timestep", "0.002")
     status, out, err = run(capsys, "margins", BUNDLED, *chosen, "--report", str(tmp_path))
     assert status == 0, err
-    assert [line.split()[1] for line in out.splitlines()[2:]] == ["pd", "adaptive"]
+    assert [line.split()[0] for line in out.splitlines()[-2:]] == ["pd", "adaptive"]
     page = (tmp_path / "margins.html").read_text()
     assert page.count("<svg") == 2
     status, out, _ = run(capsys, "margins", BUNDLED, *chosen, "--json")
@@ -205,8 +236,9 @@ def test_margins_are_a_table_and_a_page(capsys, tmp_path):
 def test_compare_shows_every_controller(capsys):
     status, out, _ = run(capsys, "compare", BUNDLED, "--controllers", "all")
     assert status == 0
-    assert "| computed-torque " in out
-    assert "| pd " in out
+    assert max(map(len, out.splitlines())) <= TERMINAL_COLUMNS
+    for controller in CONTROLLERS:
+        assert f"\n{controller} " in out
 
 
 BROKEN = "<mujoco><worldbody><body></worldbody></mujoco>"
