@@ -32,6 +32,7 @@ TICK_S = 0.001
 LEG_S = 2.0
 PLANTS = {"nominal": "nominal", "continuous": "near-continuous", "payload=1": "1 kg unknown", "all": "everything at once"}
 TARGETS = {  # joint RMS, rad, of computed torque with an observer
+    ("1 kg unknown", "panda"): "4.5e-5",
     ("1 kg unknown", "iiwa14"): "1e-3",
     ("1 kg unknown", ""): "1e-4",
     ("everything at once", "iiwa14"): "5e-3",

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 MIN_DELAY_MARGIN_TICKS = 2.5
-_RESERVE = 1.03  # the loop of an arm with unmodelled effects of sampling has up to 2 % less than that of a unit mass
+_RESERVE = 1.045  # the loop of an arm with unmodelled effects of sampling has up to 4 % less than that of a unit mass
 _BISECTIONS = 50
 # The optimal gains of a unit mass for the cost  integral of w^6 (integral of e)^2 + 2 w^4 e^2 + w^2 e'^2 + u^2  are
 # k_i = w^3, k_p = KP w^2, k_d = KD w with k_d^2 - 2 k_p = 1 and k_p^2 - 2 k_d k_i = 2 at w = 1 (spectral factorization).

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ ComplexArray = NDArray[np.complex128]
 # Size of an impulse. The error of a central difference is of the order of the size squared, that of rounding of its inverse.
 _POSITION_IMPULSE = 1e-4  # rad (m)
 _VELOCITY_IMPULSE = 1e-3  # rad/s (m/s)
+_IMPULSE_SCALES = (1.0, 0.05)  # the smaller one is for controllers that are linear around rest only, such as adaptive ones
 _HORIZONS_TICKS = (16, 128)  # length of an impulse response; the longer one is for controllers with long delay lines
 _RANK_TOLERANCE = 1e-7  # of singular values of the scaled Hankel matrix; rounding is below 1e-8
 _MAX_MODEL_ERROR = 1e-4  # relative; a controller that differs more from its linear model is not linear around this state
@@ -71,9 +73,10 @@ def linear_controller(arm: Arm, controller: Controller, q: Array, dt: float, con
     """
     run = _runs(arm, controller, q, dt, continuous)
     error = np.inf
-    for horizon in _HORIZONS_TICKS:
-        model = _realization(_impulse_responses(run, arm.n, horizon))
-        error = _model_error(run, model, arm.n, 3 * horizon)
+    for horizon, scale in product(_HORIZONS_TICKS, _IMPULSE_SCALES):
+        sizes = scale * np.repeat([_POSITION_IMPULSE, _VELOCITY_IMPULSE], arm.n)
+        model = _realization(_impulse_responses(run, sizes, horizon))
+        error = _model_error(run, model, sizes, 3 * horizon)
         if error <= _MAX_MODEL_ERROR:
             return model
     raise ModelError(
@@ -121,13 +124,12 @@ def _runs(arm: Arm, controller: Controller, q: Array, dt: float, continuous: boo
     return lambda deviations: torques(copy.deepcopy(original, dict(shared)), deviations)
 
 
-def _impulse_responses(run: _Run, n: int, horizon: int) -> Array:
-    """(horizon, n, 2n), the torques after a unit impulse in each measured signal."""
+def _impulse_responses(run: _Run, sizes: Array, horizon: int) -> Array:
+    """(horizon, n, 2n), the torques after an impulse in each measured signal, divided by its size, one of (2n,)."""
     warm_up = horizon // 2  # until the first ticks after a start, which are different, have passed
-    responses = np.empty((horizon, n, 2 * n))
-    for column in range(2 * n):
-        size = _POSITION_IMPULSE if column < n else _VELOCITY_IMPULSE
-        deviations = np.zeros((warm_up + horizon, 2 * n))
+    responses = np.empty((horizon, len(sizes) // 2, len(sizes)))
+    for column, size in enumerate(sizes):
+        deviations = np.zeros((warm_up + horizon, len(sizes)))
         deviations[warm_up, column] = size
         difference = run(deviations) - run(-deviations)
         responses[:, :, column] = difference[warm_up:] / (2 * size)
@@ -157,13 +159,12 @@ def _realization(responses: Array) -> StateSpace:
     )
 
 
-def _model_error(run: _Run, model: StateSpace, n: int, ticks: int) -> float:
-    """The largest difference of controller and model on a random signal, relative to the largest torque of each joint."""
+def _model_error(run: _Run, model: StateSpace, sizes: Array, ticks: int) -> float:
+    """The largest difference of controller and model on random signals of these sizes, relative to the largest torque."""
     warm_up = ticks // 6
     rng = np.random.default_rng(0)
-    sizes = np.repeat([_POSITION_IMPULSE, _VELOCITY_IMPULSE], n)
-    deviations = np.zeros((warm_up + ticks, 2 * n))
-    deviations[warm_up:] = sizes * rng.uniform(-1.0, 1.0, (ticks, 2 * n))
+    deviations = np.zeros((warm_up + ticks, len(sizes)))
+    deviations[warm_up:] = sizes * rng.uniform(-1.0, 1.0, (ticks, len(sizes)))
     measured = 0.5 * (run(deviations) - run(-deviations))[warm_up:]
     predicted = model.response(deviations[warm_up:])
     size = np.abs(measured).max(axis=0)
