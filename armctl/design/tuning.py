@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control import (
-    CONTROLLERS,
     PD,
     Adaptive,
     ComputedTorque,
+    ComputedTorqueLearning,
     ComputedTorqueObserver,
+    ComputedTorqueQP,
     Controller,
     Impedance,
     OperationalSpace,
@@ -22,7 +23,9 @@ from armctl.control import (
     PIDGravity,
     controller_by_name,
 )
+from armctl.control.computed_torque import DEFAULT_DELAY_MARGIN_S
 from armctl.control.gains import margin_gains
+from armctl.control.integral_gains import MIN_DELAY_MARGIN_TICKS
 from armctl.control.observer_gains import observer_gains
 from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.validation import Array, frozen, number, shown
@@ -132,7 +135,7 @@ def tune(
 
     Args:
         arm: The arm.
-        law: The name of a controller; not "computed-torque-textbook".
+        law: The name of a controller whose gains can be tuned: all but "computed-torque-textbook".
         delay_margin: s, the smallest permitted one.
         peak_sensitivity: The largest permitted Ms, above 1.
         chatter: N m (N), the largest permitted torque noise at rest with an encoder of 1e-5 rad; None for no bound.
@@ -143,13 +146,13 @@ def tune(
         The controller, its gains, the bound that limits each joint, and figures before and after.
 
     Raises:
-        InputError: An argument has a wrong type or value, or the law has no gains to tune.
+        InputError: An argument has a wrong type or value.
         ModelError: No linear model describes the controller.
-        UnknownNameError: There is no such controller.
+        UnknownNameError: There is no such law.
     """
     check_arm(arm)
-    if not isinstance(law, str) or law not in CONTROLLERS:
-        raise UnknownNameError.of("controller", law, CONTROLLERS)
+    if not isinstance(law, str) or law not in LAWS:
+        raise UnknownNameError.of("law", law, LAWS)
     if not isinstance(plants, Sequence):
         raise InputError(f"plants: expected a list of plants, such as [armctl.Plant(payload=1.0)], got {shown(plants)}")
     bounds = _Bounds(
@@ -211,7 +214,13 @@ _BANDWIDTH_LAWS: dict[str, Callable[..., Controller]] = {
     "operational-space": OperationalSpace,
     "impedance": Impedance,
     "adaptive": Adaptive,
+    "qp": ComputedTorqueQP,
 }
+_OBSERVER_LAWS: dict[str, Callable[..., Controller]] = {
+    "computed-torque-observer": ComputedTorqueObserver,
+    "computed-torque-learning": ComputedTorqueLearning,
+}
+LAWS = (*_PD_LAWS, *_BANDWIDTH_LAWS, *_OBSERVER_LAWS, "computed-torque-integral")
 
 
 def _family(arm: Arm, law: str, dt: float) -> _Family:
@@ -228,7 +237,7 @@ def _family(arm: Arm, law: str, dt: float) -> _Family:
             return gains
 
         return _Family(arm.n, pd, lambda **gains: _PD_LAWS[law](arm, **gains))
-    if law == "computed-torque-observer":
+    if law in _OBSERVER_LAWS:
         of_margins = observer_gains(arm, dt)
 
         def observed(scales: Array) -> dict[str, float | Array]:
@@ -238,12 +247,17 @@ def _family(arm: Arm, law: str, dt: float) -> _Family:
                 "observer_bandwidth": of_margins.disturbance * float(scales[0]),
             }
 
-        return _Family(1, observed, lambda **gains: ComputedTorqueObserver(arm, **gains))
+        return _Family(1, observed, lambda **gains: _OBSERVER_LAWS[law](arm, **gains))
     if law in _BANDWIDTH_LAWS:
         bandwidth = float(getattr(controller_by_name(law, arm), "bandwidth", 40.0))
         make = _BANDWIDTH_LAWS[law]
         return _Family(1, lambda scales: {"bandwidth": bandwidth * float(scales[0])}, lambda **gains: make(arm, **gains))
-    raise InputError(f"law: {law:.80} has no gains to tune; {', '.join([*_PD_LAWS, *_BANDWIDTH_LAWS])} have")
+    delay = max(DEFAULT_DELAY_MARGIN_S, MIN_DELAY_MARGIN_TICKS * dt)
+    return _Family(
+        1,
+        lambda scales: {"delay_margin": delay / float(scales[0])},
+        lambda **gains: ComputedTorque(arm, integral=True, **gains),
+    )
 
 
 class _Judge:
