@@ -8,6 +8,7 @@ from pathlib import Path
 
 import armctl
 import armctl.envs
+import armctl.jax
 
 project = "armctl"
 author = "the armctl authors"
@@ -50,6 +51,7 @@ CHAPTERS = {
     "study": "Studies",
     "viewer": "The viewer",
     "envs": "Reinforcement learning",
+    "jax": "Pure functions for JAX",
     "io": "Other tools",
 }
 
@@ -61,6 +63,7 @@ def reference() -> dict[str, str]:
         if name != "__version__":
             names[getattr(armctl, name).__module__.split(".")[1]].append(name)
     names["envs"] = [f"envs.{name}" for name in armctl.envs.__all__]
+    names["jax"] = [f"jax.{name}" for name in armctl.jax.__all__]
     chapters = [subpackage for subpackage in CHAPTERS if names[subpackage]]
     toctree = ["```{toctree}", ":hidden:", "", *(f"reference/{subpackage}" for subpackage in chapters), "```", ""]
     index = [

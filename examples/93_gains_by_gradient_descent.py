@@ -11,7 +11,7 @@ arm = armctl.load("robot_arm_3dof")
 plants = [aj.free_plant(arm, armctl.Plant(payload=payload)) for payload in (0.0, 0.2, 0.4)]  # kg
 batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *plants)
 default = aj.PDGains.of(armctl.PD(arm), arm.dt)
-reference = aj.tick_reference(armctl.move_j(arm, arm.home, arm.home + [0.2, -0.1, 0.1]), arm.dt)
+reference = aj.tick_reference(armctl.move_j(arm, arm.home, arm.home + 0.2), arm.dt)
 noise = 5e-5 * jax.random.normal(jax.random.key(0), (len(reference.q), 2, arm.n))  # rad
 
 
@@ -23,8 +23,8 @@ def run(bandwidth, plant):
         tick, (now, before) = row
         return aj.pd(gains, q + now, v + (now - before) / arm.dt, tick)
 
-    motion = aj.follow(plant, law, reference.q[0], reference.v[0], (reference, noise))
-    return 1e3 * jnp.std(motion.q - reference.q), jnp.std(jnp.diff(motion.tau, axis=0))
+    q, _, tau = aj.follow(plant, law, reference.q[0], reference.v[0], (reference, noise))
+    return 1e3 * jnp.std(q - reference.q), jnp.std(jnp.diff(tau, axis=0))
 
 
 def cost(bandwidth):
@@ -34,8 +34,7 @@ def cost(bandwidth):
 
 slope = jax.jit(jax.value_and_grad(cost, has_aux=True))
 bandwidth = jnp.ones(arm.n)  # relative to the default gains
-for step in range(21):
+for step in range(9):
     (value, (error, chatter)), gradient = slope(bandwidth)
-    if step % 10 == 0:
-        print(f"{bandwidth.round(2)}: worst error {error.max():.1f} mrad, chatter {chatter.mean():.1f} N m")
+    print(f"{bandwidth.round(2)}: worst error {error.max():.1f} mrad, chatter {chatter.mean():.1f} N m")
     bandwidth = bandwidth * jnp.exp(-0.3 * bandwidth * gradient / value)

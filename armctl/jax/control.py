@@ -30,6 +30,24 @@ _MAX_PERIOD_S = 1.0
 _SMALL_SINE = 1e-4
 
 
+class Reference(NamedTuple):
+    """Where the arm should be at a tick, or at each of many; a pytree. Its fields are those of a `Setpoint`.
+
+    Attributes:
+        q: (n,) or (ticks, n) rad.
+        v: Likewise, rad/s.
+        a: Likewise, rad/s^2.
+        v_tick: Likewise, what a sampled velocity reads on the way, rad/s.
+        a_tick: Likewise, the forward difference of v_tick, rad/s^2.
+    """
+
+    q: jax.Array
+    v: jax.Array
+    a: jax.Array
+    v_tick: jax.Array
+    a_tick: jax.Array
+
+
 class PDGains(NamedTuple):
     """Gains of `pd`.
 
@@ -138,7 +156,7 @@ class OperationalSpaceGains(NamedTuple):
         )
 
 
-def tick_reference(trajectory: Trajectory, dt: float, ticks: int | None = None, continuous: bool = False) -> TickReference:
+def tick_reference(trajectory: Trajectory, dt: float, ticks: int | None = None, continuous: bool = False) -> Reference:
     """A trajectory on the ticks of a controller.
 
     Args:
@@ -148,7 +166,7 @@ def tick_reference(trajectory: Trajectory, dt: float, ticks: int | None = None, 
         continuous: Whether the arm moves continuously between ticks.
 
     Returns:
-        A pytree with the rows q, v, a, v_tick and a_tick, (ticks, n) each: `scan` goes over its ticks.
+        Rows for all ticks, over which `scan` goes.
 
     Raises:
         InputError: The control period is no number in [0, 1] s, or there is no tick.
@@ -156,10 +174,10 @@ def tick_reference(trajectory: Trajectory, dt: float, ticks: int | None = None, 
     period = number("dt", dt, 1e-6, _MAX_PERIOD_S)
     count = round(trajectory.duration / period) + 1 if ticks is None else integer("ticks", ticks, 1)
     rows = TickReference.of(trajectory, period, count, flag("continuous", continuous))
-    return jax.tree.map(jnp.asarray, rows)
+    return Reference(*(jnp.asarray(row) for row in rows))
 
 
-def pd(gains: PDGains, q: jax.Array, v: jax.Array, reference: TickReference) -> jax.Array:
+def pd(gains: PDGains, q: jax.Array, v: jax.Array, reference: Reference) -> jax.Array:
     """The law of `armctl.PD`.
 
     Args:
@@ -174,9 +192,7 @@ def pd(gains: PDGains, q: jax.Array, v: jax.Array, reference: TickReference) -> 
     return gains.stiffness * (reference.q - q) + gains.damping * (reference.v - v)
 
 
-def computed_torque(
-    model: ArmModel, gains: ComputedTorqueGains, q: jax.Array, v: jax.Array, reference: TickReference
-) -> jax.Array:
+def computed_torque(model: ArmModel, gains: ComputedTorqueGains, q: jax.Array, v: jax.Array, reference: Reference) -> jax.Array:
     """The law of `armctl.ComputedTorque`, in its discrete form without integral action.
 
     Args:
@@ -195,7 +211,7 @@ def computed_torque(
 
 
 def operational_space(
-    model: ArmModel, gains: OperationalSpaceGains, q: jax.Array, v: jax.Array, reference: TickReference
+    model: ArmModel, gains: OperationalSpaceGains, q: jax.Array, v: jax.Array, reference: Reference
 ) -> jax.Array:
     """The law of `armctl.OperationalSpace`.
 
@@ -250,13 +266,11 @@ def rotation_vector(R: jax.Array) -> jax.Array:
     # Both branches have finite derivatives, because `where` multiplies that of the other one by zero.
     sine = jnp.sqrt(jnp.where(is_small, 1.0, squared))
     w_safe = jnp.where(is_small, w, 1.0)
-    scale = jnp.where(
-        is_small, 2.0 / w_safe * (1.0 - squared / (3.0 * w_safe * w_safe)), 2.0 * jnp.arctan2(sine, w) / sine
-    )
+    scale = jnp.where(is_small, 2.0 / w_safe * (1.0 - squared / (3.0 * w_safe * w_safe)), 2.0 * jnp.arctan2(sine, w) / sine)
     return scale * quat[1:]
 
 
-def _tracking_torque(model: ArmModel, q: jax.Array, v: jax.Array, a: jax.Array, reference: TickReference) -> jax.Array:
+def _tracking_torque(model: ArmModel, q: jax.Array, v: jax.Array, a: jax.Array, reference: Reference) -> jax.Array:
     """Inverse dynamics, with damping and dry friction of the reference motion, as `feedforward` explains; (n,) N m."""
     tau = inverse_dynamics(model, q, v, a) + model.damping[:, 0] * (reference.v_tick - v)
     return tau + dry_friction(model, q, reference.v_tick, reference.a_tick) if model.is_rubbing else tau

@@ -20,14 +20,26 @@ REACHED = re.compile(r"reached within .*")
 
 
 def printed(*command: str | Path) -> str:
-    """What a Python command prints, without the folders of this machine."""
-    text = subprocess.run([sys.executable, *command], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    return re.sub(r"/\S+/", "", text)
+    """What a Python command prints, without the folders of this machine.
+
+    Raises:
+        ModuleNotFoundError: An example needs a package that is not installed.
+        RuntimeError: The command failed.
+    """
+    done = subprocess.run([sys.executable, *command], cwd=ROOT, capture_output=True, text=True, check=False)
+    if "is not installed; pip install" in done.stderr:
+        raise ModuleNotFoundError(done.stderr)
+    if done.returncode:
+        raise RuntimeError(done.stderr)
+    return re.sub(r"/\S+/", "", done.stdout)
 
 
 if __name__ == "__main__":
     for example in sorted((ROOT / "examples").glob("*.py")):
-        (HERE / f"{example.stem}.txt").write_text(printed(example), encoding="utf-8")
+        try:
+            (HERE / f"{example.stem}.txt").write_text(printed(example), encoding="utf-8")
+        except ModuleNotFoundError as error:
+            print(f"{example.stem}: the old output stays: {error}", file=sys.stderr)
     (HERE / "info.txt").write_text(printed("-m", "armctl", "info", "robot_arm_3dof"), encoding="utf-8")
     readme, panda = ROOT / "README.md", (HERE / "05_menagerie_panda.txt").read_text(encoding="utf-8")
     text = TABLE.sub(f"\n{printed('-m', 'armctl', *COMPARE)}\n", readme.read_text(encoding="utf-8"))

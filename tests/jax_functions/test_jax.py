@@ -10,7 +10,6 @@ import pytest
 from synthetic import BENT, TIED, serial_arm
 
 import armctl
-from armctl.core.trajectory import TickReference
 
 pytest.importorskip("jax", reason="JAX is not installed; install armctl with its extra [jax]")
 
@@ -26,7 +25,7 @@ ARMS = ("rubbing", "a telescope, and a hinge tied to it")
 
 @pytest.fixture(autouse=True)
 def float64():
-    before = jax.config.jax_enable_x64
+    before = jax.config.read("jax_enable_x64")
     jax.config.update("jax_enable_x64", True)
     yield
     jax.config.update("jax_enable_x64", before)
@@ -45,7 +44,7 @@ def states(arm):
     rng = np.random.default_rng(0)
     for q in arm.limits.random(arm.limits.clamp(arm.home), 3, rng):
         v, away, v_ref, a_ref, v_tick = rng.uniform(-1.0, 1.0, (5, arm.n))
-        yield q, v, TickReference(q + 0.1 * away, v_ref, a_ref, v_tick, a_ref + 1.0)
+        yield q, v, aj.Reference(q + 0.1 * away, v_ref, a_ref, v_tick, a_ref + 1.0)
 
 
 def relative_error(value, expected):
@@ -92,15 +91,14 @@ def planar(tmp_path) -> armctl.Arm:
 def test_a_batch_of_closed_loops_is_simulated_and_differentiated(planar):
     trajectory = armctl.move_j(planar, planar.home, planar.home + 0.05)
     reference = aj.tick_reference(trajectory, planar.dt)
-    model = aj.arm_model(planar)
-    gains = aj.ComputedTorqueGains.of(armctl.ComputedTorque(planar), planar.dt)
+    gains = aj.PDGains.of(armctl.PD(planar), planar.dt)
     differences = [armctl.Plant(viscous_friction=0.2, free_space=True), armctl.Plant(payload=0.5, free_space=True)]
     plants = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(aj.free_plant(planar, each) for each in differences))
 
     def run(plant, stiffness):
         own = gains._replace(stiffness=stiffness * gains.stiffness)
         start = (reference.q[0], reference.v[0])
-        return aj.follow(plant, lambda q, v, row: aj.computed_torque(model, own, q, v, row), *start, reference)
+        return aj.follow(plant, lambda q, v, row: aj.pd(own, q, v, row), *start, reference)
 
     def squared_error(stiffness):
         motions = jax.vmap(run, in_axes=(0, None))(plants, stiffness)
@@ -109,13 +107,13 @@ def test_a_batch_of_closed_loops_is_simulated_and_differentiated(planar):
     slope_of = jax.jit(jax.value_and_grad(squared_error, has_aux=True))
     (_, motions), slope = slope_of(1.0)
     for plant, q, tau in zip(differences, motions.q, motions.tau, strict=True):
-        log = armctl.simulate(planar, armctl.ComputedTorque(planar), trajectory, plant, dwell=0.0)
+        log = armctl.simulate(planar, armctl.PD(planar), trajectory, plant, dwell=0.0)
         assert relative_error(q, log.q[: len(q)]) < TOLERANCE
         assert relative_error(tau, log.tau[: len(q)]) < 1e2 * TOLERANCE  # a torque amplifies rounding errors of q by 1e4
     step = 1e-5
     difference = (slope_of(1.0 + step)[0][0] - slope_of(1.0 - step)[0][0]) / (2.0 * step)
     assert float(slope) == pytest.approx(float(difference), rel=1e-6)
-    assert slope < 0.0  # a stiffer loop carries the payload better
+    assert slope < 0.0  # a stiffer loop sags less
 
 
 def test_the_motors_of_the_free_plant_keep_within_their_limits(planar):

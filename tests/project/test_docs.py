@@ -14,6 +14,7 @@ from arms import MISSING
 
 import armctl
 import armctl.envs
+import armctl.jax
 from armctl.cli.main import _parser
 
 ROOT = Path(__file__).parents[2]
@@ -116,7 +117,8 @@ def test_no_text_tells_to_install_the_foreign_distribution_called_armctl():
 def public_ids() -> set[str]:
     """The anchors that the reference must have: all public names, and the public methods of the classes, inherited ones too."""
     ids = set()
-    for name in {*armctl.__all__, "envs.ArmEnv", "envs.ArmVectorEnv", "envs.ExpertPolicy"} - {"__version__"}:
+    of_subpackages = {*(f"envs.{name}" for name in armctl.envs.__all__), *(f"jax.{name}" for name in armctl.jax.__all__)}
+    for name in ({*armctl.__all__} | of_subpackages) - {"__version__"}:
         value = attrgetter(name)(armctl)
         ids.add(f"armctl.{name}")
         for base in value.__mro__ if inspect.isclass(value) else ():
