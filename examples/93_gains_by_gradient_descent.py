@@ -34,7 +34,7 @@ def cost(bandwidth):
 
 slope = jax.jit(jax.value_and_grad(cost, has_aux=True))
 bandwidth = jnp.ones(arm.n)  # relative to the default gains
-for step in range(9):
+for _ in range(9):
     (value, (error, chatter)), gradient = slope(bandwidth)
     print(f"{bandwidth.round(2)}: worst error {error.max():.1f} mrad, chatter {chatter.mean():.1f} N m")
     bandwidth = bandwidth * jnp.exp(-0.3 * bandwidth * gradient / value)
