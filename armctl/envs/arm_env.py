@@ -18,6 +18,8 @@ class ArmEnv(gymnasium.Env):
 
     Attributes:
         batch: The episode, a batch of one.
+        compute_reward: Only where observations have goals: a function of achieved goals and desired goals, (..., 3) m each, and
+            the information of the step or of each step, that returns (...,) rewards for hindsight replay.
         metadata: The rendering modes, in the form of Gymnasium.
     """
 
@@ -54,6 +56,9 @@ class ArmEnv(gymnasium.Env):
         self._has_goals = flag("goal_conditioned", goal_conditioned)
         self.action_space = action_space(self.batch)
         self.observation_space = observation_space(self.batch, self._has_goals)
+        # stable-baselines3 takes every environment with this attribute for one with goals.
+        if self._has_goals:
+            self.compute_reward = self.batch.reward
         self.render_mode = render_mode
         self._screen = None
         if render_mode is not None:
@@ -98,19 +103,6 @@ class ArmEnv(gymnasium.Env):
         information = {name: values[0].item() for name, values in found.items()}
         truncated = bool(batch.ended[0])
         return self._formed(observation[0]), float(rewards[0]), False, truncated, information
-
-    def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """The rewards of goals, for hindsight replay.
-
-        Args:
-            achieved_goal: (..., 3) m, where the tip or the object is.
-            desired_goal: (..., 3) m.
-            info: The information of the step, or of each step.
-
-        Returns:
-            (...,) rewards.
-        """
-        return self.batch.reward(achieved_goal, desired_goal, info)
 
     def render(self) -> Any:
         """The state now as a picture.

@@ -9,6 +9,7 @@ import pytest
 from arms import MISSING
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*.py"))
+LONG_EXAMPLES = {"91_ppo_learns_to_reach": 100}  # a third is the adapter to stable-baselines3
 # Packages that armctl does not declare, for they are large: examples say so, and stop.
 NOT_INSTALLED = ("pip install mujoco-mjx", "pip install stable-baselines3")
 every_example = pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
@@ -17,7 +18,7 @@ every_example = pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: pa
 @every_example
 def test_an_example_is_short_and_begins_with_a_sentence(example: Path):
     text = example.read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= 40
+    assert len(text.splitlines()) <= LONG_EXAMPLES.get(example.stem, 40)
     first = (ast.get_docstring(ast.parse(text)) or "").split("\n")[0]
     assert text.startswith('"""')
     assert first.endswith(".")
