@@ -4,7 +4,7 @@ import armctl
 
 arm = armctl.load("robot_arm_3dof")
 
-result = armctl.solve_ik(arm, [0.3, 0.2, 0.3])  # a point; a Pose asks for the orientation too
+result = armctl.solve_ik(arm, [0.3, 0.2, 0.3])  # a point; a Pose also sets the orientation
 print(f"q = {result.q.round(4)} rad: {result}")
 
 near = armctl.solve_ik(arm, [0.3, 0.2, 0.31], q0=result.q)  # a warm start stays near

@@ -15,7 +15,7 @@ for blend in (0.0, 0.01, 0.05):
     whole = armctl.move_sequence(arm, [approach, line, back], blend=blend)
     print(f"corners of {1e3 * blend:2.0f} mm: {whole.duration:.3f} s, inside all limits: {whole.check_limits().ok}")
 
-t = 0.5 * approach.duration  # a new target comes up on the way
+t = 0.5 * approach.duration  # a new target appears during the motion
 now = approach(t)
 target = arm.fk(above).position + np.array([0.0, -0.05, -0.05])
 turned = approach.until(t).then(armctl.move_l(arm, now.q, target, v_start=now.v, a_start=now.a))

@@ -5,7 +5,7 @@ from armctl.analysis.comparison import out_and_back
 from armctl.analysis.report import table
 
 arm = armctl.load("robot_arm_3dof")
-plant = armctl.Plant(payload=1.5, encoder_noise=1e-5, timestep=0.001)  # what the controllers are not told
+plant = armctl.Plant(payload=1.5, encoder_noise=1e-5, timestep=0.001)  # the controllers' model has none of these
 motion = out_and_back(arm)
 
 log = armctl.simulate(arm, "computed-torque-observer", armctl.excitation(arm), plant)

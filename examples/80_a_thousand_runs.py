@@ -15,7 +15,7 @@ study = armctl.Study(
     robot="robot_arm_3dof",
     controllers=["pd-gravity", "computed-torque", "computed-torque-observer"],
     factors={
-        "payload": armctl.Range(0.0, 1.0),  # kg that no controller knows of
+        "payload": armctl.Range(0.0, 1.0),  # kg, missing in the controllers' models
         "friction": armctl.Range(0.0, 0.02),  # as a fraction of the torque limits
         "delay": [0, 2, 4],  # ticks of 2 ms
         "noise": 1.0,  # 1e-5 rad and 1e-3 rad/s

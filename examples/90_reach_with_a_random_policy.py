@@ -12,7 +12,7 @@ envs = gymnasium.make_vec(
     robot=arm,
     action="joint_target",
     threads=2,
-    randomize={"payload": armctl.Range(0.0, 0.2)},  # kg that the controller does not know of
+    randomize={"payload": armctl.Range(0.0, 0.2)},  # kg, missing in the controller's model
 )
 print(f"{envs.num_envs} environments with actions of shape {envs.single_action_space.shape}")
 

@@ -19,7 +19,7 @@ from armctl.robot.parity import PARITY_TOLERANCE, check_parity
 from armctl.sim.simulate import simulate
 
 EXACT_TRACKING = 1e-6  # rad, m: computed torque in its own model
-EXPLAINED_TRACKING = 5e-3  # rad, m: with a reason, such as an equality that gives way
+EXPLAINED_TRACKING = 5e-3  # rad, m: with a reason, such as a soft equality
 IK_SUCCESS = 0.999  # of reachable poses
 GOAL_DISTANCE = 0.2  # rad, m: how far the joints move from home in the tracking runs
 _POSITION_TOLERANCE_M = 2e-5  # of an inverse-kinematics answer, twice what the solver promises

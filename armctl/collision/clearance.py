@@ -18,7 +18,7 @@ from armctl.robot.arm import Arm, check_arm
 if TYPE_CHECKING:
     from armctl.collision.checker import CollisionChecker
 
-MAX_DEGREE = 5  # of the polynomials that the kernels know
+MAX_DEGREE = 5  # of the polynomials in the kernels
 _NO_PAIRS_M = np.inf
 
 

@@ -27,7 +27,7 @@ _WRENCH_FILTER = 40.0  # rad/s. The wrench on motion axes is compensated; faster
 _APPROACH_RATE = 40.0  # 1/s, the bandwidth of the speed in an approach; stable with a delay of 4 ms
 _DAMPING_RATE = 30.0  # 1/s, the damping of the tip in contact divided by its mass
 _INTEGRAL_RATE = 20.0  # 1/s. Below the damping rate, the integral of a lightly damped wall is stable.
-_MAX_INTEGRATED_ERROR = 0.05  # of the target. On a soft wall the force rises slowly; the integral does not wind up meanwhile.
+_MAX_INTEGRATED_ERROR = 0.05  # of the target. On a soft wall the force rises slowly; the bound prevents windup.
 _RISE_TIME_S = 0.02  # time constant of the commanded force after the first contact
 # While there is less force than the contact threshold, the command is this multiple of the measured force. Above 1 it makes the
 # force grow on any wall that the slow tip touches; without contact it is zero.

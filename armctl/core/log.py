@@ -18,7 +18,7 @@ from armctl.core.log_csv import Columns, Units, read_recording
 from armctl.core.log_files import PER_JOINT
 from armctl.core.validation import Array, frozen, instance, number, shown
 
-RECORDED = "recorded"  # the controller of a real robot's recording, which armctl does not know
+RECORDED = "recorded"  # the unknown controller in the recording of a real robot
 _STATE = ("q", "v", "tau", "tau_cmd")
 _REFERENCE = ("q_ref", "v_ref", "a_ref")
 _MAX_STATE = 1e20  # rad, m, rad/s, m/s; MuJoCo itself stops at 1e10

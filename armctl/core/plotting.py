@@ -14,7 +14,7 @@ from armctl.core.errors import NotInstalledError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# The palette of Okabe and Ito (Color Universal Design, 2008), which colour-blind readers can tell apart.
+# The palette of Okabe and Ito (Color Universal Design, 2008), which colour-blind readers can distinguish.
 COLORS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8C6D00", "#000000", "#999999")
 STYLE: dict[Any, Any] = {
     "axes.grid": True,

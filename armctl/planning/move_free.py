@@ -40,7 +40,7 @@ _MIN_CLEARANCE_M = 1e-5  # the proof does not split intervals in which nothing m
 _REPAIRS = 14  # points that are added where a smooth motion leaves the free path
 _REPAIR_MARGIN = 0.25  # of a line: an added point keeps so far from its ends
 
-FreeGoal = Any  # Pose | ArrayLike | Sequence[Pose | ArrayLike]: ArrayLike and Sequence cannot be told apart by type
+FreeGoal = Any  # Pose | ArrayLike | Sequence[Pose | ArrayLike]: the type ArrayLike includes Sequence
 
 
 def move_free(

@@ -26,7 +26,7 @@ _SETTLED_SPEED = 1e-4  # rad/s, m/s
 _MIN_OPENING = 1e-3  # m
 # A servo made of a motor pushes with its full force at this fraction of the joint's range.
 _FULL_FORCE_FRACTION = 0.1
-_SERVO_BANDWIDTH = 0.2  # rad per time step: a tenth of what the explicit integration of its damping can bear
+_SERVO_BANDWIDTH = 0.2  # rad per time step: a tenth of the stability limit of explicit integration of its damping
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from armctl.sim.plant import Plant
 from armctl.sim.simulate import simulate
 
 _Result = TypeVar("_Result")
-_QUEUED_PER_THREAD = 4  # runs that wait for a thread; more would keep their results in memory before they are asked for
+_QUEUED_PER_THREAD = 4  # runs that wait for a thread; more results would have to stay in memory
 
 
 class Run(NamedTuple):

@@ -19,7 +19,7 @@ from armctl.sim.plant import Plant
 WRENCH_SIZE = 6
 ESTIMATE_BANDWIDTH = 200.0  # rad/s of the low-pass of wrenches that are estimated from torques
 _CARTESIAN_EQUALITIES = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD), int(mujoco.mjtEq.mjEQ_FLEX))
-_MIN_JOINTS_FOR_MOMENTS = 6  # the torques of fewer joints do not tell a moment from a force
+_MIN_JOINTS_FOR_MOMENTS = 6  # the torques of fewer joints do not separate moments from forces
 
 
 class WrenchSensor:

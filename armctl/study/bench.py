@@ -127,7 +127,7 @@ class Bench:
             ArmctlError: The robot cannot be loaded, or another one has its name here.
         """
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ArmctlWarning)  # whoever defined the study has seen them
+            warnings.simplefilter("ignore", ArmctlWarning)  # they were shown when the study was defined
             self.arm: Arm = load(**setup["robot"])
         self.digest = _model_digest(self.arm)
         if setup.get("versions", versions()) != versions():

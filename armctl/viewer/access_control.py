@@ -33,7 +33,7 @@ _HEADERS = {
 }
 # Another page must not show this one and catch the clicks.
 _NO_FRAMES = {"Content-Security-Policy": "frame-ancestors 'none'", "X-Frame-Options": "DENY"}
-# X-Frame-Options knows no list of pages, so browsers get the policy alone.
+# X-Frame-Options does not support a list of pages, so only the policy is sent.
 _NOTEBOOK_FRAMES = {"Content-Security-Policy": "frame-ancestors http://localhost:* http://127.0.0.1:*"}
 
 

@@ -12,7 +12,7 @@ from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import Pieces, basis_many
 from armctl.robot.arm import Arm
 
-_DEGREE = 8  # of the polynomials that stand for the squared speed of the tip, in each piece
+_DEGREE = 8  # of the polynomials for the squared speed of the tip, in each piece
 _MAX_PART_S = 0.02  # longer pieces are divided: the squared speed is no polynomial
 
 

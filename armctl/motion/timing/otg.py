@@ -163,7 +163,7 @@ class ProfileSolver:
         trajectory = ruckig.Trajectory(self._n)
         try:
             solved = self._ruckig.calculate(self._input, trajectory) in _SOLVED
-        except (ruckig.RuckigError, ValueError):  # ValueError: a result code that the binding does not know
+        except (ruckig.RuckigError, ValueError):  # ValueError: a result code that is missing in the binding
             solved = any(self._solves_within(1 - share, trajectory) for share in _TIGHTENING)
             self._set_limits(1.0)
         return Profile(trajectory, self._v_max, self._a_max) if solved else None
@@ -172,7 +172,7 @@ class ProfileSolver:
         self._set_limits(share)
         try:
             return self._ruckig.calculate(self._input, trajectory) in _SOLVED
-        except (ruckig.RuckigError, ValueError):  # ValueError: a result code that the binding does not know
+        except (ruckig.RuckigError, ValueError):  # ValueError: a result code that is missing in the binding
             return False
 
     def _set_limits(self, share: float) -> None:
