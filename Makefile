@@ -52,7 +52,10 @@ $(VENV)/dev.stamp: $(VENV)/run.stamp
 demo: $(VENV)/run.stamp
 	@$(BIN)/armctl reach robot_arm_3dof
 
-test: lint types docs pytest
+# The checks use one core each.
+test:
+	@$(MAKE) --no-print-directory --jobs 2 lint types docs
+	@$(MAKE) --no-print-directory pytest
 
 lint: $(VENV)/dev.stamp
 	@$(BIN)/ruff check . || { echo "ruff found the above; make format fixes some of it"; exit 1; }

@@ -283,7 +283,7 @@ class CollisionChecker:
         """
         moving = self._moving_coefficients(coefficients)
         bound, least, pair, time = kernel.closest_approach(
-            knots,
+            knots.copy(),
             moving,
             clearance,
             RESOLUTION_M,
@@ -323,6 +323,7 @@ class CollisionChecker:
     ) -> Hit | None:
         """As `motion_hit`, for polynomials of all joints that move, and for one pair or all."""
         ranges = np.empty((len(coefficients), 2, coefficients.shape[2]))
+        knots = knots.copy()  # numba would compile the proof again for a read-only array
         found, time = kernel.prove_motion(knots, coefficients, pair, clearance, ranges, self._proof_rows(keep), self.scene_rows)
         return None if found < 0 else Hit(found, time)
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import os
 import pickle
+import sys
+import time
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
@@ -21,6 +23,7 @@ from numba.core.typing.templates import make_concrete_template
 
 from armctl.core.errors import ArmctlWarning
 
+_SILENT_S = 2.0  # so long a process compiles before it tells why its user waits
 _DIGEST_SIZE = hashlib.sha256().digest_size
 
 
@@ -117,9 +120,21 @@ class _Kernel(CPUDispatcher):
         called: What compiled code calls, by the types of the arguments.
     """
 
+    _compiled_s = 0.0  # by this process
+    _has_told = False
+
     def __init__(self, *arguments: Any, **options: Any):
         super().__init__(*arguments, **options)
         self.called: dict[tuple, CompileResult] = {}
+
+    def compile(self, sig: Any) -> Any:
+        """The code for these types of arguments, from the cache if it is there."""
+        began = time.monotonic()
+        code = super().compile(sig)
+        if self.stats.cache_misses[sig]:
+            _Kernel._compiled_s += time.monotonic() - began
+            _tell_once()
+        return code
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """What numba asks for when it compiles a call: the signature for these types of arguments."""
@@ -145,6 +160,14 @@ class _Kernel(CPUDispatcher):
         result = compile_extra(self.typingctx, target, self.py_func, args, None, flags, {}, library)
         target.insert_user_function(result.fndesc, result.fndesc, [library])
         return result
+
+
+def _tell_once() -> None:
+    """Tells a user at a terminal that armctl compiles."""
+    if _Kernel._has_told or _Kernel._compiled_s < _SILENT_S or sys.stderr is None or not sys.stderr.isatty():
+        return
+    _Kernel._has_told = True
+    print("armctl compiles for this computer, once: half a minute, on a slow one several minutes", file=sys.stderr, flush=True)
 
 
 def njit(function: Callable) -> Callable:

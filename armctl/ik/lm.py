@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armctl.core.validation import Array, BoolArray, IntArray
+from armctl.core.validation import Array, BoolArray, IntArray, frozen
 from armctl.ik.problem import Problem, compiled
 
 # The search uses this share of the tolerances, so that rounding does not decide when the answer is measured.
@@ -88,11 +88,11 @@ def search(problem: Problem, first: int, last: int, begin: Array | None = None) 
     kernel.search(
         chain.rows,
         chain.reach,
-        problem.targets,
+        frozen(problem.targets.view()),  # as in a search for one target: numba compiles again for a writable array
         problem.constraint,
         problem.position_tolerance * TOLERANCE_SHARE,
         problem.orientation_tolerance * TOLERANCE_SHARE,
-        q0,
+        frozen(q0.view()),
         first,
         last,
         problem.seed,
@@ -115,7 +115,7 @@ def refine(problem: Problem, q: Array, pull: float = 0.0, rotation_weight: float
     kernel.refine(
         chain.rows,
         chain.reach,
-        problem.targets,
+        frozen(problem.targets.view()),
         problem.constraint,
         kernel.ROTATION_WEIGHT if rotation_weight is None else rotation_weight,
         chain.to_units(problem.q0),

@@ -342,11 +342,11 @@ def _reached(chain: PackedChain, points: Array, rows: Array, is_oriented: bool) 
     kernel.search(
         chain.rows,
         chain.reach,
-        targets[search],
+        frozen(targets[search]),
         kernel.POSE if is_oriented else kernel.POSITION,
         POSITION_TOLERANCE * TOLERANCE_SHARE,
         ORIENTATION_TOLERANCE * TOLERANCE_SHARE,
-        q0[search],
+        frozen(q0[search]),
         0,
         starts,
         0,

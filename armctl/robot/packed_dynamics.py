@@ -100,7 +100,7 @@ class PackedDynamics:
         return positions, quats
 
     def _check(self, dynamics: Dynamics, pinocchio_model: PinocchioModel) -> None:
-        from armctl.robot import dynamics_kernel as kernel
+        from armctl.robot.dynamics_check_kernel import evaluate
 
         rng = np.random.default_rng(0)
         packed = self.vector(0.0)
@@ -108,13 +108,10 @@ class PackedDynamics:
         tau = np.zeros(self.n)
         M = np.zeros((self.n, self.n))
         J = np.zeros((6, self.n))
+        position = np.zeros(3)
         for _ in range(_CHECKED_STATES):
             q, v, a = rng.uniform(-1.0, 1.0, (3, self.n))
-            kernel.inverse_dynamics(packed, q, v, a, work, tau)
-            kernel.mass_matrix(packed, work, M)
-            kernel.locate(packed, work)
-            kernel.tip_jacobian(packed, work, J)
-            position = np.array(kernel.tip_position(packed, work))
+            evaluate(packed, q, v, a, work, tau, M, J, position)
             pairs = {
                 "inverse dynamics": (tau, dynamics.inverse_dynamics(q, v, a)),
                 "mass matrix": (M, dynamics.mass_matrix(q)),

@@ -22,10 +22,12 @@ EXACT = (
 UNSUPPORTED = ("pd", "pd-feedforward")  # away from its reference, a light arm falls: gravity is stronger than the spring
 
 
-@pytest.mark.parametrize("integrator", ["Euler", "implicitfast", "implicit", "continuous"])
-@pytest.mark.parametrize("dt", [0.001, 0.004])
+PERIODS = [(integrator, dt) for integrator in ("Euler", "implicitfast", "implicit") for dt in (0.001, 0.004)]
+
+
+@pytest.mark.parametrize(("integrator", "dt"), [*PERIODS, ("continuous", 0.004)])  # the longer period is the harder one
 @pytest.mark.parametrize("shape", SHAPES)
-def test_default_gains_hold_on_extreme_arms(tmp_path, shape, dt, integrator):
+def test_default_gains_hold_on_extreme_arms(tmp_path, shape, integrator, dt):
     continuous = integrator == "continuous"
     arm = serial_arm(tmp_path, SHAPES[shape], "Euler" if continuous else integrator)
     plant = armctl.Plant(timestep=dt, continuous=continuous)

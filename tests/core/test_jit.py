@@ -1,5 +1,6 @@
 """A cache of compiled code that cannot be used leads to compilation and one warning, never to an error."""
 
+import io
 import os
 import subprocess
 import sys
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from armctl.core import jit
 from armctl.core.jit import njit
 
 KERNEL = """
@@ -46,16 +48,34 @@ class Outcome:
         self.results, self.hits, *self.warnings = done.stdout.strip().split("\n")
 
 
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[Path, bytes]]:
+    """The folder of a first process, and the files of its cache."""
+    folder = tmp_path_factory.mktemp("compiled")
+    outcome = Outcome(folder)
+    assert (outcome.results, outcome.hits, outcome.warnings) == ("6.0 2.0", "0", [])
+    return folder, {path: path.read_bytes() for path in (folder / "cache").rglob("*.nb*")}
+
+
+@pytest.fixture
+def compiled(first: tuple[Path, dict[Path, bytes]]) -> Path:
+    """That folder, with the cache as the first process left it."""
+    folder, cache = first
+    for path in (folder / "cache").rglob("*.nb*"):
+        path.unlink()
+    for path, content in cache.items():
+        path.write_bytes(content)
+    return folder
+
+
 def files(folder: Path, ending: str) -> list[Path]:
     found = sorted((folder / "cache").rglob(f"*.{ending}"))
     assert len(found) == 2
     return found
 
 
-def test_the_second_process_takes_the_code_from_the_cache(tmp_path: Path):
-    first = Outcome(tmp_path)
-    assert (first.results, first.hits, first.warnings) == ("6.0 2.0", "0", [])
-    second = Outcome(tmp_path)
+def test_the_second_process_takes_the_code_from_the_cache(compiled: Path):
+    second = Outcome(compiled)
     assert (second.results, second.hits, second.warnings) == ("6.0 2.0", "1", [])
 
 
@@ -80,28 +100,38 @@ def test_what_only_compiled_code_calls_is_compiled_once_for_all_constants_and_no
     assert len(power.signatures) == 1
 
 
+def test_a_user_at_a_terminal_reads_once_why_the_first_motion_takes_long(monkeypatch: pytest.MonkeyPatch):
+    terminal = io.StringIO()
+    terminal.isatty = lambda: True  # type: ignore[method-assign]
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr(jit, "_SILENT_S", 0.0)
+    monkeypatch.setattr(jit._Kernel, "_has_told", False)
+    namespace: dict = {"njit": njit}
+    exec("@njit\ndef half(x):\n    return 0.5 * x\n", namespace)
+    assert (namespace["half"](3.0), namespace["half"](3)) == (1.5, 1.5)
+    assert terminal.getvalue().count("armctl compiles for this computer, once") == 1
+
+
 @pytest.mark.parametrize("content", [b"", b"\x80\x04rubbish" * 40, os.urandom(4000)], ids=["empty", "rubbish", "random"])
 @pytest.mark.parametrize("ending", ["nbi", "nbc"])
-def test_a_damaged_cache_leads_to_one_warning_and_is_written_again(tmp_path: Path, ending: str, content: bytes):
-    Outcome(tmp_path)
-    for path in files(tmp_path, ending):
+def test_a_damaged_cache_leads_to_one_warning_and_is_written_again(compiled: Path, ending: str, content: bytes):
+    for path in files(compiled, ending):
         path.write_bytes(content)
-    damaged = Outcome(tmp_path)
+    damaged = Outcome(compiled)
     assert damaged.results == "6.0 2.0"
     assert len(damaged.warnings) == 1
     assert damaged.warnings[0].startswith("ArmctlWarning the cache of compiled code in ")
     assert len(damaged.warnings[0]) <= 400
-    after = Outcome(tmp_path)
+    after = Outcome(compiled)
     assert (after.results, after.hits, after.warnings) == ("6.0 2.0", "1", [])
 
 
-def test_a_single_changed_byte_of_compiled_code_is_not_executed(tmp_path: Path):
-    Outcome(tmp_path)
-    for path in files(tmp_path, "nbc"):
+def test_a_single_changed_byte_of_compiled_code_is_not_executed(compiled: Path):
+    for path in files(compiled, "nbc"):
         content = bytearray(path.read_bytes())
         content[len(content) // 2] ^= 0x40
         path.write_bytes(content)
-    damaged = Outcome(tmp_path)
+    damaged = Outcome(compiled)
     assert damaged.results == "6.0 2.0"
     assert "is damaged" in damaged.warnings[0]
 

@@ -1,14 +1,21 @@
 """Every example is short, says what it shows, and runs without a screen."""
 
 import ast
+import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 
+import mujoco_menagerie
 import pytest
 from arms import MISSING
 
+import armctl
+
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*.py"))
+# JAX and PyTorch start threads, after which other tests of the process could not fork.
+APART = [path for path in EXAMPLES if re.search("jax|stable_baselines3", path.read_text(encoding="utf-8"))]
 LONG_EXAMPLES = {"91_ppo_learns_to_reach": 100}  # a third is the adapter to stable-baselines3
 # Packages that armctl does not declare, for they are large: examples say so, and stop.
 NOT_INSTALLED = ("pip install mujoco-mjx", "pip install stable-baselines3")
@@ -24,8 +31,25 @@ def test_an_example_is_short_and_begins_with_a_sentence(example: Path):
     assert first.endswith(".")
 
 
-@every_example
-def test_an_example_runs(example: Path, tmp_path: Path):
+@pytest.mark.parametrize("example", [path for path in EXAMPLES if path not in APART], ids=lambda path: path.stem)
+@pytest.mark.filterwarnings("default")  # as outside a test
+def test_an_example_runs(example: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    """In this process, because to import everything again takes longer than most examples."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [str(example), str(tmp_path)])
+    try:
+        runpy.run_path(str(example), run_name="__main__")
+    except armctl.ModelError as error:
+        if MISSING not in str(error):
+            raise
+        pytest.skip(f"{str(error).split(':')[0]}: {MISSING}")
+    except mujoco_menagerie.DownloadError:
+        pytest.skip(f"a robot of Menagerie: {MISSING}")
+    assert capsys.readouterr().out
+
+
+@pytest.mark.parametrize("example", APART, ids=lambda path: path.stem)
+def test_an_example_with_another_framework_runs(example: Path, tmp_path: Path):
     done = subprocess.run([sys.executable, example, tmp_path], cwd=tmp_path, capture_output=True, text=True, timeout=300)
     if done.returncode != 0 and MISSING in done.stderr:
         pytest.skip(f"{done.stderr.split('ModelError: ')[-1].split(':')[0]}: {MISSING}")
