@@ -127,7 +127,7 @@ class Scene:
             spec: The specification, changed in place.
 
         Raises:
-            InputError: It is no specification, or the model has a body of the same name already.
+            InputError: It is no specification, or the model has a body or a geom of the same name already.
         """
         instance("spec", spec, mujoco.MjSpec, "mujoco.MjSpec.from_file reads one")
         names = [*(self._file.bodies if self._file else ()), *(item.name for item in self.items)]
@@ -135,6 +135,10 @@ class Scene:
         for name in names:
             if name in taken or names.count(name) > 1:
                 raise InputError(f"scene: the model has a body {name!r} already; choose another name")
+        geoms = {geom.name for geom in spec.geoms}
+        for item in self.items:
+            if item.name in geoms:
+                raise InputError(f"scene: the model has a geom {item.name!r} already; choose another name")
         if any(item.mass is not None for item in self.items) or (self._file and self._file.is_loose):
             spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
             spec.option.impratio = max(spec.option.impratio, _FRICTION_RATIO)
