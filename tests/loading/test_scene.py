@@ -66,7 +66,11 @@ def test_a_name_of_the_robot_is_taken(load):
     with pytest.raises(armctl.InputError, match="scene: the model has a body 'A' already; choose another name"):
         load(limb("a b"), motors("a b"), scene=armctl.Scene().add_box("A", [1, 1, 1], [5, 0, 0]))
     with pytest.raises(armctl.InputError, match="scene: the model has a geom 'floor' already; choose another name"):
-        load(limb("a b") + '<geom name="floor" type="plane" size="1 1 1" pos="0 0 -1"/>', motors("a b"), scene=armctl.Scene().add_box("floor", [1, 1, 1], [5, 0, 0]))
+        load(
+            limb("a b") + '<geom name="floor" type="plane" size="1 1 1" pos="0 0 -1"/>',
+            motors("a b"),
+            scene=armctl.Scene().add_box("floor", [1, 1, 1], [5, 0, 0]),
+        )
 
 
 def test_a_scene_can_be_used_twice(load):
