@@ -34,6 +34,9 @@ def add(commands: Commands) -> None:
     parser = add_command(commands, "reach", run, "move the tip to a target and report")
     add_arm(parser)
     parser.add_argument("--target", nargs="+", metavar="N", help="x y z in m, optionally with roll pitch yaw in rad")
+    parser.add_argument(
+        "--allow", action="append", default=[], metavar="A,B", help="two bodies or geoms that may touch, such as cube,table"
+    )
     parser.add_argument("--controller", default="computed-torque", help=f"{CONTROLLERS_HELP} (default %(default)s)")
     parser.add_argument("--video", type=Path, metavar="FILE", help="film the run into this .mp4 or .gif")
     parser.add_argument("--video-speed", metavar="X", default="1", help="0.5 films in slow motion (default 1)")
@@ -53,9 +56,10 @@ def run(args: argparse.Namespace) -> int:
     if args.video:
         film_path(args.video)
     video_speed = number("video_speed", one_number("video_speed", args.video_speed), 0.01, 100.0)
+    allow = [_pair(words) for words in args.allow]
     simulation = Simulation(load_arm(args), args.controller)
     target = simulation.target if args.target is None else _target(args.target)
-    result = simulation.move_to(target, speed=speed)
+    result = simulation.move_to(target, speed=speed, allow=allow)
     if result.log is None:
         figures = dict.fromkeys(field.name for field in fields(Report) if field.name != "log")
         figures |= {"ok": False, "verdict": str(result), "robot": args.robot, "controller": args.controller}
@@ -68,6 +72,13 @@ def run(args: argparse.Namespace) -> int:
     if args.video:
         say_written(simulation.record(args.video, speed=video_speed))
     return DONE if result and report else NOT_REACHED
+
+
+def _pair(words: str) -> tuple[str, str]:
+    first, _, second = words.partition(",")
+    if not (first and second) or "," in second:
+        raise InputError(f"allow: expected two names with a comma between them, such as cube,table, got {words!r:.80}")
+    return first, second
 
 
 def _target(words: Sequence[str]):

@@ -138,6 +138,13 @@ def test_reach_goes_around_what_stands_in_the_cell_and_refuses_what_it_cannot_re
     status, out, _ = run(capsys, "reach", BUNDLED, "--scene", str(cell), "--target", "0.3", "0.12", "0.2")
     assert status == 1
     assert "the goal cannot be reached without contact: link3 is 50.0 mm inside post" in out
+    into = ("reach", BUNDLED, "--scene", str(cell), "--target", "0.3", "0.12", "0.29")
+    _, out, _ = run(capsys, *into, "--allow", "link3,post", "--allow", "link2,post")
+    assert "without contact" not in out
+    assert "link3 touched post" in out
+    status, _, err = run(capsys, *into, "--allow", "post")
+    assert status == 2
+    assert err == "armctl: --allow: expected two names with a comma between them, such as cube,table, got 'post'\n"
 
 
 def test_a_controller_that_sags_exits_1(capsys, monkeypatch):
