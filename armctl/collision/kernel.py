@@ -94,6 +94,7 @@ WORK_ROWS = 16
 
 LARGE_HULL = 24  # vertices; larger hulls are searched by hill climbing
 MOTION_MIN_M = 1e-4  # an interval in which no point moves farther is not split again: the pair then counts as not free
+MOTION_MIN_SHARE = 0.25  # of the clearance, where that is less: a line may end where something is hardly farther away
 COARSE = 0.8  # of the size of the moving geom: while the motion is larger, a distance would not settle the pair
 PAIR = 0  # columns of what `near_pairs` finds
 DISTANCE = 1
@@ -106,6 +107,7 @@ _MAX_DEPTH_STEPS = 20
 _DEPTH_GAP_M = 1e-9
 _GJK_RELATIVE_GAP = 1e-9
 _GJK_GAP_M = 1e-7
+_SETTLED_M = 1e-7  # a bound that is so near to the clearance is taken for it
 _INFINITE = 1e300
 
 
@@ -683,6 +685,12 @@ def nearest_pair(q, geoms, points, neighbors, pairs, groups, tree, frames, spher
 
 
 @njit
+def _least_motion(clearance):
+    """An interval in which no point moves farther is not split again, m."""
+    return min(MOTION_MIN_M, MOTION_MIN_SHARE * clearance) if clearance > 0.0 else MOTION_MIN_M
+
+
+@njit
 def _check_pair(p, delta, clearance, open_pairs, end, geoms, points, neighbors, pairs, tree, frames, spheres, work):
     """Settles a pair for an interval, or notes it as open. Returns the end of the open pairs, or -1 - p if it is not free."""
     a = int(pairs[p, A])
@@ -691,7 +699,7 @@ def _check_pair(p, delta, clearance, open_pairs, end, geoms, points, neighbors, 
     gap = _gap(a, b, geoms, spheres)
     if gap > clearance + motion:
         return end
-    if motion > max(gap, 0.0) + COARSE * min(geoms[a, BOUND], geoms[b, BOUND]) and motion > MOTION_MIN_M:
+    if motion > max(gap, 0.0) + COARSE * min(geoms[a, BOUND], geoms[b, BOUND]) and motion > _least_motion(clearance):
         # The interval is too long for a distance to settle the pair. Only a contact at its middle ends the search early.
         if gap <= clearance and _hits(p, clearance, geoms, points, neighbors, pairs, frames, spheres, work):
             work[LAST_HIT, 0] = p
@@ -702,7 +710,7 @@ def _check_pair(p, delta, clearance, open_pairs, end, geoms, points, neighbors, 
     lower, upper = distance(p, enough + 1e-9, clearance, False, geoms, points, neighbors, pairs, frames, spheres, work)
     if lower > enough:
         return end
-    if upper <= clearance or lower <= clearance or motion < MOTION_MIN_M:
+    if upper <= clearance or lower <= clearance or motion < _least_motion(clearance):
         work[LAST_HIT, 0] = p
         return -1 - p
     if int(geoms[a, SHAPE]) != PLANE:
@@ -748,7 +756,7 @@ def _check_group(row, delta, clearance, open_pairs, end, geoms, points, neighbor
     gap = _gap(a, b, geoms, spheres)
     if gap > clearance + motion:
         return end
-    if motion > max(gap, 0.0) + COARSE * min(geoms[a, BOUND], geoms[b, BOUND]) and motion > MOTION_MIN_M:
+    if motion > max(gap, 0.0) + COARSE * min(geoms[a, BOUND], geoms[b, BOUND]) and motion > _least_motion(clearance):
         if gap <= clearance:
             for p in range(groups[row, 2], groups[row, 3]):
                 if _hits(p, clearance, geoms, points, neighbors, pairs, frames, spheres, work):
@@ -891,7 +899,9 @@ def closest_approach(knots, coefficients, clearance, resolution, samples, ranges
     state = _first_interval(knots, -1, memory)
     aim = least
     while least > clearance:
-        bound = max(aim - resolution, clearance)
+        bound = max(aim - resolution, 0.5 * (aim + clearance))
+        if bound - clearance < _SETTLED_M:
+            bound = clearance
         state, p, time = _continue_proof(state, knots, coefficients, bound, ranges, memory, scene)
         if p < 0:
             return bound, least, nearest, when
@@ -900,7 +910,7 @@ def closest_approach(knots, coefficients, clearance, resolution, samples, ranges
         p, distance_now = nearest_pair(q, *scene)
         if bound == clearance:
             return -1.0, distance_now, p, time
-        aim -= 0.5 * resolution  # a proof stops this near to its bound, or because GJK did not converge
+        aim -= 0.5 * (aim - bound)  # a proof stops this near to its bound, or because GJK did not converge
         if distance_now < least:
             least = distance_now
             nearest = p

@@ -36,7 +36,7 @@ _IK_TRIES = 24  # starts from which solutions for a pose or a point are looked f
 _MAX_IK_TRIES = 500  # as long as no solution is free
 _MAX_ROOTS = 8  # of the goal tree, for each pose or point
 _SAME_CONFIGURATION = 1e-3  # rad
-_MIN_CLEARANCE_M = 1e-5  # the proof does not split intervals in which nothing moves farther than 0.1 mm
+_MIN_CLEARANCE_M = 1e-5  # of a motion, where start and goal leave it: how fine a proof is follows from the clearance
 _REPAIRS = 14  # points that are added where a smooth motion leaves the free path
 _REPAIR_MARGIN = 0.25  # of a line: an added point keeps so far from its ends
 
@@ -154,7 +154,7 @@ def move_free_with(
     motion_clearance = max(0.5 * clearance, min(_MIN_CLEARANCE_M, 0.5 * min(start_distance, goal_distance)))
     required = _Required(checker, motion_clearance, keep)
     for configuration in goals:
-        if _touches_on_line(checker, start, configuration, motion_clearance, keep):
+        if checker.line_hit(start, configuration, motion_clearance, keep) is not None:
             continue
         motion = move_j(arm, start, configuration)
         if required.hit(motion) is None:
@@ -308,16 +308,6 @@ def configurations_for(
 def _free(checker: CollisionChecker, q: Array) -> bool:
     pair, distance = checker.nearest(q)
     return pair < 0 or distance > 0.0
-
-
-def _touches_on_line(checker: CollisionChecker, start: Array, end: Array, clearance: float, keep: KeptAxis | None) -> bool:
-    """Whether a line leads through a contact, or is not known to keep the axis: that spares the proof of the motion along it.
-
-    Near a goal that almost touches, such as an object a hair above its table, the proof of the line is too coarse. The motion
-    slows down there, so its own proof is finer.
-    """
-    hit = checker.line_hit(start, end, clearance, keep)
-    return hit is not None and (checker.tilts(hit) or checker.hit(start + hit.time * (end - start), clearance) >= 0)
 
 
 def _tilt(arm: Arm, q: Array, keep: KeptAxis) -> float:
