@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import html
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
 
-from armctl.analysis.report import Report, contacts_in_words
+from armctl.analysis.report import Report, best_cells, contacts_in_words, report_table
 from armctl.collision.checkers import collision_checker
 from armctl.control import Controller, controller_name
 from armctl.core.errors import InputError, ModelError, PlanError
 from armctl.core.log import Log
+from armctl.core.tables import Table
 from armctl.core.trajectory import Trajectory
 from armctl.core.validation import integer, number, shown
 from armctl.design.margins import margins
@@ -32,7 +35,7 @@ def compare(
     workers: int = 1,
     poses: int = 0,
     progress: Callable[[int, int], None] | None = None,
-) -> list[Report]:
+) -> Comparison:
     """Follows one trajectory under every controller on every plant.
 
     Args:
@@ -45,7 +48,7 @@ def compare(
         progress: Called after each run with the number of completed runs and their total.
 
     Returns:
-        One report per pair, plant by plant. A run that failed after its first tick has a report, too.
+        A list with one report per pair, plant by plant. A run that failed after its first tick has a report, too.
 
     Raises:
         InputError: There is no controller or no plant, or the number of threads is not positive.
@@ -66,7 +69,7 @@ def compare(
     if progress is not None and not callable(progress):
         raise InputError(f"progress: expected a function of two numbers, got {shown(progress)}")
     runs = rows_as_runs(arm, [(pair.controller, trajectory, pair.plant) for pair in pairs])
-    reports = []
+    reports = Comparison()
     for pair, report in zip(pairs, run_many(arm, runs, _report, threads=integer("workers", workers, 1)), strict=True):
         labelled = replace(report, controller=pair.controller_label, plant=pair.plant_label)
         reports.append(_with_margins(arm, pair, labelled, poses) if poses else labelled)
@@ -89,6 +92,25 @@ def remarks(reports: Sequence[Report]) -> list[str]:
 
 def _name(report: Report) -> str:
     return f"{report.controller} on {report.plant}"
+
+
+class Comparison(list[Report]):
+    """The reports of `compare`, plant by plant. A notebook shows a table for each plant, with the best values marked."""
+
+    def plants(self) -> dict[str, list[Report]]:
+        """The reports of each plant."""
+        return {plant: list(group) for plant, group in groupby(self, key=lambda report: report.plant)}
+
+    def _repr_html_(self) -> str:
+        return "".join(f"<h4>{html.escape(plant)}</h4>{marked_table(group)}" for plant, group in self.plants().items())
+
+
+def marked_table(reports: Sequence[Report]) -> str:
+    """Reports of one plant, whose column is left out, as an HTML table with the best values marked."""
+    table = report_table(reports)
+    kept = [column for column, title in enumerate(table.header) if title != "plant"]
+    table = Table([table.header[i] for i in kept], [[row[i] for i in kept] for row in table.rows])
+    return table.html(best_cells(reports, table))
 
 
 class _Pair(NamedTuple):

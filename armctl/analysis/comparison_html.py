@@ -2,57 +2,66 @@
 
 from __future__ import annotations
 
+import base64
 import html
 import json
+import tempfile
 from collections.abc import Sequence
-from itertools import groupby
 from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armctl.analysis.comparison import remarks
-from armctl.analysis.report import Report, report_table, table
+from armctl.analysis.comparison import Comparison, marked_table, remarks
+from armctl.analysis.report import Report, table
 from armctl.core import units
 from armctl.core.atomic import write_text
+from armctl.core.errors import NotInstalledError
 from armctl.core.log import Log
 from armctl.core.plotting import COLORS, figure_svg
+from armctl.render import record
+from armctl.robot.arm import Arm
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MAX_POINTS_PER_LINE = 500  # more cannot be seen
-_MIN_ERROR_SHOWN = 1e-15  # rad or m; the axis is logarithmic
+_MIN_ERROR_SHOWN = 1e-9  # rad or m; the axis is logarithmic, and smaller errors are rounding: they would compress the others
+_FILM_PX = (320, 240)
 _PAGE = Template("""<!doctype html>
 <html lang="en">
 <meta charset="utf-8">
 <title>$title</title>
 <style>
-body { font: 15px/1.5 system-ui, sans-serif; max-width: 72rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 84rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
 table { border-collapse: collapse; font-size: 13px; }
 td, th { padding: .25rem .6rem; text-align: right; border-bottom: 1px solid #ddd; }
-td:first-child, th:first-child, td:nth-child(2), th:nth-child(2), td:last-child { text-align: left; }
-.remark { color: #a33; } svg { width: 100%; height: auto; } .table { overflow-x: auto; }
+td:first-child, th:first-child, td:last-child { text-align: left; }
+mark { background: #d9f2e3; color: #0b5a32; font-weight: 600; } figcaption { font-size: 13px; }
+.plant { display: grid; grid-template-columns: minmax(0, 1fr) auto; gap: 1.5rem; align-items: start; }
+@media (max-width: 60rem) { .plant { grid-template-columns: 1fr; } }
+figure { margin: 0; } video { max-width: 100%; }
+.remark { color: #a33; } svg { width: 100%; height: auto; } .table { overflow-x: auto; max-width: 100%; }
 </style>
 <h1>$title</h1>
 <p>$conditions</p>
 $remarks
-<div class="table">
-$table
-</div>
+<p>The best values of each plant are <mark>marked</mark>.</p>
 $sections
 </html>
 """)
 
 
-def write_comparison(reports: Sequence[Report], folder: Path, motion: str) -> list[Path]:
+def write_comparison(reports: Sequence[Report], folder: Path, motion: str, film_of: Arm | None = None) -> list[Path]:
     """Writes a comparison as comparison.json, comparison.md and comparison.html, each atomically.
 
     Args:
         reports: The reports of one arm and one motion, plant by plant.
         folder: The folder of the three files; it is made.
         motion: What was followed, in words.
+        film_of: The arm, to show a film of the run with the largest error beside each table. Without OpenGL or an encoder there
+            is none.
 
     Returns:
         The three files.
@@ -65,7 +74,7 @@ def write_comparison(reports: Sequence[Report], folder: Path, motion: str) -> li
     texts = {
         "comparison.json": json.dumps(figures, indent=2) + "\n",
         "comparison.md": "\n".join(markdown),
-        "comparison.html": _page(title, conditions, notes, reports),
+        "comparison.html": _page(title, conditions, notes, reports, film_of),
     }
     for name, text in texts.items():
         write_text(folder / name, text)
@@ -77,16 +86,33 @@ def _conditions(log: Log, motion: str) -> str:
     return f"{motion}, {log.motion_duration:.2f} s, {ticks}. Errors are measured while the reference moves."
 
 
-def _page(title: str, conditions: str, notes: Sequence[str], reports: Sequence[Report]) -> str:
+def _page(title: str, conditions: str, notes: Sequence[str], reports: Sequence[Report], film_of: Arm | None) -> str:
     paragraphs = [f'<p class="remark">{html.escape(line)}</p>' for line in notes]
-    sections = [f"<h2>{html.escape(plant)}</h2>{_svg(list(group))}" for plant, group in groupby(reports, key=lambda r: r.plant)]
+    sections = []
+    for plant, group in Comparison(reports).plants().items():
+        film = "" if film_of is None else _film(group, film_of)
+        table = f'<div class="table">\n{marked_table(group)}\n</div>'
+        sections.append(f'<h2>{html.escape(plant)}</h2><div class="plant">{table}{film}</div>{_svg(group)}')
     return _PAGE.substitute(
         title=html.escape(title),
         conditions=html.escape(conditions),
         remarks="\n".join(paragraphs),
-        table=report_table(reports).html(),
         sections="\n".join(sections),
     )
+
+
+def _film(reports: Sequence[Report], arm: Arm) -> str:
+    """The run with the largest error of the tip as a film in the page; nothing where films cannot be made."""
+    report = max(reports, key=lambda r: np.nan_to_num(r.tip_rms_m, nan=-1.0))
+    width, height = _FILM_PX
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            film = record(report.log, arm, Path(folder) / "run.mp4", width=width, height=height)
+            data = base64.b64encode(film.read_bytes()).decode()
+    except NotInstalledError:
+        return ""
+    video = f'<video width="{width}" height="{height}" controls loop muted src="data:video/mp4;base64,{data}"></video>'
+    return f"<figure>{video}<figcaption>{html.escape(report.controller)}</figcaption></figure>"
 
 
 def _svg(reports: Sequence[Report]) -> str:
@@ -113,4 +139,6 @@ def _draw(figure: Figure, reports: Sequence[Report]) -> None:
     unit = units.of_torque(logs[-1].units)[joint]
     torque.set(xlabel="time, s", ylabel=f"torque of {logs[-1].joint_names[joint]}, {unit} (dotted: its limits)")
     tip.set(xlabel=f"tip {'xyz'[plane[0]]}, m", ylabel=f"tip {'xyz'[plane[1]]}, m (dashed: reference)", aspect="equal")
+    smallest = min(float(np.median(np.abs(log.q_ref - log.q).max(axis=1))) for log in logs)
+    error.set_ylim(bottom=max(smallest / 10, 0.5 * _MIN_ERROR_SHOWN))
     error.legend(fontsize=7, ncols=2)

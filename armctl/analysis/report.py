@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -259,6 +259,33 @@ def report_table(reports: Sequence[Report]) -> Table:
         for r in reports
     ]
     return Table(header, rows)
+
+
+def best_cells(reports: Sequence[Report], table: Table) -> set[tuple[int, int]]:
+    """Row and column of the best values in a `report_table`, with those that look the same; runs that failed have none."""
+    best: set[tuple[int, int]] = set()
+    completed = [i for i, report in enumerate(reports) if not report.log.failure]
+    for column, title in enumerate(table.header):
+        ranked = next((of for begin, of in _RANKED.items() if title.startswith(begin)), None)
+        values = {} if ranked is None else {i: ranked(reports[i]) for i in completed}
+        rows = [i for i, value in values.items() if not math.isnan(value)]
+        if len(rows) < 2:
+            continue
+        winner = min(rows, key=values.__getitem__)
+        best |= {(i, column) for i in rows if table.rows[i][column] == table.rows[winner][column]}
+    return best
+
+
+# By the beginning of a column's title: what is best if it is least.
+_RANKED: dict[str, Callable[[Report], float]] = {
+    "joint RMS": lambda r: r.joint_rms_rad,
+    "joint max": lambda r: r.joint_max_rad,
+    "tip RMS": lambda r: r.tip_rms_m,
+    "tip max": lambda r: r.tip_max_m,
+    "final tip": lambda r: r.final_tip_error_m,
+    "delay margin": lambda r: -r.delay_margin_s,
+    "Ms": lambda r: r.peak_sensitivity,
+}
 
 
 def _goal(log: Log) -> tuple[Array, Array]:

@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
         for report, prefix in zip(reports, _file_prefixes(reports), strict=True):
             save_report(report, args.save, prefix)
     if args.report:
-        for path in write_comparison(reports, args.report, "All joints out and back"):
+        for path in write_comparison(reports, args.report, "All joints out and back", film_of=arm):
             say_written(path)
     return DONE
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import html
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 TERMINAL_COLUMNS = 80
@@ -45,9 +46,16 @@ class Table:
             blocks[-1].append(i)
         return "\n\n".join(_block(columns, widths, block) for block in blocks)
 
-    def html(self) -> str:
-        """The table as an HTML element; special characters are escaped."""
-        return self._formatted("html", [[_one_line(cell) for cell in row] for row in self._lines()])
+    def html(self, marked: Collection[tuple[int, int]] = ()) -> str:
+        """The table as an HTML element; special characters are escaped.
+
+        Args:
+            marked: Row and column, from 0, of cells that are highlighted.
+        """
+        lines = [[html.escape(_one_line(cell)) for cell in row] for row in self._lines()]
+        for row, column in marked:
+            lines[row + 1][column] = f"<mark>{lines[row + 1][column]}</mark>"
+        return self._formatted("unsafehtml", lines)
 
     def _lines(self) -> list[Sequence[str]]:
         return [self.header, *self.rows]

@@ -7,7 +7,9 @@ import copy
 import mujoco
 import numpy as np
 
-FINE_CELL = 5e-4  # of the model's extent: vertices in one cell become one
+# Of the model's extent: vertices in one cell become one. Coarse meshes are loaded first.
+FINE_CELL = 5e-4
+COARSE_CELL = 1.2e-2
 _MAX_DRAWN_GROUP = 2  # MuJoCo draws the geoms of groups 0 to 2 by default; collision shapes are in the others
 _HIDDEN_SITE_GROUP = 5
 _CELL_KEY_WEIGHTS = np.array([1 << 42, 1 << 21, 1])  # makes one integer of three cell indices below 2^21

@@ -9,6 +9,7 @@ import os
 import socket
 import sys
 import threading
+import time
 import webbrowser
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
@@ -23,13 +24,14 @@ from armctl.mjmodel.target_marker import find_target, is_movable
 from armctl.render.camera import axes, fitted_camera
 from armctl.robot.arm import Arm
 from armctl.viewer.access_control import AccessControl, check_token
-from armctl.viewer.mesh_decimation import decimated
+from armctl.viewer.mesh_decimation import COARSE_CELL, decimated
 
 if TYPE_CHECKING:
     import viser
 
 PORT = 8080
 DRAW_INTERVAL_S = 1 / 30
+_REFINE_DELAY_S = 8.0  # after the first client: it gets coarse meshes first, so that it answers clicks soon
 _MIN_MOTION = 1e-6  # rad, m: smaller changes are not drawn
 _FIELD_OF_VIEW_DEG = 45.0  # vertical
 _DISTANCE_FACTOR = 1.15
@@ -158,7 +160,8 @@ class WebScene:
         """
         import mjviser
 
-        self._model = decimated(arm.model)
+        self._not_refined: mujoco.MjModel | None = arm.model
+        self._model = decimated(arm.model, COARSE_CELL)
         self._data = mujoco.MjData(self._model)
         self._set_camera(arm)
         self.server.gui.set_panel_label(arm.name)
@@ -205,13 +208,27 @@ class WebScene:
         self._page_server.stop()
 
     def _run(self) -> None:
+        refine_at: float | None = None
         while not self._closing.wait(DRAW_INTERVAL_S):
-            if self._latest is None:
-                continue
+            if refine_at is None and self._client_connected.is_set():
+                refine_at = time.monotonic() + _REFINE_DELAY_S
             try:
+                if refine_at is not None and time.monotonic() > refine_at:
+                    self._refine()
                 self.draw()
             except Exception:  # the drawing continues with the next state
                 _log.exception("the page could not draw the scene")
+
+    def _refine(self) -> None:
+        """Replaces the coarse meshes by fine ones, once."""
+        if self._not_refined is not None:
+            self._model = decimated(self._not_refined)
+            self._not_refined = None
+            self._scene.mj_model = self._model
+            self._scene.rebuild_visual_handles()
+            if self._latest is None:
+                self._latest = self._drawn
+            self._drawn = None
 
     def draw(self) -> None:
         """Sends the latest state to the clients."""

@@ -10,7 +10,7 @@ import pytest
 import armctl
 from armctl.analysis.comparison import out_and_back, remarks
 from armctl.analysis.comparison_html import write_comparison
-from armctl.analysis.report import table
+from armctl.analysis.report import best_cells, report_table, table
 from armctl.cli.plants import PLANTS, plant_by_name
 
 
@@ -138,6 +138,22 @@ def test_a_page_stands_alone_and_says_it_all(bundled_motion, tmp_path):
     assert page.count("<svg") == len(plants)
     assert not re.search(r'(?:src|href)="(?!#)', page), "the page needs something from elsewhere"
     assert page.index("breaks on nominal") < page.index("<table")
+    assert page.count("<table") == len(plants)
+
+
+def test_the_best_values_of_each_plant_are_marked_and_not_those_of_failed_runs(bundled_motion):
+    arm, motion = bundled_motion
+    reports = armctl.compare(arm, ["pd", "computed-torque", Breaks()], motion, [armctl.Plant(), armctl.Plant(payload=1.0)])
+    for group in reports.plants().values():
+        made = report_table(group)
+        marks = best_cells(group, made)
+        assert {made.rows[row][0] for row, _ in marks} <= {"pd", "computed-torque"}
+        column = [title.startswith("tip RMS") for title in made.header].index(True)
+        best = min(group[:2], key=lambda report: report.tip_rms_m)
+        assert (group.index(best), column) in marks
+    page = reports._repr_html_()
+    assert page.count("<h4>") == page.count("<table") == 2
+    assert "<mark>" in page
 
 
 def test_margins_are_those_of_each_pair(bundled):

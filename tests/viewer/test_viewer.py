@@ -15,7 +15,7 @@ from synthetic import limb, mjcf, motors
 import armctl
 from armctl import Simulation
 from armctl.sim.clock import RealTimeClock
-from armctl.viewer.mesh_decimation import decimated
+from armctl.viewer.mesh_decimation import FINE_CELL, decimated
 from armctl.viewer.web_scene import WebScene
 
 pytest.importorskip("mjviser", reason="pip install -e '.[view]'")
@@ -105,6 +105,25 @@ def test_the_tab_shows_the_title_and_a_narrow_page_the_whole_arm(watched: Simula
     assert np.linalg.norm(phone.look_at - phone.position) > 1.5 * wide.distance
     assert phone.look_at[2] < wide.look_at[2]
     assert desktop.position is None
+
+
+def test_coarse_meshes_come_first_and_fine_ones_replace_them():
+    model = mujoco.MjModel.from_xml_string(MESHES)
+    coarse = decimated(model, 10 * FINE_CELL)
+    fine = decimated(model)
+    assert coarse.mesh_facenum.sum() < 0.5 * fine.mesh_facenum.sum()
+    scene = WebScene(0)
+    try:
+        scene.set(arm_of(BUNDLED))
+        coarse_model = scene._model
+        groups = len(scene._scene._mesh_groups)
+        scene._refine()
+        assert scene._model is not coarse_model
+        assert scene._scene.mj_model is scene._model
+        assert len(scene._scene._mesh_groups) == groups
+        scene._refine()
+    finally:
+        scene.close()
 
 
 def test_without_a_viewer_there_is_none():
