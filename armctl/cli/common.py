@@ -74,7 +74,7 @@ def add_arm(parser: argparse.ArgumentParser) -> None:
     add_robot(parser)
     for option, meaning in _CHAIN_OPTIONS.items():
         parser.add_argument(option, help=meaning)
-    parser.add_argument("--hold-base", action="store_true", help="hold a floating or walking robot at its keyframe")
+    parser.add_argument("--hold-base", action="store_true", help="fix the base of a floating or walking robot at its keyframe")
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:

@@ -14,7 +14,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--tip", help="site, body or geom at the end of the chain")
     parser.add_argument("--base", help="body at the start of the chain")
     parser.add_argument("--srdf", help="path of an SRDF")
-    parser.add_argument("--hold-base", action="store_true", help="hold a floating or walking robot at its keyframe")
+    parser.add_argument("--hold-base", action="store_true", help="fix the base of a floating or walking robot at its keyframe")
     add_json(parser)
 
 

@@ -39,7 +39,7 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument("--controller", default="computed-torque", help=f"{CONTROLLERS_HELP} (default %(default)s)")
     parser.add_argument("--video", type=Path, metavar="FILE", help="film the run into this .mp4 or .gif")
-    parser.add_argument("--video-speed", metavar="X", default="1", help="0.5 films in slow motion (default 1)")
+    parser.add_argument("--video-speed", metavar="X", default="1", help="speed of the film; 0.5 is slow motion (default 1)")
     add_speed(parser)
     add_json(parser)
     add_save(parser)

@@ -9,7 +9,7 @@ from armctl.cli.common import DONE, Commands, add_command
 
 def add(commands: Commands) -> None:
     """Adds the command to the parser."""
-    parser = add_command(commands, "robots", run, "list the robots that have a name, and which of them are on this machine")
+    parser = add_command(commands, "robots", run, "list the known robots, and which of them are installed")
     parser.add_argument("--ratings", action="store_true", help="the makers' payload, reach and speeds, with their source")
 
 

@@ -22,7 +22,7 @@ from armctl.cli.common import (
 
 def add(commands: Commands) -> None:
     """Adds the command to the parser."""
-    parser = add_command(commands, "simulate", run, "hold the motors at constant controls")
+    parser = add_command(commands, "simulate", run, "simulate the arm under constant motor controls")
     add_arm(parser)
     parser.add_argument("--ctrl", nargs="+", required=True, metavar="N", help="one control per motor; torque = gear x control")
     parser.add_argument("--seconds", default="2", help="how long, s (default 2)")
