@@ -1,14 +1,18 @@
-"""Environments: steps per CPU second of Reach, 25 control periods each. `python benchmarks/envs.py`.
+"""Environments: steps per CPU second of Reach, 25 control periods each. `python benchmarks/envs.py [--peers FOLDER]`.
 
+With --peers, the environments of other libraries are installed into virtual environments below FOLDER, since they do not run
+on MuJoCo 4, and measured in the same run: with contacts, one at a time, as they are made.
 The time includes observations, rewards and the starts of episodes. Each batch is compared, bit by bit, with a single
 environment; the free-space plant is compared with `mj_step` over 20 steps of random actions.
 """
 
+import argparse
 import sys
 import time
 from pathlib import Path
 
 import numpy as np
+from envs_peers import PEERS, steps_per_cpu_second
 
 import armctl
 import armctl.envs
@@ -52,19 +56,25 @@ def single(arm: armctl.Arm, action: str, steps: int, observed: np.ndarray) -> fl
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--peers", type=Path, metavar="FOLDER")
+    args = parser.parse_args()
     arm = armctl.load(ROBOT)
     rows = []
     for action in ("joint_delta", "cartesian_delta"):
         rate, free = batch(arm, action, 100, free_space=True)
-        rows.append([action, "free space", str(COUNT), f"{rate:.0f}"])
-        rows.append([action, "free space", "1", f"{single(arm, action, 5000, free):.0f}"])
+        rows.append([f"armctl, {action}", "free space", str(COUNT), "25", f"{rate:.0f}"])
+        rows.append([f"armctl, {action}", "free space", "1", "25", f"{single(arm, action, 5000, free):.0f}"])
         rate, touching = batch(arm, action, 20, free_space=False)
-        rows.append([action, "contacts", str(COUNT), f"{rate:.0f}"])
+        rows.append([f"armctl, {action}", "contacts", str(COUNT), "25", f"{rate:.0f}"])
         away = np.abs(free[: len(touching), :, : arm.n] - touching[..., : arm.n]).max(axis=(0, 2))
         print(
             f"{action}: {(away < 1e-6).mean():.1%} of the arms are within 1e-6 rad of mj_step during 20 steps", file=sys.stderr
         )
-    table = Table(["action", "plant", "environments", "steps / CPU s"], rows).markdown()
+    for peer in PEERS if args.peers else ():
+        rate = steps_per_cpu_second(peer, args.peers)
+        rows.append([peer.name, "contacts", "1", str(peer.ticks), f"{rate:.0f}"])
+    table = Table(["environment", "plant", "at once", "ticks per step", "steps / CPU s"], rows).markdown()
     RESULTS.write_text(table + "\n", encoding="utf-8")
     print(table)
 
