@@ -1,8 +1,9 @@
-"""Writes down afresh what the commands and examples that the pages show print: `make outputs`."""
+"""Writes the outputs of the commands and examples in the pages again: `make outputs`."""
 
 import re
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 HERE = Path(__file__).parent
@@ -34,6 +35,14 @@ def printed(*command: str | Path) -> str:
     return re.sub(r"/\S+/", "", done.stdout)
 
 
+def compared() -> str:
+    """The table of the comparison in README.md, in Markdown; the command prints it for terminals of 80 columns."""
+    with tempfile.TemporaryDirectory() as folder:
+        printed("-m", "armctl", *COMPARE, "--report", folder)
+        page = (Path(folder) / "comparison.md").read_text(encoding="utf-8")
+    return "\n".join(line for line in page.splitlines() if line.startswith("|"))
+
+
 if __name__ == "__main__":
     for example in sorted((ROOT / "examples").glob("*.py")):
         try:
@@ -42,5 +51,5 @@ if __name__ == "__main__":
             print(f"{example.stem}: the old output stays: {error}", file=sys.stderr)
     (HERE / "info.txt").write_text(printed("-m", "armctl", "info", "robot_arm_3dof"), encoding="utf-8")
     readme, panda = ROOT / "README.md", (HERE / "05_menagerie_panda.txt").read_text(encoding="utf-8")
-    text = TABLE.sub(f"\n{printed('-m', 'armctl', *COMPARE)}\n", readme.read_text(encoding="utf-8"))
+    text = TABLE.sub(f"\n{compared()}\n\n", readme.read_text(encoding="utf-8"))
     readme.write_text(REACHED.sub(REACHED.findall(panda)[0], text), encoding="utf-8")
