@@ -9,7 +9,7 @@ import numpy as np
 
 from armctl.robot.arm import Arm
 from armctl.sim.target_follower import PATH_POINTS, PlannedPath
-from armctl.viewer.mesh_decimation import COARSE_CELL, decimated
+from armctl.viewer.mesh_decimation import decimated
 
 if TYPE_CHECKING:
     import trimesh
@@ -19,6 +19,7 @@ _PATH_RGB = (0, 90, 200)
 _PATH_THICKNESS_PX = 4.0
 _GHOST_RGB = (0, 90, 200)
 _GHOST_OPACITY = 0.35
+_GHOST_CELL = 4e-3  # of the model's extent: a ghost is seen through, so it needs less detail
 
 
 class PlanPreview:
@@ -66,7 +67,7 @@ def _moving_bodies(arm: Arm) -> dict[int, trimesh.Trimesh]:
     """The visible shape of each body that the arm moves."""
     from mjviser.conversions import merge_geoms
 
-    model = decimated(arm.model, COARSE_CELL)
+    model = decimated(arm.model, _GHOST_CELL)
     visible = model.geom_rgba[:, 3] > 0
     first = model.jnt_bodyid[model.dof_jntid[arm.dof_adr[0]]]
     moving = {int(first)}

@@ -98,14 +98,15 @@ def study() -> None:
 
 
 def page() -> None:
-    """`armctl view panda` in a browser, after the target was dragged about."""
+    """`armctl view panda` in a browser, with a wall: the arm is on its planned path to the dropped target."""
     from playwright.sync_api import sync_playwright
 
-    from armctl.core.pose import Pose
     from armctl.viewer.page import Page
     from armctl.viewer.web_scene import WebScene
 
-    page = Page(armctl.load("panda"), WebScene(0))
+    scene = armctl.Scene()
+    scene.add_box("wall", [0.3, 0.04, 0.5], [0.5, 0.2, 0.25])
+    page = Page(armctl.load("panda", scene=scene), WebScene(0))
     threading.Thread(target=page.serve, daemon=True).start()
     software = "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --ignore-gpu-blocklist"
     with sync_playwright() as playwright:
@@ -113,19 +114,20 @@ def page() -> None:
         tab = browser.new_page(viewport={"width": 1280, "height": 800})
         tab.goto(page.url)
         tab.get_by_text("at the target").first.wait_for(timeout=60e3)
-        tab.add_style_tag(content=".mantine-Notification-root { display: none }")  # that software draws is no news here
+        tab.add_style_tag(content=".mantine-Notifications-root { display: none }")  # that software draws is no news here
         session = page.session
-        center = session.status.target
-        for k in range(600):
-            offset = [0.0, -0.12 * np.sin(k / 60), 0.06 * np.sin(k / 30)]
-            session.aim(Pose(center.position + offset, quat=center.quat))
+        downwards = session.status.target.quat
+        for position in ([0.5, 0.45, 0.25], [0.5, -0.05, 0.25]):
+            session.aim(armctl.Pose(position, quat=downwards))
+            time.sleep(4)
+            tab.get_by_text("at the target").first.wait_for(timeout=60e3)
+        session.aim(armctl.Pose([0.5, 0.45, 0.25], quat=downwards))
+        while session.status.path is None:
             time.sleep(0.01)
-        session.pause(True)  # until the browser, which draws in software, has caught up
-        time.sleep(12)
-        session.pause(False)
-        tab.get_by_text("at the target").first.wait_for(timeout=60e3)
-        time.sleep(2)
-        tab.screenshot(path=HERE / "page.png")
+        time.sleep(0.5)
+        session.set_speed(0.01)  # until the browser, which draws in software, has caught up
+        time.sleep(15)
+        tab.screenshot(path=HERE / "page.png", timeout=60e3)
         browser.close()
     page.close()
 
