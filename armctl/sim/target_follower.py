@@ -90,7 +90,7 @@ class TargetFollower:
         self.oriented = arm.n >= 6
         self.avoiding = True
         self._dt = dt
-        self._ik = DifferentialIk(arm)
+        self._ik: DifferentialIk | None = None
         self._worker: LatestWorker | None = None
         self._checker: CollisionChecker | None = None
         self._clearance = _CLEARANCE_M
@@ -104,7 +104,7 @@ class TargetFollower:
 
     def prepare(self, held: str = "") -> None:
         """Loads what the first update needs."""
-        self._ik.step(self.arm.home, self.target, self._dt)
+        self._velocity(Target.read(self.target), self._dt)
         self.obstacles.recent_checker(held)
 
     def stand(self, q: Array, goal: Array) -> None:
@@ -189,7 +189,7 @@ class TargetFollower:
         if is_new and not self._held and self._is_blocked(target):
             self._plan(target)
             return
-        rate = self._ik.step(self.joint_goal, target, interval)
+        rate = self._velocity(target, interval)
         is_free = self._approach(self.arm.limits.clamp(self.joint_goal + interval * rate))
         if not is_free or np.abs(rate).max() > _IK_AT_REST_SPEED:
             return
@@ -200,6 +200,12 @@ class TargetFollower:
             self._finished = self._approach(solution.q)
         if not solution.ok:
             self.reach_error = solution.position_error
+
+    def _velocity(self, target: Target, interval: float) -> Array:
+        """(n,) rad/s, by differential inverse kinematics. It is made at its first use, because its imports take long."""
+        if self._ik is None:
+            self._ik = DifferentialIk(self.arm)
+        return self._ik.step(self.joint_goal, target, interval)
 
     def _is_blocked(self, target: Target) -> bool:
         """Whether something is on the straight line of the joints to a reachable target."""
