@@ -142,7 +142,7 @@ def test_a_corner_at_a_joint_limit_stays_inside(arm):
     ("motions", "message"),
     [
         (lambda arm, parts: [], r"^motions: give a list of at least one motion"),
-        (lambda arm, parts: [parts[0], 1.0], r"^motions: 1\.0"),
+        (lambda arm, parts: [parts[0], 1.0], r"^motions: expected JointTrajectory, got 1\.0"),
         (lambda arm, parts: [parts[0], parts[2]], r"^then: shoulder_yaw: the first motion ends at position"),
         (lambda arm, parts: [parts[0].until(0.1), parts[0]], r"^then: "),
     ],
