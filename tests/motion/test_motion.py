@@ -442,7 +442,7 @@ def test_a_payload_slows_a_motion_down():
 
 def test_what_no_slowness_helps_is_refused():
     arm = weak(arm_of("panda"), 0.01)
-    with pytest.raises(armctl.PlanError, match=r"joint\d: holding still takes .* N m"):
+    with pytest.raises(armctl.PlanError, match=r"joint\d: holding still needs .* N m"):
         armctl.move_j(arm, arm.home, arm.home + 0.2)
 
 
