@@ -54,14 +54,14 @@ def main() -> None:
     parser.add_argument("--tasks", nargs="+", choices=TASKS, default=list(TASKS))
     parser.add_argument("--actions", nargs="+", choices=ACTIONS, default=ACTIONS[:1])
     arguments = parser.parse_args()
+    headers = ["robot", "task", "action", "solved", "median time to the goal, error at the end", "CPU"]
     rows = []
     for robot in arguments.robots:
         for task in arguments.tasks:
             for action in arguments.actions:
                 rows.append(solved(robot, task, action, arguments.episodes))
                 print(*rows[-1], sep=" | ", flush=True)
-    headers = ["robot", "task", "action", "solved", "median time to the goal, error at the end", "CPU"]
-    RESULTS.write_text(Table(headers, rows).markdown() + "\n", encoding="utf-8")
+                RESULTS.write_text(Table(headers, rows).markdown() + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

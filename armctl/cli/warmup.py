@@ -171,9 +171,23 @@ def _simulation() -> None:
         armctl.simulate(arm, name, motion)
 
 
+def _environments() -> None:
+    from importlib.util import find_spec
+
+    if find_spec("gymnasium") is None:
+        return
+    from armctl.envs import ArmEnv
+
+    env = ArmEnv("robot_arm_3dof", action="joint_delta")
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+    env.close()
+
+
 PARTS: dict[str, Callable[[], None]] = {
     "inverse-kinematics": _inverse_kinematics,
     "motion": _motion,
     "planning": _planning,
     "simulation": _simulation,
+    "environments": _environments,
 }

@@ -12,10 +12,11 @@ if find_spec("gymnasium") is None:
     raise NotInstalledError.of_extra("environments need gymnasium", "envs")
 
 from armctl.envs.arm_env import ArmEnv
+from armctl.envs.demonstrations import DemonstrationsResult, save_demonstrations
 from armctl.envs.experts import ExpertPolicy
 from armctl.envs.registration import register
 from armctl.envs.vector_env import ArmVectorEnv
 
-__all__ = ["ArmEnv", "ArmVectorEnv", "ExpertPolicy"]
+__all__ = ["ArmEnv", "ArmVectorEnv", "DemonstrationsResult", "ExpertPolicy", "save_demonstrations"]
 
 register()

@@ -9,6 +9,7 @@ import numpy as np
 
 from armctl.core.validation import flag
 from armctl.envs.batch import Batch
+from armctl.envs.screen import Screen
 from armctl.envs.source import Robot
 from armctl.envs.spaces import action_space, observation_space
 
@@ -35,6 +36,8 @@ class ArmEnv(gymnasium.Env):
         action: str = "cartesian_delta",
         *,
         render_mode: str | None = None,
+        width: int = 640,
+        height: int = 480,
         goal_conditioned: bool = False,
         **options: Any,
     ):
@@ -45,6 +48,8 @@ class ArmEnv(gymnasium.Env):
             task: As for `ArmVectorEnv`.
             action: As for `ArmVectorEnv`.
             render_mode: "rgb_array" for pictures, "human" for the viewer's page.
+            width: Pixels of a picture.
+            height: Pixels of a picture.
             goal_conditioned: Whether an observation is a dictionary with the achieved and the desired goal.
             **options: Further arguments of `ArmVectorEnv`.
 
@@ -60,11 +65,9 @@ class ArmEnv(gymnasium.Env):
         if self._has_goals:
             self.compute_reward = self.batch.reward
         self.render_mode = render_mode
-        self._screen = None
+        self._screen: Screen | None = None
         if render_mode is not None:
-            from armctl.envs.screen import Screen
-
-            self._screen = Screen(self.batch, render_mode)
+            self._screen = Screen(self.batch, render_mode, width, height)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Starts an episode.
@@ -108,9 +111,14 @@ class ArmEnv(gymnasium.Env):
         """The state now as a picture.
 
         Returns:
-            (480, 640, 3) if the mode is "rgb_array", else None.
+            (height, width, 3) if the mode is "rgb_array", else None.
         """
         return self._screen.picture() if self._screen is not None and self.render_mode == "rgb_array" else None
+
+    @property
+    def screen(self) -> Screen | None:
+        """What draws pictures; None without a render mode."""
+        return self._screen
 
     def close(self) -> None:
         """Closes the page or the renderer."""

@@ -2,37 +2,52 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import mujoco
 import numpy as np
 
-from armctl.core.validation import choice
+from armctl.core.validation import Array, choice
 from armctl.envs.batch import Batch
 from armctl.mjmodel.target_marker import set_target
 from armctl.render.camera import fitted_camera
-from armctl.render.renderer import Image, Renderer
+from armctl.render.renderer import Image, Renderer, check_size
 
 RENDER_MODES = ("rgb_array", "human")
-_WIDTH = 640
-_HEIGHT = 480
+
+
+class SceneState(NamedTuple):
+    """Where everything in a scene is.
+
+    Attributes:
+        qpos: (nq,) positions.
+        mocap_pos: (nmocap, 3) m, of the marker of the goal and of the obstacle.
+    """
+
+    qpos: Array
+    mocap_pos: Array
 
 
 class Screen:
     """Shows the first row of a batch, and the goal as the target marker."""
 
-    def __init__(self, batch: Batch, mode: str):
+    def __init__(self, batch: Batch, mode: str, width: int, height: int):
         """A screen; pictures or the page are opened when they are first needed.
 
         Args:
             batch: The batch.
             mode: "rgb_array" or "human".
+            width: Pixels of a picture.
+            height: Pixels of a picture.
 
         Raises:
-            InputError: There is no such mode.
+            InputError: There is no such mode, or no picture of this size.
             NotInstalledError: The page needs a package that is missing.
         """
         self._batch = batch
         self._arm = batch.arm
         self._data = mujoco.MjData(self._arm.model)
+        self._width, self._height = check_size(width, height)
         self._renderer: Renderer | None = None
         self._camera: mujoco.MjvCamera | None = None
         self._viewer = None
@@ -41,26 +56,38 @@ class Screen:
 
             self._viewer = Viewer(self._arm)
 
-    def picture(self) -> Image:
-        """The state now, (480, 640, 3)."""
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of a picture, pixels."""
+        return self._width, self._height
+
+    def state(self) -> SceneState:
+        """Where everything is now."""
+        self._place(self._batch.rows.q[0])
+        return SceneState(self._data.qpos.copy(), self._data.mocap_pos.copy())
+
+    def picture(self, state: SceneState | None = None) -> Image:
+        """A state, or that of now, as a picture (height, width, 3)."""
+        state = self.state() if state is None else state
         if self._renderer is None:
-            self._renderer = Renderer(self._arm.model, _WIDTH, _HEIGHT)
+            self._renderer = Renderer(self._arm.model, self._width, self._height)
         if self._camera is None:
             self._place(self._arm.home)
-            self._camera = fitted_camera(self._arm, [self._data], self._batch.task.points, _WIDTH / _HEIGHT)
-        self._place(self._batch.rows.q[0])
+            self._camera = fitted_camera(self._arm, [self._data], self._batch.task.points, self._width / self._height)
+        self._data.qpos[:] = state.qpos
+        self._data.mocap_pos[:] = state.mocap_pos
+        mujoco.mj_forward(self._arm.model, self._data)
         return self._renderer.image(self._data, self._camera)
 
     def show(self) -> None:
         """Shows the state on the page, and waits until the wall clock reaches it."""
         assert self._viewer is not None
         self._place(self._batch.rows.q[0])
-        seconds = self._batch.rows.ticks * self._arm.dt
         if self._batch.steps[0] == 0:
             self._viewer.after_reset(self._data)
             return
         self._viewer.before_run()
-        self._viewer.after_ticks(self._data, seconds)
+        self._viewer.after_ticks(self._data, self._batch.step_time)
 
     def close(self) -> None:
         """Closes the renderer and the page."""

@@ -6,6 +6,7 @@ import base64
 import copy
 import os
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Self
 
@@ -229,23 +230,81 @@ def pose(arm: Arm, data: mujoco.MjData, qpos: Array, target: Array) -> None:
         mujoco.mj_tendon(arm.model, data)
 
 
-def write_mp4(file: Path | IO[bytes], frames: Iterable[Image], frames_per_second: int, width: int, height: int) -> None:
-    """Writes frames, each (height, width, 3), into an .mp4."""
-    import av
+class Mp4Writer:
+    """Writes images into an .mp4, one after the other. Close it, or use it in a `with`."""
+
+    def __init__(
+        self, file: Path | IO[bytes], frames_per_second: int, width: int, height: int, keyframe_interval: int | None = None
+    ):
+        """A film without images.
+
+        Args:
+            file: The file; a package that encodes is installed.
+            frames_per_second: 1/s.
+            width: Pixels, even.
+            height: Pixels, even.
+            keyframe_interval: Frames between two from which a player can start; the encoder's if left out.
+
+        Raises:
+            OSError: The file cannot be written.
+        """
+        import av
+
+        with _as_os_error():
+            self._container = av.open(file, "w", format="mp4")
+        self._stream = self._container.add_stream("h264", rate=frames_per_second)
+        self._stream.width = width
+        self._stream.height = height
+        self._stream.pix_fmt = "yuv420p"
+        self._stream.options = {"crf": "20", "preset": "veryfast"}
+        if keyframe_interval is not None:
+            self._stream.gop_size = keyframe_interval
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def add(self, image: Image) -> None:
+        """Adds an image (height, width, 3).
+
+        Raises:
+            OSError: The file cannot be written.
+        """
+        import av
+
+        with _as_os_error():
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
+            self._container.mux(self._stream.encode(frame))
+
+    def close(self) -> None:
+        """Writes the last frames and closes the file.
+
+        Raises:
+            OSError: The file cannot be written.
+        """
+        with _as_os_error():
+            self._container.mux(self._stream.encode())
+            self._container.close()
+
+
+@contextmanager
+def _as_os_error() -> Iterator[None]:
+    """Turns errors of the encoder, such as a full disk, into OSError."""
     from av.error import FFmpegError
 
     try:
-        with av.open(file, "w", format="mp4") as container:
-            stream = container.add_stream("h264", rate=frames_per_second)
-            stream.width = width
-            stream.height = height
-            stream.pix_fmt = "yuv420p"
-            stream.options = {"crf": "20", "preset": "veryfast"}
-            for image in frames:
-                container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")))
-            container.mux(stream.encode())
-    except FFmpegError as error:  # such as a full disk
+        yield
+    except FFmpegError as error:
         raise OSError(error.errno, error.strerror) from None
+
+
+def write_mp4(file: Path | IO[bytes], frames: Iterable[Image], frames_per_second: int, width: int, height: int) -> None:
+    """Writes frames, each (height, width, 3), into an .mp4."""
+    with Mp4Writer(file, frames_per_second, width, height) as film:
+        for image in frames:
+            film.add(image)
 
 
 def _write_gif(path: Path, frames: Iterable[Image], frames_per_second: int) -> None:

@@ -13,6 +13,7 @@ from armctl.envs.tasks.push import BEHIND, Push
 _PUSH_SPEED = 0.15  # reaches per second
 _SLOWING = 3.0  # 1/s, of the speed near the goal
 _CLOSE = 0.005  # m
+_BACK_OFF = 0.012  # m, from the object, before the tool lines up again
 _DONE = 0.007  # m, between object and goal
 _AGAIN = 0.014  # m
 # How far the tool may be beside the line to the goal, relative to its distance from the object before it pushes: farther, it
@@ -46,20 +47,20 @@ class PushExpert(CartesianExpert):
         """The next part of the way."""
         return Command(self._phase())
 
-    def _behind(self, height: float) -> Array:
-        """(3,) m, the place of the tip behind the object."""
+    def _behind(self, height: float, distance: float) -> Array:
+        """(3,) m, the place of the tip at a distance behind the object."""
         way = (self.goal - self.object)[:2]
         direction = way / max(float(np.linalg.norm(way)), 1e-9)
-        return self.above_table(self.object[:2] - self._distance * direction, height)
+        return self.above_table(self.object[:2] - distance * direction, height)
 
     def _above(self) -> Array:
-        place = self._behind(self.table.lift)
+        place = self._behind(self.table.lift, self._distance)
         if self.is_at(place, _CLOSE):
             self._phase = self._down
         return self.go(place)
 
     def _down(self) -> Array:
-        place = self._behind(self.table.low)
+        place = self._behind(self.table.low, self._distance)
         if self.is_at(place, _CLOSE):
             self._phase = self._push
         return self.go(place)
@@ -79,7 +80,7 @@ class PushExpert(CartesianExpert):
         along, lateral = self._offsets()
         if along > 0.0 or lateral > _MAX_LINE_UP_OFFSET * self._distance:
             self._phase = self._up
-        place = self._behind(self.table.low)
+        place = self._behind(self.table.low, self._line_up_distance)
         if self.is_at(place, _CLOSE):
             self._phase = self._push
         return self.go(place)
@@ -90,8 +91,10 @@ class PushExpert(CartesianExpert):
         if left < _DONE:
             self._phase = self._rest
             return self.go(self.position)
-        if self._offsets()[1] > _MAX_STROKE_OFFSET * self._distance:
+        along, lateral = self._offsets()
+        if lateral > _MAX_STROKE_OFFSET * self._distance:
             self._phase = self._line_up
+            self._line_up_distance = min(_BACK_OFF - along, self._distance)
             return self.go(self.position)
         speed = min(_PUSH_SPEED, _SLOWING * left / self._reach)
         return self.go(self.above_table(self.position[:2] + way, self.table.low), speed)

@@ -39,7 +39,7 @@ class Push(Task):
 
     name = "Push"
     instruction = "Push the object to the target."
-    min_duration = 6.0
+    min_duration = 8.0
     object = "object"
 
     def __init__(self, source: ArmSource, ticks: int):
