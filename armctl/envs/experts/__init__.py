@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import gymnasium
 import numpy as np
+from numpy.typing import NDArray
 
 from armctl.core.errors import InputError
-from armctl.core.validation import Array, shown
+from armctl.core.validation import shown
 from armctl.envs.arm_env import ArmEnv
 from armctl.envs.experts.interface import Expert
 from armctl.envs.experts.pick_place import PickPlaceExpert
@@ -51,11 +52,11 @@ class ExpertPolicy:
         self.experts = [EXPERTS[batch.task.name](batch, row) for row in range(batch.rows.count)]
         self._is_single = isinstance(own, ArmEnv)
 
-    def __call__(self) -> Array:
+    def __call__(self) -> NDArray[np.float32]:
         """The next action (k,) of an environment, or those (num_envs, k) of a vector environment.
 
         Returns:
             The action, in [-1, 1].
         """
-        actions = np.array([expert.act() for expert in self.experts], np.float32)
+        actions = np.array([expert.act() for expert in self.experts]).astype(np.float32)
         return actions[0] if self._is_single else actions
