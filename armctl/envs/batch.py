@@ -12,6 +12,7 @@ from armctl.core.errors import InputError
 from armctl.core.validation import BoolArray, choice, flag, integer
 from armctl.envs.actions import read_mode
 from armctl.envs.observation import Observations, Observer
+from armctl.envs.plants import moves_freely
 from armctl.envs.randomization import Randomization
 from armctl.envs.rows import Rows
 from armctl.envs.source import ArmSource, Robot
@@ -59,18 +60,18 @@ class Batch:
         """Episodes that wait for `reset`; the arguments are those of `ArmVectorEnv`."""
         mode = read_mode(action)
         task_class = TASKS[choice("task", task, TASKS)]
-        needs_contacts = bool(task_class.object or task_class.obstacle)
-        free_space = not needs_contacts if free_space is None else flag("free_space", free_space)
-        if free_space and needs_contacts:
+        if free_space is not None and flag("free_space", free_space) and (task_class.object or task_class.obstacle):
             raise InputError(f"free_space: {task} is about contacts, which are not simulated in free space; leave it out")
         count = integer("num_envs", count, 1)
         threads = min(integer("threads", threads, 1), count)
         ticks = integer("ticks", ticks, 1)
-        self._randomization = Randomization.read(randomize, free_space=free_space, has_object=bool(task_class.object))
         self.action = action
         self._is_sparse = choice("reward", reward, REWARDS) == "sparse"
         self.task = task_class(ArmSource(robot, load_options), ticks)
         self.arm = self.task.arm
+        if free_space is None:
+            free_space = not (self.task.object or self.task.obstacle) and moves_freely(self.arm)
+        self._randomization = Randomization.read(randomize, free_space=free_space, has_object=bool(self.task.object))
         self.step_time = ticks * self.arm.dt
         shortest = max(_MIN_HORIZON, int(np.ceil(self.task.min_duration / self.step_time)))
         self.horizon = shortest if horizon is None else integer("horizon", horizon, 1)

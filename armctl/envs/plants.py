@@ -2,13 +2,35 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 
+from armctl.core.errors import InputError
 from armctl.core.validation import Array
 from armctl.robot import dynamics_kernel as kernel
 from armctl.robot.arm import Arm
 from armctl.robot.dynamics import Integrator
+from armctl.sim.free_space import FreeSpace
 from armctl.sim.plant import Plant
+
+
+def free_motion(arm: Arm) -> FreeSpace:
+    """The motion of an arm that touches nothing.
+
+    Raises:
+        InputError: The arm does not move freely, with the reason.
+    """
+    model = Plant(free_space=True).model(arm)
+    return FreeSpace(arm, model, mujoco.MjData(model))
+
+
+def moves_freely(arm: Arm) -> bool:
+    """Whether an arm can be simulated in free space; one with dry friction or coupled joints cannot."""
+    try:
+        free_motion(arm)
+    except InputError:
+        return False
+    return True
 
 
 def plant_vector(arm: Arm, nominal: Array, plant: Plant) -> Array:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,12 +15,11 @@ from armctl.core.log import SimulationError
 from armctl.core.validation import IntArray
 from armctl.envs.actions import ActionMode
 from armctl.envs.limits import joint_limits
-from armctl.envs.plants import plant_vector
+from armctl.envs.plants import free_motion, plant_vector
 from armctl.envs.randomization import ObjectFactors, Randomization
 from armctl.envs.signals import Signals
 from armctl.envs.simulated_arms import SimulatedArms
 from armctl.envs.tasks.interface import Episode, Task
-from armctl.sim.free_space import FreeSpace
 from armctl.sim.mujoco_library import address_of, contact_layout, guarded_call
 from armctl.sim.plant import NOMINAL, Plant
 
@@ -111,8 +109,7 @@ class Rows:
         self._bounds = np.array([-arm.limits.tau_max, arm.limits.tau_max])
         self._free_vector = self._nominal
         if free_space:
-            model = Plant(free_space=True).model(arm)
-            free = FreeSpace(arm, model, mujoco.MjData(model))
+            free = free_motion(arm)
             self._free_vector = free.vector
             self._bounds = free.bounds
         else:

@@ -63,7 +63,7 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
             ticks: Control periods of a step.
             horizon: Steps of an episode; left out, as many as the task needs.
             free_space: Whether nothing touches the arm, so that no contacts are simulated; False for `mj_step`. Left out, it is
-                True for Reach and Track.
+                True for Reach and Track, unless the arm has dry friction or coupled joints.
             randomize: A range for attributes of the plant and of the object, such as `{"payload": armctl.Range(0.0, 0.5)}`.
             reward: "dense" or "sparse".
             goal_conditioned: Whether an observation is a dictionary with the achieved and the desired goal.

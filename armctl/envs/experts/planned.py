@@ -15,7 +15,7 @@ from armctl.motion.move_j import move_j
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.planning.move_free import move_free
 
-_GROWTH = 1.35  # of the obstacle in the plan, from which the followed motion may deviate
+_GROWTH = 1.45  # of the obstacle in the plan, from which the followed motion may deviate
 
 
 class ReachExpert(Expert):
