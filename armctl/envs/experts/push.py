@@ -74,7 +74,7 @@ class PushExpert(CartesianExpert):
     def _rest(self) -> Array:
         if np.linalg.norm(self.goal - self.object) > _AGAIN:
             self._phase = self._up
-        return self.go(self.position)
+        return self.go(self._retreat)
 
     def _line_up(self) -> Array:
         along, lateral = self._offsets()
@@ -90,7 +90,8 @@ class PushExpert(CartesianExpert):
         left = float(np.linalg.norm(way))
         if left < _DONE:
             self._phase = self._rest
-            return self.go(self.position)
+            self._retreat = self.above_table(self.position[:2] - _BACK_OFF * way / left, self.table.low)
+            return self.go(self._retreat)
         along, lateral = self._offsets()
         if lateral > _MAX_STROKE_OFFSET * self._distance:
             self._phase = self._line_up
