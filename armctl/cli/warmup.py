@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -57,16 +58,25 @@ def run(args: argparse.Namespace) -> int:
 def _compiled(parts: list[str], workers: int):
     """Yields each part when it is compiled; in this process if one worker is to do it."""
     from concurrent.futures import ProcessPoolExecutor, as_completed
-    from multiprocessing import get_context
+    from multiprocessing import active_children, get_context
 
     if workers == 1:
         for part in parts:
             yield part, compile_part(part)
         return
     with ProcessPoolExecutor(min(workers, len(parts)), get_context("spawn")) as pool:
-        waiting = {pool.submit(compile_part, part): part for part in parts}
-        for future in as_completed(waiting):
-            yield waiting[future], future.result()
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # processes that begin now ignore Ctrl-C: this one ends them
+        try:
+            waiting = {pool.submit(compile_part, part): part for part in parts}
+        finally:
+            signal.signal(signal.SIGINT, before)
+        try:
+            for future in as_completed(waiting):
+                yield waiting[future], future.result()
+        except BaseException:
+            for process in active_children():
+                process.terminate()
+            raise
 
 
 def compile_part(part: str) -> Compiled:
