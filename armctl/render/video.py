@@ -6,7 +6,7 @@ import base64
 import copy
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Self
 
@@ -263,8 +263,12 @@ class Mp4Writer:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *exception: object) -> None:
-        self.close()
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self.close()
+        else:  # an encoder that failed is not asked again
+            with suppress(OSError), _as_os_error():
+                self._container.close()
 
     def add(self, image: Image) -> None:
         """Adds an image (height, width, 3).
@@ -285,8 +289,10 @@ class Mp4Writer:
             OSError: The file cannot be written.
         """
         with _as_os_error():
-            self._container.mux(self._stream.encode())
-            self._container.close()
+            try:
+                self._container.mux(self._stream.encode())
+            finally:
+                self._container.close()
 
 
 @contextmanager

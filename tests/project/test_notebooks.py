@@ -26,5 +26,5 @@ def test_a_notebook_runs_and_shows_its_results(path: Path, tmp_path: Path, monke
     assert all(cell.outputs for cell in cells if not cell.source.startswith("import"))
     kinds = {kind for cell in cells for output in cell.outputs for kind in output.get("data", {})}
     assert ("image/png" in kinds) == any(word in cell.source for cell in cells for word in (".plot", "overlay"))
-    shown_as_html = ("scene", "sim.arm", "report\n", "record")
+    shown_as_html = ("scene", "sim.arm", "report\n", "record", "compare(")
     assert ("text/html" in kinds) == any(word in f"{cell.source}\n" for cell in cells for word in shown_as_html)

@@ -82,9 +82,9 @@ def test_a_controller_that_fails_at_once_is_an_error(bundled):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ((["pd", "pd"], None, [armctl.Plant()] * 3), r"lists of \[2, 3\] runs"),
-        ((["pd"], None, []), r"lists of \[0, 1\] runs"),
-        (("pd", None, ["heavy"]), "plants: 'heavy' is"),
+        ((["pd", "pd"], None, [armctl.Plant()] * 3), r"expected lists of one length above 0, got lengths \[2, 3\]$"),
+        ((["pd"], None, []), r"expected lists of one length above 0, got lengths \[0, 1\]$"),
+        (("pd", None, ["heavy"]), "^plants: expected Plant, got 'heavy'"),
         (("pdd", None, None), "pdd"),
     ],
 )
