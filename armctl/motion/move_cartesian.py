@@ -24,6 +24,7 @@ from armctl.motion.sections import NO_LIMITS, SectionLimits, pause, section_dwel
 from armctl.motion.timing.path_timing import time_optimal
 from armctl.motion.torque_limits import within_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory, joined
+from armctl.motion.trajectory.limit_check import check_limits, is_inside
 from armctl.motion.trajectory.piecewise import joints_of, standing
 from armctl.robot.arm import Arm
 
@@ -274,7 +275,22 @@ def _along(
     else:
         ends = np.interp(chain.ends, pieces.coefficients[:, 0, -1], pieces.knots[:-1])
         motion = within_sections(arm, free, np.append(ends[:-1], free.duration), chain.sections)
-    return motion if caps is None else caps.kept(motion)
+    motion = motion if caps is None else caps.kept(motion)
+    _require_limits(arm, what, motion)
+    return motion
+
+
+def _require_limits(arm: Arm, what: str, motion: JointTrajectory) -> None:
+    """Refuses a motion that leaves its limits between the places where the joint path was computed. Raises PlanError."""
+    if is_inside(motion.pieces, arm.limits):
+        return
+    worst = check_limits(motion.pieces, arm.limits, arm.joint_names, arm.units).violations[0]
+    x, y, z = arm.fk(motion(worst.time).q).position
+    raise PlanError(
+        f"{what}: with the tip at [{x:.3f}, {y:.3f}, {z:.3f}] m, the {worst.quantity} of {worst.joint} would exceed its limit "
+        f"{worst.bound:.6g} {worst.unit} by {abs(worst.value - worst.bound):.2g} {worst.unit}; "
+        "start from another joint position for the same tip pose"
+    )
 
 
 class _Leg(NamedTuple):

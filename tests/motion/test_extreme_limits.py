@@ -10,6 +10,8 @@ from synthetic import limb, motors
 
 import armctl
 from armctl.motion.timing.otg import JointState, ProfileSolver, at_rest, solve_pieces, straight_rest_to_rest
+from armctl.motion.timing.path_timing import time_optimal
+from armctl.motion.trajectory.limit_check import piece_extremes
 from armctl.motion.trajectory.piecewise import Pieces, sample
 
 NAMES = "a b c d e f"
@@ -162,3 +164,35 @@ def pause(arm: armctl.Arm, q: np.ndarray) -> armctl.JointTrajectory:
     coefficients = np.zeros((1, 6, arm.n))
     coefficients[0, 0] = q
     return armctl.JointTrajectory(np.array([0.0, 5400.0]), coefficients, arm.joint_names, arm.limits)
+
+
+class Sudden:
+    """A path on which the first joint moves within a small part of the length, as where a line leaves a singularity."""
+
+    length = 1.0
+    part = 1e-4
+
+    def derivatives(self, s: np.ndarray) -> tuple[np.ndarray, ...]:
+        u = s / self.part
+        r = 1 + u**2
+        first = (np.arctan(u), 1 / r / self.part, -2 * u / r**2 / self.part**2, (6 * u**2 - 2) / r**3 / self.part**3)
+        second = (s, np.ones_like(s), np.zeros_like(s), np.zeros_like(s))
+        return tuple(np.stack(pair, axis=1) for pair in zip(first, second, strict=True))
+
+
+def test_no_path_is_run_backwards_or_beyond_its_ends():
+    limits = armctl.Limits(
+        q_min=np.full(2, -9.0),
+        q_max=np.full(2, 9.0),
+        v_max=np.array([0.1, 1.0]),
+        a_max=np.array([1.0, 10.0]),
+        j_max=np.full(2, 100.0),
+        tau_max=np.full(2, np.inf),
+    )
+    pieces = time_optimal(Sudden(), limits)
+    steps = np.diff(pieces.knots)
+    length = piece_extremes(pieces.coefficients, steps, 0)[1][:, -1]
+    speed = piece_extremes(pieces.coefficients, steps, 1)[1][:, -1]
+    assert length.min() >= -1e-12
+    assert length.max() <= 1 + 1e-12
+    assert speed.min() >= -1e-12

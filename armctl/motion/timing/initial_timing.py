@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
 
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
+
 _INITIAL_INTERVALS = 120
+_BACKWARD_TOLERANCE = 1e-9  # of the mean speed: rounding, next to the rest at both ends
+_MIN_SPEED_SHARE = 1e-3  # of the mean speed, of a timing that is made to increase
 
 
 class Path(Protocol):
@@ -95,6 +100,11 @@ def initial_timing(path: Path, limits: Limits) -> Timing:
 def smooth_timing(t: Array, s: Array, intervals: int) -> Timing:
     """The timing along a spline of degree five, at rest at both ends.
 
+    The interpolating spline overshoots where the speed changes by orders of magnitude over a short distance, for example
+    where a path leaves a singularity. There the arm would run backwards, even beyond the start of the path. In that case the
+    lengths become the coefficients of the spline: a B-spline with increasing coefficients increases (de Boor, "A Practical
+    Guide to Splines", 2001, chapter XI).
+
     Args:
         t: (k,) s.
         s: (k,) lengths.
@@ -106,4 +116,33 @@ def smooth_timing(t: Array, s: Array, intervals: int) -> Timing:
     from scipy.interpolate import make_interp_spline
 
     rest = [(1, 0.0), (2, 0.0)]
-    return Timing(float(t[-1]) / intervals, intervals, make_interp_spline(t, s, k=5, bc_type=(rest, rest)))
+    spline = make_interp_spline(t, s, k=5, bc_type=(rest, rest))
+    if _runs_backwards(spline, s[-1] / t[-1]):
+        spline = _increasing(spline.t, t, s)
+    return Timing(float(t[-1]) / intervals, intervals, spline)
+
+
+def _runs_backwards(spline: BSpline, mean_speed: float) -> bool:
+    """Whether a spline decreases anywhere by more than rounding."""
+    from scipy.interpolate import PPoly
+
+    from armctl.motion.trajectory import excess_kernel as kernel
+
+    curve = PPoly.from_spline(spline)
+    steps = np.diff(curve.x)
+    coefficients = np.ascontiguousarray(curve.c[::-1].T[:, :, None])
+    least = np.full((len(steps), 1), -_BACKWARD_TOLERANCE * mean_speed)
+    return bool((kernel.excess(coefficients, steps, 1, least, np.full_like(least, np.inf)) > 0).any())
+
+
+def _increasing(knots: Array, t: Array, s: Array) -> BSpline:
+    """The spline of degree five, at rest at both ends, whose coefficients are the lengths at the averages of its knots."""
+    from scipy.interpolate import BSpline
+
+    averages = np.convolve(knots[1:-1], np.full(5, 0.2), mode="valid")
+    lengths = np.maximum.accumulate(np.clip(s, 0.0, s[-1]))
+    even = _MIN_SPEED_SHARE * s[-1] * t / t[-1]
+    coefficients = np.interp(averages, t, (1 - _MIN_SPEED_SHARE) * lengths + even)
+    coefficients[:3] = 0.0
+    coefficients[-3:] = s[-1]
+    return BSpline(knots, coefficients, 5)
