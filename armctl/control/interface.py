@@ -7,7 +7,7 @@ import functools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, Self, TypeVar, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, TypeGuard, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -291,3 +291,22 @@ def measured_wrench(state: State, controller: str) -> Array:
 def controller_name(controller: Controller) -> str:
     """The name of a controller in reports: its `name`, or that of its class."""
     return getattr(controller, "name", type(controller).__name__)
+
+
+def has_compiled_law(controller: Controller, n: int) -> TypeGuard[KernelController]:
+    """Whether a controller computes its torque by a kernel for n joints and nothing else.
+
+    Args:
+        controller: The controller.
+        n: Joints of the arms.
+
+    Returns:
+        True if the kernel is its whole law.
+    """
+    return (
+        isinstance(controller, KernelController)
+        and type(controller).torque is KernelController.torque
+        and "torque" not in vars(controller)
+        and controller.n == n
+        and not getattr(controller, "needs_wrench", False)
+    )

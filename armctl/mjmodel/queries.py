@@ -90,6 +90,11 @@ def is_free(model: mujoco.MjModel, joint: int) -> bool:
     return bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE)
 
 
+def is_loose(model: mujoco.MjModel, body: int) -> bool:
+    """Whether a body floats, by itself or rigidly connected to one that does."""
+    return any(is_free(model, joint) for joint in joints_of(model, int(model.body_weldid[body])))
+
+
 def joints_of(model: mujoco.MjModel, body: int) -> Joints:
     """The joints between a body and its parent, in order."""
     first = int(model.body_jntadr[body])

@@ -95,7 +95,7 @@ class PinocchioModel:
         return J.reshape(6, -1)  # Pinocchio drops the column of a single joint
 
     def tips(self, q: Array) -> tuple[Array, Array]:
-        """Where the tip is at many positions at once, by matrix products over the chain.
+        """Where the tip is at many positions at once. A row's bits do not depend on the number of rows.
 
         Args:
             q: (T, n) rad.
@@ -103,26 +103,34 @@ class PinocchioModel:
         Returns:
             Positions (T, 3) m and rotation matrices (T, 3, 3), in the world.
         """
-        R = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(q)))  # time last: whole columns of R turn at once
+        # The columns of the rotations are the first axis, time is the last: whole columns turn at once. Products of matrices
+        # would round differently with another number of rows.
+        R = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(q)))
         p = np.zeros((3, len(q)))
         chain = q if self.joint_map.is_plain else self.joint_map.positions(q)[:, : self.chain_length]
         for qi, X, slides in zip(chain.T, self.placements, self.is_slide, strict=True):
-            p = p + X[:3, 3] @ R
-            R = X[:3, :3].T @ R
+            p = p + _combined(X[:3, 3], R)
+            R = _combined(X[:3, :3], R)
             if slides:
-                p = p + R[:, 2] * qi
+                p = p + R[2] * qi
             else:
                 c = np.cos(qi)
                 s = np.sin(qi)
-                x = R[:, 0]
-                y = R[:, 1]
-                R = np.stack([c * x + s * y, c * y - s * x, R[:, 2]], axis=1)
-        p = p + self.T_last_tip[:3, 3] @ R
-        R = self.T_last_tip[:3, :3].T @ R
-        return np.ascontiguousarray(p.T), np.ascontiguousarray(R.transpose(2, 0, 1))
+                x = c * R[0] + s * R[1]
+                R[1] = c * R[1] - s * R[0]
+                R[0] = x
+        p = p + _combined(self.T_last_tip[:3, 3], R)
+        R = _combined(self.T_last_tip[:3, :3], R)
+        return np.ascontiguousarray(p.T), np.ascontiguousarray(R.transpose(2, 1, 0))
 
     def __reduce__(self):
         return PinocchioModel, tuple(getattr(self, field.name) for field in fields(self))
+
+
+def _combined(weights: Array, columns: Array) -> Array:
+    """The sums of three columns (3, 3, T) with weights (3,), which is (3, T), or (3, m), which is (m, 3, T)."""
+    first, second, third = weights[..., None, None]
+    return first * columns[0] + second * columns[1] + third * columns[2]
 
 
 def build_pinocchio_model(

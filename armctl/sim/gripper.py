@@ -10,7 +10,7 @@ import numpy as np
 
 from armctl.core.errors import InputError
 from armctl.core.validation import instance, number
-from armctl.mjmodel.queries import body_name
+from armctl.mjmodel.queries import body_name, is_loose
 from armctl.robot.arm import Arm
 from armctl.sim.gripper_model import find_gripper_model, make_usable
 from armctl.sim.stepper import Stepper
@@ -38,7 +38,7 @@ class GripResult:
     Attributes:
         ok: Whether the gripper grasped something, or reached the requested width.
         grasped: Whether something is held between the pads.
-        held: The body that is held; empty if none.
+        held: The body that is held; empty if none. Only a body that moves freely can be held.
         width: m between the pads.
         force: N, the contact force on the held body; the smaller of the two sides.
         duration: s of simulated time.
@@ -111,7 +111,7 @@ class Gripper:
 
     @property
     def held(self) -> str:
-        """The body that both sides touch now; empty if there is none."""
+        """The loose body that both sides touch now; empty if there is none."""
         return self._grasped()[0]
 
     def open(self) -> GripResult:
@@ -261,7 +261,7 @@ class Gripper:
             before = now
 
     def _grasped(self) -> tuple[str, float]:
-        """The body that both sides touch, and the force, N, of the side that presses less."""
+        """The loose body that both sides touch, and the force, N, of the side that presses less."""
         model = self._stepper.model
         data = self._stepper.data
         wrench = np.zeros(6)
@@ -271,7 +271,7 @@ class Gripper:
             bodies = [int(model.geom_bodyid[g]) for g in contact.geom]
             for side, on in zip(self.model.jaws.sides, forces, strict=True):
                 for one, other in (bodies, bodies[::-1]):
-                    if one in side and other not in own:
+                    if one in side and other not in own and is_loose(model, other):
                         mujoco.mj_contactForce(model, data, index, wrench)
                         on[other] = on.get(other, 0.0) + abs(wrench[0])
         both = {body: min(forces[0][body], forces[1][body]) for body in forces[0].keys() & forces[1].keys()}

@@ -264,6 +264,7 @@ class ControlledArms:
         """
         self.resume()
         recorder = Recorder(self.stepper.model, self.stepper.actuation)
+        self.stepper.load_compiled_code(self._controller if controller is None else controller)
         started = time.perf_counter()
         targets = {} if targets is None else targets
         try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from math import hypot, inf  # hypot of a short list is faster than numpy's norm
-from typing import TYPE_CHECKING, Protocol, TypeGuard
+from typing import TYPE_CHECKING, Protocol
 
 import mujoco
 import numpy as np
@@ -14,6 +14,7 @@ from numpy import ndarray
 from numpy.typing import ArrayLike
 
 from armctl.control import Controller, KernelController, State, controller_name
+from armctl.control.interface import has_compiled_law
 from armctl.core.errors import InputError, LimitError
 from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
@@ -251,6 +252,21 @@ class Stepper:
             if self.failure:
                 return
 
+    def load_compiled_code(self, controller: Controller) -> None:
+        """Loads the code that `run` calls, so that the time of a run does not contain it."""
+        if not has_compiled_law(controller, self.n):
+            return
+        from armctl.sim.tick_kernel import entry_point
+
+        entry_point(controller.kernel)
+        if self._compiled is None:
+            from armctl.sim.compiled_loop import CompiledLoop
+
+            self._compiled = CompiledLoop(
+                self.actuation, self.model, self.data, self._substeps, self._packed_dynamics, self._free_space
+            )
+            controller.parameters(self.dt, self.continuous)  # which loads code, too
+
     def step(self, controller: Controller, rows: TickRows) -> None:
         """Runs the next tick of rows that are not complete.
 
@@ -281,7 +297,7 @@ class Stepper:
                     self.failure = f"free_space: {touched}; simulate it without free_space"
 
     def _run_unchecked_ticks(self, controller: Controller, rows: TickRows, first: int, last: int) -> None:
-        if last == first + 1 or not _has_compiled_law(controller, self.n):
+        if last == first + 1 or not has_compiled_law(controller, self.n):
             self._run_python_ticks(controller, rows, first, last)
             return
         if self._measurement is not None:  # the first tick is measured already
@@ -292,14 +308,10 @@ class Stepper:
     def _run_compiled_ticks(self, controller: KernelController, rows: TickRows, last: int) -> None:
         """The ticks up to row `last`, in the compiled loop."""
         from armctl.sim import tick_kernel
-        from armctl.sim.compiled_loop import CompiledLoop
 
-        if self._compiled is None:
-            self._compiled = CompiledLoop(
-                self.actuation, self.model, self.data, self._substeps, self._packed_dynamics, self._free_space
-            )
-        begin = self.state
-        end = self._compiled.run(controller, rows, last, begin, self._disturbances)
+        self.load_compiled_code(controller)
+        assert self._compiled is not None
+        end = self._compiled.run(controller, rows, last, self.state, self._disturbances)
         reached = rows.reference.q[end.row]
         self.q_ref = reached if np.isfinite(reached).all() else self.state.q
         self._measurement = end.measurement
@@ -486,14 +498,3 @@ def _read_only(values: Array) -> Array:
     view = values[:]
     view.flags.writeable = False
     return view
-
-
-def _has_compiled_law(controller: Controller, n: int) -> TypeGuard[KernelController]:
-    """Whether a controller computes its torque by a kernel for n joints and nothing else."""
-    return (
-        isinstance(controller, KernelController)
-        and type(controller).torque is KernelController.torque
-        and "torque" not in vars(controller)
-        and controller.n == n
-        and not getattr(controller, "needs_wrench", False)
-    )

@@ -93,6 +93,15 @@ def test_many_tips_at_once_are_each_tip(arm: Arm):
         assert np.allclose(rotations[k], T.rotation, atol=1e-13)
 
 
+def test_the_bits_of_a_tip_do_not_depend_on_how_many_are_computed_at_once(arm: Arm):
+    q = np.array([q for q, _, _ in states(arm, 50, seed=5)])
+    positions, rotations = arm.fk_many(q)
+    for rows in (slice(49, 50), slice(29, 50), slice(1, 50, 2)):
+        some = arm.fk_many(q[rows])
+        assert np.array_equal(some[0], positions[rows])
+        assert np.array_equal(some[1], rotations[rows])
+
+
 CHAIN = """
 <mujoco><option integrator="{integrator}"><flag eulerdamp="{eulerdamp}"/></option>
 <worldbody><body pos="0.1 0 0.2" euler="10 20 30" gravcomp="{gravcomp}">

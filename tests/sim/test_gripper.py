@@ -122,6 +122,15 @@ def test_a_grasp_presses_as_asked_and_holds(gripper_arm, kind: str):
     assert not released.grasped
 
 
+def test_a_body_that_cannot_move_is_not_held(gripper_arm):
+    at = gripper_arm("tendon").fk([0, 0])
+    sim = armctl.Simulation(gripper_arm("tendon", armctl.Scene().add_box("post", [0.018, 0.03, 0.03], at)))
+    result = sim.gripper.grasp(8.0)
+    assert len(sim.data.contact) > 0
+    assert not result.ok
+    assert result.held == sim.gripper.held == ""
+
+
 def test_until_it_is_used_a_gripper_is_rigid_and_after_reset_again(gripper_arm):
     arm = gripper_arm("one leads")
     sim, trajectory = armctl.Simulation(arm), armctl.move_j(arm, arm.home, arm.home + 0.3)
