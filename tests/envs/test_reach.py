@@ -109,3 +109,29 @@ def test_wrong_arguments_are_explained(arm):
     ):
         with pytest.raises(armctl.InputError, match=next(iter(options))):
             armctl.envs.ArmEnv(arm, **options)
+
+
+def test_the_mode_human_shows_each_step_to_the_viewer(arm, monkeypatch):
+    shown = []
+
+    class Page:
+        def after_reset(self, data):
+            shown.append(("reset", data.qpos.copy()))
+
+        def before_run(self):
+            pass
+
+        def after_ticks(self, data, seconds):
+            shown.append((seconds, data.qpos.copy()))
+
+        def close(self):
+            shown.append("closed")
+
+    monkeypatch.setattr("armctl.viewer.viewer.Viewer", lambda *_, **__: Page())
+    env = armctl.envs.ArmEnv(arm, render_mode="human")
+    env.reset(seed=0)
+    env.step(np.ones(env.action_space.shape))
+    env.close()
+    assert [each[0] for each in shown[:2]] == ["reset", env.batch.step_time]
+    assert np.array_equal(shown[1][1][arm.qpos_adr], env.batch.rows.q[0])
+    assert shown[2:] == ["closed"]
