@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
+import threading
 
 _INTERRUPTED = 130  # exit status of a program that Ctrl-C ends, 128 + SIGINT
 
@@ -28,8 +30,20 @@ def program() -> int:
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # nothing is left to interrupt
     except KeyboardInterrupt:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        return _INTERRUPTED
+        status = _INTERRUPTED
+    _end_if_busy(status)
     return status
+
+
+def _end_if_busy(status: int) -> None:
+    """Ends the process at once if a thread of armctl still compiles or plans, which may take many seconds.
+
+    Python would end such a thread anyway, and the bindings would report the objects in its hands as leaks.
+    """
+    if any(thread.name.startswith("armctl") for thread in threading.enumerate()):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
 
 
 def _unraisable_hook(unraisable: sys.UnraisableHookArgs) -> None:

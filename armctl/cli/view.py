@@ -6,8 +6,6 @@ import argparse
 import ctypes
 import os
 import platform
-import sys
-import threading
 from pathlib import Path
 
 from armctl.cli.common import CONTROLLERS_HELP, DONE, Commands, add_arm, add_command, load_arm
@@ -58,19 +56,7 @@ def run(args: argparse.Namespace) -> int:
             allowed_hosts=args.allow_host,
             title=f"{Path(args.robot).stem} - armctl",
         )
-    _end_if_busy()
     return DONE
-
-
-def _end_if_busy() -> None:
-    """Ends the process at once if a thread of the session still compiles or plans, which may take many seconds.
-
-    Python would end such a thread anyway, and the bindings would report the objects in its hands as leaks.
-    """
-    if any(thread.name.startswith("armctl") for thread in threading.enumerate()):
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(DONE)
 
 
 def _return_large_buffers() -> None:
