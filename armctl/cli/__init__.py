@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import _thread
 import os
 import signal
 import sys
 import threading
 
+_HOOK_RETURNS_S = 0.01
 _INTERRUPTED = 130  # exit status of a program that Ctrl-C ends, 128 + SIGINT
 
 
@@ -48,7 +50,9 @@ def _end_if_busy(status: int) -> None:
 
 def _unraisable_hook(unraisable: sys.UnraisableHookArgs) -> None:
     """Raises a KeyboardInterrupt again that Python could not raise, for example in a callback of a C library."""
-    if unraisable.exc_type is KeyboardInterrupt:
-        signal.raise_signal(signal.SIGINT)
+    if unraisable.exc_type is KeyboardInterrupt:  # raised here, it would end in this hook: a thread raises it afterwards
+        again = threading.Timer(_HOOK_RETURNS_S, _thread.interrupt_main)
+        again.daemon = True
+        again.start()
     else:
         sys.__unraisablehook__(unraisable)

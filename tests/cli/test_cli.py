@@ -436,3 +436,14 @@ def test_every_command_that_loads_an_arm_takes_an_srdf(capsys, tmp_path: Path):
     assert status == 0, err
     assert "one" in out
     assert "j2" not in out
+
+
+def test_an_interrupt_that_python_cannot_raise_is_raised_soon_after():
+    code = (
+        "import signal, sys, time\nfrom armctl.cli import _unraisable_hook\n"
+        "sys.unraisablehook = _unraisable_hook\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "class Interrupted:\n    def __del__(self): raise KeyboardInterrupt\n"
+        "try:\n    Interrupted()\n    time.sleep(10)\nexcept KeyboardInterrupt:\n    print('interrupted')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("interrupted\n", "")
