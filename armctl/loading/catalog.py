@@ -175,7 +175,7 @@ def _in_menagerie(given: str, tool: bool) -> Source:
         raise ModelError(
             f"{given}: its model is not installed ({_one_line(error)}); with a network run `mujoco-menagerie prefetch {name}`, "
             "or set MENAGERIE_ROOT to a checkout of MuJoCo Menagerie"
-        ) from error
+        ) from None
     if not path.is_file():
         raise ModelError(f"{given}: {shown_path(path)} does not exist; this copy of MuJoCo Menagerie is older than its index")
     return Source(given, path, ROWS.get(name))
