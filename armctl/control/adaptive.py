@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 
-from armctl.control import feedforward
+from armctl.control.arm_controller import ArmController
 from armctl.control.gains import MAX_BANDWIDTH, sample_configurations
-from armctl.control.interface import Clock, State, explains_wrong_arguments
-from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number
-from armctl.robot.arm import Arm, check_arm
+from armctl.robot.arm import Arm
 from armctl.robot.dynamics import Dynamics
 
 ADAPTIVE_BANDWIDTH = 24.0  # rad/s; at a higher one, the adaptation reaches its bound at control periods of 4 ms
@@ -17,11 +17,11 @@ ADAPTIVE_BANDWIDTH = 24.0  # rad/s; at a higher one, the adaptation reaches its 
 REGULARIZATION_RATIO = 0.1
 TYPICAL_PAYLOAD_CENTER_M = 0.1  # the distance that converts the observability of a mass to that of a first moment
 MIN_OBSERVABILITY = 1e-12  # m^2/s^4; below this, gravity does not reveal a payload: the value is rounding error
-# Stiffness of the adaptation x dt / bandwidth. See `Adaptive._slowdown`.
+# Stiffness of the adaptation x dt / bandwidth. See `adaptive_kernel`.
 MAX_ADAPTATION_PER_PERIOD = 0.25
 
 
-class Adaptive:
+class Adaptive(ArmController):
     """Passivity-based adaptive control of an arm with an unknown point mass at its tip.
 
     With e = q_ref - q and s = e_dot + bandwidth e,
@@ -37,7 +37,6 @@ class Adaptive:
     Attributes:
         bandwidth: rad/s, of the error.
         adaptation_rate: 1/s, the rate of the estimation.
-        payload: (4,) the estimate: mass, kg, and first moment m c in the tip's frame, kg m.
     """
 
     name = "adaptive"
@@ -54,75 +53,54 @@ class Adaptive:
             InputError: A gain is negative or not finite.
             ModelError: A joint of the arm follows another one.
         """
-        check_arm(arm)
+        super().__init__(arm)
         self.bandwidth = number("bandwidth", bandwidth, 0.0, MAX_BANDWIDTH)
         self.adaptation_rate = number("adaptation_rate", adaptation_rate, 0.0)
-        self.payload = np.zeros(4)
-        self._dynamics = Dynamics(arm.model, arm.pinocchio_model)
-        self._clock = Clock()
-        self._zero = np.zeros(arm.n)
-        self._tau_max = arm.limits.tau_max
-        self._gain = self._adaptation_gain(arm)
+        self._observability = _observability(arm)
 
-    @explains_wrong_arguments
-    def torque(self, state: State, setpoint: Setpoint) -> Array:
-        """The torque for the coming control period.
+    @property
+    def payload(self) -> Array:
+        """The estimate of this run, (4,): mass, kg, and first moment m c in the tip's frame, kg m."""
+        return self.memory[:4].copy()
 
-        Args:
-            state: The measured state.
-            setpoint: Where the arm should be.
+    @property
+    def kernel(self) -> Callable[..., None]:
+        """The compiled law, as `KernelController` describes it."""
+        from armctl.control.adaptive_kernel import adaptive
 
-        Returns:
-            (n,) N m.
-        """
-        q = state.q
-        v = state.v
-        v_ref, a_ref = feedforward.sampled(setpoint)
-        error_rate = v_ref - v
-        correction = self.bandwidth * (setpoint.q - q)
-        s = error_rate + correction
-        a = a_ref + self.bandwidth * (error_rate + s)
-        Y = self._regressor(q, v, v + s, a)
-        if not self._clock.follows(state):
-            self.payload = np.zeros(4)
-        tau = feedforward.inverse_dynamics_with_friction(self._dynamics, state, a, v_ref, a_ref)
-        tau = tau + self._dynamics.coriolis_product(q, v, s) + self._dynamics.damping * correction + Y @ self.payload
-        if (np.abs(tau) < self._tau_max).all():  # the effect of the payload is not measurable while a motor is at its limit
-            self.payload = self.payload + state.dt * self._slowdown(q, Y, state.dt) * (self._gain @ (Y.T @ s))
-        return tau
+        return adaptive
 
-    def _slowdown(self, q: Array, Y: Array, dt: float) -> float:
-        """A factor of at most 1 that keeps the adaptation stable in fast motions, where the regressor Y is large.
+    def _constants(self, dt: float, continuous: bool) -> Sequence[Array | Sequence[float]]:
+        header = [dt, self.bandwidth, MAX_ADAPTATION_PER_PERIOD * self.bandwidth]
+        start_model = self._arm.packed_dynamics.vector(0.0)
+        return header, self._adaptation_gain().ravel(), self._arm.limits.tau_max, start_model
 
-        Estimate and s form an oscillator of stiffness Y gain Y^T and damping bandwidth. Sampled at dt it is stable while
-        stiffness x dt < bandwidth.
-        """
-        stiffness = np.trace(self._gain @ Y.T @ np.linalg.solve(self._dynamics.mass_matrix(q), Y))
-        limit = MAX_ADAPTATION_PER_PERIOD * self.bandwidth
-        return limit / max(limit, float(stiffness) * dt, np.finfo(float).tiny)
+    def _own_memory_size(self) -> int:
+        from armctl.control.adaptive_kernel import memory_size
 
-    def _regressor(self, q: Array, v: Array, v_r: Array, a_r: Array) -> Array:
-        """(n, 4) Y of M a_r + C(q, v) v_r + g of the payload, C by Christoffel's symbols (polarization, as in `Dynamics`)."""
-        regressor = self._dynamics.payload_regressor
-        zero = self._zero
-        return regressor(q, zero, a_r) + 0.25 * (regressor(q, v + v_r, zero) - regressor(q, v - v_r, zero))
+        return memory_size(self.n)
 
-    def _adaptation_gain(self, arm: Arm) -> Array:
+    def _adaptation_gain(self) -> Array:
         """(4, 4), rate k (Y^T M^-1 Y)^-1 at rest: the error of the estimate decays at about the adaptation rate.
 
         The gain is zero if gravity does not reveal a payload, as without gravity or with vertical axes only.
         """
-        zero = self._zero
-        configurations = sample_configurations(arm)
-        observability = np.zeros((4, 4))
-        for q in configurations:
-            Y = self._dynamics.payload_regressor(q, zero, zero)
-            observability += Y.T @ np.linalg.solve(self._dynamics.mass_matrix(q), Y)
-        observability /= len(configurations)
-        diagonal = np.diag(observability)
+        diagonal = np.diag(self._observability)
         moment = max(diagonal[1:].max(), TYPICAL_PAYLOAD_CENTER_M**2 * diagonal[0])
         if moment < MIN_OBSERVABILITY:
             return np.zeros((4, 4))
         regularization = REGULARIZATION_RATIO * np.array([max(diagonal[0], moment), moment, moment, moment])
-        gain = self.adaptation_rate * self.bandwidth * np.linalg.inv(observability + np.diag(regularization))
+        gain = self.adaptation_rate * self.bandwidth * np.linalg.inv(self._observability + np.diag(regularization))
         return np.asarray(gain, dtype=np.float64)
+
+
+def _observability(arm: Arm) -> Array:
+    """(4, 4), the mean of Y^T M^-1 Y at rest over `sample_configurations`."""
+    dynamics = Dynamics(arm.model, arm.pinocchio_model)
+    zero = np.zeros(arm.n)
+    configurations = sample_configurations(arm)
+    total = np.zeros((4, 4))
+    for q in configurations:
+        Y = dynamics.payload_regressor(q, zero, zero)
+        total += Y.T @ np.linalg.solve(dynamics.mass_matrix(q), Y)
+    return total / len(configurations)

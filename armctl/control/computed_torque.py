@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from armctl.control.arm_controller import ArmController
 from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH, extra_inertia
 from armctl.control.integral_gains import IntegralGains, integral_gains
-from armctl.control.interface import KernelController, checked_period
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, choice, instance, number
-from armctl.robot.arm import Arm, check_arm
+from armctl.robot.arm import Arm
 
 FORMS = ("discrete", "textbook")
 DEFAULT_DELAY_MARGIN_S = 5e-3
 
 
-class ComputedTorque(KernelController):
+class ComputedTorque(ArmController):
     """Computed torque (inverse dynamics control): tau = ID(q, v, a_ref + k_p (q_ref - q) + k_d (v_ref - v)).
 
     After Siciliano, Sciavicco, Villani, Oriolo, Robotics: Modelling, Planning and Control (2009), 8.5.2. Dry friction is fed
@@ -65,7 +65,7 @@ class ComputedTorque(KernelController):
             InputError: A gain is negative or not finite, the form is unknown, or integral action is combined with a bandwidth
                 or the textbook form.
         """
-        check_arm(arm)
+        super().__init__(arm)
         self.form = choice("form", form, FORMS)
         self.bandwidth = number("bandwidth", bandwidth, 0.0, MAX_BANDWIDTH)
         self.damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
@@ -81,8 +81,6 @@ class ComputedTorque(KernelController):
                 raise InputError("bandwidth: with integral=True, all gains follow from delay_margin; leave the others out")
         elif self.form == "textbook":
             self.name = "computed-torque-textbook"
-        super().__init__(arm.n)
-        self._arm = arm
 
     @property
     def kernel(self) -> Callable[..., None]:
@@ -91,36 +89,23 @@ class ComputedTorque(KernelController):
 
         return computed_torque
 
-    @property
-    def memory_size(self) -> int:
-        """Numbers of memory: the integral, and scratch."""
-        from armctl.control.computed_torque_kernel import memory_size
-
-        return memory_size(self.n, self._arm.packed_dynamics.work_size())
-
-    def parameters(self, dt: float, continuous: bool) -> Array:
-        """Gains, limits and the model, for the kernel.
-
-        Args:
-            dt: s, the control period.
-            continuous: Whether the arm moves continuously during the control period.
-
-        Returns:
-            A new vector.
-
-        Raises:
-            InputError: The control period is no number in [0, 1] s, or `continuous` is not True or False.
-        """
-        dt, continuous = checked_period(dt, continuous)
-        is_textbook = self.form == "textbook"
-        model = self._arm.packed_dynamics.vector(0.0 if is_textbook else dt, continuous and not is_textbook)
+    def _constants(self, dt: float, continuous: bool) -> Sequence[Array | Sequence[float]]:
         if self.integral:
             gains = integral_gains(dt, self.delay_margin, continuous)
             added = np.zeros(self.n)
         else:
             gains = IntegralGains(self.bandwidth**2, 2 * self.damping_ratio * self.bandwidth, 0.0)
             added = extra_inertia(self._arm, self.bandwidth, self.damping_ratio, dt)
-        header = [float(is_textbook), gains.ki * dt]
+        header = [float(self.form == "textbook"), gains.ki * dt]
         kp = np.full(self.n, gains.kp)
         kd = np.full(self.n, gains.kd)
-        return np.concatenate([header, kp, kd, added, self._arm.limits.tau_max, model])
+        return header, kp, kd, added, self._arm.limits.tau_max
+
+    def _packed_model(self, dt: float, continuous: bool) -> Array:
+        is_textbook = self.form == "textbook"
+        return self._arm.packed_dynamics.vector(0.0 if is_textbook else dt, continuous and not is_textbook)
+
+    def _own_memory_size(self) -> int:
+        from armctl.control.computed_torque_kernel import memory_size
+
+        return memory_size(self.n)

@@ -20,9 +20,9 @@ ADDED = 4  # torques of the feedback that inverse dynamics does not contain
 VECTORS = 5
 
 
-def memory_size(n: int, work_size: int) -> int:
-    """Numbers of memory for n joints and a model with so many numbers of scratch."""
-    return VECTORS * n + work_size
+def memory_size(n: int) -> int:
+    """Numbers of memory for n joints besides scratch of the model."""
+    return VECTORS * n
 
 
 @njit

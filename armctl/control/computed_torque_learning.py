@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from armctl.control.computed_torque_observer import ComputedTorqueObserver
-from armctl.control.interface import checked_period
 from armctl.control.task_space import arm_length
 from armctl.core.errors import InputError
 from armctl.core.validation import Array
@@ -65,7 +64,7 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
             raise InputError(
                 "observer_bandwidth: expected a number above 0, got 0; the controller learns from the observer's estimate"
             )
-        self._constants = np.concatenate([1 / (TORQUE_NOISE_SHARE * arm.limits.tau_max), _prior_deviations(arm)])
+        self._prior = _prior_deviations(arm)
 
     @property
     def payload(self) -> Array:
@@ -77,7 +76,8 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
         """The torque (n,) N m that the observer estimates besides that of the payload."""
         from armctl.control.computed_torque_observer_kernel import estimate, memory_size
 
-        return estimate(self.memory[-memory_size(self.n, self._arm.packed_dynamics.work_size()) :], self.n).copy()
+        size = memory_size(self.n) + self._arm.packed_dynamics.work_size()
+        return estimate(self.memory[-size:], self.n).copy()
 
     @property
     def kernel(self) -> Callable[..., None]:
@@ -86,31 +86,17 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
 
         return computed_torque_learning
 
-    @property
-    def memory_size(self) -> int:
-        """Numbers of memory: those of estimator and observer, and scratch."""
+    def _own_memory_size(self) -> int:
         from armctl.control.computed_torque_learning_kernel import memory_size
 
-        return memory_size(self.n, self._arm.packed_dynamics.work_size())
+        return memory_size(self.n)
 
-    def parameters(self, dt: float, continuous: bool) -> Array:
-        """The constants of the estimator and those of computed torque with an observer.
-
-        Args:
-            dt: s, the control period.
-            continuous: Whether the arm moves continuously during the control period.
-
-        Returns:
-            A new vector.
-
-        Raises:
-            InputError: The control period is no number in [0, 1] s, or `continuous` is not True or False.
-        """
-        dt, continuous = checked_period(dt, continuous)
+    def _constants(self, dt: float, continuous: bool) -> Sequence[Array | Sequence[float]]:
         filter_weight = -math.expm1(-FILTER_BANDWIDTH * dt)
         information_weight = 0.5 * FILTER_BANDWIDTH * dt  # filtered samples are correlated over two periods of the low-pass
         rates = [filter_weight, information_weight, FORGETTING_RATE * dt]
-        return np.concatenate([rates, self._constants, super().parameters(dt, continuous)])
+        deviations = [1 / (TORQUE_NOISE_SHARE * self._arm.limits.tau_max), self._prior]
+        return rates, *deviations, *super()._constants(dt, continuous)
 
 
 def _prior_deviations(arm: Arm) -> Array:

@@ -20,9 +20,9 @@ from armctl.core.jit import njit
 # the regressor, a number that is not 0 if the reference moved, and the memory of the law with an observer.
 
 
-def memory_size(n: int, work_size: int) -> int:
-    """Numbers of memory for n joints and a model with so many numbers of scratch."""
-    return estimator_size(n) + (n + 1) * (PARAMETERS + 1) + regressor_scratch(n) + law.memory_size(n, work_size)
+def memory_size(n: int) -> int:
+    """Numbers of memory for n joints besides scratch of the model."""
+    return estimator_size(n) + (n + 1) * (PARAMETERS + 1) + regressor_scratch(n) + law.memory_size(n)
 
 
 @njit

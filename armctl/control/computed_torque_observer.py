@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from armctl.control.arm_controller import ArmController
 from armctl.control.gains import MAX_BANDWIDTH
-from armctl.control.interface import KernelController, checked_period
 from armctl.control.observer_gains import (
     ObserverGains,
     low_pass_weight,
@@ -16,10 +16,10 @@ from armctl.control.observer_gains import (
     velocity_weight,
 )
 from armctl.core.validation import Array, number
-from armctl.robot.arm import Arm, check_arm
+from armctl.robot.arm import Arm
 
 
-class ComputedTorqueObserver(KernelController):
+class ComputedTorqueObserver(ArmController):
     """Computed torque with estimated velocities and disturbance torques d: tau = ID(q, v, a_ref + k_p e + k_d e_dot) - d.
 
     The commanded acceleration predicts position and velocity, and the measured position corrects both, so that the noise of
@@ -55,9 +55,7 @@ class ComputedTorqueObserver(KernelController):
         Raises:
             InputError: A gain is negative or not finite.
         """
-        check_arm(arm)
-        super().__init__(arm.n)
-        self._arm = arm
+        super().__init__(arm)
         self.bandwidth = _optional("bandwidth", bandwidth)
         self.damping_ratio = _optional("damping_ratio", damping_ratio)
         self.observer_bandwidth = _optional("observer_bandwidth", observer_bandwidth)
@@ -76,27 +74,12 @@ class ComputedTorqueObserver(KernelController):
 
         return computed_torque_observer
 
-    @property
-    def memory_size(self) -> int:
-        """Numbers of memory: those of the observer, and scratch."""
+    def _own_memory_size(self) -> int:
         from armctl.control.computed_torque_observer_kernel import memory_size
 
-        return memory_size(self.n, self._arm.packed_dynamics.work_size())
+        return memory_size(self.n)
 
-    def parameters(self, dt: float, continuous: bool) -> Array:
-        """Gains, limits and the model, for the kernel.
-
-        Args:
-            dt: s, the control period.
-            continuous: Whether the arm moves continuously during the control period.
-
-        Returns:
-            A new vector.
-
-        Raises:
-            InputError: The control period is no number in [0, 1] s, or `continuous` is not True or False.
-        """
-        dt, continuous = checked_period(dt, continuous)
+    def _constants(self, dt: float, continuous: bool) -> Sequence[Array | Sequence[float]]:
         default = observer_gains(self._arm, dt)
         gains = ObserverGains(
             feedback=default.feedback if self.bandwidth is None else self.bandwidth,
@@ -113,8 +96,7 @@ class ComputedTorqueObserver(KernelController):
         ]
         stiffness = np.full(self.n, gains.feedback**2)
         damping = np.full(self.n, 2 * gains.damping_ratio * gains.feedback)
-        model = self._arm.packed_dynamics.vector(dt, continuous)
-        return np.concatenate([header, stiffness, damping, self._arm.limits.tau_max, model])
+        return header, stiffness, damping, self._arm.limits.tau_max
 
 
 def _optional(name: str, value: float | None) -> float | None:

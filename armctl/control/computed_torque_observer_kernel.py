@@ -46,9 +46,9 @@ LAST_VELOCITY = 9
 VECTORS = 10
 
 
-def memory_size(n: int, work_size: int) -> int:
-    """Numbers of memory for n joints and a model with so many numbers of scratch."""
-    return 1 + VECTORS * n + n * n + work_size
+def memory_size(n: int) -> int:
+    """Numbers of memory for n joints besides scratch of the model."""
+    return 1 + VECTORS * n + n * n
 
 
 def estimate(memory: Array, n: int) -> Array:

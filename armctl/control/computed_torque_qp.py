@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import daqp
 import numpy as np
@@ -77,12 +77,21 @@ class ComputedTorqueQP(ComputedTorque):
         self.solver = choice("solver", solver, SOLVERS)
         self.name = "qp"
         _check_installed(self.solver)
-        n = arm.n
-        self._scratch = np.zeros(arm.packed_dynamics.work_size())
+        self._allocate()
+
+    def _allocate(self) -> None:
+        n = self.n
+        self._scratch = np.zeros(self._arm.packed_dynamics.work_size())
         shapes = [(6, n), (n, n), (n, n), (n, n), (18,), (2 * n,), (2 * n,)]
         self._program = _Program(*map(np.zeros, shapes))
         self._limits = np.zeros(0)
         self._limits_of = self._limits  # the parameters of the law that the limits belong to
+
+    def fresh(self) -> Self:
+        """The same law with a memory of its own, for a run at the same time."""
+        other = super().fresh()
+        other._allocate()
+        return other
 
     @explains_wrong_arguments
     def torque(self, state: State, setpoint: Setpoint) -> Array:

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control import feedforward
+from armctl.control.arm_controller import ArmController
 from armctl.control.gains import MAX_BANDWIDTH, gain, sample_configurations
-from armctl.control.interface import State, explains_wrong_arguments
-from armctl.control.task_space import POSE_SIZE, consistent_inverse, tip_error
-from armctl.core.trajectory import Setpoint
+from armctl.control.interface import State
+from armctl.control.task_space import POSE_SIZE, consistent_inverse
 from armctl.core.validation import Array, frozen, number, vector
-from armctl.robot.arm import Arm, check_arm
+from armctl.robot.arm import Arm
 from armctl.robot.dynamics import Dynamics
 
 # rad/s. Springs of tip and posture together then have a delay margin of 2.5 control periods at 4 ms.
 IMPEDANCE_BANDWIDTH = 40.0
 
 
-class Impedance:
+class Impedance(ArmController):
     """Cartesian impedance control without inertia shaping.
 
         tau = ID(q, v, a_ref) + J^T K e + D (v_ref - v) + posture
@@ -69,10 +68,9 @@ class Impedance:
         Raises:
             InputError: A gain is negative, not finite or of the wrong length.
         """
-        check_arm(arm)
+        super().__init__(arm)
         bandwidth = number("bandwidth", bandwidth, 0.0, MAX_BANDWIDTH)
         self.damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
-        self._arm = arm
         self._dynamics = Dynamics(arm.model, arm.pinocchio_model)
         inertia = _min_inertia(arm, self._dynamics)
         self.stiffness = bandwidth**2 * inertia.tip if stiffness is None else stiffness
@@ -90,32 +88,45 @@ class Impedance:
     def stiffness(self, stiffness: ArrayLike | Callable[[float], ArrayLike]) -> None:
         self._stiffness = stiffness if callable(stiffness) else gain("stiffness", stiffness, POSE_SIZE)
 
-    @explains_wrong_arguments
-    def torque(self, state: State, setpoint: Setpoint) -> Array:
-        """The torque for the coming control period.
+    @property
+    def kernel(self) -> Callable[..., None]:
+        """The compiled law, as `KernelController` describes it."""
+        from armctl.control.impedance_kernel import impedance
+
+        return impedance
+
+    @property
+    def is_time_varying(self) -> bool:
+        """Whether the stiffness is a function of the time."""
+        return callable(self._stiffness)
+
+    def begin(self, state: State) -> tuple[Array, Array]:
+        """Prepares for a tick.
 
         Args:
             state: The measured state.
-            setpoint: Where the arm should be.
 
         Returns:
-            (n,) N m.
+            The parameters and the memory for the kernel, with the stiffness at the time of the state.
+
+        Raises:
+            InputError: It is no `State`, or the function of the time gives no stiffness.
         """
-        q = state.q
-        v = state.v
-        q_ref = setpoint.q
-        v_ref, a_ref = feedforward.sampled(setpoint)
-        M = self._dynamics.mass_matrix(q)
-        error, _, J = tip_error(self._arm, q, q_ref)
-        tip_stiffness = self._stiffness
-        if callable(tip_stiffness):
-            tip_stiffness = gain("stiffness", tip_stiffness(state.t), POSE_SIZE)
-        error = np.clip(error, -self.error_max, self.error_max)
-        posture = self._posture(J, M)
-        stiffness = J.T * tip_stiffness @ J + posture
-        spring = J.T @ (tip_stiffness * error) + posture @ (q_ref - q)
-        damper = self.damping_ratio * _critical_damping(M, stiffness) @ (v_ref - v)
-        return feedforward.inverse_dynamics_with_friction(self._dynamics, state, a_ref, v_ref, a_ref) + spring + damper
+        from armctl.control.impedance_kernel import TIP_STIFFNESS
+
+        parameters, memory = super().begin(state)
+        if callable(self._stiffness):
+            parameters[TIP_STIFFNESS : TIP_STIFFNESS + POSE_SIZE] = gain("stiffness", self._stiffness(state.t), POSE_SIZE)
+        return parameters, memory
+
+    def _constants(self, dt: float, continuous: bool) -> Sequence[Array | Sequence[float]]:
+        stiffness = np.zeros(POSE_SIZE) if callable(self._stiffness) else self._stiffness
+        return [self.damping_ratio], stiffness, self.error_max, self.posture_stiffness
+
+    def _own_memory_size(self) -> int:
+        from armctl.control.impedance_kernel import memory_size
+
+        return memory_size(self.n)
 
     def joint_stiffness(self, q: ArrayLike, tip_stiffness: ArrayLike) -> Array:
         """The springs of tip and posture as seen by the joints.

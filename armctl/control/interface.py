@@ -172,6 +172,11 @@ class KernelController(ABC):
         """
 
     @property
+    def is_time_varying(self) -> bool:
+        """Whether `begin` has to be called in every tick, because the parameters depend on the time."""
+        return False
+
+    @property
     def memory_size(self) -> int:
         """How many numbers of memory the kernel needs; 0 for a law without memory and scratch."""
         return 0
@@ -308,5 +313,6 @@ def has_compiled_law(controller: Controller, n: int) -> TypeGuard[KernelControll
         and type(controller).torque is KernelController.torque
         and "torque" not in vars(controller)
         and controller.n == n
+        and not controller.is_time_varying
         and not getattr(controller, "needs_wrench", False)
     )

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from armctl.control import feedforward
+from collections.abc import Callable, Sequence
+
+from armctl.control.arm_controller import ArmController
 from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH
-from armctl.control.interface import State, explains_wrong_arguments
-from armctl.control.task_space import consistent_inverse, tip_error
-from armctl.core.trajectory import Setpoint
-from armctl.core.validation import Array, number
-from armctl.robot.arm import Arm, check_arm
-from armctl.robot.dynamics import Dynamics
+from armctl.core.validation import number
+from armctl.robot.arm import Arm
 
 
-class OperationalSpace:
+class OperationalSpace(ArmController):
     """Operational space control with feedforward and a posture in the null space.
 
         tau = ID(q, v, a_ref + J# (k_p e + k_d e_dot) + (1 - J# J) (k_p' (q_ref - q) + k_d' (v_ref - v)))
@@ -48,33 +46,26 @@ class OperationalSpace:
         Raises:
             InputError: A gain is negative or not finite.
         """
-        check_arm(arm)
+        super().__init__(arm)
         self.bandwidth = number("bandwidth", bandwidth, 0.0, MAX_BANDWIDTH)
         self.damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
         self.posture_bandwidth = number("posture_bandwidth", posture_bandwidth, 0.0, MAX_BANDWIDTH)
-        self._arm = arm
-        self._dynamics = Dynamics(arm.model, arm.pinocchio_model)
 
-    @explains_wrong_arguments
-    def torque(self, state: State, setpoint: Setpoint) -> Array:
-        """The torque for the coming control period.
+    @property
+    def kernel(self) -> Callable[..., None]:
+        """The compiled law, as `KernelController` describes it."""
+        from armctl.control.operational_space_kernel import operational_space
 
-        Args:
-            state: The measured state.
-            setpoint: Where the arm should be.
+        return operational_space
 
-        Returns:
-            (n,) N m.
-        """
-        q = state.q
-        v = state.v
-        q_ref = setpoint.q
-        v_ref, a_ref = feedforward.sampled(setpoint)
-        error, J_ref, J = tip_error(self._arm, q, q_ref)
-        task = self._pd_acceleration(self.bandwidth, error, J_ref @ v_ref - J @ v)
-        posture = self._pd_acceleration(self.posture_bandwidth, q_ref - q, v_ref - v)
-        a = a_ref + posture + consistent_inverse(J, self._dynamics.mass_matrix(q)) @ (task - J @ posture)
-        return feedforward.inverse_dynamics_with_friction(self._dynamics, state, a, v_ref, a_ref)
+    def _constants(self, dt: float, continuous: bool) -> Sequence[Sequence[float]]:
+        damping = 2 * self.damping_ratio
+        return (
+            [self.bandwidth**2, damping * self.bandwidth],
+            [self.posture_bandwidth**2, damping * self.posture_bandwidth],
+        )
 
-    def _pd_acceleration(self, bandwidth: float, error: Array, rate: Array) -> Array:
-        return bandwidth**2 * error + 2 * self.damping_ratio * bandwidth * rate
+    def _own_memory_size(self) -> int:
+        from armctl.control.operational_space_kernel import memory_size
+
+        return memory_size(self.n)

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
-import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl.control.arm_controller import ArmController
 from armctl.control.gains import MAX_BANDWIDTH, FeedbackGains, bandwidth_gains, margin_gains
-from armctl.control.interface import KernelController, checked_period
 from armctl.core.validation import Array, number
-from armctl.robot.arm import Arm, check_arm
+from armctl.robot.arm import Arm
 
 
-class PD(KernelController):
+class PD(ArmController):
     """Joint PD: tau = stiffness (q_ref - q) + damping (v_ref - v).
 
     It uses neither gravity nor inertia, so it has a steady-state error under gravity and a tracking error in motion.
@@ -28,6 +27,7 @@ class PD(KernelController):
 
     name = "pd"
     _is_integrating = False
+    _has_model = False
 
     def __init__(
         self,
@@ -51,10 +51,8 @@ class PD(KernelController):
         Raises:
             InputError: A gain is negative, not finite or of the wrong length.
         """
-        check_arm(arm)
+        super().__init__(arm)
         damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
-        super().__init__(arm.n)
-        self._arm = arm
         self._has_default_gains = bandwidth is None and stiffness is None and damping is None
         if self._has_default_gains:
             self._default = margin_gains(arm, arm.dt, self._is_integrating)
@@ -70,22 +68,9 @@ class PD(KernelController):
 
         return pd
 
-    def parameters(self, dt: float, continuous: bool) -> Array:
-        """The gains, for the kernel.
-
-        Args:
-            dt: s, the control period.
-            continuous: Whether the arm moves continuously during the control period.
-
-        Returns:
-            A new vector.
-
-        Raises:
-            InputError: The control period is no number in [0, 1] s, or `continuous` is not True or False.
-        """
-        dt, continuous = checked_period(dt, continuous)
+    def _constants(self, dt: float, continuous: bool) -> Sequence[Array]:
         gains = self._gains_at(dt)
-        return np.concatenate([gains.stiffness, gains.damping])
+        return gains.stiffness, gains.damping
 
     def _gains_at(self, dt: float) -> FeedbackGains:
         """The gains for a control period of dt; those that were given or assigned do not depend on it."""

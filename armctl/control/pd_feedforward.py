@@ -4,11 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-
-from armctl.control.interface import checked_period
 from armctl.control.pd import PD
-from armctl.core.validation import Array
 
 
 class PDFeedforward(PD):
@@ -24,6 +20,7 @@ class PDFeedforward(PD):
     """
 
     name = "pd-feedforward"
+    _has_model = True
 
     @property
     def kernel(self) -> Callable[..., None]:
@@ -31,24 +28,3 @@ class PDFeedforward(PD):
         from armctl.control.pd_kernel import pd_feedforward
 
         return pd_feedforward
-
-    @property
-    def memory_size(self) -> int:
-        """Numbers of scratch memory."""
-        return self._arm.packed_dynamics.work_size()
-
-    def parameters(self, dt: float, continuous: bool) -> Array:
-        """The gains and the model, for the kernel.
-
-        Args:
-            dt: s, the control period.
-            continuous: Whether the arm moves continuously during the control period.
-
-        Returns:
-            A new vector.
-
-        Raises:
-            InputError: The control period is no number in [0, 1] s, or `continuous` is not True or False.
-        """
-        dt, continuous = checked_period(dt, continuous)
-        return np.concatenate([super().parameters(dt, continuous), self._arm.packed_dynamics.vector(dt, continuous)])

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control.gains import gain, max_locked_inertia
-from armctl.control.interface import checked_period
 from armctl.control.pd import PD
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
@@ -30,6 +28,7 @@ class PDGravity(PD):
     """
 
     name = "pd-gravity"
+    _has_model = True
 
     @property
     def kernel(self) -> Callable[..., None]:
@@ -38,26 +37,11 @@ class PDGravity(PD):
 
         return pd_gravity
 
-    @property
-    def memory_size(self) -> int:
-        """Numbers of scratch memory; the law itself has no memory."""
-        return self.n + self._arm.packed_dynamics.work_size()
+    def _packed_model(self, dt: float, continuous: bool) -> Array:
+        return self._arm.packed_dynamics.vector(0.0)
 
-    def parameters(self, dt: float, continuous: bool) -> Array:
-        """The gains and the model, for the kernel.
-
-        Args:
-            dt: s, the control period.
-            continuous: Whether the arm moves continuously during the control period.
-
-        Returns:
-            A new vector.
-
-        Raises:
-            InputError: The control period is no number in [0, 1] s, or `continuous` is not True or False.
-        """
-        dt, continuous = checked_period(dt, continuous)
-        return np.concatenate([super().parameters(dt, continuous), self._arm.packed_dynamics.vector(0.0)])
+    def _own_memory_size(self) -> int:
+        return self.n
 
 
 class PIDGravity(PDGravity):
@@ -106,7 +90,6 @@ class PIDGravity(PDGravity):
         self.integral_gain = (
             self._default.integral_gain if integral_gain is None else gain("integral_gain", integral_gain, arm.n)
         )
-        self._tau_max = arm.limits.tau_max
 
     @property
     def kernel(self) -> Callable[..., None]:
@@ -115,26 +98,10 @@ class PIDGravity(PDGravity):
 
         return pid_gravity
 
-    @property
-    def memory_size(self) -> int:
-        """Numbers of memory: the integral, and scratch."""
-        return self.n + super().memory_size
-
-    def parameters(self, dt: float, continuous: bool) -> Array:
-        """Gains, limits and the model, for the kernel.
-
-        Args:
-            dt: s, the control period.
-            continuous: Whether the arm moves continuously during the control period.
-
-        Returns:
-            A new vector.
-
-        Raises:
-            InputError: The control period is no number in [0, 1] s, or `continuous` is not True or False.
-        """
-        dt, continuous = checked_period(dt, continuous)
+    def _constants(self, dt: float, continuous: bool) -> Sequence[Array]:
         gains = self._gains_at(dt)
         integral = gains.integral_gain if self.integral_gain is self._default.integral_gain else self.integral_gain
-        values = [gains.stiffness, gains.damping, dt * integral, self._tau_max]
-        return np.concatenate([*values, self._arm.packed_dynamics.vector(0.0)])
+        return gains.stiffness, gains.damping, dt * integral, self._arm.limits.tau_max
+
+    def _own_memory_size(self) -> int:
+        return 2 * self.n

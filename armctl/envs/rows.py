@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.control import KernelController, State, controller_by_name
+from armctl.control import State, controller_by_name
+from armctl.control.interface import has_compiled_law
 from armctl.core.errors import InputError
 from armctl.core.log import SimulationError
 from armctl.core.validation import IntArray
@@ -100,7 +101,7 @@ class Rows:
         self._grip_target = np.ones(count)
         self._grip = task.grip if task.uses_gripper else None
         law = controller_by_name(controller, arm)
-        if not isinstance(law, KernelController):
+        if not has_compiled_law(law, n):
             raise InputError(f"controller: {controller} is not compiled; computed-torque and pd-gravity are")
         self._law = law
         self._parameters, memory = law.begin(State(arm.home, np.zeros(n), 0.0, arm.dt))

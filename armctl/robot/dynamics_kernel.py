@@ -78,6 +78,12 @@ def work_size(model, n):
 
 
 @njit
+def model_size(model, n):
+    """Numbers of a model of n joints."""
+    return _drive(model, n) + int(model[JOINTS]) * n
+
+
+@njit
 def _drive(model, i):
     """Where the row of joint i of the arm begins."""
     return HEADER + int(model[JOINTS]) * JOINT_COLUMNS + i * DRIVE_COLUMNS
@@ -400,28 +406,37 @@ def add_linear_damping(model, v, tau):
 
 
 @njit
+def coriolis_product(model, v, w, work, scratch, tau):
+    """C(q, v) w (n,) at the placed positions, as `Dynamics.coriolis_product`; scratch is (n,)."""
+    n = v.shape[0]
+    for j in range(int(model[JOINTS])):
+        work[j * WORK_COLUMNS + ACCELERATION] = 0.0
+    for i in range(n):
+        scratch[i] = v[i] + w[i]
+    _spread(model, scratch, work, VELOCITY)
+    _newton_euler(model, work)
+    _gather(model, work, tau)
+    for i in range(n):
+        scratch[i] = v[i] - w[i]
+    _spread(model, scratch, work, VELOCITY)
+    _newton_euler(model, work)
+    _gather(model, work, scratch)
+    for i in range(n):
+        tau[i] = 0.25 * (tau[i] - scratch[i])
+
+
+@njit
 def _implicit_change(model, v, a, work, change):
     """Rate at which implicit forces other than linear damping change during a step, d(force)/dv a, at the placed positions.
 
-    The Coriolis torque is quadratic in v, so its derivative along a is half the difference between those at v + a and v - a.
+    The Coriolis torque is C(q, v) v, and C(q, v) a is symmetric in v and a, so its derivative along a is 2 C(q, v) a.
     """
     n = v.shape[0]
     if model[IMPLICIT_CORIOLIS] != 0.0:
-        for j in range(int(model[JOINTS])):
-            work[j * WORK_COLUMNS + ACCELERATION] = 0.0
-        shifted = work[work.shape[0] - n * n - n :]
+        start = work.shape[0] - n * n - n
+        coriolis_product(model, v, a, work, work[start : start + n], change)
         for i in range(n):
-            shifted[i] = v[i] + a[i]
-        _spread(model, shifted[:n], work, VELOCITY)
-        _newton_euler(model, work)
-        _gather(model, work, change)
-        for i in range(n):
-            shifted[i] = v[i] - a[i]
-        _spread(model, shifted[:n], work, VELOCITY)
-        _newton_euler(model, work)
-        _gather(model, work, shifted[:n])
-        for i in range(n):
-            change[i] = 0.5 * (change[i] - shifted[i])
+            change[i] *= 2.0
     else:
         for i in range(n):
             change[i] = 0.0
@@ -724,7 +739,7 @@ def tip_jacobian(model, work, J):
 
 
 @njit
-def _quaternion(R, quat):
+def quaternion(R, quat):
     """The unit quaternion wxyz, w >= 0, of a rotation (9,) by Shepperd's method: the largest component is found first."""
     trace = R[0] + R[4] + R[8]
     largest = 0
@@ -761,7 +776,7 @@ def tips(model, rows, work, positions, quats):
         x, y, z = tip_position(model, work)
         _store(positions[row], 0, x, y, z)
         tip_rotation(model, work, rotation)
-        _quaternion(rotation, quats[row])
+        quaternion(rotation, quats[row])
 
 
 @njit

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple, TypeVar
 
-from armctl.control import Controller, KernelController
+from armctl.control import Controller
+from armctl.control.interface import has_compiled_law
 from armctl.core.errors import InputError
 from armctl.core.log import Log, SimulationError
 from armctl.core.trajectory import Trajectory
@@ -48,7 +49,7 @@ def simulate_many(
     """Follows many trajectories, or one on many plants, each from its start in a new simulation.
 
     The logs are those of `simulate`, bit for bit, with any number of threads. Threads run at the same time while a controller
-    has a compiled kernel, as those of armctl have that `armctl.KernelController` lists; the others take turns.
+    runs in the compiled loop, as those of armctl but `qp` do; the others take turns.
 
     Args:
         arm: The arm.
@@ -125,10 +126,10 @@ def run_many(
     threads = _processors() if threads is None else integer("threads", threads, 1)
 
     def result(run: Run) -> _Result:
-        law = run.controller.fresh() if isinstance(run.controller, KernelController) else run.controller
+        law = run.controller.fresh() if has_compiled_law(run.controller, arm.n) else run.controller
         return evaluate(run, _simulated(arm, run._replace(controller=law), dwell))
 
-    compiled = [isinstance(run.controller, KernelController) for run in runs]
+    compiled = [has_compiled_law(run.controller, arm.n) for run in runs]
     with ThreadPoolExecutor(min(threads, max(1, sum(compiled)))) as pool:
         queued: list[Future[_Result] | None] = []
         try:

@@ -105,7 +105,7 @@ def test_wrong_arguments_are_explained(arm):
     for options in (
         {"action": "jump"},
         {"randomize": {"torque_ripple": armctl.Range(0, 2)}},
-        {"controller": "operational-space"},
+        {"controller": "qp"},
     ):
         with pytest.raises(armctl.InputError, match=next(iter(options))):
             armctl.envs.ArmEnv(arm, **options)

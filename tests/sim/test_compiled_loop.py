@@ -11,6 +11,7 @@ from synthetic import BENT, mjcf, serial_arm
 
 import armctl
 from armctl.control import CONTROLLERS, KernelController, controller_by_name, controller_name
+from armctl.control.interface import has_compiled_law
 from armctl.core.jit import njit
 from armctl.sim import compiled_loop
 from armctl.sim.mujoco_library import address_of, guarded_call
@@ -27,7 +28,7 @@ PLANTS = {
     "continuous, slow ticks": armctl.Plant(continuous=True, timestep=0.004, encoder_noise=1e-5),
     "continuous, pushed": armctl.Plant(continuous=True, pushes=armctl.Push(0.011, 0.02, force=[5, 0, 3])),
 }
-KERNELS = [name for name in CONTROLLERS if name not in ("operational-space", "impedance", "adaptive")]
+KERNELS = [name for name in CONTROLLERS if name != "qp"]  # whose program is solved by a library
 
 
 class InPython:
@@ -54,8 +55,19 @@ def same(first: armctl.Log, second: armctl.Log) -> bool:
     return True
 
 
-def test_every_shipped_law_that_is_listed_here_has_a_kernel(bundled):
-    assert [name for name in CONTROLLERS if isinstance(controller_by_name(name, bundled), KernelController)] == KERNELS
+def test_every_shipped_law_that_is_listed_here_runs_in_the_compiled_loop(bundled):
+    assert [name for name in CONTROLLERS if has_compiled_law(controller_by_name(name, bundled), bundled.n)] == KERNELS
+
+
+def test_an_impedance_whose_stiffness_is_a_function_of_the_time_runs_in_python(bundled):
+    varying = armctl.Impedance(bundled, stiffness=lambda t: 1000.0 + 500.0 * np.sin(20.0 * t))
+    plant = armctl.Plant(payload=0.2)
+    log = armctl.simulate(bundled, varying, Sway(bundled), plant)
+    assert not has_compiled_law(varying, bundled.n)
+    assert same(log, armctl.simulate(bundled, InPython(varying), Sway(bundled), plant))
+    varying.stiffness = 1000.0
+    assert has_compiled_law(varying, bundled.n)
+    assert np.abs(armctl.simulate(bundled, varying, Sway(bundled), plant).tau - log.tau).max() > 0.01
 
 
 @pytest.mark.parametrize("plant", PLANTS)

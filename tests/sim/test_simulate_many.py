@@ -31,7 +31,7 @@ class Fails:
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-@pytest.mark.parametrize("controller", ["computed-torque-observer", "adaptive"])
+@pytest.mark.parametrize("controller", ["computed-torque-observer", "qp"])
 def test_each_run_is_that_of_simulate(bundled, controller: str, threads: int):
     logs = armctl.simulate_many(bundled, controller, Sway(bundled), PLANTS, threads=threads)
     for log, plant in zip(logs, PLANTS, strict=True):
