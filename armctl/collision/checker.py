@@ -93,7 +93,7 @@ class CollisionChecker:
         is_plain = self._joint_map.is_plain
         self._ratio = np.eye(len(self._home)) if is_plain else np.array(self._joint_map.ratio)
         self._offset = np.zeros(len(self._ratio)) if is_plain else np.array(self._joint_map.offset)
-        geometry = build_geometry(self._model, self._joint_map, self._qpos, dict(held or {}))
+        geometry = build_geometry(self._model, self._joint_map.joints, self._qpos, dict(held or {}))
         allowed = _allowed_geoms(self._model, allow)
         keep = [tuple(sorted(geometry.pair_geoms(p))) not in allowed for p in range(len(geometry.pairs))]
         self._set(geometry.with_pairs(np.array(keep, bool)))

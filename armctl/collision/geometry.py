@@ -15,7 +15,6 @@ import numpy as np
 from armctl.collision import kernel
 from armctl.core.validation import Array, BoolArray, IntArray, frozen
 from armctl.mjmodel.queries import is_below
-from armctl.robot.joint_map import JointMap
 
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 _SPHERE = int(mujoco.mjtGeom.mjGEOM_SPHERE)
@@ -164,12 +163,14 @@ def colliding_pairs(model: mujoco.MjModel) -> IntArray:
     return np.unique(np.vstack([tested, listed]).astype(np.int64), axis=0)
 
 
-def build_geometry(model: mujoco.MjModel, joint_map: JointMap, qpos: Array, held: dict[int, int] | None = None) -> Geometry:
+def build_geometry(
+    model: mujoco.MjModel, joints: Sequence[int], qpos: Array, held: dict[int, int] | None = None
+) -> Geometry:
     """Packs the geoms that an arm could touch, or touch something with.
 
     Args:
         model: The model.
-        joint_map: The joints that move; all others stay where qpos has them.
+        joints: The hinges and slides that move, in the order of the joint positions; all others stay where qpos has them.
         qpos: (nq,) the reference configuration.
         held: Bodies that are carried, and the body that carries each.
 
@@ -181,7 +182,7 @@ def build_geometry(model: mujoco.MjModel, joint_map: JointMap, qpos: Array, held
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
-    frames = _frames(model, data, joint_map, held or {})
+    frames = _frames(model, data, joints, held or {})
     pairs = _moving_pairs(model, frames)
     geom_ids = np.unique(pairs)
     rows = np.zeros((len(geom_ids), kernel.GEOM_COLUMNS))
@@ -201,9 +202,9 @@ def build_geometry(model: mujoco.MjModel, joint_map: JointMap, qpos: Array, held
     return _packed(geom_ids, rows, packed_points, np.array([*neighbors, 0], np.int64), frames.tree, by_row)
 
 
-def _frames(model: mujoco.MjModel, data: mujoco.MjData, joint_map: JointMap, held: dict[int, int]) -> Frames:
+def _frames(model: mujoco.MjModel, data: mujoco.MjData, order: Sequence[int], held: dict[int, int]) -> Frames:
     """One frame for each joint that moves. A body belongs to the last one above it, a carried body to its carrier's."""
-    joints = sorted(joint_map.joints)  # MuJoCo numbers parents before children
+    joints = sorted(order)  # MuJoCo numbers parents before children
     reference = data.qpos[model.jnt_qposadr[joints]]
     tree = np.zeros((len(joints), kernel.TREE_COLUMNS))
     of_body = np.zeros(model.nbody, np.int64)
@@ -220,7 +221,7 @@ def _frames(model: mujoco.MjModel, data: mujoco.MjData, joint_map: JointMap, hel
             row[kernel.KIND] = kernel.SLIDE if is_slide else kernel.HINGE
             row[kernel.REFERENCE] = reference[i]
             row[kernel.PARENT] = parent
-            row[kernel.JOINT] = joint_map.joints.index(joint)
+            row[kernel.JOINT] = order.index(joint)
             row[kernel.DEPTH] = 1 + (tree[parent - 1, kernel.DEPTH] if parent else 0)
             of_body[body] = i + 1
     for body in range(1, model.nbody):

@@ -5,6 +5,7 @@ Import this only in a function that needs it, because numba takes long to load.
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import Any, NamedTuple
 
 import mujoco
@@ -16,6 +17,7 @@ from armctl.core.validation import Array
 from armctl.robot.actuation import Actuation
 from armctl.robot.packed_dynamics import PackedDynamics
 from armctl.sim import tick_kernel as kernel
+from armctl.sim.contact_skip import ContactSkip
 from armctl.sim.disturbances import Disturbances, Signals
 from armctl.sim.free_space import FreeSpace
 from armctl.sim.mujoco_library import address_of, contact_layout, guarded_call
@@ -53,6 +55,7 @@ class CompiledLoop:
         substeps: int,
         tip: PackedDynamics,
         free_space: FreeSpace | None,
+        contact_skip: ContactSkip | None,
     ):
         """The loop of a simulation.
 
@@ -63,11 +66,13 @@ class CompiledLoop:
             substeps: Steps of MuJoCo in a tick.
             tip: The dynamics of the arm on whose tip pushes act.
             free_space: What moves the arm instead of `mj_step`.
+            contact_skip: What skips collision detection, if anything does.
         """
         n = actuation.n
         self._n = n
         layout = contact_layout()
         self._data = data
+        self._contact_skip = contact_skip
         self._timestep = float(model.opt.timestep)
         self._substeps = substeps
         self._free_space = free_space
@@ -151,8 +156,11 @@ class CompiledLoop:
             }
         )
         end = LoopEnd(rows.count, kernel.COMPLETE)
-        while rows.count < last and end.status in (kernel.COMPLETE, kernel.EVENTS_FULL) and not end.error:
-            end = self._run_part(rows, min(last, rows.count + _MAX_TICKS), disturbances)
+        steps = (last - rows.count) * self._substeps
+        with nullcontext(0) if self._contact_skip is None else self._contact_skip.table(steps) as skip:
+            self._table[kernel.SKIP] = skip
+            while rows.count < last and end.status in (kernel.COMPLETE, kernel.EVENTS_FULL) and not end.error:
+                end = self._run_part(rows, min(last, rows.count + _MAX_TICKS), disturbances)
         was_called = end.status in _INCOMPLETE
         controller.finish(self._data.time + (state.dt if was_called else 0.0))
         if was_called and disturbances is not None:

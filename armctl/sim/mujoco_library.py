@@ -21,6 +21,8 @@ _EMPTY_MODEL = '<mujoco><size memory="64K"/></mujoco>'
 _RESTING = """<mujoco><size memory="1M"/><worldbody><geom type="plane" size="9 9 1"/>{}</worldbody></mujoco>"""
 _SPHERE = '<body pos="{} 0 0.09"><freejoint/><geom size="0.1"/></body>'
 _BOX = '<body pos="{} 1 0.09"><freejoint/><geom type="box" size="0.1 0.1 0.1"/></body>'
+_OPTION_INTEGERS = 13
+_FLAG_VALUES = (21, 42)
 _COUNTS = ((1, 1), (3, 1), (0, 2), (2, 3))  # spheres and boxes
 
 
@@ -96,6 +98,25 @@ def contact_layout() -> ContactLayout:
     if len(layouts) != 1 or len(counts) != 1:
         raise ModelError(f"mujoco {mujoco.__version__}: the contacts of MjData were not found; use the release armctl asks for")
     return ContactLayout(4 * int(counts[0]), *layouts.pop())
+
+
+@cache
+def disable_flags_offset() -> int:
+    """The offset of `opt.disableflags` in mjModel, in bytes, found by value: it is one of the integers behind the arrays.
+
+    Raises:
+        ModelError: It was not found.
+    """
+    model = mujoco.MjModel.from_xml_string(_EMPTY_MODEL)
+    begin = model.opt.o_friction.ctypes.data + model.opt.o_friction.nbytes
+    integers = np.ctypeslib.as_array((ctypes.c_int32 * _OPTION_INTEGERS).from_address(begin))
+    is_found = np.ones(len(integers), bool)
+    for value in _FLAG_VALUES:
+        model.opt.disableflags = value
+        is_found &= integers == value
+    if is_found.sum() != 1:
+        raise ModelError(f"mujoco {mujoco.__version__}: the options of MjModel were not found; use the release armctl asks for")
+    return begin + integers.itemsize * int(is_found.argmax()) - model._address
 
 
 def _word(data: mujoco.MjData, offset: int) -> int:

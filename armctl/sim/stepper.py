@@ -13,6 +13,7 @@ from mujoco import mj_step
 from numpy import ndarray
 from numpy.typing import ArrayLike
 
+from armctl.collision.free_boxes import free_boxes
 from armctl.control import Controller, KernelController, State, controller_name
 from armctl.control.interface import has_compiled_law
 from armctl.core.errors import InputError, LimitError
@@ -29,6 +30,7 @@ from armctl.sim.wrench_sensor import WrenchSensor
 
 if TYPE_CHECKING:
     from armctl.sim.compiled_loop import CompiledLoop
+    from armctl.sim.contact_skip import ContactSkip
     from armctl.sim.free_space import FreeSpace
 
 _CONTROL_TOLERANCE = 1e-9  # relative, for controls at a limit of their motor
@@ -117,6 +119,8 @@ class Stepper:
         self._disturbances: Disturbances | None = None
         self._measurement: tuple[Array, Array] | None = None
         self._unobserved = 0.0
+        self._free_boxes = free_boxes(arms[0])
+        self._contact_skip: ContactSkip | None = None
         self.set_plant(plant, arms)
         self.reset()
 
@@ -261,9 +265,18 @@ class Stepper:
         entry_point(controller.kernel)
         if self._compiled is None:
             from armctl.sim.compiled_loop import CompiledLoop
+            from armctl.sim.contact_skip import ContactSkip
 
+            if self._contact_skip is None:
+                self._contact_skip = ContactSkip(self._free_boxes, self.model, self.data)
             self._compiled = CompiledLoop(
-                self.actuation, self.model, self.data, self._substeps, self._packed_dynamics, self._free_space
+                self.actuation,
+                self.model,
+                self.data,
+                self._substeps,
+                self._packed_dynamics,
+                self._free_space,
+                self._contact_skip if self._free_space is None else None,
             )
             controller.parameters(self.dt, self.continuous)  # which loads code, too
 

@@ -13,6 +13,7 @@ import math
 from functools import cache
 from typing import Any
 
+import mujoco
 import numba
 import numpy as np
 from numba import types
@@ -77,13 +78,44 @@ FREE_MODEL_SIZE = 46
 FREE_BOUNDS = 47  # (2, n)
 FREE_WORK = 48
 FREE_WORK_SIZE = 49
+SKIP = 50  # the table for skipping collision detection, see below; 0 for none
 # Results:
-ROW = 50  # the last row that was begun
-COUNT = 51  # complete rows
-STATUS = 52
-EVENTS_USED = 53
-LAST_EVENT = 54  # where the last event begins; -1 before the first
-TABLE_SIZE = 55
+ROW = 51  # the last row that was begun
+COUNT = 52  # complete rows
+STATUS = 53
+EVENTS_USED = 54
+LAST_EVENT = 55  # where the last event begins; -1 before the first
+TABLE_SIZE = 56
+
+# Entries of the table for skipping collision detection. It belongs to one MjData, and tells in which box of joint positions
+# nothing can touch. Addresses:
+SKIP_FLAGS = 0  # of `disableflags` in MjModel, int32
+SKIP_QPOS = 1
+SKIP_QVEL = 2
+SKIP_INDICES = 3  # (2, joints) int64: in qpos, in qvel
+SKIP_BOX = 4  # (2, joints), the least and the greatest positions
+SKIP_POSITIONS = 5  # (joints,) the center of the box that is to be proved ...
+SKIP_DELTA = 6  # (joints,) ... and its half width, which the proof reduces
+SKIP_PROOF = 7  # a C function that returns 0 if there is no such box, ...
+SKIP_PROOF_TABLE = 8  # ... and its argument
+# Numbers:
+SKIP_JOINTS = 9
+SKIP_NQ = 10
+SKIP_NV = 11
+SKIP_NORMAL = 12  # the flags of the model
+SKIP_IS_NEW = 13  # whether the box was not left since it was proved
+SKIP_LASTED = 14  # steps in the box
+SKIP_WAIT = 15  # steps until the next proof
+SKIP_PAUSE = 16  # steps between proofs that did not pay
+SKIP_SKIPPED = 17  # steps without collision detection
+SKIP_PROOFS = 18
+SKIP_SIZE = 19
+
+NO_CONTACTS = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+BOX_TIME_S = 0.04  # the joints reach the border of a box in this time at their speed
+BOX_MARGIN = 2e-3  # rad (m), more than that
+MIN_BOX_STEPS = 4  # a proof takes as long as collision detection in a few steps
+MAX_PAUSE = 64  # so many steps after a contact, proofs begin again
 
 # Vectors (n,) at the start of the scratch memory; then J and scratch of the model for pushes.
 Q = 0
@@ -165,6 +197,17 @@ def _step(typingctx, function, model, data):
         return context.get_dummy_value()
 
     return types.none(types.intp, types.intp, types.intp), codegen
+
+
+@intrinsic
+def _prove(typingctx, function, table):
+    """Calls `intptr_t function(table)` by its address."""
+
+    def codegen(context, builder, signature, arguments):
+        kind = cgutils.ir.FunctionType(cgutils.intp_t, [cgutils.intp_t])
+        return builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), arguments[1:])
+
+    return types.intp(types.intp, types.intp), codegen
 
 
 @intrinsic
@@ -285,11 +328,79 @@ def _drive(table, row, indices, scales, q, tau, ctrl):
 
 
 @njit
+def step(skip_address, function, model, data):
+    """One step of MuJoCo; without collision detection if there is a table for that, and nothing can touch."""
+    if skip_address != 0:
+        skip = numba.carray(_integers(skip_address), (SKIP_SIZE,))
+        flags = numba.carray(_short_integers(skip[SKIP_FLAGS]), (1,))
+        flags[0] = skip[SKIP_NORMAL] | NO_CONTACTS if _is_free(skip) else skip[SKIP_NORMAL]
+    _step(function, model, data)
+
+
+@njit
+def _is_free(skip):
+    """Whether it is proved that nothing touches at the joint positions now."""
+    joints = skip[SKIP_JOINTS]
+    indices = numba.carray(_integers(skip[SKIP_INDICES]), (2, joints))
+    qpos = _vector(skip[SKIP_QPOS], skip[SKIP_NQ])
+    box = _matrix(skip[SKIP_BOX], 2, joints)
+    is_inside = True
+    for j in range(joints):
+        is_inside &= box[0, j] <= qpos[indices[0, j]] <= box[1, j]
+    if not is_inside:
+        if skip[SKIP_IS_NEW]:
+            skip[SKIP_IS_NEW] = 0
+            if skip[SKIP_LASTED] < MIN_BOX_STEPS:
+                _pause(skip)
+            else:
+                skip[SKIP_PAUSE] = 0
+        if skip[SKIP_WAIT] > 0:
+            skip[SKIP_WAIT] -= 1
+            return False
+        if not _prove_box(skip, indices, qpos, box):
+            _pause(skip)
+            return False
+    skip[SKIP_LASTED] += 1
+    skip[SKIP_SKIPPED] += 1
+    return True
+
+
+@njit
+def _pause(skip):
+    """Proofs do not pay here: waits, each time longer."""
+    skip[SKIP_PAUSE] = min(2 * skip[SKIP_PAUSE] + 2, MAX_PAUSE)
+    skip[SKIP_WAIT] = skip[SKIP_PAUSE]
+
+
+@njit
+def _prove_box(skip, indices, qpos, box):
+    """Proves a new box around the joint positions now; False if it is too small, and then the last one stays."""
+    qvel = _vector(skip[SKIP_QVEL], skip[SKIP_NV])
+    joints = skip[SKIP_JOINTS]
+    positions = _vector(skip[SKIP_POSITIONS], joints)
+    delta = _vector(skip[SKIP_DELTA], joints)
+    skip[SKIP_PROOFS] += 1
+    for j in range(joints):
+        positions[j] = qpos[indices[0, j]]
+        delta[j] = BOX_TIME_S * abs(qvel[indices[1, j]]) + BOX_MARGIN
+        if not abs(positions[j]) + delta[j] < np.inf:
+            return False
+    if _prove(skip[SKIP_PROOF], skip[SKIP_PROOF_TABLE]) == 0:
+        return False
+    for j in range(joints):
+        box[0, j] = positions[j] - delta[j]
+        box[1, j] = positions[j] + delta[j]
+    skip[SKIP_IS_NEW] = 1
+    skip[SKIP_LASTED] = 0
+    return True
+
+
+@njit
 def _advance(table, indices, scales, q, v_row, scratch):
     """The steps of a tick: those of MuJoCo, or of a plant in free space."""
     if table[FREE_MODEL] == 0:
         for _ in range(table[SUBSTEPS]):
-            _step(table[STEP_FUNCTION], table[MODEL], table[DATA])
+            step(table[SKIP], table[STEP_FUNCTION], table[MODEL], table[DATA])
         return
     n = table[N]
     v = scratch[V * n : (V + 1) * n]

@@ -1,0 +1,71 @@
+"""The proof that nothing touches near a configuration, as a C function that the tick loop calls by its address.
+
+Only a loop that skips collision detection imports this, so that others do not load the collision kernels.
+"""
+
+# Intrinsics are called without their first argument, and numba does not list what it exports.
+# pyright: reportCallIssue=false, reportPrivateImportUsage=false
+
+import numba
+from numba import types
+
+from armctl.collision.box_kernel import shrink_to_free
+from armctl.collision.kernel import GEOM_COLUMNS, PAIR_COLUMNS, TREE_COLUMNS, WORK_ROWS
+from armctl.core.jit import c_function
+from armctl.sim.tick_kernel import _floats, _integers, _matrix, _vector
+
+# Entries of the table. SIZES:
+JOINTS = 0
+GEOMS = 1  # groups included
+POINTS_COUNT = 2
+NEIGHBORS_COUNT = 3
+PAIRS_COUNT = 4
+GROUPS_COUNT = 5
+SPHERE_COLUMNS = 6
+# Addresses, as the arguments of `shrink_to_free`:
+POSITIONS = 7
+DELTA = 8
+CLEARANCES = 9
+GROUP_CLEARANCES = 10
+GEOM_ROWS = 11
+POINT_ROWS = 12
+NEIGHBORS = 13
+PAIR_ROWS = 14
+GROUP_ROWS = 15
+TREE = 16
+FRAMES = 17
+SPHERES = 18
+WORK = 19
+TABLE_SIZE = 20
+
+FRAME_COLUMNS = 18
+_POINT_COLUMNS = 5
+_GROUP_COLUMNS = 4
+
+
+@c_function(types.intp(types.intp))
+def prove_box(address):
+    """Reduces a box until nothing touches in it, for the table at an address; 0 if there is none."""
+    table = numba.carray(_integers(address), (TABLE_SIZE,))
+    joints = table[JOINTS]
+    pairs = table[PAIRS_COUNT]
+    groups = table[GROUPS_COUNT]
+    is_free = shrink_to_free(
+        _vector(table[POSITIONS], joints),
+        _vector(table[DELTA], joints),
+        _vector(table[CLEARANCES], pairs),
+        _vector(table[GROUP_CLEARANCES], groups),
+        _matrix(table[GEOM_ROWS], table[GEOMS], GEOM_COLUMNS),
+        _matrix(table[POINT_ROWS], table[POINTS_COUNT], _POINT_COLUMNS),
+        numba.carray(_integers(table[NEIGHBORS]), (table[NEIGHBORS_COUNT],)),
+        _matrix(table[PAIR_ROWS], pairs, PAIR_COLUMNS),
+        numba.carray(_integers(table[GROUP_ROWS]), (groups, _GROUP_COLUMNS)),
+        _matrix(table[TREE], joints, TREE_COLUMNS),
+        _matrix(table[FRAMES], joints + 1, FRAME_COLUMNS),
+        _matrix(table[SPHERES], table[GEOMS], table[SPHERE_COLUMNS]),
+        _matrix(table[WORK], WORK_ROWS, 3),
+    )
+    return 1 if is_free else 0
+
+
+PROVE_BOX = int(prove_box.address or 0)
