@@ -14,6 +14,7 @@ from armctl.cli.common import DONE, Commands, add_command
 from armctl.core.errors import InputError
 
 _SPEED = 0.5  # a cap on the tip that the move reaches
+_LONG_DWELL_S = 30.0  # of a run that is so long that it skips collision detection
 
 
 class Compiled(NamedTuple):
@@ -179,6 +180,7 @@ def _simulation() -> None:
     motion = armctl.move_j(arm, arm.home, arm.home + 0.02)
     for name in CONTROLLERS:
         armctl.simulate(arm, name, motion)
+    armctl.simulate(arm, "pd", motion, dwell=_LONG_DWELL_S)
 
 
 def _environments() -> None:

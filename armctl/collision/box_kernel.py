@@ -4,8 +4,6 @@ The scene is packed as `armctl.collision.kernel` describes.
 """
 
 from armctl.collision.kernel import (
-    A,
-    B,
     COMMON,
     COMMON_DEPTH,
     FRAME,
@@ -16,6 +14,8 @@ from armctl.collision.kernel import (
     PARENT,
     PLANE,
     SHAPE,
+    A,
+    B,
     _gap,
     _motion_along,
     _motion_along_direction,
@@ -44,7 +44,7 @@ def shrink_to_free(
     spheres,
     work,
 ):
-    """Reduces delta until all pairs keep their clearances while joint j stays within delta[j] of q; False if a pair is too near.
+    """Reduces delta until all pairs keep their clearances while joint j stays within delta[j] of q; False if one is too near.
 
     The bounds of a pair's motion are linear in delta or grow faster, and only the joints between both geoms matter. A pair
     that can use up its distance reduces the motion of these joints in proportion; pairs that were settled before stay so.

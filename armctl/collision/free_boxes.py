@@ -12,8 +12,8 @@ from armctl.robot.arm import Arm
 if TYPE_CHECKING:
     from armctl.collision.free_box import FreeBoxScene
 
-# To prepare a scene takes as long as collision detection in about as many steps.
-_MIN_STEPS = 2000
+# To prepare a scene takes as long as collision detection in so many steps.
+_MIN_STEPS = 10_000
 
 
 class FreeBoxes:

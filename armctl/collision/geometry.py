@@ -163,9 +163,7 @@ def colliding_pairs(model: mujoco.MjModel) -> IntArray:
     return np.unique(np.vstack([tested, listed]).astype(np.int64), axis=0)
 
 
-def build_geometry(
-    model: mujoco.MjModel, joints: Sequence[int], qpos: Array, held: dict[int, int] | None = None
-) -> Geometry:
+def build_geometry(model: mujoco.MjModel, joints: Sequence[int], qpos: Array, held: dict[int, int] | None = None) -> Geometry:
     """Packs the geoms that an arm could touch, or touch something with.
 
     Args:

@@ -25,8 +25,9 @@ from armctl.ik import solve_ik
 from armctl.motion import JointTrajectory, move_j
 from armctl.planning.move_free import CLEARANCE_M, move_free_with
 from armctl.robot.arm import Arm
+from armctl.sim.constant_torque import ConstantTorque
 from armctl.sim.recorder import Recorder, TickRows, ticks_for
-from armctl.sim.stepper import ConstantTorque, ControllerFailure, Stepper, checked_torque
+from armctl.sim.stepper import ControllerFailure, Stepper, checked_torque
 from armctl.sim.wrench_sensor import WRENCH_SIZE
 
 if TYPE_CHECKING:

@@ -24,13 +24,14 @@ from armctl.loading.load import load
 from armctl.mjmodel.target_marker import TARGET, set_target, target_pose
 from armctl.motion import Arc, JointTrajectory, Line, move_c, move_j, move_l, move_path
 from armctl.robot.arm import Arm
+from armctl.sim.constant_torque import constant_controls
 from armctl.sim.follow import follow
 from armctl.sim.gripper import Gripper
 from armctl.sim.move import ControlledArms, PlannedMove, plan_free, plan_move, plan_to, read_controller
 from armctl.sim.obstacles import Obstacles
 from armctl.sim.plant import Plant, read_plant
 from armctl.sim.recorder import ticks_for
-from armctl.sim.stepper import Stepper, constant_controls
+from armctl.sim.stepper import Stepper
 
 if TYPE_CHECKING:
     from armctl.collision.checker import CollisionChecker

@@ -12,7 +12,7 @@ from numba import types
 from armctl.collision.box_kernel import shrink_to_free
 from armctl.collision.kernel import GEOM_COLUMNS, PAIR_COLUMNS, TREE_COLUMNS, WORK_ROWS
 from armctl.core.jit import c_function
-from armctl.sim.tick_kernel import _floats, _integers, _matrix, _vector
+from armctl.sim.tick_kernel import _integers, _matrix, _vector
 
 # Entries of the table. SIZES:
 JOINTS = 0

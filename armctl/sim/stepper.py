@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from armctl.collision.free_boxes import free_boxes
 from armctl.control import Controller, KernelController, State, controller_name
 from armctl.control.interface import has_compiled_law
-from armctl.core.errors import InputError, LimitError
+from armctl.core.errors import InputError
 from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
@@ -30,10 +30,8 @@ from armctl.sim.wrench_sensor import WrenchSensor
 
 if TYPE_CHECKING:
     from armctl.sim.compiled_loop import CompiledLoop
-    from armctl.sim.contact_skip import ContactSkip
     from armctl.sim.free_space import FreeSpace
 
-_CONTROL_TOLERANCE = 1e-9  # relative, for controls at a limit of their motor
 _MAX_SPEED = 1e4  # rad/s (m/s), of all joints together; above it a run counts as diverged
 _FLOAT64 = np.dtype(np.float64)
 
@@ -120,7 +118,6 @@ class Stepper:
         self._measurement: tuple[Array, Array] | None = None
         self._unobserved = 0.0
         self._free_boxes = free_boxes(arms[0])
-        self._contact_skip: ContactSkip | None = None
         self.set_plant(plant, arms)
         self.reset()
 
@@ -265,10 +262,7 @@ class Stepper:
         entry_point(controller.kernel)
         if self._compiled is None:
             from armctl.sim.compiled_loop import CompiledLoop
-            from armctl.sim.contact_skip import ContactSkip
 
-            if self._contact_skip is None:
-                self._contact_skip = ContactSkip(self._free_boxes, self.model, self.data)
             self._compiled = CompiledLoop(
                 self.actuation,
                 self.model,
@@ -276,7 +270,7 @@ class Stepper:
                 self._substeps,
                 self._packed_dynamics,
                 self._free_space,
-                self._contact_skip if self._free_space is None else None,
+                self._free_boxes,
             )
             controller.parameters(self.dt, self.continuous)  # which loads code, too
 
@@ -450,39 +444,6 @@ class Stepper:
         unit = self.actuation.units[worst]
         self.diverged = True
         self.failure = f"diverged at {self.data.time:.3f} s: {joint} moves at {v[worst]:.3g} {unit}/s"
-
-
-class ConstantTorque:
-    """A controller that returns the same torque at every tick, for open-loop runs.
-
-    Attributes:
-        tau: (n,) N m.
-    """
-
-    name = "constant"
-
-    def __init__(self, tau: Array):
-        self.tau = tau
-
-    def torque(self, state: State, setpoint: Setpoint) -> Array:
-        """The torque, (n,) N m."""
-        return self.tau
-
-
-def constant_controls(arm: Arm, ctrl: ArrayLike) -> ConstantTorque:
-    """Constant controls (n,) of an arm's motors, checked.
-
-    Raises:
-        InputError: A wrong length or a number that is not finite.
-        LimitError: A control outside its motor's range.
-    """
-    checked = vector("ctrl", ctrl, arm.n)
-    bound = arm.limits.tau_max / np.abs(arm.gear)
-    outside = np.abs(checked) > bound * (1 + _CONTROL_TOLERANCE)
-    if outside.any():
-        i = int(outside.argmax())
-        raise LimitError(f"ctrl: {arm.joint_names[i]}: {checked[i]:g} is outside [{-bound[i]:g}, {bound[i]:g}]")
-    return ConstantTorque(checked * arm.gear)
 
 
 def checked_torque(tau: object, n: int) -> Array:
