@@ -129,12 +129,26 @@ def names(text: str | None) -> list[str]:
     return [word for word in (text or "").replace(" ", ",").split(",") if word]
 
 
-def print_result(args: argparse.Namespace, text: str, figures: object) -> None:
-    """Prints text, or JSON with --json. On a terminal longer lines are folded; in a pipe a sentence stays on one line."""
+def print_result(args: argparse.Namespace, text: str, figures: object, reason: str = "") -> None:
+    """Prints text, or JSON with --json. On a terminal longer lines are folded; in a pipe a sentence stays on one line.
+
+    Args:
+        args: The arguments of the command.
+        text: The result in words.
+        figures: The result as JSON has it; None if nothing was computed.
+        reason: Why the command failed; empty if it did not.
+    """
     from armctl.core.tables import folded
 
-    shown = folded(text) if sys.stdout.isatty() else text
-    print(json.dumps(figures, indent=2) if args.json else shown)
+    if args.json:
+        print_json(figures, reason)
+    else:
+        print(folded(text) if sys.stdout.isatty() else text)
+
+
+def print_json(figures: object, reason: str) -> None:
+    """Prints what every command prints with --json: one object whose keys are the same after success and failure."""
+    print(json.dumps({"ok": not reason, "reason": reason, "result": figures}, indent=2))
 
 
 def save_report(report: Report, folder: Path, prefix: str) -> None:

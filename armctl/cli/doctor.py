@@ -26,5 +26,6 @@ def run(args: argparse.Namespace) -> int:
 
     found = diagnose(args.robot, tip=args.tip, base=args.base, hold_base=args.hold_base, srdf=args.srdf)
     payload = found.payload if found else None
-    print_result(args, str(found), {"name": found.name, "payload": payload, "findings": [asdict(f) for f in found.findings]})
+    figures = {"name": found.name, "payload": payload, "findings": [asdict(f) for f in found.findings]}
+    print_result(args, str(found), figures, found.reason)
     return DONE if found else NOT_REACHED

@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     is_log = args.file.suffix in (".npz", ".parquet")
     log = Log.load(args.file) if is_log else Log.from_csv(args.file, columns, units=units, robot=arm.name)
     estimate = identify(arm, log, args.friction, not args.any_inertia, holdout=holdout)
-    print_result(args, str(estimate), estimate.to_dict())
+    print_result(args, str(estimate), estimate.to_dict(), estimate.reason)
     if args.page:
         say_written(identification_page(estimate, args.page))
     if not estimate:

@@ -61,5 +61,6 @@ def run(args: argparse.Namespace) -> int:
         for each in speeds
     ]
     data = {"speeds": [result.to_dict() for result in results]} if args.all_speeds else results[0].to_dict()
-    print_result(args, "\n\n".join(map(str, results)), data)
+    reason = next((result.reason for result in results if not result), "")
+    print_result(args, "\n\n".join(map(str, results)), data, reason)
     return DONE if all(results) else NOT_REACHED

@@ -11,6 +11,7 @@ import re
 import sys
 import warnings
 from collections.abc import Sequence
+from typing import NoReturn
 
 from armctl import __version__
 from armctl.cli import (
@@ -30,8 +31,8 @@ from armctl.cli import (
     view,
     warmup,
 )
-from armctl.cli.common import DONE, INTERRUPTED, WRONG_CALL
-from armctl.core.errors import ArmctlError, UnknownNameError
+from armctl.cli.common import DONE, INTERRUPTED, WRONG_CALL, print_json
+from armctl.core.errors import ArmctlError, InputError, UnknownNameError
 
 _COMMANDS = (
     robots,
@@ -50,7 +51,7 @@ _COMMANDS = (
     view,
     warmup,
 )
-_NOT_OPTIONS = {"robot", "law", "file", "run"}
+_NOT_OPTIONS = {"robot", "law", "file", "run", "options"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -71,34 +72,60 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not words:
         parser.print_help()
         return DONE
-    known = [command.__name__.rpartition(".")[2] for command in _COMMANDS]
-    if not words[0].startswith("-") and words[0] not in known:
-        print(f"armctl: {UnknownNameError.of('command', words[0], known, 'armctl --help')}", file=sys.stderr)
-        return WRONG_CALL
-    args = parser.parse_args(words)
+    try:
+        args = _parsed(parser, words)
+    except ArmctlError as error:
+        return _refuse(str(error), "--json" in words)
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
         return _run(args)
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser that raises what the command line reports in one sentence."""
+
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{message}; `{self.prog} --help` lists the arguments")
+
+
+def _parsed(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Namespace:
+    """The arguments of a command. A mistyped command or option gets a suggestion."""
+    known = [command.__name__.rpartition(".")[2] for command in _COMMANDS]
+    if not words[0].startswith("-") and words[0] not in known:
+        raise UnknownNameError.of("command", words[0], known)
+    args, unknown = parser.parse_known_args(words)
+    if unknown and unknown[0].startswith("-"):
+        raise UnknownNameError.of("option", unknown[0], args.options, f"`armctl {words[0]} --help`")
+    if unknown:
+        raise InputError(f"{unknown[0]!r:.80} is one argument too many; `armctl {words[0]} --help` lists the arguments")
+    return args
+
+
 def _run(args: argparse.Namespace) -> int:
+    as_json = getattr(args, "json", False)
     try:
         status = args.run(args)
         sys.stdout.flush()
         return status
     except ArmctlError as error:
-        print(f"armctl: {_with_options(str(error), args)}", file=sys.stderr)
-        return WRONG_CALL
+        return _refuse(_with_options(str(error), args), as_json)
     except BrokenPipeError:  # the reader of the output has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the flush at exit
         return DONE
     except OSError as error:
-        name = error.filename if error.filename is not None else "output"
-        print(f"armctl: {name}: {error.strerror or error}", file=sys.stderr)
-        return WRONG_CALL
+        if error.filename is None:  # the output itself cannot be written
+            return _refuse(f"output: {error.strerror or error}", as_json=False)
+        return _refuse(f"{error.filename}: {error.strerror or error}", as_json)
     except KeyboardInterrupt:
-        print("armctl: stopped", file=sys.stderr)
-        return INTERRUPTED
+        return _refuse("stopped", as_json, INTERRUPTED)
+
+
+def _refuse(message: str, as_json: bool, status: int = WRONG_CALL) -> int:
+    """Prints why a command has no result, also as JSON if its result would be JSON. Returns the exit status."""
+    print(f"armctl: {message}", file=sys.stderr)
+    if as_json:
+        print_json(None, reason=message)
+    return status
 
 
 def _with_options(message: str, args: argparse.Namespace) -> str:
@@ -111,11 +138,13 @@ def _with_options(message: str, args: argparse.Namespace) -> str:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="armctl", description="Command robot arms in MuJoCo.")
+    parser = _Parser(prog="armctl", description="Command robot arms in MuJoCo.")
     parser.add_argument("--version", action="version", version=f"armctl {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in _COMMANDS:
         command.add(commands)
+    for command in commands.choices.values():
+        command.set_defaults(options=[option for option in command._option_string_actions if option.startswith("--")])
     return parser
 
 

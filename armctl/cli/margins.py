@@ -57,7 +57,8 @@ def run(args: argparse.Namespace) -> int:
         for name in controllers:
             found.append(margins(arm, name, args.poses, plants))
             bar.update()
-    print_result(args, margins_table(found).text(), [each.to_dict() for each in found])
+    reason = next((each.reason for each in found if not each), "")
+    print_result(args, margins_table(found).text(), [each.to_dict() for each in found], reason)
     if args.report:
         say_written(write_margins(arm, found, plants, args.report))
     return DONE if all(found) else NOT_REACHED

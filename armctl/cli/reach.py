@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Sequence
-from dataclasses import fields
 from pathlib import Path
 
 from armctl.cli.common import (
@@ -61,12 +60,10 @@ def run(args: argparse.Namespace) -> int:
     target = simulation.target if args.target is None else _target(args.target)
     result = simulation.move_to(target, speed=speed, allow=allow)
     if result.log is None:
-        figures = dict.fromkeys(field.name for field in fields(Report) if field.name != "log")
-        figures |= {"ok": False, "verdict": str(result), "robot": args.robot, "controller": args.controller}
-        print_result(args, str(result), figures)
+        print_result(args, str(result), None, result.reason)
         return NOT_REACHED
     report = Report.from_log(result.log)
-    print_result(args, str(report), report.to_dict())
+    print_result(args, str(report), report.to_dict(), result.reason or report.reason)
     if args.save:
         save_report(report, args.save, "")
     if args.video:

@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
         file_path("plot", args.plot, ENDINGS)
     spacing = None if args.spacing is None else one_number("spacing", args.spacing)
     found = reachability(load_arm(args), spacing, args.orientations)
-    print_result(args, str(found), found.to_dict())
+    print_result(args, str(found), found.to_dict(), found.reason)
     if args.out is not None:
         found.save(args.out)
         say_written(args.out)

@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     columns = {"q": log.q, "v": log.v, "tau": log.tau}
     joints = {k: dict(zip(log.joint_names, column[-1].round(6).tolist(), strict=True)) for k, column in columns.items()}
     last = {"t": log.t[-1], **joints, "tip": log.tip[-1].round(6).tolist()}
-    print_result(args, describe_end(log), {"ok": not log.failure, **last, "failure": log.failure})
+    print_result(args, describe_end(log), last, log.failure)
     if args.plot:
         picture = args.plot if args.plot.suffix in ENDINGS else args.plot / f"{args.robot.replace('/', '_')}.png"
         four_panels(log, picture)

@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
         result = study.run(executor, folder=args.folder)
     summary = result.summary([args.metric])
     reason = "" if summary.ok else f"{summary.reason}\n\n"
-    print_result(args, f"{reason}{summary.table().text()}", summary.to_dict())
+    print_result(args, f"{reason}{summary.table().text()}", summary.to_dict(), result.reason)
     if args.save:
         _save(result, args.save, args.metric)
     return DONE if result else NOT_REACHED

@@ -51,5 +51,5 @@ def run(args: argparse.Namespace) -> int:
         args.poses,
         plants,
     )
-    print_result(args, str(found), found.to_dict())
+    print_result(args, str(found), found.to_dict(), found.reason)
     return DONE if found else NOT_REACHED

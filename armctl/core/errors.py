@@ -10,6 +10,7 @@ import difflib
 from collections.abc import Iterable
 
 MAX_MESSAGE_CHARACTERS = 400
+_MAX_LISTED_CHARACTERS = 240  # of known names; of a longer list the message gives the number
 
 
 class ArmctlError(Exception):
@@ -60,8 +61,8 @@ class UnknownNameError(ArmctlError, LookupError):
         ]
         if near:
             hint = f"did you mean {near[0]!r}?"
-        elif len(known) <= 12:
-            hint = f"known: {', '.join(known)}"
+        elif len(listed := ", ".join(known)) <= _MAX_LISTED_CHARACTERS:
+            hint = f"known: {listed}"
         else:
             hint = f"there are {len(known)} known names" + (f"; {lister} lists them" if lister else "")
         return cls(f"unknown {kind} {name!r:.80}; {hint}")

@@ -96,7 +96,7 @@ def test_the_command_prints_the_findings_and_fails_on_an_error(tmp_path: Path, c
     path = tmp_path / "r.urdf"
     path.write_text(ROBOT)
     assert main(["doctor", str(path), "--json"]) == 0
-    figures = json.loads(capsys.readouterr().out)
+    figures = json.loads(capsys.readouterr().out)["result"]
     assert figures["payload"] > 0
     assert all(finding["severity"] == "note" for finding in figures["findings"])
     path.write_text("<robot")

@@ -47,6 +47,10 @@ def test_a_mistyped_command_gets_a_suggestion(capsys):
     assert status == 2
     assert not out
     assert err == "armctl: unknown command 'simulat'; did you mean 'simulate'?\n"
+    _, _, err = run(capsys, "xyz")
+    assert "margins, reachability, tune" in err
+    _, _, err = run(capsys, "reach", BUNDLED, "--contoller", "pd")
+    assert err == "armctl: unknown option '--contoller'; did you mean '--controller'?\n"
 
 
 @pytest.mark.parametrize(("typed", "completed"), [("armctl simu", {"simulate"}), ("armctl reach robot_arm_3", {BUNDLED})])
@@ -89,10 +93,21 @@ def test_messages_name_options_and_not_arguments_of_python():
     assert _with_options("robot: no such file", args) == "robot: no such file"
 
 
-def test_json_has_the_same_keys_whether_the_target_was_reached_or_not(capsys):
-    _, reached, _ = run(capsys, "reach", BUNDLED, "--json")
-    _, missed, _ = run(capsys, "reach", BUNDLED, "--target", "2", "0", "0.35", "--json")
-    assert json.loads(reached).keys() == json.loads(missed).keys()
+def test_json_has_the_same_keys_after_success_failure_and_wrong_calls(capsys):
+    calls = {
+        0: [["reach", BUNDLED], ["chains", BUNDLED], ["info", BUNDLED], ["doctor", BUNDLED]],
+        1: [["reach", BUNDLED, "--target", "2", "0", "0.35"], ["tune", BUNDLED, "pd", "--poses", "1", "--delay-margin", "1"]],
+        2: [["reach", "pandaa"], ["study", "nothing.toml"], ["simulate", BUNDLED], ["info", BUNDLED, "--tp", "x"], ["mrgins"]],
+    }
+    for expected, lines in calls.items():
+        for words in lines:
+            status, out, err = run(capsys, *words, "--json")
+            figures = json.loads(out)
+            assert status == expected
+            assert list(figures) == ["ok", "reason", "result"]
+            assert figures["ok"] == (status == 0)
+            assert bool(figures["reason"]) != figures["ok"]
+            assert err == (f"armctl: {figures['reason']}\n" if status == 2 else "")
 
 
 def test_a_menagerie_arm_reaches_a_target(capsys):
@@ -102,7 +117,7 @@ def test_a_menagerie_arm_reaches_a_target(capsys):
     figures = json.loads(out)
     assert status == 0
     assert figures["ok"]
-    assert figures["final_tip_error_m"] < 1e-4
+    assert figures["result"]["final_tip_error_m"] < 1e-4
 
 
 def test_a_pose_is_six_numbers(capsys):
@@ -186,7 +201,7 @@ def test_info_names_joints_limits_and_sources(capsys):
     assert "shoulder_pitch" in out
     assert "tau_max from: ctrlrange" in out
     _, out, _ = run(capsys, "info", BUNDLED, "--json")
-    assert json.loads(out)["limits"]["tau_max"] == [250.0, 250.0, 150.0]
+    assert json.loads(out)["result"]["limits"]["tau_max"] == [250.0, 250.0, 150.0]
 
 
 def test_robots_lists_every_name(capsys):
@@ -224,7 +239,7 @@ def test_reachability_is_printed_saved_and_drawn(capsys, tmp_path):
     assert (tmp_path / "reach.png").stat().st_size > 1000
     assert "wrote" in err
     status, out, _ = run(capsys, "reachability", BUNDLED, "--spacing", "0.3", "--json")
-    assert json.loads(out) == found.to_dict()
+    assert json.loads(out)["result"] == found.to_dict()
 
 
 def test_margins_are_a_table_and_a_page(capsys, tmp_path):
@@ -235,7 +250,7 @@ def test_margins_are_a_table_and_a_page(capsys, tmp_path):
     page = (tmp_path / "margins.html").read_text()
     assert page.count("<svg") == 2
     status, out, _ = run(capsys, "margins", BUNDLED, *chosen, "--json")
-    for figures in json.loads(out):
+    for figures in json.loads(out)["result"]:
         again = armctl.margins(armctl.load(BUNDLED), figures["controller"], 3, [armctl.Plant(timestep=0.002)])
         assert figures["delay"]["value"] == again.delay.value
 
@@ -336,7 +351,7 @@ def test_compare_writes_a_report_on_the_plants_asked_for(capsys, tmp_path):
     chosen = ("--controllers", "pd,computed-torque", "--plants", "nominal,payload=1")
     status, out, _ = run(capsys, "compare", BUNDLED, *chosen, "--report", str(tmp_path), "--workers", "1", "--json")
     assert status == 0
-    assert [(r["controller"], r["plant"]) for r in json.loads(out)][-1] == ("computed-torque", "payload 1 kg")
+    assert [(r["controller"], r["plant"]) for r in json.loads(out)["result"]][-1] == ("computed-torque", "payload 1 kg")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["comparison.html", "comparison.json", "comparison.md"]
 
 
@@ -352,7 +367,7 @@ def test_half_the_speed_takes_twice_as_long(capsys):
     for speed in ("1", "0.5"):
         status, out, err = run(capsys, "compare", BUNDLED, "--controllers", "computed-torque", "--speed", speed, "--json")
         assert status == 0, err
-        times.append(json.loads(out)[0]["duration_s"] - 0.25)
+        times.append(json.loads(out)["result"][0]["duration_s"] - 0.25)
     assert times[1] == pytest.approx(2 * times[0], abs=0.01)
 
 
@@ -361,7 +376,7 @@ def test_reach_takes_a_speed(capsys):
     for speed in ("1", "0.5"):
         status, out, err = run(capsys, "reach", BUNDLED, "--speed", speed, "--json")
         assert status == 0, err
-        durations.append(json.loads(out)["duration_s"])
+        durations.append(json.loads(out)["result"]["duration_s"])
     assert durations[1] > 1.5 * durations[0]
 
 
