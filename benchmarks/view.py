@@ -91,7 +91,7 @@ def real_time(robot: str, seconds: float) -> tuple[float, float]:
     """The real-time factor over some seconds with the page open in a browser, and the least over two of them."""
     from playwright.sync_api import sync_playwright
 
-    page = Page(armctl.load(robot), WebScene(0))
+    page = Page([armctl.load(robot)], WebScene(0))
     threading.Thread(target=page.serve, daemon=True).start()
     session = page.session
     least = np.inf

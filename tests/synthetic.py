@@ -48,6 +48,7 @@ def tendon(**coefficients: float) -> str:
 
 PULL = '<motor name="m" tendon="cable" gear="3" ctrlrange="-20 20"/>'
 HAND = limb("a b", FINGERS)
+PAIR = limb("a b c") + limb("d e f").replace('pos="0.1 0 0.1"', 'pos="-0.5 0 0.1"', 1)  # two arms beside each other
 GEARED = limb("a", limb("b c") + limb("drive"))
 SLIDES = limb("a s t u b").replace('name="s" axis="0 1 0"', 'name="s" type="slide" axis="1 0 0"')
 SLIDES = SLIDES.replace('name="t" axis="0 0 1"', 'name="t" type="slide" axis="1 0 0"')

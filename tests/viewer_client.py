@@ -6,7 +6,7 @@ import contextlib
 import http.client
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import msgspec
 import numpy as np
@@ -14,6 +14,7 @@ import viser
 import websockets.sync.client
 from arms import BUNDLED, arm_of
 
+from armctl.robot.arm import Arm
 from armctl.sim.status import Activity
 from armctl.viewer.page import Page
 from armctl.viewer.web_scene import WebScene
@@ -34,9 +35,9 @@ CAMERA = {
 
 
 @contextlib.contextmanager
-def open_page(**options) -> Iterator[Page]:
-    """A page with the bundled arm, which is served until the end."""
-    page = Page(arm_of(BUNDLED), WebScene(0, **options))
+def open_page(arms: Sequence[Arm] = (), **options) -> Iterator[Page]:
+    """A page with arms, by default with the bundled one, which is served until the end."""
+    page = Page(arms or [arm_of(BUNDLED)], WebScene(0, **options))
     thread = threading.Thread(target=page.serve, daemon=True)
     thread.start()
     try:

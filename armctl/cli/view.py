@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import ctypes
 import os
 import platform
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from armctl.cli.common import CONTROLLERS_HELP, DONE, Commands, add_arm, add_command, load_arm
-from armctl.core.errors import InputError
+from armctl.core.errors import InputError, ModelError
+
+if TYPE_CHECKING:
+    from armctl.robot.arm import Arm
 
 _TOKEN_VARIABLE = "ARMCTL_TOKEN"
 _M_MMAP_THRESHOLD = -3  # mallopt(3)
@@ -43,12 +48,12 @@ def run(args: argparse.Namespace) -> int:
     from armctl.loading import catalog
 
     if args.native:
-        viewer.view_natively(load_arm(args), args.controller)
+        viewer.view_natively(_load(args)[0], args.controller)
     else:
         _return_large_buffers()
         catalog.locate(args.robot)  # an unknown name is reported before a browser opens
         viewer.view(
-            lambda: load_arm(args),
+            lambda: _load(args),
             args.controller,
             port=args.port,
             host=args.host,
@@ -57,6 +62,22 @@ def run(args: argparse.Namespace) -> int:
             title=f"{Path(args.robot).stem} - armctl",
         )
     return DONE
+
+
+def _load(args: argparse.Namespace) -> tuple[Arm, ...]:
+    """The arm; all arms of a robot that has several of the same length, such as ALOHA, if no tip is given."""
+    from armctl.loading.load import chains, load_arms
+
+    try:
+        return (load_arm(args),)
+    except ModelError:
+        found = [chain for chain in chains(args.robot) if chain.ok]
+        tips = [chain.tip for chain in found if len(chain.joint_names) == len(found[0].joint_names)]
+        if args.tip is not None or args.tool is not None or len(tips) < 2:
+            raise
+        with contextlib.suppress(ModelError):
+            return load_arms(args.robot, tips, base=args.base, hold_base=args.hold_base, scene=args.scene, srdf=args.srdf)
+        raise
 
 
 def _return_large_buffers() -> None:

@@ -84,6 +84,7 @@ class RealTimeSession:
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
         self._paused = False
+        self._standing_by = False
         self._elapsed = 0.0
         self._failure = ""
         self._restart()
@@ -247,6 +248,36 @@ class RealTimeSession:
 
         self._command("reset", restart)
 
+    def stand_by(self, standing_by: bool) -> None:
+        """Stops the session while another one moves another arm of the same model, or lets it go on."""
+
+        def change() -> None:
+            self._standing_by = bool(standing_by)
+
+        self._command("stand by", change)
+
+    @property
+    def is_standing_by(self) -> bool:
+        """Whether the session stands for another one."""
+        return self._standing_by
+
+    def continue_from(self, qpos: Array) -> None:
+        """Goes on where another session left the model: at rest there, with the target at the tip.
+
+        Args:
+            qpos: (nq,) positions of the whole model.
+
+        Raises:
+            InputError: A wrong length, or a number that is not finite.
+        """
+        qpos = vector("qpos", qpos, self.arm.model.nq)
+
+        def change() -> None:
+            self._rest_at(qpos)
+            self._status = self._observed(self._follower.reference.q)
+
+        self._command("reset", change)
+
     def start(self) -> None:
         """Starts the session's thread."""
         self._thread = threading.Thread(target=self._run, name="armctl session", daemon=True)
@@ -287,7 +318,7 @@ class RealTimeSession:
             self._commands = {}
         for command in commands.values():
             command()
-        if self._paused or self._failure or self._stepper.failure:
+        if self._paused or self._standing_by or self._failure or self._stepper.failure:
             return False
         reference = self._follower.advance(self._ticks, "" if self._gripper is None else self._gripper.held)
         self._stepper.run(self._controller, reference, self._recorder())
@@ -361,18 +392,23 @@ class RealTimeSession:
         stepper = self._stepper
         self._failure = ""
         if keyframe:
-            qpos = arm.model.key_qpos[self.keyframes.index(keyframe)]
-            q = arm.limits.clamp(qpos[arm.qpos_adr])
-            stepper.reset(q, np.zeros(arm.n))
-            stepper.data.qpos[:] = qpos
-            arm.joint_map.set_positions(stepper.data.qpos, q)
-            mujoco.mj_forward(stepper.model, stepper.data)
-            self._follower.stand(q, q)
+            self._rest_at(arm.model.key_qpos[self.keyframes.index(keyframe)])
             return
         stepper.reset(arm.home, np.zeros(arm.n))
         has_target = find_target(stepper.model) is not None
         start = target_pose(stepper.model, stepper.data).position if has_target else stepper.tip_pose(arm).position
         self._follower.stand(arm.home, solve_ik(arm, start, arm.home).q)
+
+    def _rest_at(self, qpos: Array) -> None:
+        """Puts the whole model at positions (nq,), at rest, with the target at the tip."""
+        arm = self.arm
+        stepper = self._stepper
+        q = arm.limits.clamp(qpos[arm.qpos_adr])
+        stepper.reset(q, np.zeros(arm.n))
+        stepper.data.qpos[:] = qpos
+        arm.joint_map.set_positions(stepper.data.qpos, q)
+        mujoco.mj_forward(stepper.model, stepper.data)
+        self._follower.stand(q, q)
 
     def _observed(self, q_ref: Array) -> Status:
         """The status now; adds a sample to the history."""

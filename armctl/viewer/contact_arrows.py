@@ -23,10 +23,11 @@ _HEAD_LENGTH_M = 0.02
 class ContactArrows:
     """An arrow for each contact: 1 cm per N, at most 30 cm."""
 
-    def __init__(self, scene: viser.SceneApi):
-        """Adds no arrows yet; they are switched on by `visible`."""
+    def __init__(self, scene: viser.SceneApi, root: str):
+        """Adds no arrows yet, below the scene node `root`; they are switched on by `visible`."""
         self.visible = False
         self._scene = scene
+        self._root = root
         self._arrows: viser.ArrowsHandle | None = None
 
     def show(self, contacts: Array) -> None:
@@ -42,7 +43,7 @@ class ContactArrows:
         if self._arrows is None or len(self._arrows.points) != len(points):
             self._remove()
             self._arrows = self._scene.add_arrows(
-                "/contacts",
+                f"{self._root}/contacts",
                 points,
                 _RGB,
                 shaft_radius=_SHAFT_RADIUS_M,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import importlib
 import logging
@@ -9,22 +10,21 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from armctl.control import CONTROLLERS
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.robot.arm import Arm
-from armctl.sim.realtime import RealTimeSession
-from armctl.sim.status import Activity
+from armctl.sim.realtime import UPDATE_INTERVAL_S, RealTimeSession
+from armctl.viewer.arm_controls import ArmControls
 from armctl.viewer.panel import Panel
-from armctl.viewer.plan_preview import PlanPreview
-from armctl.viewer.status_text import describe
-from armctl.viewer.target_controls import TargetControls
-from armctl.viewer.tip_trail import TipTrail
 from armctl.viewer.web_scene import DRAW_INTERVAL_S, PORT, WebScene
 
-_LABEL_OFFSET_M = np.array([0.0, 0.0, 0.1])
+if TYPE_CHECKING:
+    import viser
+
 _TEXT_INTERVAL_S = 0.15
 _START_DELAY_S = 1.0  # the first page is drawn before the arm moves
 _JOIN_TIMEOUT_S = 0.5
@@ -34,21 +34,19 @@ _log = logging.getLogger("armctl.viewer")
 
 
 class Page:
-    """A session on a web page.
+    """Arms on a web page, of which one at a time is commanded; the brakes hold the others where they are.
 
     Attributes:
-        session: The session.
         scene: The page's 3D scene.
-        panel: The page's controls.
         url: Address of the page.
         port: Port of the page.
     """
 
-    def __init__(self, arm: Arm, scene: WebScene, controller: str = "computed-torque"):
-        """Puts an arm and its controls on a page; `serve` then keeps it up to date.
+    def __init__(self, arms: Sequence[Arm], scene: WebScene, controller: str = "computed-torque"):
+        """Puts arms and their controls on a page; `serve` then keeps it up to date.
 
         Args:
-            arm: The arm.
+            arms: Arms of one model; the first is commanded first.
             scene: An empty scene.
             controller: Name of the first controller.
 
@@ -58,80 +56,97 @@ class Page:
         self.scene = scene
         self.url = scene.url
         self.port = scene.port
-        scene.set(arm)
-        self.session = RealTimeSession(arm, controller)
-        status = self.session.status
-        self._drawn_target = status.target
-        self._target = TargetControls(scene.server, self.session)
-        self._label = scene.server.scene.add_label(
-            "/status", describe(status), position=status.target.position + _LABEL_OFFSET_M, anchor="bottom-center"
-        )
-        self._trail = TipTrail(scene.server.scene, arm.fk(status.q).position)
-        self._preview = PlanPreview(scene.server, arm)
-        self.panel = Panel(scene.server, scene.text, self.session, self._target)
+        scene.set(arms[0], arms[1:])
+        if len(arms) == 1:
+            self._controls = {arms[0].tip: ArmControls(arms[0], controller, scene, "")}
+        else:
+            self._controls = self._add_several(arms, controller)
+        self._shown = self._controls[arms[0].tip]
         self._closing = threading.Event()
-        self._starter = threading.Thread(target=self._start_session, name="armctl start", daemon=True)
+        self._starter = threading.Thread(target=self._start_sessions, name="armctl start", daemon=True)
         self._failed = False
+
+    @property
+    def session(self) -> RealTimeSession:
+        """The session of the commanded arm."""
+        return self._shown.session
+
+    @property
+    def panel(self) -> Panel:
+        """The panel of the commanded arm."""
+        return self._shown.panel
 
     @property
     def is_target_held(self) -> bool:
         """Whether a client drags the target."""
-        return self._target.is_held
+        return self._shown.target.is_held
 
     def serve(self) -> None:
-        """Keeps the page up to date until `close`. The session starts shortly after the first client has connected."""
+        """Keeps the page up to date until `close`. The sessions start shortly after the first client has connected."""
         self._starter.start()
         text_written_at = -np.inf
         while not self._closing.wait(DRAW_INTERVAL_S):
             try:
-                self._draw()
+                self._shown.draw()
                 if time.monotonic() - text_written_at > _TEXT_INTERVAL_S:
                     text_written_at = time.monotonic()
-                    self._write()
+                    self._shown.write()
             except Exception:  # the page must not end while somebody uses it
                 if not self._failed and not self._closing.is_set():
                     _log.exception("the page could not show the session's status")
                 self._failed = True
 
     def close(self) -> None:
-        """Ends the session and closes the page. It may be called twice."""
+        """Ends the sessions and closes the page. It may be called twice."""
         self._closing.set()
-        self.panel.close()
         if self._starter.is_alive():
             self._starter.join(timeout=_JOIN_TIMEOUT_S)
-        self.session.stop()
+        for controls in self._controls.values():
+            controls.close()
         self.scene.close()
 
-    def _start_session(self) -> None:
+    def _add_several(self, arms: Sequence[Arm], controller: str) -> dict[str, ArmControls]:
+        """The controls of several arms, each in a folder, and a list to choose from; the first is shown."""
+        gui = self.scene.server.gui
+        chosen = gui.add_dropdown("arm", tuple(arm.tip for arm in arms), hint="the brakes hold the other arms")
+        added: dict[str, ArmControls] = {}
+        folders: dict[str, viser.GuiFolderHandle] = {}
+        for k, arm in enumerate(arms):
+            folders[arm.tip] = gui.add_folder(arm.tip, visible=k == 0)
+            with folders[arm.tip]:
+                added[arm.tip] = ArmControls(arm, controller, self.scene, f"/arm{k}")
+            added[arm.tip].set_visible(k == 0)
+            added[arm.tip].session.stand_by(k > 0)
+
+        async def choose(event: viser.GuiEvent) -> None:
+            before = self._shown
+            after = self._controls[chosen.value]
+            if after is before:
+                return
+            before.session.stand_by(True)
+            while not before.session.is_standing_by:
+                await asyncio.sleep(UPDATE_INTERVAL_S)
+            after.session.continue_from(before.session.status.qpos)
+            after.session.stand_by(False)
+            self._shown = after
+            for tip, controls in self._controls.items():
+                folders[tip].visible = controls is after
+                controls.set_visible(controls is after)
+
+        chosen.on_update(choose)
+        return added
+
+    def _start_sessions(self) -> None:
         while not self.scene.wait_for_client(DRAW_INTERVAL_S):
             if self._closing.is_set():
                 return
         if not self._closing.wait(_START_DELAY_S):
-            self.session.start()
-
-    def _draw(self) -> None:
-        status = self.session.status
-        target = status.target
-        self.scene.show_target(status.qpos, target)
-        self._target.draw(target)
-        self.panel.pictures.add(status)
-        self._trail.add(self.session.arm.fk(status.q).position)
-        if target is not self._drawn_target:
-            self._drawn_target = target
-            self._label.position = target.position + _LABEL_OFFSET_M
-
-    def _write(self) -> None:
-        status = self.session.status
-        text = describe(status)
-        if self._label.text != text:
-            self._label.text = text
-        self._trail.draw()
-        self._preview.show(status.path, with_ghost=status.activity is not Activity.AT_TARGET)
-        self.panel.update()
+            for controls in self._controls.values():
+                controls.session.start()
 
 
 def view(
-    load: Callable[[], Arm],
+    load: Callable[[], Sequence[Arm]],
     controller: str = "computed-torque",
     *,
     port: int = PORT,
@@ -143,7 +158,7 @@ def view(
     """Serves a page with an arm that follows a target, until Ctrl-C.
 
     Args:
-        load: Returns the arm; it is called while the browser opens.
+        load: Returns the arms, one or several of one model; it is called while the browser opens.
         controller: Name of the first controller.
         port: Port of the page. Without a host, the next free one if it is taken; any free one if 0.
         host: Address of this machine at which other machines reach the page; None for this machine alone.
@@ -169,9 +184,9 @@ def view(
         for module in _PRELOADED_MODULES:
             threading.Thread(target=importlib.import_module, args=(module,), daemon=True).start()
         with contextlib.suppress(KeyboardInterrupt):
-            arm = load()
-            print(f"{arm.name} is at {scene.url}; Ctrl-C ends it", flush=True)
-            page = Page(arm, scene, controller)
+            arms = load()
+            print(f"{arms[0].name} is at {scene.url}; Ctrl-C ends it", flush=True)
+            page = Page(arms, scene, controller)
             stack.callback(page.close)
             page.serve()
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C must not interrupt the closing

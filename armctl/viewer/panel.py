@@ -16,6 +16,7 @@ from armctl.viewer.charts import Charts
 from armctl.viewer.comparison_panel import ComparisonPanel
 from armctl.viewer.contact_arrows import ContactArrows
 from armctl.viewer.picture_panel import PicturePanel
+from armctl.viewer.reachability_panel import ReachabilityPanel
 from armctl.viewer.status_text import describe, describe_contacts, describe_load
 from armctl.viewer.target_controls import TargetControls
 
@@ -39,9 +40,14 @@ class Panel:
     """
 
     def __init__(
-        self, server: viser.ViserServer, text: viser.GuiMarkdownHandle, session: RealTimeSession, target: TargetControls
+        self,
+        server: viser.ViserServer,
+        text: viser.GuiMarkdownHandle,
+        session: RealTimeSession,
+        target: TargetControls,
+        root: str,
     ):
-        """Adds the controls of a session to a server's page, with the status in `text`."""
+        """Adds the controls of a session to a server's page, with the status in `text`; drawings go below the node `root`."""
         self._gui = server.gui
         self._event_loop = server.get_event_loop()
         self._session = session
@@ -50,7 +56,7 @@ class Panel:
         self._joints_moved_at = -np.inf
         self._joint_command: Array | None = None
         self._payload_worker = LatestWorker("armctl payload")  # a new payload compiles a model
-        self._contact_arrows = ContactArrows(server.scene)
+        self._contact_arrows = ContactArrows(server.scene, root)
         self._add_clock()
         self._add_plant()
         self._add_motion()
@@ -59,6 +65,7 @@ class Panel:
         target.add_fields()
         self._add_joints()
         self._add_gripper()
+        self._reachability = ReachabilityPanel(server, session.arm, root)
         self.pictures = PicturePanel(server, session)
         self._comparison = ComparisonPanel(server, session)
 
@@ -86,6 +93,7 @@ class Panel:
     def close(self) -> None:
         """Ends the panel's threads."""
         self._payload_worker.close()
+        self._reachability.close()
         self.pictures.close()
         self._comparison.close()
 

@@ -25,15 +25,16 @@ _GHOST_CELL = 4e-3  # of the model's extent: a ghost is seen through, so it need
 class PlanPreview:
     """Shows the planned path to the target. The ghost is made when the first path is shown."""
 
-    def __init__(self, server: viser.ViserServer, arm: Arm):
-        """Adds an invisible line to a server's scene."""
+    def __init__(self, server: viser.ViserServer, arm: Arm, root: str):
+        """Adds an invisible line to a server's scene, below the scene node `root`."""
+        self._root = root
         self._server = server
         self._arm = arm
         self._path: PlannedPath | None = None
         self._ghost: dict[int, viser.MeshHandle] = {}
         segments = np.zeros((PATH_POINTS - 1, 2, 3), np.float32)
         self._line = server.scene.add_line_segments(
-            "/plan", segments, _PATH_RGB, thickness=_PATH_THICKNESS_PX, thickness_units="screen", visible=False
+            f"{root}/plan", segments, _PATH_RGB, thickness=_PATH_THICKNESS_PX, thickness_units="screen", visible=False
         )
 
     def show(self, path: PlannedPath | None, *, with_ghost: bool) -> None:
@@ -59,7 +60,7 @@ class PlanPreview:
 
     def _add_body(self, body: int, mesh: trimesh.Trimesh) -> viser.MeshHandle:
         return self._server.scene.add_mesh_simple(
-            f"/ghost/{body}", mesh.vertices, mesh.faces, color=_GHOST_RGB, opacity=_GHOST_OPACITY, cast_shadow=False
+            f"{self._root}/ghost/{body}", mesh.vertices, mesh.faces, color=_GHOST_RGB, opacity=_GHOST_OPACITY, cast_shadow=False
         )
 
 

@@ -35,8 +35,8 @@ class TargetControls:
     filter.
     """
 
-    def __init__(self, server: viser.ViserServer, session: RealTimeSession):
-        """Adds the handles to the scene; `add_fields` adds the fields to the panel."""
+    def __init__(self, server: viser.ViserServer, session: RealTimeSession, root: str):
+        """Adds the handles below the scene node `root`; `add_fields` adds the fields to the panel."""
         self._server = server
         self._session = session
         self._drawn_target = session.status.target
@@ -44,7 +44,7 @@ class TargetControls:
         self._undo: deque[Pose] = deque(maxlen=_MAX_UNDO)
         self._has_world_axes = False
         self._grip = session.status.target  # the target's pose where the handles were put last
-        self._gizmo = server.scene.add_transform_controls("/goal", scale=_GIZMO_SIZE_M, depth_test=False)
+        self._gizmo = server.scene.add_transform_controls(f"{root}/goal", scale=_GIZMO_SIZE_M, depth_test=False)
         self._place_gizmo(self._drawn_target)
         self._gizmo.on_update(self._dragged)
 

@@ -21,12 +21,14 @@ _RGB = (255, 190, 0)
 class TipTrail:
     """A line behind the tip. The number of segments is fixed: those without a way yet have no length."""
 
-    def __init__(self, scene: viser.SceneApi, position: Array):
-        """A trail of no length, at the tip's position (3,) m."""
+    def __init__(self, scene: viser.SceneApi, position: Array, root: str):
+        """A trail of no length, at the tip's position (3,) m, below the scene node `root`."""
         self._segments = np.empty((_SEGMENTS, 2, 3), np.float32)
         self._start_at(position)
         self._has_changed = False
-        self._line = scene.add_line_segments("/trail", self._segments, _RGB, thickness=_THICKNESS_PX, thickness_units="screen")
+        self._line = scene.add_line_segments(
+            f"{root}/trail", self._segments, _RGB, thickness=_THICKNESS_PX, thickness_units="screen"
+        )
 
     def add(self, position: Array) -> None:
         """The tip is at `position`, (3,) m, now."""

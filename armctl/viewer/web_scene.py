@@ -152,8 +152,12 @@ class WebScene:
         screen = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         return bool(screen) and webbrowser.open(self._root + self._access.one_time_query())
 
-    def set(self, arm: Arm) -> None:
+    def set(self, arm: Arm, others: Sequence[Arm] = ()) -> None:
         """Puts an arm on the page, at home.
+
+        Args:
+            arm: The arm.
+            others: More arms of its model that the first view shows.
 
         Raises:
             NotInstalledError: mjviser is missing.
@@ -163,7 +167,7 @@ class WebScene:
         self._not_refined: mujoco.MjModel | None = arm.model
         self._model = decimated(arm.model, COARSE_CELL)
         self._data = mujoco.MjData(self._model)
-        self._set_camera(arm)
+        self._set_camera(arm, others)
         self.server.gui.set_panel_label(arm.name)
         self._scene = mjviser.ViserMujocoScene(self.server, self._model, 1)
         self._scene.camera_tracking_enabled = False
@@ -245,11 +249,12 @@ class WebScene:
             self._scene.update_from_mjdata(self._data)
         self.server.flush()
 
-    def _set_camera(self, arm: Arm) -> None:
-        """Points the page's first view at the arm and its target."""
+    def _set_camera(self, arm: Arm, others: Sequence[Arm]) -> None:
+        """Points the page's first view at the arms and the target."""
         self._data.qpos[:] = arm.home_qpos
         mujoco.mj_kinematics(self._model, self._data)
-        points = [arm.fk(arm.home).position]
+        points = [self._data.xpos[self._model.dof_bodyid[other.dof_adr[0]]] for other in others]
+        points += [each.fk(each.home).position for each in (*others, arm)]
         target = find_target(self._model)
         if target is not None:
             points.append(self._data.xpos[target])

@@ -6,11 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 from arms import MISSING, at_hand
-from synthetic import limb, mjcf, motors
+from synthetic import PAIR, limb, mjcf, motors
 
 import armctl
-
-PAIR = limb("a b c") + limb("d e f").replace('pos="0.1 0 0.1"', 'pos="-0.5 0 0.1"', 1)
 
 
 @pytest.fixture

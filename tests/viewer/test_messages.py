@@ -1,6 +1,7 @@
 """What a client may send: checked values reach the session, everything else is dropped, and nothing ends the viewer."""
 
 import io
+import re
 
 import msgspec
 import numpy as np
@@ -237,6 +238,17 @@ def test_a_screenshot_and_a_film_are_offered_for_download(page, client, monkeypa
     assert pictures._film is None
 
 
+def test_the_points_that_the_arm_reaches_are_shown_and_hidden(page, client):
+    panel = page.panel._reachability
+    client.set(page, "reachable points", True)
+    until(lambda: panel._points is not None and panel._points.visible, "the points are not shown")
+    assert re.fullmatch(r"\d+ of \d+ points reached, .* m\^3\.", panel._text.content)
+    shown = np.linalg.norm(panel._points.points - page.session.arm.fk(page.session.arm.home).position, axis=1)
+    assert shown.min() < 0.2  # the tip is among them
+    client.set(page, "reachable points", False)
+    until(lambda: not panel._points.visible, "the points are not hidden")
+
+
 def test_a_target_whose_holder_leaves_is_released(page, client):
     with connected(page) as holder:
         drag = {"type": "TransformControlsDragStartMessage", "name": "/goal", "owner": ""}
@@ -284,7 +296,7 @@ def test_a_failed_session_is_shown_and_reset_repairs_it(page, client, monkeypatc
         patch.setattr(page.session._follower, "advance", broken)
         until(lambda: page.session.status.activity is Activity.FAILED, "the failure is not noticed")
         until(lambda: "ZeroDivisionError: a defect" in page.scene.text.content, "the page does not show the failure")
-        assert "at the target" not in page._label.text
+        assert "at the target" not in page._shown._label.text
     assert page.session._thread is not None
     assert page.session._thread.is_alive()
     client.set(page, "reset", True)

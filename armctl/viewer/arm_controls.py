@@ -1,0 +1,87 @@
+"""ArmControls: everything on a page that belongs to one arm."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from armctl.robot.arm import Arm
+from armctl.sim.realtime import RealTimeSession
+from armctl.sim.status import Activity
+from armctl.viewer.panel import Panel
+from armctl.viewer.plan_preview import PlanPreview
+from armctl.viewer.status_text import describe
+from armctl.viewer.target_controls import TargetControls
+from armctl.viewer.tip_trail import TipTrail
+from armctl.viewer.web_scene import WebScene
+
+if TYPE_CHECKING:
+    import viser
+
+_LABEL_OFFSET_M = np.array([0.0, 0.0, 0.1])
+
+
+class ArmControls:
+    """A session with its target, trail, planned path and panel.
+
+    Attributes:
+        session: The session.
+        panel: The controls of the session.
+        target: The target's handles and fields.
+    """
+
+    def __init__(self, arm: Arm, controller: str, scene: WebScene, root: str):
+        """Adds the controls of an arm to a page.
+
+        Args:
+            arm: The arm.
+            controller: Name of the first controller.
+            scene: The page's scene.
+            root: The scene node below which everything of this arm is drawn; empty for the only arm.
+        """
+        server = scene.server
+        self.session = RealTimeSession(arm, controller)
+        self._scene = scene
+        self._node: viser.FrameHandle | None = server.scene.add_frame(root, show_axes=False) if root else None
+        status = self.session.status
+        self._drawn_target = status.target
+        self.target = TargetControls(server, self.session, root)
+        self._label = server.scene.add_label(
+            f"{root}/status", describe(status), position=status.target.position + _LABEL_OFFSET_M, anchor="bottom-center"
+        )
+        self._trail = TipTrail(server.scene, arm.fk(status.q).position, root)
+        self._preview = PlanPreview(server, arm, root)
+        self.panel = Panel(server, scene.text, self.session, self.target, root)
+
+    def set_visible(self, visible: bool) -> None:
+        """Shows or hides everything of this arm in the scene."""
+        if self._node is not None:
+            self._node.visible = visible
+
+    def draw(self) -> None:
+        """Draws the arm and its target where they are now."""
+        status = self.session.status
+        target = status.target
+        self._scene.show_target(status.qpos, target)
+        self.target.draw(target)
+        self.panel.pictures.add(status)
+        self._trail.add(self.session.arm.fk(status.q).position)
+        if target is not self._drawn_target:
+            self._drawn_target = target
+            self._label.position = target.position + _LABEL_OFFSET_M
+
+    def write(self) -> None:
+        """Writes what the session does, and updates the panel."""
+        status = self.session.status
+        text = describe(status)
+        if self._label.text != text:
+            self._label.text = text
+        self._trail.draw()
+        self._preview.show(status.path, with_ghost=status.activity is not Activity.AT_TARGET)
+        self.panel.update()
+
+    def close(self) -> None:
+        """Ends the threads of the panel and of the session."""
+        self.panel.close()
+        self.session.stop()
