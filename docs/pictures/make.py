@@ -1,25 +1,54 @@
 """Draws the pictures of README and docs afresh: `make pictures`. What it cannot draw here it names, and exits with 1."""
 
+from __future__ import annotations
+
+import io
 import runpy
 import shutil
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from PIL import Image as Picture
 
 import armctl
 from armctl.analysis.comparison import compare, out_and_back
 from armctl.analysis.plot import overlay
 from armctl.core.plotting import COLORS, STYLE
 from armctl.render import record, still
+from armctl.render.video import write_gif
+from armctl.sim.status import Activity
+
+if TYPE_CHECKING:
+    from armctl.sim.realtime import RealTimeSession
+    from armctl.viewer.page import Page
 
 HERE = Path(__file__).parent
+DRAG_PAGE_PX = (940, 470)
+DRAG_WIDTH_PX = 552  # of the page, without its panel
+DRAG_FRAMES_PER_S = 12
+DRAG_MAX_FRAMES = 150
+DRAG_ARROW_M = 0.11  # from the target to the middle of the arrow's tip
+# A browser without a screen shows no mouse cursor: an arrow that follows the events of the mouse.
+CURSOR = """() => {
+  const cursor = document.createElement("div");
+  const arrow = "M2 2 L2 19 L7 15 L10 22 L13 20.5 L10 14 L16 14 Z";
+  cursor.innerHTML = `<svg width="24" height="24"><path d="${arrow}" stroke="white"/></svg>`;
+  cursor.style = "position: fixed; z-index: 9999; pointer-events: none";
+  document.body.append(cursor);
+  document.addEventListener("pointermove", (event) => {
+    cursor.style.left = event.clientX + "px";
+    cursor.style.top = event.clientY + "px";
+  }, true);
+}"""
 
 
 def reach() -> None:
@@ -97,24 +126,40 @@ def study() -> None:
         shutil.move(path, HERE / path.name)
 
 
-def page() -> None:
-    """`armctl view panda` in a browser, with a wall: the arm is on its planned path to the dropped target."""
+class Browser(NamedTuple):
+    """A page of armctl and the tab of a browser that shows it."""
+
+    page: Page
+    tab: Any
+
+
+@contextmanager
+def browser(arm: armctl.Arm, width: int, height: int) -> Iterator[Browser]:
+    """The page of `armctl view` in a browser that draws in software, with the arm at its first target."""
     from playwright.sync_api import sync_playwright
 
     from armctl.viewer.page import Page
     from armctl.viewer.web_scene import WebScene
 
-    scene = armctl.Scene()
-    scene.add_box("wall", [0.3, 0.04, 0.5], [0.5, 0.2, 0.25])
-    page = Page(armctl.load("panda", scene=scene), WebScene(0))
+    page = Page([arm], WebScene(0))
     threading.Thread(target=page.serve, daemon=True).start()
     software = "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --ignore-gpu-blocklist"
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=software.split())
-        tab = browser.new_page(viewport={"width": 1280, "height": 800})
+        chromium = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=software.split())
+        tab = chromium.new_page(viewport={"width": width, "height": height})
         tab.goto(page.url)
         tab.get_by_text("at the target").first.wait_for(timeout=60e3)
         tab.add_style_tag(content=".mantine-Notifications-root { display: none }")  # that software draws is no news here
+        yield Browser(page, tab)
+        chromium.close()
+    page.close()
+
+
+def page() -> None:
+    """`armctl view panda` in a browser, with a wall: the arm is on its planned path to the dropped target."""
+    scene = armctl.Scene()
+    scene.add_box("wall", [0.3, 0.04, 0.5], [0.5, 0.2, 0.25])
+    with browser(armctl.load("panda", scene=scene), 1280, 800) as (page, tab):
         session = page.session
         downwards = session.status.target.quat
         for position in ([0.5, 0.45, 0.25], [0.5, -0.05, 0.25]):
@@ -128,8 +173,73 @@ def page() -> None:
         session.set_speed(0.01)  # until the browser, which draws in software, has caught up
         time.sleep(15)
         tab.screenshot(path=HERE / "page.png", timeout=60e3)
-        browser.close()
-    page.close()
+
+
+def drag() -> None:
+    """The page of `armctl view panda`: a mouse drags the target behind a box, drops it, and the arm goes around the box."""
+    scene = armctl.Scene()
+    scene.add_box("box", [0.35, 0.06, 0.4], [0.5, 0.15, 0.2])
+    frames = []
+    with browser(armctl.load("panda", scene=scene), *DRAG_PAGE_PX) as (page, tab):
+        session = page.session
+        start = np.array([0.5, 0.4, 0.25])
+        session.aim(armctl.Pose(start, rpy=[np.pi, 0.0, 0.0]))  # the arrow of its y axis points to the world's -y
+        time.sleep(4)
+        tab.get_by_text("at the target").first.wait_for(timeout=60e3)
+        time.sleep(12)  # until the fine meshes are there
+        tab.evaluate(CURSOR)
+        session.set_speed_override(0.5)
+        arrow = start - np.array([0.0, DRAG_ARROW_M, 0.0])
+        handle = on_screen(page, tab, arrow)
+        drop = on_screen(page, tab, arrow - np.array([0.0, 0.52, 0.0]))
+        for share in np.linspace(1.0, 0.0, 6):
+            tab.mouse.move(*(handle + share * np.array([60.0, 40.0])))
+            frames.append(next_frame(session, tab))
+        tab.mouse.down()
+        for share in np.linspace(0.0, 1.0, 26):
+            tab.mouse.move(*(handle + share * (drop - handle)))
+            frames.append(next_frame(session, tab))
+        if not page.is_target_held:
+            raise RuntimeError("the mouse missed the arrow of the target")
+        frames += [next_frame(session, tab) for _ in range(6)]
+        tab.mouse.up()
+        while session.status.path is None and session.status.activity is not Activity.BLOCKED:
+            time.sleep(0.01)
+        while session.status.activity is not Activity.AT_TARGET and len(frames) < DRAG_MAX_FRAMES:
+            frames.append(next_frame(session, tab))
+        frames += [next_frame(session, tab) for _ in range(DRAG_FRAMES_PER_S)]
+    write_gif(HERE / "drag.gif", frames, DRAG_FRAMES_PER_S)
+
+
+def next_frame(session: RealTimeSession, tab: Any) -> np.ndarray:
+    """The scene of a page one frame later, (height, width, 3).
+
+    The simulation runs in slow motion until then, and almost stands meanwhile, because the browser draws in software.
+    """
+    due = session.status.elapsed + 1 / DRAG_FRAMES_PER_S
+    session.set_speed(0.1)
+    while session.status.elapsed < due:
+        time.sleep(0.005)
+    session.set_speed(0.001)
+    time.sleep(0.4)
+    clip = {"x": 0, "y": 0, "width": DRAG_WIDTH_PX, "height": DRAG_PAGE_PX[1]}
+    return np.asarray(Picture.open(io.BytesIO(tab.screenshot(clip=clip, timeout=60e3))).convert("RGB"))
+
+
+def on_screen(page: Page, tab: Any, point: np.ndarray) -> np.ndarray:
+    """(2,) where a point (3,) of the world is in the tab, pixels."""
+    box = tab.locator("canvas").first.bounding_box()
+    (client, *_) = page.scene.server.get_clients().values()
+    eye = np.array(client.camera.position)
+    forward = np.array(client.camera.look_at) - eye
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    way = point - eye
+    scale = box["height"] / 2 / np.tan(client.camera.fov / 2) / (way @ forward)
+    x = box["x"] + box["width"] / 2 + scale * (way @ right)
+    y = box["y"] + box["height"] / 2 - scale * (way @ np.cross(right, forward))
+    return np.array([x, y])
 
 
 def draw(picture: Callable[[], None]) -> bool:
@@ -144,7 +254,7 @@ def draw(picture: Callable[[], None]) -> bool:
 
 
 if __name__ == "__main__":
-    wanted = [reach, shelf, four_panels, pd_against_computed_torque, waypoints, study, page]
+    wanted = [reach, drag, shelf, four_panels, pd_against_computed_torque, waypoints, study, page]
     chosen = [picture for picture in wanted if not sys.argv[1:] or picture.__name__ in sys.argv[1:]]
     drawn = [draw(picture) for picture in chosen]
     sys.exit(0 if all(drawn) else 1)
