@@ -21,6 +21,7 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.registry import CPUDispatcher
 from numba.core.typing.templates import make_concrete_template
 
+from armctl.core.compiler_shortcuts import compiler_shortcuts
 from armctl.core.errors import ArmctlWarning
 
 _SILENT_S = 2.0  # so long a process compiles before it tells why its user waits
@@ -130,7 +131,8 @@ class _Kernel(CPUDispatcher):
     def compile(self, sig: Any) -> Any:
         """The code for these types of arguments, from the cache if it is there."""
         began = time.monotonic()
-        code = super().compile(sig)
+        with compiler_shortcuts():
+            code = super().compile(sig)
         if self.stats.cache_misses[sig]:
             _Kernel._compiled_s += time.monotonic() - began
             _tell_once()
@@ -188,7 +190,8 @@ def c_function(signature: Any) -> Callable[[Callable], CFunc]:
         )
         with suppress(RuntimeError, OSError):
             c_function._cache = _TolerantCache(function)
-        c_function.compile()
+        with compiler_shortcuts():
+            c_function.compile()
         return c_function
 
     return compiled

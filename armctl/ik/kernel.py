@@ -525,7 +525,7 @@ def _unwind(chain, q0, q):
 
 @njit
 def _aim(chain, reach, target, work):
-    """The target in reaches, as the last row of `work`; one beyond MAX_TARGET_REACHES is moved nearer on its line."""
+    """Writes the target in reaches to the last row of `work`; one beyond MAX_TARGET_REACHES is moved nearer on its line."""
     n = len(chain) - 1
     for k in range(9):
         work[n + 1, k] = target[k]
@@ -540,7 +540,6 @@ def _aim(chain, reach, target, work):
     factor = min(1.0, MAX_TARGET_REACHES / max(np.sqrt(distance), 1e-300))
     for k in range(9, 12):
         work[n + 1, k] = chain[0, k] + factor * (work[n + 1, k] - shrink * chain[0, k])
-    return work[n + 1]
 
 
 @njit
@@ -702,7 +701,8 @@ def _search_target(chain, reach, target, constraint, tolerance, orientation_tole
     whether q is far from q0 although the tip began near the target, and whether `work` holds the tip at q.
     """
     n = len(q)
-    target = _aim(chain, reach, target, work)
+    _aim(chain, reach, target, work)
+    target = work[len(chain)]
     best = np.inf
     steps = 0
     start = first
@@ -888,7 +888,8 @@ def polish(chain, reach, rows, position_tolerance, orientation_tolerance, q0, se
         position_error, orientation_error = _tip_errors(trial, chain, target, reach, work)
         moved = False
         if position_error > EXACT * reach or orientation_error > EXACT:
-            goal = _aim(chain, reach, target, work)
+            _aim(chain, reach, target, work)
+            goal = work[len(chain)]
             _, _, more = _descend(chain, FREE_LOW, goal, POSE, EXACT, EXACT, trial, work)
             steps += more
             moved = True
@@ -953,7 +954,8 @@ def find_all(
     n = len(q0)
     work = scratch(len(chain) - 1, n)
     trial = np.empty(n)
-    goal = _aim(chain, reach, target, work)
+    _aim(chain, reach, target, work)
+    goal = work[len(chain)]
     tolerance = position_tolerance / reach
     count = 0
     starts = 0
@@ -1001,7 +1003,8 @@ def refine(chain, reach, targets, constraint, rotation_weight, q0, pull, q, size
     n = q.shape[1]
     work = scratch(len(chain) - 1, n)
     for t in range(len(targets)):
-        target = _aim(chain, reach, targets[t], work)
+        _aim(chain, reach, targets[t], work)
+        target = work[len(chain)]
         here = q[t]
         best = np.inf
         damping = 0.0
@@ -1044,7 +1047,8 @@ def objective(chain, reach, target, constraint, position_priority, second_order,
     Returns the norm of the error.
     """
     n = len(q)
-    _linearize(chain, _aim(chain, reach, target, work), constraint, ROTATION_WEIGHT, position_priority, q, work)
+    _aim(chain, reach, target, work)
+    _linearize(chain, work[len(chain)], constraint, ROTATION_WEIGHT, position_priority, q, work)
     if second_order:
         _add_curvature(chain, constraint, work)
     size = 0.0

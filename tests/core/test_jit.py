@@ -1,14 +1,18 @@
 """A cache of compiled code that cannot be used leads to compilation and one warning, never to an error."""
 
+import gc
 import io
+import math
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
 
-from armctl.core import jit
+from armctl.core import compiler_shortcuts, jit
 from armctl.core.jit import njit
 
 KERNEL = """
@@ -98,6 +102,29 @@ def test_what_only_compiled_code_calls_is_compiled_once_for_all_constants_and_no
     assert power.signatures == []
     assert power(2.0, 2) == 4.0
     assert len(power.signatures) == 1
+
+
+def _norm(v, w, pair):
+    total = 0.0
+    for i in range(v.shape[0]):
+        total += abs(v[i] * w[0, i]) + min(v[i], 2.0) * math.sqrt(float(i)) + pair[1]
+        v[i] = -w[-1, 0]
+    return total, v.shape[0] + len(pair)
+
+
+def test_the_shortcuts_in_numbas_compiler_lead_to_the_same_code_and_are_removed_afterwards():
+    originals = [(owner, name, getattr(owner, name)) for owner, name, _ in compiler_shortcuts._REPLACEMENTS]
+    threshold = gc.get_threshold()
+    signature = "(float64[::1], float64[:, ::1], UniTuple(float64, 2))"
+    plain = numba.njit(signature)(_norm)
+    with compiler_shortcuts.compiler_shortcuts():
+        first = numba.njit(signature)(_norm)
+        again = numba.njit(signature)(_norm)  # with what the first one left
+    codes = [re.sub(r"v\d+", "", next(iter(each.inspect_asm().values()))) for each in (plain, first, again)]
+    assert "sqrt" in codes[0]
+    assert codes[0] == codes[1] == codes[2]
+    assert [(owner, name, getattr(owner, name)) for owner, name, _ in originals] == originals
+    assert gc.get_threshold() == threshold
 
 
 def test_a_user_at_a_terminal_reads_once_why_the_first_motion_takes_long(monkeypatch: pytest.MonkeyPatch):
