@@ -1,10 +1,10 @@
-"""Motions against their peers: waypoints (ruckig stopping, toppra), lines (toppra), limits kept, new goals online.
+"""Motions against their peers: waypoints (ruckig stopping, toppra), lines (toppra, Drake, roboplan), limits, new goals online.
 
-    python benchmarks/motion.py [--only waypoints lines online limits torques] [--moves 10000] [--sets 500] [--lines 20]
+    python benchmarks/motion.py [--only waypoints lines online limits torques peers] [--moves 10000] [--sets 500] [--lines 20]
 
 With `--only`, what else the file says stays as it is.
-toppra is an extra, `pip install -e .[benchmark]`; without it its columns are empty. Speed, acceleration and jerk limits are the
-Panda's; torque limits are lifted except in `torques`.
+The peers are an extra, `pip install -e .[benchmark]`; without them their columns are empty and their rows are left out. Speed,
+acceleration and jerk limits are the Panda's; torque limits are lifted except in `torques`.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from motion_peers import TIMERS, Timed
 from scipy.interpolate import make_interp_spline
 
 import armctl
@@ -264,9 +265,58 @@ def along(arm: armctl.Arm, motion: JointTrajectory) -> tuple[Array, Array]:
 def off_line(arm: armctl.Arm, motion: JointTrajectory) -> float:
     """How far the tip comes from its straight line, m."""
     p = arm.fk_many(motion.sample(np.linspace(0.0, motion.duration, 2000)).q)[0]
-    way = p[-1] - p[0]
-    way /= np.linalg.norm(way)
-    return float(np.linalg.norm((p - p[0]) - ((p - p[0]) @ way)[:, None] * way, axis=1).max())
+    return off_straight(p, p[0], p[-1])
+
+
+def off_straight(p: Array, start: Array, end: Array) -> float:
+    """How far points come from the straight line between two others, m."""
+    way = (end - start) / np.linalg.norm(end - start)
+    return float(np.linalg.norm((p - start) - ((p - start) @ way)[:, None] * way, axis=1).max())
+
+
+def peers(panda: armctl.Arm, count: int) -> str:
+    """The same lines, timed by each TOPP-RA along armctl's joint path; every answer is sampled at 1 kHz."""
+    rng = np.random.default_rng(0)
+    timers = {name: timer for name, make in TIMERS.items() if (timer := make(panda)) is not None}
+    results: dict[str, list[tuple[float, ...]]] = {name: [] for name in ("armctl", *timers)}
+    bounds = (panda.limits.v_max, panda.limits.a_max, panda.limits.j_max)
+    while len(results["armctl"]) < count:
+        q, target = random_line(panda, rng)
+        try:
+            began = time.process_time()
+            motion = armctl.move_l(panda, q, target)
+            seconds = time.process_time() - began
+        except armctl.PlanError:
+            continue
+        timed = {"armctl": Timed(motion.sample(np.arange(0.0, motion.duration, 1e-3)).q, motion.duration, seconds)}
+        path = along(panda, motion)
+        timed |= {name: timer(*path) for name, timer in timers.items()}
+        shortest = timed["toppra"].duration if "toppra" in timed else float("nan")
+        for name, each in timed.items():
+            off = off_straight(panda.fk_many(each.q)[0], panda.fk(q).position, target.position)
+            uses = [float(np.abs(np.diff(each.q, k, axis=0) / 1e-3**k / bound).max()) for k, bound in enumerate(bounds, 1)]
+            results[name].append((each.duration / shortest, *uses, 1e6 * off, 1e3 * each.seconds))
+    rows = []
+    for name, values in results.items():
+        ratio, v, a, j, off, ms = np.array(values).T
+        figures = f"{np.median(ratio):.4f}", f"{ratio.max():.4f}", f"{v.max():.4f}", f"{a.max():.4f}", f"{j.max():.3g}"
+        rows.append((name, *figures, f"{off.max():.2f}", f"{np.median(ms):.1f}"))
+    columns = [
+        "timing by",
+        "time, median",
+        "worst",
+        "v / limit",
+        "a / limit",
+        "j / limit",
+        "off the line, um",
+        "median, ms of CPU",
+    ]
+    return table(
+        f"{count} tip lines timed along the same joint path: duration over toppra's, and the worst of 1 kHz differences (only "
+        "armctl limits the jerk; its time contains the inverse kinematics of the line)",
+        columns,
+        rows,
+    )
 
 
 # Limits
@@ -404,6 +454,7 @@ PARTS = {
     "online": lambda panda, args: online(panda),
     "limits": lambda panda, args: limits_kept(args.moves),
     "torques": lambda panda, args: torques(args.torque_sets),
+    "peers": lambda panda, args: peers(panda, args.lines),
 }
 
 
