@@ -18,7 +18,6 @@ from armctl.core.jit import c_function, njit
 from armctl.robot.dynamics_kernel import (
     add_implicit_damping,
     factorize,
-    free_step,
     inverse_dynamics,
     locate,
     mass_matrix,
@@ -28,6 +27,7 @@ from armctl.robot.dynamics_kernel import (
     tip_position,
     tip_rotation,
 )
+from armctl.robot.forward_dynamics_kernel import free_step
 from armctl.sim.tick_kernel import _call_kernel, _floats, _integers, _matrix, _short_integers, _step, _vector
 
 # Entries of the table. SIZES:

@@ -614,56 +614,40 @@ def _carry_inertia(j, parent, work):
 
 @njit
 def factorize(M):
-    """Replaces the lower triangle of a positive definite matrix by its Cholesky factor."""
+    """Factorizes a positive definite matrix, of which the lower triangle counts, as L D L^T.
+
+    The lower triangle becomes that of L, whose diagonal is 1, the diagonal the inverse of D, and the upper triangle D L^T.
+    There is one division per row, and no root.
+    """
     n = M.shape[0]
     for i in range(n):
-        for j in range(i + 1):
+        pivot = M[i, i]
+        for j in range(i):
             rest = M[i, j]
             for k in range(j):
-                rest -= M[i, k] * M[j, k]
-            M[i, j] = math.sqrt(rest) if i == j else rest / M[j, j]
+                rest -= M[k, i] * M[j, k]
+            M[j, i] = rest
+            M[i, j] = rest * M[j, j]
+            pivot -= rest * M[i, j]
+        M[i, i] = 1.0 / pivot
 
 
 @njit
-def solve(L, x):
-    """Replaces x by the solution of L L^T solution = x."""
+def solve(factors, x):
+    """Replaces x by the solution of M solution = x, with M as `factorize` leaves it."""
     n = x.shape[0]
-    for i in range(n):
+    for i in range(1, n):
         rest = x[i]
         for k in range(i):
-            rest -= L[i, k] * x[k]
-        x[i] = rest / L[i, i]
-    for i in range(n - 1, -1, -1):
+            rest -= factors[i, k] * x[k]
+        x[i] = rest
+    for i in range(n):
+        x[i] *= factors[i, i]
+    for i in range(n - 2, -1, -1):
         rest = x[i]
         for k in range(i + 1, n):
-            rest -= L[k, i] * x[k]
-        x[i] = rest / L[i, i]
-
-
-@njit
-def free_step(model, bounds, tau, applied, work, q, v):
-    """One step of MuJoCo without constraints, with implicit linear damping; replaces q and v, and clips tau to its bounds.
-
-    Behind the scratch memory of the other functions, `work` has room for (n,) more.
-    """
-    n = q.shape[0]
-    inner = work[: work.shape[0] - n]
-    acceleration = work[work.shape[0] - n :]
-    for i in range(n):
-        tau[i] = min(max(tau[i], bounds[0, i]), bounds[1, i])
-        acceleration[i] = 0.0
-    force = inner[inner.shape[0] - n :]
-    inverse_dynamics(model, q, v, acceleration, inner, force)
-    M = inner[inner.shape[0] - n - n * n : inner.shape[0] - n].reshape((n, n))
-    mass_matrix(model, inner, M)
-    for i in range(n):
-        M[i, i] += model[STEP] * model[_drive(model, i) + IMPLICIT_DAMPING]
-        acceleration[i] = tau[i] + applied[i] - force[i]
-    factorize(M)
-    solve(M, acceleration)
-    for i in range(n):
-        v[i] += model[STEP] * acceleration[i]
-        q[i] += model[STEP] * v[i]
+            rest -= factors[k, i] * x[k]
+        x[i] = rest
 
 
 @njit

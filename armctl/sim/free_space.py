@@ -16,6 +16,7 @@ from armctl.mjmodel.queries import body_name, joint_name
 from armctl.robot import dynamics_kernel
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
+from armctl.robot.forward_dynamics_kernel import free_step
 from armctl.robot.packed_dynamics import PackedDynamics
 from armctl.robot.pinocchio_model import build_pinocchio_model
 from armctl.sim.recorder import TickRows
@@ -67,7 +68,7 @@ class FreeSpace:
         applied = data.qfrc_applied[actuation.dof_adr]
         tau = data.ctrl[actuation.ctrl_adr] * actuation.gear
         for _ in range(steps):
-            dynamics_kernel.free_step(self.vector, self.bounds, tau, applied, self.work, q, v)
+            free_step(self.vector, self.bounds, tau, applied, self.work, q, v)
             data.time += model.opt.timestep
         data.qpos[actuation.qpos_adr] = q
         data.qvel[actuation.dof_adr] = v

@@ -23,7 +23,8 @@ from numba.extending import intrinsic
 from armctl.core.errors import InputError
 from armctl.core.jit import c_function, njit
 from armctl.core.validation import shown
-from armctl.robot.dynamics_kernel import free_step, locate, place, tip_jacobian
+from armctl.robot.dynamics_kernel import locate, place, tip_jacobian
+from armctl.robot.forward_dynamics_kernel import free_step
 
 # Entries of the table. SIZES:
 N = 0  # joints
