@@ -13,6 +13,8 @@ from armctl.ik.solve import solve_ik
 
 _SPEED = 0.4  # reaches per second
 _ACCELERATION = 1.0  # reaches per second squared
+_SPEED_SHARE = 0.5  # of the speed limits of the joints
+_MAX_LAG = 0.02  # rad (m), of the reference of a joint behind its target
 _MAX_TURN = 0.5  # rad, of a joint in a step: more is another branch of the kinematics
 
 
@@ -31,6 +33,10 @@ class CartesianExpert(Expert):
         """A policy that waits for the start of an episode."""
         super().__init__(batch, row)
         self._reach = packed_chain(self.arm).reach
+        # The reference of a joint lags behind its target by v^2 / 2a, from where it could stop. The lags differ between the
+        # joints, so the tip leaves its line where they are large.
+        _, _, speed, acceleration, _ = batch.rows.limits
+        self._max_turns = np.minimum(_SPEED_SHARE * speed, np.sqrt(2.0 * _MAX_LAG * acceleration)) * batch.step_time
 
     def begin(self) -> None:
         """Notes where the tip is."""
@@ -66,10 +72,12 @@ class CartesianExpert(Expert):
         moved = min(fastest * step_time, distance)
         position = self.position + (way * (moved / distance) if distance > 0.0 else 0.0)
         result = solve_ik(self.arm, self.table.pose(position), self._q, free_axis=self.table.tool.axis)
-        if result.ok and np.abs(result.q - self._q).max() < _MAX_TURN:
-            self.position = position
-            self._q = np.array(result.q)
-            self._speed = moved / step_time
+        turns = result.q - self._q
+        if result.ok and np.abs(turns).max() < _MAX_TURN:
+            share = min(1.0, float(np.min(self._max_turns / np.maximum(np.abs(turns), 1e-9))))
+            self.position = self.position + share * (position - self.position)
+            self._q = self._q + share * turns
+            self._speed = share * moved / step_time
         return self._q
 
     def is_at(self, goal: Array, tolerance: float) -> bool:

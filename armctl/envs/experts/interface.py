@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from armctl.core.errors import InputError
-from armctl.core.pose import Pose
+from armctl.core.pose import rotation_vector
 from armctl.core.validation import Array
 from armctl.envs.batch import Batch
 
@@ -85,18 +85,10 @@ def _action(batch: Batch, row: int, q: Array) -> Array:
     way = (wanted.position - now.position) / rows.mode.position_scale
     if rows.mode.size(batch.arm) == 3:
         return _shortened(way)
-    turn = _rotation_vector(now, wanted) / rows.mode.rotation_scale
+    turn = rotation_vector(wanted.rotation @ now.rotation.T) / rows.mode.rotation_scale
     return np.concatenate([_shortened(way), _shortened(turn)])
 
 
 def _shortened(action: Array) -> Array:
     """An action within [-1, 1], in the same direction."""
     return action / max(1.0, float(np.abs(action).max()))
-
-
-def _rotation_vector(start: Pose, end: Pose) -> Array:
-    """(3,) rad, the rotation from one orientation to another, in world axes."""
-    quat = (Pose.from_rotation(np.zeros(3), end.rotation @ start.rotation.T)).quat
-    quat = quat if quat[0] >= 0.0 else -quat
-    sine = float(np.linalg.norm(quat[1:]))
-    return 2.0 * np.arctan2(sine, quat[0]) * quat[1:] / sine if sine > 0.0 else np.zeros(3)

@@ -18,8 +18,12 @@ _DONE = 0.007  # m, between object and goal
 _AGAIN = 0.014  # m
 # How far the tool may be beside the line to the goal, relative to its distance from the object before it pushes: farther, it
 # backs off and lines up again; or, beyond the second number, it moves over the object.
-_MAX_STROKE_OFFSET = 0.12
+_MAX_STROKE_OFFSET = 0.25
 _MAX_LINE_UP_OFFSET = 0.7
+# The heading of a stroke leans back to the line. Without friction, the angle of the tool from the line through the object's
+# center grows by (1 + distance / way left) of itself per distance of the tool from the center, and less by the lean.
+_STEERING = 2.0
+_MAX_STEERING = 0.7  # rad
 
 
 class PushExpert(CartesianExpert):
@@ -76,11 +80,16 @@ class PushExpert(CartesianExpert):
             self._phase = self._up
         return self.go(self._retreat)
 
+    def _back_off(self) -> Array:
+        if self.is_at(self._retreat, _CLOSE):
+            self._phase = self._line_up
+        return self.go(self._retreat)
+
     def _line_up(self) -> Array:
-        along, lateral = self._offsets()
-        if along > 0.0 or lateral > _MAX_LINE_UP_OFFSET * self._distance:
+        along, beside = self._offsets()
+        if along > 0.0 or np.linalg.norm(beside) > _MAX_LINE_UP_OFFSET * self._distance:
             self._phase = self._up
-        place = self._behind(self.table.low, self._line_up_distance)
+        place = self._behind(self.table.low, self._distance)
         if self.is_at(place, _CLOSE):
             self._phase = self._push
         return self.go(place)
@@ -88,22 +97,32 @@ class PushExpert(CartesianExpert):
     def _push(self) -> Array:
         way = (self.goal - self.object)[:2]
         left = float(np.linalg.norm(way))
-        if left < _DONE:
+        along, beside = self._offsets()
+        offset = float(np.linalg.norm(beside))
+        is_beside = offset > _MAX_STROKE_OFFSET * self._distance
+        # Near the goal the line turns quickly with the object, so lining up again would hit the object from the side.
+        if left < (_AGAIN if is_beside else _DONE):
             self._phase = self._rest
-            self._retreat = self.above_table(self.position[:2] - _BACK_OFF * way / left, self.table.low)
+            self._retreat = self._away(_BACK_OFF)
             return self.go(self._retreat)
-        along, lateral = self._offsets()
-        if lateral > _MAX_STROKE_OFFSET * self._distance:
-            self._phase = self._line_up
-            self._line_up_distance = min(_BACK_OFF - along, self._distance)
-            return self.go(self.position)
+        if is_beside:
+            self._phase = self._back_off
+            self._retreat = self._away(self._distance - float(np.hypot(along, offset)))
+            return self.go(self._retreat)
+        steering = (_STEERING - along / left) * beside / max(-along, self._radius)
+        steering *= min(1.0, _MAX_STEERING / max(float(np.linalg.norm(steering)), 1e-9))
         speed = min(_PUSH_SPEED, _SLOWING * left / self._reach)
-        return self.go(self.above_table(self.position[:2] + way, self.table.low), speed)
+        return self.go(self.above_table(self.position[:2] + way - left * steering, self.table.low), speed)
 
-    def _offsets(self) -> tuple[float, float]:
-        """m, how far the tool is beyond the object along the line to the goal, and beside this line."""
+    def _away(self, way: float) -> Array:
+        """(3,) m, a place of the tip farther from the object by a way (m)."""
+        offset = (self.position - self.object)[:2]
+        return self.above_table(self.position[:2] + way * offset / float(np.linalg.norm(offset)), self.table.low)
+
+    def _offsets(self) -> tuple[float, Array]:
+        """m, how far the tool is beyond the object along the line to the goal, and (2,) beside this line."""
         way = (self.goal - self.object)[:2]
         direction = way / max(float(np.linalg.norm(way)), 1e-9)
         offset = self.position[:2] - self.object[:2]
         along = float(offset @ direction)
-        return along, float(np.linalg.norm(offset - along * direction))
+        return along, offset - along * direction

@@ -17,6 +17,7 @@ _WIDTH_SHARE = 0.5  # of the object, of the open gripper
 _MAX_WIDTH = 0.05  # m
 _MIN_HEIGHT = 0.04  # m
 _DENSITY = 600.0  # kg/m^3
+_FRICTION = 1.0  # as of rubber, to be held
 _TIP_HEIGHT = 0.01  # m, of the end of the tool above the table
 _LIFT = 0.15  # how high the tip moves, in reaches
 _START_SPREAD = 0.03  # rad (m)
@@ -64,7 +65,7 @@ class PickPlace(Task):
         low = tool.overhang + _TIP_HEIGHT
         lift = low + max(_LIFT * packed_chain(alone).reach, 2.0 * self.height)
         places = find_table(alone, tool, low=low, lift=lift, margin=0.0, task=self.name)
-        self.arm, self.table = load_at_table(source, places, Cylinder(0.5 * width, self.height, mass), self.name)
+        self.arm, self.table = load_at_table(source, places, Cylinder(0.5 * width, self.height, mass, _FRICTION), self.name)
         self.start_q = self.table.q
         rng = np.random.default_rng(0)
         self.goals = np.array([[self._goal(rng)] for _ in range(_GOALS)])

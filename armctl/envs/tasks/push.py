@@ -18,6 +18,7 @@ _RADIUS = 0.04  # of the object, in reaches
 _SHARE_OF_TOOL = 0.65  # of the radius of the tool, at least: an object does not fit between the fingers of a hand
 _HEIGHT = 0.04  # m
 _MASS = 0.2  # kg
+_FRICTION = 0.5  # as of wood on wood; from 1 on, a tool that presses down a little jams the object
 _TIP_HEIGHT = 0.01  # m, of the end of the tool above the table
 _CLEARANCE = 0.03  # m, between the tool and the object below it
 _START_SPREAD = 0.03  # rad (m)
@@ -62,7 +63,7 @@ class Push(Task):
         margin = self.radius + tool.radius + BEHIND
         low = tool.overhang + _TIP_HEIGHT
         places = find_table(alone, tool, low=low, lift=low + _HEIGHT + _CLEARANCE, margin=margin, task=self.name)
-        self.arm, self.table = load_at_table(source, places, Cylinder(self.radius, _HEIGHT, _MASS), self.name)
+        self.arm, self.table = load_at_table(source, places, Cylinder(self.radius, _HEIGHT, _MASS, _FRICTION), self.name)
         self.start_q = self.table.q
         rng = np.random.default_rng(0)
         self.goals = np.array([[self.table.place(rng, 0.5 * _HEIGHT)] for _ in range(_GOALS)])

@@ -72,11 +72,30 @@ class Cylinder(NamedTuple):
         radius: m.
         height: m.
         mass: kg.
+        friction: Coefficient of friction, with everything.
     """
 
     radius: float
     height: float
     mass: float
+    friction: float
+
+
+class _SceneWithCylinder(Scene):
+    """A scene with a table, and a cylinder called "object"."""
+
+    def __init__(self, table: Table, cylinder: Cylinder):
+        super().__init__()
+        edge = 2.0 * (table.radius + 3.0 * cylinder.radius)
+        self.add_box("table", [edge, edge, _THICKNESS], table.center - np.array([0.0, 0.0, 0.5 * _THICKNESS]))
+        away = table.center + np.array([0.0, 0.0, 10.0 * edge])  # where it touches nothing; each episode places it
+        self.add_cylinder("object", cylinder.radius, cylinder.height, away, mass=cylinder.mass)
+        self._friction = cylinder.friction
+
+    def build(self, spec: mujoco.MjSpec) -> None:
+        """Adds everything, and sets the friction of the cylinder."""
+        super().build(spec)
+        spec.geom("object").friction[0] = self._friction
 
 
 class _Place(NamedTuple):
@@ -145,12 +164,7 @@ def load_at_table(source: ArmSource, places: Iterator[_Place], cylinder: Cylinde
     """
     for _, place in zip(range(_MAX_SCENES), places, strict=False):
         table = place.table
-        edge = 2.0 * (table.radius + 3.0 * cylinder.radius)
-        scene = Scene()
-        scene.add_box("table", [edge, edge, _THICKNESS], table.center - np.array([0.0, 0.0, 0.5 * _THICKNESS]))
-        away = table.center + np.array([0.0, 0.0, 10.0 * edge])  # where it touches nothing; each episode places it
-        scene.add_cylinder("object", cylinder.radius, cylinder.height, away, mass=cylinder.mass)
-        arm = source.load_among(scene, name)
+        arm = source.load_among(_SceneWithCylinder(table, cylinder), name)
         checker = collision_checker(arm)
         if not any(checker.at(q) for q in place.corners):
             return arm, table
