@@ -54,8 +54,8 @@ def describe(arm: Arm) -> str:
     lines += [f"{name} from: {source}" for name, source in arm.sources.items() if name != "q_min"]
     lines += [f"note: {note}" for note in arm.notes]
     lines.append(
-        "default gains, computed-torque-observer: made for unknown payloads of up to "
-        f"{data['unknown_payload_kg']:.3g} kg at the tip, and stable with twice that"
+        "default gains, computed-torque-observer, -integral and -learning: made for unknown payloads of up to "
+        f"{data['unknown_payload_kg']:.3g} kg within 5 cm of the tip, and stable with twice that"
     )
     return "\n".join(lines + [f"default gains, {exception}" for exception in exceptions])
 

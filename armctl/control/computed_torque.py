@@ -9,6 +9,7 @@ import numpy as np
 from armctl.control.arm_controller import ArmController
 from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH, extra_inertia
 from armctl.control.integral_gains import IntegralGains, integral_gains
+from armctl.control.observer_gains import max_inertia_ratio
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, choice, instance, number
 from armctl.robot.arm import Arm
@@ -30,8 +31,9 @@ class ComputedTorque(ArmController):
     rounding errors remain. The textbook form has a tracking error of (k_d / k_p) (dt / 2) a_ref.
 
     With integral action, the acceleration also contains the integral of the error, so unknown constant torques leave no error.
-    All three gains are then the linear-quadratic optimal ones with a given delay margin (`integral_gains`). A joint does not
-    integrate while its motor is at its limit and the error has the same sign. The integral starts at zero in each run.
+    All three gains are then the linear-quadratic optimal ones with a given delay margin (`integral_gains`), and stable with
+    unknown payloads, of which `armctl info` prints the mass. A joint does not integrate while its motor is at its limit and the
+    error has the same sign. The integral starts at zero in each run.
 
     Attributes:
         bandwidth: rad/s; not used with integral action.
@@ -91,7 +93,7 @@ class ComputedTorque(ArmController):
 
     def _constants(self, dt: float, continuous: bool) -> Sequence[Array | Sequence[float]]:
         if self.integral:
-            gains = integral_gains(dt, self.delay_margin, continuous)
+            gains = integral_gains(dt, self.delay_margin, continuous, max_inertia_ratio(self._arm))
             added = np.zeros(self.n)
         else:
             gains = IntegralGains(self.bandwidth**2, 2 * self.damping_ratio * self.bandwidth, 0.0)

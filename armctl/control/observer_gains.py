@@ -28,6 +28,7 @@ _MAX_ESTIMATE = 9.0
 _NOISE_ACCELERATION = 23.0
 # Payloads that multiply the inertia more than this are left out: the lower gains that they need track worse with all others.
 MAX_INERTIA_RATIO = 4.0
+PAYLOAD_LEVER_M = 0.05  # beside the tip, where a payload multiplies the small inertia of a light wrist
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +54,7 @@ def observer_gains(arm: Arm, dt: float) -> ObserverGains:
     Inverse dynamics make every joint a unit mass, so one design holds for all arms, and all joints have the same gains:
     different ones would couple them. A payload divides the loop gain by the ratio in which it multiplies the inertia. The
     error after a step of torque and that of a slow motion are minimal subject to the required delay margin and a peak
-    sensitivity of 1.6 without payload, a peak sensitivity of 2 with the ratio of `max_unknown_payload`, and stability with
+    sensitivity of 1.6 without payload, a peak sensitivity of 2 with the ratio of `max_inertia_ratio`, and stability with
     twice that ratio. With T the delay of `required_delay`, the formulas fit the results of that optimization for ratios of
     1.2 to 4 and control periods of 1, 2 and 4 ms.
 
@@ -63,7 +64,7 @@ def observer_gains(arm: Arm, dt: float) -> ObserverGains:
     """
     acceleration = float((arm.limits.tau_max / max_locked_inertia(arm)).min())
     estimate = min(max(acceleration / _NOISE_ACCELERATION, 1.0) * _MIN_ESTIMATE, _MAX_ESTIMATE)
-    ratio = 1 + max_unknown_payload(arm) / min_effective_mass(arm)
+    ratio = max_inertia_ratio(arm)
     delay = required_delay(dt)
     disturbance = 0.717 - 0.243 / ratio - 0.156 / estimate
     feedback = 0.57 - 0.194 * log(ratio) - 0.384 / estimate
@@ -75,24 +76,37 @@ def observer_gains(arm: Arm, dt: float) -> ObserverGains:
     )
 
 
-def max_unknown_payload(arm: Arm) -> float:
-    """The unknown payload, kg, a point mass at the tip, that the gains are designed for.
+def max_inertia_ratio(arm: Arm) -> float:
+    """How much an unknown payload may multiply the inertia of the arm in some direction of motion, 1 to 4.
 
-    It is the largest one that the motors hold at all sampled configurations, but at most the one that multiplies the inertia by
-    4 in some direction of motion. A payload multiplies it by 1 + its mass / effective mass of the tip (Khatib, "A unified
-    approach for motion and force control of robot manipulators", 1987).
+    As much as the largest payload at the tip that the motors hold at all sampled configurations, but at most 4. A payload
+    multiplies the inertia by 1 + its mass / effective mass of the tip (Khatib, "A unified approach for motion and force control
+    of robot manipulators", 1987).
+    """
+    return min(1 + max_held_payload(arm) / min_effective_mass(arm, 0.0), MAX_INERTIA_RATIO)
+
+
+def max_unknown_payload(arm: Arm) -> float:
+    """The unknown payload, kg, a point mass within 5 cm of the tip, up to which no inertia exceeds that of the design."""
+    return (max_inertia_ratio(arm) - 1) * min_effective_mass(arm, PAYLOAD_LEVER_M)
+
+
+def min_effective_mass(arm: Arm, lever: float) -> float:
+    """The least mass, kg, that a force on a point beside the tip has to accelerate.
+
+    Over `sample_configurations`, directions, and points along the axes of the world.
 
     Args:
         arm: The arm.
+        lever: m, from the tip to the points.
     """
-    return min(max_held_payload(arm), (MAX_INERTIA_RATIO - 1) * min_effective_mass(arm))
-
-
-def min_effective_mass(arm: Arm) -> float:
-    """The least mass, kg, that a force on the tip has to accelerate, over `sample_configurations` and directions."""
-    jacobians = [arm.jacobian(q)[:3] for q in sample_configurations(arm)]
-    mobility = [J @ W @ J.T for J, W in zip(jacobians, sampled_inertia(arm).mobility, strict=True)]
-    return 1 / max(float(np.linalg.eigvalsh(mobility).max()), np.finfo(float).tiny)
+    offsets = lever * np.vstack([np.eye(3), -np.eye(3)])
+    largest = np.finfo(float).tiny
+    for q, mobility in zip(sample_configurations(arm), sampled_inertia(arm).mobility, strict=True):
+        J = arm.jacobian(q)
+        points = np.array([J[:3] - np.cross(offset, J[3:], axisb=0, axisc=0) for offset in offsets])
+        largest = max(largest, float(np.linalg.eigvalsh(points @ mobility @ points.transpose(0, 2, 1)).max()))
+    return 1 / largest
 
 
 def max_held_payload(arm: Arm) -> float:

@@ -38,6 +38,7 @@ def test_follows_a_motion_without_chatter(arm, name, dt):
     assert not log.failure
     assert np.isfinite(log.tau_cmd).all()
     assert error < (1e-8 if name in EXACT else 2e-2 if name == "computed-torque-textbook" else 0.3), error
+    # 0.1 s is enough for all but PD on arms with light wrists at 4 ms: the delay margin leaves a bandwidth of some rad/s.
     jitter = np.abs(np.diff(log.v[-10:], axis=0)).max() / dt
     assert jitter < 20.0, f"{jitter} rad/s^2 at the end"
 
@@ -63,7 +64,7 @@ def test_comes_back_after_a_kick(arm, name):
 @every_tick
 def test_the_observer_is_stable_with_a_delay_of_two_ticks(bent, dt):
     plant = armctl.Plant(timestep=dt, delay=2, mass_scale=1.2, encoder_noise=1e-5)
-    log = armctl.simulate(bent, "computed-torque-observer", Sway(bent), plant, dwell=2.0)
+    log = armctl.simulate(bent, "computed-torque-observer", Sway(bent), plant, dwell=1.0)
     end = log.t > log.t[-1] - 0.2
     assert not log.failure
     assert np.abs(log.q - log.q_ref)[end].max() < 2e-3
@@ -262,7 +263,7 @@ def test_operational_space_moves_the_tip_like_a_spring_for_any_posture(redundant
     J = arm.jacobian(q)
     tip_acceleration = J @ np.linalg.solve(arm.mass_matrix(q), tau - arm.gravity(q))
     expected = 900.0 * J @ (arm.home - q)
-    assert np.abs(tip_acceleration - expected).max() < 2e-3 * np.abs(expected).max()
+    assert np.abs(tip_acceleration - expected).max() < 1e-3 * np.abs(expected).max()
 
 
 def test_the_sampled_reference_is_the_velocity_that_a_discrete_arm_measures(bundled):

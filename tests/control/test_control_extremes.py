@@ -32,7 +32,8 @@ def test_default_gains_hold_on_extreme_arms(tmp_path, shape, integrator, dt):
     arm = serial_arm(tmp_path, SHAPES[shape], "Euler" if continuous else integrator)
     plant = armctl.Plant(timestep=dt, continuous=continuous)
     for name in CONTROLLERS:
-        log = armctl.simulate(arm, name, Sway(arm), plant, dwell=0.4)
+        # PD with gravity compensation needs more than 0.2 s on the tapering arm, whose inertias differ by six decades.
+        log = armctl.simulate(arm, name, Sway(arm), plant, dwell=0.3)
         kicked = armctl.Simulation(arm, name, plant)
         kicked.reset(arm.home, np.minimum(0.2, 0.05 * arm.limits.v_max))
         after = kicked.run(Still(arm.home, 0.5))

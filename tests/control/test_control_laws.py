@@ -90,7 +90,8 @@ def test_adaptive_control_estimates_the_payload(redundant):
 def test_the_observer_removes_most_of_the_error_of_an_unknown_payload(bent):
     without = greatest_error(bent, "computed-torque", 0.001, payload=1.0)
     observed = greatest_error(bent, "computed-torque-observer", 0.001, payload=1.0)
-    assert observed < 0.2 * without
+    # Gains that are also stable with payloads of several times the inertia leave 0.13 on the planar arm.
+    assert observed < 0.14 * without
 
 
 def test_pd_is_the_formula(bundled):

@@ -10,7 +10,7 @@ from synthetic import BENT, SHAPES, serial_arm
 
 import armctl
 from armctl.control import CONTROLLERS
-from armctl.control.observer_gains import max_unknown_payload
+from armctl.control.observer_gains import PAYLOAD_LEVER_M, max_unknown_payload
 
 PLANT = armctl.Plant(timestep=0.004)
 
@@ -58,11 +58,12 @@ class Averaging(Filtered):
 @pytest.mark.parametrize(
     "shape", [SHAPES["tapering"], SHAPES["damped"], SHAPES["sliding"]], ids=["tapering", "damped", "sliding"]
 )
-def test_the_observer_bears_an_unknown_payload_by_default(shape, dt, tmp_path):
+@pytest.mark.parametrize("law", ["computed-torque-observer", "computed-torque-integral"])
+def test_integrating_laws_tolerate_an_unknown_payload_by_default(law, shape, dt, tmp_path):
     arm = serial_arm(tmp_path, shape)
     mass = max_unknown_payload(arm)
     without, designed, twice = (
-        armctl.margins(arm, "computed-torque-observer", 3, [armctl.Plant(timestep=dt, payload=payload)])
+        armctl.margins(arm, law, 2, [armctl.Plant(timestep=dt, payload=payload, payload_center=[0.0, 0.0, PAYLOAD_LEVER_M])])
         for payload in (0.0, mass, 2 * mass)
     )
     for found in (without, designed):
