@@ -113,7 +113,13 @@ def numbers(what: str, words: Sequence[str]) -> list[float]:
 
 def one_number(what: str, word: str) -> float:
     """A finite number from a word; InputError if it is none."""
-    return numbers(what, [word])[0]
+    from armctl.core.validation import number
+
+    try:
+        value = float(word)
+    except ValueError:
+        raise InputError(f"{what}: {word!r:.80} is not a number") from None
+    return number(what, value)
 
 
 def speed_from(word: str) -> float:

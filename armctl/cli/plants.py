@@ -50,7 +50,10 @@ def plant_by_name(text: str, arm: Arm, timestep: float | None = None) -> Plant:
         if value and name not in _DEFAULT:
             raise InputError(f"plant: {name!r} takes no value, {word!r} given")
         for each in ("payload", "mass", "friction", "delay", "noise") if name == "all" else (name,):
-            plant = _with(plant, each, _value(each, value), arm)
+            try:
+                plant = _with(plant, each, _value(each, value), arm)
+            except InputError as error:
+                raise InputError(f"plant {word}: {error}") from None
     # Friction is a number for each joint, which no table has room for: such a plant is called by the words that describe it.
     has_friction = bool(np.any(plant.coulomb_friction))
     return replace(plant, name=text) if has_friction else plant
@@ -62,8 +65,8 @@ def _value(name: str, text: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise InputError(f"plant {name}: {text!r:.80} is not a number") from None
-    return number(f"plant {name}", value)
+        raise InputError(f"{text!r:.80} is not a number") from None
+    return number(name, value)
 
 
 def _with(plant: Plant, name: str, value: float, arm: Arm) -> Plant:

@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     from armctl.sim.simulation import Simulation
 
     if args.video:
-        film_path(args.video)
+        film_path(args.video, "video")
     video_speed = number("video_speed", one_number("video_speed", args.video_speed), 0.01, 100.0)
     allow = [_pair(words) for words in args.allow]
     simulation = Simulation(load_arm(args), args.controller)

@@ -34,9 +34,12 @@ def run(args: argparse.Namespace) -> int:
     """Runs the command."""
     from armctl.analysis.describe import describe_end
     from armctl.analysis.plot import four_panels
+    from armctl.core.atomic import file_path
     from armctl.core.plotting import ENDINGS
     from armctl.sim.simulation import Simulation
 
+    if args.plot is not None and args.plot.suffix and not args.plot.is_dir():
+        file_path("plot", args.plot, ENDINGS)
     log = Simulation(load_arm(args)).apply_ctrl(numbers("ctrl", args.ctrl), one_number("seconds", args.seconds))
     columns = {"q": log.q, "v": log.v, "tau": log.tau}
     joints = {k: dict(zip(log.joint_names, column[-1].round(6).tolist(), strict=True)) for k, column in columns.items()}

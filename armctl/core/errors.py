@@ -55,7 +55,7 @@ class UnknownNameError(ArmctlError, LookupError):
         """
         if not isinstance(name, str):
             return cls(f"{kind}: {name!r:.80} is not a name")
-        known = list(known)
+        known = list(dict.fromkeys(known))
         near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.6) or [
             k for k in known if name and name.lower() in k.lower()
         ]

@@ -150,11 +150,12 @@ def still(
     return path
 
 
-def film_path(path: str | os.PathLike[str]) -> Path:
+def film_path(path: str | os.PathLike[str], what: str = "path") -> Path:
     """Checks the path of a film, before anything runs.
 
     Args:
         path: The path.
+        what: The name of the argument, for the error.
 
     Returns:
         The path.
@@ -163,7 +164,7 @@ def film_path(path: str | os.PathLike[str]) -> Path:
         InputError: It ends neither in .mp4 nor in .gif.
         NotInstalledError: It ends in .mp4 and there is no encoder.
     """
-    path = file_path("path", path, ENDINGS)
+    path = file_path(what, path, ENDINGS)
     if path.suffix == ".mp4":
         try:
             import av  # noqa: F401

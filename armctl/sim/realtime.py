@@ -278,6 +278,10 @@ class RealTimeSession:
 
         self._command("reset", change)
 
+    def prepare(self) -> None:
+        """Loads what the first motion needs, which takes up to some seconds."""
+        self._follower.prepare()
+
     def start(self) -> None:
         """Starts the session's thread."""
         self._thread = threading.Thread(target=self._run, name="armctl session", daemon=True)
@@ -328,7 +332,6 @@ class RealTimeSession:
 
     def _run(self) -> None:
         try:
-            self._follower.prepare()
             self._clock.restart()
             while not self._stopping.is_set():
                 if self.advance():

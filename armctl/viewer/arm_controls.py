@@ -32,7 +32,7 @@ class ArmControls:
     """
 
     def __init__(self, arm: Arm, controller: str, scene: WebScene, root: str):
-        """Adds the controls of an arm to a page.
+        """Adds the controls of an arm to a page. Its session stands by.
 
         Args:
             arm: The arm.
@@ -42,6 +42,7 @@ class ArmControls:
         """
         server = scene.server
         self.session = RealTimeSession(arm, controller)
+        self.session.stand_by(True)
         self._scene = scene
         self._node: viser.FrameHandle | None = server.scene.add_frame(root, show_axes=False) if root else None
         status = self.session.status

@@ -42,6 +42,7 @@ def view_natively(arm: Arm, controller: str) -> None:
     status = session.status
     _show(status, model, data)
     set_target(model, data, status.target.position, status.target.quat)
+    session.prepare()
     session.start()
     other_threads = set(threading.enumerate())
     try:

@@ -63,7 +63,7 @@ class Page:
             self._controls = self._add_several(arms, controller)
         self._shown = self._controls[arms[0].tip]
         self._closing = threading.Event()
-        self._starter = threading.Thread(target=self._start_sessions, name="armctl start", daemon=True)
+        self._starter = threading.Thread(target=self._start_arm, name="armctl start", daemon=True)
         self._failed = False
 
     @property
@@ -82,7 +82,9 @@ class Page:
         return self._shown.target.is_held
 
     def serve(self) -> None:
-        """Keeps the page up to date until `close`. The sessions start shortly after the first client has connected."""
+        """Keeps the page up to date until `close`. The arm moves shortly after the first client has connected."""
+        for controls in self._controls.values():
+            controls.session.start()
         self._starter.start()
         text_written_at = -np.inf
         while not self._closing.wait(DRAW_INTERVAL_S):
@@ -116,7 +118,6 @@ class Page:
             with folders[arm.tip]:
                 added[arm.tip] = ArmControls(arm, controller, self.scene, f"/arm{k}")
             added[arm.tip].set_visible(k == 0)
-            added[arm.tip].session.stand_by(k > 0)
 
         async def choose(event: viser.GuiEvent) -> None:
             before = self._shown
@@ -136,13 +137,14 @@ class Page:
         chosen.on_update(choose)
         return added
 
-    def _start_sessions(self) -> None:
+    def _start_arm(self) -> None:
+        """Lets the arm move; until then its session executes commands, so that the first click is answered at once."""
         while not self.scene.wait_for_client(DRAW_INTERVAL_S):
             if self._closing.is_set():
                 return
         if not self._closing.wait(_START_DELAY_S):
-            for controls in self._controls.values():
-                controls.session.start()
+            self.session.prepare()
+            self.session.stand_by(False)
 
 
 def view(

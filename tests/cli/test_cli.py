@@ -208,6 +208,8 @@ def test_robots_lists_every_name(capsys):
     status, out, _ = run(capsys, "robots")
     assert status == 0
     assert {BUNDLED, "panda", "ur5e", "iiwa14", "xarm7", "gen3", "so_arm100"} <= {line.split()[0] for line in out.splitlines()}
+    _, listed, _ = run(capsys, "robots", "--json")
+    assert [row["name"] for row in json.loads(listed)["result"]] == [line.split()[0] for line in out.splitlines()]
 
 
 def test_robots_tells_which_are_on_this_machine(capsys, tmp_path, monkeypatch: pytest.MonkeyPatch):
@@ -267,7 +269,13 @@ BROKEN = "<mujoco><worldbody><body></worldbody></mujoco>"
 WRONG_CALLS = {
     "no speed": (["reach", BUNDLED, "--speed", "0"], "speed: expected a fraction in (0, 1], got 0"),
     "too fast": (["compare", BUNDLED, "--speed", "1.5"], "speed: expected a fraction in (0, 1], got 1.5"),
-    "a word as speed": (["iso9283", BUNDLED, "--speed", "fast"], "speed: fast is not a list of numbers"),
+    "a word as speed": (["iso9283", BUNDLED, "--speed", "fast"], "--speed: 'fast' is not a number"),
+    "no film": (["reach", BUNDLED, "--video", "x.avi"], "--video: 'x.avi' ends in '.avi', expected .mp4 or .gif"),
+    "no picture": (["simulate", BUNDLED, "--ctrl", "0", "0", "0", "--plot", "x.bmp"], "--plot: 'x.bmp' ends in '.bmp'"),
+    "negative mass": (
+        ["compare", BUNDLED, "--plants", "mass=-1"],
+        "plant mass=-1: mass_scale: expected",
+    ),
     "unknown robot": (["reach", "pandaa"], "unknown robot 'pandaa'; did you mean 'panda'?"),
     "short target": (
         ["reach", BUNDLED, "--target", "0.3", "0.2"],
