@@ -101,7 +101,7 @@ def record(
     frames = _with_progress(path, film, len(times) + held)
     with atomic_path(path) as temporary:
         if path.suffix == ".gif":
-            write_gif(temporary, frames, frames_per_second)
+            _write_gif(temporary, frames, frames_per_second)
         else:
             write_mp4(temporary, frames, frames_per_second, width, height)
     return Film(path)
@@ -314,11 +314,8 @@ def write_mp4(file: Path | IO[bytes], frames: Iterable[Image], frames_per_second
             film.add(image)
 
 
-def write_gif(path: Path, frames: Iterable[Image], frames_per_second: int) -> None:
-    """Writes frames, each (height, width, 3), as a .gif.
-
-    One palette for all frames, made from the first, middle and last, prevents flicker.
-    """
+def _write_gif(path: Path, frames: Iterable[Image], frames_per_second: int) -> None:
+    """One palette for all frames, made from the first, middle and last, prevents flicker."""
     from PIL import Image as Picture
 
     images = list(frames)

@@ -23,8 +23,7 @@ import armctl
 from armctl.analysis.comparison import compare, out_and_back
 from armctl.analysis.plot import overlay
 from armctl.core.plotting import COLORS, STYLE
-from armctl.render import record, still
-from armctl.render.video import write_gif
+from armctl.render import record
 from armctl.sim.status import Activity
 
 if TYPE_CHECKING:
@@ -49,15 +48,6 @@ CURSOR = """() => {
     cursor.style.top = event.clientY + "px";
   }, true);
 }"""
-
-
-def reach() -> None:
-    """The Panda reaches the green target: a film for the README, a still for the pages."""
-    sim = armctl.Simulation("panda")
-    sim.reset(sim.arm.home + np.array([-0.9, -0.3, 0.2, -0.3, 0.0, 0.3, 0.0]))
-    log = sim.move_to([0.5, 0.35, 0.3]).log
-    record(log, sim.arm, HERE / "reach.gif", width=640, height=400, quality="full", speed=0.3)
-    still(log, sim.arm, HERE / "reach.png", at=0.62 * log.t[-1])
 
 
 def shelf() -> None:
@@ -95,7 +85,8 @@ def pd_against_computed_torque() -> None:
 
 def waypoints() -> None:
     """The same waypoints, stopping at each and flowing through."""
-    arm, rng = armctl.load("panda"), np.random.default_rng(3)
+    arm = armctl.load("panda")
+    rng = np.random.default_rng(3)
     points = [arm.home]
     for _ in range(6):
         points.append(arm.limits.clamp(points[-1] + rng.uniform(-0.8, 0.8, arm.n)))
@@ -208,7 +199,9 @@ def drag() -> None:
         while session.status.activity is not Activity.AT_TARGET and len(frames) < DRAG_MAX_FRAMES:
             frames.append(next_frame(session, tab))
         frames += [next_frame(session, tab) for _ in range(DRAG_FRAMES_PER_S)]
-    write_gif(HERE / "drag.gif", frames, DRAG_FRAMES_PER_S)
+    film = [Picture.fromarray(frame) for frame in frames]
+    interval_ms = round(1000 / DRAG_FRAMES_PER_S)
+    film[0].save(HERE / "drag.webp", save_all=True, append_images=film[1:], duration=interval_ms, loop=0, quality=80)
 
 
 def next_frame(session: RealTimeSession, tab: Any) -> np.ndarray:
@@ -254,7 +247,7 @@ def draw(picture: Callable[[], None]) -> bool:
 
 
 if __name__ == "__main__":
-    wanted = [reach, drag, shelf, four_panels, pd_against_computed_torque, waypoints, study, page]
+    wanted = [drag, shelf, four_panels, pd_against_computed_torque, waypoints, study, page]
     chosen = [picture for picture in wanted if not sys.argv[1:] or picture.__name__ in sys.argv[1:]]
     drawn = [draw(picture) for picture in chosen]
     sys.exit(0 if all(drawn) else 1)

@@ -104,9 +104,9 @@ def test_the_colours_are_far_apart_also_for_the_colour_blind():
 
 def test_the_pictures_of_the_pages_are_there_and_light_enough_to_load():
     folder = Path(__file__).parents[2] / "docs" / "pictures"
-    for name in ("reach.gif", "reach.png", "four_panels.png", "pd_against_computed_torque.png", "waypoints.png", "page.png"):
+    for name in ("drag.webp", "four_panels.png", "pd_against_computed_torque.png", "waypoints.png", "page.png"):
         assert (folder / name).stat().st_size < 1.5e6, name
         with Image.open(folder / name) as picture:
             assert min(picture.size) >= 400
-    with Image.open(folder / "reach.gif") as film:
+    with Image.open(folder / "drag.webp") as film:
         assert film.n_frames > 20
