@@ -183,7 +183,7 @@ def _numerical_solutions(problem: Problem, limit: int) -> Solutions:
     order = np.flatnonzero(ok)[np.argsort(distance[ok], kind="stable")]
     q = q[order]
     branch = chain.branch_numbers(q).astype(float)
-    is_complete = len(found.q) == bound and _all_regular(problem, found.q)
+    is_complete = 0 < len(found.q) == bound and _all_regular(problem, found.q)
     return Solutions(
         q, position_error[order], orientation_error[order], branch, found.starts + starts, found.steps + steps, is_complete
     )

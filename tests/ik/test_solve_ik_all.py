@@ -249,6 +249,9 @@ def test_without_a_solution_there_is_one_row_with_the_reason(tmp_path):
     assert len(found) == 1
     assert not found.is_complete
     assert found.reason[0] == solve_ik(arm, Pose([3.0, 0.0, 0.0])).reason
+    point = solve_ik_all(arm, [3.0, 0.0, 0.0])
+    assert (len(point), point.is_complete) == (1, False)
+    assert point.reason[0] == solve_ik(arm, [3.0, 0.0, 0.0]).reason
 
 
 def test_solutions_in_contact_are_left_out():

@@ -9,6 +9,7 @@ from arms import arm_of
 
 import armctl
 from armctl.motion import Arc, Line
+from armctl.motion.path import joint_path
 
 UM = 1e-6
 
@@ -230,6 +231,24 @@ def column(joints: int) -> str:
     motors = "".join(f'<motor joint="j{k}" ctrlrange="-99 99"/>' for k in range(joints))
     world = f"{links}<site name='tip' pos='0 0 0.1'/>{'</body>' * joints}"
     return f"<mujoco><compiler angle='radian'/><worldbody>{world}</worldbody><actuator>{motors}</actuator></mujoco>"
+
+
+def test_surplus_joints_keep_the_others_inside_their_ranges_where_the_least_motion_would_not(tmp_path, monkeypatch):
+    path = tmp_path / "column.xml"
+    path.write_text(column(6))
+    arm = armctl.load(path)
+    q = np.array([1.4, -0.1, -0.4, 1.9, -2.1, 1.0])
+    start = arm.fk(q).position
+    target = np.array([0.49, 0.13, 0.72])
+    motion = armctl.move_l(arm, q, target)
+    assert motion.check_limits().ok
+    offset = tips(arm, motion)[0] - start
+    way = (target - start) / np.linalg.norm(target - start)
+    assert np.linalg.norm(offset - np.outer(offset @ way, way), axis=1).max() < UM
+    np.testing.assert_allclose(offset[-1], target - start, atol=UM)
+    monkeypatch.setattr(joint_path, "_CENTERINGS", (0.0,))
+    with pytest.raises(armctl.PlanError, match="would leave its limits"):
+        armctl.move_l(arm, q, target)
 
 
 @pytest.mark.parametrize("joints", [6, 7, 9, 12])

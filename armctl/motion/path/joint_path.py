@@ -3,6 +3,10 @@
 The joints follow the path's twist through the Jacobian's weighted pseudo-inverse (Chan and Dubey, "A weighted least-norm
 solution based scheme for avoiding joint limits", IEEE Trans. Robotics and Automation 11(2), 1995) by Runge and Kutta's
 fourth-order rule, and Newton's method brings the tip back onto the path at each step. A spline of degree five joins the steps.
+
+Where a joint would leave its limits although the arm has more joints than the path needs, the walk is repeated with a
+self-motion towards the middle of the joint ranges (A. Liégeois, "Automatic supervisory control of the configuration and
+behavior of multibody mechanisms", IEEE Trans. Systems, Man and Cybernetics 7(12), 1977).
 """
 
 from __future__ import annotations
@@ -28,6 +32,7 @@ _DAMPING = 1e-12  # of the pseudo-inverse
 _PATH_TOLERANCE = 1e-6  # m and rad, of the spline between the steps
 _MAX_SPLINE_DEVIATION = 0.5  # of the longest step: the spline from the middle of the chord
 _MIN_FINENESS = 0.25  # factor on the length of the steps
+_CENTERINGS = (0.0, 2.0, 20.0)  # tried in turn: over the path, a free self-motion would shrink offsets from the middle by e^-k
 
 
 class JointPath(NamedTuple):
@@ -69,13 +74,32 @@ def joint_path_along(arm: Arm, what: str, path: Shape, q_start: Array, oriented:
     Raises:
         PlanError: The path leaves the reach or the joint limits, or passes a singularity that the joints cannot.
     """
+    refusals: list[_LimitsLeft] = []
+    for centering in _CENTERINGS if arm.n > _rows(oriented) else _CENTERINGS[:1]:
+        try:
+            return _walked(_Tracker(arm, what, path, oriented, centering), q_start)
+        except _LimitsLeft as refusal:
+            refusals.append(refusal)
+    raise PlanError(str(refusals[0]))
+
+
+class _LimitsLeft(PlanError):
+    """A joint would leave its limits."""
+
+
+def _rows(oriented: bool) -> int:
+    """How many velocities of the tip a path prescribes."""
+    return 6 if oriented else 3
+
+
+def _walked(tracker: _Tracker, q_start: Array) -> JointPath:
+    """The path of one walk, in steps that are fine enough for its spline."""
     from scipy.interpolate import make_interp_spline
 
-    tracker = _Tracker(arm, what, path, oriented)
     fineness = 1.0
     while True:
         lengths, q = tracker.run(q_start, fineness)
-        joint_path = JointPath(make_interp_spline(lengths, q, k=5), path.length)
+        joint_path = JointPath(make_interp_spline(lengths, q, k=5), tracker.path.length)
         between = 0.5 * (lengths[1:] + lengths[:-1])
         middle = 0.5 * (q[1:] + q[:-1])
         stray = np.abs(np.asarray(joint_path.spline(between)) - middle).max(axis=1)  # type: ignore[operator]
@@ -90,11 +114,12 @@ def joint_path_along(arm: Arm, what: str, path: Shape, q_start: Array, oriented:
 class _Tracker:
     """One walk along a path."""
 
-    def __init__(self, arm: Arm, what: str, path: Shape, oriented: bool):
+    def __init__(self, arm: Arm, what: str, path: Shape, oriented: bool, centering: float):
         self.arm = arm
         self.what = what
         self.path = path
-        self.rows = 6 if oriented else 3
+        self.rows = _rows(oriented)
+        self._centering = centering
         q_min = arm.limits.q_min
         q_max = arm.limits.q_max
         self._is_bounded = np.isfinite(q_min) & np.isfinite(q_max) & (q_max > q_min)
@@ -149,7 +174,12 @@ class _Tracker:
         return None
 
     def _slope(self, q: Array, s: float) -> Array:
-        return self._inverse(q, self.path.at(s).twist[: self.rows])
+        twist = self.path.at(s).twist[: self.rows]
+        if self._centering == 0.0:
+            return self._inverse(q, twist)
+        to_middle = np.where(self._is_bounded, self._low + 0.5 * self._range - q, 0.0)
+        wanted = self._centering / self.path.length * to_middle
+        return wanted + self._inverse(q, twist - self.arm.pinocchio_model.jacobian(q)[: self.rows] @ wanted)
 
     def _inverse(self, q: Array, twist: Array) -> Array:
         """The least joint velocity that makes the twist; joints near their limits count for more."""
@@ -174,7 +204,7 @@ class _Tracker:
         outside = (q < limits.q_min - 1e-9) | (q > limits.q_max + 1e-9)
         if outside.any():
             i = int(outside.argmax())
-            raise PlanError(
+            raise _LimitsLeft(
                 f"{self._where(s)} {self.arm.joint_names[i]} would leave its limits "
                 f"[{limits.q_min[i]:.3f}, {limits.q_max[i]:.3f}] {self.arm.units[i]}; "
                 "start from another joint position for the same tip pose"
