@@ -12,12 +12,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.collision.free_boxes import FreeBoxes
 from armctl.control import KernelController, State
 from armctl.core.validation import Array
 from armctl.robot.actuation import Actuation
 from armctl.robot.packed_dynamics import PackedDynamics
 from armctl.sim import tick_kernel as kernel
+from armctl.sim.box_proofs import BoxProofs
 from armctl.sim.contact_skip import ContactSkip
 from armctl.sim.disturbances import Disturbances, Signals
 from armctl.sim.free_space import FreeSpace
@@ -56,7 +56,7 @@ class CompiledLoop:
         substeps: int,
         tip: PackedDynamics,
         free_space: FreeSpace | None,
-        boxes: FreeBoxes,
+        proofs: BoxProofs,
     ):
         """The loop of a simulation.
 
@@ -67,13 +67,13 @@ class CompiledLoop:
             substeps: Steps of MuJoCo in a tick.
             tip: The dynamics of the arm on whose tip pushes act.
             free_space: What moves the arm instead of `mj_step`.
-            boxes: The scene of the arm, for steps without collision detection.
+            proofs: What proves that nothing touches, for steps without collision detection.
         """
         n = actuation.n
         self._n = n
         layout = contact_layout()
         self._data = data
-        self._contact_skip = ContactSkip(boxes, model, data) if free_space is None else None
+        self._contact_skip = ContactSkip(proofs, model, data) if free_space is None else None
         self._timestep = float(model.opt.timestep)
         self._substeps = substeps
         self._free_space = free_space

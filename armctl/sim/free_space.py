@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from armctl.core.errors import InputError
-from armctl.core.validation import Array
+from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.mjmodel.queries import body_name, joint_name
 from armctl.robot import dynamics_kernel
 from armctl.robot.actuation import Actuation
@@ -19,6 +19,7 @@ from armctl.robot.arm import Arm
 from armctl.robot.forward_dynamics_kernel import free_step
 from armctl.robot.packed_dynamics import PackedDynamics
 from armctl.robot.pinocchio_model import build_pinocchio_model
+from armctl.sim.box_proofs import BoxProofs
 from armctl.sim.recorder import TickRows
 
 _TOLERANCE = 1e-12  # of the velocity after a step, relative to the largest change of velocity in it (at least 1)
@@ -36,13 +37,14 @@ class FreeSpace:
         work: Scratch memory.
     """
 
-    def __init__(self, arm: Arm, model: mujoco.MjModel, data: mujoco.MjData):
+    def __init__(self, arm: Arm, model: mujoco.MjModel, data: mujoco.MjData, proofs: BoxProofs):
         """The motion of an arm.
 
         Args:
             arm: The arm.
             model: The plant's model.
             data: Any state of it; it is lost.
+            proofs: What proves that nothing touches at many positions.
 
         Raises:
             InputError: The arm does not move freely, with the reason.
@@ -58,6 +60,7 @@ class FreeSpace:
         self._actuation = arm.actuation
         self._model = model
         self._data = data
+        self._proofs = proofs
         self._compare(arm)
 
     def step(self, model: mujoco.MjModel, data: mujoco.MjData, steps: int) -> None:
@@ -77,14 +80,16 @@ class FreeSpace:
     def check(self, rows: TickRows, first: int) -> str:
         """Why rows from `first` on are not free motion, in words; empty if they are. Contacts are noted in the rows.
 
-        Contacts are those of MuJoCo, at every tick at which a joint has moved by 0.01 rad (m) since the last check.
+        Contacts are those of MuJoCo, at every tick at which a joint has moved by 0.01 rad (m) since the last check, except where
+        it is proved that nothing touches.
         """
         data = self._data
         model = self._model
         now = data.qpos.copy()
         reason = ""
         q = np.concatenate([rows.qpos[first : rows.count], now[None]])
-        for row in _spaced(q[:, self._actuation.qpos_adr]):
+        checked = _spaced(q[:, self._actuation.qpos_adr])
+        for row in checked[~self._proved_free(q[checked], len(q))]:
             data.qpos[:] = q[row]
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
@@ -98,6 +103,11 @@ class FreeSpace:
         data.qpos[:] = now
         mujoco.mj_forward(model, data)
         return reason or self._beyond_limit(q)
+
+    def _proved_free(self, qpos: Array, ticks: int) -> BoolArray:
+        """(T,) whether it is proved that nothing touches at positions (T, nq) of the model, in a run of so many ticks."""
+        proof = self._proofs.of(self._model, ticks)
+        return np.zeros(len(qpos), bool) if proof is None else proof.free_rows(qpos)
 
     def _beyond_limit(self, q: Array) -> str:
         model = self._model
@@ -174,7 +184,7 @@ def _torque_bounds(actuation: Actuation, model: mujoco.MjModel) -> Array:
     return bounds
 
 
-def _spaced(q: Array) -> Array:
+def _spaced(q: Array) -> IntArray:
     """Rows of q (T, n), the first and the last among them, between which no joint moves farther than the check distance."""
     way = np.cumsum(np.abs(np.diff(q, axis=0)).max(axis=1, initial=0.0))
     steps = np.floor(np.append(0.0, way) / _CHECK_DISTANCE)

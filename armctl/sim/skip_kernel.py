@@ -11,8 +11,8 @@ from numba import types
 
 from armctl.collision.box_kernel import shrink_to_free
 from armctl.collision.kernel import GEOM_COLUMNS, PAIR_COLUMNS, TREE_COLUMNS, WORK_ROWS
-from armctl.core.jit import c_function
-from armctl.sim.tick_kernel import _integers, _matrix, _vector
+from armctl.core.jit import c_function, njit
+from armctl.sim.tick_kernel import _integers, _matrix, _prove, _vector
 
 # Entries of the table. SIZES:
 JOINTS = 0
@@ -39,6 +39,8 @@ WORK = 19
 TABLE_SIZE = 20
 
 FRAME_COLUMNS = 18
+_ROWS_AHEAD = 8  # of a motion, that a box is to contain
+_BOX_MARGIN = 1e-4  # rad (m), more than that
 _POINT_COLUMNS = 5
 _GROUP_COLUMNS = 4
 
@@ -69,3 +71,25 @@ def prove_box(address):
 
 
 PROVE_BOX = int(prove_box.address or 0)
+
+
+@njit
+def mark_free_rows(prove, argument, rows, positions, delta, is_free):
+    """Marks the rows (T, m) of a motion at which it is proved that nothing touches; positions and delta are scratch."""
+    k = 0
+    while k < len(rows):
+        last = min(k + _ROWS_AHEAD, len(rows))
+        for j in range(len(positions)):
+            positions[j] = rows[k, j]
+            delta[j] = _BOX_MARGIN
+            for row in range(k, last):
+                delta[j] = max(delta[j], abs(rows[row, j] - positions[j]) + _BOX_MARGIN)
+        is_free[k] = _prove(prove, argument) != 0
+        has_box = is_free[k]
+        k += 1
+        while has_box and k < len(rows):
+            for j in range(len(positions)):
+                has_box = has_box and abs(rows[k, j] - positions[j]) <= delta[j]
+            if has_box:
+                is_free[k] = True
+                k += 1

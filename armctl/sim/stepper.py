@@ -23,6 +23,7 @@ from armctl.core.trajectory import Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array, IntArray, shown, vector
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
+from armctl.sim.box_proofs import BoxProofs
 from armctl.sim.disturbances import Disturbances
 from armctl.sim.plant import Brake, Plant, apply_plant, held_dofs
 from armctl.sim.recorder import Recorder, TickRows
@@ -117,7 +118,7 @@ class Stepper:
         self._disturbances: Disturbances | None = None
         self._measurement: tuple[Array, Array] | None = None
         self._unobserved = 0.0
-        self._free_boxes = free_boxes(arms[0])
+        self._proofs = BoxProofs(free_boxes(arms[0]))
         self.set_plant(plant, arms)
         self.reset()
 
@@ -144,7 +145,7 @@ class Stepper:
 
         if len(arms) > 1:
             raise InputError("free_space: it is for one arm, several may touch each other; simulate them without free_space")
-        return FreeSpace(arms[0], self.model, self.data)
+        return FreeSpace(arms[0], self.model, self.data, self._proofs)
 
     @property
     def n(self) -> int:
@@ -270,7 +271,7 @@ class Stepper:
                 self._substeps,
                 self._packed_dynamics,
                 self._free_space,
-                self._free_boxes,
+                self._proofs,
             )
             controller.parameters(self.dt, self.continuous)  # which loads code, too
 

@@ -15,6 +15,7 @@ from armctl.collision import free_boxes
 from armctl.collision.free_box import free_box_scene
 from armctl.control import controller_by_name
 from armctl.sim import compiled_loop, contact_skip
+from armctl.sim.box_proof import BoxProof
 
 PLANTS = (
     armctl.Plant(),
@@ -106,31 +107,27 @@ def test_a_ball_that_bounces_is_the_same_and_skips_in_the_air(tmp_path, skips):
         assert 0.5 * (len(log) - touched) < skips[-1].skipped < len(log) - touched
 
 
-def test_nothing_touches_in_a_box_that_is_proved(surrounded, skips):
+def test_nothing_touches_in_a_box_that_is_proved(surrounded):
     """Corners and other points of boxes, by MuJoCo's collision detection."""
-    from armctl.sim import skip_kernel
-
-    model = surrounded.model
-    boxes = free_boxes.FreeBoxes()
-    skip = contact_skip.ContactSkip(boxes, model, mujoco.MjData(model))
-    with skip.table(1):
-        proof, positions, delta = skip._arrays[2:5]
-    prove = ctypes.CFUNCTYPE(ctypes.c_ssize_t, ctypes.c_ssize_t)(skip_kernel.PROVE_BOX)
+    scene = free_box_scene(surrounded.model)
+    assert scene is not None
+    proof = BoxProof(scene)
+    prove = ctypes.CFUNCTYPE(ctypes.c_ssize_t, ctypes.c_ssize_t)(proof.function)
     rng = np.random.default_rng(3)
     proved = 0
     shrunken = 0
     for q in surrounded.limits.random(surrounded.home, 150, rng):
-        positions[:] = q
+        proof.positions[:] = q
         asked = rng.uniform(0.0, 0.2, surrounded.n)
-        delta[:] = asked
+        proof.delta[:] = asked
         touches = placed(surrounded, q).ncon > 0
-        if not prove(proof.ctypes.data):
+        if not prove(proof.argument):
             continue
         assert not touches
         proved += 1
-        shrunken += bool((delta < asked).any())
+        shrunken += bool((proof.delta < asked).any())
         for corner in rng.choice([-1.0, 1.0, 0.5], (6, surrounded.n)):
-            assert placed(surrounded, q + corner * delta).ncon == 0
+            assert placed(surrounded, q + corner * proof.delta).ncon == 0
     assert proved > 50
     assert shrunken > 15
 
