@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterator
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,7 +26,9 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--folder", type=Path, default=Path(), metavar="DIR", help="folder of NAME.sqlite (default the current one)"
     )
-    parser.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tcp://10.0.0.1:8786")
+    place = parser.add_mutually_exclusive_group()
+    place.add_argument("--workers", type=int, metavar="N", help="number of threads (default one per processor core)")
+    place.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tcp://10.0.0.1:8786")
     parser.add_argument("--metric", default="tip_rms_m", help="the metric of the table and the plots (default %(default)s)")
     parser.add_argument("--save", type=Path, metavar="DIR", help="write the table (Parquet) and plots into this folder")
     add_json(parser)
@@ -35,9 +38,16 @@ def run(args: argparse.Namespace) -> int:
     """Runs the command."""
     from armctl.study.study import Study
 
+    if args.workers is not None and args.workers < 1:
+        raise InputError(f"--workers: expected at least 1, got {args.workers}")
     study = Study.from_file(args.file)
-    with _executor(args.dask) as executor:
-        result = study.run(executor, folder=args.folder)
+    try:
+        with _executor(args.dask, args.workers) as executor:
+            result = study.run(executor, folder=args.folder)
+    except KeyboardInterrupt:
+        finished = len(study.result(args.folder))
+        print(f"{finished} of {len(study.runs)} runs are finished; the same command makes the others", file=sys.stderr)
+        raise
     summary = result.summary([args.metric])
     reason = "" if summary.ok else f"{summary.reason}\n\n"
     print_result(args, f"{reason}{summary.table().text()}", summary.to_dict(), result.reason)
@@ -62,8 +72,12 @@ def _save(result: StudyResult, folder: Path, metric: str) -> None:
 
 
 @contextmanager
-def _executor(address: str | None) -> Iterator[Executor | None]:
-    """The executor of a Dask cluster, or None for this process."""
+def _executor(address: str | None, workers: int | None) -> Iterator[Executor | None]:
+    """The executor of a Dask cluster, some threads of this process, or None for one on each processor."""
+    if workers is not None:
+        with ThreadPoolExecutor(workers) as executor:
+            yield executor
+        return
     if address is None:
         yield None
         return
