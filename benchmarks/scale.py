@@ -22,8 +22,10 @@ import armctl
 from armctl.analysis.comparison import out_and_back
 from armctl.control import controller_by_name
 from armctl.core.tables import Table
+from armctl.sim import compiled_loop
 
 ROUNDS = 5
+LONG_MOVES = 30
 CONTROLLERS = ("pd", "computed-torque")
 
 
@@ -45,7 +47,7 @@ def main() -> None:
     args = parser.parse_args()
     warnings.simplefilter("ignore", armctl.ArmctlWarning)
     arms = {name: armctl.load(name) for name in args.robots}
-    text = "\n\n".join([single(arms), many(arms, args.runs)]) + "\n"
+    text = "\n\n".join([single(arms), rates(arms), many(arms, args.runs)]) + "\n"
     args.out.parent.mkdir(exist_ok=True)
     args.out.write_text(text, encoding="utf-8")
     print(text)
@@ -75,6 +77,49 @@ def single(arms: dict[str, armctl.Arm]) -> str:
     columns = ["robot", "controller", "bare loop", "Python loop", "simulate", "to bare", "free space", "rad from mj_step"]
     title = "us CPU for a tick, with reference, log and checks; the bare loop is Python that calls `mj_step`"
     return table(title, columns, rows)
+
+
+class LoopTime:
+    """CPU time inside the compiled loop."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self._call = compiled_loop.guarded_call
+        compiled_loop.guarded_call = self._timed
+
+    def _timed(self, function: int, argument: int) -> str:
+        begin = time.process_time()
+        error = self._call(function, argument)
+        self.seconds += time.process_time() - begin
+        return error
+
+
+def rates(arms: dict[str, armctl.Arm]) -> str:
+    """Ticks a second of the compiled loop alone and of a whole call of `simulate`, in a long run."""
+    timer = LoopTime()
+    rows = []
+    for robot, arm in arms.items():
+        ends = [arm.home, *arm.limits.clamp(arm.home + np.random.default_rng(0).uniform(-0.3, 0.3, (LONG_MOVES - 1, arm.n)))]
+        moves = [armctl.move_j(arm, ends[k - 1], ends[k]) for k in range(1, LONG_MOVES)]
+        motion = armctl.move_sequence(arm, moves)
+        log = armctl.simulate(arm, "computed-torque", motion)
+        verify(arm, log, armctl.simulate(arm, InPython(armctl.ComputedTorque(arm)), motion))
+        assert not log.contacts
+        cells = []
+        for plant in (armctl.Plant(), armctl.Plant(free_space=True)):
+            loop = []
+            whole = []
+            for _ in range(ROUNDS):
+                timer.seconds = 0.0
+                begin = time.process_time()
+                log = armctl.simulate(arm, "computed-torque", motion, plant)
+                whole.append(time.process_time() - begin)
+                loop.append(timer.seconds)
+                assert not log.failure
+            cells += [f"{1e-3 * len(log) / min(seconds):.0f}" for seconds in (loop, whole)]
+        rows.append([robot, len(log), *cells])
+    columns = ["robot", "ticks", "loop", "simulate", "free space: loop", "free space: simulate"]
+    return table("thousand ticks a second of CPU time, computed torque, a long motion", columns, rows)
 
 
 def again(sim: armctl.Simulation, motion: armctl.Trajectory) -> armctl.Log:

@@ -80,8 +80,8 @@ class FreeSpace:
     def check(self, rows: TickRows, first: int) -> str:
         """Why rows from `first` on are not free motion, in words; empty if they are. Contacts are noted in the rows.
 
-        Contacts are those of MuJoCo, at every tick at which a joint has moved by 0.01 rad (m) since the last check, except where
-        it is proved that nothing touches.
+        Contacts are those of MuJoCo, at every tick at which a joint has moved by 0.01 rad (m) since the last check, except
+        where it is proved that nothing touches.
         """
         data = self._data
         model = self._model

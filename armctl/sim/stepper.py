@@ -21,6 +21,7 @@ from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array, IntArray, shown, vector
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
 from armctl.sim.box_proofs import BoxProofs
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from armctl.sim.compiled_loop import CompiledLoop
     from armctl.sim.free_space import FreeSpace
 
+_MAX_KEPT_TICKS = 20_000
 _MAX_SPEED = 1e4  # rad/s (m/s), of all joints together; above it a run counts as diverged
 _FLOAT64 = np.dtype(np.float64)
 
@@ -118,6 +120,8 @@ class Stepper:
         self._disturbances: Disturbances | None = None
         self._measurement: tuple[Array, Array] | None = None
         self._unobserved = 0.0
+        self._sampled: tuple[Trajectory, tuple[float, int, bool], TickReference] | None = None
+        self._held_dofs = held_dofs(*arms)
         self._proofs = BoxProofs(free_boxes(arms[0]))
         self.set_plant(plant, arms)
         self.reset()
@@ -131,7 +135,7 @@ class Stepper:
         """
         apply_plant(self.model, self.data, plant, arms)
         self.plant = plant
-        self._brake = Brake(self.model, held_dofs(*arms))
+        self._brake = Brake(self.model, self._held_dofs)
         self._released = np.zeros(0, dtype=np.int64)
         self.continuous = bool(self.model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4))
         self.dt = arms[0].dt if plant.timestep is None else plant.timestep
@@ -217,8 +221,14 @@ class Stepper:
             self.data.eq_active[:] = self.model.eq_active0
 
     def reference(self, trajectory: Trajectory, ticks: int) -> TickReference:
-        """The first `ticks` ticks of a trajectory."""
-        return TickReference.of(trajectory, self.dt, ticks, self.continuous)
+        """The first `ticks` ticks of a trajectory. The last motion is kept on its ticks: many runs follow the same one."""
+        grid = (self.dt, ticks, self.continuous)
+        if self._sampled is not None and self._sampled[0] is trajectory and self._sampled[1] == grid:
+            return self._sampled[2]
+        reference = TickReference.of(trajectory, self.dt, ticks, self.continuous)
+        is_immutable = isinstance(trajectory, JointTrajectory)  # others may be a user's
+        self._sampled = (trajectory, grid, reference) if is_immutable and ticks <= _MAX_KEPT_TICKS else None
+        return reference
 
     def hold_reference(self, seconds: float) -> TickReference:
         """A reference that stays where the last one ended, for at least one tick."""
