@@ -525,6 +525,7 @@ def _own_inertia(model, j, work):
 @njit
 def _add_inertia_row(model, j, work, M):
     """Adds to M the torques, on all joints above, of a unit acceleration of joint j."""
+    is_plain = model[IS_PLAIN] != 0.0
     inertia = j * WORK_COLUMNS + COMPOSITE
     fx = 0.0
     fy = 0.0
@@ -545,7 +546,14 @@ def _add_inertia_row(model, j, work, M):
     other = j
     while other >= 0:
         joint = HEADER + other * JOINT_COLUMNS
-        _add_inertia(model, j, other, fz if model[joint + IS_SLIDE] != 0.0 else mz, M)
+        coupling = fz if model[joint + IS_SLIDE] != 0.0 else mz
+        if not is_plain:
+            _add_coupling(model, j, other, coupling, M)
+        elif other == j:
+            M[j, j] += coupling
+        else:
+            M[j, other] = coupling
+            M[other, j] = coupling
         row = other * WORK_COLUMNS
         fx, fy, fz = _to_parent(work, row, fx, fy, fz)
         mx, my, mz = _to_parent(work, row, mx, my, mz)
@@ -558,14 +566,9 @@ def _add_inertia_row(model, j, work, M):
 
 
 @njit
-def _add_inertia(model, j, other, inertia, M):
-    """Adds the coupling inertia of two joints to the mass matrix of the arm's n."""
+def _add_coupling(model, j, other, inertia, M):
+    """Adds the coupling inertia of two joints to the mass matrix of the arm's n, some of which move several joints."""
     n = M.shape[0]
-    if model[IS_PLAIN] != 0.0:
-        M[j, other] += inertia
-        if other != j:
-            M[other, j] += inertia
-        return
     for i in range(n):
         for k in range(n):
             M[i, k] += _ratio(model, n, j, i) * _ratio(model, n, other, k) * inertia

@@ -182,3 +182,22 @@ def test_short_use_of_an_arm_does_not_load_the_proofs(surrounded):
     boxes = free_boxes.FreeBoxes()
     assert boxes.scene(surrounded.model, free_boxes._MIN_STEPS - 1) is None
     assert boxes.scene(surrounded.model, 1) is not None
+
+
+def test_runs_in_free_space_find_the_same_contacts_with_fewer_checks(surrounded, monkeypatch):
+    checks = []
+    collide = mujoco.mj_collision
+    monkeypatch.setattr(mujoco, "mj_collision", lambda model, data: checks.append(data) or collide(model, data))
+    outcomes = {}
+    counts = {}
+    for least in (10**9, 0):
+        monkeypatch.setattr(free_boxes, "_MIN_STEPS", least)
+        checks.clear()
+        for k, q in enumerate(surrounded.limits.random(surrounded.home, 6, np.random.default_rng(11))):
+            motion = armctl.move_j(surrounded, surrounded.home, q)
+            log = armctl.simulate(surrounded, "computed-torque", motion, armctl.Plant(free_space=True))
+            outcomes[k, least] = (log.failure, log.contacts)
+        counts[least] = len(checks)
+    assert counts[0] < 0.7 * counts[10**9]
+    assert all(outcomes[k, 0] == outcomes[k, 10**9] for k in range(6))
+    assert 0 < sum(bool(outcomes[k, 0][0]) for k in range(6)) < 6
