@@ -7,6 +7,8 @@ checked for contacts and joint limits.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import mujoco
 import numpy as np
 
@@ -21,6 +23,9 @@ from armctl.robot.packed_dynamics import PackedDynamics
 from armctl.robot.pinocchio_model import build_pinocchio_model
 from armctl.sim.box_proofs import BoxProofs
 from armctl.sim.recorder import TickRows
+
+if TYPE_CHECKING:
+    from armctl.sim.box_proof import BoxProof
 
 _TOLERANCE = 1e-12  # of the velocity after a step, relative to the largest change of velocity in it (at least 1)
 _CHECKED_STEPS = 4
@@ -37,14 +42,13 @@ class FreeSpace:
         work: Scratch memory.
     """
 
-    def __init__(self, arm: Arm, model: mujoco.MjModel, data: mujoco.MjData, proofs: BoxProofs):
+    def __init__(self, arm: Arm, model: mujoco.MjModel, data: mujoco.MjData):
         """The motion of an arm.
 
         Args:
             arm: The arm.
             model: The plant's model.
             data: Any state of it; it is lost.
-            proofs: What proves that nothing touches at many positions.
 
         Raises:
             InputError: The arm does not move freely, with the reason.
@@ -60,7 +64,6 @@ class FreeSpace:
         self._actuation = arm.actuation
         self._model = model
         self._data = data
-        self._proofs = proofs
         self._compare(arm)
 
     def step(self, model: mujoco.MjModel, data: mujoco.MjData, steps: int) -> None:
@@ -77,7 +80,7 @@ class FreeSpace:
         data.qvel[actuation.dof_adr] = v
         data.qfrc_actuator[actuation.torque_adr] = tau
 
-    def check(self, rows: TickRows, first: int) -> str:
+    def check(self, rows: TickRows, first: int, proofs: BoxProofs) -> str:
         """Why rows from `first` on are not free motion, in words; empty if they are. Contacts are noted in the rows.
 
         Contacts are those of MuJoCo, at every tick at which a joint has moved by 0.01 rad (m) since the last check, except
@@ -89,7 +92,7 @@ class FreeSpace:
         reason = ""
         q = np.concatenate([rows.qpos[first : rows.count], now[None]])
         checked = _spaced(q[:, self._actuation.qpos_adr])
-        for row in checked[~self._proved_free(q[checked], len(q))]:
+        for row in checked[~_proved_free(proofs.of(model, len(q)), q[checked])]:
             data.qpos[:] = q[row]
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
@@ -103,11 +106,6 @@ class FreeSpace:
         data.qpos[:] = now
         mujoco.mj_forward(model, data)
         return reason or self._beyond_limit(q)
-
-    def _proved_free(self, qpos: Array, ticks: int) -> BoolArray:
-        """(T,) whether it is proved that nothing touches at positions (T, nq) of the model, in a run of so many ticks."""
-        proof = self._proofs.of(self._model, ticks)
-        return np.zeros(len(qpos), bool) if proof is None else proof.free_rows(qpos)
 
     def _beyond_limit(self, q: Array) -> str:
         model = self._model
@@ -147,6 +145,11 @@ class FreeSpace:
                     )
         finally:
             model.opt.disableflags = flags
+
+
+def _proved_free(proof: BoxProof | None, qpos: Array) -> BoolArray:
+    """(T,) whether it is proved that nothing touches at positions (T, nq) of the model."""
+    return np.zeros(len(qpos), bool) if proof is None else proof.free_rows(qpos)
 
 
 def _check_vector(arm: Arm, model: mujoco.MjModel, vector: Array) -> None:

@@ -149,7 +149,7 @@ class Stepper:
 
         if len(arms) > 1:
             raise InputError("free_space: it is for one arm, several may touch each other; simulate them without free_space")
-        return FreeSpace(arms[0], self.model, self.data, self._proofs)
+        return FreeSpace(arms[0], self.model, self.data)
 
     @property
     def n(self) -> int:
@@ -310,7 +310,7 @@ class Stepper:
             self._run_unchecked_ticks(controller, rows, first, last)
         finally:
             if self._free_space is not None and rows.count > first:
-                touched = self._free_space.check(rows, first)
+                touched = self._free_space.check(rows, first, self._proofs)
                 if touched and not self.failure:
                     self.failure = f"free_space: {touched}; simulate it without free_space"
 
