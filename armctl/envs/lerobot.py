@@ -260,11 +260,12 @@ def _numbered(number: int) -> dict[str, int]:
 
 
 def _arrow(values: NDArray[Any], feature: Feature) -> Any:
-    """A column of Parquet: numbers, or lists of a fixed size."""
+    """A column of Parquet: lists of a fixed size, or numbers, which the format also has instead of lists of one."""
     import pyarrow as pa
 
     flat = pa.array(values.ravel())
-    return flat if feature.names is None else pa.FixedSizeListArray.from_arrays(flat, len(feature.names))
+    size = feature.info()["shape"][0]
+    return flat if size == 1 else pa.FixedSizeListArray.from_arrays(flat, size)
 
 
 def _statistics(values: NDArray[Any]) -> Statistics:

@@ -134,6 +134,7 @@ def test_files_are_numbered_when_they_are_full(tmp_path, monkeypatch):
     assert [each["data/file_index"] for each in episodes] == [0, 1]
     second = pq.read_table(tmp_path / "data/chunk-000/file-001.parquet")
     assert second["index"].to_pylist() == [3, 4, 5]
+    assert second["action"].to_pylist() == [1.0, 1.0, 1.0]  # lerobot reads lists of one as numbers
     assert json.loads((tmp_path / "meta/info.json").read_text())["video_path"] is None
 
 
