@@ -141,13 +141,13 @@ class Batch:
 
     def evaluate(self, observations: Observations) -> tuple[NDArray[np.floating], dict[str, NDArray[Any]]]:
         """The rewards (count,) of observations after a step, and the information about it."""
-        touched = self.rows.touched > 0
+        touched = self.rows.touched > 0 if self.task.obstacle else False
         reward, success, distance = self.task.reward(
             self.observer.achieved(observations), self.observer.desired(observations), touched, is_sparse=self._is_sparse
         )
-        information: dict[str, NDArray[Any]] = {"is_success": success & ~self.was_touched, "distance": distance}
+        information: dict[str, NDArray[Any]] = {"is_success": success, "distance": distance}
         if self.task.obstacle:
-            information["touched"] = touched
+            information = {"is_success": success & ~self.was_touched, "distance": distance, "touched": np.asarray(touched)}
         return reward, information
 
     def reward(self, achieved: Any, desired: Any, info: Any) -> NDArray[np.floating]:

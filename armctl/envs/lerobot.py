@@ -31,6 +31,7 @@ _EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
 _KEYFRAME_INTERVAL = 2  # frames: training reads single frames
 _STATISTICS_FRAMES = 10  # one of so many frames counts in the statistics of pictures, ...
 _STATISTICS_PIXELS = 4  # ... and one of so many rows and columns
+_QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 _INDICES = {"timestamp": "float32", "frame_index": "int64", "episode_index": "int64", "index": "int64", "task_index": "int64"}
 
 Statistics = dict[str, NDArray[Any]]
@@ -271,17 +272,19 @@ def _arrow(values: NDArray[Any], feature: Feature) -> Any:
 def _statistics(values: NDArray[Any]) -> Statistics:
     """The statistics (size,) of values (k, size) or (k,)."""
     columns = values.reshape(len(values), -1)
+    quantiles = np.quantile(columns.astype(np.float64), list(_QUANTILES.values()), axis=0)
     return {
         "min": columns.min(axis=0),
         "max": columns.max(axis=0),
         "mean": columns.mean(axis=0, dtype=np.float64),
         "std": columns.std(axis=0, dtype=np.float64),
         "count": np.array([len(columns)]),
+        **dict(zip(_QUANTILES, quantiles, strict=True)),
     }
 
 
 def _merged(parts: Sequence[Statistics]) -> Statistics:
-    """The statistics of everything from those of episodes."""
+    """The statistics of everything from those of episodes; quantiles are means of theirs, as lerobot merges them."""
     counts = np.array([part["count"][0] for part in parts], dtype=float)
     shares = (counts / counts.sum()).reshape(-1, *np.ones(parts[0]["mean"].ndim, int))
     means = np.array([part["mean"] for part in parts])
@@ -293,4 +296,5 @@ def _merged(parts: Sequence[Statistics]) -> Statistics:
         "mean": mean,
         "std": np.sqrt(variance),
         "count": np.array([int(counts.sum())]),
+        **{name: (shares * np.array([part[name] for part in parts])).sum(axis=0) for name in _QUANTILES},
     }

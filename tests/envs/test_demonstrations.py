@@ -106,6 +106,10 @@ def test_episodes_and_statistics_describe_the_rows(dataset, rows):
         assert duration == pytest.approx(len(own) / 20)
     for what, expected in (("mean", states.mean(axis=0)), ("std", states.std(axis=0)), ("max", states.max(axis=0))):
         assert statistics["observation.state"][what] == pytest.approx(expected, abs=1e-6)
+    medians = [np.median(states[each["dataset_from_index"] : each["dataset_to_index"]], axis=0) for each in episodes]
+    expected = np.average(medians, axis=0, weights=[each["length"] for each in episodes])
+    assert statistics["observation.state"]["q50"] == pytest.approx(expected, abs=1e-6)
+    assert np.shape(statistics[CAMERA]["q99"]) == (3, 1, 1)
     assert np.shape(statistics[CAMERA]["mean"]) == (3, 1, 1)
     assert 0.0 < np.mean(statistics[CAMERA]["mean"]) < 1.0
 

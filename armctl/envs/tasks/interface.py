@@ -111,7 +111,10 @@ class Task(ABC):
         Returns:
             (...,) reward, success, and distance in m.
         """
-        distance = np.linalg.norm(np.subtract(achieved, desired, dtype=np.float64), axis=-1)
+        way = np.subtract(achieved, desired, dtype=np.float64)
+        distance = np.sqrt(np.vecdot(way, way))
         success = distance < self.tolerance
         reward = success - 1.0 if is_sparse else success - _DISTANCE_WEIGHT * distance
-        return reward - _TOUCH_COST * np.asarray(touched), success, distance
+        if self.obstacle:
+            reward = reward - _TOUCH_COST * np.asarray(touched)
+        return reward, success, distance
