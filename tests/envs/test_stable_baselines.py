@@ -6,10 +6,21 @@ import pytest
 pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed; pip install stable-baselines3")
 
 from stable_baselines3.common.env_checker import check_env
+from synthetic import arm_with_gripper
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("name", ["Reach", "ReachGoal"])
-@pytest.mark.parametrize("action", ["torque", "cartesian_delta"])
-def test_stable_baselines_accepts_the_environment(name, action):
-    check_env(gymnasium.make(f"armctl.envs:armctl/{name}-v0", robot="robot_arm_3dof", action=action).unwrapped)
+@pytest.mark.parametrize(
+    ("name", "action"),
+    [
+        ("Reach", "torque"),
+        ("ReachGoal", "cartesian_delta"),
+        ("ReachPast", "joint_delta"),
+        ("TrackGoal", "joint_target"),
+        ("PushGoal", "cartesian_pose"),
+        ("PickPlace", "torque"),
+    ],
+)
+def test_stable_baselines_accepts_the_environment(name, action, tmp_path):
+    robot = arm_with_gripper(tmp_path) if name in ("PushGoal", "PickPlace") else "robot_arm_3dof"
+    check_env(gymnasium.make(f"armctl.envs:armctl/{name}-v0", robot=robot, action=action, horizon=5).unwrapped)

@@ -42,10 +42,13 @@ def make(gripping):
 
 
 @pytest.mark.filterwarnings("ignore:.*A Box observation space")
-@pytest.mark.parametrize("name", ["ReachPast", "TrackGoal", "PushGoal", "PickPlace"])
-def test_gymnasium_accepts_the_tasks(gripping, name):
+@pytest.mark.parametrize(
+    ("name", "action"),
+    [("ReachPast", "torque"), ("TrackGoal", "joint_delta"), ("PushGoal", "joint_target"), ("PickPlace", "cartesian_pose")],
+)
+def test_gymnasium_accepts_the_tasks(gripping, name, action):
     robot = gripping if name.removesuffix("Goal") in ON_A_TABLE else ROBOT
-    env = gymnasium.make(f"armctl.envs:armctl/{name}-v0", robot=robot, horizon=5)
+    env = gymnasium.make(f"armctl.envs:armctl/{name}-v0", robot=robot, action=action, horizon=5)
     check_env(env.unwrapped, skip_render_check=True)
 
 
