@@ -1,4 +1,4 @@
-"""Computed torque that learns a payload while the arm moves."""
+"""Computed torque that learns a payload and the delay of the motors while the arm moves."""
 
 from __future__ import annotations
 
@@ -17,20 +17,22 @@ FILTER_BANDWIDTH = 60.0  # rad/s, of each of two low-passes; above most motion, 
 TORQUE_NOISE_SHARE = 0.01  # of the torque limits: standard deviation of torques that neither model nor payload explain
 FORGETTING_RATE = 0.2  # 1/s, while the reference moves and the estimate explains the torques
 PRIOR_MASS_SHARE = 0.5  # of the moving mass of the arm: standard deviation of the mass before any motion
+PRIOR_DELAY_PERIODS = 2.0  # standard deviation of the delay of the motors, control periods
 PRIOR_LENGTH_SHARE = 0.1  # of the length of the arm: the distance of the payload from the tip in the prior
 
 
 class ComputedTorqueLearning(ComputedTorqueObserver):
-    """Computed torque with a disturbance observer, which learns the payload and feeds its torque forward.
+    """Computed torque with a disturbance observer that learns the payload and the delay of the motors, and feeds both forward.
 
-        tau = computed torque with observer + Y(q_ref, v_ref, a_ref) theta
+        tau = computed torque with observer + Y(q_ref, v_ref, a_ref) theta + T tau_ref'
 
-    theta are the ten inertial parameters of a rigid body at the tip. They are estimated by recursive Bayesian least squares
-    (Ljung, System Identification, 1999, 11.2) from the torque that the model does not explain. The regressor is by Atkeson,
-    An, Hollerbach, "Estimation of inertial parameters of manipulator loads and links" (1986). Only the torque along the
-    reference is fed forward, and the observer is corrected for every change of the estimate. At rest the estimate has therefore
-    no effect on the loop, whose margins are those of computed torque with the same observer. The estimate changes only while
-    the reference moves, and it starts at zero in each run.
+    theta are the ten inertial parameters of a rigid body at the tip, T is the delay, and tau_ref' the rate of the torque that
+    the reference needs. The eleven numbers are estimated by recursive Bayesian least squares (Ljung, System Identification,
+    1999, 11.2) from the torque that the model does not explain. The regressor of the body is by Atkeson, An, Hollerbach,
+    "Estimation of inertial parameters of manipulator loads and links" (1986). Only torques along the reference are fed forward,
+    and the observer is corrected for every change of the estimate. At rest the estimate has therefore no effect on the loop,
+    whose margins are those of computed torque with the same observer. The estimate changes only while the reference moves, and
+    it starts at zero in each run.
 
     Attributes:
         bandwidth: rad/s of the feedback; None if it follows from the margins.
@@ -72,6 +74,13 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
         return self.memory[:4].copy()
 
     @property
+    def delay(self) -> float:
+        """The estimate of this run of the time, s, that passes until a torque acts."""
+        from armctl.control.payload_kernel import DELAY
+
+        return float(self.memory[DELAY])
+
+    @property
     def disturbance(self) -> Array:
         """The torque (n,) N m that the observer estimates besides that of the payload."""
         from armctl.control.computed_torque_observer_kernel import estimate, memory_size
@@ -95,7 +104,7 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
         filter_weight = -math.expm1(-FILTER_BANDWIDTH * dt)
         information_weight = 0.5 * FILTER_BANDWIDTH * dt  # filtered samples are correlated over two periods of the low-pass
         rates = [filter_weight, information_weight, FORGETTING_RATE * dt]
-        deviations = [1 / (TORQUE_NOISE_SHARE * self._arm.limits.tau_max), self._prior]
+        deviations = [1 / (TORQUE_NOISE_SHARE * self._arm.limits.tau_max), self._prior, [PRIOR_DELAY_PERIODS * dt]]
         return rates, *deviations, *super()._constants(dt, continuous)
 
 

@@ -6,7 +6,9 @@ from armctl.control import computed_torque_observer_kernel as law
 from armctl.control.computed_torque_observer_kernel import add_known, cancel, control, observe
 from armctl.control.kernel import A_TICK, Q_REF, V_TICK
 from armctl.control.payload_kernel import (
+    DELAY,
     PARAMETERS,
+    UNKNOWNS,
     constants_size,
     estimator_size,
     learn_payload,
@@ -14,22 +16,24 @@ from armctl.control.payload_kernel import (
     regressor_scratch,
 )
 from armctl.core.jit import njit
+from armctl.robot.dynamics_kernel import inverse_dynamics
 
 # The parameters are the constants of the estimator, then those of the law with an observer. The memory is that of the
-# estimator, the regressor (n, 10) of the last tick, the torque (n,) that was fed forward, the estimate (10,) before, scratch of
-# the regressor, a number that is not 0 if the reference moved, and the memory of the law with an observer.
+# estimator, the regressor (n, 11) of the last tick, the torque (n,) that was fed forward, the estimate (11,) before, the torque
+# (n,) that the model needs for the reference, scratch of the regressor, a number that is not 0 if the reference moved, and the
+# memory of the law with an observer.
 
 
 def memory_size(n: int) -> int:
     """Numbers of memory for n joints besides scratch of the model."""
-    return estimator_size(n) + (n + 1) * (PARAMETERS + 1) + regressor_scratch(n) + law.memory_size(n)
+    return estimator_size(n) + (n + 1) * (UNKNOWNS + 1) + n + regressor_scratch(n) + law.memory_size(n)
 
 
 @njit
 def computed_torque_learning(params, q, v, reference, memory, tau):
     """The law of `ComputedTorqueLearning`."""
     n = tau.shape[0]
-    p = PARAMETERS
+    p = UNKNOWNS
     constants = params[: constants_size(n)]
     base = params[constants_size(n) :]
     at = estimator_size(n)
@@ -40,6 +44,8 @@ def computed_torque_learning(params, q, v, reference, memory, tau):
     at += n
     before = memory[at : at + p]
     at += p
+    needed = memory[at : at + n]
+    at += n
     scratch = memory[at : at + regressor_scratch(n)]
     at += regressor_scratch(n)
     moves = memory[at : at + 1]
@@ -54,9 +60,17 @@ def computed_torque_learning(params, q, v, reference, memory, tau):
     known = law.vector(inner, n, law.KNOWN)
     v_ref = reference[V_TICK]
     work = law.scratch(inner, n)
-    payload_regressor(base[law.HEADER + law.ROWS * n :], reference[Q_REF], v_ref, reference[A_TICK], work, scratch, Y)
+    model = base[law.HEADER + law.ROWS * n :]
+    rate = fed_forward
+    for i in range(n):
+        rate[i] = -_torque(needed, Y, estimator, i)
+    payload_regressor(model, reference[Q_REF], v_ref, reference[A_TICK], work, scratch, Y)
+    inverse_dynamics(model, reference[Q_REF], v_ref, reference[A_TICK], work, needed)
+    period = base[law.PERIOD]
     moves[0] = 0.0
     for i in range(n):
+        rate[i] += _torque(needed, Y, estimator, i)
+        Y[i, DELAY] = 0.0 if is_first or period == 0.0 else rate[i] / period
         fed_forward[i] = 0.0
         for k in range(p):
             fed_forward[i] += Y[i, k] * estimator[k]
@@ -68,8 +82,17 @@ def computed_torque_learning(params, q, v, reference, memory, tau):
 
 
 @njit
+def _torque(needed, Y, estimator, i):
+    """The torque of model and estimated payload at joint i; the payload of today in both ticks that are compared."""
+    torque = needed[i]
+    for k in range(PARAMETERS):
+        torque += Y[i, k] * estimator[k]
+    return torque
+
+
+@njit
 def _learn(constants, Y, fed_forward, is_moving, before, estimator, inner):
-    """Updates the estimate of the payload. The observer's estimate changes by the opposite torque: the sum does not jump."""
+    """Updates the estimate. The observer's estimate changes by the opposite torque: the sum does not jump."""
     n = Y.shape[0]
     disturbance = law.vector(inner, n, law.ESTIMATE)
     last_torque = law.vector(inner, n, law.LAST_TORQUE)
@@ -79,5 +102,5 @@ def _learn(constants, Y, fed_forward, is_moving, before, estimator, inner):
         unmodelled[i] = last_torque[i] + fed_forward[i] - needed[i]
     learn_payload(constants, Y, unmodelled, is_moving, estimator)
     for i in range(n):
-        for k in range(PARAMETERS):
+        for k in range(UNKNOWNS):
             disturbance[i] += Y[i, k] * (estimator[k] - before[k])

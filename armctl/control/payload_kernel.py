@@ -1,7 +1,8 @@
-"""Compiled regressor of an unknown body at the tip, and the recursive Bayesian estimator of its inertial parameters.
+"""Compiled regressor of an unknown body at the tip, and a recursive Bayesian estimator of its parameters and of a delay.
 
 The ten parameters are the mass m, the first moment m c (3,) and the second moments S, xx yy zz xy xz yz, kg m^2, of the body in
-the tip's frame. Its inertia about the tip is tr(S) 1 - S. The torque is linear in them.
+the tip's frame. Its inertia about the tip is tr(S) 1 - S. The torque is linear in them. The eleventh unknown is the delay T of
+the motors: the torque tau(t - T) acts, so tau(t) exceeds what the motion needs by T times the rate of tau.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ from armctl.core.jit import njit
 from armctl.robot.dynamics_kernel import factorize, solve, tip_jacobian, tip_motion, tip_rotation
 
 PARAMETERS = 10
+DELAY = 10  # the last unknown
+UNKNOWNS = 11
 _FIRST = (0, 1, 2, 0, 0, 1)  # rows and columns of the second moments
 _SECOND = (0, 1, 2, 1, 2, 2)
 _KINEMATICS = 18  # motion (9,), and the (3, 3) matrix of the acceleration field
@@ -23,7 +26,7 @@ def regressor_scratch(n):
 
 @njit
 def payload_regressor(model, q, v, a, work, scratch, Y):
-    """The (n, 10) torques of a body at the tip per parameter.
+    """The torques of a body at the tip per parameter, the first ten columns of Y (n, 10 or more).
 
     A point x of the body has the acceleration a + A x with A = [alpha] + [omega]^2 and a that of the tip minus gravity. Its
     force and moment about the tip are therefore m a + A h and h x a + sum over i, j of S_ij e_i x A e_j.
@@ -90,38 +93,38 @@ def _moment(field, i, k, x, y, z):
     return field[0, k] * y - field[1, k] * x
 
 
-# Constants of the estimator, followed by the reciprocal torque noise (n,) and the prior standard deviations (10,).
+# Constants of the estimator, followed by the reciprocal torque noise (n,) and the prior standard deviations (11,).
 FILTER_WEIGHT = 0  # of each of two low-passes in one control period
 INFORMATION_WEIGHT = 1  # of one control period
 FORGETTING = 2  # per control period
 CONSTANTS = 3
 
-# The memory of the estimator: parameters (10,), regressors (2, n, 10) and torques (2, n) behind each low-pass, information
-# (10, 10) and its vector (10,), and a Cholesky factor (10, 10).
+# The memory of the estimator: unknowns (11,), regressors (2, n, 11) and torques (2, n) behind each low-pass, information
+# (11, 11) and its vector (11,), and a Cholesky factor (11, 11).
 _MAX_MISFIT = 50.0  # mean square of the residual, in units of the noise, up to which forgetting accelerates
 
 
 @njit
 def constants_size(n):
     """Numbers of constants for n joints."""
-    return CONSTANTS + n + PARAMETERS
+    return CONSTANTS + n + UNKNOWNS
 
 
 @njit
 def estimator_size(n):
     """Numbers of memory of the estimator for n joints."""
-    return 2 * PARAMETERS + 2 * n * (PARAMETERS + 1) + 2 * PARAMETERS**2
+    return 2 * UNKNOWNS + 2 * n * (UNKNOWNS + 1) + 2 * UNKNOWNS**2
 
 
 @njit
 def learn_payload(constants, Y, torque, is_moving, memory):
-    """Updates the estimate, memory[:10], with the torque (n,) that the motors gave beyond the model's in one control period.
+    """Updates the estimate, memory[:11], with the torque (n,) that the motors gave beyond the model's in one control period.
 
     Regressors and torques pass the same low-pass. Old information fades, faster if the estimate does not explain the torques
     (Fortescue, Kershenbaum, Ydstie, "Implementation of self-tuning regulators with variable forgetting factors", 1981).
     """
     n = Y.shape[0]
-    p = PARAMETERS
+    p = UNKNOWNS
     at = p
     filtered = memory[at : at + 2 * n * p].reshape((2, n, p))
     at += 2 * n * p

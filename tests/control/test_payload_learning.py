@@ -87,6 +87,16 @@ def test_noise_and_delay_do_not_make_it_worse_than_without_learning(light_wrist)
     assert learnt < observed
 
 
+@pytest.mark.parametrize("delay", [0, 1, 2])
+def test_the_delay_of_the_motors_is_learnt(light_wrist, delay):
+    disturbed = {"timestep": 0.004, "delay": delay, "encoder_noise": 1e-5}
+    observed, _ = error_of_third_motion(light_wrist, OBSERVER, **disturbed)
+    learnt, simulation = error_of_third_motion(light_wrist, LEARNING, **disturbed)
+    assert simulation.controller.delay == pytest.approx(0.004 * delay, rel=0.1, abs=1e-4)
+    assert simulation.controller.payload[0] == pytest.approx(0.5, rel=0.02)
+    assert learnt < 0.1 * observed
+
+
 def test_the_estimate_changes_only_while_the_reference_moves(light_wrist):
     arm = light_wrist
     law = armctl.control.controller_by_name(LEARNING, arm)
