@@ -1,4 +1,4 @@
-"""Computed torque that learns a payload and the delay of the motors while the arm moves."""
+"""Computed torque that learns a payload, dry friction and the delay of the motors while the arm moves."""
 
 from __future__ import annotations
 
@@ -18,21 +18,22 @@ TORQUE_NOISE_SHARE = 0.01  # of the torque limits: standard deviation of torques
 FORGETTING_RATE = 0.2  # 1/s, while the reference moves and the estimate explains the torques
 PRIOR_MASS_SHARE = 0.5  # of the moving mass of the arm: standard deviation of the mass before any motion
 PRIOR_DELAY_PERIODS = 2.0  # standard deviation of the delay of the motors, control periods
+PRIOR_FRICTION_SHARE = 0.05  # of the torque limits: standard deviation of dry friction
 PRIOR_LENGTH_SHARE = 0.1  # of the length of the arm: the distance of the payload from the tip in the prior
 
 
 class ComputedTorqueLearning(ComputedTorqueObserver):
-    """Computed torque with a disturbance observer that learns the payload and the delay of the motors, and feeds both forward.
+    """Computed torque with a disturbance observer, which learns payload, friction and delay, and feeds them forward.
 
-        tau = computed torque with observer + Y(q_ref, v_ref, a_ref) theta + T tau_ref'
+        tau = computed torque with observer + Y(q_ref, v_ref, a_ref) theta + friction sign(v_ref) + T tau_ref'
 
-    theta are the ten inertial parameters of a rigid body at the tip, T is the delay, and tau_ref' the rate of the torque that
-    the reference needs. The eleven numbers are estimated by recursive Bayesian least squares (Ljung, System Identification,
-    1999, 11.2) from the torque that the model does not explain. The regressor of the body is by Atkeson, An, Hollerbach,
-    "Estimation of inertial parameters of manipulator loads and links" (1986). Only torques along the reference are fed forward,
-    and the observer is corrected for every change of the estimate. At rest the estimate has therefore no effect on the loop,
-    whose margins are those of computed torque with the same observer. The estimate changes only while the reference moves, and
-    it starts at zero in each run.
+    theta are the ten inertial parameters of a rigid body at the tip, friction is the dry friction of each joint that the model
+    does not contain, T is the delay of the motors, and tau_ref' the rate of the torque that the reference needs. They are
+    estimated by recursive Bayesian least squares (Ljung, System Identification, 1999, 11.2) from the torque that the model does
+    not explain. The regressor of the body is by Atkeson, An, Hollerbach, "Estimation of inertial parameters of manipulator
+    loads and links" (1986). Only torques along the reference are fed forward, and the observer is corrected for every change of
+    the estimate. At rest the estimate has therefore no effect on the loop, whose margins are those of computed torque with the
+    same observer. The estimate changes only while the reference moves, and it starts at zero in each run.
 
     Attributes:
         bandwidth: rad/s of the feedback; None if it follows from the margins.
@@ -81,8 +82,15 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
         return float(self.memory[DELAY])
 
     @property
+    def friction(self) -> Array:
+        """The estimate of this run of the dry friction, (n,) N m, besides that of the model."""
+        from armctl.control.payload_kernel import FRICTION
+
+        return self.memory[FRICTION : FRICTION + self.n].copy()
+
+    @property
     def disturbance(self) -> Array:
-        """The torque (n,) N m that the observer estimates besides that of the payload."""
+        """The torque (n,) N m that the observer estimates besides what is learnt."""
         from armctl.control.computed_torque_observer_kernel import estimate, memory_size
 
         size = memory_size(self.n) + self._arm.packed_dynamics.work_size()
@@ -104,8 +112,9 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
         filter_weight = -math.expm1(-FILTER_BANDWIDTH * dt)
         information_weight = 0.5 * FILTER_BANDWIDTH * dt  # filtered samples are correlated over two periods of the low-pass
         rates = [filter_weight, information_weight, FORGETTING_RATE * dt]
-        deviations = [1 / (TORQUE_NOISE_SHARE * self._arm.limits.tau_max), self._prior, [PRIOR_DELAY_PERIODS * dt]]
-        return rates, *deviations, *super()._constants(dt, continuous)
+        tau_max = self._arm.limits.tau_max
+        deviations = [self._prior, [PRIOR_DELAY_PERIODS * dt], PRIOR_FRICTION_SHARE * tau_max]
+        return rates, 1 / (TORQUE_NOISE_SHARE * tau_max), *deviations, *super()._constants(dt, continuous)
 
 
 def _prior_deviations(arm: Arm) -> Array:

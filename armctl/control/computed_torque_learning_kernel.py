@@ -7,33 +7,37 @@ from armctl.control.computed_torque_observer_kernel import add_known, cancel, co
 from armctl.control.kernel import A_TICK, Q_REF, V_TICK
 from armctl.control.payload_kernel import (
     DELAY,
+    FRICTION,
     PARAMETERS,
-    UNKNOWNS,
     constants_size,
     estimator_size,
     learn_payload,
     payload_regressor,
     regressor_scratch,
+    unknowns,
 )
 from armctl.core.jit import njit
 from armctl.robot.dynamics_kernel import inverse_dynamics
 
 # The parameters are the constants of the estimator, then those of the law with an observer. The memory is that of the
-# estimator, the regressor (n, 11) of the last tick, the torque (n,) that was fed forward, the estimate (11,) before, the torque
+# estimator, the regressor (n, p) of the last tick, the torque (n,) that was fed forward, the estimate (p,) before, the torque
 # (n,) that the model needs for the reference, scratch of the regressor, a number that is not 0 if the reference moved, and the
 # memory of the law with an observer.
 
 
+FRICTION_SPEED = 1e-3  # rad/s (m/s), above which the friction that is fed forward does not depend on the speed
+
+
 def memory_size(n: int) -> int:
     """Numbers of memory for n joints besides scratch of the model."""
-    return estimator_size(n) + (n + 1) * (UNKNOWNS + 1) + n + regressor_scratch(n) + law.memory_size(n)
+    return estimator_size(n) + (n + 1) * (unknowns(n) + 1) + n + regressor_scratch(n) + law.memory_size(n)
 
 
 @njit
 def computed_torque_learning(params, q, v, reference, memory, tau):
     """The law of `ComputedTorqueLearning`."""
     n = tau.shape[0]
-    p = UNKNOWNS
+    p = unknowns(n)
     constants = params[: constants_size(n)]
     base = params[constants_size(n) :]
     at = estimator_size(n)
@@ -71,6 +75,7 @@ def computed_torque_learning(params, q, v, reference, memory, tau):
     for i in range(n):
         rate[i] += _torque(needed, Y, estimator, i)
         Y[i, DELAY] = 0.0 if is_first or period == 0.0 else rate[i] / period
+        Y[i, FRICTION + i] = v_ref[i] / (abs(v_ref[i]) + FRICTION_SPEED)
         fed_forward[i] = 0.0
         for k in range(p):
             fed_forward[i] += Y[i, k] * estimator[k]
@@ -102,5 +107,5 @@ def _learn(constants, Y, fed_forward, is_moving, before, estimator, inner):
         unmodelled[i] = last_torque[i] + fed_forward[i] - needed[i]
     learn_payload(constants, Y, unmodelled, is_moving, estimator)
     for i in range(n):
-        for k in range(UNKNOWNS):
+        for k in range(Y.shape[1]):
             disturbance[i] += Y[i, k] * (estimator[k] - before[k])

@@ -1,8 +1,9 @@
-"""Compiled regressor of an unknown body at the tip, and a recursive Bayesian estimator of its parameters and of a delay.
+"""Compiled regressor of an unknown body at the tip, and a recursive Bayesian estimator of its parameters, delay and friction.
 
 The ten parameters are the mass m, the first moment m c (3,) and the second moments S, xx yy zz xy xz yz, kg m^2, of the body in
 the tip's frame. Its inertia about the tip is tr(S) 1 - S. The torque is linear in them. The eleventh unknown is the delay T of
-the motors: the torque tau(t - T) acts, so tau(t) exceeds what the motion needs by T times the rate of tau.
+the motors: the torque tau(t - T) acts, so tau(t) exceeds what the motion needs by T times the rate of tau. The last unknowns,
+11 to p = 11 + n, are the dry friction of the n joints, N m.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ from armctl.core.jit import njit
 from armctl.robot.dynamics_kernel import factorize, solve, tip_jacobian, tip_motion, tip_rotation
 
 PARAMETERS = 10
-DELAY = 10  # the last unknown
-UNKNOWNS = 11
+DELAY = 10
+FRICTION = 11  # the first of one unknown for each joint
 _FIRST = (0, 1, 2, 0, 0, 1)  # rows and columns of the second moments
 _SECOND = (0, 1, 2, 1, 2, 2)
 _KINEMATICS = 18  # motion (9,), and the (3, 3) matrix of the acceleration field
@@ -93,38 +94,44 @@ def _moment(field, i, k, x, y, z):
     return field[0, k] * y - field[1, k] * x
 
 
-# Constants of the estimator, followed by the reciprocal torque noise (n,) and the prior standard deviations (11,).
+# Constants of the estimator, followed by the reciprocal torque noise (n,) and the prior standard deviations (p,).
 FILTER_WEIGHT = 0  # of each of two low-passes in one control period
 INFORMATION_WEIGHT = 1  # of one control period
 FORGETTING = 2  # per control period
 CONSTANTS = 3
 
-# The memory of the estimator: unknowns (11,), regressors (2, n, 11) and torques (2, n) behind each low-pass, information
-# (11, 11) and its vector (11,), and a Cholesky factor (11, 11).
+# The memory of the estimator: unknowns (p,), regressors (2, n, p) and torques (2, n) behind each low-pass, information (p, p)
+# and its vector (p,), and a Cholesky factor (p, p).
 _MAX_MISFIT = 50.0  # mean square of the residual, in units of the noise, up to which forgetting accelerates
+
+
+@njit
+def unknowns(n):
+    """Numbers that are estimated for n joints."""
+    return FRICTION + n
 
 
 @njit
 def constants_size(n):
     """Numbers of constants for n joints."""
-    return CONSTANTS + n + UNKNOWNS
+    return CONSTANTS + n + unknowns(n)
 
 
 @njit
 def estimator_size(n):
     """Numbers of memory of the estimator for n joints."""
-    return 2 * UNKNOWNS + 2 * n * (UNKNOWNS + 1) + 2 * UNKNOWNS**2
+    p = unknowns(n)
+    return 2 * p + 2 * n * (p + 1) + 2 * p * p
 
 
 @njit
 def learn_payload(constants, Y, torque, is_moving, memory):
-    """Updates the estimate, memory[:11], with the torque (n,) that the motors gave beyond the model's in one control period.
+    """Updates the estimate, memory[:p], with the torque (n,) that the motors gave beyond the model's in one control period.
 
     Regressors and torques pass the same low-pass. Old information fades, faster if the estimate does not explain the torques
     (Fortescue, Kershenbaum, Ydstie, "Implementation of self-tuning regulators with variable forgetting factors", 1981).
     """
-    n = Y.shape[0]
-    p = UNKNOWNS
+    n, p = Y.shape
     at = p
     filtered = memory[at : at + 2 * n * p].reshape((2, n, p))
     at += 2 * n * p

@@ -80,11 +80,12 @@ def test_the_third_motion_has_a_tenth_of_the_error(light_wrist, dt):
     assert moment == pytest.approx([0.015, 0.01, 0.025], abs=0.003)
 
 
-def test_noise_and_delay_do_not_make_it_worse_than_without_learning(light_wrist):
+def test_friction_is_learnt_in_spite_of_noise_and_delay(light_wrist):
     disturbed = {"timestep": 0.002, "delay": 1, "encoder_noise": 1e-5, "coulomb_friction": 0.2}
     observed, _ = error_of_third_motion(light_wrist, OBSERVER, **disturbed)
-    learnt, _ = error_of_third_motion(light_wrist, LEARNING, **disturbed)
-    assert learnt < observed
+    learnt, simulation = error_of_third_motion(light_wrist, LEARNING, **disturbed)
+    assert learnt < 0.5 * observed
+    assert simulation.controller.friction == pytest.approx(0.2, abs=0.02)
 
 
 @pytest.mark.parametrize("delay", [0, 1, 2])
