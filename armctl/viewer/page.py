@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import viser
 
 _TEXT_INTERVAL_S = 0.15
-_START_DELAY_S = 1.0  # the first page is drawn before the arm moves
+_START_DELAY_S = 2.0  # the first page is drawn before the arm moves
 _JOIN_TIMEOUT_S = 0.5
 _PRELOADED_MODULES = ("mjviser", "armctl.ik.kernel")  # slow to import: loaded while MuJoCo compiles the model
 

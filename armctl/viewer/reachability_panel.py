@@ -11,7 +11,7 @@ from armctl.robot.arm import Arm
 if TYPE_CHECKING:
     import viser
 
-_POINT_SIZE_SPACINGS = 0.25
+_POINT_SIZE_SPACINGS = 0.08
 _EXPLANATION = "Computed once, with one thread. Contacts are not considered."
 _LEGEND = "From dark blue (few of the orientations) to yellow (most of them)."
 
