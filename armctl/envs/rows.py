@@ -114,7 +114,7 @@ class Rows:
             self._free_vector = free.vector
             self._bounds = free.bounds
         else:
-            self.simulated = SimulatedArms(task, count)
+            self.simulated = SimulatedArms(task, np.diff(self._cuts(threads)))
         self._plants = np.tile(self._free_vector, (count, 1))
         self._make_tables(threads)
         self._function = kernel.STEP_TABLE
@@ -131,6 +131,8 @@ class Rows:
             errors = [guarded_call(self._function, self._table_addresses[0])]
         else:
             errors = list(self._pool.map(lambda address: guarded_call(self._function, address), self._table_addresses))
+        if self.simulated is not None:
+            self.simulated.count_steps(self.ticks)
         if any(errors):
             raise SimulationError(f"mj_step: {next(filter(None, errors)):.300}")
 
@@ -189,12 +191,16 @@ class Rows:
         self._tables = np.zeros((threads, kernel.TABLE_SIZE), np.int64)
         for entry, number in entries.items():
             self._tables[:, entry] = number
-        cuts = np.linspace(0, self.count, threads + 1).astype(int)
+        cuts = self._cuts(threads)
         self._tables[:, kernel.FIRST] = cuts[:-1]
         self._tables[:, kernel.LAST] = cuts[1:]
         self._tables[:, kernel.SCRATCH_SIZE] = self._scratch.shape[1]
         self._tables[:, kernel.SCRATCH] = [scratch.ctypes.data for scratch in self._scratch]
         self._table_addresses = [table.ctypes.data for table in self._tables]
+
+    def _cuts(self, threads: int) -> IntArray:
+        """(threads + 1,) where the rows of each thread begin and end."""
+        return np.linspace(0, self.count, threads + 1).astype(int)
 
     def _sizes(self) -> dict[int, int]:
         """The numbers of a table that are no addresses of arrays."""
@@ -248,7 +254,7 @@ class Rows:
         numbers[kernel.GRIP_STEP] = 0.0 if self._grip is None else self._grip.speed * arm.dt
         home = arm.fk(arm.home)
         numbers[kernel.HOME_TIP :] = np.concatenate([home.position, home.rotation.ravel()])
-        in_free_space = np.zeros((self.count, 6), np.int64)
+        in_free_space = np.zeros((self.count, 7), np.int64)
         return {
             kernel.PARAMETERS: self._parameters,
             kernel.MEMORY: self._memory,

@@ -3,32 +3,43 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
-from armctl.core.validation import Array
+from armctl.collision.free_boxes import free_boxes
+from armctl.core.validation import Array, IntArray
 from armctl.envs.randomization import ObjectFactors
 from armctl.envs.tasks.interface import Episode, Task
+from armctl.sim.box_proofs import BoxProofs
 from armctl.sim.gripper_model import make_usable
 from armctl.sim.plant import NOMINAL, Plant, apply_plant, brake, held_dofs
 
+if TYPE_CHECKING:
+    from armctl.sim.contact_skip import ContactSkip
+
+_MIN_SKIP_STEPS = 10_000  # to prepare proofs takes as long as collision detection in so many steps
 _UPRIGHT = (1.0, 0.0, 0.0, 0.0)  # quaternion
 
 
 class SimulatedArms:
-    """Several copies of an arm on `mj_step`. They share a model until one gets a plant or an object of its own.
+    """Several copies of an arm on `mj_step`. Those of a thread share a model until one gets a plant or an object of its own.
+
+    Where it is proved that the arm touches nothing, a step has no collision detection, if there is neither an object nor an
+    obstacle. The results are the same bits.
 
     Attributes:
-        addresses: (count, 6) of each copy's MjModel, MjData, qpos, qvel, ctrl and actuator_length.
+        addresses: (count, 7) of each copy's MjModel, MjData, qpos, qvel, ctrl, actuator_length and table of `ContactSkip`.
     """
 
-    def __init__(self, task: Task, count: int):
+    def __init__(self, task: Task, counts: Sequence[int] | IntArray):
         """Copies at home.
 
         Args:
             task: The task, whose arm it is.
-            count: The number of copies.
+            counts: The number of copies of each thread.
         """
         arm = task.arm
         self._arm = arm
@@ -42,10 +53,18 @@ class SimulatedArms:
         self._set_plant(self._nominal, NOMINAL)
         if self._grip is not None and self._uses_gripper:
             make_usable(self._nominal, self._grip.model)
-        self._models = [self._nominal] * count
-        self._datas = [mujoco.MjData(self._nominal) for _ in range(count)]
-        self.addresses = np.zeros((count, 6), np.int64)
-        for row in range(count):
+        self._flags = int(self._nominal.opt.disableflags)
+        self._models: list[mujoco.MjModel] = []
+        self._proofs: list[BoxProofs] = []
+        for thread, count in enumerate(counts):
+            self._models += [self._nominal if thread == 0 else copy.copy(self._nominal)] * int(count)
+            self._proofs += [BoxProofs(free_boxes(arm))] * int(count)
+        self._has_own_model = np.zeros(len(self._models), bool)
+        self._datas = [mujoco.MjData(model) for model in self._models]
+        self._steps = 0
+        self._skips: list[ContactSkip] = []
+        self.addresses = np.zeros((len(self._models), 7), np.int64)
+        for row in range(len(self._models)):
             self._set_addresses(row)
 
     def data(self, row: int) -> mujoco.MjData:
@@ -55,6 +74,14 @@ class SimulatedArms:
     def model(self, row: int) -> mujoco.MjModel:
         """The model of a copy."""
         return self._models[row]
+
+    def count_steps(self, steps: int) -> None:
+        """Notes that all copies have made some steps; after many, it pays to prove that nothing touches."""
+        if self._skips or self._thing >= 0 or self._mocap >= 0:
+            return
+        self._steps += steps * len(self._models)
+        if self._steps >= _MIN_SKIP_STEPS:
+            self._skips = [self._start_skip(row) for row in range(len(self._models))]
 
     def reset(self, row: int, episode: Episode, plant: Plant | None, factors: ObjectFactors | None) -> None:
         """Starts an episode of a copy, at rest.
@@ -69,6 +96,7 @@ class SimulatedArms:
             self._change_model(row, plant or NOMINAL, factors or ObjectFactors())
         model = self._models[row]
         data = self._datas[row]
+        model.opt.disableflags = self._flags
         mujoco.mj_resetData(model, data)
         data.qpos[:] = self._arm.qpos(episode.q)
         data.ctrl[:] = self._arm.home_ctrl
@@ -95,6 +123,11 @@ class SimulatedArms:
         return np.concatenate([data.qpos[qpos : qpos + 7], data.qvel[qvel : qvel + 6]])
 
     @property
+    def skipped(self) -> int:
+        """Steps without collision detection, of all copies."""
+        return sum(skip.skipped for skip in self._skips)
+
+    @property
     def object_addresses(self) -> tuple[int, int]:
         """Where the loose object begins in qpos and in qvel; -1 without one."""
         if self._thing < 0:
@@ -110,8 +143,10 @@ class SimulatedArms:
 
     def _change_model(self, row: int, plant: Plant, factors: ObjectFactors) -> None:
         """Gives a copy its own model, changed by a plant and by the factors of the object."""
-        if self._models[row] is self._nominal:
+        if not self._has_own_model[row]:
+            self._has_own_model[row] = True
             self._models[row] = copy.copy(self._nominal)
+            self._models[row].opt.disableflags = self._flags
             self._datas[row] = mujoco.MjData(self._models[row])
             self._set_addresses(row)
         self._set_plant(self._models[row], plant)
@@ -145,4 +180,14 @@ class SimulatedArms:
         model = self._models[row]
         data = self._datas[row]
         arrays = (data.qpos, data.qvel, data.ctrl, data.actuator_length)
-        self.addresses[row] = [model._address, data._address, *(array.ctypes.data for array in arrays)]
+        self.addresses[row, :6] = [model._address, data._address, *(array.ctypes.data for array in arrays)]
+        if self._skips:
+            self._skips[row] = self._start_skip(row)
+
+    def _start_skip(self, row: int) -> ContactSkip:
+        """Steps without collision detection of a copy, from now on."""
+        from armctl.sim.contact_skip import ContactSkip  # loads numba
+
+        skip = ContactSkip(self._proofs[row], self._models[row], self._datas[row])
+        self.addresses[row, 6] = skip.start(self._steps)
+        return skip

@@ -28,7 +28,7 @@ from armctl.robot.dynamics_kernel import (
     tip_rotation,
 )
 from armctl.robot.forward_dynamics_kernel import free_step
-from armctl.sim.tick_kernel import _call_kernel, _floats, _integers, _matrix, _short_integers, _step, _vector
+from armctl.sim.tick_kernel import _call_kernel, _floats, _integers, _matrix, _short_integers, _vector, step
 
 # Entries of the table. SIZES:
 ROWS = 0
@@ -65,7 +65,9 @@ PARAMETERS = 27
 MEMORY = 28  # (rows, size)
 NOMINAL = 29  # the model that the controller knows
 PLANTS = 30  # (rows, size) dynamics of each plant in free space
-DATAS = 31  # (rows, 6) int64: addresses of MjModel, MjData, qpos, qvel, ctrl, actuator_length; 0 in free space
+# (rows, 7) int64: addresses of MjModel, MjData, qpos, qvel, ctrl, actuator_length, and of the table for steps without
+# collision detection; 0 in free space
+DATAS = 31
 BOUNDS = 32  # (2, n) torques of the motors
 LIMITS = 33  # (5, n): least and greatest position, greatest speed, acceleration and torque
 NUMBERS = 34  # (NUMBER_COUNT,)
@@ -401,7 +403,7 @@ def _step_mujoco(table, addresses, tau, q, v):
     ctrl = _vector(addresses[4], table[NCTRL])
     for i in range(n):
         ctrl[indices[2, i]] = min(max(tau[i], bounds[0, i]), bounds[1, i]) / gear[i]
-    _step(table[STEP_FUNCTION], addresses[0], addresses[1])
+    step(addresses[6], table[STEP_FUNCTION], addresses[0], addresses[1])
     qpos = _vector(addresses[2], table[NQ])
     qvel = _vector(addresses[3], table[NV])
     for i in range(n):
@@ -435,7 +437,7 @@ def step_rows(table):
     touched = numba.carray(_integers(table[TOUCHED]), (rows,))
     is_noisy = table[NOISE] != 0
     noise = numba.carray(_floats(table[NOISE]), (rows, table[TICKS], 2, n))  # not read unless there is any
-    addresses = numba.carray(_integers(table[DATAS]), (rows, 6))
+    addresses = numba.carray(_integers(table[DATAS]), (rows, 7))
     tau = scratch[:n]
     zero = scratch[n : 2 * n]
     force = scratch[2 * n : 3 * n]

@@ -47,6 +47,20 @@ class ContactSkip:
         """Steps without collision detection so far."""
         return int(self._table[kernel.SKIP_SKIPPED])
 
+    def start(self, steps: int) -> int:
+        """The address of the table for `tick_kernel`, 0 for none. Each step with it sets the flags of the model.
+
+        Args:
+            steps: As many as will be made.
+        """
+        proof = self._proofs.of(self._model, steps)
+        if proof is None:
+            return 0
+        if proof is not self._proof:
+            self._set_proof(proof)
+        self._table[kernel.SKIP_NORMAL] = self._model.opt.disableflags
+        return int(self._table.ctypes.data)
+
     @contextmanager
     def table(self, steps: int) -> Iterator[int]:
         """The address of the table for `tick_kernel`, 0 for none, during a run. Afterwards the model is as before.
@@ -54,16 +68,9 @@ class ContactSkip:
         Args:
             steps: Of the run.
         """
-        proof = self._proofs.of(self._model, steps)
-        if proof is None:
-            yield 0
-            return
-        if proof is not self._proof:
-            self._set_proof(proof)
         flags = int(self._model.opt.disableflags)
-        self._table[kernel.SKIP_NORMAL] = flags
         try:
-            yield self._table.ctypes.data
+            yield self.start(steps)
         finally:
             self._model.opt.disableflags = flags
 

@@ -74,6 +74,22 @@ def test_a_batch_on_any_number_of_threads_is_its_single_environments(arm):
         assert np.array_equal(observation, batches[0][step, 2])
 
 
+def test_steps_without_collision_detection_have_the_same_bits(arm, monkeypatch):
+    options = {"action": "joint_delta", "free_space": False, "randomize": {"payload": armctl.Range(0.0, 0.2)}, "horizon": 4}
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (10, 4, arm.n))
+    seen = []
+    for threads, least_steps in ((1, 10**9), (2, 1)):
+        monkeypatch.setattr("armctl.envs.simulated_arms._MIN_SKIP_STEPS", least_steps)
+        monkeypatch.setattr("armctl.collision.free_boxes._MIN_STEPS", least_steps)
+        env = armctl.envs.ArmVectorEnv(arm, num_envs=4, threads=threads, **options)
+        env.reset(seed=10)
+        seen.append(run(env, actions))
+        skipped = env.batch.rows.simulated.skipped
+        assert (skipped > 0) == (threads == 2)
+        env.close()
+    assert np.array_equal(*seen)
+
+
 def test_the_last_observation_of_an_episode_is_kept(arm):
     env = gymnasium.make_vec("armctl.envs:armctl/ReachGoal-v0", num_envs=2, robot=arm, horizon=2)
     assert env.metadata["autoreset_mode"] is gymnasium.vector.AutoresetMode.SAME_STEP
