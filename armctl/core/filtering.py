@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armctl.core.validation import Array
+from armctl.core.validation import Array, BoolArray
 
 _ORDER = 4  # of the Butterworth filter; it runs forward and backward, so the total order is 8
 _MIN_CUTOFF_HZ = 2.0
@@ -30,25 +30,55 @@ def choose_cutoff(positions: Array, dt: float) -> float:
     Returns:
         Hz, the median of all joints, in [2, 25] Hz and at most 40 % of the Nyquist frequency.
     """
-    from scipy.signal import welch
-
     nyquist = 0.5 / dt
     highest = min(_MAX_CUTOFF_HZ, _MAX_NYQUIST_SHARE * nyquist)
-    segment = min(len(positions) - 1, max(8, round(_SEGMENT_S / dt)))
     moves = np.ptp(positions, axis=0) > 0
     if not moves.any():
         return highest
-    f, power = welch(np.diff(positions[:, moves], axis=0) / dt, 1 / dt, nperseg=segment, axis=0)
-    omega = 2 * np.pi * f[1:]
-    power = power[1:] / (2 / dt * np.sin(0.5 * omega * dt))[:, None] ** 2  # of the positions
-    noisy = f[1:] >= min(_NOISE_FROM_HZ, _NOISE_FROM_NYQUIST_SHARE * nyquist)
-    noise = np.median(power[noisy], axis=0)
+    f, power, noise = _spectrum(positions[:, moves], dt)
     motion = np.maximum(power - noise, 0.0)
-    motion[noisy] = 0.0
-    acceleration = (motion * omega[:, None] ** 4).sum(axis=0) * f[1]  # mean square
+    motion[_is_noise(f, dt)] = 0.0
+    acceleration = (motion * (2 * np.pi * f)[:, None] ** 4).sum(axis=0) * f[0]  # mean square
     level = np.maximum(noise * (2 * np.pi) ** 4, np.finfo(float).tiny)
     cutoffs = (5 * _NOISE_SHARE**2 * acceleration / level) ** 0.2
     return float(np.clip(np.median(cutoffs), min(_MIN_CUTOFF_HZ, highest), highest))
+
+
+def velocity_cutoff(positions: Array, dt: float, noise_rms: float) -> float:
+    """The highest cut-off at which the velocity of recorded positions has little noise.
+
+    Position noise of the level S of the spectrum (rad^2/Hz) becomes a velocity of RMS 2 pi sqrt(S f^3 / 3) up to a cut-off f.
+
+    Args:
+        positions: (T, n) rad, evenly spaced in time.
+        dt: s, the interval.
+        noise_rms: rad/s, the noise of the velocity.
+
+    Returns:
+        Hz, the lowest of all joints, at most 40 % of the Nyquist frequency.
+    """
+    highest = _MAX_NYQUIST_SHARE * 0.5 / dt
+    moves = np.ptp(positions, axis=0) > 0
+    if not moves.any():
+        return highest
+    level = max(float(_spectrum(positions[:, moves], dt)[2].max()), np.finfo(float).tiny)
+    return min(highest, float((3 * noise_rms**2 / (4 * np.pi**2 * level)) ** (1 / 3)))
+
+
+def _spectrum(positions: Array, dt: float) -> tuple[Array, Array, Array]:
+    """Frequencies (F,) Hz above 0, the spectrum (F, n) rad^2/Hz of the positions, and the level (n,) of their noise."""
+    from scipy.signal import welch
+
+    segment = min(len(positions) - 1, max(8, round(_SEGMENT_S / dt)))
+    f, power = welch(np.diff(positions, axis=0) / dt, 1 / dt, nperseg=segment, axis=0)
+    f = f[1:]
+    power = power[1:] / (2 / dt * np.sin(np.pi * f * dt))[:, None] ** 2
+    return f, power, np.median(power[_is_noise(f, dt)], axis=0)
+
+
+def _is_noise(f: Array, dt: float) -> BoolArray:
+    """Which frequencies contain no motion."""
+    return f >= min(_NOISE_FROM_HZ, _NOISE_FROM_NYQUIST_SHARE * 0.5 / dt)
 
 
 def low_pass(columns: Array, cutoff: float, dt: float) -> Array:

@@ -116,8 +116,11 @@ def _judged(fit: ParameterFit, friction: str) -> ArmEstimate:
     regressor = fit.regressor
     arm = regressor.arm
     layout = regressor.layout
+    validation = _validated(fit)
+    if validation:
+        fit.use_all_rows()
     base = _base_parameters(fit)
-    W = fit.weighted(fit.training) / np.tile(np.sqrt(fit.inflation), len(fit.training))[:, None]
+    W = fit.weighted(fit.training)
     covariance = fit.covariance()
     errors = regressor.prior * np.sqrt(np.diag(covariance))
     base_covariance = base.combination @ covariance @ base.combination.T
@@ -125,7 +128,6 @@ def _judged(fit: ParameterFit, friction: str) -> ArmEstimate:
     names = np.array(regressor.names)[base.leading]
     unexcited = tuple(str(name) for name in names[hidden])
     condition = _condition_number(W[:, base.leading[fit.kept[base.leading]]])
-    validation = _validated(fit)
     reason = _reason(fit, unexcited, condition, validation)
     scale = regressor.prior[base.leading]
     links = fit.x[: PARAMETERS * arm.n].reshape(arm.n, PARAMETERS)

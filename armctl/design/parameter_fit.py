@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from armctl.core.filtering import choose_cutoff, derivatives, low_pass
+from armctl.core.filtering import choose_cutoff, derivatives, low_pass, velocity_cutoff
 from armctl.core.log import RECORDED, Log
-from armctl.core.validation import Array, BoolArray
+from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.design.pseudo_inertia import PARAMETERS, from_log_cholesky, is_consistent, regularized, to_log_cholesky
 from armctl.design.regressor import ArmRegressor, FrictionShape
+from armctl.robot.arm import Arm
+from armctl.robot.passive_forces import DryFriction
 
 _REGRESSOR_SAMPLES_PER_PERIOD = 8  # of the cut-off: products of positions and velocities have higher frequencies
 _ROWS_PER_PERIOD = 4
 _TRIMMED_PERIODS = 1.0  # at both ends, where the filter has no data on one side
 _MAX_DELAY_S = 0.05
 _ROUNDS = 3  # delay, shape of the friction and noise depend on each other
-_SHAPE_SPEEDS = np.geomspace(0.003, 1.0, 11)  # rad/s, candidates for the smoothing of Coulomb friction
+_SHAPE_SPEEDS = np.geomspace(0.003, 3.0, 13)  # rad/s, candidates for the smoothing of Coulomb friction
+_VELOCITY_NOISE = 2e-3  # rad/s (m/s), RMS in the velocity that dry friction follows
+_SMOOTHING_TOLERANCE = 0.01  # relative
 _SLIDING_SPEEDS = np.concatenate([[0.0], np.geomspace(0.01, 1.0, 9)])  # rad/s, candidates for the least speed of a row
 _MIN_SLIDING_SHARE = 0.25  # of the rows
 _REVERSAL_PERIODS = 0.5  # of the cut-off: the filter spreads a reversal over this time on both sides
@@ -33,6 +38,7 @@ _DIAGONAL = 4  # of a Cholesky factor's ten parameters
 _LOG_SIZE_PRIOR = 1.0
 _MAX_CORRELATED_ROWS = 30
 _SIGNIFICANT_ERRORS = 4.0  # standard errors; the choice of a shape makes more of noise than one fit does
+_CONTINUOUS = "continuous"  # in the description of a plant whose motion is finer than the tick
 _DROPPED_PRIOR = 1e-4  # factor on the standard deviation of the prior
 
 
@@ -62,6 +68,14 @@ class Rows:
     def part(self, rows: slice) -> Rows:
         """Some of the rows."""
         return Rows(self.t[rows], self.v[rows], self.tau[rows], self.model[rows], self.W[rows], self.used[rows])
+
+
+class _Speeds(NamedTuple):
+    """The speeds at which torques act, each (T, n) rad/s: Coriolis torques, damping, dry friction."""
+
+    start: Array
+    end: Array
+    dry: Array
 
 
 class ParameterFit:
@@ -97,21 +111,43 @@ class ParameterFit:
         self._a = a[:: self._stride]
         self.shape = FrictionShape(np.full(n, _SHAPE_SPEEDS[4]), np.full(n, _STRIBECK_SPEEDS[3]))
         self._sliding = np.zeros(n)
-        self._raw = regressor.rows(self._q, self._v, self._a, self.shape)
-        self._model = regressor.model_torques(self._q, self._v, self._a)
+        speeds = _speeds_of_torques(regressor.arm, log, v, a)
+        start = speeds.start[:: self._stride]
+        self._v_end = speeds.end[:: self._stride]
+        self._v_dry = speeds.dry
+        self._raw = regressor.rows(self._q, start, self._a, self.shape)
+        self._set_friction()
+        self._model = regressor.model_torques(self._q, start, self._a)
+        self._model += regressor.dynamics.damping * (self._v_end - start)
         self.delay = 0.0
         self.x = regressor.start.copy()
         self.kept = np.ones(regressor.layout.size, bool)
         self._scale = regressor.torque_scale()
         self.noise = 0.02 * self._scale
+        self.inflation = np.ones(n)
         for _ in range(_ROUNDS):
             self._improve()
         self.inflation = self._inflation()
         self._drop_insignificant()
         self._consistent = consistent
+        self._fit_links()
+
+    def use_all_rows(self) -> None:
+        """Repeats the last fit with the rows that were held out."""
+        self._holdout = 0.0
+        self._fit_links()
+
+    def _fit_links(self) -> None:
+        """Physically consistent parameters, and what remains of the torques."""
         self.x = self._solution(self.training)
         self._set_noise()
         self.inflation = self._inflation()
+
+    def _set_friction(self) -> None:
+        """Writes friction into the regressor, dry friction through the filter that the positions have passed."""
+        dry = self.regressor.dry_friction(self._v_dry, self.shape)
+        columns = low_pass(dry.reshape(len(dry), -1), self.cutoff, self._dt).reshape(dry.shape)
+        self.regressor.set_friction(self._raw, self._v_end, columns[:: self._stride])
 
     @property
     def training(self) -> Rows:
@@ -133,14 +169,16 @@ class ParameterFit:
         return rows.model + rows.W @ (self.regressor.start - self.regressor.model_values)
 
     def weighted(self, rows: Rows) -> Array:
-        """(K n, p): the regressor in units of the noise, for each standard deviation of the prior."""
-        return (rows.W * (rows.used / self.noise)[:, :, None]).reshape(-1, rows.W.shape[2]) * self.regressor.prior
+        """(K n, p): the regressor in units of the noise of independent rows, for each standard deviation of the prior."""
+        return (rows.W * self._weights(rows)[:, :, None]).reshape(-1, rows.W.shape[2]) * self.regressor.prior
 
     def covariance(self) -> Array:
         """(p, p), in units of the prior's standard deviations."""
-        rows = self.training
-        W = self.weighted(rows) / np.tile(np.sqrt(self.inflation), len(rows))[:, None]
+        W = self.weighted(self.training)
         return np.asarray(np.linalg.inv(W.T @ W + np.eye(W.shape[1])), dtype=np.float64)
+
+    def _weights(self, rows: Rows) -> Array:
+        return rows.used / (self.noise * np.sqrt(self.inflation))
 
     def _drop_insignificant(self) -> None:
         """Keeps dry friction and offsets that the data do not confirm at the model's values; they would only absorb noise."""
@@ -199,9 +237,10 @@ class ParameterFit:
     def _improve_delay(self, rows: Rows) -> None:
         """A Gauss-Newton step: a delay d changes a torque by -d times its rate."""
         predicted = self.predicted(rows)
-        rate = rows.used * np.gradient(predicted, rows.t, axis=0) / self.noise
+        weights = self._weights(rows)
+        rate = weights * np.gradient(predicted, rows.t, axis=0)
         W = np.column_stack([self.weighted(rows), -rate.ravel()])
-        y = (rows.used * (rows.tau - predicted) / self.noise).ravel()
+        y = (weights * (rows.tau - predicted)).ravel()
         information = W.T @ W
         information[:-1, :-1] += np.eye(W.shape[1] - 1)
         regularized = information + 1e-9 * np.trace(information) / len(information) * np.eye(len(information))
@@ -215,43 +254,58 @@ class ParameterFit:
         """For each joint the speeds of the friction that explain its torques best, the other parameters as they are."""
         rows = self.training
         layout = self.regressor.layout
-        columns = [s for s in (layout.viscous, layout.coulomb, layout.stribeck, layout.offset) if s.stop > s.start]
         without = self.x - self.regressor.model_values
-        without = without.copy()
-        for part in columns:
+        for part in (layout.viscous, layout.coulomb, layout.stribeck, layout.offset):
             without[part] = 0.0
         rest = rows.tau - rows.model - rows.W @ without
-        smoothing = self.shape.smoothing.copy()
-        stribeck = self.shape.stribeck.copy()
-        used = slice(0, self._count_used())
-        dt = self._dt * self._stride
-        trimmed = int(_TRIMMED_PERIODS / self.cutoff / dt) + 1
-        kept = slice(trimmed, len(self._v) - trimmed, max(1, round(_REGRESSOR_SAMPLES_PER_PERIOD / _ROWS_PER_PERIOD)))
-        signs = {s: low_pass(np.clip(self._v / s, -1.0, 1.0), self.cutoff, dt)[kept][used] for s in _SHAPE_SPEEDS}
-        decays = {}
+        kept = self._kept_samples()
+
+        def costs(shape: FrictionShape) -> Array:
+            columns = self._dry_columns(self._v_dry, shape)[kept]
+            return np.array([_cost(columns[:, j], rows.v[:, j], rest[:, j]) for j in range(layout.n)])
+
+        smoothing = _best_of(_SHAPE_SPEEDS, lambda s: costs(self.shape._replace(smoothing=s)), layout.n)
+        self.shape = self.shape._replace(smoothing=smoothing)
         if layout.has_stribeck:
-            for s in _SHAPE_SPEEDS:
-                for w in _STRIBECK_SPEEDS:
-                    decay = np.clip(self._v / s, -1.0, 1.0) * np.exp(-((self._v / w) ** 2))
-                    decays[s, w] = low_pass(decay, self.cutoff, dt)[kept][used]
+            stribeck = _best_of(_STRIBECK_SPEEDS, lambda s: costs(self.shape._replace(stribeck=s)), layout.n)
+            self.shape = self.shape._replace(stribeck=stribeck)
         for j in range(layout.n):
-            best = np.inf
-            for s in _SHAPE_SPEEDS:
-                for w in _STRIBECK_SPEEDS if layout.has_stribeck else _STRIBECK_SPEEDS[3:4]:
-                    A = [signs[s][:, j], rows.v[:, j], np.ones(len(rows))]
-                    if layout.has_stribeck:
-                        A.append(decays[s, w][:, j])
-                    A = np.column_stack(A)
-                    cost = float(((rest[:, j] - A @ np.linalg.lstsq(A, rest[:, j])[0]) ** 2).sum())
-                    if cost < best:
-                        best = cost
-                        smoothing[j] = s
-                        stribeck[j] = w
-            A = np.column_stack([signs[smoothing[j]][:, j], rows.v[:, j], np.ones(len(rows))])
-            self._sliding[j] = self._sliding_speed(A, rest[:, j], [self._slides(j, s)[kept][used] for s in _SLIDING_SPEEDS])
-        self.shape = FrictionShape(smoothing, stribeck)
-        self.regressor.set_friction(self._raw, self._v, self.shape)
+            smoothing[j] = self._refined_smoothing(j, rows.v[:, j], rest[:, j])
+        columns = self._dry_columns(self._v_dry, self.shape)[kept]
+        for j in range(layout.n):
+            A = np.column_stack([columns[:, j, 0], rows.v[:, j], np.ones(len(rows))])
+            self._sliding[j] = self._sliding_speed(A, rest[:, j], [self._slides(j, s)[kept] for s in _SLIDING_SPEEDS])
+        self._set_friction()
         self.rows = self._filtered_rows()
+
+    def _kept_samples(self) -> IntArray:
+        """The samples of the velocities that belong to the rows of the fit."""
+        trimmed = int(_TRIMMED_PERIODS / self.cutoff / (self._dt * self._stride)) + 1
+        every = max(1, round(_REGRESSOR_SAMPLES_PER_PERIOD / _ROWS_PER_PERIOD))
+        return np.arange(trimmed, len(self._v) - trimmed, every)[: self._count_used()]
+
+    def _dry_columns(self, speeds: Array, shape: FrictionShape) -> Array:
+        """(T, k, 1 or 2): the columns of dry friction at speeds, filtered like the torques."""
+        dry = self.regressor.dry_friction(speeds, shape)
+        once = low_pass(dry.reshape(len(dry), -1), self.cutoff, self._dt)[:: self._stride]
+        return low_pass(once, self.cutoff, self._dt * self._stride).reshape(-1, *dry.shape[1:])
+
+    def _refined_smoothing(self, j: int, v: Array, rest: Array) -> float:
+        """The smoothing speed of a joint between the neighbours of the best candidate."""
+        from scipy.optimize import minimize_scalar
+
+        kept = self._kept_samples()
+        speeds = self._v_dry[:, j : j + 1]
+        stribeck = self.shape.stribeck[j : j + 1]
+        around = np.log(self.shape.smoothing[j])
+        step = np.log(_SHAPE_SPEEDS[1] / _SHAPE_SPEEDS[0])
+        found: Any = minimize_scalar(
+            lambda x: _cost(self._dry_columns(speeds, FrictionShape(np.exp([x]), stribeck))[kept, 0], v, rest),
+            bounds=(around - step, around + step),
+            method="bounded",
+            options={"xatol": _SMOOTHING_TOLERANCE},
+        )
+        return float(np.exp(found.x))
 
     def _sliding_speed(self, A: Array, torques: Array, slides: list[BoolArray]) -> float:
         """The least speed of the rows with which Coulomb friction has the smallest standard error.
@@ -272,7 +326,7 @@ class ParameterFit:
 
     def _targets(self, rows: Rows) -> Array:
         """(K n,) what the start leaves of the torques, in units of the noise."""
-        return (rows.used * (rows.tau - self.start_predicted(rows)) / self.noise).ravel()
+        return (self._weights(rows) * (rows.tau - self.start_predicted(rows))).ravel()
 
     def _linear_solution(self, rows: Rows) -> Array:
         """Least squares with the prior, without bounds."""
@@ -347,3 +401,30 @@ class ParameterFit:
                     break
                 out[j] += 2 * correlation
         return out
+
+
+def _speeds_of_torques(arm: Arm, log: Log, v: Array, a: Array) -> _Speeds:
+    """The speeds at which each kind of torque acts, from filtered velocities and accelerations.
+
+    MuJoCo's step takes Coriolis torques at the velocity of the step before, damping at the end of the step, and dry friction at
+    a velocity that the acceleration advances (`DryFriction`). A real arm moves continuously. Dry friction follows a velocity
+    so fast that a joint that sticks for a short time is seen to stick.
+    """
+    fast = max(choose_cutoff(log.q, log.dt), velocity_cutoff(log.q, log.dt, _VELOCITY_NOISE))
+    dry = derivatives(low_pass(log.q, fast, log.dt), log.dt)[0]
+    if log.controller == RECORDED or _CONTINUOUS in log.plant:
+        return _Speeds(v, v, dry)
+    half_step = 0.5 * log.dt * a
+    return _Speeds(v - half_step, v + half_step, dry - half_step + a / DryFriction.of(arm.model, arm.joint_map).rate)
+
+
+def _best_of(candidates: Array, costs: Callable[[Array], Array], n: int) -> Array:
+    """(n,) for each joint the candidate of the least cost."""
+    all_costs = np.array([costs(np.full(n, candidate)) for candidate in candidates])
+    return candidates[all_costs.argmin(axis=0)]
+
+
+def _cost(friction: Array, v: Array, torques: Array) -> float:
+    """The squared residual of torques that columns of dry friction, viscous friction and an offset explain."""
+    A = np.column_stack([friction, v, np.ones(len(v))])
+    return float(((torques - A @ np.linalg.lstsq(A, torques)[0]) ** 2).sum())

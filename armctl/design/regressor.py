@@ -139,20 +139,25 @@ class ArmRegressor:
         joints = np.arange(n)
         W[:, joints, layout.rotor.start + joints] = a
         W[:, joints, layout.offset.start + joints] = 1.0
-        if layout.has_friction:
-            W[:, joints, layout.viscous.start + joints] = v
-        self.set_friction(W, v, shape)
+        self.set_friction(W, v, self.dry_friction(v, shape))
         return W
 
-    def set_friction(self, W: Array, v: Array, shape: FrictionShape) -> None:
-        """Writes the columns of dry friction into W."""
+    def set_friction(self, W: Array, v: Array, dry: Array) -> None:
+        """Writes the columns of viscous friction at v, and those of `dry_friction`, into W."""
         layout = self.layout
         joints = np.arange(layout.n)
-        sign = np.clip(v / shape.smoothing, -1.0, 1.0)
         if layout.has_friction:
-            W[:, joints, layout.coulomb.start + joints] = sign
+            W[:, joints, layout.viscous.start + joints] = v
+            W[:, joints, layout.coulomb.start + joints] = dry[:, :, 0]
         if layout.has_stribeck:
-            W[:, joints, layout.stribeck.start + joints] = sign * np.exp(-((v / shape.stribeck) ** 2))
+            W[:, joints, layout.stribeck.start + joints] = dry[:, :, 1]
+
+    def dry_friction(self, v: Array, shape: FrictionShape) -> Array:
+        """(T, n, 1 or 2): Coulomb friction, and with Stribeck friction the breakaway torque, for 1 N m of each."""
+        sign = np.clip(v / shape.smoothing, -1.0, 1.0)
+        if not self.layout.has_stribeck:
+            return sign[:, :, None]
+        return np.stack([sign, sign * np.exp(-((v / shape.stribeck) ** 2))], axis=2)
 
     def model_torques(self, q: Array, v: Array, a: Array) -> Array:
         """(T, n) N m by the model, without dry friction."""
