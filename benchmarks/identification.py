@@ -1,4 +1,8 @@
-"""Identification: tracking before and after with models that are 20 % wrong, friction, consistency, and a real recording."""
+"""Identification: tracking before and after with models that are 20 % wrong, friction, consistency, and a real recording.
+
+Beside the errors stand the bounds of `identification_bound.py`: what an estimator could reach that knows everything but the
+parameters and the noise of the torques.
+"""
 
 import argparse
 import copy
@@ -6,11 +10,13 @@ import tempfile
 import time
 import warnings
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import mujoco
 import numpy as np
 from controllers import quintic
+from identification_bound import BoundFinder
 
 import armctl
 from armctl.core.tables import Table
@@ -28,7 +34,7 @@ AXES = ("0 0 1", "0 1 0", "0 1 0", "0 0 1", "0 1 0", "0 0 1")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--recording", type=Path, help="a CSV file of a real Panda without hand")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "identification.md")
@@ -85,10 +91,13 @@ def changed(arm: armctl.Arm, seed: int, coulomb: float) -> armctl.Arm:
     return replace(arm, model=model, pinocchio_model=body)
 
 
-def measured(real: armctl.Arm, model: armctl.Arm, motion: armctl.JointTrajectory, seed: int) -> armctl.Log:
-    """A recording of the real arm, without velocities."""
-    controller = armctl.ComputedTorqueObserver(model)
-    log = armctl.simulate(real, controller, motion, armctl.Plant(timestep=TICK_S), dwell=0.0)
+def run(real: armctl.Arm, model: armctl.Arm, motion: armctl.JointTrajectory) -> armctl.Log:
+    """The real arm on the motion, by a controller that has the wrong model; no noise."""
+    return armctl.simulate(real, armctl.ComputedTorqueObserver(model), motion, armctl.Plant(timestep=TICK_S), dwell=0.0)
+
+
+def measured(log: armctl.Log, model: armctl.Arm, seed: int) -> armctl.Log:
+    """A recording with noise and without velocities."""
     rng = np.random.default_rng(seed)
     q = log.q + ENCODER_NOISE * rng.standard_normal(log.q.shape)
     tau = log.tau + TORQUE_NOISE_SHARE * model.limits.tau_max * rng.standard_normal(log.tau.shape)
@@ -117,13 +126,17 @@ def simulated(arms: dict[str, armctl.Arm], seeds: int) -> str:
     rows = []
     for name, arm in arms.items():
         motion = armctl.excitation(arm, seconds=5.0, for_="arm")
+        finder = BoundFinder(arm, quintic(arm), TICK_S, TORQUE_NOISE_SHARE)
         for coulomb in (0.0, COULOMB_SHARE):
             for seed in range(seeds):
                 real = changed(arm, seed, coulomb)
-                log = measured(real, arm, motion, seed)
+                clean = run(real, arm, motion)
+                log = measured(clean, arm, seed)
                 began = time.process_time()
                 found = armctl.identify(arm, log)
                 seconds = time.process_time() - began
+                if seed == 0:
+                    bound = finder.bound(real, clean, partial(changed, arm, coulomb=coulomb))
                 row = [
                     name,
                     f"{100 * coulomb:g} %",
@@ -131,17 +144,28 @@ def simulated(arms: dict[str, armctl.Arm], seeds: int) -> str:
                     f"{error(real, arm, False):.1e}",
                     f"{error(real, arm, True):.1e}",
                 ]
+                after = [found.reason[:60], "-"]
                 if found:
                     known = found.applied_to(arm)
-                    row += [f"{error(real, known, False):.1e}", f"{error(real, known, True):.1e}"]
-                else:
-                    row += [found.reason[:60], "-"]
-                true = real.model.dof_frictionloss[arm.dof_adr]
-                off = 100 * np.abs(found.coulomb_friction / true - 1) if coulomb else np.array([])
-                row += [" ".join(f"{x:.1f}" for x in off) or "-", f"{possible_links(found.inertia)}/{arm.n}", f"{seconds:.1f}"]
+                    after = [f"{error(real, known, False):.1e}", f"{error(real, known, True):.1e}"]
+                row += [after[0], f"{bound.computed_torque:.1e}", after[1], f"{bound.observer:.1e}"]
+                off = 100 * np.abs(found.coulomb_friction / real.model.dof_frictionloss[arm.dof_adr] - 1) if coulomb else []
+                row += [f"{max(off):.1f}", f"{100 * bound.coulomb.max():.1f}"] if coulomb else ["-", "-"]
+                row += [f"{possible_links(found.inertia)}/{arm.n}", f"{seconds:.1f}"]
                 rows.append(row)
-    head = ["arm", "Coulomb", "seed", "CT before", "observer before", "CT after", "observer after"]
-    head += ["Coulomb error, %", "possible links", "fit, s CPU"]
+                print(*row, sep=" | ", flush=True)
+    head = [
+        "arm",
+        "Coulomb",
+        "seed",
+        "CT before",
+        "observer before",
+        "CT after",
+        "CT bound",
+        "observer after",
+        "observer bound",
+    ]
+    head += ["Coulomb error, %", "its bound, %", "possible links", "fit, s CPU"]
     return "RMS in rad; models up to 20 % wrong, 5 s of data.\n\n" + Table(tuple(head), rows).markdown()
 
 

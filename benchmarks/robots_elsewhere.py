@@ -5,7 +5,8 @@
 Every MJCF, URDF and xacro with a joint in the folders is loaded; without --folder, in the packages of this Python. Of several
 equally long chains the first is taken, and a free base is held. `solve_ik` gets the poses of random configurations, `move_to`
 the points of others, one after another, with computed torque. A move counts as reached, refused (with a reason, before
-anything moves) or missed.
+anything moves) or missed. The second table sorts the files that do not load by their reason, and says how many of them MuJoCo
+itself, or for a URDF Pinocchio's parser, reads.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 
+import mujoco
 import numpy as np
+import pinocchio
 
 import armctl
 from armctl.core.tables import Table
@@ -34,9 +37,27 @@ _HEAD_CHARACTERS = 200_000  # of a file, in which its first joint is expected
 _SHOWN_CHARACTERS = 60
 
 
+# Reasons for which a file does not load, by a phrase of armctl's message.
+_REASONS = {
+    "the model has no joints": "no joints: an object, or macros of xacro without a robot",
+    "a part of an MJCF": "a part of another file",
+    "URDF joint parent or child missing": "a part of another file",
+    "Error opening file": "a file that it needs is not in the package",
+    "Package not found": "a file that it needs is not in the package",
+    "No such file": "a file that it needs is not in the package",
+    "is planar": "a URDF's planar joint, which has neither limits nor motors",
+    "no hinge or slide joint has an actuator": "a free object or a mechanism, no serial chain with motors",
+    "has no actuator of its own": "its first joint has no motor: a planar walker, a mobile base",
+    "closes a loop": "its joints are in a closed loop",
+    "coupled": "its joints are tied in no fixed ratio: tendons, several actuators",
+    "longer than the limit": "takes longer than the limit",
+}
+_INVALID = "invalid: not the XML, the elements or the values that MJCF or URDF allow"
+
+
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one file; `kind` is "loaded", "no arm" for a file without a drivable joint, or "refused"."""
+    """What came of one file: whether it loaded, or else the reason."""
 
     path: Path
     kind: str
@@ -129,8 +150,34 @@ def checked(path: Path, folder: Path, poses: int, moves: int) -> Outcome:
         )
         return Outcome(path, "loaded", cells, outcomes)
     except (armctl.ArmctlError, TooSlowError) as error:
-        kind = "no arm" if "no joints" in str(error) else "refused"
+        kind = next((reason for phrase, reason in _REASONS.items() if phrase in str(error)), _INVALID)
         return Outcome(path, kind, (name, *[""] * (len(COLUMNS) - 2), str(error)[-2 * _SHOWN_CHARACTERS :]))
+
+
+def is_read_elsewhere(path: Path) -> bool:
+    """Whether MuJoCo itself compiles a file, or Pinocchio's parser reads it as a URDF."""
+    try:
+        mujoco.MjModel.from_xml_path(str(path))
+        return True
+    except ValueError:
+        pass
+    if path.suffix.lower() != ".urdf":
+        return False
+    try:
+        pinocchio.buildModelFromUrdf(str(path))
+        return True
+    except ValueError:
+        return False
+
+
+def reasons_table(outcomes: list[Outcome], folders: list[Path]) -> str:
+    """The files that did not load, by reason."""
+    rows = []
+    for reason, count in Counter(each.kind for each in outcomes if each.kind != "loaded").most_common():
+        paths = [each.path for each in outcomes if each.kind == reason]
+        example = next(str(paths[0].relative_to(folder)) for folder in folders if paths[0].is_relative_to(folder))
+        rows.append([reason, str(count), str(sum(map(is_read_elsewhere, paths))), example[-_SHOWN_CHARACTERS:]])
+    return Table(("not loaded because", "files", "read by others", "for example"), rows).markdown()
 
 
 def _stop(_signal: int, _frame: FrameType | None) -> None:
@@ -142,19 +189,21 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, nargs="+", default=[Path(sysconfig.get_path("purelib"))])
     parser.add_argument("--poses", type=int, default=50)
     parser.add_argument("--moves", type=int, default=3)
-    parser.add_argument("--limit", type=int, default=60, help="seconds for each file")
+    parser.add_argument("--limit", type=float, default=60.0, help="seconds of CPU for each file")
     args = parser.parse_args()
     moves_of(armctl.load(BUNDLED), 1)  # compiles: an exception inside numba's compiler would leave it unusable
-    signal.signal(signal.SIGALRM, _stop)
+    signal.signal(signal.SIGPROF, _stop)
     outcomes = []
     for folder in args.folder:
         for path in robot_files(folder):
-            signal.alarm(args.limit)
+            signal.setitimer(signal.ITIMER_PROF, args.limit)
             outcomes.append(checked(path, folder, args.poses, args.moves))
-            signal.alarm(0)
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
     print(Table(COLUMNS, [outcome.cells for outcome in outcomes]).markdown())
-    counts = Counter(outcome.kind for outcome in outcomes)
-    print(f"\n{len(outcomes)} files: " + ", ".join(f"{count} {kind}" for kind, count in sorted(counts.items())))
+    print("\n" + reasons_table(outcomes, args.folder))
+    loaded = [outcome for outcome in outcomes if outcome.kind == "loaded"]
+    grippers = sum(bool(outcome.cells[COLUMNS.index("gripper")]) for outcome in loaded)
+    print(f"\n{len(outcomes)} files: {len(loaded)} loaded, {grippers} with a gripper; {len(outcomes) - len(loaded)} not loaded")
     moves = sum((outcome.moves for outcome in outcomes), Counter())
     print(f"{moves.total()} moves: " + ", ".join(f"{count} {kind}" for kind, count in sorted(moves.items())))
 

@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 
 import mujoco
+import numpy as np
 
 from armctl.core.errors import ModelError
 from armctl.core.validation import shown
@@ -117,11 +118,23 @@ def find_chain(analysis: Transmissions, base: int = 0) -> Joints:
         raise ModelError(_why_no_arm(analysis, base))
     best = sorted(run for run in runs if len(run) == longest)
     if len(best) > 1:
-        tips = ", ".join(repr(tip_of_chain(model, run).name) for run in best)
+        tips = ", ".join(repr(name) for run in best if (name := _selectable_tip(model, run)))
         on = f"on {shown(body_name(model, base))}" if base else "at the base"
-        raise ModelError(f"{len(best)} chains of {longest} joints start {on}; choose one with tip=: {tips}")
+        raise ModelError(
+            f"{len(best)} chains of {longest} joints start {on}; choose one with tip=: {tips or 'name a body first'}"
+        )
     _check_drivable(analysis, base, best[0])
     return best[0]
+
+
+def _selectable_tip(model: mujoco.MjModel, run: Joints) -> str:
+    """The name that `tip=` accepts for the end of a run; empty if nothing there has a name."""
+    tip = tip_of_chain(model, run)
+    kinds = (mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_GEOM)
+    if any(mujoco.mj_name2id(model, kind, tip.name) >= 0 for kind in kinds):
+        return tip.name
+    names = (model.geom(int(geom)).name for geom in np.flatnonzero(model.geom_bodyid == tip.body))
+    return next(filter(None, names), "")
 
 
 def chain_to(analysis: Transmissions, body: int, base: int = 0) -> Joints:

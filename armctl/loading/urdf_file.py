@@ -12,6 +12,7 @@ from armctl.core.errors import ModelError
 
 _HEAD_BYTES = 65536  # in which the first element of a file is expected
 _MAX_PATH_CHARACTERS = 120  # of a path in a message
+_UNIQUE = {"link": ("inertial",), "joint": ("origin", "axis", "limit", "dynamics", "mimic")}
 _ZERO_INERTIA = {"ixx": "0", "ixy": "0", "ixz": "0", "iyy": "0", "iyz": "0", "izz": "0"}
 
 
@@ -44,13 +45,16 @@ def read_urdf_file(path: Path) -> UrdfFile:
         ModelError: The file is no well-formed XML, declares entities, or is a xacro that cannot be expanded; or it has a planar
             joint.
     """
-    root = parse_xml(_content(path), path)
+    content = _content(path)
+    root = parse_xml(content, path)
     text = None
     if _is_xacro(root):
         text = _expanded(path)
         root = parse_xml(text.encode(), path)
+    elif path.suffix.lower() != ".urdf":  # MuJoCo chooses a reader by the ending
+        text = content.decode(errors="replace")
     _refuse_planar(root, path)
-    notes = _complete_inertials(root)
+    notes = [*_drop_repeated(root), *_complete_inertials(root)]
     if notes:
         text = ElementTree.tostring(root, encoding="unicode")
     return UrdfFile(path, root, text, tuple(notes))
@@ -146,6 +150,17 @@ def _refuse_planar(root: ElementTree.Element, path: Path) -> None:
                 f"{shown_path(path)}: joint {name!r:.80} is planar and has three degrees of freedom, without a motor for each; "
                 'write type="fixed" to hold it, or two prismatic joints and a continuous one'
             )
+
+
+def _drop_repeated(root: ElementTree.Element) -> list[str]:
+    """Keeps the first of elements that a link or joint has once, as other URDF readers do; one sentence, or none."""
+    names = []
+    for parent in (*root.findall("link"), *root.findall("joint")):
+        for tag in _UNIQUE[parent.tag]:
+            for repeated in parent.findall(tag)[1:]:
+                parent.remove(repeated)
+                names.append(f"<{tag}> of {parent.get('name', '')}")
+    return [f"repeated elements are left out: {', '.join(names):.200}"] if names else []
 
 
 def _complete_inertials(root: ElementTree.Element) -> list[str]:

@@ -10,7 +10,7 @@ from armctl.core.validation import Array
 # Of a moving link without any: a ball of 1 g with a radius of 5 cm.
 MIN_MASS_KG = 1e-3
 MIN_INERTIA_KG_M2 = 1e-6
-_MIN_RELATIVE_SPREAD = 1e-9  # of the greatest second moment: MuJoCo refuses an inertia at the limit of what is possible
+_MIN_RELATIVE_SPREAD = 1e-7  # of the greatest second moment: MuJoCo refuses an inertia at the limit of what is possible
 
 _NO_INERTIA = (np.nan, 0.0, 0.0, 0.0, 0.0, 0.0)  # no full inertia, as MuJoCo writes it
 
