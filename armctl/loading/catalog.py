@@ -32,6 +32,7 @@ _CONVERTERS = {
     ".usd": "usd_to_urdf (pip install nvidia-srl-usd-to-urdf)",
 }
 _REFERRING = ("actuators", "sensors", "equalities", "tendons", "pairs", "excludes", "keys", "skins")
+_FEW_PIXELS = 8  # width of a texture that nothing is drawn with
 _MUJOCO_ERRORS = (ValueError, OSError, mujoco.FatalError, mujoco.UnexpectedError)
 
 
@@ -91,6 +92,24 @@ class Source:
         except _MUJOCO_ERRORS as error:
             raise ModelError(f"{self._label}: MuJoCo cannot compile it: {_one_line(error)}") from None
         return model
+
+    def compile_without_textures(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
+        """As `compile`, but generated textures have few pixels: they take most of the time if the meshes are in the cache.
+
+        Raises:
+            ModelError: As for `compile`.
+        """
+        generated = [texture for texture in spec.textures if texture.builtin != mujoco.mjtBuiltin.mjBUILTIN_NONE]
+        sizes = [(texture.width, texture.height) for texture in generated]
+        for texture in generated:
+            texture.width = _FEW_PIXELS
+            texture.height = _FEW_PIXELS
+        try:
+            return self.compile(spec)
+        finally:
+            for texture, (width, height) in zip(generated, sizes, strict=True):
+                texture.width = width
+                texture.height = height
 
     def _copied_spec(self) -> mujoco.MjSpec:
         """A copy of the caller's specification. MjSpec.copy silently drops elements that refer to others that do not exist."""

@@ -117,7 +117,7 @@ def load(
     ends = robot_model.resolved(ArmEnds(tip, base, tip_offset))
     if tool is not None:
         with _naming(source.name):
-            _, flange = find_ends(source, Transmissions(source.compile(spec)), ArmEnds(ends.tip, ends.base))
+            _, flange = find_ends(source, Transmissions(source.compile_without_textures(spec)), ArmEnds(ends.tip, ends.base))
         body = next(b for b in spec.bodies if b.id == flange.body)
         ends = replace(ends, tip=mount(spec, body, flange.T_body_tip, locate(tool, tool=True)))
     _add_scene(spec, scene)
@@ -195,13 +195,13 @@ def chains(robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel) -> li
         return all_chains(Transmissions(robot))
     source = locate(robot)
     spec = _read(source, hold_base=False).spec
-    return all_chains(Transmissions(source.compile(spec)))
+    return all_chains(Transmissions(source.compile_without_textures(spec)))
 
 
 def _load_spec(source: Source, robot: _Robot, ends: Sequence[ArmEnds]) -> tuple[Arm, ...]:
     """The arms of a specification, which is changed in place."""
     spec = robot.spec
-    original = source.compile(spec)
+    original = source.compile_without_textures(spec)
     with _naming(source.name):
         check_timestep(original)
         analysis = Transmissions(original)
@@ -240,7 +240,7 @@ def _read(source: Source, hold_base: bool, srdf: str | os.PathLike[str] | None =
     spec, notes = source.read()
     notes = [*notes, *add_missing_motors(spec)]
     if hold_base:
-        remove_free_joints(spec, source.compile(spec))
+        remove_free_joints(spec, source.compile_without_textures(spec))
     if srdf is not None:
         instance("srdf", srdf, (str, os.PathLike), "give the path of an SRDF")
         semantics = read_srdf(Path(srdf))
