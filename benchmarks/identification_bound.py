@@ -1,9 +1,10 @@
 """The smallest tracking error that any identification can reach with the data of `identification.py`.
 
 The estimator behind the bound knows all positions, velocities and accelerations exactly, the shape of the friction, and how the
-benchmark makes its models wrong; only the noise of the torques limits it. It is the linear estimator of least variance. With
-the information I of all ticks and the covariance S = L L^T of the parameters before any data, the covariance of its error is
-C = L (1 + L^T I L)^-1 L^T. Parameter errors become tracking errors by the linear equation of the controllers' error.
+benchmark makes its models wrong. With dry friction, the amount of all friction is unknown. Only the noise of the torques limits
+it. It is the linear estimator of least variance: with the information I of all ticks and the covariance S = L L^T of the
+parameters before any data, the covariance of its error is C = L (1 + L^T I L)^-1 L^T. Parameter errors become tracking errors by
+the linear equation of the controllers' error.
 Source: Kay, Fundamentals of Statistical Signal Processing: Estimation Theory (1993), 10-12.
 """
 
@@ -22,7 +23,7 @@ from armctl.design.regressor import ArmRegressor, FrictionShape
 from armctl.robot.passive_forces import DryFriction
 
 _MODELS = 300  # from which the covariance before any data follows
-_FRICTION_SHARE = 0.1  # of the torque limits: standard deviation of unknown Coulomb friction
+_FRICTION_SHARE = 0.1  # of the torque limits: standard deviation of unknown Coulomb friction, and of viscous at 1 rad/s
 _MIN_SMOOTHING = 1e-6  # rad/s
 _EVERY = 4  # ticks between the states of the regressor
 _SIMILAR_SEEDS = 1000  # seeds of the models from which the covariance follows start here
@@ -69,9 +70,10 @@ class BoundFinder:
         L = (before - before.mean(axis=0)).T / np.sqrt(_MODELS)
         true = real.model.dof_frictionloss[real.dof_adr]
         if (true != self._arm.model.dof_frictionloss[self._arm.dof_adr]).any():
-            friction = np.zeros((layout.size, layout.n))
-            friction[layout.coulomb] = np.diag(_FRICTION_SHARE * self._arm.limits.tau_max)
-            L = np.column_stack([L, friction])
+            for part in (layout.coulomb, layout.viscous):
+                friction = np.zeros((layout.size, layout.n))
+                friction[part] = np.diag(_FRICTION_SHARE * self._arm.limits.tau_max)
+                L = np.column_stack([L, friction])
         WL = W @ L
         C = L @ np.linalg.inv(np.eye(L.shape[1]) + _EVERY * WL.T @ WL) @ L.T
         deviation = np.sqrt(np.diag(C)[layout.coulomb])

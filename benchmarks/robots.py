@@ -1,4 +1,4 @@
-"""Every chain of every installed robot: joints, limits and their source, model parity, inverse kinematics, tracking.
+"""The makers' ratings of arms, loading times, and every chain of every installed robot with its limits and test results.
 
     python benchmarks/robots.py [--poses 1000] [--out docs/robots.md]
 
@@ -8,18 +8,39 @@ It writes the page `docs/robots.md`. A robot is installed if MENAGERIE_ROOT or t
 from __future__ import annotations
 
 import argparse
+import time
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
+import mujoco
 import mujoco_menagerie as menagerie
 
 import armctl
 from armctl.analysis.chain_check import GOAL_DISTANCE, ChainCheck, arms_of, check_chain
 from armctl.core.tables import Table
-from armctl.loading.catalog import BUNDLED, installed_robots
+from armctl.loading.catalog import BUNDLED, installed_robots, locate
+from armctl.loading.ratings import ratings_table
 
 PAGE = Path(__file__).parent.parent / "docs" / "robots.md"
 HEAD = """# Robots
+
+## Ratings
+
+What the makers publish about the arms of MuJoCo Menagerie, with the source. An arm with empty cells has no data sheet in
+armctl: its limits come from its model, its speeds are the default of 2 rad/s. `armctl info NAME` compares the rated payload
+with what the torque limits of the model hold.
+
+{ratings}
+
+## Loading
+
+CPU time of `armctl.load` and of MuJoCo's own compilation of the same file, the least of {runs} runs each in turn, with MuJoCo's
+cache of meshes cleared before each run. armctl compiles twice and compares its model with MuJoCo's.
+
+{loading}
+
+## Chains
 
 Every serial chain of the robots that were installed when this page was made, by `python benchmarks/robots.py`. The command
 `armctl chains NAME` finds them; `load(NAME, base=..., tip=..., hold_base=True)` loads one.
@@ -30,6 +51,8 @@ Every serial chain of the robots that were installed when this page was made, by
 - Joints in brackets follow the one before them: an equality ties them to it.
 
 """
+LOADING_COLUMNS = ("robot", "load, s", "MuJoCo alone, s", "ratio")
+LOADING_RUNS = 3
 COLUMNS = ("base to tip", "joints", "torque limits", "speed limits", "parity", "IK", "PD, rad", "computed torque, rad", "")
 
 
@@ -66,13 +89,48 @@ def robot_entries() -> list[str]:
     return [BUNDLED, *(f"{name}/{menagerie.get(name).default_model}" for name in names)]
 
 
+def loading(robots: list[str]) -> Table:
+    """How long `load` takes, beside MuJoCo's own compilation, for the arms among some robots."""
+    armctl.load(BUNDLED)  # imports
+    rows = []
+    for robot in robots:
+        if not is_arm(robot):
+            continue
+        path = str(locate(robot).path)
+        alone = []
+        whole = []
+        for _ in range(LOADING_RUNS):
+            alone.append(cold_seconds(lambda path=path: mujoco.MjSpec.from_file(path).compile()))
+            whole.append(cold_seconds(lambda robot=robot: armctl.load(robot)))
+        rows.append([robot, f"{min(whole):.3f}", f"{min(alone):.3f}", f"{min(whole) / min(alone):.2f}"])
+    return Table(LOADING_COLUMNS, rows)
+
+
+def is_arm(robot: str) -> bool:
+    """Whether `load` takes a robot without further arguments."""
+    try:
+        armctl.load(robot)
+    except armctl.ArmctlError:
+        return False
+    return True
+
+
+def cold_seconds(call: Callable[[], object]) -> float:
+    """CPU time of a call without cached meshes."""
+    mujoco.mj_clearCache(mujoco.mj_getCache())
+    began = time.process_time()
+    call()
+    return time.process_time() - began
+
+
 def page(poses: int) -> str:
     """The whole page."""
-    text = HEAD.format(poses=poses, step=GOAL_DISTANCE)
+    tables = {"ratings": ratings_table().markdown(), "loading": loading(installed_robots()).markdown()}
+    text = HEAD.format(poses=poses, step=GOAL_DISTANCE, runs=LOADING_RUNS, **tables)
     for robot in robot_entries():
         rows = [row(check_chain(arm, base, poses)) for base, arm in arms_of(robot)]
         refused = [chain for chain in armctl.chains(robot) if not chain.ok]
-        text += f"## {robot}\n\n"
+        text += f"### {robot}\n\n"
         if rows:
             text += Table(COLUMNS, rows).markdown() + "\n\n"
         if refused:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import fields
 
+from armctl.analysis.static_payload import doubt_about_torque_limits, static_payload, static_payloads
 from armctl.control.margin_exceptions import margin_exceptions
 from armctl.control.observer_gains import max_unknown_payload
 from armctl.core import units
@@ -31,6 +32,7 @@ def facts(arm: Arm) -> dict[str, object]:
         "mass_kg": float(sum(inertia.mass for inertia in arm.pinocchio_model.pin_model.inertias)),
         "timestep_s": arm.dt,
         "notes": list(arm.notes),
+        "static_payload_kg": static_payload(static_payloads(arm)),
         "unknown_payload_kg": max_unknown_payload(arm),
         "margin_exceptions": list(margin_exceptions(arm)),
     }
@@ -53,6 +55,9 @@ def describe(arm: Arm) -> str:
     lines.append("units: rad, rad/s, rad/s^2, rad/s^3, N m (m and N for a slide joint)")
     lines += [f"{name} from: {source}" for name, source in arm.sources.items() if name != "q_min"]
     lines += [f"note: {note}" for note in arm.notes]
+    payload = float(data["static_payload_kg"])
+    doubt = doubt_about_torque_limits(arm, payload)
+    lines.append(doubt or f"static payload at the tip, in 95 % of configurations: {max(payload, 0.0):.3g} kg")
     lines.append(
         "default gains, computed-torque-observer, -integral and -learning: made for unknown payloads of up to "
         f"{data['unknown_payload_kg']:.3g} kg within 5 cm of the tip, and stable with twice that"

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from armctl.analysis.static_payload import doubt_about_torque_limits, static_payload, static_payloads
 from armctl.core.errors import ArmctlWarning, ModelError
 from armctl.core.validation import Array
 from armctl.loading.load import load
 from armctl.mjmodel.queries import body_name, joint_name
 from armctl.robot.arm import Arm
 
-_POSES = 300  # random configurations in which the torque limits are compared with gravity
 _MAX_OWN_WEIGHTS = 5.0  # an arm that could hold more than so many times its own mass has doubtful torque limits
 _MAX_MASS_RATIO = 1000.0  # greatest mass of a link over the smallest
 
@@ -122,35 +122,18 @@ def diagnose(
         except ModelError as error:
             return Diagnosis(name, (Finding("error", str(error)),), float("nan"))
     texts = [str(each.message) for each in caught if issubclass(each.category, ArmctlWarning)]
-    capacity = _static_payloads(arm)
+    capacity = static_payloads(arm)
     found = [Finding("warning", text, _advice(text)) for text in texts]
     found += _torque_findings(arm, capacity)
     found += _contact_findings(arm)
     found += _mass_findings(arm)
     found += _assumptions(arm, is_tip_given=tip is not None)
     found.sort(key=lambda finding: _SEVERITIES.index(finding.severity))
-    return Diagnosis(arm.name, tuple(found), float(np.percentile(capacity, 5)))
+    return Diagnosis(arm.name, tuple(found), static_payload(capacity))
 
 
 def _advice(text: str) -> str:
     return next((advice for phrase, advice in _ADVICE.items() if phrase in text), "")
-
-
-def _static_payloads(arm: Arm) -> Array:
-    """(k,) kg, the greatest point mass at the tip that the torque limits hold, in random configurations; below 0 if none.
-
-    Holding a mass m takes the torques g(q) + m c(q), where c = -J_v^T (gravity vector) is the torque for 1 kg.
-    """
-    payloads = []
-    for q in arm.limits.random(arm.home, _POSES, np.random.default_rng(0)):
-        own = arm.gravity(q)
-        per_kg = -arm.jacobian(q)[:3].T @ arm.model.opt.gravity
-        margin = arm.limits.tau_max - np.sign(per_kg) * own
-        with np.errstate(divide="ignore"):
-            payloads.append(float(np.min(np.where(per_kg == 0.0, np.inf, margin / np.abs(per_kg)))))
-        if np.any(np.abs(own) > arm.limits.tau_max):
-            payloads[-1] = -1.0
-    return np.array(payloads)
 
 
 def _torque_findings(arm: Arm, payloads: Array) -> Iterator[Finding]:
@@ -165,12 +148,16 @@ def _torque_findings(arm: Arm, payloads: Array) -> Iterator[Finding]:
     if weak > 0:
         text = f"the torque limits ({source}) cannot hold the arm itself in {100 * weak:.0f} % of random configurations"
         yield Finding("warning", text, "compare effort or forcerange, and the masses, with the data sheet")
-    low, middle = np.percentile(payloads, [5, 50])
+    low = static_payload(payloads)
+    middle = float(np.median(payloads))
     own = _moving_mass(arm)
+    doubt = doubt_about_torque_limits(arm, low)
+    if doubt:
+        yield Finding("warning", doubt, "take effort or forcerange from the data sheet")
     if np.isfinite(low) and low > _MAX_OWN_WEIGHTS * own:
         text = f"the torque limits ({source}) hold {low:.3g} kg at the tip of an arm of {own:.3g} kg"
         yield Finding("warning", text, "these limits are doubtful; take them from the data sheet")
-    elif np.isfinite(middle) and low >= 0:
+    elif np.isfinite(middle) and low >= 0 and not doubt:
         yield Finding("note", f"the torque limits ({source}) hold {low:.3g} kg at the tip (median {middle:.3g} kg)")
 
 

@@ -38,18 +38,16 @@ def _print_names(args: argparse.Namespace) -> None:
 
 def _print_ratings(args: argparse.Namespace) -> None:
     """The ratings of all data sheets."""
-    from math import degrees
+    from armctl.loading.ratings import rated_arms, ratings_table
 
-    from armctl.core.tables import Table
-    from armctl.loading.datasheets import ROWS
-
-    cells = []
-    rows = []
-    for name, row in ROWS.items():
-        speeds = None if row.v_max is None else [float(v) for v in row.v_max]
-        sources = "; ".join(dict.fromkeys(filter(None, [row.rating_source, row.source])))
-        figures = ["" if figure is None else f"{figure:g}" for figure in (row.payload, row.reach)]
-        cells.append([name, *figures, " ".join(f"{degrees(v):.0f}" for v in speeds or ()), sources])
-        rows.append({"robot": name, "payload_kg": row.payload, "reach_m": row.reach, "v_max": speeds, "source": sources})
-    table = Table(("robot", "payload, kg", "reach, m", "joint speeds, deg/s", "source"), cells)
-    print_result(args, table.text(), rows)
+    rows = [
+        {
+            "robot": name,
+            "payload_kg": row.payload,
+            "reach_m": row.reach,
+            "v_max": None if row.v_max is None else list(row.v_max),
+            "source": row.sources,
+        }
+        for name, row in rated_arms().items()
+    ]
+    print_result(args, ratings_table().text(), rows)

@@ -242,6 +242,12 @@ def robots() -> dict[str, str]:
     return known | {short.get(r.name, r.name): f"{r.display_name}: {text}" for r, text in ability.items()}
 
 
+def datasheet_of(name: str) -> Row | None:
+    """The data sheet of a robot by a name of the catalog, with or without an entry point; None if there is none."""
+    robot = name.partition("/")[0]
+    return ROWS.get(ALIASES.get(robot, robot))
+
+
 def installed_robots() -> list[str]:
     """The names in MuJoCo Menagerie of the robots that need no download, and the bundled arm's."""
     import mujoco_menagerie as menagerie

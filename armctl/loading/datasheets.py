@@ -40,6 +40,11 @@ class Row:
     tip_offset: tuple[float, float, float] | None = None
 
     @property
+    def sources(self) -> str:
+        """The sources of all figures."""
+        return "; ".join(dict.fromkeys(filter(None, [self.rating_source, self.source])))
+
+    @property
     def rating(self) -> str:
         """The maker's rating in words; empty if the row has none."""
         if self.payload is None or self.reach is None:
@@ -104,7 +109,7 @@ ROWS: dict[str, Row] = {
         source="UFACTORY Lite 6 user manual", v_max=_deg(180, 180, 180, 180, 180, 180), payload=0.6, reach=0.44
     ),
     "kinova_gen3": Row(
-        source="Kinova Gen3 user guide: joint speeds; torques: hard limits of the safety thresholds, not actuator ratings",
+        source="Kinova Gen3 user guide: joint speeds; table 33, actuator safety items: hard limits of torque, no ratings",
         v_max=(1.39, 1.39, 1.39, 1.39, 1.22, 1.22, 1.22),
         tau_max=(105.0, 105.0, 105.0, 105.0, 52.0, 52.0, 52.0),
         payload=4.0,
@@ -118,6 +123,13 @@ ROWS: dict[str, Row] = {
         payload=4.0,
         reach=1.26,
         rating_source="Rethink Robotics Sawyer data sheet",
+    ),
+    "unitree_z1": Row(source="Unitree Z1 documentation, specifications", payload=3.0, reach=0.74),
+    "trossen_vx300s": Row(
+        source="Interbotix X-Series documentation, ViperX-300 6DOF: payload up to half of the reach", payload=0.75, reach=0.75
+    ),
+    "trossen_wx250s": Row(
+        source="Interbotix X-Series documentation, WidowX-250 6DOF: payload up to half of the reach", payload=0.25, reach=0.65
     ),
     "flexiv_rizon4": Row(
         source="Flexiv Rizon 4 data sheet",

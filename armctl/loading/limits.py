@@ -58,12 +58,12 @@ class TorqueLimits:
 
 
 def datasheet_limits(row: Row | None, n: int) -> JointData | None:
-    """A data-sheet row as limits of an arm of n joints; None without a row, or if the row describes another arm."""
+    """A data-sheet row as limits of an arm of n joints; None without a row, or if it is of another number of joints."""
     if row is None:
         return None
     values = {name: getattr(row, name) for name in ("v_max", "a_max", "j_max", "tau_max")}
     given = {name: np.array(value) for name, value in values.items() if value is not None}
-    if not given or any(len(value) != n for value in given.values()):
+    if any(len(value) != n for value in given.values()):
         return None
     return JointData(row.source, **given)
 

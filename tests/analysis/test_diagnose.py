@@ -1,13 +1,16 @@
 """What `diagnose` says about files with one fault each."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from synthetic import FIRST, INERTIA, JOINT, LIMIT, LINK, MESH, SECOND, THIRD, TOOL, limb, mjcf, motors, urdf
 
 import armctl
+from armctl.analysis.static_payload import doubt_about_torque_limits, static_payload, static_payloads
 from armctl.cli.main import main
+from armctl.loading.datasheets import ROWS, Row
 
 ROBOT = urdf(FIRST, SECOND, THIRD, TOOL)
 BALL = '<collision><geometry><sphere radius="0.4"/></geometry></collision>'
@@ -102,3 +105,18 @@ def test_the_command_prints_the_findings_and_fails_on_an_error(tmp_path: Path, c
     path.write_text("<robot")
     assert main(["doctor", str(path)]) == 1
     assert capsys.readouterr().out.startswith("r.urdf: 1 error, 0 warnings, 0 notes\nerror: ")
+
+
+@pytest.mark.parametrize(("rated", "doubt"), [(0.1, "they are too strong"), (2.5, ""), (500.0, "they are too weak")])
+def test_torque_limits_far_from_the_rated_payload_are_doubted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rated: float, doubt: str
+):
+    row = Row(source="data sheet", payload=rated, reach=1.0)
+    monkeypatch.setitem(ROWS, "r", row)
+    (tmp_path / "r.urdf").write_text(ROBOT)
+    arm = replace(armctl.load(tmp_path / "r.urdf"), notes=(row.rating,))
+    found = doubt_about_torque_limits(arm, static_payload(static_payloads(arm)))
+    assert found.endswith(doubt)
+    assert bool(found) == bool(doubt)
+    assert (f"rated for {rated:g} kg" in found) == bool(doubt)
+    assert not doubt_about_torque_limits(replace(arm, notes=()), 0.0)

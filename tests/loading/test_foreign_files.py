@@ -18,10 +18,10 @@ ROBOT = urdf(FIRST, SECOND, THIRD, TOOL)
 
 @pytest.fixture
 def load(tmp_path: Path):
-    def loaded(text: str, name: str = "r.urdf") -> armctl.Arm:
+    def loaded(text: str, name: str = "r.urdf", tip: str | None = None) -> armctl.Arm:
         path = tmp_path / name
         path.write_text(text)
-        return armctl.load(path)
+        return armctl.load(path, tip=tip)
 
     return loaded
 
@@ -213,3 +213,34 @@ def test_what_xacrodoc_raises_is_one_sentence(load, monkeypatch: pytest.MonkeyPa
 def test_a_nameless_joint_without_an_actuator_gets_a_name_and_a_motor(load):
     nameless = mjcf(limb("a b c").replace('name="b" ', "").replace('name="c" ', 'name="joint0" '))
     assert load(nameless, "r.xml").joint_names == ("a", "joint1", "joint0")
+
+
+def test_of_repeated_elements_the_first_counts_with_a_warning(load):
+    first = FIRST.replace("</joint>", '<axis xyz="1 0 0"/></joint>')
+    text = urdf(first, SECOND, THIRD, TOOL).replace("</inertial>", '</inertial><inertial><mass value="9"/></inertial>', 1)
+    with pytest.warns(armctl.ArmctlWarning, match=r"repeated elements are left out: <inertial> of \w+, <axis> of j1"):
+        arm = load(text)
+    plain = load(ROBOT)
+    np.testing.assert_allclose(arm.model.body_mass, plain.model.body_mass)
+    np.testing.assert_allclose(arm.model.jnt_axis, plain.model.jnt_axis)
+
+
+def test_the_inertia_of_a_rod_without_thickness_is_accepted(load):
+    rod = '<inertia ixx="1e-7" ixy="-9e-13" ixz="0" iyy="1e-15" iyz="1e-12" izz="1e-7"/>'
+    with pytest.warns(armctl.ArmctlWarning, match="is one that no body has: armctl uses the nearest"):
+        arm = load(re.sub("<inertia .*?/>", rod, ROBOT, count=1))
+    assert arm.n == 2
+
+
+def test_a_hint_names_ends_that_can_be_chosen(load):
+    leg = '<body pos="{0} 0 0.2"><joint name="{1}"/><geom name="foot {1}" size="0.05"/></body>'
+    text = mjcf(leg.format(0.2, "left") + leg.format(-0.2, "right"), motors("left right"))
+    with pytest.raises(armctl.ModelError, match="choose one with tip=: 'foot left', 'foot right'"):
+        load(text, "r.xml")
+    assert load(text, "r.xml", tip="foot left").joint_names == ("left",)
+
+
+def test_a_generated_texture_keeps_its_size(load):
+    texture = '<asset><texture name="sky" type="skybox" builtin="gradient" rgb1="1 0 0" width="32" height="192"/></asset>'
+    text = mjcf(limb("a b", '<site name="tip"/>'), motors("a b")).replace("<worldbody>", texture + "<worldbody>", 1)
+    assert load(text, "r.xml").model.tex_width.tolist() == [32]
