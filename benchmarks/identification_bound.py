@@ -3,8 +3,8 @@
 The estimator behind the bound knows all positions, velocities and accelerations exactly, the shape of the friction, and how the
 benchmark makes its models wrong. With dry friction, the amount of all friction is unknown. Only the noise of the torques limits
 it. It is the linear estimator of least variance: with the information I of all ticks and the covariance S = L L^T of the
-parameters before any data, the covariance of its error is C = L (1 + L^T I L)^-1 L^T. Parameter errors become tracking errors by
-the linear equation of the controllers' error.
+parameters before any data, the covariance of its error is C = L (1 + L^T I L)^-1 L^T. Parameter errors become tracking errors
+by the linear equation of the controllers' error.
 Source: Kay, Fundamentals of Statistical Signal Processing: Estimation Theory (1993), 10-12.
 """
 

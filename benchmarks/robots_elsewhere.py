@@ -1,6 +1,6 @@
 """Robots that others describe: which files of installed packages load, and how well the arms in them do.
 
-    python benchmarks/robots_elsewhere.py [--folder FOLDER ...] [--poses 50] [--moves 3] [--limit 60]
+    python benchmarks/robots_elsewhere.py [--folder FOLDER ...] [--poses 50] [--moves 3] [--limit 60] [--out FILE]
 
 Every MJCF, URDF and xacro with a joint in the folders is loaded; without --folder, in the packages of this Python. Of several
 equally long chains the first is taken, and a free base is held. `solve_ik` gets the poses of random configurations, `move_to`
@@ -189,6 +189,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, nargs="+", default=[Path(sysconfig.get_path("purelib"))])
     parser.add_argument("--poses", type=int, default=50)
     parser.add_argument("--moves", type=int, default=3)
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "robots_elsewhere.md")
     parser.add_argument("--limit", type=float, default=60.0, help="seconds of CPU for each file")
     args = parser.parse_args()
     moves_of(armctl.load(BUNDLED), 1)  # compiles: an exception inside numba's compiler would leave it unusable
@@ -200,12 +201,18 @@ def main() -> None:
             outcomes.append(checked(path, folder, args.poses, args.moves))
             signal.setitimer(signal.ITIMER_PROF, 0.0)
     print(Table(COLUMNS, [outcome.cells for outcome in outcomes]).markdown())
-    print("\n" + reasons_table(outcomes, args.folder))
     loaded = [outcome for outcome in outcomes if outcome.kind == "loaded"]
     grippers = sum(bool(outcome.cells[COLUMNS.index("gripper")]) for outcome in loaded)
-    print(f"\n{len(outcomes)} files: {len(loaded)} loaded, {grippers} with a gripper; {len(outcomes) - len(loaded)} not loaded")
     moves = sum((outcome.moves for outcome in outcomes), Counter())
-    print(f"{moves.total()} moves: " + ", ".join(f"{count} {kind}" for kind, count in sorted(moves.items())))
+    summary = (
+        f"{reasons_table(outcomes, args.folder)}\n\n{len(outcomes)} files: {len(loaded)} load, "
+        f"{grippers} of them with a gripper; {len(outcomes) - len(loaded)} do not load.\n"
+    )
+    if moves:
+        counts = ", ".join(f"{count} {kind}" for kind, count in sorted(moves.items()))
+        summary += f"{moves.total()} moves to random reachable points: {counts}.\n"
+    args.out.write_text(summary, encoding="utf-8")
+    print("\n" + summary)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ from armctl.core.log import RECORDED, Log
 from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.design.pseudo_inertia import PARAMETERS, from_log_cholesky, is_consistent, regularized, to_log_cholesky
 from armctl.design.regressor import ArmRegressor, FrictionShape
-from armctl.robot.arm import Arm
 from armctl.robot.passive_forces import DryFriction
 
 _REGRESSOR_SAMPLES_PER_PERIOD = 8  # of the cut-off: products of positions and velocities have higher frequencies
@@ -21,8 +20,9 @@ _ROWS_PER_PERIOD = 4
 _TRIMMED_PERIODS = 1.0  # at both ends, where the filter has no data on one side
 _MAX_DELAY_S = 0.05
 _ROUNDS = 3  # delay, shape of the friction and noise depend on each other
-_SHAPE_SPEEDS = np.geomspace(0.003, 3.0, 13)  # rad/s, candidates for the smoothing of Coulomb friction
+_SHAPE_SPEEDS = np.geomspace(0.003, 1.0, 11)  # rad/s, candidates for the smoothing of Coulomb friction
 _VELOCITY_NOISE = 2e-3  # rad/s (m/s), RMS in the velocity that dry friction follows
+_LAW_FACTORS = np.geomspace(0.5, 2.0, 5)  # around MuJoCo's smoothing: the inertia that it depends on may be wrong
 _SMOOTHING_TOLERANCE = 0.01  # relative
 _SLIDING_SPEEDS = np.concatenate([[0.0], np.geomspace(0.01, 1.0, 9)])  # rad/s, candidates for the least speed of a row
 _MIN_SLIDING_SHARE = 0.25  # of the rows
@@ -111,7 +111,9 @@ class ParameterFit:
         self._a = a[:: self._stride]
         self.shape = FrictionShape(np.full(n, _SHAPE_SPEEDS[4]), np.full(n, _STRIBECK_SPEEDS[3]))
         self._sliding = np.zeros(n)
-        speeds = _speeds_of_torques(regressor.arm, log, v, a)
+        is_simulated = log.controller != RECORDED and _CONTINUOUS not in log.plant
+        self._law = DryFriction.of(regressor.arm.model, regressor.arm.joint_map) if is_simulated else None
+        speeds = _speeds_of_torques(self._law, log, v, a)
         start = speeds.start[:: self._stride]
         self._v_end = speeds.end[:: self._stride]
         self._v_dry = speeds.dry
@@ -264,13 +266,16 @@ class ParameterFit:
             columns = self._dry_columns(self._v_dry, shape)[kept]
             return np.array([_cost(columns[:, j], rows.v[:, j], rest[:, j]) for j in range(layout.n)])
 
-        smoothing = _best_of(_SHAPE_SPEEDS, lambda s: costs(self.shape._replace(smoothing=s)), layout.n)
+        candidates = self._smoothing_candidates()
+        smoothing = _best_of(candidates, lambda s: costs(self.shape._replace(smoothing=s)))
         self.shape = self.shape._replace(smoothing=smoothing)
         if layout.has_stribeck:
-            stribeck = _best_of(_STRIBECK_SPEEDS, lambda s: costs(self.shape._replace(stribeck=s)), layout.n)
+            candidates = np.repeat(_STRIBECK_SPEEDS[:, None], layout.n, axis=1)
+            stribeck = _best_of(candidates, lambda s: costs(self.shape._replace(stribeck=s)))
             self.shape = self.shape._replace(stribeck=stribeck)
         for j in range(layout.n):
-            smoothing[j] = self._refined_smoothing(j, rows.v[:, j], rest[:, j])
+            step = np.log(candidates[1, j] / candidates[0, j])
+            smoothing[j] = self._refined_smoothing(j, step, rows.v[:, j], rest[:, j])
         columns = self._dry_columns(self._v_dry, self.shape)[kept]
         for j in range(layout.n):
             A = np.column_stack([columns[:, j, 0], rows.v[:, j], np.ones(len(rows))])
@@ -290,15 +295,21 @@ class ParameterFit:
         once = low_pass(dry.reshape(len(dry), -1), self.cutoff, self._dt)[:: self._stride]
         return low_pass(once, self.cutoff, self._dt * self._stride).reshape(-1, *dry.shape[1:])
 
-    def _refined_smoothing(self, j: int, v: Array, rest: Array) -> float:
-        """The smoothing speed of a joint between the neighbours of the best candidate."""
+    def _smoothing_candidates(self) -> Array:
+        """(k, n) rad/s: for a simulation around that of MuJoCo's law, which is proportional to the friction so far."""
+        if self._law is None:
+            return np.repeat(_SHAPE_SPEEDS[:, None], self.regressor.layout.n, axis=1)
+        by_law = self.x[self.regressor.layout.coulomb] / (self._law.gain * self._law.rate)
+        return _LAW_FACTORS[:, None] * np.maximum(by_law, _SHAPE_SPEEDS[0])
+
+    def _refined_smoothing(self, j: int, step: float, v: Array, rest: Array) -> float:
+        """The smoothing speed of a joint around the best candidate; step is the logarithm of the ratio of two candidates."""
         from scipy.optimize import minimize_scalar
 
         kept = self._kept_samples()
         speeds = self._v_dry[:, j : j + 1]
         stribeck = self.shape.stribeck[j : j + 1]
         around = np.log(self.shape.smoothing[j])
-        step = np.log(_SHAPE_SPEEDS[1] / _SHAPE_SPEEDS[0])
         found: Any = minimize_scalar(
             lambda x: _cost(self._dry_columns(speeds, FrictionShape(np.exp([x]), stribeck))[kept, 0], v, rest),
             bounds=(around - step, around + step),
@@ -403,7 +414,7 @@ class ParameterFit:
         return out
 
 
-def _speeds_of_torques(arm: Arm, log: Log, v: Array, a: Array) -> _Speeds:
+def _speeds_of_torques(law: DryFriction | None, log: Log, v: Array, a: Array) -> _Speeds:
     """The speeds at which each kind of torque acts, from filtered velocities and accelerations.
 
     MuJoCo's step takes Coriolis torques at the velocity of the step before, damping at the end of the step, and dry friction at
@@ -412,16 +423,16 @@ def _speeds_of_torques(arm: Arm, log: Log, v: Array, a: Array) -> _Speeds:
     """
     fast = max(choose_cutoff(log.q, log.dt), velocity_cutoff(log.q, log.dt, _VELOCITY_NOISE))
     dry = derivatives(low_pass(log.q, fast, log.dt), log.dt)[0]
-    if log.controller == RECORDED or _CONTINUOUS in log.plant:
+    if law is None:
         return _Speeds(v, v, dry)
     half_step = 0.5 * log.dt * a
-    return _Speeds(v - half_step, v + half_step, dry - half_step + a / DryFriction.of(arm.model, arm.joint_map).rate)
+    return _Speeds(v - half_step, v + half_step, dry - half_step + a / law.rate)
 
 
-def _best_of(candidates: Array, costs: Callable[[Array], Array], n: int) -> Array:
-    """(n,) for each joint the candidate of the least cost."""
-    all_costs = np.array([costs(np.full(n, candidate)) for candidate in candidates])
-    return candidates[all_costs.argmin(axis=0)]
+def _best_of(candidates: Array, costs: Callable[[Array], Array]) -> Array:
+    """(n,) for each joint the candidate (k, n) of the least cost."""
+    best = np.array([costs(candidate) for candidate in candidates]).argmin(axis=0)
+    return candidates[best, np.arange(candidates.shape[1])]
 
 
 def _cost(friction: Array, v: Array, torques: Array) -> float:
