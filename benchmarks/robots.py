@@ -27,8 +27,8 @@ HEAD = """# Robots
 
 ## Ratings
 
-What the makers publish about the arms of MuJoCo Menagerie, with the source. An arm with empty cells has no data sheet in
-armctl: its limits come from its model, its speeds are the default of 2 rad/s. `armctl info NAME` compares the rated payload
+What the makers publish about the arms of MuJoCo Menagerie, with the source. An arm without a data sheet in
+armctl has the limits of its model and the default speed of 2 rad/s. `armctl info NAME` compares the rated payload
 with what the torque limits of the model hold.
 
 {ratings}

@@ -55,7 +55,7 @@ def describe(arm: Arm) -> str:
     lines.append("units: rad, rad/s, rad/s^2, rad/s^3, N m (m and N for a slide joint)")
     lines += [f"{name} from: {source}" for name, source in arm.sources.items() if name != "q_min"]
     lines += [f"note: {note}" for note in arm.notes]
-    payload = float(data["static_payload_kg"])
+    payload = static_payload(static_payloads(arm))
     doubt = doubt_about_torque_limits(arm, payload)
     lines.append(doubt or f"static payload at the tip, in 95 % of configurations: {max(payload, 0.0):.3g} kg")
     lines.append(

@@ -26,5 +26,5 @@ def ratings_table() -> Table:
     for name, row in rated_arms().items():
         speeds = " ".join(f"{degrees(v):.0f}" for v in row.v_max or ())
         figures = ["" if figure is None else f"{figure:g}" for figure in (row.payload, row.reach)]
-        cells.append([name, *figures, speeds, row.sources])
+        cells.append([name, *figures, speeds, row.sources or "no data sheet"])
     return Table(_COLUMNS, cells)

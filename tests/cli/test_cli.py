@@ -226,9 +226,8 @@ def test_ratings_have_a_payload_a_reach_and_a_source_for_each_data_sheet(capsys)
     assert max(map(len, out.splitlines())) <= TERMINAL_COLUMNS
     ratings, sources = out.split("\n\n")
     rows = [line.split() for line in ratings.splitlines()[3:]]
-    assert rows[0][:3] == ["franka_emika_panda", "3", "0.855"]
-    assert len(rows) == len(ROWS)
-    assert all(len(cells) > 2 for cells in rows)
+    assert ["franka_emika_panda", "3", "0.855"] in [cells[:3] for cells in rows]
+    assert {cells[0] for cells in rows if len(cells) > 2} == set(ROWS)
     assert [line.split()[0] for line in sources.splitlines()[2:] if not line.startswith(" ")] == [cells[0] for cells in rows]
 
 
