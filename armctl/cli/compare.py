@@ -31,7 +31,10 @@ from armctl.core.errors import UnknownNameError
 
 if TYPE_CHECKING:
     from armctl.analysis.report import Report
+    from armctl.control import Controller
+    from armctl.robot.arm import Arm
 
+_POSES = 5
 _MAX_PREFIX_CHARACTERS = 120  # file systems allow 255 bytes for a name
 
 
@@ -48,7 +51,15 @@ def add(commands: Commands) -> None:
     parser.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{PLANTS_HELP} (default nominal)")
     parser.add_argument("--report", type=Path, metavar="DIR", help="write JSON, Markdown and an HTML page into this folder")
     parser.add_argument(
-        "--poses", type=int, default=5, help="configurations at which margins are computed, 0 for none (default 5)"
+        "--poses",
+        type=int,
+        default=_POSES,
+        help="configurations at which margins are computed, 0 for none (default %(default)s)",
+    )
+    parser.add_argument(
+        "--delay-margin",
+        metavar="S",
+        help="tune every controller to this delay margin first, as armctl tune does (default: its default gains)",
     )
     parser.add_argument("--timestep", help="the control period, s (default the model's)")
     parser.add_argument(
@@ -78,16 +89,17 @@ def run(args: argparse.Namespace) -> int:
     plants = [plant_by_name(name, arm, timestep) for name in names(args.plants)]
     for folder in filter(None, (args.report, args.save)):
         folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is reported before the runs
-    runs = len(plants) * len(controllers)
+    laws, notes = _tuned(args, arm, controllers, timestep) if args.delay_margin else (controllers, [])
+    runs = len(plants) * len(laws)
     with progress_bar("compare", runs, "runs") as bar:
 
         def advance(done: int, total: int) -> None:
             bar.update()
 
         reports = compare(
-            arm, controllers, out_and_back(arm, speed=speed), plants, workers=args.workers, poses=args.poses, progress=advance
+            arm, laws, out_and_back(arm, speed=speed), plants, workers=args.workers, poses=args.poses, progress=advance
         )
-    notes = remarks(reports)
+    notes += remarks(reports)
     if notes:
         notes.append("")
     print_result(args, "\n".join([*notes, report_table(reports).text(keys=2)]), [r.to_dict() for r in reports])
@@ -98,6 +110,31 @@ def run(args: argparse.Namespace) -> int:
         for path in write_comparison(reports, args.report, "All joints out and back", film_of=arm):
             say_written(path)
     return DONE
+
+
+def _tuned(
+    args: argparse.Namespace, arm: Arm, names: Sequence[str], timestep: float | None
+) -> tuple[list[Controller | str], list[str]]:
+    """The controllers with the highest gains that keep the delay margin, and a remark on each that keeps its default gains."""
+    from armctl.core.progress import progress_bar
+    from armctl.design.tuning import LAWS, tune
+    from armctl.sim.plant import Plant
+
+    delay_margin = one_number("delay_margin", args.delay_margin)
+    controllers: list[Controller | str] = []
+    notes: list[str] = []
+    with progress_bar("tune", len(names), "controllers") as bar:
+        for name in names:
+            found = (
+                tune(arm, name, delay_margin, poses=args.poses or _POSES, plants=[Plant(timestep=timestep)])
+                if name in LAWS
+                else None
+            )
+            controllers.append(name if found is None else found.controller)
+            if not found:
+                notes.append(f"{name} has its default gains: {'it has no gains to tune' if found is None else found.reason}")
+            bar.update()
+    return controllers, notes
 
 
 def _file_prefixes(reports: Sequence[Report]) -> list[str]:

@@ -15,6 +15,8 @@ COMPARE = (
     "pd,pd-feedforward,computed-torque,computed-torque-observer",
     "--plants",
     "nominal,payload=1",
+    "--delay-margin",
+    "0.005",
 )
 TABLE = re.compile(rf"(?<=<!-- armctl {re.escape(' '.join(COMPARE))} -->\n).*?(?=<!-- end -->)", re.DOTALL)
 REACHED = re.compile(r"reached within .*")

@@ -362,6 +362,17 @@ def test_compare_writes_a_report_on_the_plants_asked_for(capsys, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["comparison.html", "comparison.json", "comparison.md"]
 
 
+def test_compare_tunes_controllers_to_one_delay_margin(capsys):
+    chosen = ("--controllers", "computed-torque,computed-torque-textbook", "--poses", "2", "--workers", "1")
+    _, out, _ = run(capsys, "compare", BUNDLED, *chosen, "--json")
+    default = json.loads(out)["result"][0]
+    _, out, _ = run(capsys, "compare", BUNDLED, *chosen, "--delay-margin", "0.005", "--json")
+    tuned = json.loads(out)["result"][0]
+    assert 5.0 <= 1e3 * tuned["delay_margin_s"] < 0.5e3 * default["delay_margin_s"]
+    _, out, _ = run(capsys, "compare", BUNDLED, *chosen, "--delay-margin", "0.005")
+    assert out.startswith("computed-torque-textbook has its default gains: it has no gains to tune")
+
+
 def test_compare_saves_every_run_in_files_of_its_own(capsys, tmp_path):
     plants = "friction=0.01,friction=0.05"
     status, _, err = run(capsys, "compare", BUNDLED, "--plants", plants, "--save", str(tmp_path), "--workers", "1")
