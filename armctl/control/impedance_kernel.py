@@ -17,7 +17,7 @@ from armctl.control.task_kernel import (
     tip_error,
 )
 from armctl.core.jit import njit
-from armctl.robot.dynamics_kernel import add_friction, add_linear_damping, inverse_dynamics, mass_matrix, solve
+from armctl.robot.dynamics_kernel import add_friction, add_linear_damping, inverse_dynamics, mass_matrix, solve, take_roots
 
 # The parameters begin with these, then follow the posture stiffness (n,) and the model.
 DAMPING_RATIO = 0
@@ -72,6 +72,7 @@ def impedance(params, q, v, reference, memory, tau):
                 stiffness[i, k] += params[TIP_STIFFNESS + j] * J[j, i] * J[j, k]
         for j in range(6):
             feedback[i] += J[j, i] * params[TIP_STIFFNESS + j] * clipped(error[j], params[MAX_ERROR + j])
+    take_roots(inertia(task, n))
     _add_critical_damping(params[DAMPING_RATIO], inertia(task, n), stiffness, scaled, modes, error_rate, scaled_rate, feedback)
     inverse_dynamics(model, q, v, a_ref, work, tau)
     add_linear_damping(model, error_rate, tau)

@@ -101,7 +101,7 @@ FORGETTING = 2  # per control period
 CONSTANTS = 3
 
 # The memory of the estimator: unknowns (p,), regressors (2, n, p) and torques (2, n) behind each low-pass, information (p, p)
-# and its vector (p,), and a Cholesky factor (p, p).
+# and its vector (p,), and its factors (p, p).
 _MAX_MISFIT = 50.0  # mean square of the residual, in units of the noise, up to which forgetting accelerates
 
 

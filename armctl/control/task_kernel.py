@@ -46,13 +46,13 @@ def mobility_rows(memory, n):
 
 @njit
 def inertia(memory, n):
-    """The mass matrix (n, n), whose lower triangle `project` replaces by its Cholesky factor."""
+    """The mass matrix (n, n), which `project` replaces by its factors."""
     return memory[18 * n : 18 * n + n * n].reshape((n, n))
 
 
 @njit
 def task_mobility(memory, n):
-    """The lower triangle of the Cholesky factor of the damped J M^-1 J^T, (6, 6)."""
+    """The factors of the damped J M^-1 J^T, (6, 6)."""
     at = 18 * n + n * n
     return memory[at : at + 36].reshape((6, 6))
 

@@ -636,6 +636,17 @@ def factorize(M):
 
 
 @njit
+def take_roots(factors):
+    """Replaces the lower triangle of what `factorize` leaves by the Cholesky factor L D^1/2; `solve` cannot use it."""
+    n = factors.shape[0]
+    for j in range(n):
+        root = 1.0 / math.sqrt(factors[j, j])
+        factors[j, j] = root
+        for i in range(j + 1, n):
+            factors[i, j] *= root
+
+
+@njit
 def solve(factors, x):
     """Replaces x by the solution of M solution = x, with M as `factorize` leaves it."""
     n = x.shape[0]
