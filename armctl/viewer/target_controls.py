@@ -16,15 +16,16 @@ if TYPE_CHECKING:
     import viser
 
 _GIZMO_SIZE_M = 0.15
-_ROUNDING = 5e-4  # fields show three decimals
+_DECIMALS = 4  # of the fields; the browser shows three
+_ROUNDING = 5e-5
 _MAX_UNDO = 50
 _TOOL_AXES = "tool"
 _WORLD_AXES = "world"
 _IDENTITY_QUAT = np.array([1.0, 0.0, 0.0, 0.0])
 _STEP_MM = 10.0
 _MAX_STEP_MM = 100.0
-_STEP_DEG = 5.0
-_MAX_STEP_DEG = 45.0
+_STEP_RAD = 0.1
+_MAX_STEP_RAD = 0.8
 _SHIFT_BUTTONS = ("-x", "+x", "-y", "+y", "-z", "+z")
 
 
@@ -67,20 +68,20 @@ class TargetControls:
         status = self._session.status
         with gui.add_folder("Target"):
             self._position = gui.add_vector3("position, m", _rounded(status.target.position), step=0.001)
-            self._rpy = gui.add_vector3("roll, pitch, yaw, deg", _rounded(np.degrees(status.target.rpy)), step=1.0)
+            self._rpy = gui.add_vector3("roll, pitch, yaw, rad", _rounded(status.target.rpy), step=0.001)
             oriented = gui.add_checkbox("orientation counts", status.oriented)
             undo = gui.add_button("undo", hint="the target where it was before it was moved last")
             axes = gui.add_dropdown("axes", (_TOOL_AXES, _WORLD_AXES), initial_value=_TOOL_AXES, hint="of handles and jog")
         with gui.add_folder("Jog", expand_by_default=False):
             step_mm = gui.add_slider("step, mm", 1.0, _MAX_STEP_MM, 1.0, _STEP_MM)
             shift = gui.add_button_group("move", _SHIFT_BUTTONS)
-            step_deg = gui.add_slider("step, deg", 1.0, _MAX_STEP_DEG, 1.0, _STEP_DEG)
+            step_rad = gui.add_slider("step, rad", 0.01, _MAX_STEP_RAD, 0.01, _STEP_RAD)
             turn = gui.add_button_group("turn", _SHIFT_BUTTONS)
         self._shown_target = status.target
 
         async def aim(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                self._aim(Pose(self._position.value, rpy=np.radians(self._rpy.value)))
+                self._aim(Pose(self._position.value, rpy=self._rpy.value))
 
         async def set_oriented(event: viser.GuiEvent) -> None:
             self._session.set_oriented(oriented.value)
@@ -98,7 +99,7 @@ class TargetControls:
             self._aim(self._jogged(1e-3 * step_mm.value * _direction(shift.value), np.zeros(3)))
 
         async def jog_orientation(event: viser.GuiEvent) -> None:
-            self._aim(self._jogged(np.zeros(3), np.radians(step_deg.value) * _direction(turn.value)))
+            self._aim(self._jogged(np.zeros(3), step_rad.value * _direction(turn.value)))
 
         self._position.on_update(aim)
         self._rpy.on_update(aim)
@@ -113,7 +114,7 @@ class TargetControls:
         if status.target is not self._shown_target:  # otherwise a number that is being typed would be overwritten
             self._shown_target = status.target
             _show(self._position, status.target.position)
-            _show(self._rpy, np.degrees(status.target.rpy))
+            _show(self._rpy, status.target.rpy)
 
     async def _dragged(self, event: viser.TransformControlsEvent) -> None:
         """The handles were dragged."""
@@ -157,5 +158,5 @@ def _show(field: viser.GuiVector3Handle, value: Array) -> None:
 
 
 def _rounded(value: Array) -> tuple[float, float, float]:
-    x, y, z = np.round(value, 3).tolist()
+    x, y, z = np.round(value, _DECIMALS).tolist()
     return x, y, z

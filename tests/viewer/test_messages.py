@@ -55,7 +55,7 @@ LABELS = [
     "shoulder_yaw",
     "elbow",
     "position, m",
-    "roll, pitch, yaw, deg",
+    "roll, pitch, yaw, rad",
     "controller",
     "pause",
     "reset",
@@ -176,9 +176,9 @@ def test_jog_buttons_move_the_target_along_tool_or_world_axes_and_undo_takes_it_
         "no step along the world's axis",
     )
     before = page.session.status.target
-    client.set(page, "step, deg", 10.0)
+    client.set(page, "step, rad", 0.2)
     client.set(page, "turn", "+z")
-    turned = Pose(np.zeros(3), rpy=[0.0, 0.0, np.radians(10.0)]).rotation @ before.rotation
+    turned = Pose(np.zeros(3), rpy=[0.0, 0.0, 0.2]).rotation @ before.rotation
     until(lambda: np.allclose(page.session.status.target.rotation, turned), "no turn about the world's axis")
     client.set(page, "move", "up")  # no such button
     for _ in range(3):
