@@ -4,10 +4,12 @@ Times are CPU times of this process. Runs of the study are compared, bit by bit,
 read again and compared with the log.
 """
 
+import multiprocessing
 import sys
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +19,7 @@ from armctl.analysis.comparison import out_and_back
 from armctl.core.tables import Table
 
 ROBOTS = ("panda", "ur5e", "robot_arm_3dof")
-SAMPLES = 256
+SAMPLES = 1024
 CHECKED = 8
 ROUNDS = 5
 RESULTS = Path(__file__).parent / "results" / "study.md"
@@ -44,7 +46,21 @@ def study_row(robot: str, folder: Path) -> list[str]:
         log = armctl.simulate(study.bench.arm, "computed-torque", study.bench.motion({}), study.bench.plant(runs[k]))
         assert study.bench.figures(log)["digest"] == table["digest"][k], "a run differs from that of simulate"
     again = cpu_ms(lambda: study.run(folder=folder)) / len(runs)
-    return [robot, f"{total:.1f}", f"{rest:.2f}", f"{again:.3f}", f"{10 * total:.0f}"]
+    return [robot, f"{total:.1f}", f"{rest:.2f}", f"{again:.3f}", f"{10 * total:.0f}", f"{worker_megabytes(study, folder):.0f}"]
+
+
+def worker_megabytes(study: armctl.Study, folder: Path) -> float:
+    """The most memory of a process that makes runs."""
+    few = armctl.Study.from_dict({**study.to_dict(), "name": "worker", "samples": 64})
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as executor:
+        few.run(executor, folder=folder)
+        return executor.submit(peak_megabytes).result()
+
+
+def peak_megabytes() -> float:
+    """By Linux; `getrusage` would give that of the process which started this one."""
+    status = Path("/proc/self/status").read_text()
+    return float(status.split("VmHWM:")[1].split()[0]) / 1024
 
 
 def log_row(log: armctl.Log, path: Path) -> list[str]:
@@ -71,13 +87,21 @@ def ten_seconds() -> armctl.Log:
 def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         rows = [study_row(robot, Path(name) / robot) for robot in ROBOTS]
-        header = ["robot", "a run, ms", "of it not simulation, ms", "found finished, ms", "10 000 runs, s"]
+        header = [
+            "robot",
+            "a run, ms",
+            "of it not simulation, ms",
+            "found finished, ms",
+            "10 000 runs, s",
+            "worker process, MB",
+        ]
         studies = Table(header, rows).markdown()
         log = ten_seconds()
         files = [log_row(log, Path(name) / f"run{ending}") for ending in (".npz", ".parquet", ".csv", ".mcap", ".rrd")]
         formats = Table(["file", "write, ms", "read, ms", "MB"], files).markdown()
     text = (
-        f"CPU time per run of `Study.run()`: {SAMPLES} runs of computed torque, with payload, friction and noise.\n\n"
+        f"CPU time per run of `Study.run()`: {SAMPLES} runs of computed torque, with payload, friction and noise; and the most memory\n"
+        "of a worker of a `ProcessPoolExecutor`.\n\n"
         f"{studies}\n\nFiles of a log of the Panda, {len(log)} ticks at 1 kHz, {len(log.to_dict())} columns:\n\n{formats}\n"
     )
     print(text)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import threading
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -60,6 +61,19 @@ def library() -> ctypes.CDLL:
         for path in sorted(folder.glob(pattern)):
             return ctypes.CDLL(str(path))
     raise ModelError(f"mujoco: {folder} contains no MuJoCo library")
+
+
+def release_loading_memory() -> None:
+    """Frees the files that MuJoCo keeps for the next load, and returns freed memory to the system where it can be done.
+
+    After the Panda was loaded, this is half of the memory of the process.
+    """
+    functions = library()
+    functions.mj_getCache.restype = ctypes.c_void_p
+    functions.mj_clearCache.argtypes = [ctypes.c_void_p]
+    functions.mj_clearCache(functions.mj_getCache())
+    with suppress(OSError, AttributeError):  # only glibc keeps freed memory and has this function
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
 def address_of(function: str) -> int:

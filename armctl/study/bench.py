@@ -29,6 +29,7 @@ from armctl.ik.solve import solve_ik
 from armctl.loading.load import load
 from armctl.motion import JointTrajectory, move_j
 from armctl.robot.arm import Arm
+from armctl.sim.mujoco_library import release_loading_memory
 from armctl.sim.plant import Plant
 from armctl.sim.simulate import simulate
 from armctl.study.factors import Point
@@ -281,7 +282,9 @@ _benches_lock = threading.Lock()
 
 @lru_cache(maxsize=2)
 def _kept_bench(setup: str) -> Bench:
-    return Bench(json.loads(setup))
+    bench = Bench(json.loads(setup))
+    release_loading_memory()  # there may be many workers on a machine
+    return bench
 
 
 def run_chunk(setup: str, runs: Sequence[Run]) -> list[Outcome]:

@@ -1,5 +1,6 @@
 """A study makes each of its runs once, with the same bits wherever and whenever, and survives whatever ends it."""
 
+import ctypes
 import json
 import os
 import signal
@@ -11,10 +12,12 @@ import time
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 import armctl
+from armctl.sim.mujoco_library import library
 from armctl.study.bench import Bench, run_chunk
 
 
@@ -316,3 +319,18 @@ def test_a_file_that_is_no_study_is_refused_in_one_sentence(tmp_path, text: str)
     with pytest.raises(armctl.InputError, match=r"study\.toml") as error:
         armctl.Study.from_file(path)
     assert "\n" not in str(error.value)
+
+
+def test_a_worker_frees_the_files_that_mujoco_keeps(study, tmp_path):
+    """A mesh from a file stays in MuJoCo's cache until a worker has loaded its robot."""
+    (tmp_path / "tetrahedron.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n")
+    path = tmp_path / "scene.xml"
+    path.write_text('<mujoco><asset><mesh name="m" file="tetrahedron.obj"/></asset></mujoco>')
+    mujoco.MjModel.from_xml_path(str(path))
+    functions = library()
+    functions.mj_getCache.restype = ctypes.c_void_p
+    functions.mj_getCacheSize.argtypes = [ctypes.c_void_p]
+    functions.mj_getCacheSize.restype = ctypes.c_size_t
+    assert functions.mj_getCacheSize(functions.mj_getCache()) > 0
+    assert run_chunk(json.dumps(study(dwell=0.03).setup), []) == []
+    assert functions.mj_getCacheSize(functions.mj_getCache()) == 0
