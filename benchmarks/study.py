@@ -100,8 +100,8 @@ def main() -> None:
         files = [log_row(log, Path(name) / f"run{ending}") for ending in (".npz", ".parquet", ".csv", ".mcap", ".rrd")]
         formats = Table(["file", "write, ms", "read, ms", "MB"], files).markdown()
     text = (
-        f"CPU time per run of `Study.run()`: {SAMPLES} runs of computed torque, with payload, friction and noise; and the most memory\n"
-        "of a worker of a `ProcessPoolExecutor`.\n\n"
+        f"CPU time per run of `Study.run()`: {SAMPLES} runs of computed torque, with payload, friction and noise;\n"
+        "and the most memory of a worker of a `ProcessPoolExecutor`.\n\n"
         f"{studies}\n\nFiles of a log of the Panda, {len(log)} ticks at 1 kHz, {len(log.to_dict())} columns:\n\n{formats}\n"
     )
     print(text)
