@@ -30,7 +30,7 @@ class Validation:
         reason: The joint with a prediction that is not good enough; empty if there is none.
         t: (K,) s.
         measured: (K, n) N m, low-pass filtered as in the fit.
-        predicted: (K, n) N m, by the identified parameters.
+        predicted: (K, n) N m, by parameters that were fitted to the other part.
         by_model: (K, n) N m, by the arm's model before identification.
         rms: (n,) N m, RMS of measured - predicted.
         model_rms: (n,) N m, RMS of measured - by_model.

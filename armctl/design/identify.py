@@ -60,7 +60,8 @@ def identify(
     Torques are linear in the parameters (Pinocchio's regressor). Positions, regressor and torques pass the same zero-phase
     filter; velocities are not used. Base parameters follow from a QR factorization with pivoting; a prior keeps what the data
     do not show near the model. With `consistent`, links have Cholesky factors of their pseudo-inertia as parameters, so a rigid
-    body can have them. The last part of the recording is not used for the fit and validates it.
+    body can have them. A fit without the last part of the recording predicts its torques; if that succeeds, the result is a fit to
+    the whole recording.
 
     Sources: Gautier, "Numerical calculation of the base inertial parameters of robots" (1991); Swevers, Verdonck,
     De Schutter, "Dynamic model identification for industrial robots" (2007); Rucker, Wensing, "Smooth parameterization of
@@ -71,7 +72,7 @@ def identify(
         log: A recording, or a CSV file with the default columns of `Log.from_csv` in the arm's units.
         friction: "none", "coulomb+viscous", or "stribeck" for a breakaway torque as well.
         consistent: Whether each link must be physically consistent.
-        holdout: Share of the recording, at its end, that validates the result, in [0.05, 0.5].
+        holdout: Share of the recording, at its end, that validates the fit, in [0.05, 0.5].
 
     Returns:
         The estimate. It is not ok, with a reason, if the motion did not excite a parameter that matters, the regressor is badly
