@@ -60,8 +60,8 @@ def identify(
     Torques are linear in the parameters (Pinocchio's regressor). Positions, regressor and torques pass the same zero-phase
     filter; velocities are not used. Base parameters follow from a QR factorization with pivoting; a prior keeps what the data
     do not show near the model. With `consistent`, links have Cholesky factors of their pseudo-inertia as parameters, so a rigid
-    body can have them. A fit without the last part of the recording predicts its torques; if that succeeds, the result is a fit to
-    the whole recording.
+    body can have them. A fit without the last part of the recording predicts its torques; if that succeeds, the result is a fit
+    to the whole recording.
 
     Sources: Gautier, "Numerical calculation of the base inertial parameters of robots" (1991); Swevers, Verdonck,
     De Schutter, "Dynamic model identification for industrial robots" (2007); Rucker, Wensing, "Smooth parameterization of
