@@ -21,8 +21,8 @@ from armctl.robot.dynamics_kernel import inverse_dynamics
 
 # The parameters are the constants of the estimator, then those of the law with an observer. The memory is that of the
 # estimator, the regressor (n, p) of the last tick, the torque (n,) that was fed forward, the estimate (p,) before, the torque
-# (n,) that the model needs for the reference, scratch of the regressor, a number that is not 0 if the reference moved, and the
-# memory of the law with an observer.
+# (n,) that the model needs for the reference and the rate (n,) of that torque, scratch of the regressor, a number that is not 0
+# if the reference moved, and the memory of the law with an observer.
 
 
 FRICTION_SPEED = 1e-3  # rad/s (m/s), above which the friction that is fed forward does not depend on the speed
@@ -30,7 +30,7 @@ FRICTION_SPEED = 1e-3  # rad/s (m/s), above which the friction that is fed forwa
 
 def memory_size(n: int) -> int:
     """Numbers of memory for n joints besides scratch of the model."""
-    return estimator_size(n) + (n + 1) * (unknowns(n) + 1) + n + regressor_scratch(n) + law.memory_size(n)
+    return estimator_size(n) + (n + 1) * (unknowns(n) + 1) + 2 * n + regressor_scratch(n) + law.memory_size(n)
 
 
 @njit
@@ -49,6 +49,8 @@ def computed_torque_learning(params, q, v, reference, memory, tau):
     before = memory[at : at + p]
     at += p
     needed = memory[at : at + n]
+    at += n
+    last_rate = memory[at : at + n]
     at += n
     scratch = memory[at : at + regressor_scratch(n)]
     at += regressor_scratch(n)
@@ -71,17 +73,12 @@ def computed_torque_learning(params, q, v, reference, memory, tau):
     payload_regressor(model, reference[Q_REF], v_ref, reference[A_TICK], work, scratch, Y)
     inverse_dynamics(model, reference[Q_REF], v_ref, reference[A_TICK], work, needed)
     period = base[law.PERIOD]
-    moves[0] = 0.0
     for i in range(n):
         rate[i] += _torque(needed, Y, estimator, i)
-        Y[i, DELAY] = 0.0 if is_first or period == 0.0 else rate[i] / period
-        Y[i, FRICTION + i] = v_ref[i] / (abs(v_ref[i]) + FRICTION_SPEED)
-        fed_forward[i] = 0.0
-        for k in range(p):
-            fed_forward[i] += Y[i, k] * estimator[k]
+        rate[i] = 0.0 if is_first or period == 0.0 else rate[i] / period
+    moves[0] = 1.0 if _feed_forward(estimator, v_ref, period, last_rate, Y, fed_forward) else 0.0
+    for i in range(n):
         known[i] += fed_forward[i]
-        if v_ref[i] != 0.0:
-            moves[0] = 1.0
     cancel(base, inner, tau)
     add_known(inner, tau)
 
@@ -93,6 +90,24 @@ def _torque(needed, Y, estimator, i):
     for k in range(PARAMETERS):
         torque += Y[i, k] * estimator[k]
     return torque
+
+
+@njit
+def _feed_forward(estimator, v_ref, period, last_rate, Y, torque):
+    """Completes the regressor, replaces the rate of the torque of the reference by what is fed forward; whether it moves."""
+    moves = False
+    for i in range(Y.shape[0]):
+        rate = torque[i]
+        Y[i, DELAY] = rate
+        Y[i, FRICTION + i] = v_ref[i] / (abs(v_ref[i]) + FRICTION_SPEED)
+        torque[i] = 0.0
+        for k in range(Y.shape[1]):
+            torque[i] += Y[i, k] * estimator[k]
+        if period != 0.0:  # what is fed forward against the delay is late, too
+            Y[i, DELAY] += estimator[DELAY] * (rate - last_rate[i]) / period
+        last_rate[i] = rate
+        moves = moves or v_ref[i] != 0.0
+    return moves
 
 
 @njit
