@@ -6,6 +6,9 @@ touch the obstacle. Seeds are 0, 1, 2, ...; each has a start, a goal and a scene
 
 import argparse
 import time
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +18,8 @@ import armctl.envs
 from armctl.core.tables import Table
 from armctl.envs.tasks import TASKS
 
-ROBOTS = ("robot_arm_3dof", "panda", "xarm7", "ur5e+robotiq_2f85")
+ROBOTS = ("panda", "ur5e+robotiq_2f85", "xarm7", "gen3+robotiq_2f85", "robot_arm_3dof")
+ROBOT_OF_ALL_ACTIONS = "panda"
 ACTIONS = ("joint_target", "joint_delta", "cartesian_delta")
 RESULTS = Path(__file__).parent / "results" / "experts.md"
 
@@ -52,16 +56,18 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=200)
     parser.add_argument("--robots", nargs="+", default=ROBOTS)
     parser.add_argument("--tasks", nargs="+", choices=TASKS, default=list(TASKS))
-    parser.add_argument("--actions", nargs="+", choices=ACTIONS, default=ACTIONS[:1])
+    parser.add_argument("--workers", type=int, default=2)
     arguments = parser.parse_args()
+    cases = [(robot, task, ACTIONS[0]) for robot in arguments.robots for task in arguments.tasks]
+    if ROBOT_OF_ALL_ACTIONS in arguments.robots:
+        cases += [(ROBOT_OF_ALL_ACTIONS, task, action) for task in arguments.tasks for action in ACTIONS[1:]]
     headers = ["robot", "task", "action", "solved", "median time to the goal, error at the end", "CPU"]
     rows = []
-    for robot in arguments.robots:
-        for task in arguments.tasks:
-            for action in arguments.actions:
-                rows.append(solved(robot, task, action, arguments.episodes))
-                print(*rows[-1], sep=" | ", flush=True)
-                RESULTS.write_text(Table(headers, rows).markdown() + "\n", encoding="utf-8")
+    with ProcessPoolExecutor(arguments.workers, mp_context=get_context("spawn")) as pool:
+        for row in pool.map(partial(solved, episodes=arguments.episodes), *zip(*cases, strict=True)):
+            rows.append(row)
+            print(*row, sep=" | ", flush=True)
+    RESULTS.write_text(Table(headers, rows).markdown() + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
