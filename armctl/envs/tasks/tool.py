@@ -50,7 +50,8 @@ class Tool(NamedTuple):
 def find_tool(arm: Arm, states: Sequence[mujoco.MjData]) -> Tool:
     """The tool of an arm.
 
-    It points from the last joint to the tip: along the joint's axis if that is nearly the direction.
+    It points from the last joint to the tip: along the joint's axis if that is nearly the direction. If the tip is at the joint,
+    it points along the axis to where the tool extends farther.
 
     Args:
         arm: The arm.
@@ -59,11 +60,11 @@ def find_tool(arm: Arm, states: Sequence[mujoco.MjData]) -> Tool:
     Returns:
         The tool.
     """
-    direction = _direction(arm, states[0])
-    column = int(np.abs(direction).argmax())
-    sign = float(np.sign(direction[column]))
     points = np.concatenate([_points(arm, data) for data in states] or [np.zeros((1, 3))])
     points = points[np.linalg.norm(points, axis=1) < _MAX_TOOL]
+    direction = _direction(arm, states[0], points)
+    column = int(np.abs(direction).argmax())
+    sign = float(np.sign(direction[column]))
     if not len(points):
         return Tool("xyz"[column], sign, 0.0, 0.0)
     depth = sign * points[:, column]
@@ -72,15 +73,16 @@ def find_tool(arm: Arm, states: Sequence[mujoco.MjData]) -> Tool:
     return Tool("xyz"[column], sign, overhang, float(np.linalg.norm(sides, axis=1).max()))
 
 
-def _direction(arm: Arm, data: mujoco.MjData) -> Array:
-    """(3,) the direction in which the tool points, in the tip's frame."""
+def _direction(arm: Arm, data: mujoco.MjData, points: Array) -> Array:
+    """(3,) the direction in which the tool with these points (k, 3) points, in the tip's frame."""
     joint = arm.joint_map.joints[-1]
     tip = _tip(arm, data)
     offset = tip[0].T @ (tip[1] - data.xanchor[joint])
     axis = tip[0].T @ data.xaxis[joint]
     length = float(np.linalg.norm(offset))
     if length < _MIN_OFFSET:
-        return axis
+        extents = points @ axis
+        return -axis if len(points) and -extents.min() > extents.max() else axis
     if abs(axis @ offset) > _ALONG_AXIS * length:
         return np.sign(axis @ offset) * axis
     return offset / length
