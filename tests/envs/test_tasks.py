@@ -1,6 +1,7 @@
 """All tasks: what Gymnasium asks, what is randomized, what counts, and experts that solve them."""
 
 import gymnasium
+import mujoco
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
@@ -8,6 +9,7 @@ from synthetic import arm_with_gripper
 
 import armctl
 import armctl.envs
+from armctl.envs.tasks.tool import find_tool
 
 ROBOT = "robot_arm_3dof"
 RANGES = {
@@ -142,6 +144,21 @@ def test_a_goal_of_track_moves_with_the_velocity_that_is_observed(make):
     moved = second[:, columns["goal"]] - first[:, columns["goal"]]
     assert moved == pytest.approx(env.batch.step_time * first[:, columns["goal_velocity"]], abs=1e-6)
     assert np.linalg.norm(moved, axis=1).min() > 0.0
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_tool_with_the_tip_at_its_joint_points_to_where_it_extends_farther(side):
+    file = f"""<mujoco><worldbody><body name="link"><joint name="a" axis="0 1 0"/><geom size="0.03" mass="1"/>
+      <body name="wrist" pos="0 0 0.3"><joint name="b" axis="0 0 1"/>
+        <geom type="capsule" fromto="0 0 {-0.02 * side} 0 0 {0.1 * side}" size="0.01" mass="0.1"/>
+      </body></body></worldbody><default><motor forcerange="-9 9"/></default>
+      <actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>"""
+    arm = armctl.load(mujoco.MjSpec.from_string(file), tip="wrist")
+    data = mujoco.MjData(arm.model)
+    mujoco.mj_kinematics(arm.model, data)
+    tool = find_tool(arm, [data])
+    assert (tool.axis, tool.sign) == ("z", side)
+    assert tool.overhang == pytest.approx(0.11, abs=1e-6)
 
 
 def test_an_arm_that_does_not_fit_is_refused_in_one_sentence():

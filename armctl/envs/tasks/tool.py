@@ -50,8 +50,8 @@ class Tool(NamedTuple):
 def find_tool(arm: Arm, states: Sequence[mujoco.MjData]) -> Tool:
     """The tool of an arm.
 
-    It points from the last joint to the tip: along the joint's axis if that is nearly the direction. If the tip is at the joint,
-    it points along the axis to where the tool extends farther.
+    It points from the last joint to the tip: along the joint's axis if that is nearly the direction. If the tip is at the
+    joint, it points along the axis to where the tool extends farther.
 
     Args:
         arm: The arm.
