@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from armctl.core.validation import Array, BoolArray
@@ -83,11 +85,18 @@ def _is_noise(f: Array, dt: float) -> BoolArray:
 
 def low_pass(columns: Array, cutoff: float, dt: float) -> Array:
     """Columns (T, k), low-pass filtered without delay: a Butterworth filter forward and backward; cutoff in Hz."""
-    from scipy.signal import butter, sosfiltfilt
+    from scipy.signal import sosfiltfilt
 
-    sections = butter(_ORDER, cutoff, fs=1 / dt, output="sos")
     padding = min(len(columns) - 1, round(_PAD_PERIODS / cutoff / dt))
-    return np.asarray(sosfiltfilt(sections, columns, axis=0, padlen=padding), dtype=np.float64)
+    return np.asarray(sosfiltfilt(_sections(cutoff, dt), columns, axis=0, padlen=padding), dtype=np.float64)
+
+
+@lru_cache(maxsize=16)
+def _sections(cutoff: float, dt: float) -> Array:
+    """The filter of `low_pass` in second-order sections."""
+    from scipy.signal import butter
+
+    return np.asarray(butter(_ORDER, cutoff, fs=1 / dt, output="sos"), dtype=np.float64)
 
 
 def derivatives(positions: Array, dt: float) -> tuple[Array, Array]:

@@ -23,7 +23,7 @@ _ROUNDS = 3  # delay, shape of the friction and noise depend on each other
 _SHAPE_SPEEDS = np.geomspace(0.003, 1.0, 11)  # rad/s, candidates for the smoothing of Coulomb friction
 _VELOCITY_NOISE = 2e-3  # rad/s (m/s), RMS in the velocity that dry friction follows
 _LAW_FACTORS = np.geomspace(0.5, 2.0, 5)  # around MuJoCo's smoothing: the inertia that it depends on may be wrong
-_SMOOTHING_TOLERANCE = 0.01  # relative
+_BISECTIONS = 5  # of the interval between two candidates
 _SLIDING_SPEEDS = np.concatenate([[0.0], np.geomspace(0.01, 1.0, 9)])  # rad/s, candidates for the least speed of a row
 _MIN_SLIDING_SHARE = 0.25  # of the rows
 _REVERSAL_PERIODS = 0.5  # of the cut-off: the filter spreads a reversal over this time on both sides
@@ -267,15 +267,18 @@ class ParameterFit:
             return np.array([_cost(columns[:, j], rows.v[:, j], rest[:, j]) for j in range(layout.n)])
 
         candidates = self._smoothing_candidates()
+        step = np.log(candidates[1] / candidates[0])
         smoothing = _best_of(candidates, lambda s: costs(self.shape._replace(smoothing=s)))
         self.shape = self.shape._replace(smoothing=smoothing)
         if layout.has_stribeck:
             candidates = np.repeat(_STRIBECK_SPEEDS[:, None], layout.n, axis=1)
             stribeck = _best_of(candidates, lambda s: costs(self.shape._replace(stribeck=s)))
             self.shape = self.shape._replace(stribeck=stribeck)
-        for j in range(layout.n):
-            step = np.log(candidates[1, j] / candidates[0, j])
-            smoothing[j] = self._refined_smoothing(j, step, rows.v[:, j], rest[:, j])
+        for _ in range(_BISECTIONS):
+            step = 0.5 * step
+            candidates = smoothing * np.exp([-step, np.zeros(layout.n), step])
+            smoothing = _best_of(candidates, lambda s: costs(self.shape._replace(smoothing=s)))
+        self.shape = self.shape._replace(smoothing=smoothing)
         columns = self._dry_columns(self._v_dry, self.shape)[kept]
         for j in range(layout.n):
             A = np.column_stack([columns[:, j, 0], rows.v[:, j], np.ones(len(rows))])
@@ -301,22 +304,6 @@ class ParameterFit:
             return np.repeat(_SHAPE_SPEEDS[:, None], self.regressor.layout.n, axis=1)
         by_law = self.x[self.regressor.layout.coulomb] / (self._law.gain * self._law.rate)
         return _LAW_FACTORS[:, None] * np.maximum(by_law, _SHAPE_SPEEDS[0])
-
-    def _refined_smoothing(self, j: int, step: float, v: Array, rest: Array) -> float:
-        """The smoothing speed of a joint around the best candidate; step is the logarithm of the ratio of two candidates."""
-        from scipy.optimize import minimize_scalar
-
-        kept = self._kept_samples()
-        speeds = self._v_dry[:, j : j + 1]
-        stribeck = self.shape.stribeck[j : j + 1]
-        around = np.log(self.shape.smoothing[j])
-        found: Any = minimize_scalar(
-            lambda x: _cost(self._dry_columns(speeds, FrictionShape(np.exp([x]), stribeck))[kept, 0], v, rest),
-            bounds=(around - step, around + step),
-            method="bounded",
-            options={"xatol": _SMOOTHING_TOLERANCE},
-        )
-        return float(np.exp(found.x))
 
     def _sliding_speed(self, A: Array, torques: Array, slides: list[BoolArray]) -> float:
         """The least speed of the rows with which Coulomb friction has the smallest standard error.
