@@ -24,20 +24,31 @@ DEFAULT_BANDWIDTH = 30.0  # rad/s. Contact forces disturb the motion axes, so it
 _FORCE_FILTER = 300.0  # rad/s; about 3 ms against the noise of force sensors
 _VELOCITY_FILTER = 100.0  # rad/s; velocities that are differenced from positions are ten times less noisy after it
 _WRENCH_FILTER = 40.0  # rad/s. The wrench on motion axes is compensated; faster, it would resonate with a face on a wall.
+# Of the measured forces on motion axes. Where a tip sticks, friction is a strong damper. Compensated completely but late, it
+# would act like a mass, and the tip would swing slowly along the surface.
+_COMPENSATED_SHARE = 0.8
 _APPROACH_RATE = 40.0  # 1/s, the bandwidth of the speed in an approach; stable with a delay of 4 ms
 _DAMPING_RATE = 30.0  # 1/s, the damping of the tip in contact divided by its mass
 _INTEGRAL_RATE = 20.0  # 1/s. Below the damping rate, the integral of a lightly damped wall is stable.
+# While the tip moves into a soft wall, its damping explains a part of the error. If all of that part is integrated, the force
+# overshoots; if nothing of it is, the force is late on the softest walls.
+_EXPLAINED_SHARE = 0.6
 _MAX_INTEGRATED_ERROR = 0.05  # of the target. On a soft wall the force rises slowly; the bound prevents windup.
 _RISE_TIME_S = 0.02  # time constant of the commanded force after the first contact
+# Friction is compensated at this share of the speed that a frictionless mass would have. With all of it, the force loop that is
+# closed over the friction is unstable on walls ten times stiffer than MuJoCo's default with a delay of 4 ms.
+_YIELDING_RATIO = 0.1
 # While there is less force than the contact threshold, the command is this multiple of the measured force. Above 1 it makes the
 # force grow on any wall that the slow tip touches; without contact it is zero.
 _DETECTION_GAIN = 2.0
 _CONTACT_RATIO = 0.1  # of the target, the default contact threshold
 _LOST_RATIO = 0.2  # of the contact threshold; below it for _LOST_TIME_S the contact is lost
-_LOST_TIME_S = 0.03
+_LOST_TIME_S = 0.01
 # 1/s. A mass m that meets a wall of damping rate b at speed v exerts the force m b v at once. For MuJoCo's contacts b is
-# 2 / solref[0], 100 /s by default and 330 /s for one ten times stiffer. At this rate such an impact is 70 % of the target.
-_IMPACT_RATE = 470.0
+# 2 / solref[0], 100 /s by default and 330 /s for one ten times stiffer.
+_WALL_DAMPING_RATE = 330.0
+_IMPACT_RATIO = 0.7  # of the target, the force of such an impact
+_MIN_IMPACT_RATIO = 0.1  # where dry friction is larger
 _MAX_APPROACH_SPEED = 0.05  # m/s
 _MAX_LEVER_M = 0.2  # a hand may touch a wall this far from the tip, where its effective mass is larger
 _MIN_MOBILITY_RATIO = 0.1  # of the mobility of the tip, a lower bound for that of another point
@@ -160,19 +171,29 @@ class HybridForce:
         error, J_ref, J = tip_error(self._arm, q, q_ref)
         M = self._dynamics.mass_matrix(q)
         A = self._axis_directions(q)
+        J_task = J[self._rows]
+        J_inverse = consistent_inverse(J_task, M)
         mobility = J @ np.linalg.solve(M, J.T)
-        force = self._force_commands(A, wrench, J @ v, mobility, state.dt)
+        # (k, n), the velocity of the joints at unit speed along each axis
+        rates = A[:, self._rows] @ J_inverse.T
+        masses = ((rates @ M) * rates).sum(axis=1)
+        dry_friction = np.abs(rates) @ self._dynamics.friction_loss
+        force = self._force_commands(A, wrench, J @ v, mobility, masses, dry_friction, state.dt)
 
         task = self.bandwidth**2 * error + 2 * self.damping_ratio * self.bandwidth * (J_ref @ v_ref - J @ v)
         task = task + A.T @ (force.acceleration - A @ (task + J @ a_ref))
         posture_bandwidth = 0.5 * self.bandwidth
         posture = posture_bandwidth**2 * (q_ref - q) + 2 * posture_bandwidth * (v_ref - v)
-        J_task = J[self._rows]
-        J_inverse = consistent_inverse(J_task, M)
         a = a_ref + posture + J_inverse @ (task[self._rows] - J_task @ posture)
-        # Dry friction is that of the reference and of the approach.
-        v_ref = v_ref + J_inverse @ (A.T @ force.speed)[self._rows]
-        tau = feedforward.inverse_dynamics_with_friction(self._dynamics, state, a, v_ref, a_ref)
+        # Friction is compensated at the speed at which the tip is to correct its errors: at that of the reference, which may
+        # stand still, the friction of the joints would hold the tip where it is.
+        correction = 0.5 * self.bandwidth * error
+        correction = correction + A.T @ (force.speed - A @ correction)
+        v_ref = v_ref + J_inverse @ correction[self._rows]
+        tau = feedforward.inverse_dynamics(self._dynamics, state, a) + self._dynamics.damping * (v_ref - v)
+        if self._dynamics.has_friction:
+            v_ref = v_ref + J_inverse @ (A.T @ force.yielding)[self._rows]
+            tau = tau + feedforward.friction(self._dynamics, state, v_ref, a_ref)
         return tau + J.T @ (A.T @ force.force - self._compensated_wrench(A, wrench, state.dt))
 
     def _restart(self, state: State) -> None:
@@ -189,17 +210,21 @@ class HybridForce:
         directions[3:, 3:] = R.T
         return directions[[AXES.index(name) for name in self._axes]]
 
-    def _force_commands(self, A: Array, wrench: Array, twist: Array, mobility: Array, dt: float) -> _ForceCommands:
+    def _force_commands(
+        self, A: Array, wrench: Array, twist: Array, mobility: Array, masses: Array, dry_friction: Array, dt: float
+    ) -> _ForceCommands:
         commands = []
-        for direction, axis in zip(A, self._axes.values(), strict=True):
-            threshold = _CONTACT_RATIO * abs(axis.target) if self.contact_force is None else self.contact_force
+        for k, axis in enumerate(self._axes.values()):
+            direction = A[k]
+            target = abs(axis.target)
+            threshold = _CONTACT_RATIO * target if self.contact_force is None else self.contact_force
             approach_speed = self.approach_speed
             if approach_speed is None:
-                # The tip exerts the opposite of the wrench on it.
-                impact_limit = abs(axis.target) * _contact_mobility(mobility, direction) / _IMPACT_RATE
-                approach_speed = min(_MAX_APPROACH_SPEED, impact_limit)
-            measured = -float(direction @ wrench)
-            commands.append(axis.command(measured, float(direction @ twist), approach_speed, threshold, dt))
+                # When the tip stops, the wall bears the force that moved the joints against their dry friction.
+                impact = max(_IMPACT_RATIO * target - dry_friction[k], _MIN_IMPACT_RATIO * target)
+                approach_speed = min(_MAX_APPROACH_SPEED, impact * _contact_mobility(mobility, direction) / _WALL_DAMPING_RATE)
+            measured = -float(direction @ wrench)  # the tip exerts the opposite of the wrench on it
+            commands.append(axis.command(measured, float(direction @ twist), float(masses[k]), approach_speed, threshold, dt))
         return _ForceCommands(*np.array(commands).T)
 
     def _compensated_wrench(self, A: Array, wrench: Array, dt: float) -> Array:
@@ -209,16 +234,25 @@ class HybridForce:
         else:
             self._wrench = np.zeros(POSE_SIZE)
         compensated = self._wrench - A.T @ (A @ self._wrench)
+        compensated[:3] *= _COMPENSATED_SHARE
         compensated[self._rows.stop :] = 0.0
         return compensated
 
 
 class _ForceCommand(NamedTuple):
-    """What one force axis commands: N, m/s^2, and the speed of the approach, m/s."""
+    """What one force axis commands: N, m/s^2, m/s.
+
+    Attributes:
+        force: The force.
+        acceleration: The acceleration that damps or approaches.
+        speed: The speed of the approach.
+        yielding: The speed in contact at which dry friction is compensated.
+    """
 
     force: float
     acceleration: float
     speed: float
+    yielding: float
 
 
 class _ForceCommands(NamedTuple):
@@ -227,6 +261,7 @@ class _ForceCommands(NamedTuple):
     force: Array
     acceleration: Array
     speed: Array
+    yielding: Array
 
 
 class _ForceAxis:
@@ -248,13 +283,17 @@ class _ForceAxis:
         self._commanded = 0.0
         self._integral = 0.0
         self._lost_time = 0.0
+        self._yielding = 0.0
 
-    def command(self, measured: float, speed: float, approach_speed: float, threshold: float, dt: float) -> _ForceCommand:
+    def command(
+        self, measured: float, speed: float, mass: float, approach_speed: float, threshold: float, dt: float
+    ) -> _ForceCommand:
         """The command for the coming control period.
 
         Args:
             measured: N, what the tip exerts.
             speed: m/s, of the tip.
+            mass: kg, the effective mass of a tip that moves along the axis only.
             approach_speed: m/s.
             threshold: N, above it there is contact.
             dt: s, the control period.
@@ -275,21 +314,25 @@ class _ForceAxis:
                 self.touches = False
                 self._integral = 0.0
         if self.touches:
-            return self._contact(speed, dt)
+            return self._contact(speed, mass, dt)
         return self._approach(sign * approach_speed, speed, sign * max(pressing, 0.0), dt)
 
     def _approach(self, approach_speed: float, speed: float, felt: float, dt: float) -> _ForceCommand:
         error = approach_speed - speed
         self._integral += dt * error
         acceleration = _APPROACH_RATE * error + 0.25 * _APPROACH_RATE**2 * self._integral  # both poles at half the rate
-        return _ForceCommand(_DETECTION_GAIN * felt, acceleration, approach_speed)
+        return _ForceCommand(_DETECTION_GAIN * felt, acceleration, approach_speed, 0.0)
 
-    def _contact(self, speed: float, dt: float) -> _ForceCommand:
+    def _contact(self, speed: float, mass: float, dt: float) -> _ForceCommand:
         self._commanded += _weight(1 / _RISE_TIME_S, dt) * (self.target - self._commanded)
         bound = _MAX_INTEGRATED_ERROR * abs(self.target)
         error = self._commanded - self._measured
-        self._integral += _INTEGRAL_RATE * dt * min(max(error, -bound), bound)
-        return _ForceCommand(self._commanded + self._integral, -_DAMPING_RATE * speed, 0.0)
+        damping = _DAMPING_RATE * mass
+        unexplained = error - _EXPLAINED_SHARE * damping * speed
+        self._integral += _INTEGRAL_RATE * dt * min(max(unexplained, -bound), bound)
+        free_speed = error / damping  # of a mass without friction under this error of the force
+        self._yielding += _weight(_DAMPING_RATE, dt) * (_YIELDING_RATIO * free_speed - self._yielding)
+        return _ForceCommand(self._commanded + self._integral, -_DAMPING_RATE * speed, 0.0, self._yielding)
 
 
 def _weight(rate: float, dt: float) -> float:
