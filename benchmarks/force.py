@@ -34,7 +34,7 @@ ARMS = ["robot_arm_3dof", "desk_arm", "panda", "panda/panda_nohand", "ur5e", "ii
 FILES = {"desk_arm": Path(__file__).parents[1] / "examples" / "models" / "desk_arm.urdf"}
 STARTS = {"desk_arm": armctl.Pose([0.35, 0.0, 0.2], rpy=[0.0, np.pi, 0.0])}  # it is stretched out at home
 WITH_PROBE = ("ur5e", "desk_arm")
-# The shape of the UR5e's second wrist link reaches to the flange. Without a probe it presses on the wall as well, where no flange
+# The shape of the UR5e's second wrist link reaches to the flange. Without a probe it presses on the wall too, where no flange
 # sensor measures.
 SHIELDED = "ur5e/ur5e"
 PROBE = """<mujoco model="probe"><worldbody><body name="probe"><geom type="sphere" size="0.01" pos="0 0 0.05" mass="0.05"/>

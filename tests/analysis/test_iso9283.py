@@ -5,7 +5,7 @@ import pytest
 from arms import arm_of
 
 import armctl
-from armctl.analysis.iso9283 import iso9283_cycles
+from armctl.analysis.iso9283 import _compliance, iso9283_cycles
 from armctl.analysis.iso9283_figures import (
     accuracy,
     cornering,
@@ -96,6 +96,12 @@ def test_cornering_by_hand():
 
 def test_posing_ends_when_the_tip_stays_in_the_band():
     assert posing_time(FakeLog(np.array([1.0, 0.05, 0.2, 0.05, 0.0])), 0.1) == pytest.approx(0.003)
+
+
+def test_static_compliance_is_that_of_a_known_spring(bundled):
+    controller = armctl.Impedance(bundled, stiffness=[1000.0, 2000.0, 4000.0, 0.0, 0.0, 0.0])
+    found = _compliance(bundled, controller, armctl.Plant(timestep=0.002), 1.0)["compliance_m_per_N"]
+    assert found == pytest.approx((1e-3, 5e-4, 2.5e-4), rel=1e-2)
 
 
 @pytest.mark.parametrize("robot", ["robot_arm_3dof", "ur5e"])

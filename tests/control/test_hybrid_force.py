@@ -73,6 +73,16 @@ def test_dry_friction_of_the_joints_is_overcome(tmp_path):
     check_targets(*pressed(arm, armctl.Plant(timestep=0.001), seconds=0.9))
 
 
+def test_dry_friction_does_not_hold_the_tip_beside_its_reference(tmp_path):
+    arm = serial_arm(tmp_path, BENT["rubbing"])
+    push = armctl.Push(0.0, 0.1, force=[30.0, 0.0, 0.0])
+    plant = armctl.Plant(timestep=0.001, pushes=push)
+    log = armctl.simulate(arm, armctl.HybridForce(arm, {"z": 0.0}), Still(arm.home, 0.4), plant, dwell=0.0)
+    apart = np.abs(log.tip - log.tip_ref)[:, 0]
+    assert apart.max() > 1e-4
+    assert apart[-1] < 0.1 * apart.max()
+
+
 def test_a_force_estimated_from_torques_is_good_enough(tmp_path):
     arm = arm_at_wall(tmp_path, "six joints")
     log, force = pressed(arm, armctl.Plant(timestep=0.001, wrench_source="torques"))
