@@ -22,7 +22,7 @@ from PIL import Image as Picture
 import armctl
 from armctl.analysis.comparison import compare, out_and_back
 from armctl.analysis.plot import overlay
-from armctl.core.plotting import COLORS, STYLE
+from armctl.core.plotting import COLORS, STYLE, finish_figure
 from armctl.render import record
 from armctl.sim.status import Activity
 
@@ -115,6 +115,24 @@ def study() -> None:
     runpy.run_path(str(HERE.parents[1] / "examples" / "80_a_thousand_runs.py"))
     for path in Path("out").glob("study_*.png"):
         shutil.move(path, HERE / path.name)
+
+
+def polish() -> None:
+    """The contact force of a tool that slides over a cylinder, and its height."""
+    run = runpy.run_path(str(HERE.parents[1] / "examples" / "47_polish.py"))
+    log = run["log"]
+
+    def panels(figure: Figure) -> None:
+        axes = figure.subplots(2, 1, sharex=True)
+        axes[0].plot(log.t, run["force"], color=COLORS[0], linewidth=0.8)
+        axes[0].axhline(run["FORCE"], color="#555555", linestyle=(0, (4, 3)), linewidth=0.9)
+        axes[0].set_title("contact force, N; dashed: target")
+        axes[1].plot(log.t, 1e3 * log.tip_ref[:, 2], color="#555555", linestyle=(0, (4, 3)), linewidth=0.9)
+        axes[1].plot(log.t, 1e3 * log.tip[:, 2], color=COLORS[1])
+        axes[1].set_title("height of the tip, mm; dashed: planned")
+        axes[1].set_xlabel("time, s")
+
+    finish_figure(panels, (8, 5), HERE / "polish.png")
 
 
 class Browser(NamedTuple):
@@ -247,7 +265,7 @@ def draw(picture: Callable[[], None]) -> bool:
 
 
 if __name__ == "__main__":
-    wanted = [drag, shelf, four_panels, pd_against_computed_torque, waypoints, study, page]
+    wanted = [drag, shelf, four_panels, pd_against_computed_torque, waypoints, study, polish, page]
     chosen = [picture for picture in wanted if not sys.argv[1:] or picture.__name__ in sys.argv[1:]]
     drawn = [draw(picture) for picture in chosen]
     sys.exit(0 if all(drawn) else 1)
