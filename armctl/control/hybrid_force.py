@@ -32,8 +32,8 @@ _DAMPING_RATE = 30.0  # 1/s, the damping of the tip in contact divided by its ma
 _INTEGRAL_RATE = 20.0  # 1/s. Below the damping rate, the integral of a lightly damped wall is stable.
 # While the tip moves into a soft wall, its damping explains a part of the error. If all of that part is integrated, the force
 # overshoots; if nothing of it is, the force is late on the softest walls.
-_EXPLAINED_SHARE = 0.6
-_MAX_INTEGRATED_ERROR = 0.05  # of the target. On a soft wall the force rises slowly; the bound prevents windup.
+_EXPLAINED_SHARE = 0.75
+_MAX_INTEGRATED_ERROR = 0.08  # of the target. On a soft wall the force rises slowly; the bound prevents windup.
 _RISE_TIME_S = 0.02  # time constant of the commanded force after the first contact
 # Friction is compensated at this share of the speed that a frictionless mass would have. With all of it, the force loop that is
 # closed over the friction is unstable on walls ten times stiffer than MuJoCo's default with a delay of 4 ms.
