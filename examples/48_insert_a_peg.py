@@ -18,23 +18,22 @@ for side, angle in enumerate(2 * np.pi * np.arange(12) / 12):  # flat faces at 1
 arm = armctl.load(Path(__file__).parent / "models" / "desk_arm.urdf", tool=mujoco.MjSpec.from_string(PEG), scene=scene)
 arm.model.opt.ccd_tolerance = 1e-9  # m; at the default of 1e-6, a cylinder that just touches gets depths of 0.1 mm
 
-beside = hole + np.array([0.0, 1e-3, 2e-3])  # above where the hole is expected; the axis is half a degree wrong as well
-way = np.array([4e-3, 0.0, 0.0])
-leaning = [0.009, np.pi + 0.08, 0.0]
-q = armctl.solve_ik(arm, armctl.Pose(beside - way, rpy=leaning)).q
-slide = armctl.move_l(arm, q, armctl.Pose(beside + way, rpy=leaning), tip_speed=0.01)
-force = 2.5 / (arm.jacobian(q)[2] @ np.linalg.solve(arm.mass_matrix(q), arm.jacobian(q)[2]))  # N, 2.5 m/s^2 x effective mass
+beside = hole + np.array([0.0, 1e-3, 0.0])  # where the hole is expected; the axis is half a degree wrong as well
+start = armctl.Pose(beside + np.array([-4e-3, 0.0, 2e-3]), rpy=[0.009, np.pi + 0.08, 0.0])  # the peg leans
+q = armctl.solve_ik(arm, start).q
+force = 2 / (arm.jacobian(q)[2] @ np.linalg.solve(arm.mass_matrix(q), arm.jacobian(q)[2]))  # N, 2 m/s^2 x effective mass
 controller = armctl.HybridForce(arm, {"z": -force}, approach_speed=0.015, contact_force=0.15 * force)
 sim = armctl.Simulation(arm, controller, armctl.Plant(timestep=0.001, encoder_noise=1e-5, force_noise=0.2, wrench_delay=4))
 sim.reset(q)
 top = sim.run(armctl.move_j(arm, q, q), dwell=0.6).tip[-1, 2]  # the lower edge dips into the hole
-controller.force = {"y": 0.0, "z": -force}
-while sim.tip.position[2] > top - 7e-4:  # it slides until the peg drops
-    sim.step(controller.torque(sim.measured_state, slide(sim.state.t - 0.6)))
+controller.force = {"x": 0.35 * force, "y": 0.0, "z": -force}
+while sim.tip.position[2] > top - 1e-3:  # it slides until the peg drops
+    sim.step(controller.torque(sim.measured_state, armctl.Setpoint(q, 0 * q, 0 * q)))
 print(f"pressed with {force:.1f} N, the peg drops after {sim.state.t:.2f} s")
 controller.force = {"x": 0.0, "y": 0.0}
 upright = armctl.solve_ik(arm, armctl.Pose(sim.tip.position, rpy=[0.009, np.pi, 0.0]), sim.state.q).q
 sim.run(armctl.move_j(arm, sim.state.q, upright).scaled(0.2), dwell=0.15)
 controller.force = {"x": 0.0, "y": 0.0, "z": -0.5 * force, "rx": 0.0, "ry": 0.0}  # it yields to the walls
 log = sim.run(armctl.move_j(arm, upright, upright), dwell=2.0)
-print(f"{sim.state.t - log.t[-1] + log.t[np.argmax(log.tip[:, 2] < hole[2] - 0.0199)]:.2f} s after the start it is in the hole")
+deep = np.argmax(log.tip[:, 2] < hole[2] - 0.0199) * log.dt
+print(f"upright, it sinks for {deep:.2f} s; after {sim.state.t:.2f} s it is {1e3 * (hole[2] - log.tip[-1, 2]):.2f} mm deep")

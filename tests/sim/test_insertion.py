@@ -48,4 +48,3 @@ def test_the_peg_is_found_and_inserted(arm):
     assert run.ok
     assert run.beside < 2 * insertion.GAP_M
     assert run.tilt < 2 * insertion.GAP_M / insertion.DEPTH_M + 1e-3
-    assert run.peak_penetration < insertion.GAP_M
