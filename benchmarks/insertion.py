@@ -39,14 +39,14 @@ SIDE_RATIO = 0.35  # of the pressing force, to the side: friction, the slope of 
 START_HEIGHT_M = 0.002
 # The pressing force accelerates the free tip at this rate, so a light arm and a heavy one drop into the hole equally fast.
 PRESSING_ACCELERATION_M_S2 = 2.0
-SINKING_SPEED_M_S = 0.015  # without contact
+APPROACH_SPEED_M_S = 0.015
 SINKING_RATIO = 0.5  # of the pressing force
 CONTACT_RATIO = 0.15  # of the pressing force, that counts as a contact
 DROP_M = 1e-3  # below the height at which the peg touched: it is in the hole
 SETTLING_S = 0.15
 LANDING_LIMIT_S = 2.0
-SLIDING_LIMIT_S = 4.0
-SINKING_LIMIT_S = 8.0
+SLIDING_LIMIT_S = 12.0  # dry friction of the joints delays a small force
+SINKING_LIMIT_S = 15.0
 INSERTED_M = 0.0199  # from this depth on
 PENETRATION_BOUND_M = GAP_M
 TICK_S = 0.001
@@ -136,7 +136,7 @@ def insert(arm: armctl.Arm, center: np.ndarray, seed: int, offset: float = OFFSE
 
     J = arm.jacobian(start)[2]
     force = PRESSING_ACCELERATION_M_S2 / float(J @ np.linalg.solve(arm.mass_matrix(start), J))
-    controller = armctl.HybridForce(arm, {"z": -force}, contact_force=CONTACT_RATIO * force)
+    controller = armctl.HybridForce(arm, {"z": -force}, approach_speed=APPROACH_SPEED_M_S, contact_force=CONTACT_RATIO * force)
     run = Run(arm, controller, start, seed)
     run.follow(stay, LANDING_LIMIT_S, lambda: controller.in_contact)
     run.follow(stay, SETTLING_S)
@@ -148,7 +148,6 @@ def insert(arm: armctl.Arm, center: np.ndarray, seed: int, offset: float = OFFSE
     controller.force = {"x": 0.0, "y": 0.0}
     run.follow(stand, stand.duration + SETTLING_S)
     controller.force = {"x": 0.0, "y": 0.0, "z": -SINKING_RATIO * force, "rx": 0.0, "ry": 0.0}
-    controller.approach_speed = SINKING_SPEED_M_S
     run.follow(stand, SINKING_LIMIT_S, lambda: run.tip.position[2] < center[2] - INSERTED_M)
     time = run.simulation.state.t
     run.follow(stand, SETTLING_S)
