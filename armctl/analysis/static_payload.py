@@ -35,7 +35,8 @@ def static_payloads(arm: Arm) -> Array:
 
 def static_payload(payloads: Array) -> float:
     """kg, of `static_payloads`: what the torque limits hold in all but the worst 5 % of configurations."""
-    return float(np.percentile(payloads, _WORST_PERCENT))
+    is_unlimited = np.isinf(np.percentile(payloads, _WORST_PERCENT, method="higher"))  # between inf and inf, numpy gives NaN
+    return float(np.percentile(payloads, _WORST_PERCENT, method="lower" if is_unlimited else "linear"))
 
 
 def doubt_about_torque_limits(arm: Arm, payload: float) -> str:

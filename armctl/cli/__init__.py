@@ -38,11 +38,12 @@ def program() -> int:
 
 
 def _end_if_busy(status: int) -> None:
-    """Ends the process at once if a thread of armctl still compiles or plans, which may take many seconds.
+    """Ends the process at once after Ctrl-C, or if a thread of armctl still compiles or plans, which may take many seconds.
 
-    Python would end such a thread anyway, and the bindings would report the objects in its hands as leaks.
+    Python would end such a thread anyway. The bindings would report the objects in its hands as leaks, and abort where a thread
+    returns from compiled code while Python ends.
     """
-    if any(thread.name.startswith("armctl") for thread in threading.enumerate()):
+    if status == _INTERRUPTED or any(thread.name.startswith("armctl") for thread in threading.enumerate()):
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(status)

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.core.errors import LimitError, PlanError
+from armctl.core.errors import InputError, LimitError, PlanError
 from armctl.core.trajectory import Setpoint
-from armctl.core.validation import Array, number, vector
+from armctl.core.validation import Array, number, shown, vector
 from armctl.motion.checks import planning_arm, require_feasible_start, start_velocity
 from armctl.motion.timing.otg import JointState, Profile, ProfileSolver
 from armctl.motion.trajectory.piecewise import Pieces
@@ -103,9 +103,11 @@ class OnlineMotion:
             Whether the goal was accepted. It is also rejected if no motion inside the limits leads to it.
 
         Raises:
-            InputError: A wrong length or a number that is not finite.
+            InputError: A wrong length, a number that is not finite, or no function.
             LimitError: A position outside the limits.
         """
+        if not callable(accepts):
+            raise InputError(f"accepts: expected a function of a motion's pieces, got {shown(accepts)}")
         goal = self._checked(q)
         start = self._state(self._t)
         profile = self._profile_to(start, goal)

@@ -112,7 +112,7 @@ def test_plants_take_values_and_join(bundled):
     ("text", "error", "sentence"),
     [
         ("paylod=1", armctl.UnknownNameError, "did you mean 'payload'"),
-        ("payload=much", armctl.InputError, "plant payload: 'much' is not a number"),
+        ("payload=much", armctl.InputError, "plant payload=much: 'much' is not a number"),
         ("payload=-1", armctl.InputError, "payload: expected .*got -1"),
         ("nominal=3", armctl.InputError, "'nominal' takes no value"),
         ("delay=1.5", armctl.InputError, "delay: expected a whole number"),
