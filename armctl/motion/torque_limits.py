@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -231,9 +230,17 @@ def sample_times(motion: Trajectory | Pieces) -> Iterator[Array]:
         even = np.linspace(0.0, duration, count)
         yield even if knots is None else np.union1d(even, knots)
     elif knots is not None:
-        most = max(_MIN_SAMPLES_PER_PIECE, _MAX_EVEN_SAMPLES // (len(knots) - 1))
-        for begin, end in pairwise(knots.tolist()):
-            yield np.linspace(begin, end, min(most, math.ceil((end - begin) / _SAMPLE_INTERVAL_S)) + 1)
+        lengths = np.diff(knots)
+        most = max(_MIN_SAMPLES_PER_PIECE, _MAX_EVEN_SAMPLES // len(lengths))
+        counts = np.minimum(most, np.ceil(lengths / _SAMPLE_INTERVAL_S)).astype(np.int64) + 1
+        chunk = np.cumsum(counts) // _MAX_EVEN_SAMPLES
+        for pieces in np.split(np.arange(len(lengths)), np.flatnonzero(np.diff(chunk)) + 1):
+            count = counts[pieces]
+            last = np.cumsum(count) - 1
+            number = np.arange(last[-1] + 1) - np.repeat(last + 1 - count, count)
+            times = number * np.repeat(lengths[pieces] / np.maximum(count - 1, 1), count) + np.repeat(knots[pieces], count)
+            times[last] = knots[pieces + 1]
+            yield times
     else:
         for first in range(0, count, _MAX_EVEN_SAMPLES):
             yield np.minimum(np.arange(first, min(first + _MAX_EVEN_SAMPLES, count)) * _SAMPLE_INTERVAL_S, duration)
