@@ -16,7 +16,7 @@ from arms import BUNDLED, arm_of
 
 from armctl.robot.arm import Arm
 from armctl.sim.status import Activity
-from armctl.viewer.page import Page
+from armctl.viewer.page import Page, Scenes
 from armctl.viewer.web_scene import WebScene
 
 TIMEOUT_S = 120.0  # on a busy machine
@@ -35,9 +35,9 @@ CAMERA = {
 
 
 @contextlib.contextmanager
-def open_page(arms: Sequence[Arm] = (), **options) -> Iterator[Page]:
+def open_page(arms: Sequence[Arm] = (), scenes: Scenes | None = None, **options) -> Iterator[Page]:
     """A page with arms, by default with the bundled one, which is served until the end."""
-    page = Page(arms or [arm_of(BUNDLED)], WebScene(0, **options))
+    page = Page(arms or [arm_of(BUNDLED)], WebScene(0, **options), scenes=scenes)
     thread = threading.Thread(target=page.serve, daemon=True)
     thread.start()
     try:

@@ -69,11 +69,14 @@ def _robot_names(**_: object) -> list[str]:
     return list(robots())
 
 
-def add_arm(parser: argparse.ArgumentParser) -> None:
-    """Adds the robot's name and the options that select the arm."""
+def add_arm(parser: argparse.ArgumentParser, *, several_scenes: bool = False) -> None:
+    """Adds the robot's name and the options that select the arm. With several scenes, `scene` is a list."""
     add_robot(parser)
     for option, meaning in _CHAIN_OPTIONS.items():
-        parser.add_argument(option, help=meaning)
+        if several_scenes and option == "--scene":
+            parser.add_argument(option, action="append", default=[], help=f"{meaning}; give several to choose on the page")
+        else:
+            parser.add_argument(option, help=meaning)
     parser.add_argument("--hold-base", action="store_true", help="fix the base of a floating or walking robot at its keyframe")
 
 

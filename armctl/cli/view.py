@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 import contextlib
 import ctypes
+import functools
 import os
 import platform
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from armctl.robot.arm import Arm
 
 _TOKEN_VARIABLE = "ARMCTL_TOKEN"
+_NO_SCENE = "none"
 _M_MMAP_THRESHOLD = -3  # mallopt(3)
 _LARGE_BUFFER_BYTES = 128 * 1024
 
@@ -24,7 +27,7 @@ _LARGE_BUFFER_BYTES = 128 * 1024
 def add(commands: Commands) -> None:
     """Adds the command to the parser."""
     parser = add_command(commands, "view", run, "drag a target in the browser; the arm follows it")
-    add_arm(parser)
+    add_arm(parser, several_scenes=True)
     parser.add_argument(
         "--controller", default="computed-torque", help=f"the first controller, of {CONTROLLERS_HELP} (default %(default)s)"
     )
@@ -47,13 +50,18 @@ def run(args: argparse.Namespace) -> int:
     from armctl import viewer
     from armctl.loading import catalog
 
+    scenes = _scenes(args.scene)
     if args.native:
-        viewer.view_natively(_load(args)[0], args.controller)
+        if len(args.scene) > 1:
+            raise InputError(
+                f"scene: MuJoCo's own viewer shows one, got {len(args.scene)}; leave out --native or give one scene"
+            )
+        viewer.view_natively(_load(args, next(iter(scenes.values())))[0], args.controller)
     else:
         _return_large_buffers()
         catalog.locate(args.robot)  # an unknown name is reported before a browser opens
         viewer.view(
-            lambda: _load(args),
+            {name: functools.partial(_load, args, scene) for name, scene in scenes.items()},
             args.controller,
             port=args.port,
             host=args.host,
@@ -64,10 +72,18 @@ def run(args: argparse.Namespace) -> int:
     return DONE
 
 
-def _load(args: argparse.Namespace) -> tuple[Arm, ...]:
-    """The arm; all arms of a robot that has several of the same length, such as ALOHA, if no tip is given."""
+def _scenes(paths: Sequence[str]) -> dict[str, str | None]:
+    """The scenes to choose from, by name: the files that are given, and none."""
+    names = [Path(path).name for path in paths]
+    are_unique = len(set(names)) == len(names)
+    return {**dict(zip(names if are_unique else paths, paths, strict=True)), _NO_SCENE: None}
+
+
+def _load(args: argparse.Namespace, scene: str | None = None) -> tuple[Arm, ...]:
+    """The arm in a scene; all arms of a robot that has several of the same length, such as ALOHA, if no tip is given."""
     from armctl.loading.load import chains, load_arms
 
+    args = argparse.Namespace(**{**vars(args), "scene": scene})
     try:
         return (load_arm(args),)
     except ModelError:

@@ -22,6 +22,11 @@ class LatestWorker:
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
+    @property
+    def is_closed(self) -> bool:
+        """Whether the thread ends after the work that it does now: what shows the result may be gone by then."""
+        return self._closed
+
     def submit(self, order: Callable[[], object]) -> None:
         """Runs a function soon, unless a newer one comes first. Its exceptions go to the log."""
         with self._ordered:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from armctl.robot.arm import Arm
 from armctl.sim.realtime import RealTimeSession
 from armctl.sim.status import Activity
 from armctl.viewer.panel import Panel
@@ -15,9 +12,6 @@ from armctl.viewer.status_text import describe
 from armctl.viewer.target_controls import TargetControls
 from armctl.viewer.tip_trail import TipTrail
 from armctl.viewer.web_scene import WebScene
-
-if TYPE_CHECKING:
-    import viser
 
 _LABEL_OFFSET_M = np.array([0.0, 0.0, 0.1])
 
@@ -31,20 +25,20 @@ class ArmControls:
         target: The target's handles and fields.
     """
 
-    def __init__(self, arm: Arm, controller: str, scene: WebScene, root: str):
-        """Adds the controls of an arm to a page. Its session stands by.
+    def __init__(self, session: RealTimeSession, scene: WebScene, root: str):
+        """Adds the controls of a session to a page. The session stands by.
 
         Args:
-            arm: The arm.
-            controller: Name of the first controller.
+            session: The session, before its start.
             scene: The page's scene.
-            root: The scene node below which everything of this arm is drawn; empty for the only arm.
+            root: The scene node below which everything of this arm is drawn.
         """
         server = scene.server
-        self.session = RealTimeSession(arm, controller)
+        arm = session.arm
+        self.session = session
         self.session.stand_by(True)
         self._scene = scene
-        self._node: viser.FrameHandle | None = server.scene.add_frame(root, show_axes=False) if root else None
+        self._node = server.scene.add_frame(root, show_axes=False)
         status = self.session.status
         self._drawn_target = status.target
         self.target = TargetControls(server, self.session, root)
@@ -57,8 +51,7 @@ class ArmControls:
 
     def set_visible(self, visible: bool) -> None:
         """Shows or hides everything of this arm in the scene."""
-        if self._node is not None:
-            self._node.visible = visible
+        self._node.visible = visible
 
     def draw(self) -> None:
         """Draws the arm and its target where they are now."""
@@ -72,15 +65,15 @@ class ArmControls:
             self._drawn_target = target
             self._label.position = target.position + _LABEL_OFFSET_M
 
-    def write(self) -> None:
-        """Writes what the session does, and updates the panel."""
+    def write(self, notice: str = "") -> None:
+        """Writes what the session does, below a notice of the page, and updates the panel."""
         status = self.session.status
         text = describe(status)
         if self._label.text != text:
             self._label.text = text
         self._trail.draw()
         self._preview.show(status.path, with_ghost=status.activity is not Activity.AT_TARGET)
-        self.panel.update()
+        self.panel.update(notice)
 
     def close(self) -> None:
         """Ends the threads of the panel and of the session."""

@@ -48,6 +48,8 @@ class ComparisonPanel:
             self._text.content = "comparing ..."
             plant = Plant(payload=status.payload)
             reports = compare(session.arm, list(CONTROLLERS), out_and_back(session.arm), [plant])
+            if self._worker.is_closed:
+                return
             self._text.content = _table(reports)
             if self._picture is not None:
                 self._picture.remove()
@@ -58,7 +60,8 @@ class ComparisonPanel:
             raise
         finally:
             session.pause(status.paused)
-            self._button.disabled = False
+            if not self._worker.is_closed:
+                self._button.disabled = False
 
 
 def _table(reports: list[Report]) -> str:

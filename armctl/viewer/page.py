@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import importlib
 import logging
+import queue
 import signal
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from armctl.control import CONTROLLERS
-from armctl.core.errors import InputError, UnknownNameError
+from armctl.core.errors import ArmctlError, InputError, UnknownNameError
+from armctl.core.latest_worker import LatestWorker
 from armctl.robot.arm import Arm
-from armctl.sim.realtime import UPDATE_INTERVAL_S, RealTimeSession
-from armctl.viewer.arm_controls import ArmControls
+from armctl.sim.realtime import RealTimeSession
 from armctl.viewer.panel import Panel
+from armctl.viewer.scene_controls import SceneControls
 from armctl.viewer.web_scene import DRAW_INTERVAL_S, PORT, WebScene
 
 if TYPE_CHECKING:
@@ -30,11 +31,15 @@ _START_DELAY_S = 2.0  # the first page is drawn before the arm moves
 _JOIN_TIMEOUT_S = 0.5
 _PRELOADED_MODULES = ("mjviser", "armctl.ik.kernel")  # slow to import: loaded while MuJoCo compiles the model
 
+_MAX_NOTICE_LENGTH = 400
+
+Scenes = Mapping[str, Callable[[], Sequence[Arm]]]
+
 _log = logging.getLogger("armctl.viewer")
 
 
 class Page:
-    """Arms on a web page, of which one at a time is commanded; the brakes hold the others where they are.
+    """Arms on a web page, of which one at a time is commanded, in one of several scenes.
 
     Attributes:
         scene: The page's 3D scene.
@@ -42,13 +47,15 @@ class Page:
         port: Port of the page.
     """
 
-    def __init__(self, arms: Sequence[Arm], scene: WebScene, controller: str = "computed-torque"):
+    def __init__(self, arms: Sequence[Arm], scene: WebScene, controller: str = "computed-torque", scenes: Scenes | None = None):
         """Puts arms and their controls on a page; `serve` then keeps it up to date.
 
         Args:
             arms: Arms of one model; the first is commanded first.
             scene: An empty scene.
             controller: Name of the first controller.
+            scenes: Functions that load the arms in a scene, by the scene's name; the arms are in the first one. Visitors
+                choose among several.
 
         Raises:
             UnknownNameError: There is no such controller.
@@ -56,12 +63,17 @@ class Page:
         self.scene = scene
         self.url = scene.url
         self.port = scene.port
+        self._controller = controller
+        self._scenes = dict(scenes or {})
+        self._scene_name = next(iter(self._scenes), "")
+        self._notice = ""
+        self._loaded: queue.SimpleQueue[list[RealTimeSession]] = queue.SimpleQueue()
+        self._loader = LatestWorker("armctl scene")
         scene.set(arms[0], arms[1:])
-        if len(arms) == 1:
-            self._controls = {arms[0].tip: ArmControls(arms[0], controller, scene, "")}
-        else:
-            self._controls = self._add_several(arms, controller)
-        self._shown = self._controls[arms[0].tip]
+        if len(self._scenes) > 1:
+            self._add_choice()
+        self._scenes_shown = 0
+        self._controls = self._add_controls([RealTimeSession(arm, controller) for arm in arms])
         self._closing = threading.Event()
         self._starter = threading.Thread(target=self._start_arm, name="armctl start", daemon=True)
         self._failed = False
@@ -69,30 +81,31 @@ class Page:
     @property
     def session(self) -> RealTimeSession:
         """The session of the commanded arm."""
-        return self._shown.session
+        return self._controls.shown.session
 
     @property
     def panel(self) -> Panel:
         """The panel of the commanded arm."""
-        return self._shown.panel
+        return self._controls.shown.panel
 
     @property
     def is_target_held(self) -> bool:
         """Whether a client drags the target."""
-        return self._shown.target.is_held
+        return self._controls.shown.target.is_held
 
     def serve(self) -> None:
         """Keeps the page up to date until `close`. The arm moves shortly after the first client has connected."""
-        for controls in self._controls.values():
-            controls.session.start()
+        self._controls.start()
         self._starter.start()
         text_written_at = -np.inf
         while not self._closing.wait(DRAW_INTERVAL_S):
             try:
-                self._shown.draw()
+                if not self._loaded.empty():
+                    self._replace(self._loaded.get())
+                self._controls.shown.draw()
                 if time.monotonic() - text_written_at > _TEXT_INTERVAL_S:
                     text_written_at = time.monotonic()
-                    self._shown.write()
+                    self._controls.shown.write(self._notice)
             except Exception:  # the page must not end while somebody uses it
                 if not self._failed and not self._closing.is_set():
                     _log.exception("the page could not show the session's status")
@@ -103,39 +116,57 @@ class Page:
         self._closing.set()
         if self._starter.is_alive():
             self._starter.join(timeout=_JOIN_TIMEOUT_S)
-        for controls in self._controls.values():
-            controls.close()
+        self._loader.close()
+        self._controls.close()
         self.scene.close()
 
-    def _add_several(self, arms: Sequence[Arm], controller: str) -> dict[str, ArmControls]:
-        """The controls of several arms, each in a folder, and a list to choose from; the first is shown."""
-        gui = self.scene.server.gui
-        chosen = gui.add_dropdown("arm", tuple(arm.tip for arm in arms), hint="the brakes hold the other arms")
-        added: dict[str, ArmControls] = {}
-        folders: dict[str, viser.GuiFolderHandle] = {}
-        for k, arm in enumerate(arms):
-            folders[arm.tip] = gui.add_folder(arm.tip, visible=k == 0)
-            with folders[arm.tip]:
-                added[arm.tip] = ArmControls(arm, controller, self.scene, f"/arm{k}")
-            added[arm.tip].set_visible(k == 0)
+    def _add_controls(self, sessions: Sequence[RealTimeSession]) -> SceneControls:
+        root = f"/scene{self._scenes_shown}"  # its own for each: the controls of the one before are removed a moment later
+        self._scenes_shown += 1
+        folder = sessions[0].arm.name if len(self._scenes) > 1 else ""
+        return SceneControls(sessions, self.scene, root, folder)
+
+    def _add_choice(self) -> None:
+        """A list of the scenes. The message filter drops names that are not in it."""
+        chosen = self.scene.server.gui.add_dropdown("scene", tuple(self._scenes), hint="loads the arm in it, at home")
+
+        def show_present(failed: str) -> None:
+            if chosen.value == failed:  # otherwise another one has been chosen meanwhile
+                chosen.value = self._scene_name
+
+        def load(name: str) -> None:
+            self._notice = f"loading the scene {name} ..."
+            try:
+                self._loaded.put(self._standing_sessions(name))
+                self._scene_name = name
+                self._notice = ""
+            except Exception as error:
+                self._notice = f"the scene {name} was not loaded: {error}"[:_MAX_NOTICE_LENGTH]
+                self.scene.server.get_event_loop().call_soon_threadsafe(show_present, name)
+                if not isinstance(error, ArmctlError):
+                    raise
 
         async def choose(event: viser.GuiEvent) -> None:
-            before = self._shown
-            after = self._controls[chosen.value]
-            if after is before:
-                return
-            before.session.stand_by(True)
-            while not before.session.is_standing_by:
-                await asyncio.sleep(UPDATE_INTERVAL_S)
-            after.session.continue_from(before.session.status.qpos)
-            after.session.stand_by(False)
-            self._shown = after
-            for tip, controls in self._controls.items():
-                folders[tip].visible = controls is after
-                controls.set_visible(controls is after)
+            name = chosen.value
+            if event.client is not None:
+                self._loader.submit(lambda: load(name))
 
         chosen.on_update(choose)
-        return added
+
+    def _standing_sessions(self, scene: str) -> list[RealTimeSession]:
+        """Sessions of the arms in a scene, of which the first is ready to move."""
+        sessions = [RealTimeSession(arm, self._controller) for arm in self._scenes[scene]()]
+        sessions[0].prepare()
+        return sessions
+
+    def _replace(self, sessions: Sequence[RealTimeSession]) -> None:
+        """Shows other arms, and lets the first of them move."""
+        before = self._controls
+        self._controls = self._add_controls(sessions)
+        before.remove()
+        self.scene.set(sessions[0].arm, [session.arm for session in sessions[1:]])
+        self._controls.start()
+        self.session.stand_by(False)
 
     def _start_arm(self) -> None:
         """Lets the arm move; until then its session executes commands, so that the first click is answered at once."""
@@ -148,7 +179,7 @@ class Page:
 
 
 def view(
-    load: Callable[[], Sequence[Arm]],
+    scenes: Scenes,
     controller: str = "computed-torque",
     *,
     port: int = PORT,
@@ -160,7 +191,8 @@ def view(
     """Serves a page with an arm that follows a target, until Ctrl-C.
 
     Args:
-        load: Returns the arms, one or several of one model; it is called while the browser opens.
+        scenes: Functions that load the arms in a scene, one arm or several of one model, by the scene's name. The first is
+            called while the browser opens; visitors choose among several.
         controller: Name of the first controller.
         port: Port of the page. Without a host, the next free one if it is taken; any free one if 0.
         host: Address of this machine at which other machines reach the page; None for this machine alone.
@@ -186,9 +218,9 @@ def view(
         for module in _PRELOADED_MODULES:
             threading.Thread(target=importlib.import_module, args=(module,), daemon=True).start()
         with contextlib.suppress(KeyboardInterrupt):
-            arms = load()
+            arms = next(iter(scenes.values()))()
             print(f"{arms[0].name} is at {scene.url}; Ctrl-C ends it", flush=True)
-            page = Page(arms, scene, controller)
+            page = Page(arms, scene, controller, scenes)
             stack.callback(page.close)
             page.serve()
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C must not interrupt the closing

@@ -69,14 +69,15 @@ class Panel:
         self.pictures = PicturePanel(server, session)
         self._comparison = ComparisonPanel(server, session)
 
-    def update(self) -> None:
-        """Shows the session's status."""
+    def update(self, notice: str = "") -> None:
+        """Shows the session's status, below a notice of the page."""
         status = self._session.status
         samples = self._session.history.read()
         factor = status.real_time_factor * status.speed
         load = f"{describe_load(samples, self._session.arm.joint_names)}; real time x {factor:.2f}"
         contacts = describe_contacts(status)
-        self._text.content = "\n\n".join([f"**{describe(status)}**", load, *([contacts] if contacts else []), _HINT])
+        lines = [notice, f"**{describe(status)}**", load, contacts, _HINT]
+        self._text.content = "\n\n".join(line for line in lines if line)
         self._contact_arrows.show(status.contacts)
         self._charts.update(samples)
         # On viser's event loop: written by this thread, a value could replace one that a client has just sent, before the

@@ -47,6 +47,8 @@ class ReachabilityPanel:
             except Exception as error:
                 self._text.content = f"not computed: {error}"[:300]
                 raise
+            if self._worker.is_closed:
+                return
             self._points = self._add_points(found)
             self._text.content = f"{found}. {_LEGEND}" if len(found.orientations) else f"{found}."
         if self._points is not None:

@@ -136,6 +136,7 @@ class WebScene:
         self.text = self.server.gui.add_markdown("loading")
         _add_background_and_lamps(self.server.scene)
         self._view: _View | None = None
+        self._drawing_lock = threading.Lock()  # `set` replaces what the drawing thread uses
         self._latest: _Frame | None = None
         self._drawn: _Frame | None = None
         self._client_connected = threading.Event()
@@ -153,7 +154,7 @@ class WebScene:
         return bool(screen) and webbrowser.open(self._root + self._access.one_time_query())
 
     def set(self, arm: Arm, others: Sequence[Arm] = ()) -> None:
-        """Puts an arm on the page, at home.
+        """Puts an arm on the page, at home. It replaces the one that is there.
 
         Args:
             arm: The arm.
@@ -164,15 +165,23 @@ class WebScene:
         """
         import mjviser
 
-        self._not_refined: mujoco.MjModel | None = arm.model
-        self._model = decimated(arm.model, COARSE_CELL)
-        self._data = mujoco.MjData(self._model)
-        self._set_camera(arm, others)
-        self.server.gui.set_panel_label(arm.name)
-        self._scene = mjviser.ViserMujocoScene(self.server, self._model, 1)
-        self._scene.camera_tracking_enabled = False
-        self.server.scene.configure_environment_map(None)
-        self.show(arm.home_qpos)
+        coarse = decimated(arm.model, COARSE_CELL)
+        with self._drawing_lock:
+            self._not_refined: mujoco.MjModel | None = arm.model
+            self._model = coarse
+            self._data = mujoco.MjData(self._model)
+            self._set_camera(arm, others)
+            self.server.gui.set_panel_label(arm.name)
+            self._drawn = None
+            self.show(arm.home_qpos)
+            if self._thread.is_alive():
+                self._scene.mj_model = self._model
+                self._scene.mj_data = mujoco.MjData(self._model)
+                self._scene.rebuild_visual_handles()
+                return
+            self._scene = mjviser.ViserMujocoScene(self.server, self._model, 1)
+            self._scene.camera_tracking_enabled = False
+            self.server.scene.configure_environment_map(None)
         self._thread.start()
 
     def show(self, qpos: Array, mocap_pos: Array | None = None, mocap_quat: Array | None = None) -> None:
@@ -217,14 +226,15 @@ class WebScene:
             if refine_at is None and self._client_connected.is_set():
                 refine_at = time.monotonic() + _REFINE_DELAY_S
             try:
-                if refine_at is not None and time.monotonic() > refine_at:
-                    self._refine()
-                self.draw()
+                with self._drawing_lock:
+                    if refine_at is not None and time.monotonic() > refine_at:
+                        self._refine()
+                    self.draw()
             except Exception:  # the drawing continues with the next state
                 _log.exception("the page could not draw the scene")
 
     def _refine(self) -> None:
-        """Replaces the coarse meshes by fine ones, once."""
+        """Replaces the coarse meshes of an arm by fine ones, once."""
         if self._not_refined is not None:
             self._model = decimated(self._not_refined)
             self._not_refined = None

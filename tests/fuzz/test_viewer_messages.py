@@ -15,9 +15,10 @@ from viewer_client import CAMERA, connected, follows, open_page, until
 from armctl.sim.status import Activity
 
 MESSAGES_IN_SUITE = 10_000
+GOAL = "/scene0/arm0/goal"
 ODD_VALUES = [
     None, True, False, 0, -1, 1, 2**31, 2**63, -(2**63), 0.0, 5e-324, 1e300, -1e308, float("nan"), float("inf"), "", "x",
-    "/goal", "__class__", b"\0", [], [0.0], [1, 2, 3], [1, 2, 3, 4], [float("nan")] * 3, {}, {"value": 1}, {"removed": True},
+    GOAL, "__class__", b"\0", [], [0.0], [1, 2, 3], [1, 2, 3, 4], [float("nan")] * 3, {}, {"value": 1}, {"removed": True},
 ]  # fmt: skip
 KEYS = ["type", "uuid", "updates", "value", "removed", "update_cb", "__dict__", "name", "owner", "wxyz", "position", "fov"]
 
@@ -26,8 +27,8 @@ def real_messages(page) -> list[dict]:
     """One message of each kind that a browser sends, and one of each kind that viser knows."""
     messages = [CAMERA]
     for kind in ("TransformControlsDragStartMessage", "TransformControlsDragEndMessage"):
-        messages.append({"type": kind, "name": "/goal", "owner": ""})
-    pose = {"name": "/goal", "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [0.2, 0.1, 0.4], "owner": ""}
+        messages.append({"type": kind, "name": GOAL, "owner": ""})
+    pose = {"name": GOAL, "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [0.2, 0.1, 0.4], "owner": ""}
     messages.append({"type": "TransformControlsUpdateMessage", **pose})
     for uuid, control in page.scene.server.gui._gui_input_handle_from_uuid.items():
         if getattr(control, "label", "") != "compare the controllers":  # it would run for seconds, on every press

@@ -145,7 +145,7 @@ def test_a_client_changes_no_property_of_a_control(page, client, attributes: dic
 def test_a_wrong_pose_of_the_target_is_dropped(page, client, pose: dict):
     settled(page, client)
     target = page.session.status.target
-    message = {"name": "/goal", "wxyz": [1, 0, 0, 0], "position": [0.9, 0.9, 0.9], "owner": ""}
+    message = {"name": "/scene0/arm0/goal", "wxyz": [1, 0, 0, 0], "position": [0.9, 0.9, 0.9], "owner": ""}
     client.send({"type": "TransformControlsUpdateMessage"} | message | pose)
     client.send(CAMERA)
     client.set(page, "simulation speed", 0.75)
@@ -155,7 +155,7 @@ def test_a_wrong_pose_of_the_target_is_dropped(page, client, pose: dict):
 
 
 def test_a_far_target_is_limited_and_the_arm_says_that_it_is_out_of_reach(page, client):
-    message = {"name": "/goal", "wxyz": [1, 0, 0, 0], "position": [1e300, 0, 0], "owner": ""}
+    message = {"name": "/scene0/arm0/goal", "wxyz": [1, 0, 0, 0], "position": [1e300, 0, 0], "owner": ""}
     client.send({"type": "TransformControlsUpdateMessage"} | message)
     until(lambda: page.session.status.activity is Activity.OUT_OF_REACH, "it is not called out of reach")
     assert page.session.status.target.position[0] == MAX_COORDINATE_M
@@ -251,7 +251,7 @@ def test_the_points_that_the_arm_reaches_are_shown_and_hidden(page, client):
 
 def test_a_target_whose_holder_leaves_is_released(page, client):
     with connected(page) as holder:
-        drag = {"type": "TransformControlsDragStartMessage", "name": "/goal", "owner": ""}
+        drag = {"type": "TransformControlsDragStartMessage", "name": "/scene0/arm0/goal", "owner": ""}
         until(lambda: len(page.scene.server.get_clients()) == 2, "the second client is not connected")
         holder.send(drag)
         until(lambda: page.is_target_held, "the target is not held")
@@ -296,7 +296,7 @@ def test_a_failed_session_is_shown_and_reset_repairs_it(page, client, monkeypatc
         patch.setattr(page.session._follower, "advance", broken)
         until(lambda: page.session.status.activity is Activity.FAILED, "the failure is not noticed")
         until(lambda: "ZeroDivisionError: a defect" in page.scene.text.content, "the page does not show the failure")
-        assert "at the target" not in page._shown._label.text
+        assert "at the target" not in page._controls.shown._label.text
     assert page.session._thread is not None
     assert page.session._thread.is_alive()
     client.set(page, "reset", True)

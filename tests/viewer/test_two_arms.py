@@ -36,7 +36,7 @@ def test_view_loads_all_arms_of_a_robot_unless_a_tip_is_given(path: Path):
 
 def test_either_arm_follows_its_target_while_the_other_stands(path: Path):
     with open_page(loaded(str(path))) as page, connected(page) as client:
-        first, second = (controls.session for controls in page._controls.values())
+        first, second = (controls.session for controls in page._controls.arms.values())
         for session, other, label in ((first, second, "C"), (second, first, "F"), (first, second, "C")):
             client.set(page, "arm", label)
             until(lambda session=session, other=other: page.session is session and other.is_standing_by, "not chosen")
