@@ -4,7 +4,8 @@
 
 The peg leans by 1.4 degrees, so that its lower edge dips into the hole although the hole is 1 mm from where it is expected. It
 slides with this edge ahead until it drops, stands up, and sinks; after Bruyninckx, Dutre, De Schutter, "Peg-on-hole: a model
-based solution to peg and hole alignment" (1995). All of this is hybrid force control with a flange sensor that has noise and a
+based solution to peg and hole alignment" (1995). If it wedges, or a step lasts too long, the peg is twisted off and tries
+again from another side. All of this is hybrid force control with a flange sensor that has noise and a
 delay of 4 ms. The direction of the offset, the direction of the tilt and the noise differ from seed to seed. Depth, forces and
 penetration are MuJoCo's own.
 """
@@ -34,7 +35,8 @@ FRICTION = 0.2  # as of oiled steel
 # Where a leaning peg touches both walls above a depth of FRICTION times its diameter, it wedges: friction then holds any force
 # (Whitney, "Quasi-static assembly of compliantly supported rigid parts", 1982). So it stands up as soon as it drops.
 LEAN_RAD = 0.08
-AIM_M = -0.004  # along x, the lower edge ahead
+AIM_M = -0.004  # along the direction of sliding, the lower edge ahead
+DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))  # x and y, in which the peg slides: one for each attempt
 SIDE_RATIO = 0.35  # of the pressing force, to the side: friction, the slope of the edge, and a little more
 START_HEIGHT_M = 0.002
 # The pressing force accelerates the free tip at this rate, so a light arm and a heavy one drop into the hole equally fast.
@@ -45,8 +47,12 @@ CONTACT_RATIO = 0.15  # of the pressing force, that counts as a contact
 DROP_M = 1e-3  # below the height at which the peg touched: it is in the hole
 SETTLING_S = 0.15
 LANDING_LIMIT_S = 2.0
-SLIDING_LIMIT_S = 12.0  # dry friction of the joints delays a small force
-SINKING_LIMIT_S = 15.0
+PATIENCE = 5  # times as long as at the speed of the approach: then the attempt has failed
+SLIDING_LIMIT_S = PATIENCE * (OFFSET_M - AIM_M) / APPROACH_SPEED_M_S
+SINKING_LIMIT_S = PATIENCE * DEPTH_M / APPROACH_SPEED_M_S
+WEDGED_RAD = LEAN_RAD / 2  # that the peg still leans after it was to stand up
+LIFT_M = 0.01  # after an attempt that failed: enough to move over the next start before the peg lands
+TWISTS_RAD = 0.1 * np.array([1.0, -1.0] * 6)  # while it lifts: 1 mm at the edge, much more than contacts yield
 INSERTED_M = 0.0199  # from this depth on
 PENETRATION_BOUND_M = GAP_M
 TICK_S = 0.001
@@ -65,7 +71,7 @@ PEG = f"""
 
 
 class Insertion(NamedTuple):
-    """How an insertion went: N, s, m, m, rad, N and m; the peak force is the sum of the magnitudes of all contact forces."""
+    """How an insertion went: N, s, m, m, rad, N, m and 1; the peak force is the sum of the magnitudes of all contact forces."""
 
     pressing_force: float
     time: float
@@ -74,6 +80,7 @@ class Insertion(NamedTuple):
     tilt: float
     peak_force: float
     peak_penetration: float
+    attempts: int
 
     @property
     def ok(self) -> bool:
@@ -106,6 +113,7 @@ class Run:
         self.simulation.reset(start)
         self.controller = controller
         self.measured = self.simulation.measured_state
+        self.reference = start
         self.peaks = np.zeros(2)
 
     @property
@@ -113,48 +121,97 @@ class Run:
         """As the encoders measure it."""
         return self.simulation.arm.fk(self.measured.q)
 
+    @property
+    def lag(self) -> float:
+        """rad, between the reference and the tip."""
+        return float(np.linalg.norm(pin.log3(self.tip.rotation.T @ self.simulation.arm.fk(self.reference).rotation)))
+
     def follow(self, motion: armctl.Trajectory, limit: float, done: Callable[[], bool] = lambda: False) -> None:
         """Follows a motion and waits at its end, until it is done or the limit, s."""
         for k in range(round(limit / TICK_S)):
             if done():
                 return
             setpoint = motion(min(k * TICK_S, motion.duration))
+            self.reference = setpoint.q
             self.simulation.step(self.controller.torque(self.measured, setpoint))
             self.measured = self.simulation.measured_state
             np.maximum(self.peaks, contact_peaks(self.simulation), out=self.peaks)
 
 
 def insert(arm: armctl.Arm, center: np.ndarray, seed: int, offset: float = OFFSET_M) -> Insertion:
-    """Lands, slides until the peg drops, stands it up, and sinks it."""
+    """Attempts it from one side after the other."""
     offset_angle, tilt_angle = np.random.default_rng(seed).uniform(0.0, 2 * np.pi, 2)
     tilt = pin.exp3(TILT_RAD * np.array([np.cos(tilt_angle), np.sin(tilt_angle), 0.0]))
     rotation = tilt @ armctl.Pose(center, rpy=[0.0, np.pi, 0.0]).rotation
     expected = center + offset * np.array([np.cos(offset_angle), np.sin(offset_angle), 0.0])
-    leaning = pin.exp3(np.array([0.0, LEAN_RAD, 0.0])) @ rotation
-    start = solved(arm, armctl.Pose.from_rotation(expected + np.array([AIM_M, 0.0, START_HEIGHT_M]), leaning), arm.home)
-    stay = armctl.move_j(arm, start, start)
+    start = solved(arm, leaning(expected, rotation, DIRECTIONS[0]), arm.home)
 
     J = arm.jacobian(start)[2]
     force = PRESSING_ACCELERATION_M_S2 / float(J @ np.linalg.solve(arm.mass_matrix(start), J))
     controller = armctl.HybridForce(arm, {"z": -force}, approach_speed=APPROACH_SPEED_M_S, contact_force=CONTACT_RATIO * force)
     run = Run(arm, controller, start, seed)
-    run.follow(stay, LANDING_LIMIT_S, lambda: controller.in_contact)
-    run.follow(stay, SETTLING_S)
-    touched = run.tip.position[2]
-    controller.force = {"x": SIDE_RATIO * force, "y": 0.0, "z": -force}
-    run.follow(stay, SLIDING_LIMIT_S, lambda: run.tip.position[2] < touched - DROP_M)
-    upright = armctl.Pose.from_rotation(run.tip.position, rotation)
-    stand = armctl.move_j(arm, run.measured.q, solved(arm, upright, run.measured.q)).scaled(0.2)
-    controller.force = {"x": 0.0, "y": 0.0}
-    run.follow(stand, stand.duration + SETTLING_S)
-    controller.force = {"x": 0.0, "y": 0.0, "z": -SINKING_RATIO * force, "rx": 0.0, "ry": 0.0}
-    run.follow(stand, SINKING_LIMIT_S, lambda: run.tip.position[2] < center[2] - INSERTED_M)
+    approach = armctl.move_j(arm, start, start)
+    attempts = 1
+    while not attempt(run, approach, center, rotation, force, DIRECTIONS[attempts - 1]) and attempts < len(DIRECTIONS):
+        lift(run, center, force)
+        # From the first start, so that the wrist stays on its branch.
+        above = solved(arm, leaning(expected, rotation, DIRECTIONS[attempts]), start)
+        approach = armctl.move_j(arm, run.measured.q, above)
+        attempts += 1
     time = run.simulation.state.t
-    run.follow(stand, SETTLING_S)
+    stay = armctl.move_j(arm, run.reference, run.reference)
+    run.follow(stay, SETTLING_S)
     tip = run.simulation.tip
     angle = float(np.arccos(np.clip(-tip.rotation[2, 2], -1.0, 1.0)))
     away = center - tip.position
-    return Insertion(force, time, float(away[2]), float(np.hypot(away[0], away[1])), angle, *run.peaks)
+    beside = float(np.hypot(away[0], away[1]))
+    return Insertion(force, time, float(away[2]), beside, angle, float(run.peaks[0]), float(run.peaks[1]), attempts)
+
+
+def leaning(expected: np.ndarray, rotation: np.ndarray, ahead: tuple[float, float]) -> armctl.Pose:
+    """Above the surface, with the lower edge ahead."""
+    lean = pin.exp3(LEAN_RAD * np.array([-ahead[1], ahead[0], 0.0]))
+    above = np.array([AIM_M * ahead[0], AIM_M * ahead[1], START_HEIGHT_M])
+    return armctl.Pose.from_rotation(expected + above, lean @ rotation)
+
+
+def attempt(
+    run: Run, approach: armctl.Trajectory, center: np.ndarray, rotation: np.ndarray, force: float, ahead: tuple[float, float]
+) -> bool:
+    """Lands, slides until the peg drops, stands it up, and sinks it; whether it is at the bottom."""
+    arm = run.simulation.arm
+    controller = run.controller
+    controller.force = {"z": -force}
+    run.follow(approach, LANDING_LIMIT_S, lambda: controller.in_contact)
+    stay = armctl.move_j(arm, run.reference, run.reference)
+    run.follow(stay, SETTLING_S)
+    touched = run.tip.position[2]
+    controller.force = {"x": SIDE_RATIO * force * ahead[0], "y": SIDE_RATIO * force * ahead[1], "z": -force}
+    run.follow(stay, SLIDING_LIMIT_S, lambda: run.tip.position[2] < touched - DROP_M)
+    if run.tip.position[2] >= touched - DROP_M:
+        return False
+    upright = armctl.Pose.from_rotation(run.tip.position, rotation)
+    stand = armctl.move_j(arm, run.measured.q, solved(arm, upright, run.measured.q)).scaled(0.2)
+    controller.force = {"x": 0.0, "y": 0.0}
+    run.follow(stand, stand.duration + SETTLING_S, lambda: run.tip.position[2] > touched)
+    if run.tip.position[2] > touched or run.lag > WEDGED_RAD:
+        return False
+    controller.force = {"x": 0.0, "y": 0.0, "z": -SINKING_RATIO * force, "rx": 0.0, "ry": 0.0}
+    run.follow(stand, SINKING_LIMIT_S, lambda: run.tip.position[2] < center[2] - INSERTED_M)
+    return bool(run.tip.position[2] < center[2] - INSERTED_M)
+
+
+def lift(run: Run, center: np.ndarray, force: float) -> None:
+    """Pulls the peg off, yields to the walls, and turns it to and fro: a wall on which it slides around holds it no longer."""
+    arm = run.simulation.arm
+    tip = run.tip
+    q = run.measured.q
+    run.controller.force = {"x": 0.0, "y": 0.0, "z": force, "rx": 0.0, "ry": 0.0}
+    for angle in TWISTS_RAD:
+        turned = armctl.Pose.from_rotation(tip.position, tip.rotation @ pin.exp3(np.array([0.0, 0.0, angle])))
+        turn = armctl.move_j(arm, q, solved(arm, turned, q))
+        run.follow(turn, turn.duration + SETTLING_S, lambda: run.tip.position[2] > center[2] + LIFT_M)
+        q = run.reference
 
 
 def solved(arm: armctl.Arm, pose: armctl.Pose, start: np.ndarray) -> np.ndarray:
@@ -184,6 +241,7 @@ def row(name: str, seeds: range) -> list[str]:
     return [
         name,
         f"{sum(run.ok for run in runs)} of {len(runs)}",
+        f"{max(run.attempts for run in runs)}",
         f"{np.median([run.pressing_force for run in runs]):.1f}",
         f"{np.median([run.time for run in runs]):.1f} ({max(run.time for run in runs):.1f})",
         f"{1e3 * min(run.depth for run in runs):.2f}",
@@ -205,6 +263,7 @@ def main() -> None:
     columns = [
         "arm",
         "in the hole",
+        "attempts, at most",
         "pressing force, N",
         "time, s: median (worst)",
         "smallest depth, mm (19.9)",
