@@ -30,11 +30,18 @@ def program() -> int:
             status = main()
         finally:
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # nothing is left to interrupt
-    except KeyboardInterrupt:
+    except BaseException as error:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if not _is_interrupt(error):
+            raise
         status = _INTERRUPTED
     _end_if_busy(status)
     return status
+
+
+def _is_interrupt(error: BaseException | None) -> bool:
+    """Whether Ctrl-C caused an error: Python 3.11 wraps what is raised while a class is made in a RuntimeError."""
+    return isinstance(error, KeyboardInterrupt) or (error is not None and _is_interrupt(error.__cause__ or error.__context__))
 
 
 def _end_if_busy(status: int) -> None:

@@ -480,3 +480,22 @@ def test_an_interrupt_that_python_cannot_raise_is_raised_soon_after():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (done.stdout, done.stderr) == ("interrupted\n", "")
+
+
+def test_an_interrupt_that_python_wraps_in_another_error_ends_the_program():
+    code = """
+import armctl.cli.main
+
+class Interrupted:
+    def __set_name__(self, owner, name):
+        raise KeyboardInterrupt
+
+def main():
+    class Axis:
+        attribute = Interrupted()
+
+armctl.cli.main.main = main
+raise SystemExit(armctl.cli.program())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=os.environ | _paths())
+    assert (done.returncode, done.stderr) == (130, "")
