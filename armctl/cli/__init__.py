@@ -7,8 +7,11 @@ import os
 import signal
 import sys
 import threading
+import time
+from types import FrameType
 
-_HOOK_RETURNS_S = 0.01
+_AGAIN_AFTER_S = 0.01
+_IMPORTING = "<frozen importlib._bootstrap>"
 _INTERRUPTED = 130  # exit status of a program that Ctrl-C ends, 128 + SIGINT
 
 
@@ -23,7 +26,7 @@ def program() -> int:
     status = _INTERRUPTED
     try:
         try:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+            signal.signal(signal.SIGINT, _interrupt)
             sys.unraisablehook = _unraisable_hook
             from armctl.cli.main import main
 
@@ -56,11 +59,29 @@ def _end_if_busy(status: int) -> None:
         os._exit(status)
 
 
+def _interrupt(signum: int, frame: FrameType | None) -> None:
+    """Raises KeyboardInterrupt as soon as no module is being imported: packages do not expect it then, and some abort."""
+    while frame is not None:
+        if frame.f_code.co_filename == _IMPORTING:
+            _interrupt_again()
+            return
+        frame = frame.f_back
+    raise KeyboardInterrupt
+
+
 def _unraisable_hook(unraisable: sys.UnraisableHookArgs) -> None:
     """Raises a KeyboardInterrupt again that Python could not raise, for example in a callback of a C library."""
-    if unraisable.exc_type is KeyboardInterrupt:  # raised here, it would end in this hook: a thread raises it afterwards
-        again = threading.Timer(_HOOK_RETURNS_S, _thread.interrupt_main)
-        again.daemon = True
-        again.start()
+    if unraisable.exc_type is KeyboardInterrupt:  # raised here, it would end in this hook
+        _interrupt_again()
     else:
         sys.__unraisablehook__(unraisable)
+
+
+def _interrupt_again() -> None:
+    """Repeats SIGINT a moment later."""
+    _thread.start_new_thread(_interrupt_later, ())  # threading.Thread takes locks that the main thread may hold
+
+
+def _interrupt_later() -> None:
+    time.sleep(_AGAIN_AFTER_S)
+    _thread.interrupt_main()

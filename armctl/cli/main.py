@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import signal
 import sys
 import warnings
 from collections.abc import Sequence
@@ -104,6 +105,7 @@ def _parsed(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse.N
 def _run(args: argparse.Namespace) -> int:
     as_json = getattr(args, "json", False)
     try:
+        _import_mujoco()
         status = args.run(args)
         sys.stdout.flush()
         return status
@@ -118,6 +120,16 @@ def _run(args: argparse.Namespace) -> int:
         return _refuse(f"{error.filename}: {error.strerror or error}", as_json)
     except KeyboardInterrupt:
         return _refuse("stopped", as_json, INTERRUPTED)
+
+
+def _import_mujoco() -> None:
+    """Imports MuJoCo with SIGINT blocked: the import of glfw, on its way, runs a child process that would print a traceback."""
+    if sys.platform != "win32":
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    import mujoco  # noqa: F401
+
+    if sys.platform != "win32":
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _refuse(message: str, as_json: bool, status: int = WRONG_CALL) -> int:

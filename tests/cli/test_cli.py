@@ -482,6 +482,19 @@ def test_an_interrupt_that_python_cannot_raise_is_raised_soon_after():
     assert (done.stdout, done.stderr) == ("interrupted\n", "")
 
 
+def test_an_interrupt_waits_until_modules_are_imported(tmp_path):
+    (tmp_path / "slow.py").write_text(
+        "import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(0.1)\nprint('imported')\n"
+    )
+    code = (
+        "import signal, time\nfrom armctl.cli import _interrupt\nsignal.signal(signal.SIGINT, _interrupt)\n"
+        "try:\n    import slow\n    time.sleep(10)\nexcept KeyboardInterrupt:\n    print('interrupted')\n"
+    )
+    paths = {"PYTHONPATH": f"{tmp_path}:{_paths()['PYTHONPATH']}"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=os.environ | paths)
+    assert (done.stdout, done.stderr) == ("imported\ninterrupted\n", "")
+
+
 def test_an_interrupt_that_python_wraps_in_another_error_ends_the_program():
     code = """
 import armctl.cli.main
