@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from armctl.control.kernel import A_REF, A_TICK, Q_REF, V_REF, V_TICK
 from armctl.core.jit import njit
-from armctl.robot.dynamics_kernel import add_friction, add_linear_damping, inverse_dynamics
+from armctl.robot.dynamics_kernel import add_friction, add_linear_damping, inverse_dynamics, multiply
 
 # The parameters begin with these, then follow stiffness, damping, added inertia and torque limits, each (n,), and the model.
 IS_TEXTBOOK = 0
@@ -34,29 +34,26 @@ def vector(memory, n, k):
 @njit
 def computed_torque(params, q, v, reference, memory, tau):
     """The law of `ComputedTorque`."""
-    control(params, q, v, reference, memory, tau)
-    if params[INTEGRAL_GAIN] != 0.0:
-        integrate(params, q, reference, memory, tau)
+    n = tau.shape[0]
+    _command_acceleration(params, q, v, reference, memory, n)
+    inverse_dynamics(params[HEADER + 4 * n :], q, v, vector(memory, n, ACCELERATION), memory[VECTORS * n :], tau)
+    _add_feedback(params, q, v, reference, memory, tau)
 
 
 @njit
-def integrate(params, q, reference, memory, tau):
-    """Adds the error to its integral, except where the motor is at its limit and the error has the sign of the torque."""
+def computed_torque_from(params, q, v, reference, memory, bias, factors, tau):
+    """The law of `ComputedTorque` where the caller knows the model's bias (n,) and factors (n, n), as of `bias_and_factors`."""
     n = tau.shape[0]
-    integral = vector(memory, n, INTEGRAL)
+    _command_acceleration(params, q, v, reference, memory, n)
+    multiply(factors, vector(memory, n, ACCELERATION), tau)
     for i in range(n):
-        change = params[INTEGRAL_GAIN] * (reference[Q_REF, i] - q[i])
-        winds_up = abs(tau[i]) >= params[HEADER + 3 * n + i] and change * tau[i] > 0.0
-        if not winds_up:
-            integral[i] += change
+        tau[i] += bias[i]
+    _add_feedback(params, q, v, reference, memory, tau)
 
 
 @njit
-def control(params, q, v, reference, memory, tau):
-    """The torque of model and feedback."""
-    n = tau.shape[0]
-    model = params[HEADER + 4 * n :]
-    work = memory[VECTORS * n :]
+def _command_acceleration(params, q, v, reference, memory, n):
+    """The acceleration of the reference and the feedback, and the correction in it."""
     correction = vector(memory, n, CORRECTION)
     acceleration = vector(memory, n, ACCELERATION)
     integral = vector(memory, n, INTEGRAL)
@@ -66,7 +63,17 @@ def control(params, q, v, reference, memory, tau):
     for i in range(n):
         correction[i] = params[HEADER + i] * (reference[Q_REF, i] - q[i]) + params[HEADER + n + i] * (v_ref[i] - v[i])
         acceleration[i] = a_ref[i] + correction[i] + integral[i]
-    inverse_dynamics(model, q, v, acceleration, work, tau)
+
+
+@njit
+def _add_feedback(params, q, v, reference, memory, tau):
+    """Adds the feedback that inverse dynamics does not contain, and friction; then integrates the error."""
+    n = tau.shape[0]
+    model = params[HEADER + 4 * n :]
+    is_textbook = params[IS_TEXTBOOK] != 0.0
+    v_ref = reference[V_REF] if is_textbook else reference[V_TICK]
+    a_ref = reference[A_REF] if is_textbook else reference[A_TICK]
+    correction = vector(memory, n, CORRECTION)
     added = vector(memory, n, ADDED)
     error_rate = vector(memory, n, ERROR_RATE)
     for i in range(n):
@@ -77,4 +84,18 @@ def control(params, q, v, reference, memory, tau):
     add_linear_damping(model, error_rate, added)
     for i in range(n):
         tau[i] += added[i]
-    add_friction(model, v_ref, a_ref, work, tau)
+    add_friction(model, v_ref, a_ref, memory[VECTORS * n :], tau)
+    if params[INTEGRAL_GAIN] != 0.0:
+        _integrate(params, q, reference, memory, tau)
+
+
+@njit
+def _integrate(params, q, reference, memory, tau):
+    """Adds the error to its integral, except where the motor is at its limit and the error has the sign of the torque."""
+    n = tau.shape[0]
+    integral = vector(memory, n, INTEGRAL)
+    for i in range(n):
+        change = params[INTEGRAL_GAIN] * (reference[Q_REF, i] - q[i])
+        winds_up = abs(tau[i]) >= params[HEADER + 3 * n + i] and change * tau[i] > 0.0
+        if not winds_up:
+            integral[i] += change

@@ -13,7 +13,7 @@ from armctl.control import State, controller_by_name
 from armctl.control.interface import has_compiled_law
 from armctl.core.errors import InputError
 from armctl.core.log import SimulationError
-from armctl.core.validation import IntArray
+from armctl.core.validation import Array, IntArray
 from armctl.envs.actions import ActionMode
 from armctl.envs.limits import joint_limits
 from armctl.envs.plants import free_motion, plant_vector
@@ -116,6 +116,7 @@ class Rows:
         else:
             self.simulated = SimulatedArms(task, np.diff(self._cuts(threads)))
         self._plants = np.tile(self._free_vector, (count, 1))
+        self._shared = np.full(count, self._is_shared(self._free_vector), np.int64)
         self._make_tables(threads)
         self._function = kernel.STEP_TABLE
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
@@ -166,6 +167,7 @@ class Rows:
             self.object[row] = self.simulated.object_state(row)
         elif plant is not None:
             self._plants[row] = plant_vector(self.arm, self._free_vector, plant)
+            self._shared[row] = self._is_shared(self._plants[row])
 
     def find_tips(self, rows: Sequence[int] | IntArray) -> None:
         """Computes the tips of copies that were reset."""
@@ -178,6 +180,20 @@ class Rows:
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None
+
+    def _is_shared(self, plant: Array) -> bool:
+        """Whether the controller computes with the dynamics of a plant, at the same positions and velocities."""
+        from armctl.control.computed_torque_kernel import computed_torque
+        from armctl.envs import step_kernel as kernel
+
+        if self.simulated is not None or len(self.signals.noise):
+            return False
+        known = self._nominal
+        if self.mode.number != kernel.TORQUE:
+            if self._law.kernel is not computed_torque:
+                return False
+            known = self._parameters[-len(known) :]  # the law's parameters end with its model
+        return np.array_equal(known, plant)
 
     def _make_tables(self, threads: int) -> None:
         """Makes a table for each thread."""
@@ -283,4 +299,5 @@ class Rows:
             kernel.COMMANDS: self.signals.commands,
             kernel.GIVEN: self.signals.given,
             kernel.NOISE: self.signals.noise,
+            kernel.SHARED: self._shared,
         }

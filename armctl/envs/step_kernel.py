@@ -1,7 +1,8 @@
 """The compiled step of a batch of environments: action, reference, controller and plant, for a range of rows.
 
 It runs as a C function inside `mjb_apply`, as the tick loop of a simulation does. The table and everything that it points to
-belong to one range of rows, so ranges on different threads share nothing that they write.
+belong to one range of rows, so ranges on different threads share nothing that they write. All of a step is in one file (hence
+its length): its functions share the entries of the table.
 """
 
 # pyright: reportCallIssue=false, reportPrivateImportUsage=false
@@ -13,6 +14,7 @@ import math
 import numba
 from numba import types
 
+from armctl.control.computed_torque_kernel import computed_torque_from
 from armctl.control.kernel import A_REF, A_TICK, Q_REF, V_REF, V_TICK
 from armctl.core.jit import c_function, njit
 from armctl.robot.dynamics_kernel import (
@@ -21,13 +23,14 @@ from armctl.robot.dynamics_kernel import (
     inverse_dynamics,
     locate,
     mass_matrix,
+    multiply,
     place,
     solve,
     tip_jacobian,
     tip_position,
     tip_rotation,
 )
-from armctl.robot.forward_dynamics_kernel import free_step
+from armctl.robot.forward_dynamics_kernel import bias_and_factors, move_freely
 from armctl.sim.tick_kernel import _call_kernel, _floats, _integers, _matrix, _short_integers, _vector, step
 
 # Entries of the table. SIZES:
@@ -91,7 +94,8 @@ DELAYS = 51  # (rows,) int64: ticks
 COMMANDS = 52  # (rows, depth, n): ring buffer of the torques
 GIVEN = 53  # (rows,) int64: commands since the start of the episode
 NOISE = 54  # (rows, ticks, 2, n) on measured positions and velocities; 0 for none
-TABLE_SIZE = 55
+SHARED = 55  # (rows,) int64: whether the plant has the dynamics that the controller knows, so that they are computed once
+TABLE_SIZE = 56
 
 # Numbers:
 PERIOD = 0  # s
@@ -111,13 +115,13 @@ CARTESIAN_DELTA = 3
 CARTESIAN_POSE = 4
 
 _IK_ITERATIONS = 4
-_VECTORS = 6  # (n,) at the start of the scratch memory, then (5, n), (n, n), (6, n), 72 numbers, and that of the model
+_VECTORS = 5  # (n,) at the start of the scratch memory, then (5, n), (n, n), (6, n), 72 numbers, and that of the model
 
 
 @njit
 def scratch_size(n, work_size):
     """Numbers of scratch memory for n joints and a model with so many numbers of its own."""
-    return _VECTORS * n + 5 * n + n * n + 6 * n + 72 + work_size + n
+    return _VECTORS * n + 5 * n + n * n + 6 * n + 72 + work_size
 
 
 @njit
@@ -280,20 +284,26 @@ def _advance_reference(numbers, limits, target, reference, q_ref, v_ref):
 
 
 @njit
-def _guard(model, numbers, limits, q, v, tau, M, a, zero, force, work):
-    """Changes a torque that would drive a joint too fast or into a stop, to one that brakes it; others stay as they are."""
+def _find_dynamics(model, q, v, a, work, bias, factors):
+    """As `bias_and_factors`, for any model; `a` is scratch (n,)."""
+    for i in range(q.shape[0]):
+        a[i] = 0.0
+    inverse_dynamics(model, q, v, a, work, bias)
+    mass_matrix(model, work, factors)
+    add_implicit_damping(model, factors)
+    factorize(factors)
+
+
+@njit
+def _guarded_torque(action, numbers, limits, q, v, bias, factors, tau, a):
+    """The torque of an action; where it would drive a joint too fast or into a stop, one that brakes this joint."""
     n = q.shape[0]
     dt = numbers[PERIOD]
     rate = numbers[APPROACH_RATE]
     for i in range(n):
-        zero[i] = 0.0
-    inverse_dynamics(model, q, v, zero, work, force)
-    mass_matrix(model, work, M)
-    add_implicit_damping(model, M)
-    for i in range(n):
-        a[i] = tau[i] - force[i]
-    factorize(M)
-    solve(M, a)
+        tau[i] = limits[4, i] * _unit(action[i])
+        a[i] = tau[i] - bias[i]
+    solve(factors, a)
     changed = False
     for i in range(n):
         upper = min(approach_speed(limits[1, i] - q[i], limits[3, i], rate), limits[2, i])
@@ -305,16 +315,16 @@ def _guard(model, numbers, limits, q, v, tau, M, a, zero, force, work):
         changed = changed or bounded != a[i]
         a[i] = bounded
     if changed:
-        inverse_dynamics(model, q, v, a, work, tau)
+        multiply(factors, a, tau)
+        for i in range(n):
+            tau[i] += bias[i]
 
 
 @njit
-def _move_freely(plant, bounds, limits, tau, zero, work, q, v):
+def _move_freely(table, plant, limits, bias, factors, tau, a, q, v):
     """One tick in free space, with mechanical stops: a joint that reaches one stays there."""
-    n = q.shape[0]
-    for i in range(n):
-        zero[i] = 0.0
-    free_step(plant, bounds, tau, zero, work, q, v)
+    n = table[N]
+    move_freely(plant, _matrix(table[BOUNDS], 2, n), bias, factors, tau, a, q, v)
     for i in range(n):
         if q[i] < limits[0, i]:
             q[i] = limits[0, i]
@@ -325,11 +335,27 @@ def _move_freely(plant, bounds, limits, tau, zero, work, q, v):
 
 
 @njit
+def _measure(table, row, tick, q, v, q_seen, v_seen):
+    """Positions and velocities as the controller sees them in a tick."""
+    n = table[N]
+    for i in range(n):
+        q_seen[i] = q[i]
+        v_seen[i] = v[i]
+    if table[NOISE] != 0:
+        noise = numba.carray(_floats(table[NOISE]), (table[ROWS], table[TICKS], 2, n))[row, tick]
+        for i in range(n):
+            q_seen[i] += noise[0, i]
+            v_seen[i] += noise[1, i]
+
+
+@njit
 def _delay(table, row, tau):
-    """Replaces the torque of this tick by that of some ticks ago, or by the first one until then."""
+    """Replaces the torque of this tick by that of some ticks ago, or by the first one until then, if there are delays."""
+    depth = table[COMMAND_DEPTH]
+    if depth == 1:
+        return
     n = table[N]
     rows = table[ROWS]
-    depth = table[COMMAND_DEPTH]
     commands = numba.carray(_floats(table[COMMANDS]), (rows, depth, n))[row]
     given = numba.carray(_integers(table[GIVEN]), (rows,))
     delay = numba.carray(_integers(table[DELAYS]), (rows,))[row]
@@ -373,7 +399,9 @@ def _touches(table, data, geom):
 
 @njit
 def _observe_scene(table, row, addresses):
-    """Reads the gripper's opening and the loose object."""
+    """Reads the gripper's opening and the loose object, which are not in free space."""
+    if addresses[1] == 0:
+        return
     grippers = table[GRIPPERS]
     if grippers > 0:
         indices = numba.carray(_integers(table[GRIPPER_INDICES]), (2, grippers))
@@ -413,11 +441,12 @@ def _step_mujoco(table, addresses, tau, q, v):
 
 @njit
 def _simulate(table, row, addresses, grip_step, tau, q, v):
-    """One tick of a copy on MuJoCo; whether something touches the obstacle."""
+    """One tick of a copy on MuJoCo."""
     if table[GRIPPERS] > 0:
         _drive_gripper(table, row, addresses, grip_step)
     _step_mujoco(table, addresses, tau, q, v)
-    return table[OBSTACLE] >= 0 and _touches(table, addresses[1], table[OBSTACLE])
+    if table[OBSTACLE] >= 0 and _touches(table, addresses[1], table[OBSTACLE]):
+        numba.carray(_integers(table[TOUCHED]), (table[ROWS],))[row] += 1
 
 
 @njit
@@ -427,55 +456,53 @@ def step_rows(table):
     rows = table[ROWS]
     numbers = _vector(table[NUMBERS], NUMBER_COUNT)
     limits = _matrix(table[LIMITS], 5, n)
-    bounds = _matrix(table[BOUNDS], 2, n)
     scratch = _vector(table[SCRATCH], table[SCRATCH_SIZE])
     parameters = _vector(table[PARAMETERS], table[PARAMETERS_SIZE])
     memories = _matrix(table[MEMORY], rows, table[MEMORY_SIZE])
     nominal = _vector(table[NOMINAL], table[MODEL_SIZE])
     plants = _matrix(table[PLANTS], rows, table[MODEL_SIZE])
-    actions = _matrix(table[ACTION], rows, table[ACTION_WIDTH])
-    touched = numba.carray(_integers(table[TOUCHED]), (rows,))
-    is_noisy = table[NOISE] != 0
-    noise = numba.carray(_floats(table[NOISE]), (rows, table[TICKS], 2, n))  # not read unless there is any
     addresses = numba.carray(_integers(table[DATAS]), (rows, 7))
+    shared = numba.carray(_integers(table[SHARED]), (rows,))
     tau = scratch[:n]
-    zero = scratch[n : 2 * n]
-    force = scratch[2 * n : 3 * n]
-    a = scratch[3 * n : 4 * n]
-    q_seen = scratch[4 * n : 5 * n]
-    v_seen = scratch[5 * n : 6 * n]
+    bias = scratch[n : 2 * n]
+    a = scratch[2 * n : 3 * n]
+    q_seen = scratch[3 * n : 4 * n]
+    v_seen = scratch[4 * n : 5 * n]
     reference = scratch[_VECTORS * n : _VECTORS * n + 5 * n].reshape((5, n))
-    M = scratch[_VECTORS * n + 5 * n : _VECTORS * n + 5 * n + n * n].reshape((n, n))
+    factors = scratch[_VECTORS * n + 5 * n : _VECTORS * n + 5 * n + n * n].reshape((n, n))
     work = scratch[_VECTORS * n + 5 * n + n * n + 6 * n + 72 :]
-    inner = work[: work.shape[0] - n]
     for row in range(table[FIRST], table[LAST]):
         q = _matrix(table[Q], rows, n)[row]
         v = _matrix(table[V], rows, n)[row]
         target = _matrix(table[TARGET], rows, n)[row]
         q_reference = _matrix(table[Q_REFERENCE], rows, n)[row]
         v_reference = _matrix(table[V_REFERENCE], rows, n)[row]
-        touched[row] = 0
+        numba.carray(_integers(table[TOUCHED]), (rows,))[row] = 0
         _set_target(table, row, numbers, limits, scratch)
         for tick in range(table[TICKS]):
-            for i in range(n):
-                q_seen[i] = q[i] + noise[row, tick, 0, i] if is_noisy else q[i]
-                v_seen[i] = v[i] + noise[row, tick, 1, i] if is_noisy else v[i]
+            _measure(table, row, tick, q, v, q_seen, v_seen)
+            if shared[row]:
+                bias_and_factors(plants[row], q, v, work, bias, factors)
             if table[MODE] == TORQUE:
-                for i in range(n):
-                    tau[i] = limits[4, i] * _unit(actions[row, i])
-                _guard(nominal, numbers, limits, q_seen, v_seen, tau, M, a, zero, force, inner)
+                if not shared[row]:
+                    _find_dynamics(nominal, q_seen, v_seen, a, work, bias, factors)
+                action = _matrix(table[ACTION], rows, table[ACTION_WIDTH])[row]
+                _guarded_torque(action, numbers, limits, q_seen, v_seen, bias, factors, tau, a)
             else:
                 _advance_reference(numbers, limits, target, reference, q_reference, v_reference)
-                _call_kernel(table[KERNEL], parameters, q_seen, v_seen, reference, memories[row], tau)
-            if table[COMMAND_DEPTH] > 1:
-                _delay(table, row, tau)
+                if shared[row]:
+                    computed_torque_from(parameters, q, v, reference, memories[row], bias, factors, tau)
+                else:
+                    _call_kernel(table[KERNEL], parameters, q_seen, v_seen, reference, memories[row], tau)
+            _delay(table, row, tau)
             if addresses[row, 1] == 0:
-                _move_freely(plants[row], bounds, limits, tau, zero, work, q, v)
-            elif _simulate(table, row, addresses[row], numbers[GRIP_STEP], tau, q, v):
-                touched[row] += 1
-        if addresses[row, 1] != 0:
-            _observe_scene(table, row, addresses[row])
-        _find_tip(nominal, q, inner, _matrix(table[TIP], rows, 12)[row])
+                if not shared[row]:
+                    bias_and_factors(plants[row], q, v, work, bias, factors)
+                _move_freely(table, plants[row], limits, bias, factors, tau, a, q, v)
+            else:
+                _simulate(table, row, addresses[row], numbers[GRIP_STEP], tau, q, v)
+        _observe_scene(table, row, addresses[row])
+        _find_tip(nominal, q, work, _matrix(table[TIP], rows, 12)[row])
 
 
 @c_function(types.void(types.intp, types.intp, types.int32, types.intp))

@@ -665,6 +665,22 @@ def solve(factors, x):
 
 
 @njit
+def multiply(factors, x, product):
+    """product = M x, (n,) each, with M as `factorize` leaves it."""
+    n = x.shape[0]
+    for i in range(n):
+        total = x[i] / factors[i, i]
+        for k in range(i + 1, n):
+            total += factors[i, k] * x[k]
+        product[i] = total
+    for i in range(n - 1, 0, -1):
+        total = product[i]
+        for k in range(i):
+            total += factors[i, k] * product[k]
+        product[i] = total
+
+
+@njit
 def locate(model, work):
     """The frames of all joints in the world, at the placed positions."""
     for j in range(int(model[JOINTS])):

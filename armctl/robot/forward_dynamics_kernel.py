@@ -17,7 +17,6 @@ from armctl.robot.dynamics_kernel import (
     GRAVITY,
     HAS_LIFT,
     HEADER,
-    IMPLICIT_DAMPING,
     INERTIA,
     IS_SLIDE,
     JOINT_COLUMNS,
@@ -35,6 +34,7 @@ from armctl.robot.dynamics_kernel import (
     _inertia_times,
     _store,
     _to_parent,
+    add_implicit_damping,
     factorize,
     solve,
 )
@@ -278,6 +278,14 @@ def bias_and_mass(model, q, v, work, bias, M):
 
 
 @njit
+def bias_and_factors(model, q, v, work, bias, factors):
+    """The torques (n,) that keep the velocity, and the factors (n, n) of the inertia that a step acts against."""
+    bias_and_mass(model, q, v, work, bias, factors)
+    add_implicit_damping(model, factors)
+    factorize(factors)
+
+
+@njit
 def free_step(model, bounds, tau, applied, work, q, v):
     """One step of MuJoCo without constraints, with implicit linear damping; replaces q and v, and clips tau to its bounds.
 
@@ -287,14 +295,21 @@ def free_step(model, bounds, tau, applied, work, q, v):
     inner = work[: work.shape[0] - n]
     acceleration = work[work.shape[0] - n :]
     force = inner[inner.shape[0] - n :]
-    M = inner[inner.shape[0] - n - n * n : inner.shape[0] - n].reshape((n, n))
-    bias_and_mass(model, q, v, inner, force, M)
+    factors = inner[inner.shape[0] - n - n * n : inner.shape[0] - n].reshape((n, n))
+    bias_and_factors(model, q, v, inner, force, factors)
     for i in range(n):
-        M[i, i] += model[STEP] * model[_drive(model, i) + IMPLICIT_DAMPING]
+        force[i] -= applied[i]
+    move_freely(model, bounds, force, factors, tau, acceleration, q, v)
+
+
+@njit
+def move_freely(model, bounds, bias, factors, tau, acceleration, q, v):
+    """The rest of a step, after `bias_and_factors`: clips tau to its bounds, computes the acceleration, replaces q and v."""
+    n = q.shape[0]
+    for i in range(n):
         tau[i] = min(max(tau[i], bounds[0, i]), bounds[1, i])
-        acceleration[i] = tau[i] + applied[i] - force[i]
-    factorize(M)
-    solve(M, acceleration)
+        acceleration[i] = tau[i] - bias[i]
+    solve(factors, acceleration)
     for i in range(n):
         v[i] += model[STEP] * acceleration[i]
         q[i] += model[STEP] * v[i]

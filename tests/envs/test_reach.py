@@ -1,5 +1,9 @@
 """Environments of the task Reach: limits, seeds, threads, and what Gymnasium asks of an environment."""
 
+import os
+import subprocess
+import sys
+
 import gymnasium
 import mujoco
 import numpy as np
@@ -30,6 +34,28 @@ def run(env, actions):
 @pytest.mark.parametrize("name", ["armctl.envs:armctl/Reach-v0", "armctl.envs:armctl/ReachGoal-v0"])
 def test_gymnasium_accepts_the_environment(arm, name):
     check_env(gymnasium.make(name, robot=arm).unwrapped, skip_render_check=True)
+
+
+def test_gymnasium_finds_environments_by_the_module_in_their_name_and_not_by_entry_points(tmp_path):
+    options = "entry_point='gymnasium:Env', disable_env_checker=True, order_enforce=False"
+    register = f"def register():\n    gymnasium.register('plugin/A-v0', {options})\n"
+    (tmp_path / "plugin.py").write_text(f"import gymnasium\n{register}register()\n")
+    metadata = tmp_path / "plugin-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: plugin\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text("[gymnasium.envs]\n__root__ = plugin:register\nplugin = plugin:register\n")
+    script = """
+import importlib.metadata, gymnasium
+print(len(importlib.metadata.entry_points(group="gymnasium.envs")))
+for name in ("plugin/A-v0", "plugin:plugin/A-v0"):
+    try:
+        print(gymnasium.make(name).spec.id)
+    except gymnasium.error.Error as error:
+        print(type(error).__name__)
+"""
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    ended = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
+    assert ended.stdout.split() == ["2", "NamespaceNotFound", "plugin/A-v0"]
 
 
 @pytest.mark.parametrize("free_space", [True, False])
@@ -72,6 +98,35 @@ def test_a_batch_on_any_number_of_threads_is_its_single_environments(arm):
         if ended:
             observation, _ = single.reset()
         assert np.array_equal(observation, batches[0][step, 2])
+
+
+@pytest.mark.parametrize("action", ["torque", "joint_delta"])
+def test_dynamics_that_controller_and_plant_share_make_the_same_motion(arm, monkeypatch, action):
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (5, 4, arm.n))
+    seen = []
+    for is_shared in (True, False):
+        if not is_shared:
+            monkeypatch.setattr("armctl.envs.rows.Rows._is_shared", lambda *_: False)
+        env = armctl.envs.ArmVectorEnv(arm, action=action, num_envs=4)
+        env.reset(seed=10)
+        seen.append(run(env, actions))
+        assert (env.batch.rows._shared == is_shared).all()
+    assert seen[0] == pytest.approx(seen[1], abs=1e-6)
+
+
+def test_only_plants_as_the_controller_knows_them_share_dynamics(arm):
+    for options, is_shared in (
+        ({}, True),
+        ({"controller": "pd-gravity"}, False),
+        ({"controller": "computed-torque-textbook"}, False),
+        ({"randomize": {"payload": armctl.Range(0.1, 0.2)}}, False),
+        ({"randomize": {"encoder_noise": armctl.Range(0.0, 1e-4)}}, False),
+        ({"randomize": {"delay": armctl.Range(0, 2)}}, True),
+        ({"free_space": False}, False),
+    ):
+        env = armctl.envs.ArmEnv(arm, action="joint_delta", **options)
+        env.reset(seed=0)
+        assert env.batch.rows._shared == is_shared
 
 
 def test_steps_without_collision_detection_have_the_same_bits(arm, monkeypatch):
