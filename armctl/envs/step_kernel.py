@@ -1,8 +1,7 @@
 """The compiled step of a batch of environments: action, reference, controller and plant, for a range of rows.
 
 It runs as a C function inside `mjb_apply`, as the tick loop of a simulation does. The table and everything that it points to
-belong to one range of rows, so ranges on different threads share nothing that they write. All of a step is in one file (hence
-its length): its functions share the entries of the table.
+belong to one range of rows, so ranges on different threads share nothing that they write.
 """
 
 # pyright: reportCallIssue=false, reportPrivateImportUsage=false
@@ -17,18 +16,14 @@ from numba import types
 from armctl.control.computed_torque_kernel import computed_torque_from
 from armctl.control.kernel import A_REF, A_TICK, Q_REF, V_REF, V_TICK
 from armctl.core.jit import c_function, njit
+from armctl.envs.tip_kernel import find_tip, follow_tip, rotate
 from armctl.robot.dynamics_kernel import (
     add_implicit_damping,
     factorize,
     inverse_dynamics,
-    locate,
     mass_matrix,
     multiply,
-    place,
     solve,
-    tip_jacobian,
-    tip_position,
-    tip_rotation,
 )
 from armctl.robot.forward_dynamics_kernel import bias_and_factors, move_freely
 from armctl.sim.tick_kernel import _call_kernel, _floats, _integers, _matrix, _short_integers, _vector, step
@@ -114,7 +109,6 @@ JOINT_TARGET = 2
 CARTESIAN_DELTA = 3
 CARTESIAN_POSE = 4
 
-_IK_ITERATIONS = 4
 _VECTORS = 5  # (n,) at the start of the scratch memory, then (5, n), (n, n), (6, n), 72 numbers, and that of the model
 
 
@@ -138,86 +132,6 @@ def approach_speed(way, a_max, rate):
     if speed * rate > a_max:
         speed = math.sqrt(2.0 * a_max * (distance - 0.5 * a_max / (rate * rate)))
     return math.copysign(speed, way)
-
-
-@njit
-def _rotate(vector, rotation, out):
-    """out = exp(vector) rotation, (9,) each, by Rodrigues' formula."""
-    angle = math.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
-    if angle < 1e-12:
-        for k in range(9):
-            out[k] = rotation[k]
-        return
-    x = vector[0] / angle
-    y = vector[1] / angle
-    z = vector[2] / angle
-    sine = math.sin(angle)
-    rest = 1.0 - math.cos(angle)
-    for k in range(3):
-        a = rotation[k]
-        b = rotation[3 + k]
-        c = rotation[6 + k]
-        along = (x * a + y * b + z * c) * rest
-        out[k] = math.cos(angle) * a + sine * (y * c - z * b) + x * along
-        out[3 + k] = math.cos(angle) * b + sine * (z * a - x * c) + y * along
-        out[6 + k] = math.cos(angle) * c + sine * (x * b - y * a) + z * along
-
-
-@njit
-def _find_tip(model, q, work, tip):
-    """The tip's position and rotation matrix, (12,)."""
-    place(model, q, work)
-    locate(model, work)
-    x, y, z = tip_position(model, work)
-    tip[0] = x
-    tip[1] = y
-    tip[2] = z
-    tip_rotation(model, work, tip[3:])
-
-
-@njit
-def _tip_error(goal, tip, error):
-    """The twist (6,) from a tip to a goal: the difference of positions, and the sine of the angle times the axis."""
-    for k in range(3):
-        error[k] = goal[k] - tip[k]
-        error[3 + k] = 0.0
-    for k in range(3):
-        ax = tip[3 + k]
-        ay = tip[6 + k]
-        az = tip[9 + k]
-        bx = goal[3 + k]
-        by = goal[6 + k]
-        bz = goal[9 + k]
-        error[3] += 0.5 * (ay * bz - az * by)
-        error[4] += 0.5 * (az * bx - ax * bz)
-        error[5] += 0.5 * (ax * by - ay * bx)
-
-
-@njit
-def _follow_tip(model, goal, size, damping, limits, way, start, target, work, J, A, error, tip):
-    """Moves a target by damped least squares until its tip is at a goal, at most `way` from `start`.
-
-    Nakamura, Hanafusa, "Inverse kinematic solutions with singularity robustness for robot manipulator control" (1986).
-    """
-    n = target.shape[0]
-    for _ in range(_IK_ITERATIONS):
-        _find_tip(model, target, work, tip)
-        tip_jacobian(model, work, J)
-        _tip_error(goal, tip, error)
-        for r in range(size):
-            for c in range(size):
-                total = damping if r == c else 0.0
-                for i in range(n):
-                    total += J[r, i] * J[c, i]
-                A[r, c] = total
-        factorize(A)
-        solve(A, error[:size])
-        for i in range(n):
-            change = 0.0
-            for r in range(size):
-                change += J[r, i] * error[r]
-            moved = min(max(target[i] + change, start[i] - way[i]), start[i] + way[i])
-            target[i] = min(max(moved, limits[0, i]), limits[1, i])
 
 
 @njit
@@ -254,13 +168,13 @@ def _set_target(table, row, numbers, limits, scratch):
             start[i] = target[i]
         origin = numbers[HOME_TIP : HOME_TIP + 12]
         if mode == CARTESIAN_DELTA:
-            _find_tip(model, target, work, tip)
+            find_tip(model, target, work, tip)
             origin = tip
         for k in range(3):
             goal[k] = origin[k] + numbers[POSITION_SCALE] * _unit(action[k])
             turn[k] = numbers[ROTATION_SCALE] * _unit(action[3 + k]) if actions == 6 else 0.0
-        _rotate(turn, origin[3:], goal[3:])
-        _follow_tip(model, goal, actions, numbers[DAMPING], limits, way, start, target, work, J, A, error, tip)
+        rotate(turn, origin[3:], goal[3:])
+        follow_tip(model, goal, actions, numbers[DAMPING], limits, way, start, target, work, J, A, error, tip)
 
 
 @njit
@@ -502,7 +416,7 @@ def step_rows(table):
             else:
                 _simulate(table, row, addresses[row], numbers[GRIP_STEP], tau, q, v)
         _observe_scene(table, row, addresses[row])
-        _find_tip(nominal, q, work, _matrix(table[TIP], rows, 12)[row])
+        find_tip(nominal, q, work, _matrix(table[TIP], rows, 12)[row])
 
 
 @c_function(types.void(types.intp, types.intp, types.int32, types.intp))
