@@ -15,6 +15,7 @@ from armctl.core.errors import InputError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, flag, instance, number, shown
 
+WRENCH_SIZE = 6
 _MAX_PERIOD_S = 1.0
 _STATE_HINT = "armctl.State(q, v) is one"
 
@@ -125,11 +126,14 @@ class KernelController(ABC):
     with the constants of a run, the measured positions and velocities (n,), the reference of the tick (5, n) with the rows q,
     v, a, v_tick, a_tick of a `Setpoint`, the memory of the controller, and the torque (n,), which it writes. All are contiguous
     arrays of float64. Memory is zero at the first tick of a run; it may also contain scratch. A kernel must not keep state
-    anywhere else, must not raise, and has to terminate for any numbers, also if they are not finite.
+    anywhere else, must not raise, and has to terminate for any numbers, also if they are not finite. If the controller has
+    `needs_wrench = True`, its memory begins with the measured wrench of the tick, (6,) as `State.wrench`.
 
     A simulation then runs all ticks without Python, and many runs on several threads. Gains may be assigned between runs. A
     subclass that overrides `torque` runs in the Python loop, like a controller without a kernel.
     """
+
+    needs_wrench = False
 
     def __init__(self, n: int):
         """A controller whose memory is empty.
@@ -170,6 +174,11 @@ class KernelController(ABC):
         Returns:
             A new vector, the first argument of the kernel.
         """
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether the kernel is the whole law, so that a simulation need not call `torque`."""
+        return type(self).torque is KernelController.torque and "torque" not in vars(self) and not self.is_time_varying
 
     @property
     def is_time_varying(self) -> bool:
@@ -239,7 +248,8 @@ class KernelController(ABC):
             (n,) N m.
 
         Raises:
-            InputError: An argument is no `State` or no `Setpoint`, or a vector has a wrong length.
+            InputError: An argument is no `State` or no `Setpoint`, a vector has a wrong length, or the state has no wrench and
+                the controller needs one.
         """
         n = self._n
         sampled = setpoint.v_tick is not None and setpoint.a_tick is not None
@@ -258,6 +268,8 @@ class KernelController(ABC):
                 raise InputError(f"state and setpoint: every vector needs {n} numbers, one has {len(column)}")  # type: ignore[arg-type]
             rows[k] = column
         parameters, memory = self.begin(state)
+        if self.needs_wrench:
+            memory[:WRENCH_SIZE] = measured_wrench(state, controller_name(self))
         tau = rows[7]
         self.kernel(parameters, rows[0], rows[1], rows[2:7], memory, tau)
         return tau
@@ -308,11 +320,4 @@ def has_compiled_law(controller: Controller, n: int) -> TypeGuard[KernelControll
     Returns:
         True if the kernel is its whole law.
     """
-    return (
-        isinstance(controller, KernelController)
-        and type(controller).torque is KernelController.torque
-        and "torque" not in vars(controller)
-        and controller.n == n
-        and not controller.is_time_varying
-        and not getattr(controller, "needs_wrench", False)
-    )
+    return isinstance(controller, KernelController) and controller.n == n and controller.is_compiled

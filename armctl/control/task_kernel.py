@@ -58,6 +58,13 @@ def task_mobility(memory, n):
 
 
 @njit
+def task_factors(memory, n, rows):
+    """The factors of the damped mobility of the tip's first rows, (rows, rows); those of all are `task_mobility`."""
+    at = 18 * n + n * n
+    return memory[at : at + rows * rows].reshape((rows, rows))
+
+
+@njit
 def tip_error(memory, n):
     """The pose error (6,) of the tip, m and rad: translation and rotation vector to its reference, world axes."""
     at = 18 * n + n * n + 36
@@ -114,10 +121,16 @@ def _rotation_vector(reference, measured, between, quat, error):
 @njit
 def project(memory, n):
     """From J and the mass matrix: M^-1 J^T, and the factors of M and of the tip's damped mobility J M^-1 J^T."""
+    find_responses(memory, n)
+    factorize_mobility(memory, n, task_mobility(memory, n))
+
+
+@njit
+def find_responses(memory, n):
+    """From J and the mass matrix: M^-1 J^T, and the factors of M."""
     J = jacobian(memory, n)
     W = mobility_rows(memory, n)
     factor = inertia(memory, n)
-    mobility = task_mobility(memory, n)
     factorize(factor)
     for k in range(6):
         column = square(memory, n)[0]
@@ -126,14 +139,38 @@ def project(memory, n):
         solve(factor, column)
         for i in range(n):
             W[i, k] = column[i]
+
+
+@njit
+def find_mobility(memory, n, mobility):
+    """The lower triangle of the tip's mobility J M^-1 J^T, of its first rows, as many as the result has; returns the trace."""
+    J = jacobian(memory, n)
+    W = mobility_rows(memory, n)
     trace = 0.0
-    for i in range(6):
+    for i in range(mobility.shape[0]):
         for k in range(i + 1):
             total = 0.0
             for j in range(n):
                 total += J[i, j] * W[j, k]
             mobility[i, k] = total
         trace += mobility[i, i]
-    for i in range(6):
-        mobility[i, i] += SINGULARITY_DAMPING * SINGULARITY_DAMPING * trace
-    factorize(mobility)
+    return trace
+
+
+@njit
+def factorize_mobility(memory, n, factors):
+    """The factors of the damped mobility of the tip's first rows, as many as the result has."""
+    trace = find_mobility(memory, n, factors)
+    for i in range(factors.shape[0]):
+        factors[i, i] += SINGULARITY_DAMPING * SINGULARITY_DAMPING * trace
+    factorize(factors)
+
+
+@njit
+def add_joint_motion(memory, n, factors, task, motion):
+    """Adds the joint motion (n,) of a motion (rows,) of the tip, by the dynamically consistent inverse; changes the latter."""
+    solve(factors, task)
+    W = mobility_rows(memory, n)
+    for i in range(n):
+        for k in range(task.shape[0]):
+            motion[i] += W[i, k] * task[k]

@@ -220,8 +220,8 @@ class Rows:
 
     def _sizes(self) -> dict[int, int]:
         """The numbers of a table that are no addresses of arrays."""
+        from armctl.control.kernel_call import entry_point
         from armctl.envs import step_kernel as kernel
-        from armctl.sim.tick_kernel import entry_point
 
         arm = self.arm
         layout = contact_layout()

@@ -15,6 +15,8 @@ from numba import types
 
 from armctl.control.computed_torque_kernel import computed_torque_from
 from armctl.control.kernel import A_REF, A_TICK, Q_REF, V_REF, V_TICK
+from armctl.control.kernel_call import call_kernel
+from armctl.core.addresses import floats, integers, matrix, short_integers, vector
 from armctl.core.jit import c_function, njit
 from armctl.envs.tip_kernel import find_tip, follow_tip, rotate
 from armctl.robot.dynamics_kernel import (
@@ -26,7 +28,7 @@ from armctl.robot.dynamics_kernel import (
     solve,
 )
 from armctl.robot.forward_dynamics_kernel import bias_and_factors, move_freely
-from armctl.sim.tick_kernel import _call_kernel, _floats, _integers, _matrix, _short_integers, _vector, step
+from armctl.sim.tick_kernel import step
 
 # Entries of the table. SIZES:
 ROWS = 0
@@ -140,8 +142,8 @@ def _set_target(table, row, numbers, limits, scratch):
     n = table[N]
     mode = table[MODE]
     actions = table[ACTIONS]
-    action = _matrix(table[ACTION], table[ROWS], table[ACTION_WIDTH])[row]
-    target = _matrix(table[TARGET], table[ROWS], n)[row]
+    action = matrix(table[ACTION], table[ROWS], table[ACTION_WIDTH])[row]
+    target = matrix(table[TARGET], table[ROWS], n)[row]
     if mode == JOINT_DELTA:
         scale = numbers[JOINT_SCALE]
         for i in range(n):
@@ -162,7 +164,7 @@ def _set_target(table, row, numbers, limits, scratch):
         goal = rest[6 * n + 60 : 6 * n + 72]
         turn = rest[6 * n + 54 : 6 * n + 57]
         work = rest[6 * n + 72 :]
-        model = _vector(table[NOMINAL], table[MODEL_SIZE])
+        model = vector(table[NOMINAL], table[MODEL_SIZE])
         for i in range(n):
             way[i] = numbers[PERIOD] * table[TICKS] * limits[2, i]
             start[i] = target[i]
@@ -238,7 +240,7 @@ def _guarded_torque(action, numbers, limits, q, v, bias, factors, tau, a):
 def _move_freely(table, plant, limits, bias, factors, tau, a, q, v):
     """One tick in free space, with mechanical stops: a joint that reaches one stays there."""
     n = table[N]
-    move_freely(plant, _matrix(table[BOUNDS], 2, n), bias, factors, tau, a, q, v)
+    move_freely(plant, matrix(table[BOUNDS], 2, n), bias, factors, tau, a, q, v)
     for i in range(n):
         if q[i] < limits[0, i]:
             q[i] = limits[0, i]
@@ -256,7 +258,7 @@ def _measure(table, row, tick, q, v, q_seen, v_seen):
         q_seen[i] = q[i]
         v_seen[i] = v[i]
     if table[NOISE] != 0:
-        noise = numba.carray(_floats(table[NOISE]), (table[ROWS], table[TICKS], 2, n))[row, tick]
+        noise = numba.carray(floats(table[NOISE]), (table[ROWS], table[TICKS], 2, n))[row, tick]
         for i in range(n):
             q_seen[i] += noise[0, i]
             v_seen[i] += noise[1, i]
@@ -270,9 +272,9 @@ def _delay(table, row, tau):
         return
     n = table[N]
     rows = table[ROWS]
-    commands = numba.carray(_floats(table[COMMANDS]), (rows, depth, n))[row]
-    given = numba.carray(_integers(table[GIVEN]), (rows,))
-    delay = numba.carray(_integers(table[DELAYS]), (rows,))[row]
+    commands = numba.carray(floats(table[COMMANDS]), (rows, depth, n))[row]
+    given = numba.carray(integers(table[GIVEN]), (rows,))
+    delay = numba.carray(integers(table[DELAYS]), (rows,))[row]
     newest = given[row] % depth
     oldest = max(given[row] - delay, 0) % depth
     for i in range(n):
@@ -286,11 +288,11 @@ def _delay(table, row, tau):
 def _drive_gripper(table, row, addresses, step):
     """Moves the controls of the gripper towards the last number of the action, at a limited speed."""
     grippers = table[GRIPPERS]
-    indices = numba.carray(_integers(table[GRIPPER_INDICES]), (2, grippers))
-    ends = _matrix(table[GRIPPER_ENDS], 4, grippers)
-    ctrl = _vector(addresses[4], table[NCTRL])
-    targets = _vector(table[GRIP_TARGET], table[ROWS])
-    action = _matrix(table[ACTION], table[ROWS], table[ACTION_WIDTH])[row]
+    indices = numba.carray(integers(table[GRIPPER_INDICES]), (2, grippers))
+    ends = matrix(table[GRIPPER_ENDS], 4, grippers)
+    ctrl = vector(addresses[4], table[NCTRL])
+    targets = vector(table[GRIP_TARGET], table[ROWS])
+    action = matrix(table[ACTION], table[ROWS], table[ACTION_WIDTH])[row]
     wanted = 0.5 * (1.0 + _unit(action[table[ACTIONS]]))
     targets[row] = min(max(wanted, targets[row] - step), targets[row] + step)
     for k in range(grippers):
@@ -300,12 +302,12 @@ def _drive_gripper(table, row, addresses, step):
 @njit
 def _touches(table, data, geom):
     """Whether a geom is in contact."""
-    count = numba.carray(_short_integers(data + table[CONTACT_COUNT]), (1,))[0]
+    count = numba.carray(short_integers(data + table[CONTACT_COUNT]), (1,))[0]
     if count == 0:
         return False
-    first = numba.carray(_integers(data + table[CONTACT_ARRAY]), (1,))[0] + table[CONTACT_GEOMS]
+    first = numba.carray(integers(data + table[CONTACT_ARRAY]), (1,))[0] + table[CONTACT_GEOMS]
     for k in range(count):
-        pair = numba.carray(_short_integers(first + k * table[CONTACT_STRIDE]), (2,))
+        pair = numba.carray(short_integers(first + k * table[CONTACT_STRIDE]), (2,))
         if pair[0] == geom or pair[1] == geom:
             return True
     return False
@@ -318,17 +320,17 @@ def _observe_scene(table, row, addresses):
         return
     grippers = table[GRIPPERS]
     if grippers > 0:
-        indices = numba.carray(_integers(table[GRIPPER_INDICES]), (2, grippers))
-        ends = _matrix(table[GRIPPER_ENDS], 4, grippers)
-        lengths = _vector(addresses[5], table[NU])
+        indices = numba.carray(integers(table[GRIPPER_INDICES]), (2, grippers))
+        ends = matrix(table[GRIPPER_ENDS], 4, grippers)
+        lengths = vector(addresses[5], table[NU])
         share = 0.0
         for k in range(grippers):
             share += (lengths[indices[1, k]] - ends[2, k]) / (ends[3, k] - ends[2, k])
-        _vector(table[OPENING], table[ROWS])[row] = share / grippers
+        vector(table[OPENING], table[ROWS])[row] = share / grippers
     if table[OBJECT_QPOS] >= 0:
-        qpos = _vector(addresses[2], table[NQ])
-        qvel = _vector(addresses[3], table[NV])
-        found = _matrix(table[OBJECT], table[ROWS], 13)[row]
+        qpos = vector(addresses[2], table[NQ])
+        qvel = vector(addresses[3], table[NV])
+        found = matrix(table[OBJECT], table[ROWS], 13)[row]
         for k in range(7):
             found[k] = qpos[table[OBJECT_QPOS] + k]
         for k in range(6):
@@ -339,15 +341,15 @@ def _observe_scene(table, row, addresses):
 def _step_mujoco(table, addresses, tau, q, v):
     """One step of MuJoCo with the torques (n,); reads positions and velocities."""
     n = table[N]
-    gear = _vector(table[GEAR], n)
-    bounds = _matrix(table[BOUNDS], 2, n)
-    indices = numba.carray(_integers(table[INDICES]), (3, n))
-    ctrl = _vector(addresses[4], table[NCTRL])
+    gear = vector(table[GEAR], n)
+    bounds = matrix(table[BOUNDS], 2, n)
+    indices = numba.carray(integers(table[INDICES]), (3, n))
+    ctrl = vector(addresses[4], table[NCTRL])
     for i in range(n):
         ctrl[indices[2, i]] = min(max(tau[i], bounds[0, i]), bounds[1, i]) / gear[i]
     step(addresses[6], table[STEP_FUNCTION], addresses[0], addresses[1])
-    qpos = _vector(addresses[2], table[NQ])
-    qvel = _vector(addresses[3], table[NV])
+    qpos = vector(addresses[2], table[NQ])
+    qvel = vector(addresses[3], table[NV])
     for i in range(n):
         q[i] = qpos[indices[0, i]]
         v[i] = qvel[indices[1, i]]
@@ -360,7 +362,7 @@ def _simulate(table, row, addresses, grip_step, tau, q, v):
         _drive_gripper(table, row, addresses, grip_step)
     _step_mujoco(table, addresses, tau, q, v)
     if table[OBSTACLE] >= 0 and _touches(table, addresses[1], table[OBSTACLE]):
-        numba.carray(_integers(table[TOUCHED]), (table[ROWS],))[row] += 1
+        numba.carray(integers(table[TOUCHED]), (table[ROWS],))[row] += 1
 
 
 @njit
@@ -368,15 +370,15 @@ def step_rows(table):
     """One step of the environments [FIRST, LAST)."""
     n = table[N]
     rows = table[ROWS]
-    numbers = _vector(table[NUMBERS], NUMBER_COUNT)
-    limits = _matrix(table[LIMITS], 5, n)
-    scratch = _vector(table[SCRATCH], table[SCRATCH_SIZE])
-    parameters = _vector(table[PARAMETERS], table[PARAMETERS_SIZE])
-    memories = _matrix(table[MEMORY], rows, table[MEMORY_SIZE])
-    nominal = _vector(table[NOMINAL], table[MODEL_SIZE])
-    plants = _matrix(table[PLANTS], rows, table[MODEL_SIZE])
-    addresses = numba.carray(_integers(table[DATAS]), (rows, 7))
-    shared = numba.carray(_integers(table[SHARED]), (rows,))
+    numbers = vector(table[NUMBERS], NUMBER_COUNT)
+    limits = matrix(table[LIMITS], 5, n)
+    scratch = vector(table[SCRATCH], table[SCRATCH_SIZE])
+    parameters = vector(table[PARAMETERS], table[PARAMETERS_SIZE])
+    memories = matrix(table[MEMORY], rows, table[MEMORY_SIZE])
+    nominal = vector(table[NOMINAL], table[MODEL_SIZE])
+    plants = matrix(table[PLANTS], rows, table[MODEL_SIZE])
+    addresses = numba.carray(integers(table[DATAS]), (rows, 7))
+    shared = numba.carray(integers(table[SHARED]), (rows,))
     tau = scratch[:n]
     bias = scratch[n : 2 * n]
     a = scratch[2 * n : 3 * n]
@@ -386,12 +388,12 @@ def step_rows(table):
     factors = scratch[_VECTORS * n + 5 * n : _VECTORS * n + 5 * n + n * n].reshape((n, n))
     work = scratch[_VECTORS * n + 5 * n + n * n + 6 * n + 72 :]
     for row in range(table[FIRST], table[LAST]):
-        q = _matrix(table[Q], rows, n)[row]
-        v = _matrix(table[V], rows, n)[row]
-        target = _matrix(table[TARGET], rows, n)[row]
-        q_reference = _matrix(table[Q_REFERENCE], rows, n)[row]
-        v_reference = _matrix(table[V_REFERENCE], rows, n)[row]
-        numba.carray(_integers(table[TOUCHED]), (rows,))[row] = 0
+        q = matrix(table[Q], rows, n)[row]
+        v = matrix(table[V], rows, n)[row]
+        target = matrix(table[TARGET], rows, n)[row]
+        q_reference = matrix(table[Q_REFERENCE], rows, n)[row]
+        v_reference = matrix(table[V_REFERENCE], rows, n)[row]
+        numba.carray(integers(table[TOUCHED]), (rows,))[row] = 0
         _set_target(table, row, numbers, limits, scratch)
         for tick in range(table[TICKS]):
             _measure(table, row, tick, q, v, q_seen, v_seen)
@@ -400,14 +402,14 @@ def step_rows(table):
             if table[MODE] == TORQUE:
                 if not shared[row]:
                     _find_dynamics(nominal, q_seen, v_seen, a, work, bias, factors)
-                action = _matrix(table[ACTION], rows, table[ACTION_WIDTH])[row]
+                action = matrix(table[ACTION], rows, table[ACTION_WIDTH])[row]
                 _guarded_torque(action, numbers, limits, q_seen, v_seen, bias, factors, tau, a)
             else:
                 _advance_reference(numbers, limits, target, reference, q_reference, v_reference)
                 if shared[row]:
                     computed_torque_from(parameters, q, v, reference, memories[row], bias, factors, tau)
                 else:
-                    _call_kernel(table[KERNEL], parameters, q_seen, v_seen, reference, memories[row], tau)
+                    call_kernel(table[KERNEL], parameters, q_seen, v_seen, reference, memories[row], tau)
             _delay(table, row, tau)
             if addresses[row, 1] == 0:
                 if not shared[row]:
@@ -416,13 +418,13 @@ def step_rows(table):
             else:
                 _simulate(table, row, addresses[row], numbers[GRIP_STEP], tau, q, v)
         _observe_scene(table, row, addresses[row])
-        find_tip(nominal, q, work, _matrix(table[TIP], rows, 12)[row])
+        find_tip(nominal, q, work, matrix(table[TIP], rows, 12)[row])
 
 
 @c_function(types.void(types.intp, types.intp, types.int32, types.intp))
 def step_table(model, data, simulation, table):
     """A function for `mjb_apply`: steps the rows of the table at an address."""
-    step_rows(numba.carray(_integers(table), (TABLE_SIZE,)))
+    step_rows(numba.carray(integers(table), (TABLE_SIZE,)))
 
 
 STEP_TABLE = int(step_table.address or 0)

@@ -13,16 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.control import KernelController, State
+from armctl.control.interface import WRENCH_SIZE
+from armctl.control.kernel_call import entry_point
 from armctl.core.validation import Array
 from armctl.robot.actuation import Actuation
 from armctl.robot.packed_dynamics import PackedDynamics
 from armctl.sim import tick_kernel as kernel
 from armctl.sim.box_proofs import BoxProofs
 from armctl.sim.contact_skip import ContactSkip
-from armctl.sim.disturbances import Disturbances, Signals
+from armctl.sim.disturbances import Disturbances, Signals, tick_times
 from armctl.sim.free_space import FreeSpace
 from armctl.sim.mujoco_library import address_of, contact_layout, guarded_call
 from armctl.sim.recorder import TickRows
+from armctl.sim.wrench_sensor import WrenchSensor
 
 _MAX_TICKS = 20_000  # of one call, which an interrupt cannot end
 _INCOMPLETE = (kernel.NOT_FINITE, kernel.KERNEL_FAILED)  # the state was measured, but no step was made
@@ -121,7 +124,13 @@ class CompiledLoop:
             self._set_free_space(free_space)
 
     def run(
-        self, controller: KernelController, rows: TickRows, last: int, state: State, disturbances: Disturbances | None
+        self,
+        controller: KernelController,
+        rows: TickRows,
+        last: int,
+        state: State,
+        disturbances: Disturbances | None,
+        sensor: WrenchSensor,
     ) -> LoopEnd:
         """Runs the ticks up to row `last`, which are complete afterwards unless the run ends early.
 
@@ -131,6 +140,7 @@ class CompiledLoop:
             last: The row behind the last one.
             state: The state now; only its times matter.
             disturbances: What disturbs the signals, if anything does.
+            sensor: What measures the wrench, if the controller needs it.
 
         Returns:
             How it ended.
@@ -140,7 +150,7 @@ class CompiledLoop:
         self._set_numbers(
             {
                 kernel.TICKS: len(reference),
-                kernel.KERNEL: kernel.entry_point(controller.kernel),
+                kernel.KERNEL: entry_point(controller.kernel),
                 kernel.PARAMETERS_SIZE: len(parameters),
                 kernel.MEMORY_SIZE: len(memory),
             }
@@ -161,7 +171,9 @@ class CompiledLoop:
         with nullcontext(0) if self._contact_skip is None else self._contact_skip.table(steps) as skip:
             self._table[kernel.SKIP] = skip
             while rows.count < last and end.status in (kernel.COMPLETE, kernel.EVENTS_FULL) and not end.error:
-                end = self._run_part(rows, min(last, rows.count + _MAX_TICKS), disturbances)
+                end = self._run_part(
+                    rows, min(last, rows.count + _MAX_TICKS), disturbances, sensor if controller.needs_wrench else None
+                )
         was_called = end.status in _INCOMPLETE
         controller.finish(self._data.time + (state.dt if was_called else 0.0))
         if was_called and disturbances is not None:
@@ -170,7 +182,7 @@ class CompiledLoop:
             end = end._replace(measurement=(q.copy(), v.copy()))
         return end
 
-    def _run_part(self, rows: TickRows, last: int, disturbances: Disturbances | None) -> LoopEnd:
+    def _run_part(self, rows: TickRows, last: int, disturbances: Disturbances | None, sensor: WrenchSensor | None) -> LoopEnd:
         """Some ticks in one call."""
         first = rows.count
         self._set_numbers({kernel.FIRST: first, kernel.LAST: last, kernel.ROW: first, kernel.COUNT: first})
@@ -178,6 +190,9 @@ class CompiledLoop:
         signals = None if disturbances is None else disturbances.planned(last - first)
         if signals is not None:
             self._set_signals(signals)
+        self._table[kernel.SENSE_TABLE] = 0
+        if sensor is not None:
+            self._set_sensor(sensor, rows, last, None if disturbances is None else disturbances.push)
         error = ""
         try:
             error = guarded_call(kernel.RUN_TABLE, self._table.ctypes.data)
@@ -189,10 +204,28 @@ class CompiledLoop:
                 steps = np.full(1 + (rows.count - first) * self._substeps, self._timestep)
                 steps[0] = self._data.time
                 self._data.time = np.add.accumulate(steps)[-1]  # step by step, as MuJoCo adds
+            measured = rows.count - first + (end.status in _INCOMPLETE)
             if disturbances is not None:
-                measured = rows.count - first + (end.status in _INCOMPLETE)
                 disturbances.took(measured, int(self._table[kernel.COMMANDS_GIVEN]))
+            if sensor is not None:
+                sensor.took(measured)
         return end
+
+    def _set_sensor(self, sensor: WrenchSensor, rows: TickRows, last: int, push: Array | None) -> None:
+        from armctl.sim import wrench_kernel
+
+        vector = self._scratch.itemsize * self._n
+        scratch = self._scratch.ctypes.data
+        signals = {
+            wrench_kernel.Q: scratch + kernel.Q_SEEN * vector,
+            wrench_kernel.V: scratch + kernel.V_SEEN * vector,
+            wrench_kernel.TORQUE: scratch + kernel.TAU * vector,
+            wrench_kernel.RESULT: int(self._table[kernel.MEMORY]),
+        }
+        times = tick_times(self._data.time, last - rows.count, self._substeps, self._timestep)
+        true = rows.with_wrench(WRENCH_SIZE)[rows.count : last]
+        self._table[kernel.SENSE] = wrench_kernel.SENSE_TABLE
+        self._table[kernel.SENSE_TABLE] = sensor.plan(push, times, true, signals)
 
     def _set_free_space(self, free_space: FreeSpace) -> None:
         self._set_numbers({kernel.FREE_MODEL_SIZE: len(free_space.vector), kernel.FREE_WORK_SIZE: len(free_space.work)})
@@ -221,7 +254,7 @@ class CompiledLoop:
                 kernel.PUSHED_JOINTS: 0 if signals.wrenches is None else signals.pushed_joints,
             }
         )
-        self._set_arrays({kernel.COMMANDS: signals.commands, kernel.RIPPLE: signals.ripple})
+        self._set_arrays({kernel.COMMANDS: signals.commands, kernel.RIPPLE: signals.ripple, kernel.PUSH: signals.push})
         self._table[kernel.NOISE] = 0 if signals.noise is None else signals.noise.ctypes.data
         self._table[kernel.WRENCHES] = 0 if signals.wrenches is None else signals.wrenches.ctypes.data
 

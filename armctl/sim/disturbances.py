@@ -18,6 +18,7 @@ class Signals(NamedTuple):
     Attributes:
         noise: (ticks, 2, n) on measured positions, rad, and velocities, rad/s; None for none.
         wrenches: (ticks, 6) N and N m, of the pushes on the tip; None for none.
+        push: (6,) the one of the last tick, which the loop writes.
         pushed_joints: The joints of the arm on whose tip they act.
         commands: (delay + 1, n) N m, ring buffer of the last commands.
         commands_given: How many commands there were since the last reset.
@@ -26,6 +27,7 @@ class Signals(NamedTuple):
 
     noise: Array | None
     wrenches: Array | None
+    push: Array
     pushed_joints: int
     commands: Array
     commands_given: int
@@ -36,7 +38,7 @@ class Disturbances:
     """Noise, delay, ripple and pushes of one run; every run of the same plant has the same ones.
 
     Attributes:
-        push: (6,) N and N m, the wrench of the pushes in the last tick.
+        push: (6,) N and N m, the wrench of the pushes in the last tick; both loops write it.
     """
 
     def __init__(
@@ -88,7 +90,7 @@ class Disturbances:
         from armctl.sim.tick_kernel import rippled, tip_torque
 
         if self._pushes:
-            self.push = self._wrenches(np.array([self._data.time]))[0]
+            self.push[:] = self._wrenches(np.array([self._data.time]))[0]
             n = self._tip.n
             torque = np.zeros(n)
             tip_torque(self._tip_model, q[:n].copy(), self.push, self._tip_scratch, np.zeros((6, n)), torque)
@@ -108,11 +110,8 @@ class Disturbances:
             noise = self._noise(ticks)
         wrenches = None
         if self._pushes:
-            # MuJoCo adds its time step to the time at every step.
-            steps = np.full(ticks * self._steps, self._timestep)
-            steps[0] = self._data.time
-            wrenches = self._wrenches(np.add.accumulate(steps)[:: self._steps])
-        self._planned = Signals(noise, wrenches, self._tip.n, self._commands, self._commands_given, self._ripple)
+            wrenches = self._wrenches(tick_times(self._data.time, ticks, self._steps, self._timestep))
+        self._planned = Signals(noise, wrenches, self.push, self._tip.n, self._commands, self._commands_given, self._ripple)
         return self._planned
 
     def took(self, measured: int, commands_given: int) -> None:
@@ -124,9 +123,6 @@ class Disturbances:
         """
         planned = self._planned
         assert planned is not None
-        ticks = commands_given - self._commands_given
-        if planned.wrenches is not None and ticks:
-            self.push = planned.wrenches[ticks - 1]
         self._commands_given = commands_given
         if planned.noise is not None and self._noise_before is not None and measured < len(planned.noise):
             state, self._last_noise = self._noise_before
@@ -155,3 +151,10 @@ class Disturbances:
         for push in self._pushes:
             wrenches[(push.start <= times) & (times < push.start + push.duration)] += push.wrench
         return wrenches
+
+
+def tick_times(start: float, ticks: int, steps: int, timestep: float) -> Array:
+    """(ticks,) s, the times of the coming ticks, to the bit: MuJoCo adds its time step at every step."""
+    times = np.full(ticks * steps, timestep)
+    times[0] = start
+    return np.add.accumulate(times)[::steps]

@@ -11,8 +11,8 @@ from numba import types
 
 from armctl.collision.box_kernel import shrink_to_free
 from armctl.collision.kernel import GEOM_COLUMNS, PAIR_COLUMNS, TREE_COLUMNS, WORK_ROWS
+from armctl.core.addresses import call_with_table, integers, matrix, vector
 from armctl.core.jit import c_function, njit
-from armctl.sim.tick_kernel import _integers, _matrix, _prove, _vector
 
 # Entries of the table. SIZES:
 JOINTS = 0
@@ -48,24 +48,24 @@ _GROUP_COLUMNS = 4
 @c_function(types.intp(types.intp))
 def prove_box(address):
     """Reduces a box until nothing touches in it, for the table at an address; 0 if there is none."""
-    table = numba.carray(_integers(address), (TABLE_SIZE,))
+    table = numba.carray(integers(address), (TABLE_SIZE,))
     joints = table[JOINTS]
     pairs = table[PAIRS_COUNT]
     groups = table[GROUPS_COUNT]
     is_free = shrink_to_free(
-        _vector(table[POSITIONS], joints),
-        _vector(table[DELTA], joints),
-        _vector(table[CLEARANCES], pairs),
-        _vector(table[GROUP_CLEARANCES], groups),
-        _matrix(table[GEOM_ROWS], table[GEOMS], GEOM_COLUMNS),
-        _matrix(table[POINT_ROWS], table[POINTS_COUNT], _POINT_COLUMNS),
-        numba.carray(_integers(table[NEIGHBORS]), (table[NEIGHBORS_COUNT],)),
-        _matrix(table[PAIR_ROWS], pairs, PAIR_COLUMNS),
-        numba.carray(_integers(table[GROUP_ROWS]), (groups, _GROUP_COLUMNS)),
-        _matrix(table[TREE], joints, TREE_COLUMNS),
-        _matrix(table[FRAMES], joints + 1, FRAME_COLUMNS),
-        _matrix(table[SPHERES], table[GEOMS], table[SPHERE_COLUMNS]),
-        _matrix(table[WORK], WORK_ROWS, 3),
+        vector(table[POSITIONS], joints),
+        vector(table[DELTA], joints),
+        vector(table[CLEARANCES], pairs),
+        vector(table[GROUP_CLEARANCES], groups),
+        matrix(table[GEOM_ROWS], table[GEOMS], GEOM_COLUMNS),
+        matrix(table[POINT_ROWS], table[POINTS_COUNT], _POINT_COLUMNS),
+        numba.carray(integers(table[NEIGHBORS]), (table[NEIGHBORS_COUNT],)),
+        matrix(table[PAIR_ROWS], pairs, PAIR_COLUMNS),
+        numba.carray(integers(table[GROUP_ROWS]), (groups, _GROUP_COLUMNS)),
+        matrix(table[TREE], joints, TREE_COLUMNS),
+        matrix(table[FRAMES], joints + 1, FRAME_COLUMNS),
+        matrix(table[SPHERES], table[GEOMS], table[SPHERE_COLUMNS]),
+        matrix(table[WORK], WORK_ROWS, 3),
     )
     return 1 if is_free else 0
 
@@ -84,7 +84,7 @@ def mark_free_rows(prove, argument, rows, positions, delta, is_free):
             delta[j] = _BOX_MARGIN
             for row in range(k, last):
                 delta[j] = max(delta[j], abs(rows[row, j] - positions[j]) + _BOX_MARGIN)
-        is_free[k] = _prove(prove, argument) != 0
+        is_free[k] = call_with_table(prove, argument) != 0
         has_box = is_free[k]
         k += 1
         while has_box and k < len(rows):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from math import hypot, inf  # hypot of a short list is faster than numpy's norm
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeGuard
 
 import mujoco
 import numpy as np
@@ -140,7 +140,7 @@ class Stepper:
         self.continuous = bool(self.model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4))
         self.dt = arms[0].dt if plant.timestep is None else plant.timestep
         self._substeps = round(self.dt / self.model.opt.timestep)
-        self._wrench_sensor = WrenchSensor(arms, plant, self.model, self.data)
+        self._wrench_sensor = WrenchSensor(arms, plant, self.model, self.data, self.dt, self.continuous)
         self._compiled: CompiledLoop | None = None
         self._free_space = self._new_free_space(arms) if plant.free_space else None
 
@@ -266,9 +266,9 @@ class Stepper:
 
     def load_compiled_code(self, controller: Controller) -> None:
         """Loads the code that `run` calls, so that the time of a run does not contain it."""
-        if not has_compiled_law(controller, self.n):
+        if not self._runs_compiled(controller):
             return
-        from armctl.sim.tick_kernel import entry_point
+        from armctl.control.kernel_call import entry_point
 
         entry_point(controller.kernel)
         if self._compiled is None:
@@ -284,6 +284,10 @@ class Stepper:
                 self._proofs,
             )
             controller.parameters(self.dt, self.continuous)  # which loads code, too
+
+    def _runs_compiled(self, controller: Controller) -> TypeGuard[KernelController]:
+        """Whether the ticks of a controller need no Python. A kernel can get the wrench on one tip."""
+        return has_compiled_law(controller, self.n) and (self._wrench_sensor.arms == 1 or not controller.needs_wrench)
 
     def step(self, controller: Controller, rows: TickRows) -> None:
         """Runs the next tick of rows that are not complete.
@@ -315,10 +319,10 @@ class Stepper:
                     self.failure = f"free_space: {touched}; simulate it without free_space"
 
     def _run_unchecked_ticks(self, controller: Controller, rows: TickRows, first: int, last: int) -> None:
-        if last == first + 1 or not has_compiled_law(controller, self.n):
+        if last == first + 1 or not self._runs_compiled(controller):
             self._run_python_ticks(controller, rows, first, last)
             return
-        if self._measurement is not None:  # the first tick is measured already
+        if self._measurement is not None or self._wrench_sensor.has_measured(self.data.time):  # the first tick is measured
             self._run_python_ticks(controller, rows, first, first + 1)
         if not self.failure:
             self._run_compiled_ticks(controller, rows, last)
@@ -329,7 +333,7 @@ class Stepper:
 
         self.load_compiled_code(controller)
         assert self._compiled is not None
-        end = self._compiled.run(controller, rows, last, self.state, self._disturbances)
+        end = self._compiled.run(controller, rows, last, self.state, self._disturbances, self._wrench_sensor)
         reached = rows.reference.q[end.row]
         self.q_ref = reached if np.isfinite(reached).all() else self.state.q
         self._measurement = end.measurement

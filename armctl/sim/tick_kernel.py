@@ -10,19 +10,15 @@ of arrays. The table and everything that it points to belong to one run, so runs
 from __future__ import annotations
 
 import math
-from functools import cache
-from typing import Any
 
 import mujoco
 import numba
 import numpy as np
 from numba import types
-from numba.core import cgutils
-from numba.extending import intrinsic
 
-from armctl.core.errors import InputError
+from armctl.control.kernel_call import call_kernel
+from armctl.core.addresses import call_step, call_with_table, floats, integers, matrix, short_integers, vector
 from armctl.core.jit import c_function, njit
-from armctl.core.validation import shown
 from armctl.robot.dynamics_kernel import locate, place, tip_jacobian
 from armctl.robot.forward_dynamics_kernel import free_step
 
@@ -80,13 +76,16 @@ FREE_BOUNDS = 47  # (2, n)
 FREE_WORK = 48
 FREE_WORK_SIZE = 49
 SKIP = 50  # the table for skipping collision detection, see below; 0 for none
+PUSH = 51  # (6,) the wrench of the pushes now, which the loop writes
+SENSE = 52  # a C function that measures the wrench ...
+SENSE_TABLE = 53  # ... and its argument; 0 if the controller needs no wrench
 # Results:
-ROW = 51  # the last row that was begun
-COUNT = 52  # complete rows
-STATUS = 53
-EVENTS_USED = 54
-LAST_EVENT = 55  # where the last event begins; -1 before the first
-TABLE_SIZE = 56
+ROW = 54  # the last row that was begun
+COUNT = 55  # complete rows
+STATUS = 56
+EVENTS_USED = 57
+LAST_EVENT = 58  # where the last event begins; -1 before the first
+TABLE_SIZE = 59
 
 # Entries of the table for skipping collision detection. It belongs to one MjData, and tells in which box of joint positions
 # nothing can touch. Addresses:
@@ -136,104 +135,6 @@ EVENTS_FULL = 4  # the contacts of the last complete row are new, but there is n
 RIPPLES_PER_RADIAN = 12.0  # 75 a turn, typical of a motor behind a gear
 MAX_SPEED = 1e4  # rad/s (m/s), of all joints together; above it a run counts as diverged
 
-VECTOR = types.Array(types.float64, 1, "C")
-MATRIX = types.Array(types.float64, 2, "C")
-KERNEL_SIGNATURE = (VECTOR, VECTOR, VECTOR, MATRIX, VECTOR, VECTOR)
-
-
-@cache
-def entry_point(controller_kernel: Any) -> int:
-    """The address of the compiled code of a controller's kernel, which numba keeps as long as the kernel.
-
-    Raises:
-        InputError: The kernel cannot be compiled.
-    """
-    try:
-        controller_kernel.compile(KERNEL_SIGNATURE)
-    except (AttributeError, numba.NumbaError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"kernel: {shown(controller_kernel)} is not compiled by numba.njit: {reason:.150}") from error
-    compiled = controller_kernel.overloads[KERNEL_SIGNATURE]
-    return compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
-
-
-@intrinsic
-def _floats(typingctx, address):
-    """A pointer to float64 from an address."""
-
-    def codegen(context, builder, signature, arguments):
-        return builder.inttoptr(arguments[0], context.get_value_type(types.CPointer(types.float64)))
-
-    return types.CPointer(types.float64)(types.intp), codegen
-
-
-@intrinsic
-def _integers(typingctx, address):
-    """A pointer to int64 from an address."""
-
-    def codegen(context, builder, signature, arguments):
-        return builder.inttoptr(arguments[0], context.get_value_type(types.CPointer(types.int64)))
-
-    return types.CPointer(types.int64)(types.intp), codegen
-
-
-@intrinsic
-def _short_integers(typingctx, address):
-    """A pointer to int32 from an address."""
-
-    def codegen(context, builder, signature, arguments):
-        return builder.inttoptr(arguments[0], context.get_value_type(types.CPointer(types.int32)))
-
-    return types.CPointer(types.int32)(types.intp), codegen
-
-
-@intrinsic
-def _step(typingctx, function, model, data):
-    """Calls `void function(model, data)`, such as mj_step, by its address."""
-
-    def codegen(context, builder, signature, arguments):
-        word = cgutils.intp_t
-        kind = cgutils.ir.FunctionType(cgutils.ir.VoidType(), [word, word])
-        builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), arguments[1:])
-        return context.get_dummy_value()
-
-    return types.none(types.intp, types.intp, types.intp), codegen
-
-
-@intrinsic
-def _prove(typingctx, function, table):
-    """Calls `intptr_t function(table)` by its address."""
-
-    def codegen(context, builder, signature, arguments):
-        kind = cgutils.ir.FunctionType(cgutils.intp_t, [cgutils.intp_t])
-        return builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), arguments[1:])
-
-    return types.intp(types.intp, types.intp), codegen
-
-
-@intrinsic
-def _call_kernel(typingctx, function, parameters, q, v, reference, memory, tau):
-    """Calls a compiled kernel by its address; True if it raised an exception."""
-
-    def codegen(context, builder, signature, arguments):
-        kinds = signature.args[1:]
-        kind = context.call_conv.get_function_type(types.none, kinds)
-        pointer = builder.inttoptr(arguments[0], kind.as_pointer())
-        status, _ = context.call_conv.call_function(builder, pointer, types.none, kinds, arguments[1:])
-        return status.is_error
-
-    return types.boolean(types.intp, *KERNEL_SIGNATURE), codegen
-
-
-@njit
-def _vector(address, size):
-    return numba.carray(_floats(address), (size,))
-
-
-@njit
-def _matrix(address, rows, columns):
-    return numba.carray(_floats(address), (rows, columns))
-
 
 @njit
 def rippled(tau, q, ripple):
@@ -264,9 +165,9 @@ def _contacts_changed(table, events, count):
         return True
     if count == 0:
         return False
-    first = numba.carray(_integers(table[DATA] + table[CONTACT_ARRAY]), (1,))[0] + table[CONTACT_GEOMS]
+    first = numba.carray(integers(table[DATA] + table[CONTACT_ARRAY]), (1,))[0] + table[CONTACT_GEOMS]
     for k in range(count):
-        pair = numba.carray(_short_integers(first + k * table[CONTACT_STRIDE]), (2,))
+        pair = numba.carray(short_integers(first + k * table[CONTACT_STRIDE]), (2,))
         if pair[0] != events[known + 2 + 2 * k] or pair[1] != events[known + 3 + 2 * k]:
             return True
     return False
@@ -275,10 +176,10 @@ def _contacts_changed(table, events, count):
 @njit
 def _note_contacts(table, row):
     """Notes the geoms that touch, if they changed; False if there is no place for them."""
-    count = numba.carray(_short_integers(table[DATA] + table[CONTACT_COUNT]), (1,))[0]
+    count = numba.carray(short_integers(table[DATA] + table[CONTACT_COUNT]), (1,))[0]
     if count == 0 and table[LAST_EVENT] < 0:
         return True
-    events = numba.carray(_short_integers(table[EVENTS]), (table[EVENTS_SIZE],))
+    events = numba.carray(short_integers(table[EVENTS]), (table[EVENTS_SIZE],))
     if not _contacts_changed(table, events, count):
         return True
     used = table[EVENTS_USED]
@@ -287,9 +188,9 @@ def _note_contacts(table, row):
     events[used] = row
     events[used + 1] = count
     if count > 0:
-        first = numba.carray(_integers(table[DATA] + table[CONTACT_ARRAY]), (1,))[0] + table[CONTACT_GEOMS]
+        first = numba.carray(integers(table[DATA] + table[CONTACT_ARRAY]), (1,))[0] + table[CONTACT_GEOMS]
         for k in range(count):
-            pair = numba.carray(_short_integers(first + k * table[CONTACT_STRIDE]), (2,))
+            pair = numba.carray(short_integers(first + k * table[CONTACT_STRIDE]), (2,))
             events[used + 2 + 2 * k] = pair[0]
             events[used + 3 + 2 * k] = pair[1]
     table[LAST_EVENT] = used
@@ -306,45 +207,48 @@ def _drive(table, row, indices, scales, q, tau, ctrl):
             ctrl[indices[2, i]] = tau[i] / scales[0, i]
         return
     length = table[DELAY] + 1
-    commands = _matrix(table[COMMANDS], length, n)
+    commands = matrix(table[COMMANDS], length, n)
     given = table[COMMANDS_GIVEN]
     newest = given % length
     oldest = max(given - table[DELAY], 0) % length
-    ripple = _vector(table[RIPPLE], 1)[0]
+    ripple = vector(table[RIPPLE], 1)[0]
     for i in range(n):
         commands[newest, i] = tau[i]
         ctrl[indices[2, i]] = rippled(commands[oldest, i], q[i], ripple) / scales[0, i]
     table[COMMANDS_GIVEN] = given + 1
     pushed = table[PUSHED_JOINTS]
     if pushed > 0:
-        scratch = _vector(table[SCRATCH], table[SCRATCH_SIZE])[SCRATCH_VECTORS * n :]
+        scratch = vector(table[SCRATCH], table[SCRATCH_SIZE])[SCRATCH_VECTORS * n :]
         torque = scratch[:pushed]
         jacobian = scratch[pushed : 7 * pushed].reshape((6, pushed))
-        wrench = _matrix(table[WRENCHES], table[LAST] - table[FIRST], 6)[row - table[FIRST]]
-        model = _vector(table[PUSHED_MODEL], table[PUSHED_MODEL_SIZE])
+        wrench = matrix(table[WRENCHES], table[LAST] - table[FIRST], 6)[row - table[FIRST]]
+        model = vector(table[PUSHED_MODEL], table[PUSHED_MODEL_SIZE])
         tip_torque(model, q[:pushed], wrench, scratch[7 * pushed :], jacobian, torque)
-        applied = _vector(table[QFRC_APPLIED], table[NV])
+        applied = vector(table[QFRC_APPLIED], table[NV])
         for i in range(pushed):
             applied[indices[1, i]] = torque[i]
+        push = vector(table[PUSH], 6)
+        for k in range(6):
+            push[k] = wrench[k]
 
 
 @njit
 def step(skip_address, function, model, data):
     """One step of MuJoCo; without collision detection if there is a table for that, and nothing can touch."""
     if skip_address != 0:
-        skip = numba.carray(_integers(skip_address), (SKIP_SIZE,))
-        flags = numba.carray(_short_integers(skip[SKIP_FLAGS]), (1,))
+        skip = numba.carray(integers(skip_address), (SKIP_SIZE,))
+        flags = numba.carray(short_integers(skip[SKIP_FLAGS]), (1,))
         flags[0] = skip[SKIP_NORMAL] | NO_CONTACTS if _is_free(skip) else skip[SKIP_NORMAL]
-    _step(function, model, data)
+    call_step(function, model, data)
 
 
 @njit
 def _is_free(skip):
     """Whether it is proved that nothing touches at the joint positions now."""
     joints = skip[SKIP_JOINTS]
-    indices = numba.carray(_integers(skip[SKIP_INDICES]), (2, joints))
-    qpos = _vector(skip[SKIP_QPOS], skip[SKIP_NQ])
-    box = _matrix(skip[SKIP_BOX], 2, joints)
+    indices = numba.carray(integers(skip[SKIP_INDICES]), (2, joints))
+    qpos = vector(skip[SKIP_QPOS], skip[SKIP_NQ])
+    box = matrix(skip[SKIP_BOX], 2, joints)
     is_inside = True
     for j in range(joints):
         is_inside &= box[0, j] <= qpos[indices[0, j]] <= box[1, j]
@@ -376,17 +280,17 @@ def _pause(skip):
 @njit
 def _prove_box(skip, indices, qpos, box):
     """Proves a new box around the joint positions now; False if it is too small, and then the last one stays."""
-    qvel = _vector(skip[SKIP_QVEL], skip[SKIP_NV])
+    qvel = vector(skip[SKIP_QVEL], skip[SKIP_NV])
     joints = skip[SKIP_JOINTS]
-    positions = _vector(skip[SKIP_POSITIONS], joints)
-    delta = _vector(skip[SKIP_DELTA], joints)
+    positions = vector(skip[SKIP_POSITIONS], joints)
+    delta = vector(skip[SKIP_DELTA], joints)
     skip[SKIP_PROOFS] += 1
     for j in range(joints):
         positions[j] = qpos[indices[0, j]]
         delta[j] = BOX_TIME_S * abs(qvel[indices[1, j]]) + BOX_MARGIN
         if not abs(positions[j]) + delta[j] < np.inf:
             return False
-    if _prove(skip[SKIP_PROOF], skip[SKIP_PROOF_TABLE]) == 0:
+    if call_with_table(skip[SKIP_PROOF], skip[SKIP_PROOF_TABLE]) == 0:
         return False
     for j in range(joints):
         box[0, j] = positions[j] - delta[j]
@@ -407,20 +311,20 @@ def _advance(table, indices, scales, q, v_row, scratch):
     v = scratch[V * n : (V + 1) * n]
     tau = scratch[TAU * n : (TAU + 1) * n]
     applied = scratch[APPLIED * n : (APPLIED + 1) * n]
-    ctrl = _vector(table[CTRL], table[NCTRL])
-    forces = _vector(table[QFRC_APPLIED], table[NV])
+    ctrl = vector(table[CTRL], table[NCTRL])
+    forces = vector(table[QFRC_APPLIED], table[NV])
     for i in range(n):
         v[i] = v_row[i]
         applied[i] = forces[indices[1, i]]
         tau[i] = ctrl[indices[2, i]] * scales[0, i]
-    model = _vector(table[FREE_MODEL], table[FREE_MODEL_SIZE])
-    bounds = _matrix(table[FREE_BOUNDS], 2, n)
-    work = _vector(table[FREE_WORK], table[FREE_WORK_SIZE])
+    model = vector(table[FREE_MODEL], table[FREE_MODEL_SIZE])
+    bounds = matrix(table[FREE_BOUNDS], 2, n)
+    work = vector(table[FREE_WORK], table[FREE_WORK_SIZE])
     for _ in range(table[SUBSTEPS]):
         free_step(model, bounds, tau, applied, work, q, v)
-    qpos = _vector(table[QPOS], table[NQ])
-    qvel = _vector(table[QVEL], table[NV])
-    actuator = _vector(table[QFRC_ACTUATOR], table[NV])
+    qpos = vector(table[QPOS], table[NQ])
+    qvel = vector(table[QVEL], table[NV])
+    actuator = vector(table[QFRC_ACTUATOR], table[NV])
     for i in range(n):
         qpos[indices[0, i]] = q[i]
         qvel[indices[1, i]] = v[i]
@@ -432,27 +336,27 @@ def run_ticks(table):
     """The ticks [FIRST, LAST) of a run; STATUS says why it ended."""
     n = table[N]
     ticks = table[TICKS]
-    indices = numba.carray(_integers(table[INDICES]), (4, n))
-    scales = _matrix(table[SCALES], 2, n)
-    qpos = _vector(table[QPOS], table[NQ])
-    qvel = _vector(table[QVEL], table[NV])
-    ctrl = _vector(table[CTRL], table[NCTRL])
-    actuator = _vector(table[QFRC_ACTUATOR], table[NV])
-    parameters = _vector(table[PARAMETERS], table[PARAMETERS_SIZE])
-    memory = _vector(table[MEMORY], table[MEMORY_SIZE])
-    reference = numba.carray(_floats(table[REFERENCE]), (ticks, 5, n))
-    qpos_rows = _matrix(table[QPOS_ROWS], ticks, table[NQ])
-    v_rows = _matrix(table[V_ROWS], ticks, n)
-    command_rows = _matrix(table[COMMAND_ROWS], ticks, n)
-    torque_rows = _matrix(table[TORQUE_ROWS], ticks, n)
-    scratch = _vector(table[SCRATCH], table[SCRATCH_SIZE])
+    indices = numba.carray(integers(table[INDICES]), (4, n))
+    scales = matrix(table[SCALES], 2, n)
+    qpos = vector(table[QPOS], table[NQ])
+    qvel = vector(table[QVEL], table[NV])
+    ctrl = vector(table[CTRL], table[NCTRL])
+    actuator = vector(table[QFRC_ACTUATOR], table[NV])
+    parameters = vector(table[PARAMETERS], table[PARAMETERS_SIZE])
+    memory = vector(table[MEMORY], table[MEMORY_SIZE])
+    reference = numba.carray(floats(table[REFERENCE]), (ticks, 5, n))
+    qpos_rows = matrix(table[QPOS_ROWS], ticks, table[NQ])
+    v_rows = matrix(table[V_ROWS], ticks, n)
+    command_rows = matrix(table[COMMAND_ROWS], ticks, n)
+    torque_rows = matrix(table[TORQUE_ROWS], ticks, n)
+    scratch = vector(table[SCRATCH], table[SCRATCH_SIZE])
     q = scratch[Q * n : (Q + 1) * n]
     q_seen = scratch[Q_SEEN * n : (Q_SEEN + 1) * n]
     v_seen = scratch[V_SEEN * n : (V_SEEN + 1) * n]
     tau = scratch[TAU * n : (TAU + 1) * n]
     is_noisy = table[NOISE] != 0
     first = table[FIRST]
-    noise = numba.carray(_floats(table[NOISE]), (table[LAST] - first, 2, n))  # not read unless there is any
+    noise = numba.carray(floats(table[NOISE]), (table[LAST] - first, 2, n))  # not read unless there is any
     table[STATUS] = COMPLETE
     for row in range(first, table[LAST]):
         table[ROW] = row
@@ -469,7 +373,11 @@ def run_ticks(table):
         if not math.sqrt(squared_speed) < MAX_SPEED:
             table[STATUS] = DIVERGED
             return
-        if _call_kernel(table[KERNEL], parameters, q_seen, v_seen, reference[row], memory, tau):
+        if table[SENSE_TABLE] != 0:
+            for i in range(n):
+                tau[i] = actuator[indices[3, i]] * scales[1, i]
+            call_with_table(table[SENSE], table[SENSE_TABLE])
+        if call_kernel(table[KERNEL], parameters, q_seen, v_seen, reference[row], memory, tau):
             table[STATUS] = KERNEL_FAILED
             return
         for i in range(n):
@@ -490,7 +398,7 @@ def run_ticks(table):
 @c_function(types.void(types.intp, types.intp, types.int32, types.intp))
 def run_table(model, data, simulation, table):
     """A function for `mjb_apply`: runs the table at an address."""
-    run_ticks(numba.carray(_integers(table), (TABLE_SIZE,)))
+    run_ticks(numba.carray(integers(table), (TABLE_SIZE,)))
 
 
 RUN_TABLE = int(run_table.address or 0)

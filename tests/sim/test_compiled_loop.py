@@ -29,6 +29,17 @@ PLANTS = {
     "continuous, pushed": armctl.Plant(continuous=True, pushes=armctl.Push(0.011, 0.02, force=[5, 0, 3])),
 }
 KERNELS = [name for name in CONTROLLERS if name != "qp"]  # whose program is solved by a library
+WITH_FORCES = {
+    "hybrid-force": lambda arm: armctl.HybridForce(arm, {"x": 15.0}, approach_speed=0.2),
+    "admittance": lambda arm: armctl.Admittance(arm),
+    "hybrid-force, limited rates": lambda arm: armctl.TorqueRateLimit(arm, armctl.HybridForce(arm, {"x": 15.0}), 500.0),
+}
+PUSH = armctl.Push(0.01, 0.05, force=[5, 0, 3], torque=[0.1, 0, 0])
+SENSORS = {
+    "flange": armctl.Plant(pushes=PUSH),
+    "noise, delay": armctl.Plant(force_noise=0.2, moment_noise=0.01, wrench_delay=2, encoder_noise=1e-5, seed=2),
+    "torques": armctl.Plant(wrench_source="torques", coulomb_friction=0.1, encoder_noise=1e-6, force_noise=0.1),
+}
 
 
 class InPython:
@@ -37,6 +48,7 @@ class InPython:
     def __init__(self, controller: armctl.Controller):
         self._controller = controller
         self.name = controller_name(controller)
+        self.needs_wrench = getattr(controller, "needs_wrench", False)
 
     def torque(self, state, setpoint):
         return self._controller.torque(state, setpoint)
@@ -47,8 +59,16 @@ def rubbing(tmp_path_factory: pytest.TempPathFactory) -> armctl.Arm:
     return serial_arm(tmp_path_factory.mktemp("arm"), BENT["rubbing"])
 
 
+@pytest.fixture(scope="module")
+def at_wall() -> armctl.Arm:
+    """The bundled arm, 1 mm inside a wall."""
+    reach = float(armctl.load("robot_arm_3dof").fk(armctl.load("robot_arm_3dof").home).position[0])
+    scene = armctl.Scene().add_box("wall", [0.1, 1.0, 1.0], at=[reach + 0.049, 0.0, 0.5])
+    return armctl.load("robot_arm_3dof", scene=scene)
+
+
 def same(first: armctl.Log, second: armctl.Log) -> bool:
-    columns = ("t", "q", "v", "tau", "tau_cmd", "q_ref", "qpos", "tip")
+    columns = ("t", "q", "v", "tau", "tau_cmd", "q_ref", "qpos", "tip", "wrench")
     assert all(np.array_equal(getattr(first, name), getattr(second, name)) for name in columns)
     assert [str(contact) for contact in first.contacts] == [str(contact) for contact in second.contacts]
     assert first.failure == second.failure
@@ -98,6 +118,44 @@ def test_memory_and_noise_go_on_from_run_to_run_and_through_single_ticks(rubbing
     assert same(*logs)
     assert np.array_equal(states[0], states[2])
     assert np.array_equal(states[1], states[3])
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+@pytest.mark.parametrize("name", WITH_FORCES)
+def test_controllers_get_the_same_wrench_in_both_loops(at_wall, name: str, sensor: str):
+    make = WITH_FORCES[name]
+    logs = []
+    for controller in (make(at_wall), InPython(make(at_wall))):
+        sim = armctl.Simulation(at_wall, controller, SENSORS[sensor])
+        first = sim.run(Still(at_wall.home, 0.1))
+        sim.step()
+        sim.measured_state  # noqa: B018  # the measurement of the next tick
+        logs.append((first, sim.run(Still(at_wall.home, 0.1))))
+    assert has_compiled_law(make(at_wall), at_wall.n)
+    assert all(same(*pair) for pair in zip(*logs, strict=True))
+    assert logs[0][0].wrench.any()
+    assert np.isfinite(logs[0][1].wrench).all()
+
+
+def test_a_wrench_that_torques_tell_in_free_space_is_the_same_in_both_loops(bundled):
+    plant = armctl.Plant(free_space=True, wrench_source="torques", wrench_delay=1, pushes=PUSH)
+    controllers = (armctl.Admittance(bundled), InPython(armctl.Admittance(bundled)))
+    logs = [armctl.simulate(bundled, controller, Sway(bundled), plant) for controller in controllers]
+    assert same(*logs)
+    assert logs[0].wrench.any()
+
+
+def test_a_rate_limit_runs_compiled_if_its_controller_does(bundled):
+    logs = []
+    for limited in (armctl.PDGravity(bundled), InPython(armctl.PDGravity(bundled))):
+        controller = armctl.TorqueRateLimit(bundled, limited, 100.0)
+        assert has_compiled_law(controller, bundled.n) == isinstance(limited, KernelController)
+        sim = armctl.Simulation(bundled, controller)
+        sim.run(Still(bundled.home, 0.1))
+        logs.append(sim.run(Still(bundled.home + 0.05, 0.1)))
+    assert same(*logs)
+    change = np.abs(np.diff(logs[0].tau_cmd, axis=0)).max()
+    assert change == pytest.approx(100.0 * bundled.dt)
 
 
 SLIDER = """<body name="slider" pos="0 0 0.3"><joint name="x" type="slide" axis="1 0 0" range="-9 9"/>
