@@ -114,6 +114,8 @@ def within_torque(arm: Arm, trajectory: JointTrajectory) -> JointTrajectory:
 
     The motion must end at rest. Raises PlanError if holding still on the path already takes more torque than a motor gives.
     """
+    if np.isinf(arm.limits.tau_max).all():
+        return trajectory
     needed = check_torque(arm, trajectory)
     if needed.ok:
         return trajectory
