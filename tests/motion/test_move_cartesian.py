@@ -10,6 +10,7 @@ from arms import arm_of
 import armctl
 from armctl.motion import Arc, Line
 from armctl.motion.path import joint_path
+from armctl.motion.path.tip_caps import TipCaps
 
 UM = 1e-6
 
@@ -175,6 +176,18 @@ def test_caps_on_the_tip_hold_over_the_whole_of_a_path_with_rounded_corners(pand
     speeds = np.linalg.norm(twists[:, :3] if "tip_speed" in caps else twists[:, 3:], axis=1)
     cap = next(iter(caps.values()))
     assert 0.99 * cap < speeds.max() < cap * (1 + 1e-9)
+
+
+def test_the_tip_speed_of_a_slow_line_is_checked_at_no_more_places_than_that_of_a_fast_one(bundled, monkeypatch):
+    line = armctl.move_l(bundled, bundled.home, moved(bundled, 0.0, 0.05, 0.02).position)
+    places = []
+    twists = TipCaps._twists
+    monkeypatch.setattr(TipCaps, "_twists", lambda caps, q, v: places.append(len(q)) or twists(caps, q, v))
+    fast = TipCaps(bundled, None, linear=1e-3, angular=np.inf).overshoot(line.pieces).max()
+    slow = TipCaps(bundled, None, linear=1e-6, angular=np.inf).overshoot(line.scaled(1e-3).pieces).max()
+    assert slow == pytest.approx(fast, rel=1e-8)
+    assert fast > 1
+    assert places[1] == places[0]
 
 
 def test_near_a_singularity_it_slows_down():

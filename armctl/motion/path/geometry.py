@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -78,7 +79,7 @@ class Turn:
         """
         return cls(start, start @ rotation_vector(start.T @ end))
 
-    @property
+    @cached_property
     def length(self) -> float:
         """What it counts as, m."""
         return TURN_RADIUS * float(np.linalg.norm(self.vector))
@@ -109,7 +110,7 @@ class Straight:
     end: Array
     turn: Turn
 
-    @property
+    @cached_property
     def length(self) -> float:
         """Its length, m."""
         return max(float(np.linalg.norm(self.end - self.start)), self.turn.length)
@@ -180,7 +181,7 @@ class Circle:
             angle = math.atan2(float(axis @ np.cross(arm, last)), float(arm @ last)) % (2 * math.pi)
         return cls(start, center, axis, angle, turn)
 
-    @property
+    @cached_property
     def length(self) -> float:
         """Its length, m."""
         return max(self.angle * float(np.linalg.norm(self.start - self.center)), self.turn.length)

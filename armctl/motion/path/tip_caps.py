@@ -9,11 +9,14 @@ import numpy as np
 from armctl.core.validation import Array, number
 from armctl.motion.timing.initial_timing import Path
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
-from armctl.motion.trajectory.piecewise import Pieces, basis_many
+from armctl.motion.trajectory.piecewise import DEGREE, Pieces, basis_many
 from armctl.robot.arm import Arm
 
 _DEGREE = 8  # of the polynomials for the squared speed of the tip, in each piece
-_MAX_PART_S = 0.02  # longer pieces are divided: the squared speed is no polynomial
+# A piece that is longer in both is divided: the squared speed is no polynomial. Time alone would divide a slow motion thousands
+# of times, though the tip moves hardly at all in each part.
+_MAX_PART_S = 0.02
+_MAX_PART_TRAVEL = 0.01  # rad (m), of all joints together
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +65,8 @@ class TipCaps:
 
         joints = pieces.coefficients[:, :, : self.arm.n]
         steps = np.diff(pieces.knots)
-        parts = np.maximum(1, np.ceil(steps / _MAX_PART_S)).astype(int)
+        travel = np.einsum("mp,mpn->m", steps[:, None] ** np.arange(1, DEGREE + 1), np.abs(joints[:, 1:]))
+        parts = np.maximum(1, np.ceil(np.minimum(steps / _MAX_PART_S, travel / _MAX_PART_TRAVEL))).astype(int)
         piece = np.repeat(np.arange(len(steps)), parts)
         first = np.concatenate([[0], np.cumsum(parts)[:-1]])
         length = steps[piece] / parts[piece]

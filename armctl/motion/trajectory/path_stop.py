@@ -15,7 +15,7 @@ from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
 from armctl.motion.trajectory.limit_check import is_inside, stretch_needed
-from armctl.motion.trajectory.piecewise import Pieces, hermite, joined, locate, sample, shifted, time_scaled
+from armctl.motion.trajectory.piecewise import Pieces, Samples, hermite, joined, locate, sample, shifted, time_scaled
 
 _DELAYS = 12  # start times of the deceleration that are tried
 _MIN_DECELERATION_S = 0.01
@@ -30,8 +30,9 @@ _SHORTEST_CUT_S = 1e-9  # an earlier piece that is cut to less than this is left
 
 
 class _Deceleration(NamedTuple):
-    """For shares x (T,) of a deceleration: the integral of the path speed, the path speed, and its slope, each (T,)."""
+    """For shares of a deceleration: the integral of the path speed, the path speed, and its slope, each (T,)."""
 
+    shares: Array
     progress: Array
     speed: Array
     slope: Array
@@ -110,17 +111,24 @@ def _soonest_change(pieces: Pieces, limits: Limits, t: float, factor: float) -> 
 
 def _decelerated(pieces: Pieces, limits: Limits, begin: float, length: float, final: float = 0.0) -> Pieces | None:
     """The motion from `begin` on with the path speed going to `final`; None if a sample exceeds the acceleration limit."""
-    x = np.concatenate([np.linspace(0.0, 1.0, _CUTS + 1), [_RAMP, 1 - _RAMP], _crossings(pieces.knots, begin, length, final)])
-    x = np.unique(x)
+    if not _keeps_acceleration(_retimed(pieces, begin, length, _change(_EVEN, final)).a, limits):
+        return None  # most are refused here, without looking for the knots that they cross
+    x = np.unique(np.concatenate([_EVEN.shares, _crossings(pieces.knots, begin, length, final)]))
     x = np.append(x[:-1][np.diff(x) * length > _MIN_PIECE_S], 1.0)
-    law = _change(x, final)
+    samples = _retimed(pieces, begin, length, _change(_deceleration(x), final))
+    return hermite(length * x, *samples) if _keeps_acceleration(samples.a, limits) else None
+
+
+def _retimed(pieces: Pieces, begin: float, length: float, law: _Deceleration) -> Samples:
+    """The motion from `begin` on, with the path speed of a deceleration of this length."""
     q, v, a = sample(pieces, np.minimum(begin + length * law.progress, pieces.knots[-1]))
     w = law.speed[:, None]
     slope = law.slope[:, None] / length
-    a = a * w**2 + v * slope
-    if (np.abs(a) > (1 + 1e-6) * limits.a_max).any():
-        return None
-    return hermite(length * x, q, v * w, a)
+    return Samples(q, v * w, a * w**2 + v * slope)
+
+
+def _keeps_acceleration(a: Array, limits: Limits) -> bool:
+    return bool((np.abs(a) <= (1 + 1e-6) * limits.a_max).all())
 
 
 def _deceleration(x: Array) -> _Deceleration:
@@ -133,21 +141,24 @@ def _deceleration(x: Array) -> _Deceleration:
     slope = rise * (up - down)
     speed = 1 - rise * (up**2 / 2 + _RAMP * flat - down**2 / 2)
     progress = x - rise * (up**3 / 6 + _RAMP**2 / 2 * flat + _RAMP * flat**2 / 2 - down**3 / 6)
-    return _Deceleration(progress, speed, -slope)
+    return _Deceleration(x, progress, speed, -slope)
 
 
-def _change(x: Array, final: float) -> _Deceleration:
+_EVEN = _deceleration(np.unique(np.concatenate([np.linspace(0.0, 1.0, _CUTS + 1), [_RAMP, 1 - _RAMP]])))
+_FINE = _deceleration(np.linspace(0.0, 1.0, 400))
+
+
+def _change(law: _Deceleration, final: float) -> _Deceleration:
     """The path speed from 1 to `final`: a deceleration of another depth."""
-    law = _deceleration(x)
+    x = law.shares
     depth = 1 - final
-    return _Deceleration(x + depth * (law.progress - x), 1 + depth * (law.speed - 1), depth * law.slope)
+    return _Deceleration(x, x + depth * (law.progress - x), 1 + depth * (law.speed - 1), depth * law.slope)
 
 
 def _crossings(knots: Array, begin: float, length: float, final: float) -> Array:
     """The shares of a change of the path speed at which it crosses the knots of the motion."""
-    x = np.linspace(0.0, 1.0, 400)
     crossed = knots[(knots > begin) & (knots < begin + 0.5 * (1 + final) * length)]
-    return np.interp((crossed - begin) / length, _change(x, final).progress, x)
+    return np.interp((crossed - begin) / length, _change(_FINE, final).progress, _FINE.shares)
 
 
 def _from(pieces: Pieces, t: float) -> Pieces:
