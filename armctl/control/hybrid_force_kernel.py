@@ -51,21 +51,22 @@ COMMANDED = 2  # N
 INTEGRAL = 3
 LOST_TIME = 4  # s
 YIELDING = 5  # m/s
-AXIS_SIZE = 6
+STEADY_SPEED = 6  # m/s
+AXIS_SIZE = 7
 
 # The memory begins with these; then follow five vectors (n,), memory of the task, and scratch of the model.
 WRENCH = 0  # (6,)
 HAS_BEGUN = 6
 AXES = 7  # (6, AXIS_SIZE)
-FILTERED = 43  # (6,) wrench
-DIRECTIONS = 49  # (6, 6) the unit twist of each axis in the world
-MOBILITY = 85  # (6, 6)
-CONTACT = 121  # 15 numbers of scratch
-TASK = 136  # (6,)
-CORRECTION = 142  # (6,)
-SCRATCH = 148  # (6,)
-COMMANDS = 154  # (4, 6): of each axis, see below
-MEMORY_HEADER = 178
+FILTERED = 49  # (6,) wrench
+DIRECTIONS = 55  # (6, 6) the unit twist of each axis in the world
+MOBILITY = 91  # (6, 6)
+CONTACT = 127  # 15 numbers of scratch
+TASK = 142  # (6,)
+CORRECTION = 148  # (6,)
+SCRATCH = 154  # (6,)
+COMMANDS = 160  # (4, 6): of each axis, see below
+MEMORY_HEADER = 184
 
 # Commands of the axes.
 FORCE = 0  # N
@@ -82,10 +83,11 @@ _COMPENSATED_SHARE = 0.8
 _APPROACH_RATE = 40.0  # 1/s, the bandwidth of the speed in an approach; stable with a delay of 4 ms
 _DAMPING_RATE = 30.0  # 1/s, the damping of the tip in contact divided by its mass
 _INTEGRAL_RATE = 20.0  # 1/s. Below the damping rate, the integral of a lightly damped wall is stable.
-# While the tip moves into a soft wall, its damping explains a part of the error. If all of that part is integrated, the force
-# overshoots; if nothing of it is, the force is late on the softest walls.
-_EXPLAINED_SHARE = 0.75
-_MAX_INTEGRATED_ERROR = 0.08  # of the target. On a soft wall the force rises slowly; the bound prevents windup.
+# 1/s. Into a soft wall the tip moves steadily, and its damping would hold back a part of the force: 2 N of 20 N for a light arm
+# that sinks 10 mm. So a speed that lasts, and that reduces the error, is damped less and less.
+_STEADY_SPEED_RATE = 8.0
+# Of the target, a bound for what the damping is relieved of, too. On a soft wall the force rises slowly; it prevents windup.
+_MAX_INTEGRATED_ERROR = 0.08
 _RISE_TIME_S = 0.02  # time constant of the commanded force after the first contact
 # Friction is compensated at this share of the speed that a frictionless mass would have. With all of it, the force loop that is
 # closed over the friction is unstable on walls ten times stiffer than MuJoCo's default with a delay of 4 ms.
@@ -314,6 +316,7 @@ def _command_axis(params, k, measured, speed, mass, approach_speed, threshold, m
             axis[TOUCHES] = 1.0
             axis[COMMANDED] = axis[MEASURED]
             axis[INTEGRAL] = 0.0
+            axis[STEADY_SPEED] = 0.0
             axis[LOST_TIME] = 0.0
     else:
         axis[LOST_TIME] = axis[LOST_TIME] + dt if pressing < _LOST_RATIO * threshold else 0.0
@@ -332,12 +335,19 @@ def _command_axis(params, k, measured, speed, mass, approach_speed, threshold, m
     axis[COMMANDED] += _weight(1.0 / _RISE_TIME_S, dt) * (target - axis[COMMANDED])
     error = axis[COMMANDED] - axis[MEASURED]
     damping = _DAMPING_RATE * mass
-    unexplained = error - _EXPLAINED_SHARE * damping * speed
-    axis[INTEGRAL] += _INTEGRAL_RATE * dt * clipped(unexplained, _MAX_INTEGRATED_ERROR * abs(target))
+    bound = _MAX_INTEGRATED_ERROR * abs(target)
+    reducing = speed if error * speed > 0.0 else 0.0
+    axis[STEADY_SPEED] += _weight(_STEADY_SPEED_RATE, dt) * (reducing - axis[STEADY_SPEED])
+    # Up to the speed, so that the damping never pushes, and up to a part of the target: it bounds the speed of a tip that slides
+    # or yields.
+    axis[STEADY_SPEED] = clipped(axis[STEADY_SPEED], min(abs(speed), bound / damping))
+    damped_speed = speed - axis[STEADY_SPEED]
+    # The damping explains a part of the error. If that were integrated, the force would overshoot.
+    axis[INTEGRAL] += _INTEGRAL_RATE * dt * clipped(error - damping * damped_speed, bound)
     free_speed = error / damping  # of a mass without friction under this error of the force
     axis[YIELDING] += _weight(_DAMPING_RATE, dt) * (_YIELDING_RATIO * free_speed - axis[YIELDING])
     memory[COMMANDS + 6 * FORCE + k] = axis[COMMANDED] + axis[INTEGRAL]
-    memory[COMMANDS + 6 * ACCELERATION + k] = -_DAMPING_RATE * speed
+    memory[COMMANDS + 6 * ACCELERATION + k] = -_DAMPING_RATE * damped_speed
     memory[COMMANDS + 6 * SPEED + k] = 0.0
     memory[COMMANDS + 6 * YIELDING_SPEED + k] = axis[YIELDING]
 

@@ -56,6 +56,13 @@ def test_the_force_settles_on_any_wall_with_a_delay_of_4_ms(tmp_path, shape, wal
     check_targets(*pressed(arm, armctl.Plant(timestep=0.001, delay=4)))
 
 
+def test_damping_does_not_delay_a_tip_that_sinks_deep_into_a_wall(tmp_path):
+    arm = arm_at_wall(tmp_path, "six joints", 0.1)  # a 25th of MuJoCo's stiffness
+    log, force = pressed(arm, armctl.Plant(timestep=0.001, delay=4))
+    assert np.ptp(log.tip[force > 1.0, 2]) > 0.004
+    check_targets(log, force)
+
+
 @pytest.mark.parametrize("gap", [0.0, 0.002])
 def test_the_position_of_the_wall_need_not_be_known(tmp_path, gap):
     arm = arm_at_wall(tmp_path, "redundant", gap=gap)
