@@ -338,8 +338,8 @@ def _command_axis(params, k, measured, speed, mass, approach_speed, threshold, m
     bound = _MAX_INTEGRATED_ERROR * abs(target)
     reducing = speed if error * speed > 0.0 else 0.0
     axis[STEADY_SPEED] += _weight(_STEADY_SPEED_RATE, dt) * (reducing - axis[STEADY_SPEED])
-    # Up to the speed, so that the damping never pushes, and up to a part of the target: it bounds the speed of a tip that slides
-    # or yields.
+    # Up to the speed, so that the damping never pushes, and up to a part of the target, so that a tip that slides or yields
+    # stays slow.
     axis[STEADY_SPEED] = clipped(axis[STEADY_SPEED], min(abs(speed), bound / damping))
     damped_speed = speed - axis[STEADY_SPEED]
     # The damping explains a part of the error. If that were integrated, the force would overshoot.
