@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from armctl.control import State, controller_by_name
 from armctl.control.interface import has_compiled_law
-from armctl.core.errors import InputError
 from armctl.core.log import SimulationError
 from armctl.core.validation import Array, IntArray
 from armctl.envs.actions import ActionMode
@@ -67,7 +66,7 @@ class Rows:
         Args:
             task: The task, whose arm it is.
             mode: What the actions mean.
-            controller: The name of a controller with a kernel.
+            controller: The name of a controller.
             count: The number of copies.
             ticks: Control periods in a step.
             threads: The number of threads.
@@ -75,7 +74,8 @@ class Rows:
             randomization: What will vary.
 
         Raises:
-            InputError: The controller has no kernel, or the arm does not move freely.
+            InputError: The arm does not move freely.
+            UnknownNameError: There is no such controller.
         """
         from armctl.envs import step_kernel as kernel
 
@@ -101,8 +101,7 @@ class Rows:
         self._grip_target = np.ones(count)
         self._grip = task.grip if task.uses_gripper else None
         law = controller_by_name(controller, arm)
-        if not has_compiled_law(law, n):
-            raise InputError(f"controller: {controller} is not compiled; computed-torque and pd-gravity are")
+        assert has_compiled_law(law, n)  # as all controllers that have a name
         self._law = law
         self._parameters, memory = law.begin(State(arm.home, np.zeros(n), 0.0, arm.dt))
         self._memory = np.zeros((count, len(memory)))

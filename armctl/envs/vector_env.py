@@ -59,7 +59,7 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
             action: "torque", "joint_delta", "joint_target", "cartesian_delta" or "cartesian_pose".
             num_envs: How many.
             threads: On how many threads; the result is the same.
-            controller: The name of a controller with a kernel, for all actions but torques.
+            controller: The name of a controller, for all actions but torques.
             ticks: Control periods of a step.
             horizon: Steps of an episode; left out, as many as the task needs.
             free_space: Whether nothing touches the arm, so that no contacts are simulated; False for `mj_step`. Left out, it is

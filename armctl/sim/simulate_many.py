@@ -49,7 +49,7 @@ def simulate_many(
     """Follows many trajectories, or one on many plants, each from its start in a new simulation.
 
     The logs are those of `simulate`, bit for bit, with any number of threads. Threads run at the same time while a controller
-    runs in the compiled loop, as those of armctl but `qp` do; the others take turns.
+    runs in the compiled loop; the others take turns.
 
     Args:
         arm: The arm.

@@ -8,6 +8,7 @@ from synthetic import BENT, serial_arm
 
 import armctl
 from armctl.control.computed_torque_qp import SOLVERS
+from armctl.control.interface import has_compiled_law
 from armctl.core.trajectory import Setpoint
 
 
@@ -112,6 +113,33 @@ def test_all_solvers_find_the_same_torque(six):
     assert len(found) >= 2
     for tau in found[1:]:
         assert tau == pytest.approx(found[0], abs=1e-4)
+
+
+def test_the_kernel_gives_the_torque_of_daqp_wherever_the_arm_is(six):
+    """Also beyond its limits: in about half of these states, constraints contradict each other."""
+    rng = np.random.default_rng(0)
+    limits = replace(six.limits, tau_max=0.3 * six.limits.tau_max)
+    arm = six.with_limits(limits)
+    laws = [armctl.ComputedTorqueQP(arm, solver=solver) for solver in ("compiled", "daqp")]
+    still = np.zeros(six.n)
+    at_limit = 0
+    for _ in range(300):
+        q = rng.uniform(-1.02, 1.02, six.n) * limits.q_max
+        v = rng.normal(size=six.n) * rng.choice([0.1, 0.5, 1.2]) * limits.v_max
+        setpoint = Setpoint(q + rng.normal(size=six.n) * rng.choice([1e-3, 0.1, 1.0]), still, still)
+        first, second = (law.torque(armctl.State(q, v, 0.0, 0.001), setpoint) for law in laws)
+        assert np.abs(first - second).max() <= 1e-7 * limits.tau_max.max()
+        at_limit += bool((np.abs(first) == limits.tau_max).any())
+    assert at_limit > 100
+
+
+def test_a_run_with_a_library_is_that_of_the_kernel_but_for_rounding(six):
+    motion = Swing(six, 0.6, 0.6)
+    weak = weakened(six, motion, 0.8)
+    library = armctl.ComputedTorqueQP(weak, solver="daqp")
+    logs = [run(weak, law, motion) for law in ("qp", library)]
+    assert not has_compiled_law(library, weak.n)
+    assert np.abs(logs[0].q - logs[1].q).max() < 1e-8
 
 
 def test_a_solver_that_is_not_installed_is_named(six, monkeypatch):
