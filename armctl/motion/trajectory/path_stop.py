@@ -13,13 +13,14 @@ import numpy as np
 
 from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
-from armctl.core.validation import Array
+from armctl.core.validation import Array, BoolArray
 from armctl.motion.trajectory.limit_check import is_inside, stretch_needed
 from armctl.motion.trajectory.piecewise import Pieces, Samples, hermite, joined, locate, sample, shifted, time_scaled
 
 _DELAYS = 12  # start times of the deceleration that are tried
 _MIN_DECELERATION_S = 0.01
 _DECELERATION_GROWTH = 1.15  # from one duration to the next
+_MAX_GROWTHS = 200  # the last of them would take 10^10 s
 _MIN_CHANGE = 1e-6  # of the speed
 _CHANGE_SHARES = (1.0, 0.75, 0.5, 0.25)  # of a change of the speed that are tried
 _RAMP = 0.2  # share of the deceleration in which its slope grows, and again in which it falls
@@ -43,25 +44,14 @@ def stopped(pieces: Pieces, limits: Limits, t: float) -> Pieces:
 
     Raises PlanError if none was found and the motion does not end at rest.
     """
-    duration = float(pieces.knots[-1])
-    left = duration - t
-    best: tuple[float, Pieces] | None = None
-    soonest = np.inf
-    for delay in np.linspace(0.0, 0.9 * left, _DELAYS):
-        length = _MIN_DECELERATION_S
-        while delay + length < soonest and delay + length / 2 <= left:
-            stop = _decelerated(pieces, limits, t + delay, length)
-            if stop is not None and is_inside(stop, limits):
-                best = (t + delay, stop)
-                soonest = delay + length
-                break
-            length *= _DECELERATION_GROWTH
+    left = float(pieces.knots[-1]) - t
+    stop = _soonest_change(pieces, limits, t, 0.0)
     ends_at_rest = np.abs(sample(pieces, pieces.knots[-1:]).v).max() < _REST_SPEED
-    if best is None and not ends_at_rest:
+    if stop is None and not ends_at_rest:
         raise PlanError(f"stopped_at: no stop on the path keeps the limits from {t:.4g} s on; stop sooner")
-    if best is None or (ends_at_rest and soonest >= left):
+    if stop is None or (ends_at_rest and stop.begin - t + stop.pieces.knots[-1] >= left):
         return pieces
-    return _until(pieces, best[0], best[1])
+    return _until(pieces, stop.begin, stop.pieces)
 
 
 def speed_changed(pieces: Pieces, limits: Limits, t: float, factor: float) -> Pieces:
@@ -97,38 +87,46 @@ def _soonest_change(pieces: Pieces, limits: Limits, t: float, factor: float) -> 
     mean = 0.5 * (1 + factor)  # of the path speed while it changes
     best: _Change | None = None
     soonest = np.inf
+    lengths = _MIN_DECELERATION_S * _DECELERATION_GROWTH ** np.arange(_MAX_GROWTHS, dtype=np.float64)
     for delay in np.linspace(0.0, 0.9 * left, _DELAYS):
-        length = _MIN_DECELERATION_S
-        while delay + length < soonest and delay + mean * length <= left:
+        fits = (delay + lengths < soonest) & (delay + mean * lengths <= left)
+        for length in _gentle(pieces, limits, t + delay, lengths[fits], factor):
             change = _decelerated(pieces, limits, t + delay, length, factor)
             if change is not None and is_inside(change, limits):
                 best = _Change(t + delay, t + delay + mean * length, change)
                 soonest = delay + length
                 break
-            length *= _DECELERATION_GROWTH
     return best
 
 
-def _decelerated(pieces: Pieces, limits: Limits, begin: float, length: float, final: float = 0.0) -> Pieces | None:
+def _gentle(pieces: Pieces, limits: Limits, begin: float, lengths: Array, final: float) -> list[float]:
+    """The lengths of a change of the path speed that keep the acceleration limits at evenly spaced samples."""
+    law = _change(_EVEN, final)
+    a = _retimed(pieces, begin, lengths[:, None], law).a
+    return lengths[_keeps(a, limits).all(axis=(1, 2))].tolist()
+
+
+def _decelerated(pieces: Pieces, limits: Limits, begin: float, length: float, final: float) -> Pieces | None:
     """The motion from `begin` on with the path speed going to `final`; None if a sample exceeds the acceleration limit."""
-    if not _keeps_acceleration(_retimed(pieces, begin, length, _change(_EVEN, final)).a, limits):
-        return None  # most are refused here, without looking for the knots that they cross
     x = np.unique(np.concatenate([_EVEN.shares, _crossings(pieces.knots, begin, length, final)]))
     x = np.append(x[:-1][np.diff(x) * length > _MIN_PIECE_S], 1.0)
-    samples = _retimed(pieces, begin, length, _change(_deceleration(x), final))
-    return hermite(length * x, *samples) if _keeps_acceleration(samples.a, limits) else None
+    samples = _retimed(pieces, begin, np.array(length), _change(_deceleration(x), final))
+    return hermite(length * x, *samples) if _keeps(samples.a, limits).all() else None
 
 
-def _retimed(pieces: Pieces, begin: float, length: float, law: _Deceleration) -> Samples:
-    """The motion from `begin` on, with the path speed of a deceleration of this length."""
-    q, v, a = sample(pieces, np.minimum(begin + length * law.progress, pieces.knots[-1]))
+def _retimed(pieces: Pieces, begin: float, lengths: Array, law: _Deceleration) -> Samples:
+    """The motion from `begin` on, with a path speed that changes in each of the lengths (..., 1): (..., T, n)."""
+    times = np.minimum(begin + lengths * law.progress, pieces.knots[-1])
+    samples = sample(pieces, times.ravel())
+    shape = (*times.shape, pieces.coefficients.shape[2])
+    v = samples.v.reshape(shape)
     w = law.speed[:, None]
-    slope = law.slope[:, None] / length
-    return Samples(q, v * w, a * w**2 + v * slope)
+    slope = (law.slope / lengths)[..., None]
+    return Samples(samples.q.reshape(shape), v * w, samples.a.reshape(shape) * w**2 + v * slope)
 
 
-def _keeps_acceleration(a: Array, limits: Limits) -> bool:
-    return bool((np.abs(a) <= (1 + 1e-6) * limits.a_max).all())
+def _keeps(a: Array, limits: Limits) -> BoolArray:
+    return np.abs(a) <= (1 + 1e-6) * limits.a_max
 
 
 def _deceleration(x: Array) -> _Deceleration:
