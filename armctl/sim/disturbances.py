@@ -154,7 +154,7 @@ class Disturbances:
 
 
 def tick_times(start: float, ticks: int, steps: int, timestep: float) -> Array:
-    """(ticks,) s, the times of the coming ticks, to the bit: MuJoCo adds its time step at every step."""
+    """(ticks,) s, contiguous: the times of the coming ticks, to the bit. MuJoCo adds its time step at every step."""
     times = np.full(ticks * steps, timestep)
     times[0] = start
-    return np.add.accumulate(times)[::steps]
+    return np.add.accumulate(times)[::steps].copy()

@@ -39,6 +39,7 @@ SENSORS = {
     "flange": armctl.Plant(pushes=PUSH),
     "noise, delay": armctl.Plant(force_noise=0.2, moment_noise=0.01, wrench_delay=2, encoder_noise=1e-5, seed=2),
     "torques": armctl.Plant(wrench_source="torques", coulomb_friction=0.1, encoder_noise=1e-6, force_noise=0.1),
+    "torques, continuous": armctl.Plant(wrench_source="torques", payload=0.2, wrench_delay=1, continuous=True),
 }
 
 
