@@ -23,7 +23,13 @@ from armctl.loading.catalog import Source, locate
 from armctl.loading.chain import SerialChain, all_chains
 from armctl.loading.describe import ArmEnds, describe_arms, find_ends
 from armctl.loading.fixed_base import remove_free_joints
-from armctl.loading.model_checks import check_mass_matrix, check_timestep, drag_notes, reversed_range_notes
+from armctl.loading.model_checks import (
+    check_joint_parameters,
+    check_mass_matrix,
+    check_timestep,
+    drag_notes,
+    reversed_range_notes,
+)
 from armctl.loading.prepare import PreparedModel, make_arm_model, make_arm_model_from_compiled
 from armctl.loading.scene import Scene
 from armctl.loading.srdf import Srdf, apply_srdf, find_srdf, read_srdf
@@ -228,6 +234,7 @@ def _arms(name: str, prepared: PreparedModel, notes: Sequence[str]) -> tuple[Arm
     warned = [*notes, *prepared.notes]
     for sentence in [*warned, *(note for plan in prepared.plans for note in plan.notes)]:
         warnings.warn(f"{name}: {sentence}", ArmctlWarning, stacklevel=4)
+    check_joint_parameters(prepared.model)
     arms = make_arms(name, prepared.model, prepared.plans, [*warned, *prepared.quiet_notes])
     for arm in arms:
         check_mass_matrix(arm)

@@ -26,6 +26,23 @@ def check_timestep(model: mujoco.MjModel) -> None:
         raise ModelError(f'the model\'s time step is {timestep:g} s; it must be above 0, as in <option timestep="0.002"/>')
 
 
+def check_joint_parameters(model: mujoco.MjModel) -> None:
+    """Refuses an armature or a dry friction below zero.
+
+    The mass matrix could be indefinite, and MuJoCo ignores such a friction.
+
+    Raises:
+        ModelError: A joint, or a motor on it, has one.
+    """
+    for what, values, unit in (("armature", model.dof_armature, "kg m^2"), ("frictionloss", model.dof_frictionloss, "N m")):
+        negative = np.flatnonzero(~(values >= 0.0))
+        if len(negative):
+            name = shown(joint_name(model, int(model.dof_jntid[negative[0]])))
+            raise ModelError(
+                f"the joint {name} has {what} {values[negative[0]]:g} {unit}; it must be at least 0; correct the model"
+            )
+
+
 def check_mass_matrix(arm: Arm) -> None:
     """Refuses an arm whose masses are so different that its accelerations cannot be computed.
 

@@ -1,5 +1,6 @@
 """Limits of joints: ranges far from zero, masses and time steps that nothing can be simulated with."""
 
+import re
 import warnings
 
 import numpy as np
@@ -48,6 +49,12 @@ def test_parity_is_measured_inside_the_limits(load, monkeypatch: pytest.MonkeyPa
 def test_a_time_step_that_nothing_can_be_simulated_with_is_refused(load, timestep: str):
     with pytest.raises(armctl.ModelError, match=f"time step is {timestep} s; it must be above 0"):
         load(limb("a b"), motors("a b") + f'<option timestep="{timestep}"/>')
+
+
+@pytest.mark.parametrize(("what", "unit"), [("armature", "kg m^2"), ("frictionloss", "N m")])
+def test_an_inertia_or_a_friction_below_zero_is_refused(load, what: str, unit: str):
+    with pytest.raises(armctl.ModelError, match=rf"the joint 'a' has {what} -1e-06 {re.escape(unit)}; it must be at least 0"):
+        load(limb("a b", joint=f'{what}="-1e-6"'), motors("a b"))
 
 
 def test_masses_that_leave_no_digit_of_the_accelerations_are_refused(load):
