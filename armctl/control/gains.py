@@ -66,6 +66,7 @@ class SampledInertia:
 
 
 _sampled: WeakKeyDictionary[Arm, SampledInertia] = WeakKeyDictionary()
+_extra: WeakKeyDictionary[Arm, dict[tuple[float, float, float], Array]] = WeakKeyDictionary()
 
 
 def sampled_inertia(arm: Arm) -> SampledInertia:
@@ -242,6 +243,14 @@ def extra_inertia(arm: Arm, bandwidth: float, damping_ratio: float, dt: float) -
         damping_ratio: Of that feedback.
         dt: s, the control period.
     """
+    known = _extra.setdefault(arm, {})
+    key = (bandwidth, damping_ratio, dt)
+    if key not in known:
+        known[key] = frozen(_extra_inertia(arm, *key))
+    return known[key]
+
+
+def _extra_inertia(arm: Arm, bandwidth: float, damping_ratio: float, dt: float) -> Array:
     smallest = effective_inertia(arm).min(axis=0)
     rate = max(2 * damping_ratio * bandwidth, 1e-12)
     max_growth = max(0.0, max_damping_rate(bandwidth**2 / rate, dt) / rate - 1.0)

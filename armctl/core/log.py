@@ -111,8 +111,7 @@ class Log:
             if not isinstance(values, (tuple, list)) or not all(isinstance(value, str) for value in values):
                 raise InputError(f"{name}: expected a tuple of names, got {shown(values)}")
         object.__setattr__(self, "units", tuple(self.units) or ("rad",) * len(self.joint_names))
-        for each in fields(self):
-            value = getattr(self, each.name)
+        for value in vars(self).values():
             if isinstance(value, np.ndarray):
                 frozen(value)
 

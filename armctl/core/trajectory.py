@@ -93,8 +93,10 @@ class TickReference(NamedTuple):
         Returns:
             Its q, v, a and the differences of q (of v, where the arm moves continuously) on the grid.
         """
-        q, v, a = trajectory.sample(dt * np.arange(-1, ticks + 1))[:3]
-        q = np.array(q)
+        sampled = trajectory.sample(dt * np.arange(-1, ticks + 1))
+        q = np.array(sampled[0], dtype=np.float64)  # copies: a user's trajectory may use its memory again
+        v = np.array(sampled[1], dtype=np.float64)
+        a = np.array(sampled[2], dtype=np.float64)
         q[0] = q[1] - dt * v[1]
         v_tick = v[1:] if continuous else np.diff(q, axis=0) / dt
         return cls(q[1:-1], v[1:-1], a[1:-1], v_tick[:-1], np.diff(v_tick, axis=0) / dt)

@@ -35,6 +35,7 @@ class PackedDynamics:
         friction = DryFriction.of(model, joint_map)
         integrator = Integrator.of(model)
         self.n = len(joint_map.leaders)
+        self._joints = len(joint_map.joints)
         self._has_implicit_coriolis = integrator.implicit_coriolis and joint_map.is_plain
         self._has_implicit_nonlinear = self._has_implicit_coriolis or (
             integrator.implicit_damping and passive.has_nonlinear_damping
@@ -91,12 +92,13 @@ class PackedDynamics:
         Returns:
             Positions (T, 3) m, and quaternions (T, 4) wxyz with w >= 0, in the world.
         """
-        from armctl.robot import dynamics_kernel as kernel
+        from armctl.robot import tips_kernel as kernel
 
         positions = np.empty((len(q), 3))
         quats = np.empty((len(q), 4))
         work = np.empty(self.work_size() + _ROTATION_SIZE)
-        kernel.tips(self.vector(0.0), np.array(q), work, positions, quats)
+        scratch = np.empty(kernel.scratch_size(self._joints))
+        kernel.tips(self.vector(0.0), np.require(q, requirements=["C", "W"]), scratch, work, positions, quats)
         return positions, quats
 
     def _check(self, dynamics: Dynamics, pinocchio_model: PinocchioModel) -> None:

@@ -146,10 +146,11 @@ class CompiledLoop:
             How it ended.
         """
         parameters, memory = controller.begin(state)
-        reference = np.stack(rows.reference, axis=1)
+        columns = [np.ascontiguousarray(column, dtype=np.float64) for column in rows.reference]
+        reference = np.array([column.ctypes.data for column in columns])
         self._set_numbers(
             {
-                kernel.TICKS: len(reference),
+                kernel.TICKS: len(rows.v),
                 kernel.KERNEL: entry_point(controller.kernel),
                 kernel.PARAMETERS_SIZE: len(parameters),
                 kernel.MEMORY_SIZE: len(memory),

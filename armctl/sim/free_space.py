@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from armctl.core.errors import InputError
-from armctl.core.validation import Array, BoolArray, IntArray
+from armctl.core.validation import Array, BoolArray
 from armctl.mjmodel.queries import body_name, joint_name
 from armctl.robot import dynamics_kernel
 from armctl.robot.actuation import Actuation
@@ -22,6 +22,7 @@ from armctl.robot.forward_dynamics_kernel import free_step
 from armctl.robot.packed_dynamics import PackedDynamics
 from armctl.robot.pinocchio_model import build_pinocchio_model
 from armctl.sim.box_proofs import BoxProofs
+from armctl.sim.free_space_kernel import inspect
 from armctl.sim.recorder import TickRows
 
 if TYPE_CHECKING:
@@ -62,6 +63,10 @@ class FreeSpace:
         self.bounds = _torque_bounds(arm.actuation, model)
         self.work = np.zeros(packed.work_size() + arm.n)
         self._actuation = arm.actuation
+        self._joints = np.array(arm.actuation.qpos_adr, np.int64)
+        joints = list(arm.actuation.joint_map.joints)
+        is_limited = model.jnt_limited[joints].astype(bool)[:, None]
+        self._limits = np.where(is_limited, model.jnt_range[joints], [-np.inf, np.inf]).T.copy()
         self._model = model
         self._data = data
         self._compare(arm)
@@ -89,31 +94,30 @@ class FreeSpace:
         data = self._data
         model = self._model
         now = data.qpos.copy()
+        motion = rows.qpos[first : rows.count]
+        is_spaced = np.zeros(len(motion) + 1, bool)
+        is_beyond = np.zeros(self._actuation.n, bool)
+        inspect(motion, now, self._joints, self._limits, _CHECK_DISTANCE, is_spaced, is_beyond)
+        spaced = np.flatnonzero(is_spaced)
+        q = np.concatenate([motion[spaced[:-1]], now[None]])
         reason = ""
-        q = np.concatenate([rows.qpos[first : rows.count], now[None]])
-        checked = _spaced(q[:, self._actuation.qpos_adr])
-        for row in checked[~_proved_free(proofs.of(model, len(q)), q[checked])]:
-            data.qpos[:] = q[row]
+        for k in np.flatnonzero(~_proved_free(proofs.of(model, len(motion) + 1), q)):
+            data.qpos[:] = q[k]
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             mujoco.mj_collision(model, data)
             if data.ncon:
-                rows.contacts.append((min(first + int(row), rows.count - 1), data.contact.geom.tobytes()))
+                row = int(spaced[k])
+                rows.contacts.append((min(first + row, rows.count - 1), data.contact.geom.tobytes()))
                 names = " touches ".join(body_name(model, int(model.geom_bodyid[geom])) for geom in data.contact.geom[0])
-                ticks_ago = len(q) - 1 - int(row)
-                reason = f"{names} at {data.time - ticks_ago * model.opt.timestep:.3f} s"
+                reason = f"{names} at {data.time - (len(motion) - row) * model.opt.timestep:.3f} s"
                 break
         data.qpos[:] = now
         mujoco.mj_forward(model, data)
-        return reason or self._beyond_limit(q)
-
-    def _beyond_limit(self, q: Array) -> str:
-        model = self._model
-        for joint, adr in zip(self._actuation.joint_map.joints, self._actuation.qpos_adr, strict=True):
-            low, high = model.jnt_range[joint]
-            if model.jnt_limited[joint] and not (low < q[:, adr].min() and q[:, adr].max() < high):
-                return f"{joint_name(model, joint)} reaches its limit"
-        return ""
+        if not reason and is_beyond.any():
+            joint = self._actuation.joint_map.joints[int(is_beyond.argmax())]
+            reason = f"{joint_name(model, joint)} reaches its limit"
+        return reason
 
     def _compare(self, arm: Arm) -> None:
         """Compares some steps with MuJoCo's."""
@@ -185,10 +189,3 @@ def _torque_bounds(actuation: Actuation, model: mujoco.MjModel) -> Array:
         bounds[0, i] = max((each[0] for each in limited), default=-np.inf)
         bounds[1, i] = min((each[1] for each in limited), default=np.inf)
     return bounds
-
-
-def _spaced(q: Array) -> IntArray:
-    """Rows of q (T, n), the first and the last among them, between which no joint moves farther than the check distance."""
-    way = np.cumsum(np.abs(np.diff(q, axis=0)).max(axis=1, initial=0.0))
-    steps = np.floor(np.append(0.0, way) / _CHECK_DISTANCE)
-    return np.union1d(np.flatnonzero(np.diff(steps, prepend=-1.0)), len(q) - 1)

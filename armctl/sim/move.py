@@ -218,7 +218,7 @@ class ControlledArms:
     def hold(self, seconds: float) -> None:
         """Holds all arms at their last references, for at least one tick; not recorded unless it fails."""
         self.resume()
-        recorder = Recorder(self.stepper.model, self.stepper.actuation)
+        recorder = self.stepper.recorder()
         try:
             self.stepper.run(self._controller, self.stepper.hold_reference(seconds), recorder)
         except BaseException as error:
@@ -264,7 +264,7 @@ class ControlledArms:
             controller: The controller of an open-loop run, instead of the arms' own.
         """
         self.resume()
-        recorder = Recorder(self.stepper.model, self.stepper.actuation)
+        recorder = self.stepper.recorder()
         self.stepper.load_compiled_code(self._controller if controller is None else controller)
         started = time.perf_counter()
         targets = {} if targets is None else targets
@@ -430,7 +430,7 @@ class _StepRecording:
     """
 
     def __init__(self, stepper: Stepper):
-        self.recorder = Recorder(stepper.model, stepper.actuation)
+        self.recorder = stepper.recorder()
         self.controllers: list[str] = []
         self.started = time.perf_counter()
         self.logged = -1

@@ -386,7 +386,7 @@ class RealTimeSession:
 
     def _recorder(self) -> Recorder:
         """A session keeps no log, so each record is thrown away."""
-        return Recorder(self._stepper.model, self._stepper.actuation)
+        return self._stepper.recorder()
 
     def _restart(self, keyframe: str = "") -> None:
         arm = self.arm

@@ -14,10 +14,13 @@ from armctl.core.validation import Array, frozen
 from armctl.mjmodel.queries import body_name, geom_owner_name, is_below
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
+from armctl.robot.packed_dynamics import PackedDynamics
 
 MOST_TICKS = 10_000_000  # 2.8 hours at 1 ms, and 4 GB for seven joints
+_MAX_KEPT_ROWS = 20_000  # of a reference
 _FIRST_WRENCH = slice(0, 6)  # the columns of the only arm
 _REFERENCE = ("q_ref", "v_ref", "a_ref")
+_RECORDED = ("qpos", "v", "tau", "tau_cmd")
 
 
 class TickRows:
@@ -36,7 +39,7 @@ class TickRows:
 
     def __init__(self, reference: TickReference, nq: int, n: int):
         ticks = len(reference.q)
-        self.reference = TickReference(*(frozen(np.asarray(column)[:]) for column in reference))
+        self.reference = TickReference(*map(_read_only, reference))
         self.qpos = np.empty((ticks, nq))
         self.v = np.empty((ticks, n))
         self.tau_cmd = np.empty((ticks, n))
@@ -52,12 +55,34 @@ class TickRows:
         return self.wrench
 
 
+class ReferenceTips:
+    """The tips of the last reference: many runs follow the same one."""
+
+    def __init__(self) -> None:
+        """Knows no tips."""
+        self._last: tuple[PackedDynamics, Array, tuple[Array, Array]] | None = None
+
+    def of(self, dynamics: PackedDynamics, q_ref: Array) -> tuple[Array, Array]:
+        """The tips of an arm at the rows of a reference, as `PackedDynamics.tips`.
+
+        Args:
+            dynamics: The dynamics of the arm.
+            q_ref: (T, n) rad; must not change later.
+        """
+        last = self._last
+        if last is None or last[0] is not dynamics or last[1] is not q_ref:
+            last = (dynamics, q_ref, dynamics.tips(q_ref))
+            self._last = last if len(q_ref) <= _MAX_KEPT_ROWS else None
+        return last[2]
+
+
 class Recorder:
     """The rows of a run, one `TickRows` after the other. They stay readable however the run ends."""
 
-    def __init__(self, model: mujoco.MjModel, actuation: Actuation):
+    def __init__(self, model: mujoco.MjModel, actuation: Actuation, tips: ReferenceTips):
         self._model = model
         self._actuation = actuation
+        self._tips = tips
         self._parts: list[TickRows] = []
 
     @property
@@ -106,9 +131,10 @@ class Recorder:
         """
         columns = self._columns()
         qpos = columns.pop("qpos")
-        columns = {name: np.ascontiguousarray(column[:, joints]) for name, column in columns.items()}
+        if len(arm.joint_names) < self._actuation.n:
+            columns = {name: np.ascontiguousarray(column[:, joints]) for name, column in columns.items()}
         tip, tip_quat = arm.packed_dynamics.tips(columns["q"])
-        tip_ref, tip_ref_quat = arm.packed_dynamics.tips(columns["q_ref"])
+        tip_ref, tip_ref_quat = self._tips.of(arm.packed_dynamics, columns["q_ref"])
         return Log(
             robot=arm.name,
             joint_names=arm.joint_names,
@@ -134,15 +160,12 @@ class Recorder:
 
     def _columns(self) -> dict[str, Array]:
         """All complete rows by name: the whole model's positions (T, nq), and columns of the joints, each (T, n)."""
-        empty = TickRows(TickReference(*[np.zeros((0, self._actuation.n))] * 5), self._model.nq, self._actuation.n)
-        parts = [empty, *self._parts]
-        columns = {
-            name: np.concatenate([getattr(part, name)[: part.count] for part in parts])
-            for name in ("qpos", "v", "tau", "tau_cmd")
-        }
+        n = self._actuation.n
+        parts = self._parts or [TickRows(TickReference(*[np.zeros((0, n))] * 5), self._model.nq, n)]
+        columns = {name: _joined([getattr(part, name)[: part.count] for part in parts]) for name in _RECORDED}
         for name, column in zip(_REFERENCE, ("q", "v", "a"), strict=True):
-            columns[name] = np.concatenate([getattr(part.reference, column)[: part.count] for part in parts])
-        columns["q"] = columns["qpos"][:, self._actuation.qpos_adr]
+            columns[name] = _joined([_first(getattr(part.reference, column), part.count) for part in parts])
+        columns["q"] = columns["qpos"].take(self._actuation.qpos_adr, axis=1)
         return columns
 
     def _wrenches(self, columns: slice) -> Array:
@@ -176,6 +199,24 @@ class Recorder:
             for pair in sorted(start, key=lambda pair: start[pair])
             if ticks[pair]
         )
+
+
+def _read_only(column: Array) -> Array:
+    """A column that cannot be written: itself, or a view."""
+    column = np.asarray(column)
+    return frozen(column[:]) if column.flags.writeable else column
+
+
+def _first(column: Array, count: int) -> Array:
+    """The first rows of a column: itself, if these are all."""
+    return column if count == len(column) else column[:count]
+
+
+def _joined(parts: list[Array]) -> Array:
+    """The rows of all parts. Those of a single complete part are not copied: nobody writes them any more."""
+    if len(parts) == 1 and parts[0].flags.c_contiguous:
+        return parts[0]
+    return np.concatenate(parts)
 
 
 def ticks_for(duration: float, dt: float) -> int:

@@ -20,14 +20,14 @@ from armctl.core.errors import InputError
 from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
-from armctl.core.validation import Array, IntArray, shown, vector
+from armctl.core.validation import Array, IntArray, frozen, shown, vector
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
 from armctl.sim.box_proofs import BoxProofs
 from armctl.sim.disturbances import Disturbances
 from armctl.sim.plant import Brake, Plant, apply_plant, held_dofs
-from armctl.sim.recorder import Recorder, TickRows
+from armctl.sim.recorder import Recorder, ReferenceTips, TickRows
 from armctl.sim.wrench_sensor import WrenchSensor
 
 if TYPE_CHECKING:
@@ -120,6 +120,7 @@ class Stepper:
         self._disturbances: Disturbances | None = None
         self._measurement: tuple[Array, Array] | None = None
         self._unobserved = 0.0
+        self._reference_tips = ReferenceTips()
         self._sampled: tuple[Trajectory, tuple[float, int, bool], TickReference] | None = None
         self._held_dofs = held_dofs(*arms)
         self._proofs = BoxProofs(free_boxes(arms[0]))
@@ -220,12 +221,16 @@ class Stepper:
             self._brake.release_only(self._released)
             self.data.eq_active[:] = self.model.eq_active0
 
+    def recorder(self) -> Recorder:
+        """A recorder for a run."""
+        return Recorder(self.model, self.actuation, self._reference_tips)
+
     def reference(self, trajectory: Trajectory, ticks: int) -> TickReference:
         """The first `ticks` ticks of a trajectory. The last motion is kept on its ticks: many runs follow the same one."""
         grid = (self.dt, ticks, self.continuous)
         if self._sampled is not None and self._sampled[0] is trajectory and self._sampled[1] == grid:
             return self._sampled[2]
-        reference = TickReference.of(trajectory, self.dt, ticks, self.continuous)
+        reference = TickReference(*map(frozen, TickReference.of(trajectory, self.dt, ticks, self.continuous)))
         is_immutable = isinstance(trajectory, JointTrajectory)  # others may be a user's
         self._sampled = (trajectory, grid, reference) if is_immutable and ticks <= _MAX_KEPT_TICKS else None
         return reference

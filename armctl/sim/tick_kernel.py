@@ -56,7 +56,7 @@ PARAMETERS = 27
 PARAMETERS_SIZE = 28
 MEMORY = 29
 MEMORY_SIZE = 30
-REFERENCE = 31  # (ticks, 5, n)
+REFERENCE = 31  # (5,) addresses of q, v, a, v_tick and a_tick, each (ticks, n)
 NOISE = 32  # (LAST - FIRST, 2, n) on measured positions and velocities; 0 for none
 COMMANDS = 33  # (delay + 1, n) ring buffer; 0 if the motors receive the command itself
 RIPPLE = 34  # (1,)
@@ -124,7 +124,8 @@ V_SEEN = 2
 TAU = 3
 V = 4
 APPLIED = 5
-SCRATCH_VECTORS = 6
+REFERENCE_ROW = 6  # five vectors, the rows of `Setpoint`
+SCRATCH_VECTORS = 11
 
 COMPLETE = 0
 DIVERGED = 1
@@ -332,6 +333,37 @@ def _advance(table, indices, scales, q, v_row, scratch):
 
 
 @njit
+def _read_state(indices, qpos, qvel, q, v):
+    """Positions and velocities (n,) of the joints; returns the norm of the velocities."""
+    squared = 0.0
+    for i in range(len(q)):
+        q[i] = qpos[indices[0, i]]
+        v[i] = qvel[indices[1, i]]
+        squared += v[i] * v[i]
+    return math.sqrt(squared)
+
+
+@njit
+def _read_reference(addresses, row, reference):
+    """The reference of a tick, (5, n), from the addresses of its columns."""
+    n = reference.shape[1]
+    for k in range(5):
+        column = vector(addresses[k] + 8 * n * row, n)
+        for i in range(n):
+            reference[k, i] = column[i]
+
+
+@njit
+def _copy_finite(values, copy):
+    """Copies values; False if one is not finite."""
+    is_finite = True
+    for i in range(len(values)):
+        copy[i] = values[i]
+        is_finite &= abs(values[i]) < np.inf
+    return is_finite
+
+
+@njit
 def run_ticks(table):
     """The ticks [FIRST, LAST) of a run; STATUS says why it ended."""
     n = table[N]
@@ -344,7 +376,7 @@ def run_ticks(table):
     actuator = vector(table[QFRC_ACTUATOR], table[NV])
     parameters = vector(table[PARAMETERS], table[PARAMETERS_SIZE])
     memory = vector(table[MEMORY], table[MEMORY_SIZE])
-    reference = numba.carray(floats(table[REFERENCE]), (ticks, 5, n))
+    references = numba.carray(integers(table[REFERENCE]), (5,))
     qpos_rows = matrix(table[QPOS_ROWS], ticks, table[NQ])
     v_rows = matrix(table[V_ROWS], ticks, n)
     command_rows = matrix(table[COMMAND_ROWS], ticks, n)
@@ -354,6 +386,7 @@ def run_ticks(table):
     q_seen = scratch[Q_SEEN * n : (Q_SEEN + 1) * n]
     v_seen = scratch[V_SEEN * n : (V_SEEN + 1) * n]
     tau = scratch[TAU * n : (TAU + 1) * n]
+    reference = scratch[REFERENCE_ROW * n : (REFERENCE_ROW + 5) * n].reshape((5, n))
     is_noisy = table[NOISE] != 0
     first = table[FIRST]
     noise = numba.carray(floats(table[NOISE]), (table[LAST] - first, 2, n))  # not read unless there is any
@@ -362,29 +395,24 @@ def run_ticks(table):
         table[ROW] = row
         for i in range(table[NQ]):
             qpos_rows[row, i] = qpos[i]
-        squared_speed = 0.0
+        speed = _read_state(indices, qpos, qvel, q, v_rows[row])
         for i in range(n):
-            q[i] = qpos[indices[0, i]]
-            speed = qvel[indices[1, i]]
-            v_rows[row, i] = speed
-            squared_speed += speed * speed
             q_seen[i] = q[i] + noise[row - first, 0, i] if is_noisy else q[i]
-            v_seen[i] = speed + noise[row - first, 1, i] if is_noisy else speed
-        if not math.sqrt(squared_speed) < MAX_SPEED:
+            v_seen[i] = v_rows[row, i] + noise[row - first, 1, i] if is_noisy else v_rows[row, i]
+        if not speed < MAX_SPEED:
             table[STATUS] = DIVERGED
             return
+        _read_reference(references, row, reference)
         if table[SENSE_TABLE] != 0:
             for i in range(n):
                 tau[i] = actuator[indices[3, i]] * scales[1, i]
             call_with_table(table[SENSE], table[SENSE_TABLE])
-        if call_kernel(table[KERNEL], parameters, q_seen, v_seen, reference[row], memory, tau):
+        if call_kernel(table[KERNEL], parameters, q_seen, v_seen, reference, memory, tau):
             table[STATUS] = KERNEL_FAILED
             return
-        for i in range(n):
-            if not abs(tau[i]) < np.inf:
-                table[STATUS] = NOT_FINITE
-                return
-            command_rows[row, i] = tau[i]
+        if not _copy_finite(tau, command_rows[row]):
+            table[STATUS] = NOT_FINITE
+            return
         _drive(table, row, indices, scales, q, tau, ctrl)
         _advance(table, indices, scales, q, v_rows[row], scratch)
         for i in range(n):
