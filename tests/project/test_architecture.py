@@ -113,3 +113,8 @@ def test_importing_armctl_loads_nothing_heavy():
 def test_packages_that_few_functions_need_are_loaded_by_those_functions():
     code = "import armctl\nfor name in armctl.__all__: getattr(armctl, name)"
     assert loaded(code, ["numba", "mink", "matplotlib", "viser"]) == []
+
+
+def test_only_differential_ik_and_other_solvers_load_what_qpsolvers_imports():
+    code = "import armctl\narmctl.Simulation(armctl.load('robot_arm_3dof'), controller='qp').step()"
+    assert loaded(code, ["qpsolvers", "mink", "jax"]) == []
