@@ -6,6 +6,8 @@ from importlib import import_module
 from operator import attrgetter
 from pathlib import Path
 
+from sphinx.util import logging
+
 import armctl
 import armctl.envs
 import armctl.jax
@@ -112,6 +114,26 @@ def without_generated_docstring(app, what, name, obj, options, lines):
     lines[:] = [line for line in lines if not line.startswith("Create new instance of")]
 
 
+def public_ids() -> set[str]:
+    """What the reference must hold: all public names, and the public methods of the classes, inherited ones too."""
+    ids = set()
+    of_subpackages = {*(f"envs.{name}" for name in armctl.envs.__all__), *(f"jax.{name}" for name in armctl.jax.__all__)}
+    for name in ({*armctl.__all__} | of_subpackages) - {"__version__"}:
+        value = attrgetter(name)(armctl)
+        ids.add(f"armctl.{name}")
+        for base in value.__mro__ if inspect.isclass(value) else ():
+            if base.__module__.startswith("armctl."):
+                ids |= {f"armctl.{name}.{m}" for m, v in vars(base).items() if not m.startswith("_") and callable(v)}
+    return ids
+
+
+def warn_of_gaps(app, env):
+    """`make docs` treats the warning as an error."""
+    gaps = public_ids() - env.get_domain("py").objects.keys()
+    if gaps:
+        logging.getLogger(__name__).warning("the reference lacks %s", ", ".join(sorted(gaps)))
+
+
 def setup(app):
     here = Path(__file__).parent
     (here / "reference").mkdir(exist_ok=True)
@@ -120,3 +142,4 @@ def setup(app):
     app.connect("autodoc-skip-member", skip_fields_of_named_tuples)
     app.connect("autodoc-process-signature", plain_aliases)
     app.connect("autodoc-process-docstring", without_generated_docstring)
+    app.connect("env-check-consistency", warn_of_gaps)

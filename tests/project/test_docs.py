@@ -1,20 +1,15 @@
 """What README and the pages tell a reader to type and to open is really there."""
 
-import inspect
 import re
 import shlex
-import shutil
 import subprocess
 import sys
-from operator import attrgetter
 from pathlib import Path
 
 import pytest
 from arms import MISSING
 
 import armctl
-import armctl.envs
-import armctl.jax
 from armctl.cli.main import _parser
 
 ROOT = Path(__file__).parents[2]
@@ -112,35 +107,3 @@ def test_no_text_tells_to_install_the_foreign_distribution_called_armctl():
     assert foreign.search("pip install 'armctl[view]'")
     assert foreign.search("python -m pip install -U armctl")
     assert not foreign.search("pip install -e '.[view]'  # armctl")
-
-
-def public_ids() -> set[str]:
-    """The anchors that the reference must have: all public names, and the public methods of the classes, inherited ones too."""
-    ids = set()
-    of_subpackages = {*(f"envs.{name}" for name in armctl.envs.__all__), *(f"jax.{name}" for name in armctl.jax.__all__)}
-    for name in ({*armctl.__all__} | of_subpackages) - {"__version__"}:
-        value = attrgetter(name)(armctl)
-        ids.add(f"armctl.{name}")
-        for base in value.__mro__ if inspect.isclass(value) else ():
-            if base.__module__.startswith("armctl."):
-                ids |= {f"armctl.{name}.{m}" for m, v in vars(base).items() if not m.startswith("_") and callable(v)}
-    return ids
-
-
-def test_the_reference_holds_every_public_name_and_method(tmp_path: Path):
-    docs = shutil.copytree(ROOT / "docs", tmp_path / "docs", ignore=shutil.ignore_patterns("_build"))
-    for page in set(docs.glob("*.md")) - {docs / "index.md"}:
-        page.unlink()
-    (docs / "index.md").write_text("# armctl\n\n```{toctree}\nreference\n```\n", encoding="utf-8")
-    build = [sys.executable, "-m", "sphinx", "-W", "-q", "-b", "html", docs, tmp_path / "html"]
-    done = subprocess.run(build, cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    chapters = [page.read_text(encoding="utf-8") for page in (tmp_path / "html" / "reference").glob("*.html")]
-    anchors = {anchor for chapter in chapters for anchor in re.findall(r'id="(armctl\.[\w.]+)"', chapter)}
-    assert public_ids() - anchors == set()
-    assert "armctl.Simulation.move_to" in anchors
-
-
-def test_the_readme_begins_with_the_two_commands():
-    first = blocks(TEXTS[Path("README.md")], "sh")[0]
-    assert [line.split("  ")[0] for line in first.splitlines()] == ["make demo", "make test"]
