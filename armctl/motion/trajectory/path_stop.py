@@ -26,6 +26,7 @@ _CHANGE_SHARES = (1.0, 0.75, 0.5, 0.25)  # of a change of the speed that are tri
 _RAMP = 0.2  # share of the deceleration in which its slope grows, and again in which it falls
 _CUTS = 20  # pieces of a deceleration, at least
 _MIN_PIECE_S = 2e-5  # rounding decides the jerk of a shorter piece
+_JERK_MARGIN = 1.05  # a sample next to a knot is left out later, which moves a difference by less than this
 _REST_SPEED = 1e-6  # rad/s
 _SHORTEST_CUT_S = 1e-9  # an earlier piece that is cut to less than this is left out
 
@@ -100,10 +101,14 @@ def _soonest_change(pieces: Pieces, limits: Limits, t: float, factor: float) -> 
 
 
 def _gentle(pieces: Pieces, limits: Limits, begin: float, lengths: Array, final: float) -> list[float]:
-    """The lengths of a change of the path speed that keep the acceleration limits at evenly spaced samples."""
-    law = _change(_EVEN, final)
-    a = _retimed(pieces, begin, lengths[:, None], law).a
-    return lengths[_keeps(a, limits).all(axis=(1, 2))].tolist()
+    """The lengths of a change of the path speed that may keep the limits: evenly spaced samples of the acceleration do.
+
+    Between two of them, the jerk is at least their difference divided by the time.
+    """
+    a = _retimed(pieces, begin, lengths[:, None], _change(_EVEN, final)).a
+    times = lengths[:, None, None] * np.diff(_EVEN.shares)[:, None]
+    is_smooth = np.abs(np.diff(a, axis=1)) <= _JERK_MARGIN * limits.j_max * times
+    return lengths[_keeps(a, limits).all(axis=(1, 2)) & is_smooth.all(axis=(1, 2))].tolist()
 
 
 def _decelerated(pieces: Pieces, limits: Limits, begin: float, length: float, final: float) -> Pieces | None:
