@@ -6,10 +6,13 @@ import warnings
 from dataclasses import replace
 from pathlib import Path
 
+import daqp
 import numpy as np
 
 import armctl
 from armctl.control import controller_by_name
+from armctl.control.active_set_kernel import solve_program, work_size
+from armctl.control.qp_kernel import last_program
 from armctl.core.tables import Table
 from armctl.core.trajectory import Setpoint
 
@@ -61,7 +64,7 @@ def main() -> None:
     args = parser.parse_args()
     warnings.simplefilter("ignore", armctl.ArmctlWarning)
     arms = {name: armctl.load(name) for name in ROBOTS}
-    text = "\n\n".join([learning(arms), saturation(arms), cost(arms["panda"])]) + "\n"
+    text = "\n\n".join([learning(arms), saturation(arms), programs(arms), cost(arms["panda"])]) + "\n"
     args.out.write_text(text, encoding="utf-8")
     print(text)
 
@@ -123,6 +126,53 @@ def path_deviation(log: armctl.Log) -> float:
     along = along / np.linalg.norm(along)
     offset = log.tip - log.tip_ref[0]
     return float(np.linalg.norm(offset - np.outer(offset @ along, along), axis=1).max())
+
+
+class Recorded:
+    """`ComputedTorqueQP` that keeps its quadratic programs."""
+
+    name = "recorded"
+
+    def __init__(self, arm: armctl.Arm):
+        self.law = armctl.ComputedTorqueQP(arm)
+        self.programs = []
+
+    def torque(self, state: armctl.State, setpoint: Setpoint) -> np.ndarray:
+        tau = self.law.torque(state, setpoint)
+        program = last_program(self.law.memory, self.law.n)
+        if program is not None:
+            self.programs.append([part.copy() for part in program[:4]])
+        return tau
+
+
+def programs(arms: dict[str, armctl.Arm]) -> str:
+    """The programs of a fast motion, for which the motors are too weak and the joints too slow."""
+    rows = []
+    for name in ("panda", "ur5e", "iiwa14"):
+        arm = arms[name]
+        law = Recorded(arm)
+        goal = arm.limits.clamp(arm.home + np.random.default_rng(3).choice([-1, 1], arm.n))
+        fast = replace(arm.limits, v_max=4 * arm.limits.v_max, tau_max=4 * arm.limits.tau_max)
+        armctl.simulate(arm, law, armctl.move_j(arm.with_limits(fast), arm.home, goal), armctl.Plant(timestep=0.001))
+        n = arm.n
+        zero = np.zeros(n)
+        work = np.zeros(work_size(n))
+        solutions = np.zeros((2, len(law.programs), n))
+        best = [np.inf, np.inf]
+        for _ in range(6):
+            began = time.process_time()
+            for k, (H, M, lower, upper) in enumerate(law.programs):
+                solve_program(H, zero, M, lower, upper, work, solutions[0, k])
+            middle = time.process_time()
+            for k, (H, M, lower, upper) in enumerate(law.programs):
+                solutions[1, k] = daqp.solve(H, zero, M, upper, lower)[0]
+            best = [min(best[0], middle - began), min(best[1], time.process_time() - middle)]
+        error = np.abs(solutions[0] - solutions[1]).max(axis=1) / np.abs(solutions[1]).max(axis=1)
+        rows.append(
+            [name, str(len(law.programs)), *(f"{1e6 * each / len(law.programs):.1f}" for each in best), f"{error.max():.0e}"]
+        )
+    columns = ["robot", "programs", "kernel, us", "daqp, us", "largest relative difference"]
+    return f"**Quadratic programs of a run at the limits, called from Python**\n\n{Table(columns, rows).markdown()}"
 
 
 def cost(arm: armctl.Arm) -> str:

@@ -5,7 +5,7 @@
 with x (n,), H (n, n) positive definite, M (n, n) without zero rows, and bounds (2n,).
 
 The method is that of Goldfarb and Idnani, "A numerically stable dual method for solving strictly convex quadratic programs",
-Mathematical Programming 27 (1983), on the least-distance form that daqp uses too (Arnstrom, Bemporad, Axehill, "A dual
+Mathematical Programming 27 (1983), on the least-distance form that daqp uses too (Arnström, Bemporad, Axehill, "A dual
 active-set solver for embedded quadratic programming using recursive LDL^T updates", IEEE Transactions on Automatic Control 67,
 2022). With H = L L^T and y = L^T x, the solution is the point of a polyhedron that is nearest to y0 = -L^-1 f. The normals of
 the polyhedron are the rows of (1, M) L^-T, scaled to unit length. The method begins at y0, without active constraints. It adds
@@ -29,16 +29,20 @@ _NORMALS = 1
 _BASIS = 3  # P: its first rows span the normals of the active constraints
 _TRIANGLE = 4  # T: its row j gives the normal of active constraint j in the basis
 _MATRICES = 5
-_LENGTHS = 0  # (2n,) of the normals before scaling
-_TOLERANCES = 2  # (2n,) relative violation, from which a constraint enters; infinite while it is active
-_START = 4  # y0
-_POINT = 5  # y
-_COORDINATES = 6  # in the basis
-_RATES = 7  # at which the multipliers decrease, per increase of that of the entering constraint
-_MULTIPLIERS = 8  # this and the rows below: of each active constraint
-_BOUNDS = 9
-_ROWS = 10  # which constraint it is
-_VECTORS = 11
+_LOW = 0  # (2n,) bounds, scaled with the normals
+_HIGH = 2  # (2n,)
+_TOLERANCES = 4  # (2n,) relative violation, from which a constraint enters; infinite while it is active
+_START = 6  # y0
+_POINT = 7  # y
+_COORDINATES = 8  # in the basis
+_RATES = 9  # at which the multipliers decrease, per increase of that of the entering constraint
+_ACTIVE = 10  # (3, n): of each active constraint
+_VECTORS = 13
+
+# Rows of _ACTIVE.
+_MULTIPLIER = 0
+_BOUND = 1
+_ROW = 2  # which constraint it is
 
 _ROUNDING = 1e-12  # violation of a bound, relative to point and bound, that does not count
 # As above, for a constraint that contradicts the active ones: the rounding of a point that almost parallel normals determine.
@@ -86,60 +90,129 @@ def solve_program(H, f, M, lower, upper, work, x):
         set, which no test found. If a number of the program is not finite, the result is arbitrary.
     """
     n = x.shape[0]
-    if not _begin(H, f, M, lower, upper, work, n):
-        return False
+    factor = _matrix(work, n, _FACTOR, 1)
+    normals = _matrix(work, n, _NORMALS, 2)
+    low = _vector(work, n, _LOW, 2)
+    high = _vector(work, n, _HIGH, 2)
+    start = _vector(work, n, _START, 1)
     point = _vector(work, n, _POINT, 1)
-    rates = _vector(work, n, _RATES, 1)
-    coordinates = _vector(work, n, _COORDINATES, 1)
-    multipliers = _vector(work, n, _MULTIPLIERS, 1)
-    lengths = _vector(work, n, _LENGTHS, 2)
+    if not _begin(H, f, M, lower, upper, factor, normals, low, high, start):
+        return False
+    if not _find_nearest(normals, low, high, start, work, point):
+        return False
+    for i in range(n - 1, -1, -1):  # x = L^-T y
+        rest = point[i]
+        for k in range(i + 1, n):
+            rest -= factor[k, i] * x[k]
+        x[i] = rest / factor[i, i]
+    return True
+
+
+@njit
+def _begin(H, f, M, lower, upper, factor, normals, low, high, start):
+    """The least-distance form of the program; False if a lower bound is above its upper bound."""
+    n = f.shape[0]
+    for i in range(n):
+        for k in range(n):
+            factor[i, k] = H[i, k]
+    factorize(factor)
+    take_roots(factor)
+    for i in range(n):
+        start[i] = -f[i]
+        for k in range(n):
+            normals[i, k] = 1.0 if i == k else 0.0
+            normals[n + i, k] = M[i, k]
+        _forward(factor, i, normals[i])
+        _forward(factor, 0, normals[n + i])
+    _forward(factor, 0, start)
+    for row in range(2 * n):
+        scale = 1.0 / math.sqrt(_dot(normals[row], normals[row]))
+        for k in range(n):
+            normals[row, k] *= scale
+        low[row] = scale * lower[row]
+        high[row] = scale * upper[row]
+        if lower[row] - upper[row] > _CONTRADICTION * (abs(lower[row]) + abs(upper[row])):
+            return False
+    return True
+
+
+@njit
+def _forward(factor, first, x):
+    """Replaces x, whose numbers before `first` are zero, by L^-1 x."""
+    for i in range(first, x.shape[0]):
+        rest = x[i]
+        for k in range(first, i):
+            rest -= factor[i, k] * x[k]
+        x[i] = rest / factor[i, i]
+
+
+@njit
+def _find_nearest(normals, low, high, start, work, point):
+    """The point of the polyhedron that is nearest to the start; False if there is none."""
+    n = point.shape[0]
+    basis = _matrix(work, n, _BASIS, 1)
+    triangle = _matrix(work, n, _TRIANGLE, 1)
     tolerances = _vector(work, n, _TOLERANCES, 2)
+    coordinates = _vector(work, n, _COORDINATES, 1)
+    rates = _vector(work, n, _RATES, 1)
+    active = _vector(work, n, _ACTIVE, 3).reshape((3, n))
+    _begin_without_constraints(start, point, basis, tolerances)
     count = 0
-    row = -1
-    side = 0.0
+    entering = 0
     multiplier = 0.0  # of the entering constraint
+    is_exact = True
     for _ in range(_MAX_CHANGES * 2 * n):
-        if row < 0:
-            found = _most_violated(lower, upper, work, n)
-            if found == 0:
-                _unknowns(work, n, x)
-                return True
-            row = abs(found) - 1
-            side = 1.0 if found > 0 else -1.0
+        if entering == 0:
+            entering = _most_violated(normals, low, high, tolerances, point)
             multiplier = 0.0
-        bound = side * (lower[row] if side > 0.0 else upper[row]) / lengths[row]
-        normal = _matrix(work, n, _NORMALS, 2)[row]
-        independent = _project(work, n, count, normal, side)
-        drop = _first_zero_multiplier(rates, multipliers, count)
-        shortest = multipliers[drop] / rates[drop] if drop >= 0 else math.inf
-        step = math.inf
-        violation = bound - side * _dot(normal, point)
-        if independent > _DEPENDENT:
-            step = violation / independent
-        elif drop < 0:
+        if entering == 0:
+            if is_exact:
+                return True
+            _set_point(basis, triangle, active[_BOUND], start, count, coordinates, point)
+            is_exact = True
+            continue
+        row = abs(entering) - 1
+        side = 1.0 if entering > 0 else -1.0
+        bound = side * (low[row] if entering > 0 else high[row])
+        violation = bound - side * _dot(normals[row], point)
+        independent = _project(basis, triangle, normals[row], side, count, coordinates, rates)
+        drop = _first_zero_multiplier(rates, active[_MULTIPLIER], count)
+        if drop < 0 and independent == 0.0:
             if not violation < _CONTRADICTION * (math.sqrt(_dot(point, point)) + abs(bound)):
                 return False
             tolerances[row] = _CONTRADICTION
-            row = -1
+            entering = 0
             continue
-        is_full = step <= shortest
-        if not is_full:
-            step = shortest
+        full = violation / independent if independent > 0.0 else math.inf
+        step = full if drop < 0 else min(full, active[_MULTIPLIER, drop] / rates[drop])
         multiplier += step
-        for j in range(count):
-            multipliers[j] = max(multipliers[j] - step * rates[j], 0.0)
-        if is_full:
-            multipliers[count] = multiplier
-            _add(work, n, count, row, bound)
-            count += 1
-            _nearest_point(work, n, count)
-            row = -1
-        else:
-            if independent > _DEPENDENT:
-                _move(work, n, count, step, coordinates, point)
-            _drop(work, n, count, drop)
+        _decrease_multipliers(rates, active[_MULTIPLIER], count, step)
+        _move(basis, coordinates, count, step, point)
+        is_exact = False
+        if step < full:
+            tolerances[int(active[_ROW, drop])] = _ROUNDING
+            _drop(basis, triangle, active, count, drop)
             count -= 1
+        else:
+            tolerances[row] = math.inf
+            _add(basis, triangle, coordinates, count, rates)
+            active[_MULTIPLIER, count] = multiplier
+            active[_BOUND, count] = bound
+            active[_ROW, count] = row
+            count += 1
+            entering = 0
     return False
+
+
+@njit
+def _begin_without_constraints(start, point, basis, tolerances):
+    n = point.shape[0]
+    for i in range(n):
+        point[i] = start[i]
+        tolerances[i] = _ROUNDING
+        tolerances[n + i] = _ROUNDING
+        for k in range(n):
+            basis[i, k] = 1.0 if i == k else 0.0
 
 
 @njit
@@ -155,6 +228,12 @@ def _first_zero_multiplier(rates, multipliers, count):
 
 
 @njit
+def _decrease_multipliers(rates, multipliers, count, step):
+    for j in range(count):
+        multipliers[j] = max(multipliers[j] - step * rates[j], 0.0)
+
+
+@njit
 def _dot(a, b):
     total = 0.0
     for i in range(a.shape[0]):
@@ -163,101 +242,38 @@ def _dot(a, b):
 
 
 @njit
-def _forward(factor, first, x):
-    """Replaces x, whose numbers before `first` are zero, by L^-1 x."""
-    for i in range(first, x.shape[0]):
-        rest = x[i]
-        for k in range(first, i):
-            rest -= factor[i, k] * x[k]
-        x[i] = rest / factor[i, i]
-
-
-@njit
-def _begin(H, f, M, lower, upper, work, n):
-    """The least-distance form, with no active constraint; False if a lower bound is above its upper bound."""
-    factor = _matrix(work, n, _FACTOR, 1)
-    normals = _matrix(work, n, _NORMALS, 2)
-    basis = _matrix(work, n, _BASIS, 1)
-    lengths = _vector(work, n, _LENGTHS, 2)
-    tolerances = _vector(work, n, _TOLERANCES, 2)
-    start = _vector(work, n, _START, 1)
-    point = _vector(work, n, _POINT, 1)
-    for i in range(n):
-        for k in range(n):
-            factor[i, k] = H[i, k]
-    factorize(factor)
-    take_roots(factor)
-    for i in range(n):
-        start[i] = -f[i]
-        for k in range(n):
-            unit = 1.0 if i == k else 0.0
-            normals[i, k] = unit
-            basis[i, k] = unit
-            normals[n + i, k] = M[i, k]
-        _forward(factor, i, normals[i])
-        _forward(factor, 0, normals[n + i])
-    _forward(factor, 0, start)
-    for i in range(n):
-        point[i] = start[i]
-    for row in range(2 * n):
-        lengths[row] = math.sqrt(_dot(normals[row], normals[row]))
-        for k in range(n):
-            normals[row, k] /= lengths[row]
-        tolerances[row] = _ROUNDING
-        if lower[row] - upper[row] > _CONTRADICTION * (abs(lower[row]) + abs(upper[row])):
-            return False
-    return True
-
-
-@njit
-def _unknowns(work, n, x):
-    """x = L^-T y."""
-    factor = _matrix(work, n, _FACTOR, 1)
-    point = _vector(work, n, _POINT, 1)
-    for i in range(n - 1, -1, -1):
-        rest = point[i]
-        for k in range(i + 1, n):
-            rest -= factor[k, i] * x[k]
-        x[i] = rest / factor[i, i]
-
-
-@njit
-def _most_violated(lower, upper, work, n):
+def _most_violated(normals, low, high, tolerances, point):
     """The constraint that the point violates most, counted from 1; negative above an upper bound, 0 if there is none."""
-    normals = _matrix(work, n, _NORMALS, 2)
-    lengths = _vector(work, n, _LENGTHS, 2)
-    tolerances = _vector(work, n, _TOLERANCES, 2)
-    point = _vector(work, n, _POINT, 1)
     distance = math.sqrt(_dot(point, point))
     largest = 0.0
     found = 0
-    for row in range(2 * n):
+    for row in range(normals.shape[0]):
         if tolerances[row] == math.inf:
             continue
         position = _dot(normals[row], point)
-        low = lower[row] / lengths[row]
-        high = upper[row] / lengths[row]
-        if low - position > max(largest, tolerances[row] * (distance + abs(low))):
-            largest = low - position
+        below = low[row] - position
+        above = position - high[row]
+        if below > max(largest, tolerances[row] * (distance + abs(low[row]))):
+            largest = below
             found = row + 1
-        if position - high > max(largest, tolerances[row] * (distance + abs(high))):
-            largest = position - high
+        if above > max(largest, tolerances[row] * (distance + abs(high[row]))):
+            largest = above
             found = -row - 1
     return found
 
 
 @njit
-def _project(work, n, count, normal, side):
+def _project(basis, triangle, normal, side, count, coordinates, rates):
     """Coordinates of a signed normal, rates of the multipliers, and the squared length of what the active ones do not span."""
-    basis = _matrix(work, n, _BASIS, 1)
-    triangle = _matrix(work, n, _TRIANGLE, 1)
-    coordinates = _vector(work, n, _COORDINATES, 1)
-    rates = _vector(work, n, _RATES, 1)
     independent = 0.0
-    for j in range(n):
+    for j in range(normal.shape[0]):
         coordinates[j] = side * _dot(basis[j], normal)
         if j >= count:
             independent += coordinates[j] * coordinates[j]
+    if not independent > _DEPENDENT:
+        independent = 0.0
+        for j in range(count, normal.shape[0]):
+            coordinates[j] = 0.0
     for j in range(count - 1, -1, -1):
         rest = coordinates[j]
         for k in range(j + 1, count):
@@ -267,23 +283,18 @@ def _project(work, n, count, normal, side):
 
 
 @njit
-def _move(work, n, count, step, coordinates, point):
+def _move(basis, coordinates, count, step, point):
     """Moves the point along the part of the entering normal that the active ones do not span."""
-    basis = _matrix(work, n, _BASIS, 1)
+    n = point.shape[0]
     for j in range(count, n):
         for k in range(n):
             point[k] += step * coordinates[j] * basis[j, k]
 
 
 @njit
-def _nearest_point(work, n, count):
-    """The point nearest to the start on all active bounds, computed anew: rounding of earlier steps does not add up."""
-    basis = _matrix(work, n, _BASIS, 1)
-    triangle = _matrix(work, n, _TRIANGLE, 1)
-    bounds = _vector(work, n, _BOUNDS, 1)
-    start = _vector(work, n, _START, 1)
-    point = _vector(work, n, _POINT, 1)
-    coordinates = _vector(work, n, _COORDINATES, 1)
+def _set_point(basis, triangle, bounds, start, count, coordinates, point):
+    """The point nearest to the start on all active bounds, computed anew: the rounding of the steps does not remain."""
+    n = point.shape[0]
     for k in range(n):
         point[k] = 0.0
     for j in range(n):
@@ -299,51 +310,45 @@ def _nearest_point(work, n, count):
 
 
 @njit
-def _rotate(a, b, cos, sin, first, end):
-    """Replaces two rows by cos a + sin b and cos b - sin a."""
-    for k in range(first, end):
-        turned = cos * a[k] + sin * b[k]
-        b[k] = cos * b[k] - sin * a[k]
-        a[k] = turned
-
-
-@njit
-def _add(work, n, count, row, bound):
-    """Adds the constraint whose coordinates are known to the active ones."""
-    basis = _matrix(work, n, _BASIS, 1)
-    triangle = _matrix(work, n, _TRIANGLE, 1)
-    coordinates = _vector(work, n, _COORDINATES, 1)
-    for j in range(n - 1, count, -1):
-        length = math.sqrt(coordinates[j - 1] ** 2 + coordinates[j] ** 2)
-        if length > 0.0:
-            _rotate(basis[j - 1], basis[j], coordinates[j - 1] / length, coordinates[j] / length, 0, n)
-        coordinates[j - 1] = length
-    for j in range(count + 1):
+def _add(basis, triangle, coordinates, count, product):
+    """Adds a constraint with known coordinates to the active ones, by a Householder reflection of the other basis vectors."""
+    n = coordinates.shape[0]
+    square = 0.0
+    for j in range(count, n):
+        square += coordinates[j] * coordinates[j]
+    length = -math.copysign(math.sqrt(square), coordinates[count])
+    for j in range(count):
         triangle[count, j] = coordinates[j]
-    _vector(work, n, _BOUNDS, 1)[count] = bound
-    _vector(work, n, _ROWS, 1)[count] = row
-    _vector(work, n, _TOLERANCES, 2)[row] = math.inf
+    triangle[count, count] = length
+    coordinates[count] -= length
+    scale = 1.0 / (length * coordinates[count])
+    for k in range(n):
+        product[k] = 0.0
+    for j in range(count, n):
+        for k in range(n):
+            product[k] += coordinates[j] * basis[j, k]
+    for j in range(count, n):
+        for k in range(n):
+            basis[j, k] += scale * coordinates[j] * product[k]
 
 
 @njit
-def _drop(work, n, count, dropped):
-    """Removes one of the active constraints."""
-    basis = _matrix(work, n, _BASIS, 1)
-    triangle = _matrix(work, n, _TRIANGLE, 1)
-    rows = _vector(work, n, _ROWS, 1)
-    _vector(work, n, _TOLERANCES, 2)[int(rows[dropped])] = _ROUNDING
-    for k in (_MULTIPLIERS, _BOUNDS, _ROWS):
-        vector = _vector(work, n, k, 1)
-        for j in range(dropped, count - 1):
-            vector[j] = vector[j + 1]
+def _drop(basis, triangle, active, count, dropped):
+    """Removes one of the active constraints, and makes the triangle one again by plane rotations."""
+    n = basis.shape[0]
     for j in range(dropped, count - 1):
+        for k in range(3):
+            active[k, j] = active[k, j + 1]
         for k in range(j + 2):
             triangle[j, k] = triangle[j + 1, k]
     for j in range(dropped, count - 1):
         length = math.sqrt(triangle[j, j] ** 2 + triangle[j, j + 1] ** 2)
         cos = triangle[j, j] / length
         sin = triangle[j, j + 1] / length
-        _rotate(basis[j], basis[j + 1], cos, sin, 0, n)
+        for k in range(n):
+            turned = cos * basis[j, k] + sin * basis[j + 1, k]
+            basis[j + 1, k] = cos * basis[j + 1, k] - sin * basis[j, k]
+            basis[j, k] = turned
         for k in range(j, count - 1):
             turned = cos * triangle[k, j] + sin * triangle[k, j + 1]
             triangle[k, j + 1] = cos * triangle[k, j + 1] - sin * triangle[k, j]

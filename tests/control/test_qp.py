@@ -127,9 +127,9 @@ def test_the_kernel_gives_the_torque_of_daqp_wherever_the_arm_is(six):
         q = rng.uniform(-1.02, 1.02, six.n) * limits.q_max
         v = rng.normal(size=six.n) * rng.choice([0.1, 0.5, 1.2]) * limits.v_max
         setpoint = Setpoint(q + rng.normal(size=six.n) * rng.choice([1e-3, 0.1, 1.0]), still, still)
-        first, second = (law.torque(armctl.State(q, v, 0.0, 0.001), setpoint) for law in laws)
-        assert np.abs(first - second).max() <= 1e-7 * limits.tau_max.max()
-        at_limit += bool((np.abs(first) == limits.tau_max).any())
+        found = [law.torque(armctl.State(q, v, 0.0, 0.001), setpoint) for law in laws]
+        assert np.abs(found[0] - found[1]).max() <= 1e-7 * limits.tau_max.max()
+        at_limit += bool((np.abs(found[0]) == limits.tau_max).any())
     assert at_limit > 100
 
 
