@@ -145,7 +145,15 @@ def place(arm: armctl.Arm, geom: int, axis: int, sign: float) -> tuple[float, st
     return distance[closest], model.body(int(model.geom_bodyid[closest])).name, other
 
 
-def row(name: str, wall_name: str, law: str, plant_name: str) -> list[str]:
+class Pressed(NamedTuple):
+    """A row of the table, and the wrench sensor at the end: what it does not see, and the force that it shows, N."""
+
+    cells: list[str]
+    unmeasured: tuple[str, ...]
+    shown: float
+
+
+def press(name: str, wall_name: str, law: str, plant_name: str) -> Pressed:
     arm, wall, axis, sign, body = at_wall(name, WALLS[wall_name])
     motion = Hold(arm.home)
     if law == "hybrid-force":
@@ -162,7 +170,7 @@ def row(name: str, wall_name: str, law: str, plant_name: str) -> list[str]:
     simulation = armctl.Simulation(arm, watched, PLANTS[plant_name])
     watched.model = simulation.model
     watched.data = simulation.data
-    simulation.run(motion, dwell=SECONDS - min(SECONDS, motion.duration))
+    log = simulation.run(motion, dwell=SECONDS - min(SECONDS, motion.duration))
     force = np.array(watched.force)
     first = int(np.argmax(force > 0.02 * FORCE_N))
     outside = np.flatnonzero(np.abs(force - FORCE_N) > 0.05 * FORCE_N)[-1]
@@ -170,7 +178,7 @@ def row(name: str, wall_name: str, law: str, plant_name: str) -> list[str]:
     steady = force[-200:].mean()
     data = simulation.data
     depth = max(-data.contact[i].dist for i in range(data.ncon) if wall in data.contact[i].geom)
-    return [
+    cells = [
         name,
         body,
         wall_name,
@@ -181,6 +189,7 @@ def row(name: str, wall_name: str, law: str, plant_name: str) -> list[str]:
         f"{steady - FORCE_N:+.3f}",
         f"{1e3 * depth:.2f}",
     ]
+    return Pressed(cells, log.unmeasured_bodies, -sign * float(log.wrench[-200:, axis].mean()))
 
 
 def main() -> None:
@@ -189,10 +198,17 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "force.md")
     args = parser.parse_args()
     warnings.simplefilter("ignore", armctl.ArmctlWarning)
-    rows = [row(name, wall, "hybrid-force", plant) for name in args.arms for wall in WALLS for plant in PLANTS]
-    rows += [row(name, "default", "impedance", "ideal") for name in args.arms]
+    runs = [press(name, wall, "hybrid-force", plant) for name in args.arms for wall in WALLS for plant in PLANTS]
+    runs += [press(name, "default", "impedance", "ideal") for name in args.arms]
     if "ur5e" in args.arms:
-        rows.append(row(SHIELDED, "default", "hybrid-force", "ideal"))
+        runs.append(press(SHIELDED, "default", "hybrid-force", "ideal"))
+    rows = [run.cells for run in runs]
+    notes = [
+        f"\n{run.cells[0]}: {', '.join(run.unmeasured)} touches the wall beside {run.cells[1]}, in front of the flange sensor. "
+        f"The sensor shows {run.shown:.2f} N, the wall bears {FORCE_N + float(run.cells[-2]):.2f} N.\n"
+        for run in runs
+        if run.unmeasured
+    ]
     columns = [
         "arm",
         "touches with",
@@ -206,6 +222,7 @@ def main() -> None:
     ]
     text = (
         f"**20 N on a wall, overshoot from the first contact on (targets in brackets)**\n\n{Table(columns, rows).markdown()}\n"
+        f"{''.join(notes)}"
     )
     args.out.parent.mkdir(exist_ok=True)
     args.out.write_text(text, encoding="utf-8")

@@ -189,6 +189,8 @@ class Report:
         }
         if self.contacts:
             rows["contact"] = contacts_in_words(self.contacts)
+        if self.log.unmeasured_bodies:
+            rows["wrench"] = f"a flange sensor does not measure the force on {', '.join(self.log.unmeasured_bodies)}"
         return rows
 
     def __str__(self) -> str:

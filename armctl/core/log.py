@@ -33,12 +33,14 @@ class Contact(NamedTuple):
         other: The body that it touched; the geom, if it belongs to the world.
         start: s, when they touched first.
         duration: s, how long they touched in total.
+        on_tool: Whether one of them is behind the arm's last joint, like a tool. A flange sensor measures no other contacts.
     """
 
     body: str
     other: str
     start: float
     duration: float
+    on_tool: bool = True
 
     def __str__(self) -> str:
         return f"{self.body} touched {self.other} for {self.duration:.3g} s"
@@ -125,6 +127,13 @@ class Log:
     def is_open_loop(self) -> bool:
         """Whether there was no reference to follow."""
         return bool(np.isnan(self.q_ref).all())
+
+    @property
+    def unmeasured_bodies(self) -> tuple[str, ...]:
+        """The bodies that touched something in front of a flange sensor; empty if the controller did not measure wrenches."""
+        if not len(self.wrench):
+            return ()
+        return tuple(dict.fromkeys(contact.body for contact in self.contacts if not contact.on_tool))
 
     def to_dict(self) -> dict[str, Array]:
         """The arrays over time as a flat table, for `pandas.DataFrame(log.to_dict())`.
@@ -349,10 +358,10 @@ def _words(name: str, value: object) -> tuple[str, ...]:
 
 
 def _contact(value: object) -> Contact:
-    if not isinstance(value, list) or len(value) != 4:
+    if not isinstance(value, list) or len(value) != 5 or not isinstance(value[4], bool):
         raise InputError(f"contacts: {shown(value)} is not a contact")
     body, other = _words("contacts", value[:2])
-    return Contact(body, other, number("start", value[2], 0.0), number("duration", value[3], 0.0))
+    return Contact(body, other, number("start", value[2], 0.0), number("duration", value[3], 0.0), value[4])
 
 
 class SimulationError(ArmctlError):

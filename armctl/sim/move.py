@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from numpy.typing import ArrayLike
 from armctl.collision.clearance import clearance_of
 from armctl.collision.interface import KeptAxis
 from armctl.control import Controller, State, controller_by_name, controller_name
-from armctl.core.errors import InputError, ModelError, PlanError
+from armctl.core.errors import ArmctlWarning, InputError, ModelError, PlanError
 from armctl.core.log import Log, SimulationError
 from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
@@ -308,6 +309,20 @@ class ControlledArms:
             for tip, arm in self.arms.items()
         }
         self._give_log(error)
+        if self.stepper.plant.wrench_source == "flange":
+            self._warn_of_unmeasured_forces()
+
+    def _warn_of_unmeasured_forces(self) -> None:
+        """Warns if a link touched something in front of a sensor: its controller knows only a part of the force."""
+        for log in self._logs.values():
+            if log.unmeasured_bodies:
+                bodies = ", ".join(log.unmeasured_bodies)
+                warnings.warn(
+                    f"{log.robot}: the flange sensor does not measure the force on {bodies:.80}, which touched something "
+                    "in front of the sensor; so the true force differs from the measured one",
+                    ArmctlWarning,
+                    stacklevel=2,
+                )
 
     def _keep_step_logs(self, steps: _StepRecording, error: BaseException | None = None) -> None:
         """Makes the log of the steps so far."""

@@ -195,7 +195,13 @@ class Recorder:
                     ticks[pair] = ticks.get(pair, 0) + max(0, end - row)
             offset += part.count
         return tuple(
-            Contact(body_name(self._model, pair[0]), _other_name(self._model, pair[1]), dt * start[pair], dt * ticks[pair])
+            Contact(
+                body=body_name(self._model, pair[0]),
+                other=_other_name(self._model, pair[1]),
+                start=dt * start[pair],
+                duration=dt * ticks[pair],
+                on_tool=not gripper.isdisjoint(pair),
+            )
             for pair in sorted(start, key=lambda pair: start[pair])
             if ticks[pair]
         )

@@ -117,6 +117,21 @@ def test_nobody_pays_for_a_wrench_that_nobody_asks_for(at_wall):
     assert log.wrench.shape == (0, 6)
 
 
+def test_a_link_that_touches_in_front_of_the_sensor_is_named(tmp_path):
+    scene = armctl.Scene().add_box("shelf", [0.05, 0.05, 0.05], at=[0.15, 0.0, 0.3])
+    arm = armctl.load("robot_arm_3dof", scene=scene)
+    plant = armctl.Plant(timestep=0.001)
+    still = Still(arm.home, 0.01)
+    with pytest.warns(armctl.ArmctlWarning, match="does not measure the force on link2, which touched"):
+        log = armctl.simulate(arm, armctl.HybridForce(arm, {"x": 5.0}), still, plant)
+    again = armctl.Log.load(log.save(tmp_path / "log.npz"))
+    assert again.unmeasured_bodies == ("link2",)
+    assert "does not measure the force on link2" in str(armctl.Report.from_log(again))
+    unaware = armctl.simulate(arm, "pd-gravity", still, plant)
+    assert unaware.contacts
+    assert not unaware.unmeasured_bodies
+
+
 def test_each_arm_of_a_team_gets_its_own_wrench(tmp_path):
     path = tmp_path / "pair.xml"
     path.write_text(mjcf(PAIR, motors("a b c d e f")))
