@@ -259,7 +259,7 @@ def test_what_was_touched_is_reported():
         "other": "box 4",
         "start": 1.0,
         "duration": 0.1,
-            "on_tool": True,
+        "on_tool": True,
     }
     assert "contact " not in str(Report.from_log(made_log()))
 
