@@ -88,6 +88,8 @@ soak: MINUTES ?= 60
 soak: $(VENV)/dev.stamp
 	@$(BIN)/python benchmarks/soak.py --minutes $(MINUTES)
 
+bench outputs pictures: export ARMCTL_COMPILE_AT_ONCE := 1
+
 bench: $(VENV)/dev.stamp
 	@for file in $(filter-out benchmarks/soak.py,$(wildcard benchmarks/*.py)); do echo "== $$file"; $(BIN)/python $$file || exit 1; done
 

@@ -6,6 +6,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # seven-vectors gain nothing from threads, and two workers lose
 os.environ.setdefault("MPLBACKEND", "agg")
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")  # JAX compiles in half the time
+os.environ["ARMCTL_COMPILE_AT_ONCE"] = "1"  # what is tested is compiled code; test_python_kernel compares it with Python
 os.environ["MENAGERIE_BASE_URL"] = "file:///nowhere"  # a test downloads nothing, and is told so at once
 if not os.environ.get("DISPLAY"):
     os.environ.setdefault("MUJOCO_GL", "egl")

@@ -577,7 +577,7 @@ def distance(p, enough, touching, is_exact, geoms, points, neighbors, pairs, fra
             if is_decided or square - projection <= _GJK_RELATIVE_GAP * square or upper - lower < _GJK_GAP_M:
                 return lower, upper
         for k in range(count):
-            if (work[k, 0] - wx) ** 2 + (work[k, 1] - wy) ** 2 + (work[k, 2] - wz) ** 2 < 1e-22:  # no progress
+            if _squared_distance(work[k], wx, wy, wz) < 1e-22:  # no progress
                 return lower, min(upper, length - radii)
         work[count, 0] = wx
         work[count, 1] = wy
@@ -589,6 +589,14 @@ def distance(p, enough, touching, is_exact, geoms, points, neighbors, pairs, fra
         if count == 5 or vx * vx + vy * vy + vz * vz < 1e-18:  # the hulls overlap, not only their inflated shapes
             return lower, min(-radii, -1e-12)
     return lower, upper
+
+
+@njit
+def _squared_distance(point, x, y, z):
+    u = point[0] - x
+    v = point[1] - y
+    w = point[2] - z
+    return u * u + v * v + w * w
 
 
 @njit
@@ -1216,7 +1224,7 @@ def _core_witness(p, x, y, z, trace, geoms, points, neighbors, pairs, frames, sp
             break
         is_known = False
         for k in range(count):
-            is_known |= (work[k, 0] - wx) ** 2 + (work[k, 1] - wy) ** 2 + (work[k, 2] - wz) ** 2 < 1e-22
+            is_known |= _squared_distance(work[k], wx, wy, wz) < 1e-22
         if is_known:
             break
         _write(trace[step], wx, wy, wz)

@@ -13,6 +13,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from armctl.core.errors import InputError
+from armctl.core.jit import Kernel
 from armctl.core.validation import shown
 
 _VECTOR = types.Array(types.float64, 1, "C")
@@ -34,6 +35,11 @@ def entry_point(controller_kernel: Any) -> int:
         raise InputError(f"kernel: {shown(controller_kernel)} is not compiled by numba.njit: {reason:.150}") from error
     compiled = controller_kernel.overloads[_SIGNATURE]
     return compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
+
+
+def has_code(controller_kernel: Any) -> bool:
+    """Whether a controller's kernel is compiled; True for a kernel that cannot run in Python."""
+    return not isinstance(controller_kernel, Kernel) or controller_kernel.has_code(_SIGNATURE)
 
 
 @intrinsic

@@ -162,7 +162,8 @@ def _make_program(params, q, v, reference, memory, tau):
     _add_acceleration(M, law_vector(law, n, ADDED), factor, desired)
     feedback = 0.0
     for i in range(n):
-        feedback += (desired[i] - reference[A_TICK, i]) ** 2
+        missing = desired[i] - reference[A_TICK, i]
+        feedback += missing * missing
     _metric(params[LENGTH], J, H)
     _follow_tip(M, H, feedback, offset, factor, desired, tau)
     bounds = _rows(memory, n, _BOUNDS, 4)
@@ -340,7 +341,7 @@ def _metric(length, J, H):
             J[k, i] *= ROTATION * length
     for i in range(n):
         for j in range(n):
-            total = (JOINTS * length) ** 2 if i == j else 0.0
+            total = (JOINTS * length) * (JOINTS * length) if i == j else 0.0
             for k in range(6):
                 total += J[k, i] * J[k, j]
             H[i, j] = total

@@ -23,6 +23,7 @@ from numba.core.typing.templates import make_concrete_template
 
 from armctl.core.compiler_shortcuts import compiler_shortcuts
 from armctl.core.errors import ArmctlWarning
+from armctl.core.python_kernel import PythonKernel, UnfinishedError
 
 _SILENT_S = 2.0  # so long a process compiles before it tells why its user waits
 _DIGEST_SIZE = hashlib.sha256().digest_size
@@ -69,6 +70,13 @@ class _TolerantCache(FunctionCache):
             self.flush()
         return None
 
+    def has(self, sig: object, target_context: Any) -> bool:
+        """Whether there may be compiled code of a signature; also where the cache is damaged, which loading finds out."""
+        try:
+            return self._index_key(sig, target_context.codegen()) in self._cache_file._load_index()
+        except Exception:  # as in `load_overload`
+            return True
+
     def save_overload(self, sig: object, data: object) -> None:
         """Saves compiled code if there is a place for it."""
         try:
@@ -110,23 +118,50 @@ class _CalledCode(JITCodeLibrary):
         self._finalized = True
 
 
-class _Kernel(CPUDispatcher):
+class Kernel(CPUDispatcher):
     """A compiled function of which numba makes machine code only if Python calls it, not if only compiled code does.
 
     numba's own dispatcher makes machine code of every function, with wrappers for calls from Python and C, and optimizes it
     again in each of its callers, which takes half of the time. It also compiles a function again for each integer constant
     among its arguments. A function must not call itself.
 
+    A function whose code is not in the cache runs as Python first, and is compiled when that has taken some time.
+
     Attributes:
         called: What compiled code calls, by the types of the arguments.
+        python: The function in Python, for its first calls; None if it is compiled at once.
     """
 
+    _cache: Any
     _compiled_s = 0.0  # by this process
     _has_told = False
 
     def __init__(self, *arguments: Any, **options: Any):
         super().__init__(*arguments, **options)
         self.called: dict[tuple, CompileResult] = {}
+        self.python: PythonKernel | None = None
+        self._missing: set[tuple] = set()  # types of arguments whose code is not in the cache
+
+    def has_code(self, sig: tuple) -> bool:
+        """Whether compiled code for these types of arguments is loaded or in the cache."""
+        return sig in self.overloads or (isinstance(self._cache, _TolerantCache) and self._cache.has(sig, self.targetctx))
+
+    def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
+        """What numba asks for at a call for which no code is loaded: a function that it then calls."""
+        if self.python is not None and self.python.has_time:
+            sig = tuple(map(self.typeof_pyval, args))
+            if sig in self._missing or not self.has_code(sig):
+                self._missing.add(sig)
+                return self._run_in_python
+        dispatcher: Any = super()
+        return dispatcher._compile_for_args(*args, **kws)
+
+    def _run_in_python(self, *args: Any) -> Any:
+        assert self.python is not None
+        try:
+            return self.python(*args)
+        except UnfinishedError:
+            return self(*args)  # compiles
 
     def compile(self, sig: Any) -> Any:
         """The code for these types of arguments, from the cache if it is there."""
@@ -134,7 +169,7 @@ class _Kernel(CPUDispatcher):
         with compiler_shortcuts():
             code = super().compile(sig)
         if self.stats.cache_misses[sig]:
-            _Kernel._compiled_s += time.monotonic() - began
+            Kernel._compiled_s += time.monotonic() - began
             _tell_once()
         return code
 
@@ -166,32 +201,60 @@ class _Kernel(CPUDispatcher):
 
 def _tell_once() -> None:
     """Tells a user at a terminal that armctl compiles."""
-    if _Kernel._has_told or _Kernel._compiled_s < _SILENT_S or sys.stderr is None or not sys.stderr.isatty():
+    if Kernel._has_told or Kernel._compiled_s < _SILENT_S or sys.stderr is None or not sys.stderr.isatty():
         return
-    _Kernel._has_told = True
+    Kernel._has_told = True
     print("armctl compiles for this computer, once: half a minute, on a slow one several minutes", file=sys.stderr, flush=True)
 
 
 def njit(function: Callable) -> Callable:
-    """The compiled function, with a cache on disk if there is a folder for it."""
+    """The compiled function, with a cache on disk if there is a folder for it. Its first calls may run in Python."""
+    compiled = njit_at_once(function)
+    compiled.python = PythonKernel(function, Kernel)
+    return compiled
+
+
+def njit_at_once(function: Callable) -> Any:
+    """As `njit`, for a function that Python computes with other bits; it is compiled at its first call."""
     options = {"nopython": True, "nogil": True, "error_model": "numpy", "boundscheck": None}
-    compiled: Any = _Kernel(function, targetoptions=options)
+    compiled: Any = Kernel(function, targetoptions=options)
     with suppress(RuntimeError, OSError):  # no source file, or no folder that can be written: compile in every process
         compiled._cache = _TolerantCache(function)
     return compiled
 
 
-def c_function(signature: Any) -> Callable[[Callable], CFunc]:
+class CFunction(CFunc):
+    """A C function that is compiled when its address is needed."""
+
+    _wrapper_address: int | None
+    _cache: Any
+    _sig: Any
+    _targetdescr: Any
+
+    @property
+    def address(self) -> int:
+        """The address of the compiled code."""
+        if self._wrapper_address is None:
+            with compiler_shortcuts():
+                self.compile()
+        assert self._wrapper_address is not None
+        return self._wrapper_address
+
+    def has_code(self) -> bool:
+        """Whether compiled code is loaded or in the cache."""
+        if self._wrapper_address is not None:
+            return True
+        return isinstance(self._cache, _TolerantCache) and self._cache.has(self._sig, self._targetdescr.target_context)
+
+
+def c_function(signature: Any) -> Callable[[Callable], CFunction]:
     """Decorates a function that becomes a C function of this signature; the cache is that of `njit`. It must not raise."""
 
-    def compiled(function: Callable) -> CFunc:
-        c_function: Any = CFunc(
-            function, (signature.args, signature.return_type), {}, {"nopython": True, "error_model": "numpy"}
-        )
+    def compiled(function: Callable) -> CFunction:
+        options = {"nopython": True, "error_model": "numpy"}
+        c_function = CFunction(function, (signature.args, signature.return_type), {}, options)
         with suppress(RuntimeError, OSError):
             c_function._cache = _TolerantCache(function)
-        with compiler_shortcuts():
-            c_function.compile()
         return c_function
 
     return compiled

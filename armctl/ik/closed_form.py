@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armctl.core.jit import njit
+from armctl.core.jit import njit, njit_at_once
 from armctl.ik.geometry import FIRST, HELD, HIGH, KIND, LOW, MEET, NEITHER, PAIR_FIRST, PAIR_KIND, PARALLEL, POINT
 
 MAX_SOLUTIONS = 16  # that `_solve_six` writes: eight for the first three joints, and two for each of them
@@ -608,7 +608,7 @@ def _van_der_corput(k):
     return value
 
 
-@njit
+@njit_at_once  # quotients of complex numbers
 def find(form, reach, target, q0, slack, margin, min_samples, max_samples, wanted, seeds):
     """Fills `seeds` (M, n) with the configurations inside the bounds, up to `margin`, for a target (12,).
 
@@ -672,7 +672,7 @@ def find(form, reach, target, q0, slack, margin, min_samples, max_samples, wante
     return count, doubtful, sample
 
 
-@njit
+@njit_at_once  # quotients of complex numbers
 def find_first(form, reach, targets, slack, margin, max_samples, q, found):
     """Fills q (N, n) with a configuration for each of the targets (N, 12), and `found` (N,) with whether there is one."""
     seeds = np.empty((MAX_SOLUTIONS, q.shape[1]))

@@ -10,6 +10,8 @@ method", IEEE Trans. Robotics 27(5), 2011).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from armctl.core.jit import njit
@@ -186,8 +188,8 @@ def forward(chain, q, work):
                 y += f * displacement
                 z += i * displacement
             else:
-                cos = np.cos(displacement)
-                sin = np.sin(displacement)
+                cos = math.cos(displacement)
+                sin = math.sin(displacement)
                 a, b = _turned(a, b, cos, sin)
                 d, e = _turned(d, e, cos, sin)
                 g, h = _turned(g, h, cos, sin)
@@ -264,7 +266,7 @@ def rotation_error(target, constraint, work):
     sin = np.sqrt(x * x + y * y + z * z)
     scale = 0.0
     if sin > MIN_SINE:
-        scale = np.arctan2(sin, cos) / sin
+        scale = math.atan2(sin, cos) / sin
     elif cos < 0.0:
         x, y, z, scale = _half_turn(target, constraint, work)
     _store(work, n, ERROR + 3, scale * x, scale * y, scale * z)
@@ -536,7 +538,8 @@ def _aim(chain, reach, target, work):
     distance = 0.0
     for k in range(9, 12):
         work[n + 1, k] = shrink * target[k] / reach
-        distance += (work[n + 1, k] - shrink * chain[0, k]) ** 2
+        along = work[n + 1, k] - shrink * chain[0, k]
+        distance += along * along
     factor = min(1.0, MAX_TARGET_REACHES / max(np.sqrt(distance), 1e-300))
     for k in range(9, 12):
         work[n + 1, k] = chain[0, k] + factor * (work[n + 1, k] - shrink * chain[0, k])
@@ -552,7 +555,8 @@ def _beyond(chain, target, position_tolerance):
             return False
     distance = 0.0
     for k in range(9, 12):
-        distance += (target[k] - chain[0, k]) ** 2
+        along = target[k] - chain[0, k]
+        distance += along * along
     return np.sqrt(distance) > 1.0 + 1e-9 + position_tolerance
 
 
@@ -572,7 +576,8 @@ def _huge_distance(target, position):
         largest = max(largest, abs(position[r] - target[9 + r]))
     total = 0.0
     for r in range(3):
-        total += ((position[r] - target[9 + r]) / largest) ** 2
+        share = (position[r] - target[9 + r]) / largest
+        total += share * share
     return min(largest * np.sqrt(total), MAX_LENGTH)
 
 
@@ -582,12 +587,14 @@ def residual(constraint, target, position, rotation):
     squared = 0.0
     squared_chord = 0.0
     for r in range(3):
-        squared += (position[r] - target[9 + r]) ** 2
+        along = position[r] - target[9 + r]
+        squared += along * along
         for k in range(3):
             if constraint == POSE or constraint - FREE_X == k:
-                squared_chord += (rotation[r, k] - target[3 * r + k]) ** 2
+                chord = rotation[r, k] - target[3 * r + k]
+                squared_chord += chord * chord
     distance = np.sqrt(squared) if squared < np.inf else _huge_distance(target, position)
-    return distance, 2.0 * np.arcsin(min(1.0, np.sqrt(squared_chord / (8.0 if constraint == POSE else 4.0))))
+    return distance, 2.0 * math.asin(min(1.0, np.sqrt(squared_chord / (8.0 if constraint == POSE else 4.0))))
 
 
 @njit
@@ -908,7 +915,8 @@ def polish(chain, reach, rows, position_tolerance, orientation_tolerance, q0, se
         square = 0.0
         for i in range(n):
             kept[count, i] = trial[i]
-            square += (trial[i] - q0[i]) ** 2
+            away = trial[i] - q0[i]
+            square += away * away
         kept[count, n] = position_error
         kept[count, n + 1] = orientation_error
         kept[count, n + 2] = _branch(chain, work)
@@ -1015,7 +1023,8 @@ def refine(chain, reach, targets, constraint, rotation_weight, q0, pull, q, size
             position_error, orientation_error = _linearize(chain, target, constraint, rotation_weight, 0.0, here, work)
             size = _squared(position_error, orientation_error, rotation_weight)
             for i in range(n):
-                size += pull * (q0[t, i] - here[i]) ** 2
+                away = q0[t, i] - here[i]
+                size += pull * (away * away)
             if not size <= best:
                 damping *= 4.0
                 for i in range(n):
@@ -1053,7 +1062,8 @@ def objective(chain, reach, target, constraint, position_priority, second_order,
         _add_curvature(chain, constraint, work)
     size = 0.0
     for r in range(6):
-        size += work[len(work) - 2, ERROR + r] ** 2
+        error = work[len(work) - 2, ERROR + r]
+        size += error * error
     for i in range(n):
         gradient[i] = work[i, GRADIENT]
         for r in range(6):

@@ -196,7 +196,7 @@ class CompiledLoop:
             self._set_sensor(sensor, rows, last, None if disturbances is None else disturbances.push)
         error = ""
         try:
-            error = guarded_call(kernel.RUN_TABLE, self._table.ctypes.data)
+            error = guarded_call(kernel.run_table.address, self._table.ctypes.data)
         finally:
             end = LoopEnd(int(self._table[kernel.ROW]), int(self._table[kernel.STATUS]), error)
             rows.count = int(self._table[kernel.COUNT])

@@ -185,7 +185,7 @@ class ControlledArms:
         durations = {tip: trajectory.duration for tip, trajectory in trajectories.items()}
         ticks = ticks_for(max(durations.values(), default=0.0) + dwell, self.stepper.dt)
         reference = self._reference(trajectories, ticks)
-        with self.recording(durations) as recorder:
+        with self.recording(durations, ticks=ticks) as recorder:
             self.stepper.run(self._controller, reference, recorder)
         return self._logs
 
@@ -205,7 +205,8 @@ class ControlledArms:
         begin = stepper.data.time
         durations = {tip: trajectory.duration for tip, trajectory in trajectories.items()}
         reference = self._reference(trajectories, ticks_for(max(durations.values()), stepper.dt))
-        with self.recording(durations, {tip: each.target.numbers for tip, each in moves.items()}) as recorder:
+        targets = {tip: each.target.numbers for tip, each in moves.items()}
+        with self.recording(durations, targets, ticks=len(reference.q)) as recorder:
             stepper.run(self._controller, reference, recorder)
             hold = stepper.hold_reference(ticks_for(SETTLE_CHECK_INTERVAL_S, stepper.dt) * stepper.dt)
             deadline = stepper.data.time + settle_timeout
@@ -256,6 +257,7 @@ class ControlledArms:
         durations: Mapping[str, float],
         targets: Mapping[str, Array] | None = None,
         controller: Controller | None = None,
+        ticks: int | None = None,
     ) -> Iterator[Recorder]:
         """A recorder whose ticks become the logs, however the run ends; a SimulationError gets the log of its arm.
 
@@ -263,10 +265,11 @@ class ControlledArms:
             durations: s, until the reference of each arm is at rest; left-out arms do not move.
             targets: (7,) of each arm; changes until the end of the run count. None for no targets.
             controller: The controller of an open-loop run, instead of the arms' own.
+            ticks: How long the run is, if it is known.
         """
         self.resume()
         recorder = self.stepper.recorder()
-        self.stepper.load_compiled_code(self._controller if controller is None else controller)
+        self.stepper.load_compiled_code(self._controller if controller is None else controller, ticks)
         started = time.perf_counter()
         targets = {} if targets is None else targets
         try:

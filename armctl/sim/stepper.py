@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from math import hypot, inf  # hypot of a short list is faster than numpy's norm
-from typing import TYPE_CHECKING, Protocol, TypeGuard
+from typing import TYPE_CHECKING, ClassVar, Protocol, TypeGuard
 
 import mujoco
 import numpy as np
@@ -19,6 +19,7 @@ from armctl.control.interface import has_compiled_law
 from armctl.core.errors import InputError
 from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
+from armctl.core.python_kernel import compiles_at_once
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array, IntArray, frozen, shown, vector
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from armctl.sim.free_space import FreeSpace
 
 _MAX_KEPT_TICKS = 20_000
+_PYTHON_TICKS = 4000  # of a process, in two seconds; after them it pays to compile the loop, which takes five
 _MAX_SPEED = 1e4  # rad/s (m/s), of all joints together; above it a run counts as diverged
 _FLOAT64 = np.dtype(np.float64)
 
@@ -92,6 +94,8 @@ class Stepper:
         diverged: Whether the state diverged, so that only `reset` helps.
     """
 
+    _python_ticks_left: ClassVar[int] = _PYTHON_TICKS
+
     def __init__(self, arms: Sequence[Arm], plant: Plant, observer: Observer | None = None):
         """A stepper with the arms at home, at rest.
 
@@ -121,6 +125,7 @@ class Stepper:
         self._measurement: tuple[Array, Array] | None = None
         self._unobserved = 0.0
         self._reference_tips = ReferenceTips()
+        self._prefers_python = False  # while the compiled loop is not compiled
         self._sampled: tuple[Trajectory, tuple[float, int, bool], TickReference] | None = None
         self._held_dofs = held_dofs(*arms)
         self._proofs = BoxProofs(free_boxes(arms[0]))
@@ -269,12 +274,18 @@ class Stepper:
             if self.failure:
                 return
 
-    def load_compiled_code(self, controller: Controller) -> None:
-        """Loads the code that `run` calls, so that the time of a run does not contain it."""
+    def load_compiled_code(self, controller: Controller, ticks: int | None = None) -> None:
+        """Loads the code that `run` calls, so that the time of a run does not contain it; few `ticks` run in Python instead."""
         if not self._runs_compiled(controller):
             return
-        from armctl.control.kernel_call import entry_point
+        from armctl.control.kernel_call import entry_point, has_code
+        from armctl.sim.tick_kernel import run_table
 
+        is_short = ticks is not None and ticks <= Stepper._python_ticks_left and not compiles_at_once()
+        is_compiled = self._compiled is not None or (run_table.has_code() and has_code(controller.kernel))
+        self._prefers_python = is_short and not is_compiled
+        if self._prefers_python:
+            return
         entry_point(controller.kernel)
         if self._compiled is None:
             from armctl.sim.compiled_loop import CompiledLoop
@@ -325,6 +336,10 @@ class Stepper:
 
     def _run_unchecked_ticks(self, controller: Controller, rows: TickRows, first: int, last: int) -> None:
         if last == first + 1 or not self._runs_compiled(controller):
+            self._run_python_ticks(controller, rows, first, last)
+            return
+        if self._prefers_python and last - first <= Stepper._python_ticks_left:
+            Stepper._python_ticks_left -= last - first
             self._run_python_ticks(controller, rows, first, last)
             return
         if self._measurement is not None or self._wrench_sensor.has_measured(self.data.time):  # the first tick is measured

@@ -427,6 +427,3 @@ def run_ticks(table):
 def run_table(model, data, simulation, table):
     """A function for `mjb_apply`: runs the table at an address."""
     run_ticks(numba.carray(integers(table), (TABLE_SIZE,)))
-
-
-RUN_TABLE = int(run_table.address or 0)

@@ -120,7 +120,7 @@ def test_the_shortcuts_in_numbas_compiler_lead_to_the_same_code_and_are_removed_
     with compiler_shortcuts.compiler_shortcuts():
         first = numba.njit(signature)(_norm)
         again = numba.njit(signature)(_norm)  # with what the first one left
-    codes = [re.sub(r"v\d+", "", next(iter(each.inspect_asm().values()))) for each in (plain, first, again)]
+    codes = [re.sub(r"(B\d+)?v\d+", "", next(iter(each.inspect_asm().values()))) for each in (plain, first, again)]
     assert "sqrt" in codes[0]
     assert codes[0] == codes[1] == codes[2]
     assert [(owner, name, getattr(owner, name)) for owner, name, _ in originals] == originals
@@ -132,7 +132,7 @@ def test_a_user_at_a_terminal_reads_once_why_the_first_motion_takes_long(monkeyp
     terminal.isatty = lambda: True  # type: ignore[method-assign]
     monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setattr(jit, "_SILENT_S", 0.0)
-    monkeypatch.setattr(jit._Kernel, "_has_told", False)
+    monkeypatch.setattr(jit.Kernel, "_has_told", False)
     namespace: dict = {"njit": njit}
     exec("@njit\ndef half(x):\n    return 0.5 * x\n", namespace)
     assert (namespace["half"](3.0), namespace["half"](3)) == (1.5, 1.5)

@@ -226,7 +226,8 @@ def value(c, h, points, index, forces, jerks, barrier):
             below = y - row[4]
             if above <= 0 or below <= 0:
                 return math.inf
-            product *= above * below / (row[5] - row[4]) ** 2
+            width = row[5] - row[4]
+            product *= above * below / (width * width)
             if product < SMALLEST_PRODUCT:
                 logs += math.log(product)
                 product = 1.0
@@ -286,7 +287,7 @@ def assemble(c, h, points, index, forces, jerks, barrier, gradient, band):
         w = math.sqrt(b)
         if points[p, 3] > 0:
             room = points[p, 3] - b
-            _add(m, x0, x1, x2, barrier / room, barrier / room**2, gradient, band)
+            _add(m, x0, x1, x2, barrier / room, barrier / (room * room), gradient, band)
         while force < index[p, 1]:
             row = forces[force]
             y = row[0] * c[m] + row[1] * c[m + 1] + row[2] * c[m + 2] + row[3] * w

@@ -158,12 +158,13 @@ def value(x, times, p, barrier):
         for i in range(len(p.v_max)):
             for r in range(2):
                 if p.most[k, i, r] > 0.0:
-                    room = 1.0 - (x[k, i, r] / p.most[k, i, r]) ** 2
+                    share = x[k, i, r] / p.most[k, i, r]
+                    room = 1.0 - share * share
                     if room <= 0.0:
                         return math.inf
                     logs += math.log(room)
             for sign in (-1.0, 1.0):
-                room = 1.0 - (sign * x[k, i, 0] + x[k, i, 1] ** 2 / (2 * p.j_max[i])) / p.v_max[i]
+                room = 1.0 - (sign * x[k, i, 0] + x[k, i, 1] * x[k, i, 1] / (2 * p.j_max[i])) / p.v_max[i]
                 if room <= 0.0:
                     return math.inf
                 logs += math.log(room)
@@ -202,11 +203,11 @@ def _add_waypoint(k, i, x, p, barrier, rows, slopes, gradient, band):
         else:
             room = most * most - y * y
             gradient[first + r] += barrier * 2 * y / room
-            band[first + r, 0] += barrier * 2 * (most * most + y * y) / room**2
+            band[first + r, 0] += barrier * 2 * (most * most + y * y) / (room * room)
     rows[0] = first
     rows[1] = first + 1
     for sign in (-1.0, 1.0):
-        room = p.v_max[i] - sign * x[k, i, 0] - x[k, i, 1] ** 2 / (2 * j_max)
+        room = p.v_max[i] - sign * x[k, i, 0] - x[k, i, 1] * x[k, i, 1] / (2 * j_max)
         slopes[0] = -sign if p.most[k, i, 0] > 0.0 else 0.0
         slopes[1] = -x[k, i, 1] / j_max if p.most[k, i, 1] > 0.0 else 0.0
         _add(rows[:2], slopes, barrier, room, gradient, band)
