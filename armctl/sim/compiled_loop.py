@@ -225,7 +225,7 @@ class CompiledLoop:
         }
         times = tick_times(self._data.time, last - rows.count, self._substeps, self._timestep)
         true = rows.with_wrench(WRENCH_SIZE)[rows.count : last]
-        self._table[kernel.SENSE] = wrench_kernel.SENSE_TABLE
+        self._table[kernel.SENSE] = wrench_kernel.sense_table.address
         self._table[kernel.SENSE_TABLE] = sensor.plan(push, times, true, signals)
 
     def _set_free_space(self, free_space: FreeSpace) -> None:

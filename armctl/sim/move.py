@@ -375,7 +375,8 @@ class ControlledArms:
         return rows
 
     def _is_still(self, tip: str) -> bool:
-        return bool(np.abs(self.stepper.state.v[self._slices[tip]]).max() < SETTLED_SPEED)
+        speeds = self.stepper.data.qvel[self.stepper.actuation.dof_adr[self._slices[tip]]]
+        return bool(np.abs(speeds).max() < SETTLED_SPEED)
 
     def _refused(self, tip: str, move: PlannedMove) -> MoveResult:
         position_error, orientation_error = move.target.distance(self.tip_pose(tip))

@@ -277,6 +277,3 @@ def sense_table(address):
     """Senses by the table at an address."""
     sense(numba.carray(integers(address), (TABLE_SIZE,)))
     return 0
-
-
-SENSE_TABLE = int(sense_table.address or 0)
