@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -221,8 +222,10 @@ class ControlledArms:
         """Holds all arms at their last references, for at least one tick; not recorded unless it fails."""
         self.resume()
         recorder = self.stepper.recorder()
+        reference = self.stepper.hold_reference(seconds)
         try:
-            self.stepper.run(self._controller, self.stepper.hold_reference(seconds), recorder)
+            self.stepper.load_compiled_code(self._controller, len(reference.q))
+            self.stepper.run(self._controller, reference, recorder)
         except BaseException as error:
             self._keep_logs(recorder, {}, {}, time.perf_counter(), error)
             raise
@@ -257,7 +260,7 @@ class ControlledArms:
         durations: Mapping[str, float],
         targets: Mapping[str, Array] | None = None,
         controller: Controller | None = None,
-        ticks: int | None = None,
+        ticks: float = math.inf,
     ) -> Iterator[Recorder]:
         """A recorder whose ticks become the logs, however the run ends; a SimulationError gets the log of its arm.
 
@@ -265,7 +268,7 @@ class ControlledArms:
             durations: s, until the reference of each arm is at rest; left-out arms do not move.
             targets: (7,) of each arm; changes until the end of the run count. None for no targets.
             controller: The controller of an open-loop run, instead of the arms' own.
-            ticks: How long the run is, if it is known.
+            ticks: How long the run is; infinite if it is not known.
         """
         self.resume()
         recorder = self.stepper.recorder()

@@ -94,7 +94,7 @@ class Stepper:
         diverged: Whether the state diverged, so that only `reset` helps.
     """
 
-    _python_ticks_left: ClassVar[int] = _PYTHON_TICKS
+    _python_ticks_left: ClassVar[float] = _PYTHON_TICKS
 
     def __init__(self, arms: Sequence[Arm], plant: Plant, observer: Observer | None = None):
         """A stepper with the arms at home, at rest.
@@ -274,17 +274,17 @@ class Stepper:
             if self.failure:
                 return
 
-    def load_compiled_code(self, controller: Controller, ticks: int | None = None) -> None:
+    def load_compiled_code(self, controller: Controller, ticks: float = inf) -> None:
         """Loads the code that `run` calls, so that the time of a run does not contain it; few `ticks` run in Python instead."""
         if not self._runs_compiled(controller):
             return
         from armctl.control.kernel_call import entry_point, has_code
         from armctl.sim.tick_kernel import run_table
 
-        is_short = ticks is not None and ticks <= Stepper._python_ticks_left and not compiles_at_once()
         is_compiled = self._compiled is not None or (run_table.has_code() and has_code(controller.kernel))
-        self._prefers_python = is_short and not is_compiled
+        self._prefers_python = ticks <= Stepper._python_ticks_left and not is_compiled and not compiles_at_once()
         if self._prefers_python:
+            Stepper._python_ticks_left -= ticks
             return
         entry_point(controller.kernel)
         if self._compiled is None:
@@ -335,11 +335,7 @@ class Stepper:
                     self.failure = f"free_space: {touched}; simulate it without free_space"
 
     def _run_unchecked_ticks(self, controller: Controller, rows: TickRows, first: int, last: int) -> None:
-        if last == first + 1 or not self._runs_compiled(controller):
-            self._run_python_ticks(controller, rows, first, last)
-            return
-        if self._prefers_python and last - first <= Stepper._python_ticks_left:
-            Stepper._python_ticks_left -= last - first
+        if last == first + 1 or self._prefers_python or not self._runs_compiled(controller):
             self._run_python_ticks(controller, rows, first, last)
             return
         if self._measurement is not None or self._wrench_sensor.has_measured(self.data.time):  # the first tick is measured
