@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from math import hypot, inf  # hypot of a short list is faster than numpy's norm
-from typing import TYPE_CHECKING, ClassVar, Protocol, TypeGuard
+from typing import TYPE_CHECKING, Protocol, TypeGuard
 
 import mujoco
 import numpy as np
@@ -19,7 +19,6 @@ from armctl.control.interface import has_compiled_law
 from armctl.core.errors import InputError
 from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
-from armctl.core.python_kernel import compiles_at_once
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array, IntArray, frozen, shown, vector
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
@@ -28,6 +27,7 @@ from armctl.robot.arm import Arm
 from armctl.sim.box_proofs import BoxProofs
 from armctl.sim.disturbances import Disturbances
 from armctl.sim.plant import Brake, Plant, apply_plant, held_dofs
+from armctl.sim.python_ticks import PythonTicks
 from armctl.sim.recorder import Recorder, ReferenceTips, TickRows
 from armctl.sim.wrench_sensor import WrenchSensor
 
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from armctl.sim.free_space import FreeSpace
 
 _MAX_KEPT_TICKS = 20_000
-_PYTHON_TICKS = 4000  # of a process, in two seconds; after them it pays to compile the loop, which takes five
 _MAX_SPEED = 1e4  # rad/s (m/s), of all joints together; above it a run counts as diverged
 _FLOAT64 = np.dtype(np.float64)
 
@@ -93,8 +92,6 @@ class Stepper:
         failure: Why the last run ended early, in words; empty if it did not.
         diverged: Whether the state diverged, so that only `reset` helps.
     """
-
-    _python_ticks_left: ClassVar[float] = _PYTHON_TICKS
 
     def __init__(self, arms: Sequence[Arm], plant: Plant, observer: Observer | None = None):
         """A stepper with the arms at home, at rest.
@@ -278,14 +275,11 @@ class Stepper:
         """Loads the code that `run` calls, so that the time of a run does not contain it; few `ticks` run in Python instead."""
         if not self._runs_compiled(controller):
             return
-        from armctl.control.kernel_call import entry_point, has_code
-        from armctl.sim.tick_kernel import run_table
-
-        is_compiled = self._compiled is not None or (run_table.has_code() and has_code(controller.kernel))
-        self._prefers_python = ticks <= Stepper._python_ticks_left and not is_compiled and not compiles_at_once()
+        self._prefers_python = self._compiled is None and PythonTicks.suffice(controller.kernel, ticks)
         if self._prefers_python:
-            Stepper._python_ticks_left -= ticks
             return
+        from armctl.control.kernel_call import entry_point
+
         entry_point(controller.kernel)
         if self._compiled is None:
             from armctl.sim.compiled_loop import CompiledLoop
