@@ -1,4 +1,4 @@
-"""Whether the Python loop, which gives the same bits, runs some ticks in less time than it takes to compile the compiled loop."""
+"""Whether the Python loop, which gives the same bits, runs some ticks in less time than it takes to compile the other one."""
 
 from __future__ import annotations
 
