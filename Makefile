@@ -9,7 +9,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PIP_NO_INPUT := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format types docs pytest examples fuzz soak bench outputs pictures clean
+.PHONY: help demo test lint format types docs pytest lowest examples fuzz soak bench outputs pictures clean
 
 help:
 	@echo "make demo      the bundled arm moves to the green target and prints a report"
@@ -19,6 +19,7 @@ help:
 	@echo "make types     pyright"
 	@echo "make docs      build the pages in docs/_build"
 	@echo "make pytest    tests and examples"
+	@echo "make lowest    tests and examples with the lowest versions that pyproject.toml allows, in .lowest"
 	@echo "make examples  only the examples"
 	@echo "make fuzz      random calls, files, motions and messages: make fuzz SEED=1 MINUTES=10;"
 	@echo "               10 000 motions of every kind per arm take hours: make fuzz MINUTES=0.1 MOTIONS=10000"
@@ -75,6 +76,17 @@ docs: $(VENV)/dev.stamp
 pytest: $(VENV)/dev.stamp
 	@$(BIN)/python -m pytest -n $(WORKERS) --maxprocesses 8 --dist loadgroup || { echo "tests failed, as listed above; make pytest runs them alone"; exit 1; }
 
+# uv installs the lowest versions; pip cannot.
+.lowest/stamp: pyproject.toml
+	@$(PYTHON) -m venv .lowest
+	@.lowest/bin/python -m pip install --quiet uv
+	@.lowest/bin/uv pip install --quiet --python .lowest/bin/python --resolution lowest-direct --editable '.[dev]'
+	@touch $@
+
+lowest: export NUMBA_CACHE_DIR := $(CURDIR)/.lowest/kernels
+lowest: .lowest/stamp
+	@.lowest/bin/python -m pytest -n $(WORKERS) --maxprocesses 8 --dist loadgroup || { echo "tests failed, as listed above"; exit 1; }
+
 examples: $(VENV)/dev.stamp
 	@$(BIN)/python -m pytest tests/project/test_examples.py -n $(WORKERS) --maxprocesses 8
 
@@ -100,5 +112,5 @@ pictures: $(VENV)/dev.stamp
 	@$(BIN)/python docs/pictures/make.py
 
 clean:
-	rm -rf $(VENV) build dist docs/_build run out .pytest_cache .ruff_cache .import_linter_cache .hypothesis MUJOCO_LOG.TXT
+	rm -rf $(VENV) .lowest build dist docs/_build run out .pytest_cache .ruff_cache .import_linter_cache .hypothesis MUJOCO_LOG.TXT
 	find armctl tests -name __pycache__ -type d -prune -exec rm -rf {} +
