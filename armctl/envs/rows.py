@@ -168,6 +168,22 @@ class Rows:
             self._plants[row] = plant_vector(self.arm, self._free_vector, plant)
             self._shared[row] = self._is_shared(self._plants[row])
 
+    def rehearse(self, action: Array, target: Array, q_ref: Array, v_ref: Array) -> None:
+        """Moves the targets and the references of the joints as a step does; the arms stay where they are.
+
+        Args:
+            action: (k,) of the arm.
+            target: (n,) rad, changed.
+            q_ref: (n,) rad, the positions of the reference; changed.
+            v_ref: (n,) rad/s, its velocities; changed.
+        """
+        from armctl.envs import step_kernel as kernel
+
+        numbers = self._kept[kernel.NUMBERS]
+        scratch = self._scratch[0]
+        mode = self.mode.number
+        kernel.rehearse(mode, self.ticks, self._nominal, numbers, self.limits, action, target, q_ref, v_ref, scratch)
+
     def find_tips(self, rows: Sequence[int] | IntArray) -> None:
         """Computes the tips of copies that were reset."""
         positions, rotations = self.arm.fk_many(self.q[rows])

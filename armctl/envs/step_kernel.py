@@ -137,13 +137,10 @@ def approach_speed(way, a_max, rate):
 
 
 @njit
-def _set_target(table, row, numbers, limits, scratch):
-    """Moves the target of a row by its action."""
-    n = table[N]
-    mode = table[MODE]
-    actions = table[ACTIONS]
-    action = matrix(table[ACTION], table[ROWS], table[ACTION_WIDTH])[row]
-    target = matrix(table[TARGET], table[ROWS], n)[row]
+def _move_target(mode, ticks, model, numbers, limits, action, target, scratch):
+    """Moves joint targets (n,) by the action of the arm."""
+    n = target.shape[0]
+    actions = action.shape[0]
     if mode == JOINT_DELTA:
         scale = numbers[JOINT_SCALE]
         for i in range(n):
@@ -164,9 +161,8 @@ def _set_target(table, row, numbers, limits, scratch):
         goal = rest[6 * n + 60 : 6 * n + 72]
         turn = rest[6 * n + 54 : 6 * n + 57]
         work = rest[6 * n + 72 :]
-        model = vector(table[NOMINAL], table[MODEL_SIZE])
         for i in range(n):
-            way[i] = numbers[PERIOD] * table[TICKS] * limits[2, i]
+            way[i] = numbers[PERIOD] * ticks * limits[2, i]
             start[i] = target[i]
         origin = numbers[HOME_TIP : HOME_TIP + 12]
         if mode == CARTESIAN_DELTA:
@@ -197,6 +193,16 @@ def _advance_reference(numbers, limits, target, reference, q_ref, v_ref):
         reference[A_TICK, i] = reference[A_REF, i]
         v_ref[i] = after
         q_ref[i] += dt * after
+
+
+@njit
+def rehearse(mode, ticks, model, numbers, limits, action, target, q_ref, v_ref, scratch):
+    """Moves target and reference (n,) as in one step: the motion of an arm that follows its reference."""
+    n = target.shape[0]
+    _move_target(mode, ticks, model, numbers, limits, action, target, scratch)
+    reference = scratch[_VECTORS * n : _VECTORS * n + 5 * n].reshape((5, n))
+    for _ in range(ticks):
+        _advance_reference(numbers, limits, target, reference, q_ref, v_ref)
 
 
 @njit
@@ -394,7 +400,8 @@ def step_rows(table):
         q_reference = matrix(table[Q_REFERENCE], rows, n)[row]
         v_reference = matrix(table[V_REFERENCE], rows, n)[row]
         numba.carray(integers(table[TOUCHED]), (rows,))[row] = 0
-        _set_target(table, row, numbers, limits, scratch)
+        action = matrix(table[ACTION], rows, table[ACTION_WIDTH])[row, : table[ACTIONS]]
+        _move_target(table[MODE], table[TICKS], nominal, numbers, limits, action, target, scratch)
         for tick in range(table[TICKS]):
             _measure(table, row, tick, q, v, q_seen, v_seen)
             if shared[row]:
@@ -402,7 +409,6 @@ def step_rows(table):
             if table[MODE] == TORQUE:
                 if not shared[row]:
                     _find_dynamics(nominal, q_seen, v_seen, a, work, bias, factors)
-                action = matrix(table[ACTION], rows, table[ACTION_WIDTH])[row]
                 _guarded_torque(action, numbers, limits, q_seen, v_seen, bias, factors, tau, a)
             else:
                 _advance_reference(numbers, limits, target, reference, q_reference, v_reference)

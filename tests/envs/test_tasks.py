@@ -9,7 +9,11 @@ from synthetic import arm_with_gripper
 
 import armctl
 import armctl.envs
+from armctl.envs.experts import planned
 from armctl.envs.tasks.tool import find_tool
+from armctl.ik.solve import solve_ik
+from armctl.motion.move_j import move_j
+from armctl.planning.move_free import move_free
 
 ROBOT = "robot_arm_3dof"
 RANGES = {
@@ -73,6 +77,35 @@ def test_the_expert_acts_by_other_actions(action):
     env.reset(seed=1)
     successes = [env.step(policy())[4]["is_success"] for _ in range(env.batch.horizon)]
     assert successes[-1]
+
+
+def test_the_expert_rejects_a_plan_that_touches_in_the_rehearsal(make, monkeypatch):
+    def straight_at_first(arm, start, goal, *, seed):
+        return move_free(arm, start, goal, seed=seed) if seed else move_j(arm, start, solve_ik(arm, goal, start).q)
+
+    monkeypatch.setattr(planned, "move_free", straight_at_first)
+    env = make("ReachPast")
+
+    def touched():
+        env.reset(seed=0)
+        policy = armctl.envs.ExpertPolicy(env)
+        return sum(env.step(policy())[4]["touched"] for _ in range(env.batch.horizon - 1))
+
+    assert not touched().any()
+    monkeypatch.setattr(planned.ReachPastExpert, "_solves", lambda *_: True)
+    assert touched().all()
+
+
+@pytest.mark.parametrize("action", ["joint_delta", "joint_target", "cartesian_delta", "cartesian_pose"])
+def test_a_rehearsal_moves_the_references_as_a_step_does(action):
+    env = armctl.envs.ArmEnv(ROBOT, "Reach", action)
+    env.reset(seed=0)
+    rows = env.batch.rows
+    state = [array[0].copy() for array in (rows.target, rows._q_ref, rows._v_ref)]
+    for each in np.random.default_rng(0).uniform(-1.0, 1.0, (3, 3)):
+        rows.rehearse(each, *state)
+        env.step(each)
+        assert np.array_equal(state, [rows.target[0], rows._q_ref[0], rows._v_ref[0]])
 
 
 @pytest.mark.parametrize("task", ["Track", "PickPlace"])

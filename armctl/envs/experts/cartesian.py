@@ -6,7 +6,7 @@ import numpy as np
 
 from armctl.core.validation import Array
 from armctl.envs.batch import Batch
-from armctl.envs.experts.interface import Expert
+from armctl.envs.experts.interface import Expert, max_turns
 from armctl.envs.tasks.table import Table
 from armctl.ik.problem import packed_chain
 from armctl.ik.solve import solve_ik
@@ -33,10 +33,7 @@ class CartesianExpert(Expert):
         """A policy that waits for the start of an episode."""
         super().__init__(batch, row)
         self._reach = packed_chain(self.arm).reach
-        # The reference of a joint lags behind its target by v^2 / 2a, from where it could stop. The lags differ between the
-        # joints, so the tip leaves its line where they are large.
-        _, _, speed, acceleration, _ = batch.rows.limits
-        self._max_turns = np.minimum(_SPEED_SHARE * speed, np.sqrt(2.0 * _MAX_LAG * acceleration)) * batch.step_time
+        self._max_turns = max_turns(batch, _MAX_LAG, _SPEED_SHARE)
 
     def begin(self) -> None:
         """Notes where the tip is."""

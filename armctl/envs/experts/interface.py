@@ -65,30 +65,51 @@ class Expert(ABC):
         if self.batch.steps[self.row] == 0:
             self.begin()
         command = self.next()
-        action = _action(self.batch, self.row, command.q)
+        action = within_step(self.batch, action_towards(self.batch, self.batch.rows.target[self.row], command.q))
         if not self.batch.task.uses_gripper:
             return action
         return np.append(action, 2.0 * command.opening - 1.0)
 
 
-def _action(batch: Batch, row: int, q: Array) -> Array:
-    """(k,) the action that moves the targets of the joints to q (n,), as far as one step can."""
+def action_towards(batch: Batch, target: Array, q: Array) -> Array:
+    """(k,) the action that moves joint targets (n,) to q (n,); beyond [-1, 1] where one step is not enough."""
     rows = batch.rows
     low, high, speed = rows.limits[:3]
     if batch.action == "joint_target":
-        return np.clip(2.0 * (q - low) / (high - low) - 1.0, -1.0, 1.0)
-    target = rows.target[row]
+        return 2.0 * (q - low) / (high - low) - 1.0
     if batch.action == "joint_delta":
-        return _shortened((q - target) / (rows.mode.joint_scale * batch.step_time * speed))
+        return (q - target) / (rows.mode.joint_scale * batch.step_time * speed)
     wanted = batch.arm.fk(q)
     now = batch.arm.fk(target)
     way = (wanted.position - now.position) / rows.mode.position_scale
     if rows.mode.size(batch.arm) == 3:
-        return _shortened(way)
-    turn = rotation_vector(wanted.rotation @ now.rotation.T) / rows.mode.rotation_scale
-    return np.concatenate([_shortened(way), _shortened(turn)])
+        return way
+    return np.concatenate([way, rotation_vector(wanted.rotation @ now.rotation.T) / rows.mode.rotation_scale])
+
+
+def within_step(batch: Batch, action: Array) -> Array:
+    """An action within [-1, 1]; deltas keep their direction."""
+    if batch.action == "joint_target":
+        return np.clip(action, -1.0, 1.0)
+    if batch.action == "joint_delta":
+        return _shortened(action)
+    return np.concatenate([_shortened(part) for part in (action[:3], action[3:])])
 
 
 def _shortened(action: Array) -> Array:
-    """An action within [-1, 1], in the same direction."""
-    return action / max(1.0, float(np.abs(action).max()))
+    return action / max(1.0, float(np.abs(action).max(initial=0.0)))
+
+
+def max_turns(batch: Batch, max_lag: float, speed_share: float = 1.0) -> Array:
+    """(n,) rad, how far targets may move in a step so that the references stay near them.
+
+    The reference of a joint lags behind its target by v^2 / 2a, from where it could stop. The lags differ between the joints,
+    so the arm leaves its path where they are large.
+
+    Args:
+        batch: The batch.
+        max_lag: rad (m), of a reference.
+        speed_share: Of the speed limits of the joints.
+    """
+    _, _, speed, acceleration, _ = batch.rows.limits
+    return np.minimum(speed_share * speed, np.sqrt(2.0 * max_lag * acceleration)) * batch.step_time
