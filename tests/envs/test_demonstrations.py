@@ -150,7 +150,7 @@ def test_wrong_calls_leave_nothing_behind(env, tmp_path):
     odd = armctl.envs.ArmEnv("robot_arm_3dof", action="joint_target", ticks=7)
     with pytest.raises(armctl.InputError, match="whole number"):
         armctl.envs.save_demonstrations(odd, tmp_path / "data", 1)
-    hopeless = armctl.envs.ArmEnv("robot_arm_3dof", "ReachPast", "joint_target", horizon=1)
+    hopeless = armctl.envs.ArmEnv("robot_arm_3dof", "Reach", "joint_target", horizon=1)
     result = armctl.envs.save_demonstrations(hopeless, tmp_path / "data", 1)
     assert not result
     assert "failed" in result.reason
