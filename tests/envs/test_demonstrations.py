@@ -142,7 +142,7 @@ def test_files_are_numbered_when_they_are_full(tmp_path, monkeypatch):
     assert json.loads((tmp_path / "meta/info.json").read_text())["video_path"] is None
 
 
-def test_wrong_calls_leave_nothing_behind(env, tmp_path):
+def test_wrong_calls_leave_nothing_behind(env, tmp_path, monkeypatch):
     with pytest.raises(armctl.InputError, match="exists already"):
         armctl.envs.save_demonstrations(env, tmp_path, 1)
     with pytest.raises(armctl.InputError, match="no single environment"):
@@ -150,7 +150,8 @@ def test_wrong_calls_leave_nothing_behind(env, tmp_path):
     odd = armctl.envs.ArmEnv("robot_arm_3dof", action="joint_target", ticks=7)
     with pytest.raises(armctl.InputError, match="whole number"):
         armctl.envs.save_demonstrations(odd, tmp_path / "data", 1)
-    hopeless = armctl.envs.ArmEnv("robot_arm_3dof", "Reach", "joint_target", horizon=1)
+    monkeypatch.setattr("armctl.envs.demonstrations._MAX_FAILURES", 2)
+    hopeless = armctl.envs.ArmEnv("robot_arm_3dof", "ReachPast", "joint_target", horizon=1)
     result = armctl.envs.save_demonstrations(hopeless, tmp_path / "data", 1)
     assert not result
     assert "failed" in result.reason
