@@ -11,6 +11,7 @@ behavior of multibody mechanisms", IEEE Trans. Systems, Man and Cybernetics 7(12
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -119,6 +120,7 @@ class _Tracker:
         self.what = what
         self.path = path
         self.rows = _rows(oriented)
+        self._place = lru_cache(maxsize=1)(path.at)  # a step needs each place two or three times
         self._centering = centering
         q_min = arm.limits.q_min
         q_max = arm.limits.q_max
@@ -165,7 +167,7 @@ class _Tracker:
         if np.abs(moved).max() > 4 * _MAX_JOINT_STEP:
             return None
         q = q + moved
-        place = self.path.at(s + h)
+        place = self._place(s + h)
         for _ in range(_MAX_NEWTON_ITERATIONS):
             error = self._error(q, place)
             if np.abs(error).max() < _NEWTON_TOLERANCE:
@@ -174,7 +176,7 @@ class _Tracker:
         return None
 
     def _slope(self, q: Array, s: float) -> Array:
-        twist = self.path.at(s).twist[: self.rows]
+        twist = self._place(s).twist[: self.rows]
         if self._centering == 0.0:
             return self._inverse(q, twist)
         to_middle = np.where(self._is_bounded, self._low + 0.5 * self._range - q, 0.0)
