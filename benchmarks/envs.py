@@ -22,6 +22,7 @@ ROBOT = "panda"
 COUNT = 256
 SEED = 5
 CHECKED = 7
+PAYLOAD = {"payload": armctl.Range(0.0, 0.5)}
 RESULTS = Path(__file__).parent / "results" / "envs.md"
 
 
@@ -29,9 +30,9 @@ def random_actions(steps: int, *shape: int) -> np.ndarray:
     return np.random.default_rng(SEED).uniform(-1.0, 1.0, (steps, *shape)).astype(np.float32)
 
 
-def batch(arm: armctl.Arm, action: str, steps: int, *, free_space: bool) -> tuple[float, np.ndarray]:
+def batch(arm: armctl.Arm, action: str, steps: int, **options) -> tuple[float, np.ndarray]:
     """Steps per CPU second, and the observations (steps, COUNT, k)."""
-    env = armctl.envs.ArmVectorEnv(arm, action=action, num_envs=COUNT, free_space=free_space)
+    env = armctl.envs.ArmVectorEnv(arm, action=action, num_envs=COUNT, **options)
     env.reset(seed=SEED)
     actions = random_actions(steps, *env.action_space.shape)
     start = time.process_time()
@@ -65,6 +66,8 @@ def main() -> None:
         rate, free = batch(arm, action, 100, free_space=True)
         rows.append([f"armctl, {action}", "free space", str(COUNT), "25", f"{rate:.0f}"])
         rows.append([f"armctl, {action}", "free space", "1", "25", f"{single(arm, action, 5000, free):.0f}"])
+        rate, _ = batch(arm, action, 100, free_space=True, randomize=PAYLOAD)
+        rows.append([f"armctl, {action}", "free space, payload varies", str(COUNT), "25", f"{rate:.0f}"])
         rate, touching = batch(arm, action, 20, free_space=False)
         rows.append([f"armctl, {action}", "contacts", str(COUNT), "25", f"{rate:.0f}"])
         away = np.abs(free[: len(touching), :, : arm.n] - touching[..., : arm.n]).max(axis=(0, 2))
