@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from armctl.control.kernel import A_TICK, Q_REF, V_TICK
 from armctl.control.payload_kernel import PARAMETERS, payload_regressor, regressor_scratch
-from armctl.core.jit import njit
+from armctl.core.jit import njit, njit_borrowing
 from armctl.robot.dynamics_kernel import (
     add_friction,
     add_linear_damping,
@@ -34,7 +34,7 @@ def memory_size(n: int) -> int:
     return PAYLOAD + (PAYLOAD + 2 * PARAMETERS) * n + n * n + 5 * n + regressor_scratch(n)
 
 
-@njit
+@njit_borrowing
 def adaptive(params, q, v, reference, memory, tau):
     """The law of `Adaptive`."""
     n = tau.shape[0]

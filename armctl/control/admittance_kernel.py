@@ -17,7 +17,7 @@ from armctl.control.task_kernel import (
     task_size,
     tip_error,
 )
-from armctl.core.jit import njit
+from armctl.core.jit import njit, njit_borrowing
 from armctl.robot.dynamics_kernel import add_friction, add_linear_damping, inverse_dynamics, mass_matrix
 
 # The parameters begin with these, then follows the model.
@@ -46,7 +46,7 @@ def memory_size(n: int) -> int:
     return MEMORY_HEADER + 3 * n + task_size(n)
 
 
-@njit
+@njit_borrowing
 def admittance(params, q, v, reference, memory, tau):
     """The law of `Admittance`."""
     n = tau.shape[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from armctl.control.kernel import A_REF, A_TICK, Q_REF, V_REF, V_TICK
-from armctl.core.jit import njit
+from armctl.core.jit import njit, njit_borrowing
 from armctl.robot.dynamics_kernel import add_friction, add_linear_damping, inverse_dynamics, multiply
 
 # The parameters begin with these, then follow stiffness, damping, added inertia and torque limits, each (n,), and the model.
@@ -31,7 +31,7 @@ def vector(memory, n, k):
     return memory[k * n : (k + 1) * n]
 
 
-@njit
+@njit_borrowing
 def computed_torque(params, q, v, reference, memory, tau):
     """The law of `ComputedTorque`."""
     n = tau.shape[0]

@@ -16,7 +16,7 @@ from armctl.control.payload_kernel import (
     regressor_scratch,
     unknowns,
 )
-from armctl.core.jit import njit
+from armctl.core.jit import njit, njit_borrowing
 from armctl.robot.dynamics_kernel import inverse_dynamics
 
 # The parameters are the constants of the estimator, then those of the law with an observer. The memory is that of the
@@ -33,7 +33,7 @@ def memory_size(n: int) -> int:
     return estimator_size(n) + (n + 1) * (unknowns(n) + 1) + 2 * n + regressor_scratch(n) + law.memory_size(n)
 
 
-@njit
+@njit_borrowing
 def computed_torque_learning(params, q, v, reference, memory, tau):
     """The law of `ComputedTorqueLearning`."""
     n = tau.shape[0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import sqrt
 
 from armctl.control.kernel import A_TICK, Q_REF, V_TICK, clipped
-from armctl.core.jit import njit
+from armctl.core.jit import njit, njit_borrowing
 from armctl.core.validation import Array
 from armctl.robot.dynamics_kernel import (
     add_friction,
@@ -74,7 +74,7 @@ def row(params, n, k):
     return params[HEADER + k * n : HEADER + (k + 1) * n]
 
 
-@njit
+@njit_borrowing
 def computed_torque_observer(params, q, v, reference, memory, tau):
     """The law of `ComputedTorqueObserver`."""
     observe(params, q, v, memory)

@@ -19,7 +19,7 @@ from armctl.control.task_kernel import (
     task_size,
     tip_error,
 )
-from armctl.core.jit import njit
+from armctl.core.jit import njit, njit_borrowing
 from armctl.robot.dynamics_kernel import (
     FRICTION_LOSS,
     _drive,
@@ -113,7 +113,7 @@ def memory_size(n: int) -> int:
     return MEMORY_HEADER + 5 * n + task_size(n)
 
 
-@njit
+@njit_borrowing
 def hybrid_force(params, q, v, reference, memory, tau):
     """The law of `HybridForce`."""
     n = tau.shape[0]

@@ -16,7 +16,7 @@ from armctl.control.task_kernel import (
     task_size,
     tip_error,
 )
-from armctl.core.jit import njit
+from armctl.core.jit import njit, njit_borrowing
 from armctl.robot.dynamics_kernel import add_friction, add_linear_damping, inverse_dynamics, mass_matrix, solve, take_roots
 
 # The parameters begin with these, then follow the posture stiffness (n,) and the model.
@@ -33,7 +33,7 @@ def memory_size(n: int) -> int:
     return task_size(n) + 4 * n * n + 3 * n
 
 
-@njit
+@njit_borrowing
 def impedance(params, q, v, reference, memory, tau):
     """The law of `Impedance`."""
     n = tau.shape[0]

@@ -14,7 +14,7 @@ from armctl.control.task_kernel import (
     task_size,
     tip_error,
 )
-from armctl.core.jit import njit
+from armctl.core.jit import njit_borrowing
 from armctl.robot.dynamics_kernel import add_friction, add_linear_damping, inverse_dynamics, mass_matrix, solve
 
 # The parameters begin with these, then follows the model.
@@ -30,7 +30,7 @@ def memory_size(n: int) -> int:
     return task_size(n) + 2 * n
 
 
-@njit
+@njit_borrowing
 def operational_space(params, q, v, reference, memory, tau):
     """The law of `OperationalSpace`."""
     n = tau.shape[0]

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from armctl.control.kernel import A_TICK, Q_REF, V_REF, V_TICK
-from armctl.core.jit import njit
+from armctl.core.jit import njit_borrowing
 from armctl.robot.dynamics_kernel import add_friction, gravity, inverse_dynamics
 
 
-@njit
+@njit_borrowing
 def pd(params, q, v, reference, memory, tau):
     """Parameters: stiffness (n,), damping (n,). No memory."""
     n = tau.shape[0]
@@ -15,7 +15,7 @@ def pd(params, q, v, reference, memory, tau):
         tau[i] = params[i] * (reference[Q_REF, i] - q[i]) + params[n + i] * (reference[V_REF, i] - v[i])
 
 
-@njit
+@njit_borrowing
 def pd_feedforward(params, q, v, reference, memory, tau):
     """Parameters: stiffness (n,), damping (n,), model. Memory: scratch of the model."""
     n = tau.shape[0]
@@ -27,7 +27,7 @@ def pd_feedforward(params, q, v, reference, memory, tau):
         tau[i] += params[i] * (reference[Q_REF, i] - q[i]) + params[n + i] * (v_ref[i] - v[i])
 
 
-@njit
+@njit_borrowing
 def pd_gravity(params, q, v, reference, memory, tau):
     """Parameters: stiffness (n,), damping (n,), model. Memory: gravity (n,), scratch of the model."""
     n = tau.shape[0]
@@ -38,7 +38,7 @@ def pd_gravity(params, q, v, reference, memory, tau):
         tau[i] += torque[i]
 
 
-@njit
+@njit_borrowing
 def pid_gravity(params, q, v, reference, memory, tau):
     """Parameters: stiffness, damping, integral gain x dt, torque limits, each (n,), model. Memory: integral (n,), as above."""
     n = tau.shape[0]

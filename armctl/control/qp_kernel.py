@@ -9,7 +9,7 @@ from armctl.control.active_set_kernel import UNBOUNDED, solve_program, work_size
 from armctl.control.computed_torque_kernel import ADDED, CORRECTION, VECTORS, computed_torque
 from armctl.control.computed_torque_kernel import vector as law_vector
 from armctl.control.kernel import A_TICK, Q_REF, V_TICK
-from armctl.core.jit import njit
+from armctl.core.jit import njit, njit_borrowing
 from armctl.core.validation import Array
 from armctl.robot.dynamics_kernel import (
     add_step_inertia,
@@ -113,7 +113,7 @@ def _matrix(memory, n, k):
     return memory[start : start + n * n].reshape((n, n))
 
 
-@njit
+@njit_borrowing
 def computed_torque_qp(params, q, v, reference, memory, tau):
     """The law of `ComputedTorqueQP`."""
     n = tau.shape[0]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from armctl.control.kernel_call import call_kernel
 from armctl.core.addresses import as_integer, vector
-from armctl.core.jit import njit
+from armctl.core.jit import njit, njit_borrowing
 
 # The parameters begin with integers in the place of floats; then follow the largest changes of the torques (n,).
 KERNEL = 0  # addresses and sizes, of the controller that is called
@@ -23,7 +23,7 @@ WRENCH_SIZE = 6
 MEMORY_HEADER = 7
 
 
-@njit
+@njit_borrowing
 def rate_limited(params, q, v, reference, memory, tau):
     """The law of `TorqueRateLimit`."""
     parameters = vector(as_integer(params[PARAMETERS]), as_integer(params[PARAMETERS_SIZE]))

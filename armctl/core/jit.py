@@ -8,9 +8,9 @@ import pickle
 import sys
 import time
 import warnings
-from collections.abc import Callable
-from contextlib import suppress
-from typing import Any
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, ClassVar
 
 from numba.core import types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
@@ -18,13 +18,17 @@ from numba.core.ccallback import CFunc
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult, Flags, compile_extra
 from numba.core.dispatcher import Dispatcher
+from numba.core.errors import NumbaRuntimeError
+from numba.core.lowering import BaseLower
 from numba.core.registry import CPUDispatcher
+from numba.core.runtime.context import NRTContext
 from numba.core.typing.templates import make_concrete_template
 
 from armctl.core.compiler_shortcuts import compiler_shortcuts
 from armctl.core.errors import ArmctlWarning
 from armctl.core.python_kernel import PythonKernel, UnfinishedError
 
+_lower = BaseLower.lower
 _SILENT_S = 2.0  # so long a process compiles before it tells why its user waits
 _DIGEST_SIZE = hashlib.sha256().digest_size
 
@@ -128,17 +132,21 @@ class Kernel(CPUDispatcher):
     A function whose code is not in the cache runs as Python first, and is compiled when that has taken some time.
 
     Attributes:
-        called: What compiled code calls, by the types of the arguments.
+        called: What compiled code calls, by the types of the arguments, and whether it borrows.
+        borrows: Whether the code is that of `njit_borrowing`.
         python: The function in Python, for its first calls; None if it is compiled at once.
     """
 
     _cache: Any
     _compiled_s = 0.0  # by this process
     _has_told = False
+    _is_borrowing = False  # what is compiled now, under numba's lock
+    _own: ClassVar[set[Callable]] = set()  # the functions of armctl; those of numba serve others, too
 
     def __init__(self, *arguments: Any, **options: Any):
         super().__init__(*arguments, **options)
-        self.called: dict[tuple, CompileResult] = {}
+        self.called: dict[tuple[tuple, bool], CompileResult] = {}
+        self.borrows = False
         self.python: PythonKernel | None = None
         self._missing: set[tuple] = set()  # types of arguments whose code is not in the cache
 
@@ -166,9 +174,12 @@ class Kernel(CPUDispatcher):
     def compile(self, sig: Any) -> Any:
         """The code for these types of arguments, from the cache if it is there."""
         began = time.monotonic()
-        with compiler_shortcuts():
+        Kernel._own.add(self.py_func)
+        with compiler_shortcuts(), _borrowing(self.borrows):
             code = super().compile(sig)
         if self.stats.cache_misses[sig]:
+            if self.borrows:
+                _check_borrowing(self.py_func.__name__, self.overloads[sig].library)
             Kernel._compiled_s += time.monotonic() - began
             _tell_once()
         return code
@@ -177,14 +188,15 @@ class Kernel(CPUDispatcher):
         """What numba asks for when it compiles a call: the signature for these types of arguments."""
         signature, args = self.fold_argument_types(args, kws)
         args = tuple(map(types.unliteral, args))
-        if args not in self.called:
-            self.called[args] = self._compile_called(args)
-        template = make_concrete_template(self.py_func.__name__, self, [self.called[args].signature])
+        key = (args, Kernel._is_borrowing)
+        if key not in self.called:
+            self.called[key] = self._compile_called(args)
+        template = make_concrete_template(self.py_func.__name__, self, [self.called[key].signature])
         return template, signature, args, {}
 
     def get_overload(self, sig: Any) -> Any:
         """The key under which numba finds the code for a call."""
-        return self.called[tuple(sig)].fndesc
+        return self.called[tuple(sig), Kernel._is_borrowing].fndesc
 
     def _compile_called(self, args: tuple) -> CompileResult:
         flags: Any = Flags()
@@ -193,10 +205,51 @@ class Kernel(CPUDispatcher):
         flags.no_compile = True
         flags.no_cpython_wrapper = True
         flags.no_cfunc_wrapper = True
+        Kernel._own.add(self.py_func)
         library = _CalledCode(target.codegen(), self.py_func.__qualname__)
         result = compile_extra(self.typingctx, target, self.py_func, args, None, flags, {}, library)
         target.insert_user_function(result.fndesc, result.fndesc, [library])
         return result
+
+
+@contextmanager
+def _borrowing(borrows: bool) -> Iterator[None]:
+    """While it is open, numba compiles code that borrows all arrays, or code that does not."""
+    before = Kernel._is_borrowing
+    Kernel._is_borrowing = borrows
+    BaseLower.lower = _lower_without_counts if borrows else _lower
+    try:
+        yield
+    finally:
+        Kernel._is_borrowing = before
+        BaseLower.lower = _lower_without_counts if before else _lower
+
+
+def _lower_without_counts(self: BaseLower) -> None:
+    """Makes the code of a function without reference counts; those of its wrapper, which Python calls, stay."""
+    if self.func_ir.func_id.func not in Kernel._own:
+        _lower(self)
+        return
+    context: Any = NRTContext
+    incref = context.incref
+    decref = context.decref
+    context.incref = _count_nothing
+    context.decref = _count_nothing
+    try:
+        _lower(self)
+    finally:
+        context.incref = incref
+        context.decref = decref
+
+
+def _count_nothing(*_: Any) -> None:
+    pass
+
+
+def _check_borrowing(name: str, library: Any) -> None:
+    """Memory that borrowing code allocates would never be freed."""
+    if "NRT_MemInfo_alloc" in library.get_llvm_str():
+        raise NumbaRuntimeError(f"{name} allocates memory, which a function of njit_borrowing must not do")
 
 
 def _tell_once() -> None:
@@ -223,9 +276,24 @@ def njit_at_once(function: Callable) -> Any:
     return compiled
 
 
-class CFunction(CFunc):
-    """A C function that is compiled when its address is needed."""
+def njit_borrowing(function: Callable) -> Callable:
+    """As `njit`, for a function that works on its caller's arrays: it and what it calls allocate and return none.
 
+    numba counts the references to every array and every part of one. Without that, small functions take up to half of the time.
+    """
+    compiled: Any = njit(function)
+    compiled.borrows = True
+    return compiled
+
+
+class CFunction(CFunc):
+    """A C function that is compiled when its address is needed.
+
+    Attributes:
+        borrows: Whether it is compiled as by `njit_borrowing`.
+    """
+
+    borrows = False
     _wrapper_address: int | None
     _cache: Any
     _sig: Any
@@ -235,8 +303,12 @@ class CFunction(CFunc):
     def address(self) -> int:
         """The address of the compiled code."""
         if self._wrapper_address is None:
-            with compiler_shortcuts():
+            own: Any = self
+            Kernel._own.add(own._pyfunc)
+            with compiler_shortcuts(), _borrowing(self.borrows):
                 self.compile()
+            if self.borrows and not own.cache_hits:
+                _check_borrowing(own._pyfunc.__name__, own._library)
         assert self._wrapper_address is not None
         return self._wrapper_address
 
@@ -247,12 +319,18 @@ class CFunction(CFunc):
         return isinstance(self._cache, _TolerantCache) and self._cache.has(self._sig, self._targetdescr.target_context)
 
 
-def c_function(signature: Any) -> Callable[[Callable], CFunction]:
-    """Decorates a function that becomes a C function of this signature; the cache is that of `njit`. It must not raise."""
+def c_function(signature: Any, *, borrows: bool = False) -> Callable[[Callable], CFunction]:
+    """Decorates a function that becomes a C function of this signature; the cache is that of `njit`. It must not raise.
+
+    Args:
+        signature: Types of the result and of the arguments.
+        borrows: Whether it is compiled as by `njit_borrowing`.
+    """
 
     def compiled(function: Callable) -> CFunction:
         options = {"nopython": True, "error_model": "numpy"}
         c_function = CFunction(function, (signature.args, signature.return_type), {}, options)
+        c_function.borrows = borrows
         with suppress(RuntimeError, OSError):
             c_function._cache = _TolerantCache(function)
         return c_function

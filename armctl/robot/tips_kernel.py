@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from armctl.core.jit import njit
+from armctl.core.jit import njit, njit_borrowing
 from armctl.robot.dynamics_kernel import (
     CHAIN_LENGTH,
     HEADER,
@@ -36,7 +36,7 @@ def scratch_size(joints: int) -> int:
     return 3 * BLOCK * joints
 
 
-@njit
+@njit_borrowing
 def tips(model, rows, scratch, work, positions, quats):
     """The tip at every row of positions of the arm's joints, (T, n): positions (T, 3) and quaternions (T, 4)."""
     n = rows.shape[1]

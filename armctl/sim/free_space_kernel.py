@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from armctl.core.jit import njit
+from armctl.core.jit import njit_borrowing
 
 
-@njit
+@njit_borrowing
 def inspect(rows, now, joints, limits, distance, is_spaced, is_beyond):
     """Marks rows of a motion, and joints.
 

@@ -12,7 +12,7 @@ from numba import types
 from armctl.collision.box_kernel import shrink_to_free
 from armctl.collision.kernel import GEOM_COLUMNS, PAIR_COLUMNS, TREE_COLUMNS, WORK_ROWS
 from armctl.core.addresses import call_with_table, integers, matrix, vector
-from armctl.core.jit import c_function, njit
+from armctl.core.jit import c_function, njit_borrowing
 
 # Entries of the table. SIZES:
 JOINTS = 0
@@ -45,7 +45,7 @@ _POINT_COLUMNS = 5
 _GROUP_COLUMNS = 4
 
 
-@c_function(types.intp(types.intp))
+@c_function(types.intp(types.intp), borrows=True)
 def prove_box(address):
     """Reduces a box until nothing touches in it, for the table at an address; 0 if there is none."""
     table = numba.carray(integers(address), (TABLE_SIZE,))
@@ -73,7 +73,7 @@ def prove_box(address):
 PROVE_BOX = int(prove_box.address or 0)
 
 
-@njit
+@njit_borrowing
 def mark_free_rows(prove, argument, rows, positions, delta, is_free):
     """Marks the rows (T, m) of a motion at which it is proved that nothing touches; positions and delta are scratch."""
     k = 0

@@ -423,7 +423,7 @@ def run_ticks(table):
             return
 
 
-@c_function(types.void(types.intp, types.intp, types.int32, types.intp))
+@c_function(types.void(types.intp, types.intp, types.int32, types.intp), borrows=True)
 def run_table(model, data, simulation, table):
     """A function for `mjb_apply`: runs the table at an address."""
     run_ticks(numba.carray(integers(table), (TABLE_SIZE,)))

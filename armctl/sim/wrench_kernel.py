@@ -272,7 +272,7 @@ def _orthogonalize(A, rotations, i, k):
     return True
 
 
-@c_function(types.intp(types.intp))
+@c_function(types.intp(types.intp), borrows=True)
 def sense_table(address):
     """Senses by the table at an address."""
     sense(numba.carray(integers(address), (TABLE_SIZE,)))

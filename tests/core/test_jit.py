@@ -10,10 +10,11 @@ import sys
 from pathlib import Path
 
 import numba
+import numpy as np
 import pytest
 
 from armctl.core import compiler_shortcuts, jit
-from armctl.core.jit import njit
+from armctl.core.jit import njit, njit_borrowing
 
 KERNEL = """
 from armctl.core.jit import njit
@@ -110,6 +111,42 @@ def _norm(v, w, pair):
         total += abs(v[i] * w[0, i]) + min(v[i], 2.0) * math.sqrt(float(i)) + pair[1]
         v[i] = -w[-1, 0]
     return total, v.shape[0] + len(pair)
+
+
+def test_functions_that_borrow_arrays_count_no_references_and_share_helpers_with_functions_that_count():
+    @njit
+    def half(x):
+        return x[: x.shape[0] // 2]
+
+    @njit_borrowing
+    def double(x):
+        part = half(x)
+        for i in range(part.shape[0]):
+            part[i] *= 2.0
+
+    @njit
+    def copied_half(x):
+        return half(np.concatenate((x, x)))
+
+    x = np.arange(6.0)
+    double(x)
+    assert x.tolist() == [0.0, 2.0, 4.0, 3.0, 4.0, 5.0]
+    references = sys.getrefcount(x)
+    for _ in range(100):
+        double(x)
+        assert copied_half(x).tolist() == x.tolist()
+    assert sys.getrefcount(x) == references
+    code = double.overloads[double.signatures[0]].library.get_llvm_str()
+    assert "NRT_incref" not in code
+
+
+def test_a_function_that_borrows_arrays_cannot_allocate_one():
+    @njit_borrowing
+    def allocate(n):
+        return np.zeros(n).sum()
+
+    with pytest.raises(numba.NumbaError, match="allocate allocates memory"):
+        allocate(3)
 
 
 def test_the_shortcuts_in_numbas_compiler_lead_to_the_same_code_and_are_removed_afterwards():
