@@ -21,14 +21,17 @@ import numpy as np
 
 import armctl
 from armctl.analysis.comparison import out_and_back
-from armctl.control import controller_by_name
 from armctl.core.tables import Table
 from armctl.sim import compiled_loop
 
 ROUNDS = 5
 LONG_MOVES = 30
 FIRST_STEPS = 10_000
-CONTROLLERS = ("pd", "computed-torque")
+CONTROLLERS: dict[str, Callable[[armctl.Arm], armctl.Controller]] = {
+    "pd": armctl.PD,
+    "computed-torque": armctl.ComputedTorque,
+    "admittance": armctl.Admittance,  # which measures the wrench
+}
 
 
 class InPython:
@@ -36,6 +39,7 @@ class InPython:
 
     def __init__(self, controller: armctl.Controller):
         self._controller = controller
+        self.needs_wrench = getattr(controller, "needs_wrench", False)
 
     def torque(self, state: armctl.State, setpoint: armctl.Setpoint) -> np.ndarray:
         return self._controller.torque(state, setpoint)
@@ -62,8 +66,8 @@ def single(arms: dict[str, armctl.Arm]) -> str:
     free = armctl.Plant(free_space=True)
     for robot, arm in arms.items():
         motion = out_and_back(arm)
-        for name in CONTROLLERS:
-            controller = controller_by_name(name, arm)
+        for name, make in CONTROLLERS.items():
+            controller = make(arm)
             log = armctl.simulate(arm, controller, motion)
             verify(arm, log, armctl.simulate(arm, InPython(controller), motion))
             in_free_space = armctl.simulate(arm, controller, motion, free)
@@ -99,31 +103,34 @@ class LoopTime:
 
 
 def rates(arms: dict[str, armctl.Arm]) -> str:
-    """Ticks a second of the compiled loop alone and of a whole call of `simulate`, in a long run."""
+    """Ticks a second of the compiled loop alone and of a whole call of `simulate`, in a long run and in a short one.
+
+    The rounds follow the same motion, as the runs of a study do: its reference is sampled once.
+    """
     timer = LoopTime()
     rows = []
     for robot, arm in arms.items():
         ends = [arm.home, *arm.limits.clamp(arm.home + np.random.default_rng(0).uniform(-0.3, 0.3, (LONG_MOVES - 1, arm.n)))]
         moves = [armctl.move_j(arm, ends[k - 1], ends[k]) for k in range(1, LONG_MOVES)]
-        motion = armctl.move_sequence(arm, moves)
-        log = armctl.simulate(arm, "computed-torque", motion)
-        verify(arm, log, armctl.simulate(arm, InPython(armctl.ComputedTorque(arm)), motion))
-        assert not log.contacts
-        cells = []
-        for plant in (armctl.Plant(), armctl.Plant(free_space=True)):
-            loop = []
-            whole = []
-            for _ in range(ROUNDS):
-                timer.seconds = 0.0
-                begin = time.process_time()
-                log = armctl.simulate(arm, "computed-torque", motion, plant)
-                whole.append(time.process_time() - begin)
-                loop.append(timer.seconds)
-                assert not log.failure
-            cells += [f"{1e-3 * len(log) / min(seconds):.0f}" for seconds in (loop, whole)]
-        rows.append([robot, len(log), *cells])
+        for motion in (armctl.move_sequence(arm, moves), out_and_back(arm)):
+            log = armctl.simulate(arm, "computed-torque", motion)
+            verify(arm, log, armctl.simulate(arm, InPython(armctl.ComputedTorque(arm)), motion))
+            assert not log.contacts
+            cells = []
+            for plant in (armctl.Plant(), armctl.Plant(free_space=True)):
+                loop = []
+                whole = []
+                for _ in range(2 * ROUNDS):
+                    timer.seconds = 0.0
+                    begin = time.process_time()
+                    log = armctl.simulate(arm, "computed-torque", motion, plant)
+                    whole.append(time.process_time() - begin)
+                    loop.append(timer.seconds)
+                    assert not log.failure
+                cells += [f"{1e-3 * len(log) / min(seconds):.0f}" for seconds in (loop, whole)]
+            rows.append([robot, len(log), *cells])
     columns = ["robot", "ticks", "loop", "simulate", "free space: loop", "free space: simulate"]
-    return table("thousand ticks a second of CPU time, computed torque, a long motion", columns, rows)
+    return table("thousand ticks a second of CPU time, computed torque, a long motion and a short one", columns, rows)
 
 
 def again(sim: armctl.Simulation, motion: armctl.Trajectory) -> armctl.Log:
