@@ -7,6 +7,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from armctl.core.errors import InputError
 from armctl.core.validation import flag
 from armctl.envs.batch import Batch
 from armctl.envs.screen import Screen
@@ -96,10 +97,13 @@ class ArmEnv(gymnasium.Env):
             `distance` (m) and, if there is an obstacle, `touched`.
 
         Raises:
-            InputError: The action has another shape.
+            InputError: The action has another shape, or one of its entries is not a number.
         """
         batch = self.batch
-        batch.step(np.asarray(action)[None])
+        given = np.asarray(action)
+        if given.shape != self.action_space.shape:
+            raise InputError(f"action: expected shape {self.action_space.shape}, got {given.shape}")
+        batch.step(given[None])
         observation = batch.observe()
         rewards, found = batch.evaluate(observation)
         self._show()

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.core.errors import InputError
-from armctl.core.validation import BoolArray, choice, flag, integer
+from armctl.core.validation import BoolArray, choice, flag, integer, shown
 from armctl.envs.actions import read_mode
 from armctl.envs.observation import Observations, Observer
 from armctl.envs.plants import moves_freely
@@ -122,11 +122,13 @@ class Batch:
             actions: (count, k) in [-1, 1].
 
         Raises:
-            InputError: The actions have another shape.
+            InputError: The actions have another shape, or one of them is not a number.
         """
         given = np.asarray(actions)
         if given.shape != self.rows.action.shape:
             raise InputError(f"action: expected shape {self.rows.action.shape}, got {given.shape}")
+        if given.dtype.kind not in "fiub" or np.isnan(given).any():
+            raise InputError(f"action: expected numbers in [-1, 1], got {shown(actions)}")
         self.rows.action[:] = given
         self.rows.step()
         self.steps += 1

@@ -11,7 +11,7 @@ from gymnasium.utils.seeding import np_random
 from gymnasium.vector.utils import batch_space
 
 from armctl.core.errors import InputError
-from armctl.core.validation import flag
+from armctl.core.validation import flag, integer, shown
 from armctl.envs.batch import Batch
 from armctl.envs.source import Robot
 from armctl.envs.spaces import action_space, observation_space
@@ -109,18 +109,20 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
             The observations, and an empty dictionary.
 
         Raises:
-            InputError: There are not as many seeds as environments.
+            InputError: There are not as many seeds as environments, or one of them is not an integer of at least 0.
         """
         seeds: Sequence[int | None]
         if seed is None or isinstance(seed, (int, np.integer)):
             seeds = [None if seed is None else int(seed) + k for k in range(self.num_envs)]
         else:
             seeds = seed
+        if isinstance(seeds, str) or not isinstance(seeds, Sequence):
+            raise InputError(f"seed: expected an integer, or one for each environment, got {shown(seeds)}")
         if len(seeds) != self.num_envs:
             raise InputError(f"seed: {len(seeds)} seeds given for {self.num_envs} environments")
         for k, each in enumerate(seeds):
             if each is not None:
-                self._rngs[k] = np_random(each)[0]
+                self._rngs[k] = np_random(integer("seed", each, 0))[0]
         self.batch.reset(range(self.num_envs), self._rngs)
         return self._formed(self.batch.observe()), {}
 
@@ -135,7 +137,7 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
             `distance` (m) and, if there is an obstacle, `touched` of each, and `final_obs` where an episode ended.
 
         Raises:
-            InputError: The actions have another shape.
+            InputError: The actions have another shape, or one of them is not a number.
         """
         batch = self.batch
         batch.step(actions)

@@ -178,6 +178,17 @@ def test_wrong_arguments_are_explained(arm):
             armctl.envs.ArmEnv(arm, **options)
 
 
+def test_wrong_seeds_and_actions_are_explained(arm):
+    env = armctl.envs.ArmVectorEnv(arm, num_envs=2)
+    for seed in ("ab", 0.5, -1, [1], [1, 0.5]):
+        with pytest.raises(armctl.InputError, match="seed"):
+            env.reset(seed=seed)
+    single = armctl.envs.ArmEnv(arm)
+    for action in ("up", np.zeros(2), np.full(3, np.nan), ["a", "b", "c"]):
+        with pytest.raises(armctl.InputError, match="action: expected"):
+            single.step(action)
+
+
 def test_the_mode_human_shows_each_step_to_the_viewer(arm, monkeypatch):
     shown = []
 

@@ -143,7 +143,8 @@ def find_table(arm: Arm, tool: Tool, *, low: float, lift: float, margin: float, 
     if not found:
         width = 2.0 * (_RADII[-1] * reach + margin)
         raise InputError(
-            f"robot: {task} needs a tool that points down over a table; {arm.name:.80} can do so nowhere {width:.2f} m wide"
+            f"robot: {task} needs a tool that points down over a table, with the tip {low:.2f} to {lift:.2f} m above it; "
+            f"{arm.name:.80} can do so nowhere {width:.2f} m wide; Reach, ReachPast and Track need no table"
         )
 
 
