@@ -342,7 +342,7 @@ def _drop(basis, triangle, active, count, dropped):
         for k in range(j + 2):
             triangle[j, k] = triangle[j + 1, k]
     for j in range(dropped, count - 1):
-        length = math.sqrt(triangle[j, j] ** 2 + triangle[j, j + 1] ** 2)
+        length = math.sqrt(triangle[j, j] * triangle[j, j] + triangle[j, j + 1] * triangle[j, j + 1])
         cos = triangle[j, j] / length
         sin = triangle[j, j + 1] / length
         for k in range(n):

@@ -44,7 +44,7 @@ class IkResult:
         return f"not solved: {self.reason}"
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(eq=False, slots=True)  # not frozen, as IkResult
 class IkBatch:
     """The results of N IK problems: the fields of IkResult as arrays. Its length is N, and `batch[i]` is an IkResult.
 
