@@ -16,6 +16,8 @@ from numba.core.caching import NullCache
 from synthetic import BENT, serial_arm
 
 import armctl
+from armctl.control import CONTROLLERS, controller_by_name
+from armctl.control.qp_kernel import last_program
 from armctl.core import jit, python_kernel
 from armctl.core.jit import njit
 from armctl.core.python_kernel import COMPILE_AT_ONCE, PythonKernel
@@ -171,3 +173,16 @@ def test_kernels_of_motions_give_the_same_bits_in_python(monkeypatch, tmp_path: 
     armctl.check_clearance(arm, armctl.move_free(arm, [-0.8, 0.9, -1.2], [0.8, 0.9, -1.2]))
     expected = {"search_one", "search", "refine", "residual", "all_hits", "prove_motion", "torques", "closest_approach"}
     assert expected <= set(comparison.calls)
+
+
+def test_control_laws_give_the_same_bits_in_python(monkeypatch, tmp_path: Path):
+    """Also where limits are exceeded, and the law of `qp` solves a program."""
+    arm = serial_arm(tmp_path, BENT["rubbing"])
+    comparison = Comparison(monkeypatch)
+    far = armctl.Setpoint(arm.home + 1.0, np.full(arm.n, 0.3), np.full(arm.n, 2.0))
+    controllers = {name: controller_by_name(name, arm) for name in CONTROLLERS}
+    for controller in controllers.values():
+        for tick in range(2):
+            controller.torque(armctl.State(arm.home + 0.01 * tick, np.full(arm.n, 0.2), 0.001 * tick, 0.001), far)
+    assert {controller.kernel.py_func.__name__ for controller in controllers.values()} <= set(comparison.calls)
+    assert last_program(controllers["qp"].memory, arm.n) is not None
