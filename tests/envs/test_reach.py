@@ -121,8 +121,6 @@ def test_only_plants_as_the_controller_knows_them_share_dynamics(arm):
         ({"controller": "computed-torque-textbook"}, False),
         ({"randomize": {"payload": armctl.Range(0.1, 0.2)}}, False),
         ({"randomize": {"encoder_noise": armctl.Range(0.0, 1e-4)}}, False),
-        ({"randomize": {"delay": armctl.Range(0, 2)}}, True),
-        ({"free_space": False}, False),
     ):
         env = armctl.envs.ArmEnv(arm, action="joint_delta", **options)
         env.reset(seed=0)
