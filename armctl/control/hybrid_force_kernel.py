@@ -71,7 +71,7 @@ MEMORY_HEADER = 184
 # Commands of the axes.
 FORCE = 0  # N
 ACCELERATION = 1  # m/s^2 that damps or approaches
-SPEED = 2  # m/s of the approach
+SPEED = 2  # m/s of the approach, or that lasts in contact: damping and friction of the joints are compensated at it
 YIELDING_SPEED = 3  # m/s in contact at which dry friction is compensated
 
 _FORCE_FILTER = 300.0  # rad/s; about 3 ms against the noise of force sensors
@@ -83,8 +83,8 @@ _COMPENSATED_SHARE = 0.8
 _APPROACH_RATE = 40.0  # 1/s, the bandwidth of the speed in an approach; stable with a delay of 4 ms
 _DAMPING_RATE = 30.0  # 1/s, the damping of the tip in contact divided by its mass
 _INTEGRAL_RATE = 20.0  # 1/s. Below the damping rate, the integral of a lightly damped wall is stable.
-# 1/s. Into a soft wall the tip moves steadily, and its damping would hold back a part of the force: 2 N of 20 N for a light arm
-# that sinks 10 mm. So a speed that lasts, and that reduces the error, is damped less and less.
+# 1/s. Into a soft wall the tip moves steadily, and its damping and that of the joints would hold back a part of the force: 2 N
+# of 20 N for a light arm that sinks 10 mm. So a speed that lasts, and that reduces the error, is damped less and less.
 _STEADY_SPEED_RATE = 8.0
 # Of the target, a bound for what the damping is relieved of, too. On a soft wall the force rises slowly; it prevents windup.
 _MAX_INTEGRATED_ERROR = 0.08
@@ -348,7 +348,7 @@ def _command_axis(params, k, measured, speed, mass, approach_speed, threshold, m
     axis[YIELDING] += _weight(_DAMPING_RATE, dt) * (_YIELDING_RATIO * free_speed - axis[YIELDING])
     memory[COMMANDS + 6 * FORCE + k] = axis[COMMANDED] + axis[INTEGRAL]
     memory[COMMANDS + 6 * ACCELERATION + k] = -_DAMPING_RATE * damped_speed
-    memory[COMMANDS + 6 * SPEED + k] = 0.0
+    memory[COMMANDS + 6 * SPEED + k] = axis[STEADY_SPEED]
     memory[COMMANDS + 6 * YIELDING_SPEED + k] = axis[YIELDING]
 
 

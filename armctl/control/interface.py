@@ -298,10 +298,12 @@ def measured_wrench(state: State, controller: str) -> Array:
     """The wrench of a state, (6,) N and N m.
 
     Raises:
-        InputError: Nobody measures it.
+        InputError: Nobody measures it, or it does not have 6 numbers.
     """
     if state.wrench is None:
         raise InputError(f"state.wrench: {controller} needs the measured wrench (6,); a Simulation measures it")
+    if np.shape(state.wrench) != (WRENCH_SIZE,):
+        raise InputError(f"state.wrench: {controller} needs the measured wrench (6,), got {shown(state.wrench)}")
     return state.wrench
 
 

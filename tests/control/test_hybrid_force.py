@@ -156,9 +156,10 @@ def test_wrong_arguments_are_rejected(bundled, arguments, error, sentence):
         armctl.HybridForce(bundled, **arguments)
 
 
-def test_without_a_measured_wrench_there_is_one_sentence(bundled):
+@pytest.mark.parametrize("wrench", [None, np.zeros(1), np.zeros(3), 5.0])
+def test_without_a_measured_wrench_there_is_one_sentence(bundled, wrench):
     zero = np.zeros(bundled.n)
     with pytest.raises(armctl.InputError, match="hybrid-force needs the measured wrench"):
         armctl.HybridForce(bundled, {"z": 1.0}).torque(
-            armctl.State(bundled.home, zero, 0.0, 0.001), armctl.Setpoint(bundled.home, zero, zero)
+            armctl.State(bundled.home, zero, 0.0, 0.001, wrench=wrench), armctl.Setpoint(bundled.home, zero, zero)
         )
