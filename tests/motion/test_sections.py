@@ -124,6 +124,16 @@ def test_an_override_changes_the_speed_and_not_the_path(arm, factor, share):
     assert motion.duration < slower.duration < begin + (motion.duration - begin) / factor
 
 
+@pytest.mark.parametrize("change", [lambda motion, t: motion.overridden(t, 0.4), lambda motion, t: motion.stopped_at(t)])
+def test_a_change_of_the_speed_that_begins_just_before_a_knot_has_no_jump(arm, change):
+    motion = armctl.move_j(arm, arm.home - 0.4, arm.home + 0.4, speed=0.5)
+    changed = change(motion, motion.knots[3] - 5e-6)
+    assert changed.duration != motion.duration
+    steps = np.diff(changed.knots)
+    ends = np.einsum("mp,mpn->mn", steps[:, None] ** np.arange(6), changed.coefficients)
+    assert np.abs(ends[:-1] - changed.coefficients[1:, 0]).max() < 1e-12
+
+
 def test_an_override_can_be_taken_back(arm):
     motion = armctl.move_j(arm, arm.home - 0.4, arm.home + 0.4)
     slower = motion.overridden(0.2 * motion.duration, 0.4)

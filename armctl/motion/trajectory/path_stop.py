@@ -114,7 +114,9 @@ def _gentle(pieces: Pieces, limits: Limits, begin: float, lengths: Array, final:
 def _decelerated(pieces: Pieces, limits: Limits, begin: float, length: float, final: float) -> Pieces | None:
     """The motion from `begin` on with the path speed going to `final`; None if a sample exceeds the acceleration limit."""
     x = np.unique(np.concatenate([_EVEN.shares, _crossings(pieces.knots, begin, length, final)]))
-    x = np.append(x[:-1][np.diff(x) * length > _MIN_PIECE_S], 1.0)
+    inner = x[1:-1]
+    is_apart = np.minimum(inner, np.diff(x)[1:]) * length > _MIN_PIECE_S
+    x = np.concatenate([[0.0], inner[is_apart], [1.0]])
     samples = _retimed(pieces, begin, np.array(length), _change(_deceleration(x), final))
     return hermite(length * x, *samples) if _keeps(samples.a, limits).all() else None
 
