@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 from armctl.cli.common import DONE, Commands, add_command
 from armctl.core.errors import InputError
-from armctl.core.python_kernel import COMPILE_AT_ONCE
 
 _SPEED = 0.5  # a cap on the tip that the move reaches
 _LONG_DWELL_S = 30.0  # of a run that is so long that it skips collision detection
@@ -46,6 +45,8 @@ def add(commands: Commands) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Runs the command."""
+    from armctl.core.python_kernel import COMPILE_AT_ONCE
+
     os.environ[COMPILE_AT_ONCE] = "1"  # of the workers, too
     workers = (os.cpu_count() or 1) if args.workers is None else args.workers
     if workers < 1:
