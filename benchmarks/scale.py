@@ -10,6 +10,7 @@ knows nothing of armctl replays the recorded controls and must reach the same po
 from __future__ import annotations
 
 import argparse
+import os
 import time
 import warnings
 from collections.abc import Callable
@@ -21,6 +22,7 @@ import numpy as np
 
 import armctl
 from armctl.analysis.comparison import out_and_back
+from armctl.core.python_kernel import COMPILE_AT_ONCE
 from armctl.core.tables import Table
 from armctl.sim import compiled_loop
 
@@ -52,6 +54,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "scale.md")
     args = parser.parse_args()
     warnings.simplefilter("ignore", armctl.ArmctlWarning)
+    os.environ[COMPILE_AT_ONCE] = "1"
     arms = {name: armctl.load(name) for name in args.robots}
     for arm in arms.values():  # after this many steps, simulations begin to skip collision detection
         armctl.simulate(arm, "computed-torque", armctl.move_j(arm, arm.home, arm.home + 1e-3), dwell=FIRST_STEPS * arm.dt)
