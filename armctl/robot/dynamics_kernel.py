@@ -781,19 +781,6 @@ def quaternion(R, quat):
 
 
 @njit
-def tips(model, rows, work, positions, quats):
-    """The tip at every row of positions of the joints, (T, n): positions (T, 3) and quaternions (T, 4)."""
-    rotation = work[work.shape[0] - 9 :]
-    for row in range(rows.shape[0]):
-        place(model, rows[row], work)
-        locate(model, work)
-        x, y, z = tip_position(model, work)
-        _store(positions[row], 0, x, y, z)
-        tip_rotation(model, work, rotation)
-        quaternion(rotation, quats[row])
-
-
-@njit
 def tip_motion(model, q, v, a, work, motion):
     """Angular velocity, angular acceleration, and acceleration minus gravity of the tip, each (3,), in the tip's axes.
 
