@@ -110,9 +110,13 @@ class Straight:
     end: Array
     turn: Turn
 
-    @cached_property
+    @property
     def length(self) -> float:
         """Its length, m."""
+        return self._length
+
+    @cached_property  # pyright does not accept one for the property of a protocol
+    def _length(self) -> float:
         return max(float(np.linalg.norm(self.end - self.start)), self.turn.length)
 
     def at(self, s: float) -> PathPoint:
@@ -181,9 +185,13 @@ class Circle:
             angle = math.atan2(float(axis @ np.cross(arm, last)), float(arm @ last)) % (2 * math.pi)
         return cls(start, center, axis, angle, turn)
 
-    @cached_property
+    @property
     def length(self) -> float:
         """Its length, m."""
+        return self._length
+
+    @cached_property  # pyright does not accept one for the property of a protocol
+    def _length(self) -> float:
         return max(self.angle * float(np.linalg.norm(self.start - self.center)), self.turn.length)
 
     def at(self, s: float) -> PathPoint:
