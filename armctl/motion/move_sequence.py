@@ -30,8 +30,8 @@ def move_sequence(arm: Arm, motions: Sequence[JointTrajectory], *, blend: float 
 
     A motion begins while the one before it still comes to rest, and both are added up in joint space. The path leaves that of
     the motions only where the tip of both is within the blend radius of the corner, and only while the one slows down and the
-    other accelerates. Where the sum would exceed a limit on speed, acceleration, jerk or torque, it goes slower. Obstacles are
-    not considered: `check_clearance` tells whether the whole is free.
+    other accelerates. Where the sum would exceed a limit on speed, acceleration, jerk or torque, it goes slower; if that takes
+    longer than to stop at the corners, it stops. Obstacles are not considered: `check_clearance` tells whether the whole is free.
 
     Args:
         arm: The arm.
@@ -66,7 +66,8 @@ def move_sequence(arm: Arm, motions: Sequence[JointTrajectory], *, blend: float 
     if not is_inside(pieces, arm.limits):
         slower = slowed_down(MotionPath(whole), arm.limits, pieces.knots, None)
         whole = replace(whole, knots=slower.knots, coefficients=joints_of(slower).coefficients)
-    return within_torque(arm, whole)
+    rounded = within_torque(arm, whole)
+    return rounded if rounded.duration < plain.duration else plain
 
 
 def _require_rest(parts: Sequence[JointTrajectory]) -> None:

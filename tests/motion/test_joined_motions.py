@@ -1,5 +1,6 @@
 """Motions that start while the arm moves, and motions of several kinds with rounded corners: limits, continuity, paths."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -159,3 +160,17 @@ def test_motions_that_do_not_rest_at_the_corner_are_rejected(arm):
     first = move.until(0.5 * move.duration)
     with pytest.raises(armctl.InputError, match=r"^motions: the arm does not rest between motions 0 and 1"):
         armctl.move_sequence(arm, [first, rest], blend=0.01)
+
+
+@pytest.mark.parametrize("seed", [11, 21, 139])
+def test_a_rounded_corner_takes_no_longer_than_a_stop_whatever_the_limits(seed):
+    arm = arm_of("endless")
+    rng = np.random.default_rng(seed)
+    v, a, j = 10.0 ** rng.uniform(-3, 3, (3, arm.n))
+    limits = replace(arm.limits, v_max=v * arm.limits.v_max, a_max=a * arm.limits.a_max, j_max=j * arm.limits.j_max)
+    arm = arm.with_limits(replace(limits, tau_max=np.full(arm.n, np.inf)))
+    start, corner, goal = arm.limits.random(arm.home, 3, rng)
+    motions = [armctl.move_j(arm, start, corner), armctl.move_j(arm, corner, goal)]
+    rounded = armctl.move_sequence(arm, motions, blend=0.05)
+    assert rounded.check_limits().ok
+    assert rounded.duration <= armctl.move_sequence(arm, motions).duration

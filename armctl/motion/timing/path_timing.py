@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
+from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array, IntArray
 from armctl.motion.timing.initial_timing import Path, Timing, initial_timing, smooth_timing
@@ -31,6 +32,7 @@ _MIN_NODE_DISTANCE_S = 1e-8  # of two nodes; a motion does not change in between
 _SHORT_PIECE_S = 1e-4  # rounding of the positions at its ends decides the jerk of a shorter quintic
 _SAME_LENGTH = 1e-9  # of a path, where one fraction ends and the next begins
 _MAX_SQUARED_SPEED = 1e12  # of the path speed, where nothing bounds it
+_LEAST_SQUARED_SPEED = 1e-12  # of the path speed at a node: rounding of the spline may leave none
 _MIN_DIP = 1e-2  # of the smaller squared speed at the ends of an interval
 # Torques vary between grid nodes. Above this share of a limit they are also checked between the nodes.
 _TORQUE_SHARE_CHECKED_BETWEEN_NODES = 0.8
@@ -363,6 +365,8 @@ class _Problem:
             barrier = kernel.BARRIER_WARM
         while not np.isfinite(kernel.value(c, *problem, 1.0)):
             c *= 0.8
+            if not c.any():
+                raise PlanError("limits: they differ too much in size to compute a speed along the path")
         kernel.solve(problem, c, barrier)
         self._last = c
         b, slope = _squared_speed(c, h, np.append(interval, interval[-1]), np.append(begin, end[-1]))
@@ -472,11 +476,11 @@ def _merged(edges: Array, knots: Array) -> Array:
 
 
 def _squared_speed(c: Array, h: float, m: IntArray, x: Array) -> tuple[Array, Array]:
-    """The quadratic B-spline with coefficients c and its slope, at shares x of intervals m."""
+    """The quadratic B-spline with coefficients c, where rounding may end at 0, and its slope, at shares x of intervals m."""
     left = 0.5 * (c[m] + c[m + 1])
     slope = c[m + 1] - c[m]
     bend = c[m + 2] - 2 * c[m + 1] + c[m]
-    return left + x * (slope + 0.5 * x * bend), (slope + x * bend) / h
+    return np.maximum(left + x * (slope + 0.5 * x * bend), _LEAST_SQUARED_SPEED), (slope + x * bend) / h
 
 
 def _durations(c: Array, h: float, places: _Places) -> Array:
