@@ -31,7 +31,7 @@ def move_sequence(arm: Arm, motions: Sequence[JointTrajectory], *, blend: float 
     A motion begins while the one before it still comes to rest, and both are added up in joint space. The path leaves that of
     the motions only where the tip of both is within the blend radius of the corner, and only while the one slows down and the
     other accelerates. Where the sum would exceed a limit on speed, acceleration, jerk or torque, it goes slower; if that takes
-    longer than to stop at the corners, it stops. Obstacles are not considered: `check_clearance` tells whether the whole is free.
+    longer than to stop at the corners, it stops. Obstacles are not considered: `check_clearance` tells whether all is free.
 
     Args:
         arm: The arm.

@@ -443,9 +443,8 @@ class _Problem:
             a_max = a_max * self._caps.acceleration_at(sampled.q[:, -1])[:, None]
         rows = TorqueRows(q1.copy(), q2.copy(), np.zeros_like(q1), -a_max, a_max.copy())
         if sampled.torques is not None:
-            low = sampled.torques.low * slack[3][:, None]
-            high = sampled.torques.high * slack[3][:, None]
-            torques = sampled.torques._replace(low=low, high=high)
+            share = slack[3][:, None]
+            torques = sampled.torques._replace(low=sampled.torques.low * share, high=sampled.torques.high * share)
             rows = TorqueRows(*(np.concatenate(pair, axis=1) for pair in zip(rows, torques, strict=True)))
         # At rest there is neither velocity nor acceleration to bound: instead the path speed is nearly constant there.
         rows.alpha[ends] = 0.0
@@ -489,10 +488,9 @@ def _durations(c: Array, h: float, places: _Places) -> Array:
     m = places.interval
     share = places.end - places.begin
     b, _ = _squared_speed(c, h, m[:, None], places.begin[:, None] + 0.5 * share[:, None] * (x + 1))
-    first, _ = _squared_speed(c, h, m, places.begin)
-    last, _ = _squared_speed(c, h, m, places.end)
+    ends = [_squared_speed(c, h, m, at)[0] for at in (places.begin, places.end)]
     # The solver keeps b positive at nodes and middles only. Between them it can dip below 0 where limits are extreme.
-    b = np.maximum(b, _MIN_DIP * np.minimum(first, last)[:, None])
+    b = np.maximum(b, _MIN_DIP * np.minimum(*ends)[:, None])
     return 0.5 * h * share * ((1 / np.sqrt(b)) @ weight)
 
 
