@@ -178,11 +178,15 @@ class Kernel(CPUDispatcher):
         with compiler_shortcuts(), _borrowing(self.borrows):
             code = super().compile(sig)
         if self.stats.cache_misses[sig]:
-            if self.borrows:
-                _check_borrowing(self.py_func.__name__, self.overloads[sig].library)
             Kernel._compiled_s += time.monotonic() - began
             _tell_once()
         return code
+
+    def add_overload(self, cres: Any) -> None:
+        """Takes code that is compiled, and not yet saved, or that comes from the cache."""
+        if self.borrows and self.stats.cache_misses[cres.signature.args]:
+            _check_borrowing(self.py_func.__name__, cres.library)
+        super().add_overload(cres)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """What numba asks for when it compiles a call: the signature for these types of arguments."""
@@ -307,10 +311,17 @@ class CFunction(CFunc):
             Kernel._own.add(own._pyfunc)
             with compiler_shortcuts(), _borrowing(self.borrows):
                 self.compile()
-            if self.borrows and not own.cache_hits:
-                _check_borrowing(own._pyfunc.__name__, own._library)
         assert self._wrapper_address is not None
         return self._wrapper_address
+
+    def _compile_uncached(self) -> CompileResult:
+        inherited: Any = super()
+        result = inherited._compile_uncached()
+        if self.borrows:
+            own: Any = self
+            result.library._ensure_finalized()
+            _check_borrowing(own._pyfunc.__name__, result.library)
+        return result
 
     def has_code(self) -> bool:
         """Whether compiled code is loaded or in the cache."""

@@ -12,9 +12,10 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
+from numba import types
 
 from armctl.core import compiler_shortcuts, jit
-from armctl.core.jit import njit, njit_borrowing
+from armctl.core.jit import c_function, njit, njit_borrowing
 
 KERNEL = """
 from armctl.core.jit import njit
@@ -147,6 +148,15 @@ def test_a_function_that_borrows_arrays_cannot_allocate_one():
 
     with pytest.raises(numba.NumbaError, match="allocate allocates memory"):
         allocate(3)
+
+
+def test_a_c_function_that_borrows_arrays_cannot_allocate_one():
+    @c_function(types.float64(types.int64), borrows=True)
+    def allocate(n):
+        return np.zeros(n).sum()
+
+    with pytest.raises(numba.NumbaError, match="allocate allocates memory"):
+        _ = allocate.address
 
 
 def test_the_shortcuts_in_numbas_compiler_lead_to_the_same_code_and_are_removed_afterwards():
