@@ -41,7 +41,8 @@ WRITERS: dict[str, Callable[[armctl.Log, Path], object]] = {
     "run.parquet": lambda log, path: log.save(path),
     "plot.png": lambda log, path: armctl.four_panels(log, path),
     "plot.svg": lambda log, path: armctl.overlay([log], path),
-    "comparison.html": comparison,  # after comparison.json and comparison.md
+    "comparison.html": comparison,
+    "comparison.json": comparison,
     "film.gif": film,
     "film.mp4": film,
     "still.png": still,
@@ -97,7 +98,7 @@ def survive_a_full_disk(kind: str, logs: list[armctl.Log], seed: int, folder: Pa
     old = path.read_bytes()
     rng = np.random.default_rng(seed)
     before = sorted(path.parent.iterdir())
-    for limit in [0, *rng.integers(1, min(map(len, versions)), 3).tolist()]:
+    for limit in [0, 1, *rng.integers(2, min(map(len, versions)), 3).tolist()]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
         try:
             write(logs[1], path)
@@ -126,7 +127,7 @@ def whole_files(kind: str, logs: list[armctl.Log], folder: Path) -> list[bytes]:
 
 GROUPS = {
     "logs": ["run.npz", "run.csv", "run.parquet"],
-    "plots and pages": ["plot.png", "plot.svg", "comparison.html"],
+    "plots and pages": ["plot.png", "plot.svg", "comparison.html", "comparison.json"],
     "films": ["film.gif", "film.mp4", "still.png"],
 }
 TRIALS = {"kill": survive_kills, "full disk": survive_a_full_disk}
