@@ -93,7 +93,11 @@ class Turn:
         Returns:
             (3, 3).
         """
-        return rotation_from_vector(share * self.vector) @ self.start
+        return rotation_from_vector(share * self.vector) @ self.start if self._turns else self.start
+
+    @cached_property
+    def _turns(self) -> bool:
+        return bool(self.vector.any())
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,10 +132,16 @@ class Straight:
         Returns:
             The place.
         """
-        share = s / self.length
-        way = self.end - self.start
-        twist = np.concatenate([way, self.turn.vector]) / self.length
-        return PathPoint(self.start + share * way, self.turn.at(share), twist)
+        share = s / self._length
+        return PathPoint(self.start + share * self._way, self.turn.at(share), self._twist)
+
+    @cached_property
+    def _way(self) -> Array:
+        return self.end - self.start
+
+    @cached_property
+    def _twist(self) -> Array:
+        return np.concatenate([self._way, self.turn.vector]) / self._length
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +213,16 @@ class Circle:
         Returns:
             The place.
         """
-        share = s / self.length
-        arm = rotation_from_vector(share * self.angle * self.axis) @ (self.start - self.center)
-        linear = np.cross(self.axis, arm) * self.angle
-        return PathPoint(self.center + arm, self.turn.at(share), np.concatenate([linear, self.turn.vector]) / self.length)
+        share = s / self._length
+        cos = math.cos(share * self.angle)
+        sin = math.sin(share * self.angle)
+        x, y = self._radii
+        linear = self.angle * (cos * y - sin * x)
+        twist = np.concatenate([linear, self.turn.vector]) / self._length
+        return PathPoint(self.center + (cos * x + sin * y), self.turn.at(share), twist)
+
+    @cached_property
+    def _radii(self) -> tuple[Array, Array]:
+        """From the center to the start, and to where a quarter of a turn leads."""
+        radius = self.start - self.center
+        return radius, np.cross(self.axis, radius)

@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 
 from armctl.core.errors import PlanError
-from armctl.core.pose import rotation_vector
 from armctl.core.validation import Array
 from armctl.motion.path.geometry import PathPoint, Shape
 from armctl.robot.arm import Arm
@@ -27,9 +26,6 @@ _MIN_STEPS = 60  # of a path
 _MIN_STEP_FRACTION = 1e-6  # of the path
 _SHORT_STEP_FRACTION = 1 / 64  # of the step that was tried first
 _MAX_SHORT_STEPS = 30  # more of them mean that the path cannot be followed
-_MAX_NEWTON_ITERATIONS = 8
-_NEWTON_TOLERANCE = 1e-10  # m and rad
-_DAMPING = 1e-12  # of the pseudo-inverse
 _PATH_TOLERANCE = 1e-6  # m and rad, of the spline between the steps
 _MAX_SPLINE_DEVIATION = 0.5  # of the longest step: the spline from the middle of the chord
 _MIN_FINENESS = 0.25  # factor on the length of the steps
@@ -88,6 +84,11 @@ class _LimitsLeft(PlanError):
     """A joint would leave its limits."""
 
 
+def _packed(place: PathPoint) -> Array:
+    """A place as the kernels take it, (12,)."""
+    return np.concatenate([place.position, place.rotation.ravel()])
+
+
 def _rows(oriented: bool) -> int:
     """How many velocities of the tip a path prescribes."""
     return 6 if oriented else 3
@@ -102,10 +103,10 @@ def _walked(tracker: _Tracker, q_start: Array) -> JointPath:
         lengths, q = tracker.run(q_start, fineness)
         joint_path = JointPath(make_interp_spline(lengths, q, k=5), tracker.path.length)
         between = 0.5 * (lengths[1:] + lengths[:-1])
-        middle = 0.5 * (q[1:] + q[:-1])
-        stray = np.abs(np.asarray(joint_path.spline(between)) - middle).max(axis=1)  # type: ignore[operator]
+        q_between = np.asarray(joint_path.spline(between))  # type: ignore[operator]
+        stray = np.abs(q_between - 0.5 * (q[1:] + q[:-1])).max(axis=1)
         if stray.max() <= _MAX_SPLINE_DEVIATION * _MAX_JOINT_STEP:
-            if fineness <= _MIN_FINENESS or max(tracker.off_path(joint_path, s) for s in between) <= _PATH_TOLERANCE:
+            if fineness <= _MIN_FINENESS or tracker.distances(q_between, between).max() <= _PATH_TOLERANCE:
                 return joint_path
         elif fineness <= _MIN_FINENESS:
             raise tracker.stuck(q[stray.argmax()], float(lengths[stray.argmax()]))
@@ -116,17 +117,20 @@ class _Tracker:
     """One walk along a path."""
 
     def __init__(self, arm: Arm, what: str, path: Shape, oriented: bool, centering: float):
+        from armctl.motion.path import tip_kernel as kernel
+
         self.arm = arm
         self.what = what
         self.path = path
         self.rows = _rows(oriented)
-        self._place = lru_cache(maxsize=1)(path.at)  # a step needs each place two or three times
-        self._centering = centering
+        self._kernel = kernel
+        self._model = arm.packed_dynamics.vector(0.0)
+        self._place = lru_cache(maxsize=1)(path.at)  # two steps that follow each other meet in one place
+        self._centering = centering / path.length
         q_min = arm.limits.q_min
         q_max = arm.limits.q_max
-        self._is_bounded = np.isfinite(q_min) & np.isfinite(q_max) & (q_max > q_min)
-        self._low = np.where(self._is_bounded, q_min, 0.0)
-        self._range = np.where(self._is_bounded, q_max - q_min, 1.0)
+        is_bounded = np.isfinite(q_min) & np.isfinite(q_max) & (q_max > q_min)
+        self._ranges = np.where(is_bounded, [q_min, q_max - q_min], 0.0)
 
     def run(self, q: Array, fineness: float) -> tuple[Array, Array]:
         """Lengths (k,) and joint positions (k, n) along the path."""
@@ -154,52 +158,36 @@ class _Tracker:
             rows.append(q)
         return np.array(lengths), np.array(rows)
 
-    def off_path(self, joint_path: JointPath, s: float) -> float:
-        """How far the spline's tip is from the path, m and rad."""
-        return float(np.abs(self._error(np.asarray(joint_path.spline(s)), self.path.at(s))).max())  # type: ignore[operator]
+    def distances(self, q: Array, s: Array) -> Array:
+        """How far the tip is from the path, (T,) m and rad, at positions (T, n) and lengths (T,)."""
+        found = np.empty(len(s))
+        self._kernel.distances(self._model, q, np.array([_packed(self.path.at(each)) for each in s]), self.rows, found)
+        return found
 
-    def _step(self, q: Array, s: float, h: float, k1: Array) -> Array | None:
+    def _step(self, q: Array, s: float, h: float, slope: Array) -> Array | None:
         """The joints a step further, or None where Newton's method does not get there."""
-        k2 = self._slope(q + h / 2 * k1, s + h / 2)
-        k3 = self._slope(q + h / 2 * k2, s + h / 2)
-        k4 = self._slope(q + h * k3, s + h)
-        moved = h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        if np.abs(moved).max() > 4 * _MAX_JOINT_STEP:
-            return None
-        q = q + moved
-        place = self._place(s + h)
-        for _ in range(_MAX_NEWTON_ITERATIONS):
-            error = self._error(q, place)
-            if np.abs(error).max() < _NEWTON_TOLERANCE:
-                return q
-            q = q + self._inverse(q, error)
-        return None
+        halfway = self.path.at(s + h / 2)
+        end = self._place(s + h)
+        moved = np.empty_like(q)
+        arrived = self._kernel.step(
+            self._model,
+            self._ranges,
+            self._centering,
+            q,
+            slope,
+            h,
+            halfway.twist[: self.rows],
+            end.twist[: self.rows],
+            _packed(end),
+            moved,
+        )
+        return moved if arrived else None
 
     def _slope(self, q: Array, s: float) -> Array:
-        twist = self._place(s).twist[: self.rows]
-        if self._centering == 0.0:
-            return self._inverse(q, twist)
-        to_middle = np.where(self._is_bounded, self._low + 0.5 * self._range - q, 0.0)
-        wanted = self._centering / self.path.length * to_middle
-        return wanted + self._inverse(q, twist - self.arm.pinocchio_model.jacobian(q)[: self.rows] @ wanted)
-
-    def _inverse(self, q: Array, twist: Array) -> Array:
-        """The least joint velocity that makes the twist; joints near their limits count for more."""
-        J = self.arm.pinocchio_model.jacobian(q)[: self.rows]
-        share = (q - self._low) / self._range
-        room = np.where(self._is_bounded, np.maximum(4 * share * (1 - share), 1e-3), 1.0)
-        W = room[:, None] * J.T
-        A = J @ W
-        A.flat[:: len(A) + 1] += _DAMPING
-        return W @ np.linalg.solve(A, twist)
-
-    def _error(self, q: Array, place: PathPoint) -> Array:
-        """From the tip to the place, (rows,) m and rad."""
-        position, rotation = self.arm.pinocchio_model.tip(q)
-        off = place.position - position
-        if self.rows == 3:
-            return off
-        return np.concatenate([off, rotation @ rotation_vector(rotation.T @ place.rotation)])
+        """How fast the joints move along the path, (n,) rad/m."""
+        v = np.empty_like(q)
+        self._kernel.slope(self._model, self._ranges, self._centering, q, self._place(s).twist[: self.rows], v)
+        return v
 
     def _require_limits(self, q: Array, s: float) -> None:
         limits = self.arm.limits

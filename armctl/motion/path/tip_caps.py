@@ -88,8 +88,11 @@ class TipCaps:
 
     def _twists(self, q: Array, v: Array) -> Array:
         """(T, 6) linear and angular speed of the tip."""
-        jacobian = self.arm.pinocchio_model.jacobian
-        return np.array([jacobian(row) @ speed for row, speed in zip(q, v, strict=True)])
+        from armctl.motion.path import tip_kernel as kernel
+
+        found = np.empty((len(q), 6))
+        kernel.twists(self.arm.packed_dynamics.vector(0.0), q, v, found)
+        return found
 
     def kept(self, motion: JointTrajectory) -> JointTrajectory:
         """The motion, as much slower as the caps require."""
