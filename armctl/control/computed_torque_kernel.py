@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from armctl.control.kernel import A_REF, A_TICK, Q_REF, V_REF, V_TICK
 from armctl.core.jit import njit, njit_borrowing
-from armctl.robot.dynamics_kernel import add_friction, add_linear_damping, inverse_dynamics, multiply
+from armctl.robot.dynamics_kernel import add_friction, add_linear_damping, inverse_dynamics
 
 # The parameters begin with these, then follow stiffness, damping, added inertia and torque limits, each (n,), and the model.
 IS_TEXTBOOK = 0
@@ -35,24 +35,13 @@ def vector(memory, n, k):
 def computed_torque(params, q, v, reference, memory, tau):
     """The law of `ComputedTorque`."""
     n = tau.shape[0]
-    _command_acceleration(params, q, v, reference, memory, n)
+    command_acceleration(params, q, v, reference, memory, n)
     inverse_dynamics(params[HEADER + 4 * n :], q, v, vector(memory, n, ACCELERATION), memory[VECTORS * n :], tau)
-    _add_feedback(params, q, v, reference, memory, tau)
+    add_feedback(params, q, v, reference, memory, tau)
 
 
 @njit
-def computed_torque_from(params, q, v, reference, memory, bias, factors, tau):
-    """The law of `ComputedTorque` where the caller knows the model's bias (n,) and factors (n, n), as of `bias_and_factors`."""
-    n = tau.shape[0]
-    _command_acceleration(params, q, v, reference, memory, n)
-    multiply(factors, vector(memory, n, ACCELERATION), tau)
-    for i in range(n):
-        tau[i] += bias[i]
-    _add_feedback(params, q, v, reference, memory, tau)
-
-
-@njit
-def _command_acceleration(params, q, v, reference, memory, n):
+def command_acceleration(params, q, v, reference, memory, n):
     """The acceleration of the reference and the feedback, and the correction in it."""
     correction = vector(memory, n, CORRECTION)
     acceleration = vector(memory, n, ACCELERATION)
@@ -66,7 +55,7 @@ def _command_acceleration(params, q, v, reference, memory, n):
 
 
 @njit
-def _add_feedback(params, q, v, reference, memory, tau):
+def add_feedback(params, q, v, reference, memory, tau):
     """Adds the feedback that inverse dynamics does not contain, and friction; then integrates the error."""
     n = tau.shape[0]
     model = params[HEADER + 4 * n :]

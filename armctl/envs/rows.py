@@ -15,11 +15,12 @@ from armctl.core.log import SimulationError
 from armctl.core.validation import Array, IntArray
 from armctl.envs.actions import ActionMode
 from armctl.envs.limits import joint_limits
-from armctl.envs.plants import free_motion, plant_vector
+from armctl.envs.plants import FreePlants
 from armctl.envs.randomization import ObjectFactors, Randomization
 from armctl.envs.signals import Signals
 from armctl.envs.simulated_arms import SimulatedArms
 from armctl.envs.tasks.interface import Episode, Task
+from armctl.robot.dynamics_kernel import HAS_LIFT
 from armctl.sim.mujoco_library import address_of, contact_layout, guarded_call
 from armctl.sim.plant import NOMINAL, Plant
 
@@ -77,6 +78,7 @@ class Rows:
             InputError: The arm does not move freely.
             UnknownNameError: There is no such controller.
         """
+        from armctl.envs import difference_kernel
         from armctl.envs import step_kernel as kernel
 
         arm = task.arm
@@ -107,15 +109,17 @@ class Rows:
         self._memory = np.zeros((count, len(memory)))
         self._nominal = arm.packed_dynamics.vector(arm.dt)
         self._bounds = np.array([-arm.limits.tau_max, arm.limits.tau_max])
-        self._free_vector = self._nominal
+        self._free_plants: FreePlants | None = None
         if free_space:
-            free = free_motion(arm)
-            self._free_vector = free.vector
-            self._bounds = free.bounds
+            self._free_plants = FreePlants(arm)
+            self._bounds = self._free_plants.bounds
+            self._plants = np.tile(self._free_plants.nominal, (count, 1))
         else:
             self.simulated = SimulatedArms(task, np.diff(self._cuts(threads)))
-        self._plants = np.tile(self._free_vector, (count, 1))
-        self._shared = np.full(count, self._is_shared(self._free_vector), np.int64)
+            self._plants = np.zeros((0, len(self._nominal)))
+        self._differences = np.zeros((count if free_space else 0, arm.n, difference_kernel.COLUMNS))
+        self._knows_geometry = self._computes_with_nominal()
+        self._shared = np.full(count, kernel.EVERYTHING if self._knows_geometry else kernel.NOTHING, np.int64)
         self._make_tables(threads)
         self._function = kernel.STEP_TABLE
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
@@ -164,9 +168,9 @@ class Rows:
         if self.simulated is not None:
             self.simulated.reset(row, episode, plant, factors)
             self.object[row] = self.simulated.object_state(row)
-        elif plant is not None:
-            self._plants[row] = plant_vector(self.arm, self._free_vector, plant)
-            self._shared[row] = self._is_shared(self._plants[row])
+        elif plant is not None and self._free_plants is not None:
+            self._plants[row], self._differences[row] = self._free_plants.of(plant)
+            self._shared[row] = self._shared_with(row)
 
     def rehearse(self, action: Array, target: Array, q_ref: Array, v_ref: Array) -> None:
         """Moves the targets and the references of the joints as a step does; the arms stay where they are.
@@ -196,19 +200,29 @@ class Rows:
             self._pool.shutdown()
             self._pool = None
 
-    def _is_shared(self, plant: Array) -> bool:
-        """Whether the controller computes with the dynamics of a plant, at the same positions and velocities."""
+    def _computes_with_nominal(self) -> bool:
+        """Whether the controller computes with the nominal dynamics of plants in free space, at their true positions."""
         from armctl.control.computed_torque_kernel import computed_torque
         from armctl.envs import step_kernel as kernel
 
-        if self.simulated is not None or len(self.signals.noise):
+        if self._free_plants is None or len(self.signals.noise):
             return False
         known = self._nominal
         if self.mode.number != kernel.TORQUE:
             if self._law.kernel is not computed_torque:
                 return False
             known = self._parameters[-len(known) :]  # the law's parameters end with its model
-        return np.array_equal(known, plant)
+        return np.array_equal(known, self._free_plants.nominal)
+
+    def _shared_with(self, row: int) -> int:
+        """What the dynamics that the controller computes share with those of a copy in free space."""
+        from armctl.envs import step_kernel as kernel
+
+        if not self._knows_geometry:
+            return kernel.NOTHING
+        if not self._differences[row].any():
+            return kernel.EVERYTHING
+        return kernel.NOTHING if self._nominal[HAS_LIFT] != 0.0 else kernel.GEOMETRY
 
     def _make_tables(self, threads: int) -> None:
         """Makes a table for each thread."""
@@ -315,4 +329,5 @@ class Rows:
             kernel.GIVEN: self.signals.given,
             kernel.NOISE: self.signals.noise,
             kernel.SHARED: self._shared,
+            kernel.DIFFERENCES: self._differences,
         }

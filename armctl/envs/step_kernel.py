@@ -13,11 +13,12 @@ import math
 import numba
 from numba import types
 
-from armctl.control.computed_torque_kernel import computed_torque_from
+from armctl.control import computed_torque_kernel as law
 from armctl.control.kernel import A_REF, A_TICK, Q_REF, V_REF, V_TICK
 from armctl.control.kernel_call import call_kernel
 from armctl.core.addresses import floats, integers, matrix, short_integers, vector
 from armctl.core.jit import c_function, njit
+from armctl.envs.difference_kernel import COLUMNS, subtract_mass, subtract_torque
 from armctl.envs.tip_kernel import find_tip, follow_tip, rotate
 from armctl.robot.dynamics_kernel import (
     add_implicit_damping,
@@ -27,7 +28,7 @@ from armctl.robot.dynamics_kernel import (
     multiply,
     solve,
 )
-from armctl.robot.forward_dynamics_kernel import bias_and_factors, move_freely
+from armctl.robot.forward_dynamics_kernel import bias_and_mass, move_freely
 from armctl.sim.tick_kernel import step
 
 # Entries of the table. SIZES:
@@ -91,8 +92,14 @@ DELAYS = 51  # (rows,) int64: ticks
 COMMANDS = 52  # (rows, depth, n): ring buffer of the torques
 GIVEN = 53  # (rows,) int64: commands since the start of the episode
 NOISE = 54  # (rows, ticks, 2, n) on measured positions and velocities; 0 for none
-SHARED = 55  # (rows,) int64: whether the plant has the dynamics that the controller knows, so that they are computed once
-TABLE_SIZE = 56
+SHARED = 55  # (rows,) int64: what the plant's dynamics share with those that the controller knows
+DIFFERENCES = 56  # (rows, n, columns) of the plant's dynamics from those, where they differ
+TABLE_SIZE = 57
+
+# What the dynamics of plant and controller share, so that it is computed once per tick:
+NOTHING = 0
+GEOMETRY = 1  # masses and drives differ
+EVERYTHING = 2
 
 # Numbers:
 PERIOD = 0  # s
@@ -111,13 +118,21 @@ JOINT_TARGET = 2
 CARTESIAN_DELTA = 3
 CARTESIAN_POSE = 4
 
-_VECTORS = 5  # (n,) at the start of the scratch memory, then (5, n), (n, n), (6, n), 72 numbers, and that of the model
+# The scratch memory: vectors (n,), then (5, n), matrices (n, n), (6, n), 72 numbers, and that of the model.
+_VECTORS = 6
+_MATRICES = 2
+
+
+@njit
+def _own_size(n):
+    """Numbers of scratch memory in front of that of the model."""
+    return (_VECTORS + 5) * n + _MATRICES * n * n + 6 * n + 72
 
 
 @njit
 def scratch_size(n, work_size):
     """Numbers of scratch memory for n joints and a model with so many numbers of its own."""
-    return _VECTORS * n + 5 * n + n * n + 6 * n + 72 + work_size
+    return _own_size(n) + work_size
 
 
 @njit
@@ -153,7 +168,7 @@ def _move_target(mode, ticks, model, numbers, limits, action, target, scratch):
     elif mode in (CARTESIAN_DELTA, CARTESIAN_POSE):
         way = scratch[:n]
         start = scratch[n : 2 * n]
-        rest = scratch[_VECTORS * n + 5 * n + n * n :]
+        rest = scratch[(_VECTORS + 5) * n + _MATRICES * n * n :]
         J = rest[: 6 * n].reshape((6, n))
         A = rest[6 * n : 6 * n + actions * actions].reshape((actions, actions))
         error = rest[6 * n + 36 : 6 * n + 42]
@@ -164,10 +179,8 @@ def _move_target(mode, ticks, model, numbers, limits, action, target, scratch):
         for i in range(n):
             way[i] = numbers[PERIOD] * ticks * limits[2, i]
             start[i] = target[i]
-        origin = numbers[HOME_TIP : HOME_TIP + 12]
-        if mode == CARTESIAN_DELTA:
-            find_tip(model, target, work, tip)
-            origin = tip
+        find_tip(model, target, work, tip)
+        origin = tip if mode == CARTESIAN_DELTA else numbers[HOME_TIP : HOME_TIP + 12]
         for k in range(3):
             goal[k] = origin[k] + numbers[POSITION_SCALE] * _unit(action[k])
             turn[k] = numbers[ROTATION_SCALE] * _unit(action[3 + k]) if actions == 6 else 0.0
@@ -206,14 +219,34 @@ def rehearse(mode, ticks, model, numbers, limits, action, target, q_ref, v_ref, 
 
 
 @njit
+def _factorize_inertia(model, M):
+    """Replaces a mass matrix by the factors of the inertia that a step acts against."""
+    add_implicit_damping(model, M)
+    factorize(M)
+
+
+@njit
+def _find_known(plant, nominal, difference, v, a, work, bias, M, known_bias, known_factors):
+    """As `_find_dynamics` of the nominal model, from what `bias_and_mass` found for the plant; `a` is scratch (n,)."""
+    n = v.shape[0]
+    for i in range(n):
+        a[i] = 0.0
+        known_bias[i] = bias[i]
+        for k in range(i + 1):
+            known_factors[i, k] = M[i, k]
+    subtract_torque(plant, difference, v, a, work, known_bias)
+    subtract_mass(plant, difference, work, known_factors)
+    _factorize_inertia(nominal, known_factors)
+
+
+@njit
 def _find_dynamics(model, q, v, a, work, bias, factors):
-    """As `bias_and_factors`, for any model; `a` is scratch (n,)."""
+    """The torques (n,) that keep the velocity, and the factors (n, n) of the inertia of a step; `a` is scratch (n,)."""
     for i in range(q.shape[0]):
         a[i] = 0.0
     inverse_dynamics(model, q, v, a, work, bias)
     mass_matrix(model, work, factors)
-    add_implicit_damping(model, factors)
-    factorize(factors)
+    _factorize_inertia(model, factors)
 
 
 @njit
@@ -372,62 +405,85 @@ def _simulate(table, row, addresses, grip_step, tau, q, v):
 
 
 @njit
-def step_rows(table):
-    """One step of the environments [FIRST, LAST)."""
+def _step_row(table, row):  # noqa: PLR0915  # calls with many arrays take time
+    """One step of an environment."""
     n = table[N]
     rows = table[ROWS]
+    mode = table[MODE]
     numbers = vector(table[NUMBERS], NUMBER_COUNT)
     limits = matrix(table[LIMITS], 5, n)
-    scratch = vector(table[SCRATCH], table[SCRATCH_SIZE])
     parameters = vector(table[PARAMETERS], table[PARAMETERS_SIZE])
-    memories = matrix(table[MEMORY], rows, table[MEMORY_SIZE])
+    memory = matrix(table[MEMORY], rows, table[MEMORY_SIZE])[row]
     nominal = vector(table[NOMINAL], table[MODEL_SIZE])
-    plants = matrix(table[PLANTS], rows, table[MODEL_SIZE])
-    addresses = numba.carray(integers(table[DATAS]), (rows, 7))
-    shared = numba.carray(integers(table[SHARED]), (rows,))
-    tau = scratch[:n]
-    bias = scratch[n : 2 * n]
+    plant = matrix(table[PLANTS], rows, table[MODEL_SIZE])[row]
+    difference = numba.carray(floats(table[DIFFERENCES]), (rows, n, COLUMNS))[row]
+    share = numba.carray(integers(table[SHARED]), (rows,))[row]
+    addresses = numba.carray(integers(table[DATAS]), (rows, 7))[row]
+    q = matrix(table[Q], rows, n)[row]
+    v = matrix(table[V], rows, n)[row]
+    target = matrix(table[TARGET], rows, n)[row]
+    q_reference = matrix(table[Q_REFERENCE], rows, n)[row]
+    v_reference = matrix(table[V_REFERENCE], rows, n)[row]
+    action = matrix(table[ACTION], rows, table[ACTION_WIDTH])[row, : table[ACTIONS]]
+    scratch = vector(table[SCRATCH], table[SCRATCH_SIZE])
+    tau = scratch[0 * n : 1 * n]
+    bias = scratch[1 * n : 2 * n]
     a = scratch[2 * n : 3 * n]
     q_seen = scratch[3 * n : 4 * n]
     v_seen = scratch[4 * n : 5 * n]
-    reference = scratch[_VECTORS * n : _VECTORS * n + 5 * n].reshape((5, n))
-    factors = scratch[_VECTORS * n + 5 * n : _VECTORS * n + 5 * n + n * n].reshape((n, n))
-    work = scratch[_VECTORS * n + 5 * n + n * n + 6 * n + 72 :]
+    known_bias = bias if share == EVERYTHING else scratch[5 * n : 6 * n]
+    reference = scratch[_VECTORS * n : (_VECTORS + 5) * n].reshape((5, n))
+    matrices = scratch[(_VECTORS + 5) * n : (_VECTORS + 5) * n + _MATRICES * n * n].reshape((_MATRICES, n, n))
+    factors = matrices[0]
+    known_factors = matrices[0 if share == EVERYTHING else 1]
+    work = scratch[_own_size(n) :]
+    _move_target(mode, table[TICKS], nominal, numbers, limits, action, target, scratch)
+    for tick in range(table[TICKS]):
+        _measure(table, row, tick, q, v, q_seen, v_seen)
+        if share != NOTHING:
+            bias_and_mass(plant, q, v, work, bias, factors)
+            if share == GEOMETRY and mode == TORQUE:
+                _find_known(plant, nominal, difference, v, a, work, bias, factors, known_bias, known_factors)
+            _factorize_inertia(plant, factors)
+        if mode == TORQUE:
+            if share == NOTHING:
+                _find_dynamics(nominal, q_seen, v_seen, a, work, known_bias, known_factors)
+            _guarded_torque(action, numbers, limits, q_seen, v_seen, known_bias, known_factors, tau, a)
+        else:
+            _advance_reference(numbers, limits, target, reference, q_reference, v_reference)
+            if share == NOTHING:
+                call_kernel(table[KERNEL], parameters, q_seen, v_seen, reference, memory, tau)
+            else:
+                law.command_acceleration(parameters, q, v, reference, memory, n)
+                acceleration = law.vector(memory, n, law.ACCELERATION)
+                multiply(factors, acceleration, tau)
+                for i in range(n):
+                    tau[i] += bias[i]
+                if share == GEOMETRY:
+                    subtract_torque(plant, difference, v, acceleration, work, tau)
+                law.add_feedback(parameters, q, v, reference, memory, tau)
+        _delay(table, row, tau)
+        if addresses[1] == 0:
+            if share == NOTHING:
+                bias_and_mass(plant, q, v, work, bias, factors)
+                _factorize_inertia(plant, factors)
+            _move_freely(table, plant, limits, bias, factors, tau, a, q, v)
+        else:
+            _simulate(table, row, addresses, numbers[GRIP_STEP], tau, q, v)
+    _observe_scene(table, row, addresses)
+    find_tip(nominal, q, work, matrix(table[TIP], rows, 12)[row])
+
+
+@njit
+def step_rows(table):
+    """One step of the environments [FIRST, LAST)."""
+    touched = numba.carray(integers(table[TOUCHED]), (table[ROWS],))
     for row in range(table[FIRST], table[LAST]):
-        q = matrix(table[Q], rows, n)[row]
-        v = matrix(table[V], rows, n)[row]
-        target = matrix(table[TARGET], rows, n)[row]
-        q_reference = matrix(table[Q_REFERENCE], rows, n)[row]
-        v_reference = matrix(table[V_REFERENCE], rows, n)[row]
-        numba.carray(integers(table[TOUCHED]), (rows,))[row] = 0
-        action = matrix(table[ACTION], rows, table[ACTION_WIDTH])[row, : table[ACTIONS]]
-        _move_target(table[MODE], table[TICKS], nominal, numbers, limits, action, target, scratch)
-        for tick in range(table[TICKS]):
-            _measure(table, row, tick, q, v, q_seen, v_seen)
-            if shared[row]:
-                bias_and_factors(plants[row], q, v, work, bias, factors)
-            if table[MODE] == TORQUE:
-                if not shared[row]:
-                    _find_dynamics(nominal, q_seen, v_seen, a, work, bias, factors)
-                _guarded_torque(action, numbers, limits, q_seen, v_seen, bias, factors, tau, a)
-            else:
-                _advance_reference(numbers, limits, target, reference, q_reference, v_reference)
-                if shared[row]:
-                    computed_torque_from(parameters, q, v, reference, memories[row], bias, factors, tau)
-                else:
-                    call_kernel(table[KERNEL], parameters, q_seen, v_seen, reference, memories[row], tau)
-            _delay(table, row, tau)
-            if addresses[row, 1] == 0:
-                if not shared[row]:
-                    bias_and_factors(plants[row], q, v, work, bias, factors)
-                _move_freely(table, plants[row], limits, bias, factors, tau, a, q, v)
-            else:
-                _simulate(table, row, addresses[row], numbers[GRIP_STEP], tau, q, v)
-        _observe_scene(table, row, addresses[row])
-        find_tip(nominal, q, work, matrix(table[TIP], rows, 12)[row])
+        touched[row] = 0
+        _step_row(table, row)
 
 
-@c_function(types.void(types.intp, types.intp, types.int32, types.intp))
+@c_function(types.void(types.intp, types.intp, types.int32, types.intp), borrows=True)
 def step_table(model, data, simulation, table):
     """A function for `mjb_apply`: steps the rows of the table at an address."""
     step_rows(numba.carray(integers(table), (TABLE_SIZE,)))

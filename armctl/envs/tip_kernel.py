@@ -9,7 +9,8 @@ import math
 from armctl.core.jit import njit
 from armctl.robot.dynamics_kernel import factorize, locate, place, solve, tip_jacobian, tip_position, tip_rotation
 
-_ITERATIONS = 4
+_MAX_ITERATIONS = 4
+_REACHED = 1e-10  # square of the error in m and rad: a full action is more than a thousand times its root
 
 
 @njit
@@ -69,13 +70,21 @@ def _tip_error(goal, tip, error):
 def follow_tip(model, goal, size, damping, limits, way, start, target, work, J, A, error, tip):
     """Moves a target by damped least squares until its tip is at a goal, at most `way` from `start`.
 
+    The joints are located at the target already, and `tip` is there.
+
     Nakamura, Hanafusa, "Inverse kinematic solutions with singularity robustness for robot manipulator control" (1986).
     """
     n = target.shape[0]
-    for _ in range(_ITERATIONS):
-        find_tip(model, target, work, tip)
-        tip_jacobian(model, work, J)
+    for iteration in range(_MAX_ITERATIONS):
+        if iteration > 0:
+            find_tip(model, target, work, tip)
         _tip_error(goal, tip, error)
+        rest = 0.0
+        for k in range(size):
+            rest += error[k] * error[k]
+        if rest < _REACHED:
+            return
+        tip_jacobian(model, work, J)
         for r in range(size):
             for c in range(size):
                 total = damping if r == c else 0.0

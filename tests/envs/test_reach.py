@@ -9,10 +9,12 @@ import mujoco
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from synthetic import FAST, limb, mjcf, motors
 
 import armctl
 import armctl.envs
-from armctl.envs.plants import plant_vector
+from armctl.envs.plants import FreePlants
+from armctl.envs.step_kernel import EVERYTHING, GEOMETRY, NOTHING
 from armctl.robot.dynamics_kernel import DRIVE_COLUMNS, FRICTION_GAIN
 from armctl.sim.free_space import FreeSpace
 
@@ -100,31 +102,39 @@ def test_a_batch_on_any_number_of_threads_is_its_single_environments(arm):
         assert np.array_equal(observation, batches[0][step, 2])
 
 
+VARIED = {
+    "payload": armctl.Range(0.1, 0.2),
+    "mass_scale": armctl.Range(0.9, 1.1),
+    "viscous_friction": armctl.Range(0.1, 0.5),
+}
+
+
 @pytest.mark.parametrize("action", ["torque", "joint_delta"])
-def test_dynamics_that_controller_and_plant_share_make_the_same_motion(arm, monkeypatch, action):
+@pytest.mark.parametrize("randomize", [None, {"payload": VARIED["payload"]}, VARIED], ids=["nominal", "payload", "varied"])
+def test_dynamics_that_controller_and_plant_share_make_the_same_motion(arm, monkeypatch, action, randomize):
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (5, 4, arm.n))
     seen = []
-    for is_shared in (True, False):
-        if not is_shared:
-            monkeypatch.setattr("armctl.envs.rows.Rows._is_shared", lambda *_: False)
-        env = armctl.envs.ArmVectorEnv(arm, action=action, num_envs=4)
+    for shares in (EVERYTHING if randomize is None else GEOMETRY, NOTHING):
+        if shares == NOTHING:
+            monkeypatch.setattr("armctl.envs.rows.Rows._computes_with_nominal", lambda *_: False)
+        env = armctl.envs.ArmVectorEnv(arm, action=action, num_envs=4, randomize=randomize)
         env.reset(seed=10)
         seen.append(run(env, actions))
-        assert (env.batch.rows._shared == is_shared).all()
+        assert (env.batch.rows._shared == shares).all()
     assert seen[0] == pytest.approx(seen[1], abs=1e-6)
 
 
-def test_only_plants_as_the_controller_knows_them_share_dynamics(arm):
-    for options, is_shared in (
-        ({}, True),
-        ({"controller": "pd-gravity"}, False),
-        ({"controller": "computed-torque-textbook"}, False),
-        ({"randomize": {"payload": armctl.Range(0.1, 0.2)}}, False),
-        ({"randomize": {"encoder_noise": armctl.Range(0.0, 1e-4)}}, False),
+def test_only_controllers_that_know_the_positions_and_the_model_share_dynamics(arm):
+    for options, shares in (
+        ({}, EVERYTHING),
+        ({"controller": "pd-gravity"}, NOTHING),
+        ({"controller": "computed-torque-textbook"}, NOTHING),
+        ({"randomize": {"payload": armctl.Range(0.1, 0.2)}}, GEOMETRY),
+        ({"randomize": {"encoder_noise": armctl.Range(0.0, 1e-4)}}, NOTHING),
     ):
         env = armctl.envs.ArmEnv(arm, action="joint_delta", **options)
         env.reset(seed=0)
-        assert env.batch.rows._shared == is_shared
+        assert env.batch.rows._shared == shares
 
 
 def test_steps_without_collision_detection_have_the_same_bits(arm, monkeypatch):
@@ -157,17 +167,21 @@ def test_the_last_observation_of_an_episode_is_kept(arm):
     assert env.compute_reward(last["achieved_goal"], last["desired_goal"], {}) == rewards[1]
 
 
-def test_a_varied_plant_has_the_dynamics_of_its_model(arm):
-    def vector(plant):
-        model = plant.model(arm)
-        found = FreeSpace(arm, model, mujoco.MjData(model)).vector
+@pytest.mark.parametrize("lifted", [0.0, 0.6])
+def test_a_varied_plant_has_the_dynamics_of_its_model(lifted):
+    robot = mjcf(limb("a b c", joint='damping="0.1"').replace("<body", f'<body gravcomp="{lifted}"'), motors("a b c") + FAST)
+    arm = armctl.load(mujoco.MjSpec.from_string(robot))
+
+    def without_friction(found):
         drives = len(found) - arm.n * (DRIVE_COLUMNS + arm.n)
         found[drives + FRICTION_GAIN :: DRIVE_COLUMNS][: arm.n] = 0.0  # of dry friction, which there is none of
         return found
 
     plant = armctl.Plant(payload=0.3, mass_scale=1.2, viscous_friction=0.4)
-    varied = plant_vector(arm, vector(armctl.Plant()), plant)
-    assert varied == pytest.approx(vector(plant), rel=1e-9, abs=1e-12)
+    model = plant.model(arm)
+    expected = FreeSpace(arm, model, mujoco.MjData(model)).vector
+    varied = FreePlants(arm).of(plant).vector
+    assert without_friction(varied) == pytest.approx(without_friction(expected), rel=1e-9, abs=1e-12)
 
 
 def test_wrong_arguments_are_explained(arm):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from armctl.core.validation import Array, BoolArray
 from armctl.envs.grip import Grip
-from armctl.envs.limits import joint_limits
+from armctl.envs.limits import JointLimits, joint_limits
 from armctl.envs.source import ArmSource
 from armctl.robot.arm import Arm
 
@@ -87,8 +88,12 @@ class Task(ABC):
 
     def start(self, rng: np.random.Generator, spread: float = _START_SPREAD) -> Array:
         """(n,) rad, a configuration around the start."""
-        limits = joint_limits(self.arm)
-        return np.clip(self.start_q + rng.uniform(-spread, spread, self.arm.n), limits.low, limits.high)
+        q = self.start_q + rng.uniform(-spread, spread, self.arm.n)
+        return np.clip(q, self._limits.low, self._limits.high)
+
+    @cached_property
+    def _limits(self) -> JointLimits:
+        return joint_limits(self.arm)
 
     def goals_at(self, numbers: NDArray[np.int64], steps: NDArray[np.int64]) -> Array:
         """(count, 3) m, the goals of episodes with these goal numbers (count,) after these steps (count,)."""
