@@ -79,16 +79,17 @@ class FreePlants:
                 links[:, first : first + size] *= plant.mass_scale
             linear[:] = (plant.mass_scale - 1.0) * self._linear
         if plant.payload > 0.0:
-            place = self._tip_position + self._tip_rotation @ plant.payload_center
+            place = self._tip_position + self._tip_rotation @ np.asarray(plant.payload_center)
             _add_mass(self._links(vector)[self._last], plant.payload, place)
             linear[self._last] += [plant.payload, *(plant.payload * place), *_point_inertia(plant.payload, place)]
         difference[:, columns.DIFFERS] = linear.any(axis=1)
-        difference[:, columns.DAMPING] = plant.viscous_friction
+        friction = np.asarray(plant.viscous_friction)
+        difference[:, columns.DAMPING] = friction
         drives = vector[self._drives : self._drives + self._n * kernel.DRIVE_COLUMNS].reshape(self._n, kernel.DRIVE_COLUMNS)
-        drives[:, kernel.DAMPING] += plant.viscous_friction
+        drives[:, kernel.DAMPING] += friction
         if self._has_implicit_damping:
-            difference[:, columns.IMPLICIT_DAMPING] = plant.viscous_friction
-            drives[:, kernel.IMPLICIT_DAMPING] += plant.viscous_friction
+            difference[:, columns.IMPLICIT_DAMPING] = friction
+            drives[:, kernel.IMPLICIT_DAMPING] += friction
         return FreePlant(vector, difference)
 
     def _links(self, vector: Array) -> Array:
