@@ -229,3 +229,8 @@ def frozen(value: NDArray[_Scalar]) -> NDArray[_Scalar]:
     """Makes an array read-only and returns it."""
     value.setflags(write=False)
     return value
+
+
+def read_only(values: NDArray[_Scalar]) -> NDArray[_Scalar]:
+    """A view that nobody can make writable: NumPy sets the flag again on an ordinary view of an array that can be written."""
+    return np.asarray(memoryview(values).toreadonly())  # pyright: ignore[reportArgumentType]

@@ -10,7 +10,7 @@ import numpy as np
 from armctl.core.errors import InputError
 from armctl.core.log import Contact, Log
 from armctl.core.trajectory import TickReference
-from armctl.core.validation import Array, frozen
+from armctl.core.validation import Array, read_only
 from armctl.mjmodel.queries import body_name, geom_owner_name, is_below
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
@@ -39,7 +39,7 @@ class TickRows:
 
     def __init__(self, reference: TickReference, nq: int, n: int):
         ticks = len(reference.q)
-        self.reference = TickReference(*map(_read_only, reference))
+        self.reference = TickReference(*(read_only(np.asarray(column)) for column in reference))
         self.qpos = np.empty((ticks, nq))
         self.v = np.empty((ticks, n))
         self.tau_cmd = np.empty((ticks, n))
@@ -205,12 +205,6 @@ class Recorder:
             for pair in sorted(start, key=lambda pair: start[pair])
             if ticks[pair]
         )
-
-
-def _read_only(column: Array) -> Array:
-    """A column that cannot be written: itself, or a view."""
-    column = np.asarray(column)
-    return frozen(column[:]) if column.flags.writeable else column
 
 
 def _first(column: Array, count: int) -> Array:

@@ -20,7 +20,7 @@ from armctl.core.errors import InputError
 from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
-from armctl.core.validation import Array, IntArray, frozen, shown, vector
+from armctl.core.validation import Array, IntArray, read_only, shown, vector
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
@@ -232,7 +232,7 @@ class Stepper:
         grid = (self.dt, ticks, self.continuous)
         if self._sampled is not None and self._sampled[0] is trajectory and self._sampled[1] == grid:
             return self._sampled[2]
-        reference = TickReference(*map(frozen, TickReference.of(trajectory, self.dt, ticks, self.continuous)))
+        reference = TickReference(*map(read_only, TickReference.of(trajectory, self.dt, ticks, self.continuous)))
         is_immutable = isinstance(trajectory, JointTrajectory)  # others may be a user's
         self._sampled = (trajectory, grid, reference) if is_immutable and ticks <= _MAX_KEPT_TICKS else None
         return reference
@@ -377,8 +377,8 @@ class Stepper:
         command_rows = rows.tau_cmd
         torque_rows = rows.tau
         # A controller gets read-only views of the recorded rows.
-        v_seen_rows = _read_only(v_rows)
-        q_seen_rows = _read_only(qpos_rows[:, self._joints]) if isinstance(self._joints, slice) else None
+        v_seen_rows = read_only(v_rows)
+        q_seen_rows = read_only(qpos_rows[:, self._joints]) if isinstance(self._joints, slice) else None
         torque = controller.torque
         step = mj_step if self._free_space is None else self._free_space.step
         sensor = self._wrench_sensor if getattr(controller, "needs_wrench", False) else None
@@ -396,7 +396,7 @@ class Stepper:
                 if not hypot(*v.tolist()) < _MAX_SPEED:
                     self._diverge(v)
                     break
-                q = _read_only(qpos[self._joints]) if q_seen_rows is None else q_seen_rows[row]
+                q = read_only(qpos[self._joints]) if q_seen_rows is None else q_seen_rows[row]
                 q_seen, v_seen = (q, v) if disturbances is None else self._measure(q, v)
                 if sensor is not None and wrench_rows is not None:
                     wrench = self._measured_wrench(State(q_seen, v_seen, data.time, dt, continuous))
@@ -490,10 +490,3 @@ def _index(addresses: IntArray) -> slice | IntArray:
     first = int(addresses[0])
     consecutive = np.array_equal(addresses, np.arange(first, first + len(addresses)))
     return slice(first, first + len(addresses)) if consecutive else addresses
-
-
-def _read_only(values: Array) -> Array:
-    """A read-only view."""
-    view = values[:]
-    view.flags.writeable = False
-    return view

@@ -175,17 +175,25 @@ def test_a_torque_of_the_wrong_shape_is_an_error_with_a_log(bundled: Arm, value)
         armctl.simulate(bundled, Wrong(), armctl.move_j(bundled, bundled.home, [0.5, 0.5, -1.0]))
 
 
+@pytest.mark.parametrize(
+    ("unlocks", "message"), [(False, "assignment destination is read-only"), (True, "cannot set WRITEABLE flag")]
+)
 @pytest.mark.parametrize("name", ["q", "v"])
 @pytest.mark.parametrize("which", [0, 1])
-def test_a_controller_cannot_change_the_state_or_its_references(bundled: Arm, which: int, name: str):
+def test_a_controller_cannot_change_the_state_or_its_references(
+    bundled: Arm, which: int, name: str, unlocks: bool, message: str
+):
     class Careless(ComputedTorque):
         def torque(self, state, setpoint):
             tau = super().torque(state, setpoint)
-            getattr((state, setpoint)[which], name)[:] = 99.0
+            given = getattr((state, setpoint)[which], name)
+            if unlocks:
+                given.flags.writeable = True
+            given[:] = 99.0
             return tau
 
     sim = Simulation(bundled, Careless(bundled))
-    with pytest.raises(SimulationError, match=r"failed at 0\.000 s: assignment destination is read-only"):
+    with pytest.raises(SimulationError, match=rf"failed at 0\.000 s: {message}"):
         sim.run(armctl.move_j(bundled, bundled.home, [0.5, 0.5, -1.0]))
     assert np.array_equal(sim.state.q, bundled.home)
     sim.controller = "computed-torque"
