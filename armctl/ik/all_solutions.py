@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import itertools
 import math
-from functools import lru_cache
-from typing import NamedTuple
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from armctl.collision.checkers import collision_checker
 from armctl.core.pose import Pose
 from armctl.core.target import TargetLike
-from armctl.core.validation import Array, IntArray, flag, frozen, integer
+from armctl.core.validation import Array, BoolArray, IntArray, TextArray, flag, frozen, integer
 from armctl.ik import lm
 from armctl.ik.closed_form_solutions import MIN_SAMPLES, Solutions, closed_form_solutions, polished
 from armctl.ik.lm import TOLERANCE_SHARE
@@ -28,7 +28,7 @@ from armctl.ik.problem import (
     read_target,
     read_tolerance,
 )
-from armctl.ik.result import IkBatch, IkResult
+from armctl.ik.result import IkBatch, IkResult, batch_of_solutions
 from armctl.ik.solve import LM_STARTS, solve_ik
 from armctl.robot.arm import Arm
 
@@ -106,36 +106,38 @@ def solve_ik_all(
     chain = packed_chain(arm)
     if type(target) is Pose and free_axis is None:
         constraint = chain.kernel.POSE
-        numbers = target.rows
+        rows = target.rows
     else:
         constraint, numbers = read_target(target, free_axis)
+        rows = numbers.reshape(4, 3)
     if type(position_tolerance) is not float or not MIN_TOLERANCE <= position_tolerance < math.inf:
         position_tolerance = read_tolerance("position_tolerance", position_tolerance)
     if type(orientation_tolerance) is not float or not MIN_TOLERANCE <= orientation_tolerance < math.inf:
         orientation_tolerance = read_tolerance("orientation_tolerance", orientation_tolerance)
     starts = read_starts(arm, q0, 1)
-    seed = read_seed(seed)
-    problem = Problem(arm, chain, constraint, numbers.reshape(1, 12), starts, position_tolerance, orientation_tolerance, seed)
+    if type(seed) is not int or not 0 <= seed < 2**63:
+        seed = read_seed(seed)
     if type(limit) is not int or limit < 1:
         limit = integer("limit", limit, 1)
-    flag("avoid_collisions", avoid_collisions)
-    if chain.closed_form is not None and constraint == chain.kernel.POSE:
-        found = closed_form_solutions(problem, chain.closed_form, limit)
-        if len(chain.unit) == 6 and not chain.closed_form.is_exact:
-            found = _completed(problem, found)
+    if avoid_collisions is not False:
+        avoid_collisions = flag("avoid_collisions", avoid_collisions)
+    form = chain.closed_form
+    if form is not None and form.is_exact and constraint == chain.kernel.POSE:
+        found = closed_form_solutions(chain, form, rows, starts[0], position_tolerance, orientation_tolerance, limit)
     else:
-        found = _numerical_solutions(problem, limit)
+        problem = Problem(arm, chain, constraint, rows.reshape(1, 12), starts, position_tolerance, orientation_tolerance, seed)
+        found = _inexact_solutions(problem, limit)
     is_complete = found.is_complete and len(found.q) <= limit
-    if flag("avoid_collisions", avoid_collisions):
+    if avoid_collisions:
         contact_at = collision_checker(arm).at
         found = found.select(np.array([k for k, q in enumerate(found.q) if not contact_at(q)], np.int64))
-    count = min(len(found.q), limit)
+    count = len(found.q)
     if count == 0:
         return _one_row(
             solve_ik(
                 arm,
                 target,
-                problem.q0[0],
+                starts[0],
                 position_tolerance=position_tolerance,
                 orientation_tolerance=orientation_tolerance,
                 free_axis=free_axis,
@@ -143,20 +145,49 @@ def solve_ik_all(
                 seed=seed,
             )
         )
-    if count < len(found.q):
+    if count > limit:
+        count = limit
         found = found.select(np.arange(count))
-    names = chain.branch_names
-    return IkBatch(
-        _column(count, True),  # by names: 1 us longer
-        frozen(found.q),
-        frozen(found.position_error),
-        frozen(found.orientation_error),
-        _column(count, ""),
-        _column(count, found.steps),
-        _column(count, found.starts),
-        tuple([names[int(number)] for number in found.branch.tolist()]),
-        is_complete,
+    found.q.setflags(write=False)
+    return batch_of_solutions(found.q, is_complete, partial(_columns, found, chain.branch_names))
+
+
+def _columns(found: Solutions, branch_names: tuple[str | None, ...]) -> dict[str, Any]:
+    """The fields of an IkBatch for solutions of one target."""
+    ok, reason, iterations, starts = _equal_rows(len(found.q), found.steps, found.starts)
+    found.details.setflags(write=False)
+    position_error, orientation_error, branch = found.details
+    return {
+        "ok": ok,
+        "position_error": position_error,
+        "orientation_error": orientation_error,
+        "reason": reason,
+        "iterations": iterations,
+        "starts": starts,
+        "branch": tuple([branch_names[int(number)] for number in branch.tolist()]),
+    }
+
+
+@lru_cache(maxsize=1024)
+def _equal_rows(count: int, steps: int, starts: int) -> tuple[BoolArray, TextArray, IntArray, IntArray]:
+    """The fields that are the same for each of `count` solutions: read-only, and shared, because making them takes longer."""
+    return (
+        frozen(np.full(count, True)),
+        frozen(np.full(count, "", object)),
+        frozen(np.full(count, steps)),
+        frozen(np.full(count, starts)),
     )
+
+
+def _inexact_solutions(problem: Problem, limit: int) -> Solutions:
+    """The solutions of a problem that has no closed form, or only almost."""
+    chain = problem.chain
+    form = chain.closed_form
+    if form is None or problem.constraint != chain.kernel.POSE:
+        return _numerical_solutions(problem, limit)
+    tolerances = (problem.position_tolerance, problem.orientation_tolerance)
+    found = closed_form_solutions(chain, form, problem.targets.reshape(4, 3), problem.q0[0], *tolerances, limit)
+    return found if form.held >= 0 else _completed(problem, found)
 
 
 def _completed(problem: Problem, found: Solutions) -> Solutions:
@@ -182,17 +213,9 @@ def _numerical_solutions(problem: Problem, limit: int) -> Solutions:
     distance = np.linalg.norm(chain.to_units(q) - chain.to_units(problem.q0), axis=1)
     order = np.flatnonzero(ok)[np.argsort(distance[ok], kind="stable")]
     q = q[order]
-    branch = chain.branch_numbers(q).astype(float)
+    details = np.array([position_error[order], orientation_error[order], chain.branch_numbers(q).astype(float)])
     is_complete = 0 < len(found.q) == bound and _all_regular(problem, found.q)
-    return Solutions(
-        q, position_error[order], orientation_error[order], branch, found.starts + starts, found.steps + steps, is_complete
-    )
-
-
-@lru_cache(maxsize=1024)
-def _column(count: int, value: bool | str | int) -> NDArray:
-    """(count,) a value, read-only; shared, because creating it would take longer."""
-    return frozen(np.full(count, value, object if isinstance(value, str) else None))
+    return Solutions(q, details, found.starts + starts, found.steps + steps, is_complete)
 
 
 def _one_row(result: IkResult) -> IkBatch:

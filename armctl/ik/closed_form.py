@@ -22,10 +22,13 @@ All kernels are in one file because numba's disk cache notices changes in a kern
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from armctl.core.jit import njit, njit_at_once
+from armctl.core.jit import njit
 from armctl.ik.geometry import FIRST, HELD, HIGH, KIND, LOW, MEET, NEITHER, PAIR_FIRST, PAIR_KIND, PARALLEL, POINT
+from armctl.ik.kernel import polish
 
 MAX_SOLUTIONS = 16  # that `_solve_six` writes: eight for the first three joints, and two for each of them
 WORK = 14  # numbers: the roots of a polynomial of degree four, and two equations of five numbers
@@ -109,7 +112,7 @@ def _angle_between(axis, a, b, preferred):
     v = _across(axis, b)
     if min(_dot(u, u), _dot(v, v)) < TINY * TINY:
         return preferred, True
-    return np.arctan2(_dot(axis, _cross(u, v)), _dot(u, v)), False
+    return math.atan2(_dot(axis, _cross(u, v)), _dot(u, v)), False
 
 
 @njit
@@ -122,37 +125,80 @@ def _linear_roots(a, b, d, slack, preferred):
     if radius < TINY:
         return (1 if abs(d) <= TINY + slack else 0), preferred, preferred, True
     cos = d / radius
-    middle = np.arctan2(b, a)
+    middle = math.atan2(b, a)
     doubtful = abs(cos) > 1.0 - NEAR_DOUBLE_ROOT and abs(cos) <= 1.0 + max(slack, NEAR_DOUBLE_ROOT)
     if abs(cos) > 1.0:
         if abs(cos) > 1.0 + slack:
             return 0, middle, middle, doubtful
         angle = middle if cos > 0 else middle + np.pi
         return 1, angle, angle, True
-    half = np.arccos(cos)
+    half = math.acos(cos)
     return 2, middle + half, middle - half, doubtful
 
 
 @njit
+def _product(a, b):
+    """Of two complex numbers, each (real, imaginary). Those of Python and of NumPy have other bits than those of numba."""
+    return a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]
+
+
+@njit
+def _quotient(a, b):
+    """Of two complex numbers; the divisor's smaller part is divided by the larger one (Smith, Algorithm 116, 1962)."""
+    if abs(b[0]) >= abs(b[1]):
+        ratio = b[1] / b[0]
+        divisor = b[0] + b[1] * ratio
+        return (a[0] + a[1] * ratio) / divisor, (a[1] - a[0] * ratio) / divisor
+    ratio = b[0] / b[1]
+    divisor = b[0] * ratio + b[1]
+    return (a[0] * ratio + a[1]) / divisor, (a[1] * ratio - a[0]) / divisor
+
+
+@njit
+def _sum(a, b):
+    return a[0] + b[0], a[1] + b[1]
+
+
+@njit
+def _scaled(factor, a):
+    return factor * a[0], factor * a[1]
+
+
+@njit
+def _modulus(a):
+    return abs(complex(a[0], a[1]))
+
+
+@njit
 def _polynomial_roots(a3, a2, a1, a0, z):
-    """Fills z (4,) with the roots of z^4 + a3 z^3 + a2 z^2 + a1 z + a0, all at once (Aberth)."""
+    """Fills z (4, 2) with the complex roots of z^4 + a3 z^3 + a2 z^2 + a1 z + a0, all at once (Aberth)."""
     for i in range(4):
-        z[i] = (0.9 + 0.1 * i) * complex(np.cos(0.4 + 1.57 * i), np.sin(0.4 + 1.57 * i))
+        z[i, 0] = (0.9 + 0.1 * i) * math.cos(0.4 + 1.57 * i)
+        z[i, 1] = (0.9 + 0.1 * i) * math.sin(0.4 + 1.57 * i)
     for _ in range(MAX_ROOT_ITERATIONS):
         largest = 0.0
         for i in range(4):
-            value = (((z[i] + a3) * z[i] + a2) * z[i] + a1) * z[i] + a0
-            slope = ((4.0 * z[i] + 3.0 * a3) * z[i] + 2.0 * a2) * z[i] + a1
-            if slope == 0:
-                slope = complex(1e-300, 0.0)
-            newton = value / slope
-            others = complex(0.0, 0.0)
+            x = (z[i, 0], z[i, 1])
+            value = _sum(_product(_sum(_product(_sum(_product(_sum(x, a3), x), a2), x), a1), x), a0)
+            slope = _sum(_scaled(4.0, x), _scaled(3.0, a3))
+            slope = _sum(_product(_sum(_product(slope, x), _scaled(2.0, a2)), x), a1)
+            if slope[0] == 0 and slope[1] == 0:
+                slope = (1e-300, 0.0)
+            newton = _quotient(value, slope)
+            others = (0.0, 0.0)
             for j in range(4):
-                if j != i and z[i] != z[j]:
-                    others += 1.0 / (z[i] - z[j])
-            step = newton / (1.0 - newton * others)
-            z[i] -= step
-            largest = max(largest, abs(step) / max(abs(z[i]), 1e-300))
+                away = (x[0] - z[j, 0], x[1] - z[j, 1])
+                if j != i and (away[0] != 0 or away[1] != 0):
+                    others = _sum(others, _quotient((1.0, 0.0), away))
+            repelled = _product(newton, others)
+            repelled = (1.0 - repelled[0], -repelled[1])
+            step = newton
+            if repelled[0] != 0 or repelled[1] != 0:
+                step = _quotient(newton, repelled)
+            x = (x[0] - step[0], x[1] - step[1])
+            z[i, 0] = x[0]
+            z[i, 1] = x[1]
+            largest = max(largest, _modulus(step) / max(_modulus(x), 1e-300))
         if largest < ROOT_TOLERANCE:
             break
 
@@ -171,22 +217,28 @@ def _trigonometric_roots(k0, k1, k2, k3, k4, slack, roots):
         roots[0] = first
         roots[1] = second
         return count, doubtful
-    lead = 0.5 * complex(k3, -k4)
-    z = np.empty(4, np.complex128)
-    _polynomial_roots(0.5 * complex(k1, -k2) / lead, k0 / lead, 0.5 * complex(k1, k2) / lead, 0.5 * complex(k3, k4) / lead, z)
+    lead = (0.5 * k3, -0.5 * k4)
+    z = np.empty((4, 2))
+    _polynomial_roots(
+        _quotient((0.5 * k1, -0.5 * k2), lead),
+        _quotient((k0, 0.0), lead),
+        _quotient((0.5 * k1, 0.5 * k2), lead),
+        _quotient((0.5 * k3, 0.5 * k4), lead),
+        z,
+    )
     count = 0
     doubtful = False
     for i in range(4):
-        if not abs(abs(z[i]) - 1.0) < UNIT_CIRCLE_BAND:
+        if not abs(_modulus((z[i, 0], z[i, 1])) - 1.0) < UNIT_CIRCLE_BAND:
             continue
         for j in range(i):
-            doubtful = doubtful or abs(z[i] - z[j]) < 2.0 * UNIT_CIRCLE_BAND
-        angle = np.arctan2(z[i].imag, z[i].real)
+            doubtful = doubtful or _modulus((z[i, 0] - z[j, 0], z[i, 1] - z[j, 1])) < 2.0 * UNIT_CIRCLE_BAND
+        angle = math.atan2(z[i, 1], z[i, 0])
         best = angle
         least = np.inf
         for _ in range(NEWTON_ITERATIONS):
-            c = np.cos(angle)
-            s = np.sin(angle)
+            c = math.cos(angle)
+            s = math.sin(angle)
             value = k0 + k1 * c + k2 * s + k3 * (c * c - s * s) + 2.0 * k4 * s * c
             slope = -k1 * s + k2 * c - 4.0 * k3 * s * c + 2.0 * k4 * (c * c - s * s)
             if abs(value) < least:
@@ -294,12 +346,12 @@ def _point_roots(f1, p1, f2, p2, f3, p3, start, goal, kind, slack, preferred, or
     angles3, doubtful = _last_angles(f1, p1, f2, p2, f3, centre, u, v, goal, kind, slack, preferred[2], work)
     count = 0
     for i in range(angles3):
-        x = _add(centre, _add(_times(np.cos(work[i]), u), _times(np.sin(work[i]), v)))
+        x = _add(centre, _add(_times(math.cos(work[i]), u), _times(math.sin(work[i]), v)))
         angles2, first2, second2, doubt = _middle_angles(f1, p1, f2, p2, x, goal, kind, slack, preferred[1])
         doubtful = doubtful or doubt
         for k in range(angles2):
             angle2 = first2 if k == 0 else second2
-            y = _move(f2, p2, np.cos(angle2), np.sin(angle2), x)
+            y = _move(f2, p2, math.cos(angle2), math.sin(angle2), x)
             angle1, doubt = _angle_between(f1, _minus(y, p1), _minus(goal, p1), preferred[0])
             doubtful = doubtful or doubt
             roots[count, 1 - order] = angle1
@@ -371,13 +423,13 @@ def _plane_roots(f1, p1, f2, p2, f3, p3, h, u, offset, kind, pair_first, slack, 
         found, doubtful = _trigonometric_roots(form[0], form[1], form[2], form[3], form[4], slack, work)
     count = 0
     for i in range(found):
-        cos = np.cos(work[i])
-        sin = np.sin(work[i])
+        cos = math.cos(work[i])
+        sin = math.sin(work[i])
         turn = equations[0, 4] - equations[0, one] * cos - equations[0, one + 1] * sin
         height = equations[1, 4] - equations[1, one] * cos - equations[1, one + 1] * sin
         if kind == NEITHER:
             others = 1
-            first = np.arctan2(
+            first = math.atan2(
                 (equations[0, other] * height - equations[1, other] * turn) / det,
                 (turn * equations[1, other + 1] - height * equations[0, other + 1]) / det,
             )
@@ -391,8 +443,8 @@ def _plane_roots(f1, p1, f2, p2, f3, p3, h, u, offset, kind, pair_first, slack, 
             found_last = first if k == 0 else second
             angle1 = found_last if other == 0 else work[i]
             angle3 = work[i] if other == 0 else found_last
-            before = _turn(f3, np.cos(angle3), np.sin(angle3), u)
-            after = _turn(f1, np.cos(angle1), -np.sin(angle1), h)
+            before = _turn(f3, math.cos(angle3), math.sin(angle3), u)
+            after = _turn(f1, math.cos(angle1), -math.sin(angle1), h)
             angle2, doubt = _angle_between(f2, before, after, preferred[1])
             doubtful = doubtful or doubt
             roots[count, 0] = angle1
@@ -447,8 +499,8 @@ def _first_three(axes, points, rotation, translation, structure, preferred, slac
 def _store_trigonometry(angles, trig):
     """Fills trig (6,) with the cosines and sines of three angles."""
     for k in range(3):
-        trig[k] = np.cos(angles[k])
-        trig[3 + k] = np.sin(angles[k])
+        trig[k] = math.cos(angles[k])
+        trig[3 + k] = math.sin(angles[k])
 
 
 @njit
@@ -481,11 +533,11 @@ def _meeting_angles(axes, first, rotation, trig, preferred, slack, out):
     near = preferred[first + 1]
     count, angle, second, doubtful = _linear_roots(_dot(a, _across(b, c)), _dot(a, _cross(b, c)), height, slack, near)
     for k in range(count):
-        cos = np.cos(angle)
-        sin = np.sin(angle)
+        cos = math.cos(angle)
+        sin = math.sin(angle)
         angle_a, doubt = _angle_between(a, _turn(b, cos, sin, c), moved_c, preferred[first])
         doubtful = doubtful or doubt
-        turned = _turn(b, cos, -sin, _turn(a, np.cos(angle_a), -np.sin(angle_a), moved_b))
+        turned = _turn(b, cos, -sin, _turn(a, math.cos(angle_a), -math.sin(angle_a), moved_b))
         angle_c, _ = _angle_between(c, b, turned, preferred[first + 2])
         out[k, 0] = angle_a
         out[k, 1] = angle
@@ -511,7 +563,7 @@ def _parallel_angles(axes, points, first, rotation, translation, trig, preferred
     count, angle, second, doubt = _linear_roots(_dot(w, r), _dot(w, _cross(b, r)), square, slack, near)
     doubtful = doubtful or doubt
     for k in range(count):
-        angle_a, doubt = _angle_between(a, _add(w, _turn(b, np.cos(angle), np.sin(angle), r)), to_c, preferred[first])
+        angle_a, doubt = _angle_between(a, _add(w, _turn(b, math.cos(angle), math.sin(angle), r)), to_c, preferred[first])
         doubtful = doubtful or doubt
         out[k, 0] = angle_a
         out[k, 1] = angle
@@ -560,8 +612,8 @@ def _hold(form, held, angle, axes, points):
                 axes[k, r] = form[k, r]
                 points[k, r] = form[k, POINT + r]
         return tip, position
-    cos = np.cos(angle)
-    sin = np.sin(angle)
+    cos = math.cos(angle)
+    sin = math.sin(angle)
     held_axis = _vector(form, held, 0)
     held_point = _vector(form, held, POINT)
     row = 0
@@ -608,7 +660,7 @@ def _van_der_corput(k):
     return value
 
 
-@njit_at_once  # quotients of complex numbers
+@njit
 def find(form, reach, target, q0, slack, margin, min_samples, max_samples, wanted, seeds):
     """Fills `seeds` (M, n) with the configurations inside the bounds, up to `margin`, for a target (12,).
 
@@ -672,7 +724,7 @@ def find(form, reach, target, q0, slack, margin, min_samples, max_samples, wante
     return count, doubtful, sample
 
 
-@njit_at_once  # quotients of complex numbers
+@njit
 def find_first(form, reach, targets, slack, margin, max_samples, q, found):
     """Fills q (N, n) with a configuration for each of the targets (N, 12), and `found` (N,) with whether there is one."""
     seeds = np.empty((MAX_SOLUTIONS, q.shape[1]))
@@ -681,3 +733,16 @@ def find_first(form, reach, targets, slack, margin, max_samples, q, found):
         found[t] = count > 0
         if count > 0:
             q[t] = seeds[0]
+
+
+@njit
+def solve_all(form, chain, reach, rows, q0, tolerance, orientation_tolerance, slack, margin, samples, most, wanted, q, details):
+    """`find`, from `samples` to `most` of them, and `kernel.polish`, for a target (4, 3): fills q (M, n) and `details` (3, M).
+
+    Returns the number of solutions, the steps, the number of samples, and whether no solution can be missing.
+    """
+    seeds = np.empty(q.shape)
+    target = rows.reshape(12)
+    count, doubtful, samples = find(form, reach, target, q0, slack, margin, samples, most, wanted, seeds)
+    found, steps, lost = polish(chain, reach, target, tolerance, orientation_tolerance, q0, seeds[:count], q, details)
+    return found, steps, samples, lost == 0 and not doubtful

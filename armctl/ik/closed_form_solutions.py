@@ -29,58 +29,67 @@ class Solutions(NamedTuple):
 
     Attributes:
         q: (N, n) rad.
-        position_error: (N,) m.
-        orientation_error: (N,) rad.
-        branch: (N,) numbers of the branches, as floats.
+        details: (3, N) the position errors, m, the orientation errors, rad, and the numbers of the branches.
         starts: How many configurations were begun with.
         steps: Solver steps.
         is_complete: Whether there is proved to be no other.
     """
 
     q: Array
-    position_error: Array
-    orientation_error: Array
-    branch: Array
+    details: Array
     starts: int
     steps: int
     is_complete: bool
 
     def select(self, rows: IntArray) -> Solutions:
         """Those with the numbers (K,)."""
-        return self._replace(
-            q=self.q[rows],
-            position_error=self.position_error[rows],
-            orientation_error=self.orientation_error[rows],
-            branch=self.branch[rows],
-        )
+        return self._replace(q=self.q[rows], details=self.details[:, rows])
 
 
-def closed_form_solutions(problem: Problem, closed_form: ClosedForm, limit: int) -> Solutions:
-    """The solutions of an arm with a closed form, refined; of seven joints a sample."""
-    chain = problem.chain
-    n = len(chain.unit)
-    q0 = problem.q0[0]
-    slack = problem.position_tolerance / chain.reach + problem.orientation_tolerance
+def closed_form_solutions(
+    chain: PackedChain,
+    closed_form: ClosedForm,
+    target: Array,
+    q0: Array,
+    position_tolerance: float,
+    orientation_tolerance: float,
+    limit: int,
+) -> Solutions:
+    """The solutions for a target (4, 3) of an arm with a closed form, refined; of seven joints a sample."""
+    slack = position_tolerance / chain.reach + orientation_tolerance
     margin = SINGULAR_MARGIN
     if not closed_form.is_exact:
         slack += DEVIATION_FACTOR * closed_form.deviation
         margin = INEXACT_MARGIN
-    is_swept = closed_form.held >= 0
-    seeds = np.empty((limit + MAX_SEEDS_PER_SAMPLE * MIN_SAMPLES if is_swept else MAX_SEEDS_PER_SAMPLE, n))
-    target = problem.targets[0]
-    count, doubtful, samples = _kernels().find(
+    min_samples = 1
+    max_samples = 1
+    room = MAX_SEEDS_PER_SAMPLE
+    if closed_form.held >= 0:
+        min_samples = MIN_SAMPLES
+        max_samples = max(MIN_EMPTY_SAMPLES, SAMPLES_PER_SOLUTION * limit)
+        room = limit + MAX_SEEDS_PER_SAMPLE * MIN_SAMPLES
+    q = np.empty((room, len(closed_form.form) - 2))
+    details = np.empty((3, room))
+    count, steps, samples, is_complete = _kernels().solve_all(
         closed_form.form,
+        chain.rows,
         chain.reach,
         target,
         q0,
+        position_tolerance,
+        orientation_tolerance,
         slack,
         margin,
-        MIN_SAMPLES,
-        max(MIN_EMPTY_SAMPLES, SAMPLES_PER_SOLUTION * limit),
+        min_samples,
+        max_samples,
         limit,
-        seeds,
+        q,
+        details,
     )
-    return polished(problem, seeds[:count], samples, closed_form.is_exact and not doubtful and not is_swept)
+    q = q[:count]
+    if closed_form.held < 0:
+        return Solutions(q, details[:, :count], samples, steps, is_complete and closed_form.is_exact)
+    return Solutions(q.copy(), details[:, :count].copy(), samples, steps, False)
 
 
 def first_solutions(chain: PackedChain, closed_form: ClosedForm, targets: Array, q: Array) -> BoolArray:
@@ -111,10 +120,7 @@ def polished(problem: Problem, seeds: Array, starts: int, is_complete: bool) -> 
         q,
         details,
     )
-    if found < len(seeds):
-        q = q[:found]
-        details = details[:, :found]
-    return Solutions(q, details[0], details[1], details[2], starts, steps, is_complete and lost == 0)
+    return Solutions(q[:found], details[:, :found], starts, steps, is_complete and lost == 0)
 
 
 @cache

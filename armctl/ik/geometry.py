@@ -56,6 +56,7 @@ class ClosedForm(NamedTuple):
         pair_kind: MEET, PARALLEL or NEITHER.
         pair_first: Which of the others begin the pair, 0 or 1.
         deviation: How far the axes are from meeting or being parallel, in reaches or sines.
+        is_exact: Whether the closed form is that of the chain itself, up to rounding.
         branch_names: (28,) the name of each combination of the three signs, and None for an unknown branch.
     """
 
@@ -67,12 +68,8 @@ class ClosedForm(NamedTuple):
     pair_kind: int
     pair_first: int
     deviation: float
+    is_exact: bool
     branch_names: tuple[str | None, ...]
-
-    @property
-    def is_exact(self) -> bool:
-        """Whether the closed form is that of the chain itself, up to rounding."""
-        return self.deviation <= EXACT_TOLERANCE
 
 
 def axes_of(axes: Array, points: Array) -> Relation:
@@ -180,6 +177,7 @@ def _closed_form(
         pair_kind=pair.kind,
         pair_first=pair_first,
         deviation=deviation,
+        is_exact=deviation <= EXACT_TOLERANCE,
         branch_names=names,
     )
 

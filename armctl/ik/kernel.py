@@ -540,7 +540,7 @@ def _aim(chain, reach, target, work):
         work[n + 1, k] = shrink * target[k] / reach
         along = work[n + 1, k] - shrink * chain[0, k]
         distance += along * along
-    factor = min(1.0, MAX_TARGET_REACHES / max(np.sqrt(distance), 1e-300))
+    factor = min(1.0 / shrink, MAX_TARGET_REACHES / max(np.sqrt(distance), 1e-300))
     for k in range(9, 12):
         work[n + 1, k] = chain[0, k] + factor * (work[n + 1, k] - shrink * chain[0, k])
 

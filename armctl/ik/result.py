@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 from armctl.core.validation import Array, BoolArray, IntArray, TextArray
 
@@ -44,8 +46,26 @@ class IkResult:
         return f"not solved: {self.reason}"
 
 
+class _Columns:
+    """Makes the fields of a record when the first of them is read: few callers of a fast function read all of them."""
+
+    __slots__ = ("_make",)
+
+    _make: Callable[[], dict[str, Any]]
+
+    if not TYPE_CHECKING:  # which would take any name for a field
+
+        def __getattr__(self, name: str) -> Any:
+            """A field that is not made yet."""
+            if name not in type(self).__slots__:
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
+            for field, value in self._make().items():
+                setattr(self, field, value)
+            return getattr(self, name)
+
+
 @dataclass(eq=False, slots=True)  # not frozen, as IkResult
-class IkBatch:
+class IkBatch(_Columns):
     """The results of N IK problems: the fields of IkResult as arrays. Its length is N, and `batch[i]` is an IkResult.
 
     `bool(batch)` tells whether all N are solved.
@@ -73,7 +93,7 @@ class IkBatch:
     is_complete: bool = False
 
     def __len__(self) -> int:
-        return len(self.ok)
+        return len(self.q)
 
     def __bool__(self) -> bool:
         return bool(self.ok.all())
@@ -92,6 +112,15 @@ class IkBatch:
 
     def __str__(self) -> str:
         return f"{int(self.ok.sum())} of {len(self)} solved"
+
+
+def batch_of_solutions(q: Array, is_complete: bool, make: Callable[[], dict[str, Any]]) -> IkBatch:
+    """Solutions (N, n) of one target, whose other fields `make` returns when they are read."""
+    batch = IkBatch.__new__(IkBatch)
+    batch.q = q
+    batch.is_complete = is_complete
+    batch._make = make
+    return batch
 
 
 def failure_reason(out_of_reach: bool, position_error: float, orientation_error: float, starts: int) -> str:

@@ -212,7 +212,9 @@ def _nearest_candidates(problem: Problem, search: Search) -> Iterator[Candidate]
     """Solutions of the closed form, or from many starts, pulled towards q0 while they remain solutions, the nearest first."""
     form = problem.chain.closed_form
     if form is not None and problem.constraint == problem.chain.kernel.POSE:
-        found = closed_form_solutions(problem, form, NEAREST_SAMPLE)
+        target = problem.targets.reshape(4, 3)
+        tolerances = (problem.position_tolerance, problem.orientation_tolerance)
+        found = closed_form_solutions(problem.chain, form, target, problem.q0[0], *tolerances, NEAREST_SAMPLE)
         nearest = found.q[:NEAREST_PULLED] if form.held >= 0 else found.q[:0]
         many = problem.select(np.zeros(len(nearest), np.int64))
         pulled = lm.search(many, 0, 1, lm.refine(many, nearest, NEAREST_PULL).q)

@@ -1,6 +1,8 @@
 """solve_ik_all: every branch is found and is a solution by MuJoCo's kinematics; `is_complete` is claimed only with a proof."""
 
+import copy
 import itertools
+import pickle
 
 import mujoco
 import numpy as np
@@ -48,6 +50,22 @@ CHAINS = {
         ((-0.08, 0, 0.38), "0 0 1"),
         ((0, 0, 0), "0 1 0"),
         ((0.08, 0, 0), "0 0 1"),
+    ],
+}
+QUARTIC_CHAINS = {  # whose closed form is a quartic equation
+    "no two axes alike before the wrist": [
+        ((0, 0, 0.67), "0 0 1"),
+        ((0.1, 0.244, 0), "0 1 0.3"),
+        ((0.432, -0.093, 0), "0.2 1 0"),
+        *CHAINS["a spherical wrist"][3:],
+    ],
+    "axes that meet in the middle": [
+        ((0, 0, 0.3), "0 0 1"),
+        ((0.1, 0, 0), "0 1 0"),
+        ((0, 0, 0), "1 0 0.2"),
+        ((0, 0, 0), "0 1 0.3"),
+        ((0.1, 0, 0.3), "1 0.2 0"),
+        ((0.05, 0.1, 0), "0 0.3 1"),
     ],
 }
 SIX_JOINTS = [name for name in CHAINS if name != "seven joints"]
@@ -254,6 +272,13 @@ def test_without_a_solution_there_is_one_row_with_the_reason(tmp_path):
     assert point.reason[0] == solve_ik(arm, [3.0, 0.0, 0.0]).reason
 
 
+@pytest.mark.parametrize("name", ["no two axes alike before the wrist", "axes that meet in the middle"])
+def test_a_pose_at_an_absurd_distance_is_out_of_reach(tmp_path, name: str):
+    arm = arm_of(tmp_path, QUARTIC_CHAINS[name])
+    for far in (1e100, 1e150, 1e200, 1e300):
+        assert solve_ik_all(arm, Pose([far, 0.0, 0.0])).reason[0] == f"out of reach by {far:.3g} m"
+
+
 def test_solutions_in_contact_are_left_out():
     arm = armctl.load("robot_arm_3dof")
     contacts = collision_checker(arm)
@@ -270,6 +295,24 @@ def test_the_same_call_gives_the_same_bits(tmp_path):
     first, second = (solve_ik_all(arm, arm.fk(GENERIC[:6])) for _ in range(2))
     assert first.q.tobytes() == second.q.tobytes()
     assert not first.q.flags.writeable
+
+
+def test_the_fields_that_are_made_when_they_are_read_are_those_of_each_solution(tmp_path):
+    arm = arm_of(tmp_path, "three parallel axes")
+    found = solve_ik_all(arm, arm.fk(GENERIC[:6]))
+    count = len(found)
+    dtypes = [bool, float, float, object, int, int]
+    fields = [found.ok, found.position_error, found.orientation_error, found.reason, found.iterations, found.starts]
+    assert [(field.shape, field.dtype) for field in fields] == [((count,), np.dtype(dtype)) for dtype in dtypes]
+    assert not any(field.flags.writeable for field in fields)
+    assert found.starts.tolist() == [1] * count
+    assert [result.branch for result in found] == list(found.branch)
+    for copied in (copy.deepcopy(found), pickle.loads(pickle.dumps(solve_ik_all(arm, arm.fk(GENERIC[:6]))))):
+        assert copied.q.tobytes() == found.q.tobytes()
+        assert copied.branch == found.branch
+        assert copied.position_error.tolist() == found.position_error.tolist()
+    with pytest.raises(AttributeError, match="'IkBatch' object has no attribute 'branches'"):
+        _ = found.branches
 
 
 def test_a_wrong_call_is_one_sentence():
