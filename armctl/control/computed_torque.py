@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from weakref import WeakSet
 
 import numpy as np
 
@@ -10,12 +11,15 @@ from armctl.control.arm_controller import ArmController
 from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH, extra_inertia
 from armctl.control.integral_gains import IntegralGains, integral_gains
 from armctl.control.observer_gains import max_inertia_ratio
-from armctl.core.errors import InputError
+from armctl.core.errors import InputError, ModelError
 from armctl.core.validation import Array, choice, instance, number
 from armctl.robot.arm import Arm
 
 FORMS = ("discrete", "textbook")
 DEFAULT_DELAY_MARGIN_S = 5e-3
+_TOLERANCE = 1e-9  # relative, as between Pinocchio and MuJoCo
+
+_checked: WeakSet[Arm] = WeakSet()  # arms whose law was compared with Pinocchio
 
 
 class ComputedTorque(ArmController):
@@ -104,6 +108,9 @@ class ComputedTorque(ArmController):
         return header, kp, kd, added, self._arm.limits.tau_max
 
     def _packed_model(self, dt: float, continuous: bool) -> Array:
+        if self._arm not in _checked:
+            _check_law(self._arm)
+            _checked.add(self._arm)
         is_textbook = self.form == "textbook"
         return self._arm.packed_dynamics.vector(0.0 if is_textbook else dt, continuous and not is_textbook)
 
@@ -111,3 +118,23 @@ class ComputedTorque(ArmController):
         from armctl.control.computed_torque_kernel import memory_size
 
         return memory_size(self.n)
+
+
+def _check_law(arm: Arm) -> None:
+    """Compares the compiled law without errors and dry friction with Pinocchio's inverse dynamics."""
+    from armctl.control.computed_torque_kernel import HEADER, computed_torque, memory_size
+    from armctl.robot.dynamics_kernel import HAS_FRICTION
+
+    q, v, a = np.random.default_rng(0).uniform(-1.0, 1.0, (3, arm.n))
+    model = arm.packed_dynamics.vector(0.0)
+    model[HAS_FRICTION] = 0.0
+    parameters = np.concatenate([np.zeros(HEADER + 4 * arm.n), model])
+    memory = np.zeros(memory_size(arm.n) + arm.packed_dynamics.work_size())
+    tau = np.zeros(arm.n)
+    computed_torque(parameters, q, v, np.array([q, v, a, v, a]), memory, tau)
+    expected = arm.inverse_dynamics(q, v, a)
+    error = float(np.abs(tau - expected).max() / max(1.0, np.abs(expected).max()))
+    if not error <= _TOLERANCE:
+        raise ModelError(
+            f"the compiled computed torque of {arm.name:.80} differs by {error:.2g} from Pinocchio's inverse dynamics"
+        )

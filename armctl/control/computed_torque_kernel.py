@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from armctl.control.kernel import A_REF, A_TICK, Q_REF, V_REF, V_TICK
-from armctl.core.jit import njit, njit_borrowing
+from armctl.core.jit import njit, njit_borrowing, njit_inlined
 from armctl.robot.dynamics_kernel import add_friction, add_linear_damping, inverse_dynamics
+from armctl.robot.forward_dynamics_kernel import inverse_step, is_free
 
 # The parameters begin with these, then follow stiffness, damping, added inertia and torque limits, each (n,), and the model.
 IS_TEXTBOOK = 0
@@ -25,7 +26,7 @@ def memory_size(n: int) -> int:
     return VECTORS * n
 
 
-@njit
+@njit_inlined
 def vector(memory, n, k):
     """Vector k (n,) of the memory."""
     return memory[k * n : (k + 1) * n]
@@ -36,11 +37,15 @@ def computed_torque(params, q, v, reference, memory, tau):
     """The law of `ComputedTorque`."""
     n = tau.shape[0]
     command_acceleration(params, q, v, reference, memory, n)
-    inverse_dynamics(params[HEADER + 4 * n :], q, v, vector(memory, n, ACCELERATION), memory[VECTORS * n :], tau)
+    model = params[HEADER + 4 * n :]
+    if is_free(model):  # a plant in free space that has this model uses bias and inertia again
+        inverse_step(model, q, v, vector(memory, n, ACCELERATION), memory[VECTORS * n :], tau)
+    else:
+        inverse_dynamics(model, q, v, vector(memory, n, ACCELERATION), memory[VECTORS * n :], tau)
     add_feedback(params, q, v, reference, memory, tau)
 
 
-@njit
+@njit_inlined
 def command_acceleration(params, q, v, reference, memory, n):
     """The acceleration of the reference and the feedback, and the correction in it."""
     correction = vector(memory, n, CORRECTION)
@@ -54,7 +59,7 @@ def command_acceleration(params, q, v, reference, memory, n):
         acceleration[i] = a_ref[i] + correction[i] + integral[i]
 
 
-@njit
+@njit_inlined
 def add_feedback(params, q, v, reference, memory, tau):
     """Adds the feedback that inverse dynamics does not contain, and friction; then integrates the error."""
     n = tau.shape[0]

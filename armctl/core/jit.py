@@ -271,6 +271,16 @@ def njit(function: Callable) -> Callable:
     return compiled
 
 
+def njit_inlined(function: Callable) -> Callable:
+    """As `njit`, for a small function that becomes a part of each caller's code.
+
+    LLVM leaves many calls in long kernels, and each passes the seven numbers of every array.
+    """
+    compiled: Any = njit(function)
+    compiled.targetoptions["forceinline"] = True
+    return compiled
+
+
 def njit_at_once(function: Callable) -> Any:
     """As `njit`, for a function that Python computes with other bits; it is compiled at its first call."""
     options = {"nopython": True, "nogil": True, "error_model": "numpy", "boundscheck": None}

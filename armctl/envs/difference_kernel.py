@@ -34,7 +34,7 @@ COLUMNS = 13
 
 @njit
 def _find_inertia(difference, j, o, work):
-    """Mass, first moment and inertia of the difference of a link, about o."""
+    """Mass, first moment and second moment of the difference of a link, about o."""
     row = j * WORK_COLUMNS + WORLD
     inertia = j * WORK_COLUMNS + INERTIA_AT_O
     mass = difference[j, MASS]
@@ -44,29 +44,29 @@ def _find_inertia(difference, j, o, work):
     z = work[row + 11] - o[2]
     # R I R^T, column by column of R^T, which are the rows of R.
     own = difference[j]
+    half = 0.5 * (own[INERTIA] + own[INERTIA + 1] + own[INERTIA + 2])  # of the trace: the second moment is half 1 - I
     a, b, c = _inertia_times(own, INERTIA, work[row], work[row + 1], work[row + 2])
     xx, xy, xz = _to_parent(work, row, a, b, c)
     a, b, c = _inertia_times(own, INERTIA, work[row + 3], work[row + 4], work[row + 5])
     _, yy, yz = _to_parent(work, row, a, b, c)
     a, b, c = _inertia_times(own, INERTIA, work[row + 6], work[row + 7], work[row + 8])
     _, _, zz = _to_parent(work, row, a, b, c)
-    # About o, at -t from the joint: I + 2 (h . t) 1 - h t^T - t h^T + mass (t . t 1 - t t^T).
-    spread = 2.0 * (hx * x + hy * y + hz * z) + mass * (x * x + y * y + z * z)
+    # About o, at -t from the joint: S + h t^T + t h^T + mass t t^T.
     work[inertia] = mass
     _store(work, inertia + 1, hx + mass * x, hy + mass * y, hz + mass * z)
     _store(
         work,
         inertia + 4,
-        xx + spread - 2.0 * hx * x - mass * x * x,
-        yy + spread - 2.0 * hy * y - mass * y * y,
-        zz + spread - 2.0 * hz * z - mass * z * z,
+        half - xx + 2.0 * hx * x + mass * x * x,
+        half - yy + 2.0 * hy * y + mass * y * y,
+        half - zz + 2.0 * hz * z + mass * z * z,
     )
     _store(
         work,
         inertia + 7,
-        xy - hx * y - hy * x - mass * x * y,
-        xz - hx * z - hz * x - mass * x * z,
-        yz - hy * z - hz * y - mass * y * z,
+        hx * y + hy * x + mass * x * y - xy,
+        hx * z + hz * x + mass * x * z - xz,
+        hy * z + hz * y + mass * y * z - yz,
     )
 
 

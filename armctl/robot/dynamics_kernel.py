@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from armctl.core.jit import njit
+from armctl.core.jit import njit, njit_inlined
 
 # The model begins with a header. Then follow a row for each of the m joints, a row for each of the arm's n, and the (m, n)
 # ratios of the joint map.
@@ -83,7 +83,7 @@ def model_size(model, n):
     return _drive(model, n) + int(model[JOINTS]) * n
 
 
-@njit
+@njit_inlined
 def _drive(model, i):
     """Where the row of joint i of the arm begins."""
     return HEADER + int(model[JOINTS]) * JOINT_COLUMNS + i * DRIVE_COLUMNS
@@ -95,12 +95,12 @@ def _ratio(model, n, joint, i):
     return model[_drive(model, n) + joint * n + i]
 
 
-@njit
+@njit_inlined
 def _cross(ax, ay, az, bx, by, bz):
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
-@njit
+@njit_inlined
 def _to_joint(work, row, x, y, z):
     """A vector of the parent's frame in the joint's frame."""
     return (
@@ -110,7 +110,7 @@ def _to_joint(work, row, x, y, z):
     )
 
 
-@njit
+@njit_inlined
 def _to_parent(work, row, x, y, z):
     """A vector of the joint's frame in the parent's frame; also a vector of a frame in the world, with row at its rotation."""
     return (
@@ -120,7 +120,7 @@ def _to_parent(work, row, x, y, z):
     )
 
 
-@njit
+@njit_inlined
 def _inertia_times(array, start, x, y, z):
     """A symmetric matrix xx yy zz xy xz yz times a vector."""
     return (
@@ -130,14 +130,14 @@ def _inertia_times(array, start, x, y, z):
     )
 
 
-@njit
+@njit_inlined
 def _store(array, start, x, y, z):
     array[start] = x
     array[start + 1] = y
     array[start + 2] = z
 
 
-@njit
+@njit_inlined
 def _add(array, start, x, y, z):
     array[start] += x
     array[start + 1] += y
@@ -229,7 +229,7 @@ def _newton_euler(model, work):
             _add(work, above + MOMENT, mx + tx, my + ty, mz + tz)
 
 
-@njit
+@njit_inlined
 def _move_link(model, j, work):
     """Velocity and acceleration of a link from those of its parent."""
     row = j * WORK_COLUMNS
@@ -292,7 +292,7 @@ def _turn_gravity(model, j, work):
     _store(work, row + FALL, x, y, z)
 
 
-@njit
+@njit_inlined
 def _load_link(model, j, work):
     """Force and moment about the joint's origin that give a link its acceleration."""
     row = j * WORK_COLUMNS
@@ -500,7 +500,7 @@ def add_implicit_damping(model, M):
         M[i, i] += model[STEP] * model[_drive(model, i) + IMPLICIT_DAMPING]
 
 
-@njit
+@njit_inlined
 def _own_inertia(model, j, work):
     """Mass, first moment and inertia about its joint's origin of a link alone."""
     joint = HEADER + j * JOINT_COLUMNS
@@ -576,7 +576,7 @@ def _add_coupling(model, j, other, inertia, M):
                 M[i, k] += _ratio(model, n, other, i) * _ratio(model, n, j, k) * inertia
 
 
-@njit
+@njit_inlined
 def _carry_inertia(j, parent, work):
     """Adds the composite inertia of a link to its parent's."""
     row = j * WORK_COLUMNS

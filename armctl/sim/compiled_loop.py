@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.control import KernelController, State
+from armctl.control.computed_torque_kernel import computed_torque
 from armctl.control.interface import WRENCH_SIZE
 from armctl.control.kernel_call import entry_point
 from armctl.core.validation import Array
@@ -167,13 +168,18 @@ class CompiledLoop:
                 kernel.TORQUE_ROWS: rows.tau,
             }
         )
+        shares_dynamics = self._shares_dynamics(controller, parameters)
         end = LoopEnd(rows.count, kernel.COMPLETE)
         steps = (last - rows.count) * self._substeps
         with nullcontext(0) if self._contact_skip is None else self._contact_skip.table(steps) as skip:
             self._table[kernel.SKIP] = skip
             while rows.count < last and end.status in (kernel.COMPLETE, kernel.EVENTS_FULL) and not end.error:
                 end = self._run_part(
-                    rows, min(last, rows.count + _MAX_TICKS), disturbances, sensor if controller.needs_wrench else None
+                    rows,
+                    min(last, rows.count + _MAX_TICKS),
+                    disturbances,
+                    sensor if controller.needs_wrench else None,
+                    memory[-self._n * (self._n + 1) :] if shares_dynamics else None,
                 )
         was_called = end.status in _INCOMPLETE
         controller.finish(self._data.time + (state.dt if was_called else 0.0))
@@ -183,14 +189,30 @@ class CompiledLoop:
             end = end._replace(measurement=(q.copy(), v.copy()))
         return end
 
-    def _run_part(self, rows: TickRows, last: int, disturbances: Disturbances | None, sensor: WrenchSensor | None) -> LoopEnd:
-        """Some ticks in one call."""
+    def _shares_dynamics(self, controller: KernelController, parameters: Array) -> bool:
+        """Whether the kernel leaves bias and inertia of the plant in its memory, unless noise disturbs its state."""
+        if self._free_space is None or self._substeps != 1 or controller.kernel is not computed_torque:
+            return False
+        vector = self._free_space.vector
+        return np.array_equal(parameters[-len(vector) :], vector)
+
+    def _run_part(
+        self,
+        rows: TickRows,
+        last: int,
+        disturbances: Disturbances | None,
+        sensor: WrenchSensor | None,
+        dynamics: Array | None,
+    ) -> LoopEnd:
+        """Some ticks in one call; `dynamics` is where the kernel leaves inertia and bias of the plant."""
         first = rows.count
         self._set_numbers({kernel.FIRST: first, kernel.LAST: last, kernel.ROW: first, kernel.COUNT: first})
         self._begin_events(rows)
         signals = None if disturbances is None else disturbances.planned(last - first)
         if signals is not None:
             self._set_signals(signals)
+        is_undisturbed = signals is None or signals.noise is None
+        self._table[kernel.KNOWN_DYNAMICS] = dynamics.ctypes.data if dynamics is not None and is_undisturbed else 0
         self._table[kernel.SENSE_TABLE] = 0
         if sensor is not None:
             self._set_sensor(sensor, rows, last, None if disturbances is None else disturbances.push)

@@ -18,9 +18,9 @@ from numba import types
 
 from armctl.control.kernel_call import call_kernel
 from armctl.core.addresses import call_step, call_with_table, floats, integers, matrix, short_integers, vector
-from armctl.core.jit import c_function, njit
+from armctl.core.jit import c_function, njit, njit_inlined
 from armctl.robot.dynamics_kernel import locate, place, tip_jacobian
-from armctl.robot.forward_dynamics_kernel import free_step
+from armctl.robot.forward_dynamics_kernel import bias_and_inertia, finish_step
 
 # Entries of the table. SIZES:
 N = 0  # joints
@@ -75,17 +75,18 @@ FREE_MODEL_SIZE = 46
 FREE_BOUNDS = 47  # (2, n)
 FREE_WORK = 48
 FREE_WORK_SIZE = 49
-SKIP = 50  # the table for skipping collision detection, see below; 0 for none
-PUSH = 51  # (6,) the wrench of the pushes now, which the loop writes
-SENSE = 52  # a C function that measures the wrench ...
-SENSE_TABLE = 53  # ... and its argument; 0 if the controller needs no wrench
+KNOWN_DYNAMICS = 50  # where the controller's kernel leaves inertia and bias of the same model; 0 if the plant computes them
+SKIP = 51  # the table for skipping collision detection, see below; 0 for none
+PUSH = 52  # (6,) the wrench of the pushes now, which the loop writes
+SENSE = 53  # a C function that measures the wrench ...
+SENSE_TABLE = 54  # ... and its argument; 0 if the controller needs no wrench
 # Results:
-ROW = 54  # the last row that was begun
-COUNT = 55  # complete rows
-STATUS = 56
-EVENTS_USED = 57
-LAST_EVENT = 58  # where the last event begins; -1 before the first
-TABLE_SIZE = 59
+ROW = 55  # the last row that was begun
+COUNT = 56  # complete rows
+STATUS = 57
+EVENTS_USED = 58
+LAST_EVENT = 59  # where the last event begins; -1 before the first
+TABLE_SIZE = 60
 
 # Entries of the table for skipping collision detection. It belongs to one MjData, and tells in which box of joint positions
 # nothing can touch. Addresses:
@@ -174,7 +175,7 @@ def _contacts_changed(table, events, count):
     return False
 
 
-@njit
+@njit_inlined
 def _note_contacts(table, row):
     """Notes the geoms that touch, if they changed; False if there is no place for them."""
     count = numba.carray(short_integers(table[DATA] + table[CONTACT_COUNT]), (1,))[0]
@@ -199,7 +200,7 @@ def _note_contacts(table, row):
     return True
 
 
-@njit
+@njit_inlined
 def _drive(table, row, indices, scales, q, tau, ctrl):
     """Sets the controls of the motors from the commanded torque: delay, ripple, gears; and the torques of pushes."""
     n = tau.shape[0]
@@ -233,7 +234,7 @@ def _drive(table, row, indices, scales, q, tau, ctrl):
             push[k] = wrench[k]
 
 
-@njit
+@njit_inlined
 def step(skip_address, function, model, data):
     """One step of MuJoCo; without collision detection if there is a table for that, and nothing can touch."""
     if skip_address != 0:
@@ -243,7 +244,7 @@ def step(skip_address, function, model, data):
     call_step(function, model, data)
 
 
-@njit
+@njit_inlined
 def _is_free(skip):
     """Whether it is proved that nothing touches at the joint positions now."""
     joints = skip[SKIP_JOINTS]
@@ -301,7 +302,7 @@ def _prove_box(skip, indices, qpos, box):
     return True
 
 
-@njit
+@njit_inlined
 def _advance(table, indices, scales, q, v_row, scratch):
     """The steps of a tick: those of MuJoCo, or of a plant in free space."""
     if table[FREE_MODEL] == 0:
@@ -320,9 +321,16 @@ def _advance(table, indices, scales, q, v_row, scratch):
         tau[i] = ctrl[indices[2, i]] * scales[0, i]
     model = vector(table[FREE_MODEL], table[FREE_MODEL_SIZE])
     bounds = matrix(table[FREE_BOUNDS], 2, n)
-    work = vector(table[FREE_WORK], table[FREE_WORK_SIZE])
+    work = vector(table[FREE_WORK], table[FREE_WORK_SIZE] - n)
+    acceleration = vector(table[FREE_WORK] + 8 * len(work), n)
+    is_known = table[KNOWN_DYNAMICS] != 0
+    size = n * n + n
+    dynamics = vector(table[KNOWN_DYNAMICS] if is_known else table[FREE_WORK] + 8 * (len(work) - size), size)
+    inertia = dynamics[: n * n].reshape((n, n))
     for _ in range(table[SUBSTEPS]):
-        free_step(model, bounds, tau, applied, work, q, v)
+        if not is_known:
+            bias_and_inertia(model, q, v, work)
+        finish_step(model, bounds, tau, applied, dynamics[n * n :], inertia, acceleration, q, v)
     qpos = vector(table[QPOS], table[NQ])
     qvel = vector(table[QVEL], table[NV])
     actuator = vector(table[QFRC_ACTUATOR], table[NV])
@@ -332,7 +340,7 @@ def _advance(table, indices, scales, q, v_row, scratch):
         actuator[indices[3, i]] = tau[i]
 
 
-@njit
+@njit_inlined
 def _read_state(indices, qpos, qvel, q, v):
     """Positions and velocities (n,) of the joints; returns the norm of the velocities."""
     squared = 0.0
@@ -343,7 +351,7 @@ def _read_state(indices, qpos, qvel, q, v):
     return math.sqrt(squared)
 
 
-@njit
+@njit_inlined
 def _read_reference(addresses, row, reference):
     """The reference of a tick, (5, n), from the addresses of its columns."""
     n = reference.shape[1]
@@ -353,7 +361,7 @@ def _read_reference(addresses, row, reference):
             reference[k, i] = column[i]
 
 
-@njit
+@njit_inlined
 def _copy_finite(values, copy):
     """Copies values; False if one is not finite."""
     is_finite = True

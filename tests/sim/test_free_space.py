@@ -39,9 +39,10 @@ def test_the_arm_moves_as_mj_step_moves_it(bundled, controller: str, plant: str)
 
 
 @pytest.mark.parametrize("plant", PLANTS)
-def test_the_python_loop_gives_the_same_bits(bundled, plant: str):
+@pytest.mark.parametrize("law", [armctl.PDGravity, armctl.ComputedTorque])
+def test_the_python_loop_gives_the_same_bits(bundled, law: type[armctl.PDGravity | armctl.ComputedTorque], plant: str):
     free = armctl.Plant(**PLANTS[plant], free_space=True)
-    sim, in_python = (armctl.Simulation(bundled, wrap(armctl.PDGravity(bundled)), free) for wrap in (lambda law: law, InPython))
+    sim, in_python = (armctl.Simulation(bundled, wrap(law(bundled)), free) for wrap in (lambda law: law, InPython))
     assert same(sim.run(Sway(bundled)), in_python.run(Sway(bundled)))
     assert sim.data.time == in_python.data.time
 
