@@ -372,7 +372,7 @@ def finish_step(model, bounds, tau, applied, bias, inertia, acceleration, q, v):
 
 @njit_inlined
 def move_freely(model, bounds, bias, factors, tau, acceleration, q, v):
-    """The rest of a step, from bias and factors of the inertia: clips tau to its bounds, computes the acceleration, replaces q and v."""
+    """The rest of a step, from bias and factors of the inertia: clips tau to its bounds, replaces q and v."""
     n = q.shape[0]
     for i in range(n):
         tau[i] = min(max(tau[i], bounds[0, i]), bounds[1, i])
