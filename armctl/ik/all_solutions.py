@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,15 +12,12 @@ from numpy.typing import ArrayLike
 from armctl.collision.checkers import collision_checker
 from armctl.core.pose import Pose
 from armctl.core.target import TargetLike
-from armctl.core.validation import Array, BoolArray, IntArray, TextArray, flag, frozen, integer
-from armctl.ik import lm
-from armctl.ik.closed_form_solutions import MIN_SAMPLES, Solutions, closed_form_solutions, polished
-from armctl.ik.lm import TOLERANCE_SHARE
+from armctl.core.validation import BoolArray, IntArray, TextArray, flag, frozen, integer
+from armctl.ik.closed_form_solutions import Solutions, closed_form_solutions
+from armctl.ik.numerical_solutions import completed_solutions, numerical_solutions
 from armctl.ik.problem import (
     MIN_TOLERANCE,
-    PackedChain,
     Problem,
-    compiled,
     packed_chain,
     read_seed,
     read_starts,
@@ -29,30 +25,8 @@ from armctl.ik.problem import (
     read_tolerance,
 )
 from armctl.ik.result import IkBatch, IkResult, batch_of_solutions
-from armctl.ik.solve import LM_STARTS, solve_ik
+from armctl.ik.solve import solve_ik
 from armctl.robot.arm import Arm
-
-# Bounds on the number of isolated configurations of six hinges in series: 16 in general (Primrose, "On the input-output
-# equation of the general 7R mechanism", Mech. Mach. Theory 21, 1986), 8 if three consecutive axes are parallel or meet in a
-# point (Mavroidis and Roth, "Structural parameters which reduce the number of manipulator configurations", ASME J. Mech. Design
-# 116, 1994).
-MAX_SOLUTIONS_6R = 16
-MAX_SOLUTIONS_SPECIAL_6R = 8
-SPECIAL_AXES_TOLERANCE = 1e-9  # reaches, or sine of an angle
-MIN_REGULAR_SINGULAR_VALUE = 1e-6  # of the Jacobian in reaches per radian: above it a solution is isolated
-
-PATIENCE = 300  # random starts without a new solution, after which the search ends
-SWEEP_PATIENCE = 12  # the same for each further sample of a sweep, which begins at the solutions of the sample before
-SOLUTIONS_PER_SAMPLE = 4  # fewest to expect: it determines the number of samples of a sweep
-CONDITION_SAMPLES = 16  # configurations at which the choice of swept joints is judged
-
-
-class _Found(NamedTuple):
-    """Distinct solutions (N, n) in the solver's units, without regard to the limits, and the effort."""
-
-    q: Array
-    starts: int
-    steps: int
 
 
 def solve_ik_all(
@@ -184,38 +158,10 @@ def _inexact_solutions(problem: Problem, limit: int) -> Solutions:
     chain = problem.chain
     form = chain.closed_form
     if form is None or problem.constraint != chain.kernel.POSE:
-        return _numerical_solutions(problem, limit)
+        return numerical_solutions(problem, limit)
     tolerances = (problem.position_tolerance, problem.orientation_tolerance)
     found = closed_form_solutions(chain, form, problem.targets.reshape(4, 3), problem.q0[0], *tolerances, limit)
-    return found if form.held >= 0 else _completed(problem, found)
-
-
-def _completed(problem: Problem, found: Solutions) -> Solutions:
-    """The solutions of an arm whose axes are only almost special: near singularities its closed form may miss some."""
-    chain = problem.chain
-    more = _find(problem, chain.rows, found.q, MAX_SOLUTIONS_6R, is_first=False)
-    complete = polished(problem, more.q, found.starts + more.starts, len(more.q) == MAX_SOLUTIONS_6R)
-    return complete._replace(steps=found.steps + more.steps + complete.steps)
-
-
-def _numerical_solutions(problem: Problem, limit: int) -> Solutions:
-    """The solutions of an arm without a closed form, or for a target that leaves turns open."""
-    chain = problem.chain
-    swept = _swept_joints(chain, problem.constraint)
-    bound = _max_solutions(chain, problem.constraint)
-    first = lm.search(problem, 0, LM_STARTS)
-    starts = int(first.next_start[0])
-    steps = int(first.iterations[0])
-    found = _sweep(problem, swept, first.q[0], limit) if swept else _isolated(problem, bound, first.q[0], limit)
-    q = _inside_limits(problem, found.q)
-    position_error, orientation_error = problem.select(np.zeros(len(q), np.int64)).residuals(q)
-    ok = (position_error <= problem.position_tolerance) & (orientation_error <= problem.orientation_tolerance)
-    distance = np.linalg.norm(chain.to_units(q) - chain.to_units(problem.q0), axis=1)
-    order = np.flatnonzero(ok)[np.argsort(distance[ok], kind="stable")]
-    q = q[order]
-    details = np.array([position_error[order], orientation_error[order], chain.branch_numbers(q).astype(float)])
-    is_complete = 0 < len(found.q) == bound and _all_regular(problem, found.q)
-    return Solutions(q, details, found.starts + starts, found.steps + steps, is_complete)
+    return found if form.held >= 0 else completed_solutions(problem, found)
 
 
 def _one_row(result: IkResult) -> IkBatch:
@@ -229,176 +175,3 @@ def _one_row(result: IkResult) -> IkBatch:
         starts=frozen(np.array([result.starts])),
         branch=(result.branch,),
     )
-
-
-def _isolated(problem: Problem, bound: int, begin: Array, limit: int) -> _Found:
-    """The solutions of an arm without surplus joints."""
-    chain = problem.chain
-    return _find(problem, chain.rows, chain.to_units(begin[None]), bound or limit, is_first=True)
-
-
-def _sweep(problem: Problem, swept: tuple[int, ...], begin: Array, limit: int) -> _Found:
-    """The solutions at sampled positions of the swept joints."""
-    kernel = compiled()
-    chain = problem.chain
-    samples = max(MIN_SAMPLES, -(-limit // SOLUTIONS_PER_SAMPLE))
-    joints = list(swept)
-    q0 = chain.to_units(problem.q0)[0]
-    low = chain.rows[joints, kernel.LOW]
-    high = chain.rows[joints, kernel.HIGH]
-    periodic = (chain.rows[joints, kernel.PERIOD] > 0) & (high - low > 2 * np.pi)
-    unbounded = periodic | ~np.isfinite(high - low)
-    low = np.where(unbounded, np.maximum(low, q0[joints] - np.pi), low)
-    high = np.where(unbounded, np.minimum(high, low + 2 * np.pi), high)
-    positions = low + (high - low) * _low_discrepancy(samples, len(joints))
-    first = chain.to_units(begin[None])
-    positions[0] = first[0, joints]
-    parts = []
-    starts = 0
-    steps = 0
-    known = first
-    for k, position in enumerate(positions):
-        rows = chain.rows.copy()
-        for column in (kernel.LOW, kernel.HIGH, kernel.FREE_LOW, kernel.FREE_HIGH):
-            rows[joints, column] = position
-        rows[joints, kernel.PERIOD] = 0.0
-        known = known.copy()
-        known[:, joints] = position
-        found = _find(problem, frozen(rows), known, limit, is_first=k == 0)
-        known = found.q if len(found.q) else first
-        parts.append(found.q)
-        starts += found.starts
-        steps += found.steps
-    return _Found(np.concatenate(parts), starts, steps)
-
-
-def _low_discrepancy(count: int, dimensions: int) -> Array:
-    """(count, dimensions) in [0, 1]: evenly spaced in the first coordinate, additive recurrences in the others.
-
-    The recurrence is R_d of Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018.
-    """
-    steps = np.arange(count)
-    out = np.empty((count, dimensions))
-    out[:, 0] = (steps + 0.5) / count
-    if dimensions > 1:
-        root = 2.0
-        for _ in range(60):  # the positive root of x^dimensions = x + 1
-            root = (1 + root) ** (1 / dimensions)
-        out[:, 1:] = (0.5 + steps[:, None] * root ** -np.arange(1.0, dimensions)) % 1
-    return out
-
-
-def _find(problem: Problem, rows: Array, begin: Array, bound: int, is_first: bool) -> _Found:
-    kernel = compiled()
-    chain = problem.chain
-    n = problem.arm.n
-    whole = rows.copy()
-    turns = rows[:n, kernel.PERIOD] > 0
-    whole[:n, kernel.LOW][turns] = -np.pi
-    whole[:n, kernel.HIGH][turns] = np.pi
-    known = np.empty((bound, n))
-    count, starts, steps = kernel.find_all(
-        rows,
-        frozen(whole),
-        chain.reach,
-        problem.targets[0],
-        problem.constraint,
-        problem.position_tolerance * TOLERANCE_SHARE,
-        problem.orientation_tolerance * TOLERANCE_SHARE,
-        frozen(chain.to_units(problem.q0)[0].copy()),
-        frozen(np.ascontiguousarray(begin)),
-        bound,
-        PATIENCE if is_first else SWEEP_PATIENCE,
-        is_first,
-        problem.seed,
-        known,
-    )
-    return _Found(known[:count], starts, steps)
-
-
-def _inside_limits(problem: Problem, q: Array) -> Array:
-    """Configurations (N, n) in rad: each hinge turned by whole turns to the position nearest to q0 inside the limits.
-
-    Those for which there is none are left out.
-    """
-    kernel = compiled()
-    chain = problem.chain
-    n = problem.arm.n
-    low = chain.rows[:n, kernel.LOW] - kernel.LIMIT_ROUNDING
-    high = chain.rows[:n, kernel.HIGH] + kernel.LIMIT_ROUNDING
-    period = chain.rows[:n, kernel.PERIOD]
-    turn = np.where(period > 0, period, np.inf)
-    q = q + period * np.round((chain.to_units(problem.q0) - q) / turn)
-    q = q - period * np.ceil(np.maximum(0.0, q - high) / turn)
-    q = q + period * np.ceil(np.maximum(0.0, low - q) / turn)
-    inside = np.all((q >= low) & (q <= high), axis=1)
-    return chain.limits.clamp(q[inside] * chain.unit)
-
-
-def _max_solutions(chain: PackedChain, constraint: int) -> int:
-    """How many isolated solutions there can be, without regard to the limits; 0 if no bound is known."""
-    kernel = compiled()
-    n = len(chain.rows) - 1
-    if n != 6 or len(chain.unit) != 6 or chain.has_slides or constraint != kernel.POSE:
-        return 0
-    work = kernel.scratch(n, n)
-    kernel.forward(chain.rows, np.full(n, 0.3), work)
-    axes = work[:n, kernel.AXIS : kernel.AXIS + 3]
-    origins = work[:n, kernel.ORIGIN : kernel.ORIGIN + 3]
-    for k in range(n - 2):
-        are_parallel = all(_sine(axes[k], axes[j]) < SPECIAL_AXES_TOLERANCE for j in (k + 1, k + 2))
-        if are_parallel or _meet(origins[k : k + 3], axes[k : k + 3]):
-            return MAX_SOLUTIONS_SPECIAL_6R
-    return MAX_SOLUTIONS_6R
-
-
-def _sine(a: Array, b: Array) -> float:
-    return float(np.linalg.norm(np.cross(a, b)))
-
-
-def _meet(origins: Array, axes: Array) -> bool:
-    """Whether three lines have a point in common: the least-squares point nearest to all of them lies on each."""
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    point = np.linalg.lstsq(across.reshape(9, 3), np.einsum("kij,kj->ki", across, origins).reshape(9), rcond=None)[0]
-    distance = np.linalg.norm(np.einsum("kij,kj->ki", across, point - origins), axis=1)
-    return bool((distance < SPECIAL_AXES_TOLERANCE).all())
-
-
-def _all_regular(problem: Problem, q: Array) -> bool:
-    """Whether the Jacobian has full rank at each of the configurations (N, n), in the solver's units."""
-    values = np.linalg.svd(np.array([_jacobian(problem.chain, problem.constraint, row) for row in q]), compute_uv=False)
-    return bool((values[:, -1] > MIN_REGULAR_SINGULAR_VALUE).all())
-
-
-def _jacobian(chain: PackedChain, constraint: int, q: Array) -> Array:
-    """(6, n), or (3, n) for a point, in the solver's units; a free axis is taken out."""
-    kernel = compiled()
-    n = len(q)
-    work = kernel.scratch(len(chain.rows) - 1, n)
-    kernel.forward(chain.rows, q, work)
-    target = work[-2, :12].copy()
-    target[9:] *= chain.reach
-    hessian = np.empty((n, n))
-    gradient = np.empty(n)
-    J = np.empty((6, n))
-    kernel.objective(chain.rows, chain.reach, target, constraint, 0.0, False, q, hessian, gradient, J, work)
-    return J[:3] if constraint == kernel.POSITION else J
-
-
-@lru_cache(maxsize=64)
-def _swept_joints(chain: PackedChain, constraint: int) -> tuple[int, ...]:
-    """The surplus joints to sweep: those without which the other joints move the tip best, on average."""
-    kernel = compiled()
-    rank = {kernel.POSE: 6, kernel.POSITION: 3}.get(constraint, 5)
-    n = len(chain.unit)
-    if n <= rank:
-        return ()
-    rng = np.random.default_rng(0)
-    samples = chain.to_units(chain.limits.random(chain.home * chain.unit, CONDITION_SAMPLES, rng))
-    jacobians = np.array([_jacobian(chain, constraint, q) for q in samples])
-
-    def dexterity(swept: tuple[int, ...]) -> float:
-        others: IntArray = np.setdiff1d(np.arange(n), swept)
-        return float(np.linalg.svd(jacobians[:, :, others], compute_uv=False)[:, rank - 1].mean())
-
-    return max(itertools.combinations(range(n), n - rank), key=dexterity)

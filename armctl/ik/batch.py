@@ -18,7 +18,6 @@ from armctl.core.validation import Array, IntArray, array, frozen, integer, matr
 from armctl.ik import lm
 from armctl.ik.problem import Problem, compiled, constraint_of, read_problem
 from armctl.ik.result import IkBatch, failure_reason
-from armctl.ik.solve import LM_STARTS
 from armctl.robot.arm import Arm
 
 MAX_CHUNK = 1024  # targets
@@ -102,7 +101,7 @@ def _chunks(count: int, workers: int) -> list[IntArray]:
 
 def _solve(problem: Problem, rows: IntArray, stay_near: bool) -> IkBatch:
     part = problem.select(rows)
-    found = lm.search(part, 0, LM_STARTS)
+    found = lm.search(part, 0, lm.LM_STARTS)
     q = lm.stay_near(part, found) if stay_near else found.q
     position_error, orientation_error = part.residuals(q)
     ok = (position_error <= part.position_tolerance) & (orientation_error <= part.orientation_tolerance)

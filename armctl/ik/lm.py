@@ -9,6 +9,8 @@ import numpy as np
 from armctl.core.validation import Array, BoolArray, IntArray, frozen
 from armctl.ik.problem import Problem, compiled
 
+# Of 760 000 targets with joints at their bounds, on 38 arms, the slowest was solved after 778 starts, the next after 366.
+LM_STARTS = 2000
 # The search uses this share of the tolerances, so that rounding does not decide when the answer is measured.
 TOLERANCE_SHARE = 0.999
 NEARBY_TRIALS = 4

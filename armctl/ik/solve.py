@@ -17,6 +17,7 @@ from armctl.core.target import TargetLike
 from armctl.core.validation import Array, flag, frozen
 from armctl.ik import lm
 from armctl.ik.closed_form_solutions import closed_form_solutions
+from armctl.ik.numerical_solutions import numerical_solutions, swept_joints
 from armctl.ik.problem import (
     MIN_TOLERANCE,
     Problem,
@@ -29,8 +30,6 @@ from armctl.ik.problem import (
 from armctl.ik.result import IkResult, failure_reason
 from armctl.robot.arm import Arm
 
-# Of 760 000 targets with joints at their bounds, on 38 arms, the slowest was solved after 778 starts, the next after 366.
-LM_STARTS = 2000
 CONTACT_STARTS = 300  # in which a solution without contact must be found
 MINK_STARTS = 60
 NEAREST_STARTS = 64
@@ -74,7 +73,7 @@ def solve_ik(
         position_tolerance: m.
         orientation_tolerance: rad.
         free_axis: "x", "y" or "z": the tip's axis about which the target may be turned freely.
-        nearest: Whether to look for many solutions and take the one nearest to q0.
+        nearest: Whether to take the solution nearest to q0 of all that `solve_ik_all` finds; with surplus joints, of a sample.
         avoid_collisions: Whether a solution must be free of contact of the arm with itself and with the scene. Everything
             outside the chain is at home.
         method: "lm", the compiled Levenberg-Marquardt solver, or "mink", `DifferentialIk` stepped until it converges.
@@ -117,7 +116,7 @@ def solve_ik(
         position_tolerance * lm.TOLERANCE_SHARE,
         orientation_tolerance * lm.TOLERANCE_SHARE,
         start,
-        LM_STARTS,
+        lm.LM_STARTS,
         seed,
         q,
     )
@@ -188,7 +187,7 @@ def _result(problem: Problem, candidate: Candidate, position_error: float, orien
 def _method(name: str) -> tuple[Search, int]:
     """The search of a method, and from how many starts."""
     if isinstance(name, str) and name == "lm":
-        return lm.search, LM_STARTS
+        return lm.search, lm.LM_STARTS
     if isinstance(name, str) and name == "mink":
         from armctl.ik import mink_solver
 
@@ -209,7 +208,7 @@ def _candidates(problem: Problem, search: Search, max_starts: int, stay_near: bo
 
 
 def _nearest_candidates(problem: Problem, search: Search) -> Iterator[Candidate]:
-    """Solutions of the closed form, or from many starts, pulled towards q0 while they remain solutions, the nearest first."""
+    """All solutions, the nearest first; with surplus joints a sample, pulled towards q0 while they remain solutions."""
     form = problem.chain.closed_form
     if form is not None and problem.constraint == problem.chain.kernel.POSE:
         target = problem.targets.reshape(4, 3)
@@ -221,6 +220,11 @@ def _nearest_candidates(problem: Problem, search: Search) -> Iterator[Candidate]
         solutions = np.concatenate([pulled.q[pulled.solved], found.q])
         starts = found.starts
         iterations = found.steps + int(pulled.iterations.sum())
+    elif not swept_joints(problem.chain, problem.constraint):
+        found = numerical_solutions(problem, NEAREST_SAMPLE)
+        solutions = found.q
+        starts = found.starts
+        iterations = found.steps
     else:
         many = problem.select(np.zeros(NEAREST_STARTS, np.int64))
         begin = problem.arm.limits.random(problem.q0[0], NEAREST_STARTS, np.random.default_rng(problem.seed))

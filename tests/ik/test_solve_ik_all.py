@@ -238,6 +238,17 @@ def test_solutions_are_sorted_by_their_distance_from_q0_and_turned_towards_it(tm
     assert np.array_equal(solve_ik_all(arm, arm.fk(GENERIC[:6]), 3, q0).q, found.q[:3])
 
 
+@pytest.mark.parametrize("name", SIX_JOINTS)
+def test_nearest_is_the_first_of_all_solutions(tmp_path, name: str):
+    arm = arm_of(tmp_path, name)
+    rng = np.random.default_rng(12)
+    for q, q0 in zip(arm.limits.random(arm.home, 25, rng), arm.limits.random(arm.home, 25, rng), strict=True):
+        found = solve_ik_all(arm, arm.fk(q), q0=q0)
+        nearest = solve_ik(arm, arm.fk(q), q0, nearest=True)
+        assert nearest.ok
+        assert np.abs(nearest.q - found.q[0]).max() < 1e-6
+
+
 def test_an_arm_of_seven_joints_is_swept_over_its_self_motion(tmp_path):
     arm = arm_of(tmp_path, "seven joints", "-2.8 2.8")
     target = arm.fk(GENERIC)
