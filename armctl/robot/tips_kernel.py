@@ -1,4 +1,4 @@
-"""The tip at many positions of the joints: sines and cosines of many rows at once, which compilers turn into vector code."""
+"""The tip at many positions of the joints, a block of rows at once: compilers turn the loops over a block into vector code."""
 
 from __future__ import annotations
 
@@ -13,18 +13,15 @@ from armctl.robot.dynamics_kernel import (
     JOINT_COLUMNS,
     JOINTS,
     OFFSET,
-    PARENT,
     PLACEMENT,
-    WORK_COLUMNS,
-    WORLD,
+    TIP,
     _ratio,
     _to_parent,
     quaternion,
-    tip_position,
-    tip_rotation,
 )
 
 BLOCK = 64  # rows
+_FRAME_SIZE = 12 * BLOCK  # rotation (9,) and origin (3,) in the world, each for all rows of a block
 
 # pi / 2 in three parts, of which the first two have 33 bits: their products with small integers are exact.
 _QUARTER = (1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
@@ -33,7 +30,7 @@ _MAX_ANGLE = 1e6  # rad, up to which they are
 
 def scratch_size(joints: int) -> int:
     """Numbers of scratch memory of `tips` for a model of so many joints, besides that of the dynamics and a rotation (9,)."""
-    return 3 * BLOCK * joints
+    return 3 * BLOCK * joints + _FRAME_SIZE
 
 
 @njit_borrowing
@@ -47,26 +44,38 @@ def tips(model, rows, scratch, work, positions, quats):
     angles = scratch[:size]
     sines = scratch[size : 2 * size]
     cosines = scratch[2 * size : 3 * size]
+    frames = scratch[3 * size : 3 * size + _FRAME_SIZE]
     for first in range(0, rows.shape[0], BLOCK):
         count = min(BLOCK, rows.shape[0] - first)
-        for k in range(count):
-            for j in range(joints):
+        for j in range(joints):
+            for k in range(count):
                 angle = model[HEADER + j * JOINT_COLUMNS + OFFSET]
                 if is_plain:
                     angle = rows[first + k, j]
                 else:
                     for i in range(n):
                         angle += _ratio(model, n, j, i) * rows[first + k, i]
-                angles[k * joints + j] = angle
+                angles[j * count + k] = angle
         sines_and_cosines(angles[: count * joints], sines, cosines)
+        for j in range(int(model[CHAIN_LENGTH])):
+            own = slice(j * count, (j + 1) * count)
+            _place_joints(model, j, frames, count)
+            if model[HEADER + j * JOINT_COLUMNS + IS_SLIDE] != 0.0:
+                _slide_joints(angles[own], frames)
+            else:
+                _turn_joints(sines[own], cosines[own], frames)
         for k in range(count):
-            at = k * joints
-            _locate_chain(model, angles[at : at + joints], sines[at : at + joints], cosines[at : at + joints], work)
-            x, y, z = tip_position(model, work)
-            positions[first + k, 0] = x
-            positions[first + k, 1] = y
-            positions[first + k, 2] = z
-            tip_rotation(model, work, rotation)
+            for c in range(12):
+                work[c] = frames[c * BLOCK + k]
+            x, y, z = _to_parent(work, 0, model[TIP + 9], model[TIP + 10], model[TIP + 11])
+            positions[first + k, 0] = work[9] + x
+            positions[first + k, 1] = work[10] + y
+            positions[first + k, 2] = work[11] + z
+            for c in range(3):
+                x, y, z = _to_parent(work, 0, model[TIP + c], model[TIP + 3 + c], model[TIP + 6 + c])
+                rotation[c] = x
+                rotation[3 + c] = y
+                rotation[6 + c] = z
             quaternion(rotation, quats[first + k])
 
 
@@ -103,33 +112,53 @@ def sines_and_cosines(angles, sines, cosines):
 
 
 @njit
-def _locate_chain(model, angles, sines, cosines, work):
-    """The frames in the world of the joints from the base to the tip, as `place` and `locate`."""
-    for j in range(int(model[CHAIN_LENGTH])):
-        row = j * WORK_COLUMNS + WORLD
-        joint = HEADER + j * JOINT_COLUMNS
-        at = joint + PLACEMENT
-        parent = int(model[joint + PARENT])
-        if parent < 0:
-            for k in range(12):
-                work[row + k] = model[at + k]
-        else:
-            above = parent * WORK_COLUMNS + WORLD
-            for k in range(3):
-                x, y, z = _to_parent(work, above, model[at + k], model[at + 3 + k], model[at + 6 + k])
-                work[row + k] = x
-                work[row + 3 + k] = y
-                work[row + 6 + k] = z
-            x, y, z = _to_parent(work, above, model[at + 9], model[at + 10], model[at + 11])
-            work[row + 9] = work[above + 9] + x
-            work[row + 10] = work[above + 10] + y
-            work[row + 11] = work[above + 11] + z
-        if model[joint + IS_SLIDE] != 0.0:
-            for k in range(3):
-                work[row + 9 + k] += angles[j] * work[row + 3 * k + 2]
-            continue
-        for k in range(3):
-            x = work[row + 3 * k]
-            y = work[row + 3 * k + 1]
-            work[row + 3 * k] = cosines[j] * x + sines[j] * y
-            work[row + 3 * k + 1] = cosines[j] * y - sines[j] * x
+def _place_joints(model, j, frames, count):
+    """The frames in the world of a joint of the chain at position zero, from those of the joint below it."""
+    at = HEADER + j * JOINT_COLUMNS + PLACEMENT
+    if j == 0:
+        for c in range(12):
+            for k in range(count):
+                frames[c * BLOCK + k] = model[at + c]
+        return
+    x = model[at + 9]
+    y = model[at + 10]
+    z = model[at + 11]
+    xx = model[at]
+    xy = model[at + 1]
+    xz = model[at + 2]
+    yx = model[at + 3]
+    yy = model[at + 4]
+    yz = model[at + 5]
+    zx = model[at + 6]
+    zy = model[at + 7]
+    zz = model[at + 8]
+    for row in range(3):
+        start = 3 * row * BLOCK
+        for k in range(count):
+            a = frames[start + k]
+            b = frames[start + BLOCK + k]
+            c = frames[start + 2 * BLOCK + k]
+            frames[start + k] = a * xx + b * yx + c * zx
+            frames[start + BLOCK + k] = a * xy + b * yy + c * zy
+            frames[start + 2 * BLOCK + k] = a * xz + b * yz + c * zz
+            frames[(9 + row) * BLOCK + k] += a * x + b * y + c * z
+
+
+@njit
+def _slide_joints(positions, frames):
+    """Moves the frames of a joint along their z axes."""
+    for row in range(3):
+        for k in range(positions.shape[0]):
+            frames[(9 + row) * BLOCK + k] += positions[k] * frames[(3 * row + 2) * BLOCK + k]
+
+
+@njit
+def _turn_joints(sines, cosines, frames):
+    """Turns the frames of a joint about their z axes."""
+    for row in range(3):
+        start = 3 * row * BLOCK
+        for k in range(sines.shape[0]):
+            x = frames[start + k]
+            y = frames[start + BLOCK + k]
+            frames[start + k] = cosines[k] * x + sines[k] * y
+            frames[start + BLOCK + k] = cosines[k] * y - sines[k] * x
