@@ -232,5 +232,10 @@ def frozen(value: NDArray[_Scalar]) -> NDArray[_Scalar]:
 
 
 def read_only(values: NDArray[_Scalar]) -> NDArray[_Scalar]:
-    """A view that nobody can make writable: NumPy sets the flag again on an ordinary view of an array that can be written."""
+    """A view that nobody can make writable: NumPy sets the flag again on an ordinary view of an array that can be written.
+
+    Such a view itself is returned as it is, so that what is known of it can be found again.
+    """
+    if isinstance(values.base, memoryview) and values.base.readonly:
+        return values
     return np.asarray(memoryview(values).toreadonly())  # pyright: ignore[reportArgumentType]

@@ -92,3 +92,10 @@ def test_wrong_lists_are_explained(bundled, arguments, sentence: str):
     controller, _, plants = arguments
     with pytest.raises(armctl.ArmctlError, match=sentence):
         armctl.simulate_many(bundled, controller, Sway(bundled), plants)
+
+
+def test_runs_along_one_motion_share_its_reference(bundled):
+    motion = armctl.move_j(bundled, bundled.home, bundled.home + 0.01)
+    first, second = (armctl.simulate(bundled, "pd", motion, dwell=0.0) for _ in range(2))
+    assert second.q_ref is first.q_ref
+    assert second.tip_ref is first.tip_ref
