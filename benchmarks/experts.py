@@ -18,7 +18,7 @@ import armctl.envs
 from armctl.core.tables import Table
 from armctl.envs.tasks import TASKS
 
-ROBOTS = ("panda", "ur5e+robotiq_2f85", "xarm7", "gen3+robotiq_2f85", "robot_arm_3dof")
+ROBOTS = ("panda", "ur5e+robotiq_2f85", "xarm7", "gen3+robotiq_2f85", "so_arm100", "robot_arm_3dof")
 ROBOT_OF_ALL_ACTIONS = "panda"
 ACTIONS = ("joint_target", "joint_delta", "cartesian_delta")
 RESULTS = Path(__file__).parent / "results" / "experts.md"

@@ -164,31 +164,46 @@ def serial_arm(folder: Path, shape: Shape, integrator: str = "implicitfast") -> 
 
 def arm_with_gripper(folder: Path) -> Path:
     """A file: an arm of five joints that points down over a table, with a gripper of two fingers on one actuator."""
-    lengths = (0.3, 0.3, 0.3, 0.06, 0.04)
+    right = '<joint name="right" type="slide" axis="0 -1 0" range="-0.03 0" damping="5"/>'
+    tie = '<equality><joint joint1="right" joint2="left" polycoef="0 1 0 0 0"/></equality>'
+    return _gripping(folder, (0.3, 0.3, 0.3, 0.06, 0.04), (0.035, right), (0.03, 0.1), "0 0.2 1.7 1.24 0 0 0", tie)
+
+
+def short_arm_with_jaw(folder: Path) -> Path:
+    """A file: a short arm, on a table, whose long tool cannot point straight down over another. One of its two jaws moves."""
+    path = _gripping(folder, (0.09, 0.12, 0.12, 0.03, 0.03), (0.012, ""), (0.05, 0.0), "0 0 1.57 1.57 0 0", "", 0.02)
+    own_table = '<worldbody><geom name="table" type="box" size="0.2 0.2 0.01" pos="0 0 -0.5"/>'
+    path.write_text(path.read_text(encoding="utf-8").replace("<worldbody>", own_table), encoding="utf-8")
+    return path
+
+
+def _gripping(
+    folder: Path, lengths: tuple, right: tuple[float, str], fingers: tuple[float, float], home: str, tie: str, base: float = 0.0
+) -> Path:
+    """An arm with a gripper: place and joint of its right finger; half the length of both, and the height of the tip."""
     axes = ("0 0 1", "0 1 0", "0 1 0", "0 1 0", "0 0 1")
     ranges = ("-3 3", "-1.5 2.5", "-0.2 2.7", "-1 3", "-3 3")
+    half, tip = fingers
     bodies = ""
     for k, (axis, bounds) in enumerate(zip(axes, ranges, strict=True)):
-        height = 0.0 if k == 0 else lengths[k - 1]
+        height = base if k == 0 else lengths[k - 1]
         bodies += (
             f'<body pos="0 0 {height}"><joint name="j{k}" axis="{axis}" range="{bounds}" damping="0.5" armature="0.05"/>'
             f'<geom type="capsule" fromto="0 0 0 0 0 {lengths[k]}" size="0.03" mass="1" contype="0" conaffinity="0"/>'
         )
-    for side, name in ((1, "left"), (-1, "right")):
+    left = '<joint name="left" type="slide" axis="0 1 0" range="-0.03 0" damping="5"/>'
+    for place, joint in ((0.035, left), (-right[0], right[1])):
         bodies += (
-            f'<body pos="0 {0.035 * side} 0.06">'
-            f'<joint name="{name}" type="slide" axis="0 {side} 0" range="-0.03 0" damping="5"/>'
-            f'<geom type="box" size="0.01 0.005 0.03" pos="0 0 0.03" mass="0.05"/></body>'
+            f'<body pos="0 {place} 0.06">{joint}<geom type="box" size="0.01 0.005 {half}" pos="0 0 {half}" mass="0.05"/></body>'
         )
-    bodies += '<site name="tip" pos="0 0 0.1"/>' + len(axes) * "</body>"
+    bodies += f'<site name="tip" pos="0 0 {tip}"/>' + len(axes) * "</body>"
     drives = "".join(f'<motor joint="j{k}" ctrlrange="-80 80"/>' for k in range(len(axes)))
     drives += '<position name="grip" joint="left" kp="1000" ctrlrange="-0.03 0" forcerange="-40 40"/>'
-    tie = '<equality><joint joint1="right" joint2="left" polycoef="0 1 0 0 0"/></equality>'
-    home = '<keyframe><key name="home" qpos="0 0.2 1.7 1.24 0 0 0"/></keyframe>'
     path = folder / "gripping.xml"
     path.write_text(
         '<mujoco><compiler angle="radian"/><option timestep="0.002" integrator="implicitfast"/>'
-        f"<worldbody>{bodies}</worldbody><actuator>{drives}</actuator>{tie}{home}</mujoco>",
+        f"<worldbody>{bodies}</worldbody><actuator>{drives}</actuator>{tie}"
+        f'<keyframe><key name="home" qpos="{home}"/></keyframe></mujoco>',
         encoding="utf-8",
     )
     return path

@@ -63,15 +63,15 @@ def find_grip(arm: Arm) -> Grip:
     return Grip(
         model=gripper,
         qpos_adr=arm.model.jnt_qposadr[joints].astype(np.int64),
-        closed=_state(arm, gripper, gripper.ctrl[0]),
-        opened=_state(arm, gripper, gripper.ctrl[-1]),
+        closed=state_at(arm, gripper, gripper.ctrl[0]),
+        opened=state_at(arm, gripper, gripper.ctrl[-1]),
         indices=indices,
         ends=np.array([gripper.ctrl[0], gripper.ctrl[-1], gripper.length[0], gripper.length[-1]]),
         speed=_PAD_SPEED / float(np.ptp(gripper.width)),
     )
 
 
-def _state(arm: Arm, gripper: GripperModel, ctrl: Array) -> mujoco.MjData:
+def state_at(arm: Arm, gripper: GripperModel, ctrl: Array) -> mujoco.MjData:
     """The state at home in which controls (actuators,) hold the gripper, without contacts and gravity."""
     model = copy.copy(arm.model)
     model.opt.gravity[:] = 0.0

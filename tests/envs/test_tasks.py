@@ -5,7 +5,7 @@ import mujoco
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from synthetic import arm_with_gripper
+from synthetic import arm_with_gripper, short_arm_with_jaw
 
 import armctl
 import armctl.envs
@@ -68,6 +68,25 @@ def test_the_expert_solves_the_task(make, task):
         assert env.batch.arm.limits.contains(env.batch.rows.q)
     assert ended.all()
     assert information["is_success"].all()
+
+
+@pytest.mark.parametrize("task", ON_A_TABLE)
+def test_a_short_arm_with_a_long_tool_and_one_moving_jaw_tilts_it(tmp_path, task):
+    env = armctl.envs.ArmVectorEnv(short_arm_with_jaw(tmp_path), task, "joint_target", num_envs=2)
+    policy = armctl.envs.ExpertPolicy(env)
+    env.reset(seed=0)
+    table = env.batch.task.table
+    assert table.tilt > 0.0
+    for _ in range(env.batch.horizon):
+        information = env.step(policy())[4]
+        if information["is_success"].all():
+            break
+    assert information["is_success"].all()
+    end = policy.experts[0].end
+    rotation = table.pose(end).rotation
+    assert (rotation @ table.tool.end)[2] == pytest.approx(-np.cos(table.tilt) * table.tool.overhang)
+    if task == "PickPlace":
+        assert np.linalg.norm(env.batch.task.grasp) > 0.005
 
 
 @pytest.mark.parametrize("action", ["joint_delta", "cartesian_delta"])

@@ -19,7 +19,7 @@ _MAX_TURN = 0.5  # rad, of a joint in a step: more is another branch of the kine
 
 
 class CartesianExpert(Expert):
-    """A policy that commands positions of the tip.
+    """A policy that commands positions of the end of the tool.
 
     Attributes:
         table: The table.
@@ -36,10 +36,20 @@ class CartesianExpert(Expert):
         self._max_turns = max_turns(batch, _MAX_LAG, _SPEED_SHARE)
 
     def begin(self) -> None:
-        """Notes where the tip is."""
-        self.position = self.batch.rows.tip[self.row, :3].copy()
+        """Notes where the end of the tool is."""
+        self.position = self.end
         self._q = self.arm.limits.clamp(self.batch.rows.q[self.row])
         self._speed = 0.0
+
+    @property
+    def rotation(self) -> Array:
+        """(3, 3) of the tip."""
+        return self.batch.rows.tip[self.row, 3:].reshape(3, 3)
+
+    @property
+    def end(self) -> Array:
+        """(3,) m, where the end of the tool is."""
+        return self.batch.rows.tip[self.row, :3] + self.rotation @ self.table.tool.end
 
     @property
     def object(self) -> Array:
@@ -52,7 +62,7 @@ class CartesianExpert(Expert):
         return self.batch.goal[self.row].copy()
 
     def above_table(self, point: Array, height: float) -> Array:
-        """(3,) m, a place of the tip over a point, at a height above the table."""
+        """(3,) m, a place of the end of the tool over a point, at a height above the table."""
         return np.array([point[0], point[1], self.table.center[2] + height])
 
     def go(self, goal: Array, speed: float = _SPEED) -> Array:
@@ -78,6 +88,5 @@ class CartesianExpert(Expert):
         return self._q
 
     def is_at(self, goal: Array, tolerance: float) -> bool:
-        """Whether the commanded position and the tip are at a goal (3,) m."""
-        tip = self.batch.rows.tip[self.row, :3]
-        return bool(max(np.linalg.norm(goal - self.position), np.linalg.norm(goal - tip)) < tolerance)
+        """Whether the commanded position and the end of the tool are at a goal (3,) m."""
+        return bool(max(np.linalg.norm(goal - self.position), np.linalg.norm(goal - self.end)) < tolerance)

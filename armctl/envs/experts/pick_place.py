@@ -28,6 +28,7 @@ class PickPlaceExpert(CartesianExpert):
         assert isinstance(task, PickPlace)
         self.table = task.table
         self._height = task.height
+        self._grasp = task.grasp
 
     def begin(self) -> None:
         """Begins above the table, with an open gripper."""
@@ -39,15 +40,19 @@ class PickPlaceExpert(CartesianExpert):
         """The next part of the way."""
         return Command(self._phase(), self._opening)
 
+    def _around_object(self, height: float) -> Array:
+        """(3,) m, the place of the end of the tool at which the object is in the middle between the jaws."""
+        return self.above_table(self.object - self.rotation @ self._grasp, height)
+
     def _above(self) -> Array:
         self._opening = 1.0
-        place = self.above_table(self.object, self.table.lift)
+        place = self._around_object(self.table.lift)
         if self.is_at(place, _CLOSE):
             self._phase = self._down
         return self.go(place)
 
     def _down(self) -> Array:
-        place = self.above_table(self.object, self.table.low)
+        place = self._around_object(self.table.low)
         if self.is_at(place, _CLOSE):
             self._phase = self._close
             self._closing_steps = 0
@@ -62,11 +67,11 @@ class PickPlaceExpert(CartesianExpert):
         self._last_opening = now
         if is_still and self._closing_steps * self.batch.step_time > _MIN_CLOSING_TIME:
             self._phase = self._carry
-            self._held_at = self.object - self.batch.rows.tip[self.row, :3]
+            self._held_at = self.object - self.end
         return self.go(self.position)
 
     def _carry(self) -> Array:
-        held_at = self.object - self.batch.rows.tip[self.row, :3]
+        held_at = self.object - self.end
         if np.linalg.norm(held_at - self._held_at) > _LOST * self._height:
             self._phase = self._above
         return self.go(self.goal - held_at, _CARRYING_SPEED)

@@ -40,7 +40,7 @@ class PushExpert(CartesianExpert):
         assert isinstance(task, Push)
         self.table = task.table
         self._radius = task.radius
-        self._distance = task.radius + task.table.tool.radius + BEHIND
+        self._distance = task.radius + task.table.tool.radius + BEHIND + task.table.reach_over(task.height)
 
     def begin(self) -> None:
         """Begins above the table."""
@@ -52,7 +52,7 @@ class PushExpert(CartesianExpert):
         return Command(self._phase())
 
     def _behind(self, height: float, distance: float) -> Array:
-        """(3,) m, the place of the tip at a distance behind the object."""
+        """(3,) m, the place of the end of the tool at a distance behind the object."""
         way = (self.goal - self.object)[:2]
         direction = way / max(float(np.linalg.norm(way)), 1e-9)
         return self.above_table(self.object[:2] - distance * direction, height)
@@ -115,7 +115,7 @@ class PushExpert(CartesianExpert):
         return self.go(self.above_table(self.position[:2] + way - left * steering, self.table.low), speed)
 
     def _away(self, way: float) -> Array:
-        """(3,) m, a place of the tip farther from the object by a way (m)."""
+        """(3,) m, a place of the end of the tool farther from the object by a way (m)."""
         offset = (self.position - self.object)[:2]
         return self.above_table(self.position[:2] + way * offset / float(np.linalg.norm(offset)), self.table.low)
 

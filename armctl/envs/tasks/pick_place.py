@@ -10,11 +10,12 @@ from armctl.envs.grip import find_grip
 from armctl.envs.source import ArmSource
 from armctl.envs.tasks.interface import Episode, Task
 from armctl.envs.tasks.table import Cylinder, find_table, load_at_table
-from armctl.envs.tasks.tool import find_tool
+from armctl.envs.tasks.tool import find_tool, jaw_center
 from armctl.ik.problem import packed_chain
 
 _WIDTH_SHARE = 0.5  # of the object, of the open gripper
 _MAX_WIDTH = 0.05  # m
+_WIDTH_OF_REACH = 0.06  # of the object, at most
 _MIN_HEIGHT = 0.04  # m
 _DENSITY = 600.0  # kg/m^3
 _FRICTION = 1.0  # as of rubber, to be held
@@ -22,6 +23,7 @@ _TIP_HEIGHT = 0.01  # m, of the end of the tool above the table
 _LIFT = 0.15  # how high the tip moves, in reaches
 _START_SPREAD = 0.03  # rad (m)
 _GOALS = 1024
+_WIDTH_WHEN_AROUND = 2.0  # of the object: how far the jaws are apart when the object is in their middle
 _LIFTED = (0.3, 0.8)  # of the height at which the tip moves, of goals above the table
 
 
@@ -34,6 +36,7 @@ class PickPlace(Task):
     Attributes:
         table: The table.
         height: m, of the object.
+        grasp: (3,) m, in the tip's frame, beside the line along which the tool points: the middle between the jaws.
     """
 
     name = "PickPlace"
@@ -59,12 +62,14 @@ class PickPlace(Task):
             hint = "load_options={'tool': 'robotiq_2f85'} mounts one"
             raise InputError(f"robot: PickPlace needs a gripper: {error!s:.250}; {hint}") from None
         tool = find_tool(alone, [self.grip.closed, self.grip.opened])
-        width = min(_WIDTH_SHARE * self.grip.width_max, _MAX_WIDTH)
+        reach = packed_chain(alone).reach
+        width = min(_WIDTH_SHARE * self.grip.width_max, _WIDTH_OF_REACH * reach, _MAX_WIDTH)
+        self.grasp = jaw_center(alone, self.grip, tool, _WIDTH_WHEN_AROUND * width)
         self.height = max(_MIN_HEIGHT, 1.5 * width)
         mass = _DENSITY * np.pi * (0.5 * width) ** 2 * self.height
-        low = tool.overhang + _TIP_HEIGHT
-        lift = low + max(_LIFT * packed_chain(alone).reach, 2.0 * self.height)
-        places = find_table(alone, tool, low=low, lift=lift, margin=0.0, task=self.name)
+        lift = _TIP_HEIGHT + max(_LIFT * reach, 2.0 * self.height)
+        margin = float(np.linalg.norm(self.grasp))
+        places = find_table(alone, tool, low=_TIP_HEIGHT, lift=lift, margin=margin, height=0.0, task=self.name)
         self.arm, self.table = load_at_table(source, places, Cylinder(0.5 * width, self.height, mass, _FRICTION), self.name)
         self.start_q = self.table.q
         rng = np.random.default_rng(0)

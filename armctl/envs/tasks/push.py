@@ -16,14 +16,15 @@ from armctl.robot.arm import Arm
 
 _RADIUS = 0.04  # of the object, in reaches
 _SHARE_OF_TOOL = 0.65  # of the radius of the tool, at least: an object does not fit between the fingers of a hand
-_HEIGHT = 0.04  # m
+_MAX_HEIGHT = 0.04  # m
+_HEIGHT_SHARE = 1.5  # of the radius, at most: pushed at its top, a higher object falls
 _MASS = 0.2  # kg
 _FRICTION = 0.5  # as of wood on wood; from 1 on, a tool that presses down a little jams the object
 _TIP_HEIGHT = 0.01  # m, of the end of the tool above the table
 _CLEARANCE = 0.03  # m, between the tool and the object below it
 _START_SPREAD = 0.03  # rad (m)
 _GOALS = 1024
-_MIN_WAY = 0.06  # m, between object and goal
+_MIN_WAY = 0.06  # m, between object and goal, or the radius of the area if that is less
 BEHIND = 0.02  # m, between the tool and the object before it pushes
 
 
@@ -36,6 +37,7 @@ class Push(Task):
     Attributes:
         table: The table.
         radius: m, of the object.
+        height: m, of the object.
     """
 
     name = "Push"
@@ -61,19 +63,20 @@ class Push(Task):
             tool = find_tool(alone, [_home(alone)])
         self.radius = max(_RADIUS * packed_chain(alone).reach, _SHARE_OF_TOOL * tool.radius)
         margin = self.radius + tool.radius + BEHIND
-        low = tool.overhang + _TIP_HEIGHT
-        places = find_table(alone, tool, low=low, lift=low + _HEIGHT + _CLEARANCE, margin=margin, task=self.name)
-        self.arm, self.table = load_at_table(source, places, Cylinder(self.radius, _HEIGHT, _MASS, _FRICTION), self.name)
+        self.height = min(_MAX_HEIGHT, _HEIGHT_SHARE * self.radius)
+        lift = _TIP_HEIGHT + self.height + _CLEARANCE
+        places = find_table(alone, tool, low=_TIP_HEIGHT, lift=lift, margin=margin, height=self.height, task=self.name)
+        self.arm, self.table = load_at_table(source, places, Cylinder(self.radius, self.height, _MASS, _FRICTION), self.name)
         self.start_q = self.table.q
         rng = np.random.default_rng(0)
-        self.goals = np.array([[self.table.place(rng, 0.5 * _HEIGHT)] for _ in range(_GOALS)])
+        self.goals = np.array([[self.table.place(rng, 0.5 * self.height)] for _ in range(_GOALS)])
 
     def draw(self, rng: np.random.Generator) -> Episode:
         """A start above the table, a goal, and a place of the object away from it."""
         goal = int(rng.integers(len(self.goals)))
-        place = self.table.place(rng, 0.5 * _HEIGHT)
-        while np.linalg.norm(place - self.goals[goal, 0]) < _MIN_WAY:
-            place = self.table.place(rng, 0.5 * _HEIGHT)
+        place = self.table.place(rng, 0.5 * self.height)
+        while np.linalg.norm(place - self.goals[goal, 0]) < min(_MIN_WAY, self.table.radius):
+            place = self.table.place(rng, 0.5 * self.height)
         return Episode(self.start(rng, _START_SPREAD), goal, object=place)
 
 

@@ -1,4 +1,4 @@
-"""Table: a place in front of an arm over which its tool points down."""
+"""Table: a place in front of an arm over which its tool points down, or is tilted by a constant angle."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from armctl.collision.checkers import collision_checker
 from armctl.core.errors import InputError
-from armctl.core.pose import Pose
+from armctl.core.pose import Pose, rotation_from_vector
 from armctl.core.validation import Array
 from armctl.envs.limits import joint_limits
 from armctl.envs.source import ArmSource
@@ -27,6 +27,8 @@ _RADII = (0.1, 0.08, 0.06, 0.045)
 _HEIGHTS = (-0.25, -0.15, -0.05, -0.35, 0.05, 0.15)
 _DISTANCES = (0.5, 0.45, 0.55, 0.4, 0.6, 0.35)
 _DIRECTIONS = (0.0, np.pi / 2, -np.pi / 2, np.pi)
+# rad, of the tool away from the base. An arm whose tool is long for its reach cannot let it point straight down over an area.
+_TILTS = (0.0, 0.35, 0.6)
 _MIN_TOP = 0.03  # m: the table is above the ground
 _THICKNESS = 0.02  # m
 _MAX_TURN = 2.0  # rad, of a joint over the whole area
@@ -41,10 +43,12 @@ class Table(NamedTuple):
     Attributes:
         center: (3,) m, of the area, on top of the table.
         radius: m, of the area.
-        low: m, height of the tip above the table when the tool works there.
-        lift: m, height of the tip above the table when it moves.
+        low: m, height of the end of the tool above the table when it works there.
+        lift: m, height of the end of the tool above the table when it moves.
         tool: The tool, which points down.
-        q: (n,) rad, with the tip above the center at its greatest height.
+        tilt: rad, by which it points away from the base.
+        base: (2,) m, the place of the first joint.
+        q: (n,) rad, with the end of the tool above the center at its greatest height.
     """
 
     center: Array
@@ -52,6 +56,8 @@ class Table(NamedTuple):
     low: float
     lift: float
     tool: Tool
+    tilt: float
+    base: Array
     q: Array
 
     def place(self, rng: np.random.Generator, height: float) -> Array:
@@ -60,9 +66,16 @@ class Table(NamedTuple):
         distance = self.radius * np.sqrt(rng.random())
         return self.center + np.array([distance * np.cos(angle), distance * np.sin(angle), height])
 
-    def pose(self, position: Array) -> Pose:
-        """A pose of the tip in which the tool points down."""
-        return Pose.from_rotation(position, self.tool.rotation_down)
+    def pose(self, end: Array) -> Pose:
+        """A pose of the tip with the end of the tool at a position (3,) m."""
+        away = end[:2] - self.base
+        x, y = away / max(float(np.linalg.norm(away)), 1e-9)
+        rotation = rotation_from_vector(self.tilt * np.array([y, -x, 0.0])) @ self.tool.rotation_down
+        return Pose.from_rotation(end - rotation @ self.tool.end, rotation)
+
+    def reach_over(self, height: float) -> float:
+        """m, how far the tilted tool is ahead of its end at a height above it."""
+        return height * float(np.tan(self.tilt))
 
 
 class Cylinder(NamedTuple):
@@ -87,7 +100,7 @@ class _SceneWithCylinder(Scene):
     def __init__(self, table: Table, cylinder: Cylinder):
         super().__init__()
         edge = 2.0 * (table.radius + 3.0 * cylinder.radius)
-        self.add_box("table", [edge, edge, _THICKNESS], table.center - np.array([0.0, 0.0, 0.5 * _THICKNESS]))
+        self.add_box("task_table", [edge, edge, _THICKNESS], table.center - np.array([0.0, 0.0, 0.5 * _THICKNESS]))
         away = table.center + np.array([0.0, 0.0, 10.0 * edge])  # where it touches nothing; each episode places it
         self.add_cylinder("object", cylinder.radius, cylinder.height, away, mass=cylinder.mass)
         self._friction = cylinder.friction
@@ -105,7 +118,7 @@ class _Place(NamedTuple):
     corners: list[Array]
 
 
-def find_table(arm: Arm, tool: Tool, *, low: float, lift: float, margin: float, task: str) -> Iterator[_Place]:
+def find_table(arm: Arm, tool: Tool, *, low: float, lift: float, margin: float, height: float, task: str) -> Iterator[_Place]:
     """Places for a table, the preferred ones first.
 
     At each of them the tool can point down over all corners of the area, at both heights, and the arm moves there without
@@ -114,9 +127,10 @@ def find_table(arm: Arm, tool: Tool, *, low: float, lift: float, margin: float, 
     Args:
         arm: The arm alone.
         tool: Its tool.
-        low: m, height of the tip above the table when it works there.
-        lift: m, height of the tip above the table when it moves.
-        margin: m, around the area, in which the tip moves as well.
+        low: m, height of the end of the tool above the table when it works there.
+        lift: m, height of the end of the tool above the table when it moves.
+        margin: m, around the area, in which the tool moves as well.
+        height: m, of an object beside the tool, at which a tilted tool needs room.
         task: The name of the task, for the error.
 
     Raises:
@@ -130,20 +144,24 @@ def find_table(arm: Arm, tool: Tool, *, low: float, lift: float, margin: float, 
     ahead = arm.fk(arm.home).position - base
     heading = float(np.arctan2(ahead[1], ahead[0]))
     has_ground = base[2] > 0.0
+    middles: dict[tuple[float, ...], Array | None] = {}
     found = False
-    for turn, radius, height, distance in product(_DIRECTIONS, _RADII, _HEIGHTS, _DISTANCES):
+    for tilt, turn, radius, drop, distance in product(_TILTS, _DIRECTIONS, _RADII, _HEIGHTS, _DISTANCES):
         direction = np.array([np.cos(heading + turn), np.sin(heading + turn), 0.0])
-        center = base + reach * (distance * direction + np.array([0.0, 0.0, height]))
+        center = base + reach * (distance * direction + np.array([0.0, 0.0, drop]))
         center[2] = max(center[2], _MIN_TOP) if has_ground else center[2]
-        table = Table(center, radius * reach, low, lift, tool, arm.home)
-        corners = _corners(arm, table, margin)
+        table = Table(center, radius * reach, low, lift, tool, tilt, base[:2], arm.home)
+        where = (tilt, *center)
+        if where not in middles:
+            middles[where] = _solve(arm, table, np.array([0.0, 0.0, lift]), arm.home)
+        corners = _corners(arm, table, middles[where], margin + table.reach_over(height))
         if corners is not None:
             found = True
             yield _Place(table._replace(q=corners[0]), corners)
     if not found:
         width = 2.0 * (_RADII[-1] * reach + margin)
         raise InputError(
-            f"robot: {task} needs a tool that points down over a table, with the tip {low:.2f} to {lift:.2f} m above it; "
+            f"robot: {task} needs a tool that points down over a table, with its end {low:.2f} to {lift:.2f} m above it; "
             f"{arm.name:.80} can do so nowhere {width:.2f} m wide; Reach, ReachPast and Track need no table"
         )
 
@@ -172,10 +190,9 @@ def load_at_table(source: ArmSource, places: Iterator[_Place], cylinder: Cylinde
     raise InputError(f"robot: {name} finds no place for a table that the arm does not touch; mount the arm higher or alone")
 
 
-def _corners(arm: Arm, table: Table, margin: float) -> list[Array] | None:
-    """Configurations over the area, that above its center first; None if the arm is not good there."""
+def _corners(arm: Arm, table: Table, middle: Array | None, margin: float) -> list[Array] | None:
+    """Configurations over the area, that above its center first, if there is one; None if the arm is not good there."""
     limits = joint_limits(arm)
-    middle = _solve(arm, table, np.array([0.0, 0.0, table.lift]), arm.home)
     if middle is None:
         return None
     found = [middle]
@@ -190,6 +207,6 @@ def _corners(arm: Arm, table: Table, margin: float) -> list[Array] | None:
 
 
 def _solve(arm: Arm, table: Table, offset: Array, q: Array) -> Array | None:
-    """The configuration near q with the tip at an offset from the center of the area; None if there is none."""
+    """The configuration near q with the end of the tool at an offset from the center of the area; None if there is none."""
     result = solve_ik(arm, table.pose(table.center + offset), q, free_axis=table.tool.axis)
     return result.q if result.ok else None

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from armctl.core.validation import Array
+from armctl.envs.grip import Grip, state_at
 from armctl.mjmodel.queries import is_below
 from armctl.robot.arm import Arm
 
@@ -19,6 +20,7 @@ _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z i
 _ROUND = {int(kind) for kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER)}
 _RING = np.array([[np.cos(a), np.sin(a), z] for a in np.arange(8) * np.pi / 4 for z in (-1.0, 1.0)])
 _MAX_TOOL = 0.5  # m from the tip
+_MAX_DISTANCE = 1.0  # m, up to which the distance of jaws is computed
 
 
 class Tool(NamedTuple):
@@ -35,6 +37,13 @@ class Tool(NamedTuple):
     sign: float
     overhang: float
     radius: float
+
+    @property
+    def end(self) -> Array:
+        """(3,) m, the end of the tool in the tip's frame."""
+        end = np.zeros(3)
+        end["xyz".index(self.axis)] = self.sign * self.overhang
+        return end
 
     @property
     def rotation_down(self) -> Array:
@@ -71,6 +80,30 @@ def find_tool(arm: Arm, states: Sequence[mujoco.MjData]) -> Tool:
     overhang = float(depth.max())
     sides = np.delete(points, column, axis=1)[depth > overhang - _NEAR_END]
     return Tool("xyz"[column], sign, overhang, float(np.linalg.norm(sides, axis=1).max()))
+
+
+def jaw_center(arm: Arm, grip: Grip, tool: Tool, width: float) -> Array:
+    """(3,) m, the middle between the jaws at a width (m) in the tip's frame, beside the line along which the tool points.
+
+    Jaws that move alike are in the same distance of that line. Of a jaw that does not move, the middle depends on the width.
+    """
+    data = state_at(arm, grip.model, grip.model.ctrl_at(width))
+    first, second = _nearest(arm, grip, data)
+    rotation, position = _tip(arm, data)
+    apart = rotation.T @ (second - first)
+    apart["xyz".index(tool.axis)] = 0.0
+    apart /= max(float(np.linalg.norm(apart)), 1e-9)
+    return apart * float(apart @ (rotation.T @ (0.5 * (first + second) - position)))
+
+
+def _nearest(arm: Arm, grip: Grip, data: mujoco.MjData) -> Array:
+    """(2, 3) m, the points of the jaws that are nearest to each other."""
+    jaws = grip.model.jaws
+    if jaws.pads:
+        segment = np.zeros(6)
+        mujoco.mj_geomDistance(arm.model, data, *jaws.pads, _MAX_DISTANCE, segment)
+        return segment.reshape(2, 3)
+    return np.array([data.xpos[p.body] + data.xmat[p.body].reshape(3, 3) @ p.position for p in jaws.points])
 
 
 def _direction(arm: Arm, data: mujoco.MjData, points: Array) -> Array:
