@@ -29,6 +29,8 @@ DEFAULT_ORIENTATIONS = 32
 DEFAULT_SPACING_REACHES = 0.125
 MAX_POINTS = 2_000_000
 POINTS_PER_CHUNK = 16
+PLANE_SAMPLES = 32  # configurations that show whether the tip stays in a plane
+MAX_PLANE_DEVIATION = 1e-9  # m: above it a coordinate of the tip changes
 # Starts of the numerical search for each orientation; most targets need one, and those that none can reach cost all of them.
 NUMERICAL_STARTS = 24
 POSITION_TOLERANCE = 1e-5  # m
@@ -71,7 +73,9 @@ class Reachability:
         if not self.ok:
             return f"nothing reached: {self.reason}"
         reached = self.fraction > 0
-        text = f"{int(reached.sum())} of {len(reached)} points reached, {self.volume:.3g} m^3"
+        is_one_layer = (np.ptp(self.points, axis=0) == 0).sum() == 1
+        size = f"{self.volume / self.spacing:.3g} m^2" if is_one_layer else f"{self.volume:.3g} m^3"
+        text = f"{int(reached.sum())} of {len(reached)} points reached, {size}"
         if len(self.orientations):
             text += f"; on average {100 * self.fraction[reached].mean():.0f} % of {len(self.orientations)} orientations there"
         return text
@@ -171,7 +175,9 @@ class Reachability:
             raise InputError(f"path: {file.name!r:.80} is not a file of Reachability.save ({error!s:.120})") from None
 
     def plot(self, path: str | os.PathLike[str] | None = None, values: str = "fraction") -> Path | None:
-        """Draws three slices through the middle of the reached points: seen from above, from the front and from the side.
+        """Draws slices through the middle of the reached points: seen from above, from the front and from the side.
+
+        If the grid is one layer, only this layer is drawn.
 
         Args:
             path: An image file, such as "reach.png" or ".pdf"; without it a window opens.
@@ -184,10 +190,14 @@ class Reachability:
             InputError: There are no such values.
         """
         shown_values = self._values(values)
+        extent = np.ptp(self.points, axis=0)
+        slices = [(0, 1, 2), (0, 2, 1), (1, 2, 0)]
+        layers = [each for each in slices if extent[each[2]] == 0]
+        slices = layers if len(layers) == 1 else slices
 
         def draw(figure: Figure) -> None:
-            axes = np.atleast_1d(figure.subplots(1, 3))
-            for panel, (i, j, across) in zip(axes, ((0, 1, 2), (0, 2, 1), (1, 2, 0)), strict=True):
+            axes = np.atleast_1d(figure.subplots(1, len(slices)))
+            for panel, (i, j, across) in zip(axes, slices, strict=True):
                 heights = self.points[self.fraction > 0, across] if self.ok else self.points[:, across]
                 level = float(heights[np.abs(heights - np.median(heights)).argmin()])
                 rows = np.abs(self.points[:, across] - level) < 0.25 * self.spacing
@@ -199,9 +209,10 @@ class Reachability:
                 panel.set_ylabel(f"{'xyz'[j]}, m")
                 panel.set_title(f"{'xyz'[across]} = {level:.3f} m")
                 panel.set_aspect("equal")
+                panel.margins(0.05)
             figure.colorbar(axes[0].collections[0], ax=list(axes), label=values)
 
-        return finish_figure(draw, (13.0, 4.5), path)
+        return finish_figure(draw, (1.0 + 4.0 * len(slices), 4.5), path)
 
     def _values(self, name: str) -> Array:
         return self.fraction if choice("values", name, ("fraction", "manipulability")) == "fraction" else self.manipulability
@@ -224,7 +235,8 @@ def reachability(
     Each orientation is tried at each point of a grid, inside the joint limits; contacts are not considered. The orientations
     are spread evenly (Alexa, "Super-Fibonacci spirals: fast, low-discrepancy sampling of SO(3)", CVPR 2022). Arms of six joints
     with a closed form are answered exactly. Of seven joints one is swept in 64 steps, which misses poses that need a small part
-    of its range. Other arms are searched numerically from 24 starts, which may miss poses, too.
+    of its range. Other arms are searched numerically from 24 starts, which may miss poses, too. If the tip stays in a plane
+    across an axis of the world, the grid is one layer in that plane.
 
     If stderr is a terminal, a progress bar appears after two seconds.
 
@@ -232,7 +244,8 @@ def reachability(
         arm: The arm.
         spacing: m, between the points; by default an eighth of the arm's length.
         orientations: How many to try at each point; 0 tests points only. By default 32, or 0 with fewer than six joints.
-        region: Two opposite corners of a box, (3,) m each. By default the sphere that the stretched arm could reach.
+        region: Two opposite corners of a box, (3,) m each; in one between two layers of the grid, its middle is the layer. By
+            default the sphere that the stretched arm could reach.
         threads: How many threads to use; by default one per core. The result does not depend on it.
 
     Returns:
@@ -245,7 +258,7 @@ def reachability(
     spacing = DEFAULT_SPACING_REACHES * chain.reach if spacing is None else number("spacing", spacing, 1e-6)
     default = DEFAULT_ORIENTATIONS if arm.n >= 6 else 0
     count = default if orientations is None else integer("orientations", orientations, 0, 100_000)
-    points = _grid(chain, spacing, region)
+    points = _grid(chain, spacing, region, _tip_planes(arm))
     quaternions = even_orientations(count)
     workers = (os.cpu_count() or 1) if threads is None else integer("threads", threads, 1)
     rows = np.zeros((max(count, 1), 12))
@@ -297,8 +310,17 @@ def _rotations(q: Array) -> Array:
     return np.moveaxis(np.array(rows), 2, 0)
 
 
-def _grid(chain: PackedChain, spacing: float, region: Sequence[ArrayLike] | None) -> Array:
-    """(N, 3) m the points of a cubic grid around the first joint, inside a box or the stretched arm's sphere."""
+def _tip_planes(arm: Arm) -> Array:
+    """(3,) m the coordinates that the tip has in every configuration; NaN for those that change."""
+    tips, _ = arm.fk_many(arm.limits.random(arm.home, PLANE_SAMPLES, np.random.default_rng(0)))
+    return np.where(np.ptp(tips, axis=0) <= MAX_PLANE_DEVIATION, tips[0], np.nan)
+
+
+def _grid(chain: PackedChain, spacing: float, region: Sequence[ArrayLike] | None, planes: Array) -> Array:
+    """(N, 3) m the points of a cubic grid around the first joint, inside a box or the stretched arm's sphere.
+
+    Where the tip has a fixed coordinate in `planes` (3,), or the box contains no layer of the grid, there is one layer.
+    """
     centre = chain.rows[0, 9:12] * chain.reach
     if region is None:
         low = centre - chain.reach
@@ -311,15 +333,16 @@ def _grid(chain: PackedChain, spacing: float, region: Sequence[ArrayLike] | None
         high = corners.max(axis=0)
     first = np.ceil((low - centre) / spacing - 1e-9)
     last = np.floor((high - centre) / spacing + 1e-9)
-    counts = np.maximum(last - first + 1, 0)
+    in_plane = (low <= planes) & (planes <= high)
+    is_layer = in_plane | (first > last)
+    counts = np.where(is_layer, 1, last - first + 1)
     if counts.prod() > MAX_POINTS:
         raise InputError(f"spacing: {spacing:g} m makes {counts.prod():.3g} points, expected at most {MAX_POINTS}")
-    axes = [spacing * np.arange(first[k], last[k] + 1) for k in range(3)]
+    layers = np.where(in_plane, planes, 0.5 * (low + high)) - centre
+    axes = [layers[[k]] if is_layer[k] else spacing * np.arange(first[k], last[k] + 1) for k in range(3)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     if region is None:
         points = points[np.linalg.norm(points, axis=1) <= chain.reach]
-    if len(points) == 0:
-        raise InputError(f"region: no point of the grid of {spacing:g} m is inside it")
     return points + centre
 
 

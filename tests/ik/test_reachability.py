@@ -8,6 +8,13 @@ import armctl
 from armctl import InputError, Pose, Reachability
 from armctl.ik import solve_ik_batch
 
+PLANAR_LINK = """<body pos="{x} 0 0"><joint name="j{i}" axis="0 1 0" range="-3 3"/>
+<geom type="capsule" fromto="0 0 0 {length} 0 0" size="0.01" mass="1" contype="0" conaffinity="0"/>"""
+PLANAR = f"""<mujoco><compiler angle="radian"/><worldbody>
+{PLANAR_LINK.format(x=0, i=0, length=0.3)}{PLANAR_LINK.format(x=0.3, i=1, length=0.25)}<site name="tip" pos="0.25 0.07 0"/>
+</body></body></worldbody>
+<actuator><motor joint="j0" ctrlrange="-9 9"/><motor joint="j1" ctrlrange="-9 9"/></actuator></mujoco>"""
+
 
 @pytest.fixture(scope="module")
 def small() -> Reachability:
@@ -72,6 +79,23 @@ def test_where_nothing_is_reached_there_is_a_reason():
     found = armctl.reachability(armctl.load("robot_arm_3dof"), 0.1, region=[(5.0, 5.0, 5.0), (5.1, 5.1, 5.1)])
     assert not found
     assert found.reason == f"none of {len(found.points)} points is reachable"
+
+
+def test_an_arm_that_moves_in_a_plane_has_a_grid_in_that_plane(tmp_path):
+    path = tmp_path / "planar.xml"
+    path.write_text(PLANAR)
+    arm = armctl.load(path)
+    whole = armctl.reachability(arm, 0.1)
+    assert whole
+    assert np.unique(whole.points[:, 1]) == pytest.approx([0.07])
+    area = (whole.fraction > 0).sum() * 0.1**2
+    assert f"{area:.3g} m^2" in str(whole)
+    assert whole.plot(tmp_path / "layer.png").stat().st_size > 1000
+    box = armctl.reachability(arm, 0.1, region=[(-0.7, -0.5, -0.7), (0.7, 0.5, 0.7)])
+    assert (box.fraction > 0).sum() == (whole.fraction > 0).sum()
+    thin = armctl.reachability(arm, 0.1, region=[(0.21, 0.0, -0.7), (0.21, 0.1, 0.7)])
+    assert np.unique(thin.points[:, 0]) == pytest.approx([0.21])
+    assert thin
 
 
 def test_a_wrong_call_is_one_sentence():
