@@ -108,6 +108,23 @@ def test_a_phase_of_nanoseconds_late_in_a_long_move_keeps_the_acceleration_limit
     assert all(motion.check_limits().ok for motion in motions)
 
 
+def test_a_long_free_move_between_limits_stays_inside_them(six):
+    """2165 s into a move, the rounding of times is a millionth of an acceleration: to correct it must not move the joint."""
+    slow = with_limits(
+        six,
+        [176.511513, 0.0766720201, 0.00239314787, 41.2127232, 0.00321102368, 4.22571414],
+        [0.988519795, 27.732639816, 3919.530483932, 0.829831238, 2.123817066, 0.533046933],
+        [3695429.4066855, 1499665.0555167, 77.532220137, 8707.789731149, 4805651.0475685, 491658.95262844],
+    )
+    low = slow.limits.q_min
+    start = np.array([low[0], 1.1686, 2.4122, -2.0415, 1.4189, 1.3865])
+    goal = np.array([low[0] + 0.1295, 1.2175, -2.7692, -0.1923, 0.6677, 0.4445])
+    motion = armctl.move_j(slow, start, goal, straight=False)
+    q = motion.sample(np.linspace(0.0, motion.duration, 10_001))[0]
+    assert np.abs(q[:, 0] - np.clip(q[:, 0], low[0], goal[0])).max() < 1e-9
+    assert motion.check_limits().ok
+
+
 def test_the_closed_form_from_rest_to_rest_is_as_fast_as_ruckig():
     rng = np.random.default_rng(0)
     for _ in range(200):

@@ -25,6 +25,8 @@ _MIN_PIECE_S = 1e-12
 _TIGHTENING = (1e-9, 1e-7, 1e-5)  # relative; slightly tighter limits avoid a rounding failure inside ruckig
 _NEGLIGIBLE = 1e-8  # share of a limit that a correction of the end state may add without a check
 _DERIVATIVE_FACTORS = ((3.0, 4.0, 5.0), (6.0, 12.0, 20.0), (6.0, 24.0, 60.0))  # of x^3, x^4 and x^5 at x = 1
+_MAX_DETOUR = 5e-10  # rad (m), of a correction of velocity and acceleration
+_DETOUR_FACTORS = (0.2, 0.0173)  # of a quintic that changes nothing but the velocity, or the acceleration, at x = 1
 MAX_EXCESS = 3e-7  # of the duration that velocity, acceleration and jerk limits would need more; of jerk it is three times that
 _MAX_SLOWDOWNS = 4
 _MAX_STRETCH = 1.2  # of a move from rest to rest; a straight line in closed form replaces one that needs more
@@ -214,32 +216,59 @@ class Corrected(NamedTuple):
 
 
 def ending_at(pieces: Pieces, goal: JointState) -> Corrected:
-    """A move with its end state corrected by a quintic over the whole move.
+    """A move with its end state corrected by a quintic.
 
-    The quintic and its first two derivatives are 0 at the start; a joint that reaches its goal exactly is not changed.
+    The quintic extends over the whole move. Where it would lead the joints off their way to correct velocity and acceleration
+    alone, because the move is long, a second one corrects these in the last pieces.
     """
-    duration = float(pieces.knots[-1])
+    knots = pieces.knots
     zero = np.zeros(pieces.coefficients.shape[2])
-    if duration == 0.0:
+    if knots[-1] == 0.0:
         return Corrected(pieces, (zero, zero, zero))
-    row = np.array(basis(float(pieces.knots[-1] - pieces.knots[-2])))
-    end = row @ pieces.coefficients[-1]
+    end = np.array(basis(float(knots[-1] - knots[-2]))) @ pieces.coefficients[-1]
     q = np.asarray(goal.q) - end[0]
-    v = (np.asarray(goal.v) - end[1]) * duration
-    a = (np.asarray(goal.a) - end[2]) * duration**2
-    correction = np.zeros((DEGREE + 1, len(q)))  # of powers of t / duration
-    correction[3] = 10 * q - 4 * v + 0.5 * a
-    correction[4] = -15 * q + 7 * v - a
-    correction[5] = 6 * q - 3 * v + 0.5 * a
-    added = np.zeros_like(pieces.coefficients)
-    x = pieces.knots[:-1] / duration
+    v = np.asarray(goal.v) - end[1]
+    a = np.asarray(goal.a) - end[2]
+    rest = (knots[-1] - knots[:-1])[:, None]
+    detour = (_DETOUR_FACTORS[0] * np.abs(v) * rest + _DETOUR_FACTORS[1] * np.abs(a) * rest**2).max(axis=1)
+    first = int(np.argmax(np.append(detour[:-1] <= _MAX_DETOUR, True)))
+    if first == 0:
+        added, largest = _quintic(knots, q, v, a)
+    else:
+        added, largest = _quintic(knots, q, zero, zero)
+        at_end, largest_at_end = _quintic(knots[first:] - knots[first], zero, v, a)
+        added[first:] += at_end
+        largest = tuple(x + y for x, y in zip(largest, largest_at_end, strict=True))
+    return Corrected(Pieces(knots, pieces.coefficients + added), largest)  # type: ignore[arg-type]
+
+
+def _quintic(knots: Array, q: Array, v: Array, a: Array) -> tuple[Array, tuple[Array, ...]]:
+    """The quintic from nothing at knots[0] = 0 to a state at the last knot.
+
+    Args:
+        knots: (m + 1,) s.
+        q: (n,) rad.
+        v: (n,) rad/s.
+        a: (n,) rad/s^2.
+
+    Returns:
+        Its coefficients (m, 6, n), and its largest velocity, acceleration and jerk, each (n,).
+    """
+    duration = float(knots[-1])
+    v = v * duration
+    a = a * duration**2
+    quintic = np.zeros((DEGREE + 1, len(q)))  # of powers of t / duration
+    quintic[3] = 10 * q - 4 * v + 0.5 * a
+    quintic[4] = -15 * q + 7 * v - a
+    quintic[5] = 6 * q - 3 * v + 0.5 * a
+    coefficients = np.zeros((len(knots) - 1, DEGREE + 1, len(q)))
+    x = knots[:-1] / duration
     for power in range(DEGREE + 1):
         for order in range(max(power, 3), DEGREE + 1):
             term = math.comb(order, power) * x ** (order - power)
-            added[:, power] += term[:, None] * correction[order] / duration**power
-    size = np.abs(correction[3:])
-    largest = tuple(np.array(factors) @ size / duration**order for order, factors in enumerate(_DERIVATIVE_FACTORS, start=1))
-    return Corrected(Pieces(pieces.knots, pieces.coefficients + added), largest)  # type: ignore[arg-type]
+            coefficients[:, power] += term[:, None] * quintic[order] / duration**power
+    size = np.abs(quintic[3:])
+    return coefficients, tuple(np.array(f) @ size / duration**order for order, f in enumerate(_DERIVATIVE_FACTORS, start=1))
 
 
 def _is_negligible(correction: tuple[Array, Array, Array], bounds: tuple[Array, Array, Array]) -> bool:
