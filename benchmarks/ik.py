@@ -185,6 +185,17 @@ def eaik_solver(arm: Arm) -> Callable[[Pose], np.ndarray] | None:
     return lambda T: robot.IK(T.matrix @ turn).Q
 
 
+def all_fields_solver(arm: Arm, limit: int) -> Callable[[Pose], np.ndarray]:
+    """`solve_ik_all`, with the errors and branches, which are computed when they are read."""
+
+    def solve(T: Pose) -> np.ndarray:
+        found = solve_ik_all(arm, T, limit)
+        assert len(found.branch) == len(found.position_error)
+        return found.q
+
+    return solve
+
+
 def inside_limits(arm: Arm, q: np.ndarray) -> np.ndarray:
     """A configuration turned by whole turns into the limits, as far as they permit."""
     q = q + 2 * np.pi * np.round((arm.home - q) / (2 * np.pi))
@@ -198,6 +209,7 @@ def all_solutions(arm: Arm, judge: Judge, targets: list[Pose]) -> list[list[str]
     solvers: dict[str, Callable[[Pose], np.ndarray]] = {"armctl": lambda T: solve_ik_all(arm, T, limit).q}
     eaik = eaik_solver(arm) if arm.n == 6 else None
     if eaik is not None:
+        solvers["armctl, all fields read"] = all_fields_solver(arm, limit)
         solvers["EAIK"] = eaik
     times: dict[tuple[str, int], list[float]] = {(name, turn): [] for name in solvers for turn in (HOT_TURN, COLD_TURN)}
     found: dict[str, list[np.ndarray]] = {name: [] for name in solvers}

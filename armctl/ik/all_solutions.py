@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache, partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -123,23 +122,17 @@ def solve_ik_all(
         count = limit
         found = found.select(np.arange(count))
     found.q.setflags(write=False)
-    return batch_of_solutions(found.q, is_complete, partial(_columns, found, chain.branch_names))
+    return batch_of_solutions(found.q, is_complete, partial(_fill, found, chain.branch_names))
 
 
-def _columns(found: Solutions, branch_names: tuple[str | None, ...]) -> dict[str, Any]:
-    """The fields of an IkBatch for solutions of one target."""
-    ok, reason, iterations, starts = _equal_rows(len(found.q), found.steps, found.starts)
-    found.details.setflags(write=False)
-    position_error, orientation_error, branch = found.details
-    return {
-        "ok": ok,
-        "position_error": position_error,
-        "orientation_error": orientation_error,
-        "reason": reason,
-        "iterations": iterations,
-        "starts": starts,
-        "branch": tuple([branch_names[int(number)] for number in branch.tolist()]),
-    }
+def _fill(found: Solutions, branch_names: tuple[str | None, ...], batch: IkBatch) -> None:
+    """Fills the fields of a batch of solutions of one target."""
+    details = found.details
+    details.setflags(write=False)
+    batch.ok, batch.reason, batch.iterations, batch.starts = _equal_rows(len(found.q), found.steps, found.starts)
+    batch.position_error = details[0]
+    batch.orientation_error = details[1]
+    batch.branch = tuple(map(branch_names.__getitem__, map(int, details[2].tolist())))
 
 
 @lru_cache(maxsize=1024)

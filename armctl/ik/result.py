@@ -46,26 +46,25 @@ class IkResult:
         return f"not solved: {self.reason}"
 
 
-class _Columns:
-    """Makes the fields of a record when the first of them is read: few callers of a fast function read all of them."""
+class _FilledWhenRead:
+    """Fills the fields of a record when the first of them is read: few callers of a fast function read all of them."""
 
-    __slots__ = ("_make",)
+    __slots__ = ("_fill",)
 
-    _make: Callable[[], dict[str, Any]]
+    _fill: Callable[[Any], None]
 
     if not TYPE_CHECKING:  # which would take any name for a field
 
         def __getattr__(self, name: str) -> Any:
-            """A field that is not made yet."""
+            """A field that is not filled yet."""
             if name not in type(self).__slots__:
                 raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
-            for field, value in self._make().items():
-                setattr(self, field, value)
+            self._fill(self)
             return getattr(self, name)
 
 
 @dataclass(eq=False, slots=True)  # not frozen, as IkResult
-class IkBatch(_Columns):
+class IkBatch(_FilledWhenRead):
     """The results of N IK problems: the fields of IkResult as arrays. Its length is N, and `batch[i]` is an IkResult.
 
     `bool(batch)` tells whether all N are solved.
@@ -114,12 +113,12 @@ class IkBatch(_Columns):
         return f"{int(self.ok.sum())} of {len(self)} solved"
 
 
-def batch_of_solutions(q: Array, is_complete: bool, make: Callable[[], dict[str, Any]]) -> IkBatch:
-    """Solutions (N, n) of one target, whose other fields `make` returns when they are read."""
+def batch_of_solutions(q: Array, is_complete: bool, fill: Callable[[IkBatch], None]) -> IkBatch:
+    """Solutions (N, n) of one target; `fill` fills the other fields when one of them is read."""
     batch = IkBatch.__new__(IkBatch)
     batch.q = q
     batch.is_complete = is_complete
-    batch._make = make
+    batch._fill = fill
     return batch
 
 
