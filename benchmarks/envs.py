@@ -20,6 +20,7 @@ from armctl.core.tables import Table
 
 ROBOT = "panda"
 COUNT = 256
+OTHER_ACTIONS = ("torque", "joint_target", "cartesian_pose")
 SEED = 5
 CHECKED = 7
 PAYLOAD = {"payload": armctl.Range(0.0, 0.5)}
@@ -74,6 +75,10 @@ def main() -> None:
         print(
             f"{action}: {(away < 1e-6).mean():.1%} of the arms are within 1e-6 rad of mj_step during 20 steps", file=sys.stderr
         )
+    for action in OTHER_ACTIONS:
+        rows.append([f"armctl, {action}", "free space", str(COUNT), "25", f"{batch(arm, action, 100, free_space=True)[0]:.0f}"])
+        rate, _ = batch(arm, action, 100, free_space=True, randomize=PAYLOAD)
+        rows.append([f"armctl, {action}", "free space, payload varies", str(COUNT), "25", f"{rate:.0f}"])
     for peer in PEERS if args.peers else ():
         rate = steps_per_cpu_second(peer, args.peers)
         rows.append([peer.name, "contacts", "1", str(peer.ticks), f"{rate:.0f}"])

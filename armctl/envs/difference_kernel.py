@@ -7,7 +7,7 @@ is that of an arm whose links have the differences of these. After a payload, on
 
 from __future__ import annotations
 
-from armctl.core.jit import njit
+from armctl.core.jit import njit_inlined
 from armctl.robot.dynamics_kernel import (
     HEADER,
     JOINT_COLUMNS,
@@ -32,7 +32,7 @@ IMPLICIT_DAMPING = 12
 COLUMNS = 13
 
 
-@njit
+@njit_inlined
 def _find_inertia(difference, j, o, work):
     """Mass, first moment and second moment of the difference of a link, about o."""
     row = j * WORK_COLUMNS + WORLD
@@ -70,7 +70,7 @@ def _find_inertia(difference, j, o, work):
     )
 
 
-@njit
+@njit_inlined
 def subtract_torque(model, difference, v, a, work, tau):
     """Subtracts from tau (n,) what only the plant needs to get the acceleration a (n,) in a step.
 
@@ -117,7 +117,7 @@ def subtract_torque(model, difference, v, a, work, tau):
         tau[j] -= difference[j, DAMPING] * v[j] + model[STEP] * difference[j, IMPLICIT_DAMPING] * a[j]
 
 
-@njit
+@njit_inlined
 def subtract_mass(model, difference, work, M):
     """Subtracts from the lower triangle of a plant's mass matrix (n, n) what the model lacks, after `subtract_torque`."""
     n = M.shape[0]
