@@ -12,6 +12,7 @@ import pytest
 import armctl
 from armctl import Arm, InputError, LimitError, Pose, solve_ik, solve_ik_all
 from armctl.collision.checkers import collision_checker
+from armctl.core import jit, python_kernel
 from armctl.ik import closed_form, geometry, solve_ik_batch
 
 LINK = """<body pos="{x:g} {y:g} {z:g}"><joint name="j{i}" axis="{axis}" range="{range}"/>
@@ -141,7 +142,10 @@ def test_all_that_five_thousand_random_starts_find_is_found(tmp_path, name: str)
 
 
 @pytest.mark.parametrize("special", ["meet", "parallel"])
-def test_the_closed_form_finds_every_configuration_wherever_the_special_axes_are(special: str):
+def test_the_closed_form_finds_every_configuration_wherever_the_special_axes_are(special: str, monkeypatch):
+    monkeypatch.setattr(python_kernel, "_SECONDS", 1e9)
+    find_in_python = python_kernel.PythonKernel(closed_form.find.py_func, jit.Kernel)
+    seeds_in_python = np.empty((16, 6))
     rng = np.random.default_rng(5)
     seeds = np.empty((16, 6))
     structures = set()
@@ -171,6 +175,9 @@ def test_the_closed_form_finds_every_configuration_wherever_the_special_axes_are
             assert distance(q, seeds[:count]) < 1e-7
             for one in seeds[:count]:
                 assert np.abs(product_of_exponentials(axes, points, tip, one) - target).max() < 1e-9
+        in_python = find_in_python(found.form, 1.0, target, np.zeros(6), 1e-9, 0.0, 1, 1, 1, seeds_in_python)
+        assert in_python[:2] == (count, is_doubtful)
+        assert seeds_in_python[:count].tobytes() == seeds[:count].tobytes()
     assert len(structures) >= 9
     assert doubts <= 2
 
