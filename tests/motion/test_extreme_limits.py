@@ -12,7 +12,7 @@ import armctl
 from armctl.motion.timing.otg import JointState, ProfileSolver, at_rest, solve_pieces, straight_rest_to_rest
 from armctl.motion.timing.path_timing import time_optimal
 from armctl.motion.trajectory.limit_check import piece_extremes
-from armctl.motion.trajectory.piecewise import Pieces, sample
+from armctl.motion.trajectory.piecewise import Pieces, knots_of, sample
 
 NAMES = "a b c d e f"
 
@@ -123,6 +123,17 @@ def test_a_long_free_move_between_limits_stays_inside_them(six):
     q = motion.sample(np.linspace(0.0, motion.duration, 10_001))[0]
     assert np.abs(q[:, 0] - np.clip(q[:, 0], low[0], goal[0])).max() < 1e-9
     assert motion.check_limits().ok
+
+
+def test_no_piece_of_a_joined_motion_lasts_longer_than_before():
+    rng = np.random.default_rng(0)
+    for begin in (0.0, 0.1, 1234.5):
+        durations = 10.0 ** rng.uniform(-9, 3, 300)
+        knots = knots_of(durations, begin)
+        lost = durations - np.diff(knots)
+        assert knots[0] == begin
+        assert lost.min() >= 0.0
+        assert lost.max() <= 2 * np.spacing(knots[-1])
 
 
 def test_the_closed_form_from_rest_to_rest_is_as_fast_as_ruckig():

@@ -15,7 +15,7 @@ from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array, BoolArray
 from armctl.motion.trajectory.limit_check import is_inside, stretch_needed
-from armctl.motion.trajectory.piecewise import Pieces, Samples, hermite, joined, locate, sample, shifted, time_scaled
+from armctl.motion.trajectory.piecewise import Pieces, Samples, hermite, joined, knots_of, locate, sample, shifted, time_scaled
 
 _DELAYS = 12  # start times of the deceleration that are tried
 _MIN_DECELERATION_S = 0.01
@@ -171,7 +171,7 @@ def _from(pieces: Pieces, t: float) -> Pieces:
     k = int(locate(pieces.knots, np.array([t]))[1][0])
     first = shifted(pieces.coefficients[k : k + 1], t - pieces.knots[k : k + 1])
     coefficients = np.concatenate([first, pieces.coefficients[k + 1 :]])
-    return Pieces(np.concatenate([[0.0], pieces.knots[k + 1 :] - t]), coefficients)
+    return Pieces(knots_of(np.diff(pieces.knots[k + 1 :], prepend=t)), coefficients)
 
 
 def _until(pieces: Pieces, t: float, rest: Pieces) -> Pieces:
