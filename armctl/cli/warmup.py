@@ -183,8 +183,9 @@ def _simulation() -> None:
     motion = armctl.move_j(arm, arm.home, arm.home + 0.02)
     for name in CONTROLLERS:
         armctl.simulate(arm, name, motion)
-    for with_wrench in (armctl.HybridForce(arm, {"z": -1.0}), armctl.TorqueRateLimit(arm, armctl.Admittance(arm), 1e3)):
-        armctl.simulate(arm, with_wrench, motion)
+    free = armctl.load("robot_arm_3dof")
+    for with_wrench in (armctl.HybridForce(free, {"z": -1.0}), armctl.TorqueRateLimit(free, armctl.Admittance(free), 1e3)):
+        armctl.simulate(free, with_wrench, motion)
     armctl.simulate(arm, "pd", motion, armctl.Plant(free_space=True))
     armctl.simulate(arm, "pd", motion, dwell=_LONG_DWELL_S)
 
