@@ -1,6 +1,6 @@
 """Distances between convex geoms and proofs of clearance over whole motions, as scalar loops for numba.
 
-All kernels that call each other are in this file, because numba's disk cache sees changes only in a function's own file.
+The kernels are in one file (hence its length) because they share these rows and the layout of the scratch memory.
 
 The world is described by packed rows (a tuple of many small arrays is 80 times slower in numba):
 

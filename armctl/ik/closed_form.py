@@ -17,7 +17,7 @@ kinematics using subproblem decomposition", Mech. Mach. Theory 209, 2025, whose 
 
 Seven hinges are swept: one of them is held at sampled positions, and the other six have a closed form.
 
-All kernels are in one file because numba's disk cache notices changes in a kernel's own file only.
+All kernels are in one file (hence its length) because they share the layout of the scratch memory.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The kernels are scalar loops over one small array: numba compiles them in seconds, and they run without allocating memory.
 Lengths are in units of the arm's reach, so that one set of constants fits an arm of three centimetres and one of three metres.
-All kernels are in one file (hence its length) because numba's disk cache notices changes in a kernel's own file only.
+All kernels are in one file (hence its length) because they share the layouts of the chain and of the scratch memory.
 
 The damping follows the error as proposed by Sugihara ("Solvability-unconcerned inverse kinematics by the Levenberg-Marquardt
 method", IEEE Trans. Robotics 27(5), 2011).
