@@ -39,7 +39,7 @@ $(VENV)/run.stamp: pyproject.toml
 	  echo "$(PYTHON) could not make a virtual environment in $(VENV). On Debian and Ubuntu: apt-get install python3-venv"; exit 1; }
 	@echo "installing armctl, its dependencies and the viewer into $(VENV): once, half a minute to two minutes"
 	@# A distribution called armctl would share the package's files and the command with mujoco-armctl.
-	@$(BIN)/python -m pip uninstall --quiet --yes armctl
+	@$(BIN)/python -m pip uninstall --quiet --quiet --yes armctl
 	@$(BIN)/python -m pip install --quiet --editable '.[view]' || { \
 	  echo "pip could not install what pyproject.toml names; its reason is above. Without a network, set PIP_FIND_LINKS to a folder of wheels."; exit 1; }
 	@touch $@
