@@ -23,7 +23,7 @@ from armctl.robot.dynamics_kernel import (
 LOW = 0
 RANGE = 1  # 0 for a joint without bounds
 
-MAX_CHANGE = 0.08  # rad (m), of any joint in one step
+MAX_CHANGE = 0.08  # rad (m), of any joint in one step: four times as far as a step is meant to go
 MAX_NEWTON_ITERATIONS = 8
 NEWTON_TOLERANCE = 1e-10  # m and rad
 DAMPING = 1e-12  # of the pseudo-inverse
@@ -32,7 +32,10 @@ MIN_ROOM = 1e-3  # of a joint at a limit; in the middle of its range it is 1
 
 @njit
 def slope(model, ranges, centering, q, twist, v):
-    """The joint velocities v (n,) that make a twist of the tip (3,) or (6,), at the positions q (n,)."""
+    """The joint velocities v (n,) that make a twist of the tip (3,) or (6,), at the positions q (n,).
+
+    Where the twist leaves joints free, they go to the middle of their ranges at the rate `centering`.
+    """
     work = np.zeros(work_size(model, len(q)))
     J = np.zeros((6, len(q)))
     A = np.zeros((len(twist), len(twist)))
