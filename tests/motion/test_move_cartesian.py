@@ -212,6 +212,15 @@ def test_a_line_out_of_reach_says_where_and_what_helps(panda):
         armctl.move_l(panda, panda.home, moved(panda, 0.6, 0.2, 0.1))
 
 
+@pytest.mark.parametrize(
+    ("name", "stop"), [("robot_arm_3dof", "can follow no further"), ("gantry", "x would leave its limits")]
+)
+def test_a_line_to_a_point_that_the_tip_cannot_reach_says_so(name: str, stop: str):
+    arm = arm_of(name)
+    with pytest.raises(armctl.PlanError, match=rf"{stop}.*; the end of the path: out of reach by \d{{4}}\.\d mm"):
+        armctl.move_l(arm, arm.home, [9.0, 0.1, 0.6])
+
+
 def test_a_line_out_of_a_joint_range_names_the_joint():
     arm = arm_of("robot_arm_3dof")
     q = np.array([3.0, -0.5, -1.0])

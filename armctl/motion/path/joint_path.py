@@ -18,6 +18,7 @@ import numpy as np
 
 from armctl.core.errors import PlanError
 from armctl.core.validation import Array
+from armctl.ik.solve import solve_ik
 from armctl.motion.path.geometry import PathPoint, Shape
 from armctl.robot.arm import Arm
 
@@ -194,11 +195,12 @@ class _Tracker:
         outside = (q < limits.q_min - 1e-9) | (q > limits.q_max + 1e-9)
         if outside.any():
             i = int(outside.argmax())
+            advice = "start from another joint position for the same tip pose"
+            if self.rows == 6:
+                advice += ", or let the orientation be free with target=[x, y, z]"
             raise _LimitsLeft(
                 f"{self._where(s)} {self.arm.joint_names[i]} would leave its limits "
-                f"[{limits.q_min[i]:.3f}, {limits.q_max[i]:.3f}] {self.arm.units[i]}; "
-                "start from another joint position for the same tip pose"
-                f"{', or let the orientation be free with target=[x, y, z]' if self.rows == 6 else ''}"
+                f"[{limits.q_min[i]:.3f}, {limits.q_max[i]:.3f}] {self.arm.units[i]}; {self._why_not_its_end() or advice}"
             )
 
     def stuck(self, q: Array, s: float) -> PlanError:
@@ -210,8 +212,13 @@ class _Tracker:
         return PlanError(
             f"{self._where(s)} the arm can follow no further: it is stretched out or folded (smallest singular value "
             f"{weakest:.2g}), and {self.arm.joint_names[i]} would have to turn at once; "
-            "bring the path nearer, or go round with move_j"
+            f"{self._why_not_its_end() or 'bring the path nearer, or go round with move_j'}"
         )
+
+    def _why_not_its_end(self) -> str:
+        """What is wrong with the path's last point, if the tip cannot be there at all: then no other way there helps."""
+        end = solve_ik(self.arm, self.path.at(self.path.length).position)
+        return "" if end.ok else f"the end of the path: {end.reason}"
 
     def _where(self, s: float) -> str:
         x, y, z = self.path.at(s).position
