@@ -42,6 +42,13 @@ def near_point(arm: armctl.Arm, rng: np.random.Generator, q: np.ndarray) -> np.n
     return arm.fk(q).position + rng.uniform(0.01, 0.2) * direction / (length if length > 1e-9 else 1.0)
 
 
+def offset(arm: armctl.Arm, rng: np.random.Generator, q: np.ndarray) -> np.ndarray:
+    """Some centimetres, (3,) m, in directions in which the tip can move."""
+    axes, stretch, _ = np.linalg.svd(arm.jacobian(q)[:3], full_matrices=False)
+    possible = axes[:, stretch > 1e-6]
+    return possible @ (possible.T @ rng.normal(0.0, 0.05, 3))
+
+
 def move_j(arm, rng):
     start, goal = random_q(arm, rng, 2)
     if rng.random() < 0.3:
@@ -87,13 +94,13 @@ def move_l(arm, rng):
 def move_c(arm, rng):
     q = random_q(arm, rng)[0]
     via = near_point(arm, rng, q)
-    return armctl.move_c(arm, q, via, via + rng.normal(0.0, 0.05, 3))
+    return armctl.move_c(arm, q, via, via + offset(arm, rng, q))
 
 
 def move_path(arm, rng):
     q = random_q(arm, rng)[0]
     first = near_point(arm, rng, q)
-    return armctl.move_path(arm, q, [first, first + rng.normal(0.0, 0.05, 3), first + rng.normal(0.0, 0.05, 3)], blend=0.004)
+    return armctl.move_path(arm, q, [first, first + offset(arm, rng, q), first + offset(arm, rng, q)], blend=0.004)
 
 
 def scaled(arm, rng):
