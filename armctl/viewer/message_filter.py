@@ -8,7 +8,7 @@ Everything else is dropped. msgspec decodes and encodes; viser uses it too.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Annotated, TypeGuard
 
 import msgspec
@@ -16,6 +16,7 @@ import viser
 
 MAX_COORDINATE_M = 1e3
 MAX_MESSAGE_BYTES = 65536  # a client's largest message, a camera, has less than 1 kB
+_MAX_CAMERA_NUMBER = 1e6  # the page's own cameras stay below a thousand; squares of a number far above would overflow
 _MIN_QUATERNION_NORM = 1e-3
 
 _Name = Annotated[str, msgspec.Meta(max_length=64)]
@@ -130,9 +131,7 @@ def limited_value(control: object, value: object) -> bool | float | str | list[f
 
 
 def _limit_pose(message: _GizmoMoved) -> bool:
-    if not (_are_finite(message.position) and _are_finite(message.wxyz)):
-        return False
-    if not _MIN_QUATERNION_NORM < math.hypot(*message.wxyz) < 1 / _MIN_QUATERNION_NORM:
+    if not (all(map(math.isfinite, message.position)) and _is_orientation(message.wxyz)):
         return False
     x, y, z = message.position
     message.position = (_limited_coordinate(x), _limited_coordinate(y), _limited_coordinate(z))
@@ -140,16 +139,17 @@ def _limit_pose(message: _GizmoMoved) -> bool:
 
 
 def _is_camera(message: _CameraMoved) -> bool:
-    vectors = (message.wxyz, message.position, message.look_at, message.up_direction, (message.fov, message.near, message.far))
-    return all(map(_are_finite, vectors))
+    numbers = (*message.position, *message.look_at, *message.up_direction, message.near, message.far)
+    in_range = all(abs(number) <= _MAX_CAMERA_NUMBER for number in numbers)
+    return in_range and 0.0 < message.fov < math.pi and _is_orientation(message.wxyz)
+
+
+def _is_orientation(wxyz: _Quaternion) -> bool:
+    return _MIN_QUATERNION_NORM < math.hypot(*wxyz) < 1 / _MIN_QUATERNION_NORM
 
 
 def _limited_coordinate(number: float) -> float:
     return min(max(float(number), -MAX_COORDINATE_M), MAX_COORDINATE_M)
-
-
-def _are_finite(numbers: Sequence[float]) -> bool:
-    return all(map(math.isfinite, numbers))
 
 
 def _is_finite(value: object) -> TypeGuard[float]:

@@ -16,7 +16,7 @@ from viewer_client import CAMERA, connected, control_id, follows, open_page, unt
 from armctl import Pose
 from armctl.sim.status import Activity
 from armctl.viewer import picture_panel
-from armctl.viewer.message_filter import MAX_COORDINATE_M, limited_value
+from armctl.viewer.message_filter import MAX_COORDINATE_M, MessageFilter, limited_value
 
 NUMBERS = [
     0.0,
@@ -311,9 +311,26 @@ def test_a_number_outside_a_sliders_range_becomes_its_bound(page):
     assert limited_value(None, 1.0) is None
 
 
-def test_a_message_is_encoded_again_from_what_was_checked(page):
-    from armctl.viewer.message_filter import MessageFilter
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"position": [1e200, 0.0, 0.0]},
+        {"look_at": [0.0, float("nan"), 0.0]},
+        {"up_direction": [0.0, 0.0, -1e7]},
+        {"far": float("inf")},
+        {"fov": 0.0},
+        {"fov": 3.2},
+        {"wxyz": [0.0, 0.0, 0.0, 0.0]},
+    ],
+    ids=str,
+)
+def test_a_camera_from_which_nothing_can_be_drawn_is_dropped(wrong: dict):
+    messages = MessageFilter()
+    assert messages.checked(msgspec.msgpack.encode(CAMERA)) is not None
+    assert messages.checked(msgspec.msgpack.encode(CAMERA | wrong)) is None
 
+
+def test_a_message_is_encoded_again_from_what_was_checked(page):
     messages = MessageFilter()
     messages.inputs = page.scene.server.gui._gui_input_handle_from_uuid
     update = {
