@@ -32,6 +32,7 @@ _MIN_LENGTH = 1e-9  # m
 _BRANCH_SAMPLE = 64  # configurations in which branches are looked for
 _MAX_BRANCHES = 16  # that are planned for an arm whose branches have no names
 _MAX_ANGLE = 200 * np.pi  # rad, a hundred turns
+_MAX_COORDINATE = 1e9  # m
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,10 +319,10 @@ def _shapes(start: Pose, parts: list[Line | Arc], oriented: bool) -> list[Shape]
     for part in parts:
         if isinstance(part.target, Pose) != oriented:
             raise InputError("path: some targets are poses and some are points; give all of one kind")
-        end = part.target.position if isinstance(part.target, Pose) else vector("target", part.target, 3)
+        end = _point("target", part.target)
         turn = Turn.between(rotation, part.target.rotation if isinstance(part.target, Pose) else rotation)
         if isinstance(part, Arc):
-            via = part.via.position if isinstance(part.via, Pose) else vector("via", part.via, 3)
+            via = _point("via", part.via)
             angle = None if part.angle is None else number("angle", part.angle, 1e-6, _MAX_ANGLE)
             shapes.append(Circle.through(position, via, end, angle, turn))
             end = shapes[-1].at(shapes[-1].length).position
@@ -330,6 +331,15 @@ def _shapes(start: Pose, parts: list[Line | Arc], oriented: bool) -> list[Shape]
         position = end
         rotation = turn.at(1.0)
     return shapes
+
+
+def _point(name: str, place: Pose | ArrayLike) -> Array:
+    """The position of a pose or point, (3,) m. Raises InputError where the square of its distance could overflow."""
+    point = place.position if isinstance(place, Pose) else vector(name, place, 3)
+    farthest = float(np.abs(point).max())
+    if farthest > _MAX_COORDINATE:
+        raise InputError(f"{name}: a coordinate of {farthest:.3g} m; use at most {_MAX_COORDINATE:g} m in each direction")
+    return point
 
 
 def _chains(legs: list[_Leg]) -> list[_Chain]:

@@ -221,6 +221,17 @@ def test_a_line_to_a_point_that_the_tip_cannot_reach_says_so(name: str, stop: st
         armctl.move_l(arm, arm.home, [9.0, 0.1, 0.6])
 
 
+@pytest.mark.parametrize("far", [1e160, -1e300])
+def test_a_point_whose_distance_overflows_is_refused(far: float):
+    arm = arm_of("robot_arm_3dof")
+    with pytest.raises(armctl.InputError, match=r"target: a coordinate of 1e\+\d{3} m; use at most 1e\+09 m"):
+        armctl.move_l(arm, arm.home, [far, 0.1, 0.6])
+    with pytest.raises(armctl.InputError, match="via: a coordinate of"):
+        armctl.move_c(arm, arm.home, [far, 0.1, 0.6], [0.3, 0.1, 0.6])
+    with pytest.raises(armctl.InputError, match="target: a coordinate of"):
+        armctl.move_path(arm, arm.home, [[0.3, 0.1, 0.6], [0.3, far, 0.6]])
+
+
 def test_a_line_out_of_a_joint_range_names_the_joint():
     arm = arm_of("robot_arm_3dof")
     q = np.array([3.0, -0.5, -1.0])
