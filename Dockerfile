@@ -6,7 +6,7 @@
 #                                    then open http://localhost:8080/?token=a-secret
 FROM python:3.12-slim
 RUN apt-get update -qq \
- && apt-get install -y -qq --no-install-recommends libosmesa6 libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri make \
+ && apt-get install -y -qq --no-install-recommends libosmesa6 libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri make g++ \
  && rm -rf /var/lib/apt/lists/*
 ENV MUJOCO_GL=egl
 RUN useradd --create-home user

@@ -1,21 +1,31 @@
-# make demo   creates .venv, installs armctl with the viewer, and the bundled arm moves to the green target; needs Python 3.11 or later
+# make demo   creates .venv, builds the compiled core, installs armctl with the viewer, and the bundled arm moves to the green target;
+#             needs Python 3.11 or later; without a C++ compiler, pip installs one (zig) into .venv
 # make test   everything: lint, types, docs, tests, examples
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 WORKERS ?= auto
+# TESTS: files of tests, all by default. ROBOT_MODULES: a file to which those are appended that depend on installed robots.
+TESTS ?=
+ROBOT_MODULES ?=
+BUILD_CORE := $(BIN)/python packaging/build_backend/armctl_build.py
+CXX_SOURCES := $(shell find armctl/cpp -name '*.[ch]pp')
+CORE_SOURCES := CMakeLists.txt $(CXX_SOURCES)
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PIP_NO_INPUT := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format types docs pytest lowest examples fuzz soak bench outputs pictures clean
+.PHONY: help demo test core stubs sanitize lint format types docs pytest lowest examples fuzz soak bench outputs pictures clean
 
 help:
 	@echo "make demo      the bundled arm moves to the green target and prints a report"
 	@echo "make test      lint, types, docs and pytest, as follows"
-	@echo "make lint      ruff (rules and format) and the import layers"
-	@echo "make format    apply the fixes and the format of ruff"
+	@echo "make core      build the compiled core in place, armctl/_core from armctl/cpp; only what has changed is compiled"
+	@echo "make stubs     write armctl/_core.pyi, the types of the compiled core"
+	@echo "make sanitize  the tests of the compiled core under AddressSanitizer and UndefinedBehaviorSanitizer"
+	@echo "make lint      ruff (rules and format), the import layers, clang-format, clang-tidy, and the size of the code"
+	@echo "make format    apply the fixes and the format of ruff and clang-format"
 	@echo "make types     pyright"
 	@echo "make docs      build the pages in docs/_build"
 	@echo "make pytest    tests and examples"
@@ -37,20 +47,44 @@ $(VENV)/run.stamp: pyproject.toml
 	  echo "armctl needs Python 3.11 or later, $(PYTHON) is $$($(PYTHON) --version); name another: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
 	@$(PYTHON) -m venv $(VENV) || { \
 	  echo "$(PYTHON) could not make a virtual environment in $(VENV). On Debian and Ubuntu: apt-get install python3-venv"; exit 1; }
+	@# The tools of the build are installed first, so that the build can print what it does: pip hides what a build prints.
+	@$(BIN)/python -m pip install --quiet $$($(PYTHON) packaging/build_backend/requirements.py) || { \
+	  echo "pip could not install the tools that build the compiled core; its reason is above."; exit 1; }
+	@$(BUILD_CORE)
 	@echo "installing armctl, its dependencies and the viewer into $(VENV): once, half a minute to two minutes"
 	@# A distribution called armctl would share the package's files and the command with mujoco-armctl.
 	@$(BIN)/python -m pip uninstall --quiet --quiet --yes armctl
-	@$(BIN)/python -m pip install --quiet --editable '.[view]' || { \
+	@$(BIN)/python -m pip install --quiet --no-build-isolation --editable '.[view]' || { \
 	  echo "pip could not install what pyproject.toml names; its reason is above. Without a network, set PIP_FIND_LINKS to a folder of wheels."; exit 1; }
 	@touch $@
 
 $(VENV)/dev.stamp: $(VENV)/run.stamp
 	@echo "installing what the tests need into $(VENV): once, half a minute"
-	@$(BIN)/python -m pip install --quiet --editable '.[dev]' || { \
+	@$(BIN)/python -m pip install --quiet --no-build-isolation --editable '.[dev]' || { \
 	  echo "pip could not install the tools that pyproject.toml names under dev; its reason is above."; exit 1; }
 	@touch $@
 
-demo: $(VENV)/run.stamp
+# The compiled core: again when a source changes, with the tools that run.stamp has installed.
+$(VENV)/core.stamp: $(VENV)/run.stamp $(CORE_SOURCES)
+	@$(BUILD_CORE)
+	@touch $@
+
+core: $(VENV)/core.stamp
+
+stubs: $(VENV)/dev.stamp $(VENV)/core.stamp
+	@$(BIN)/python -m nanobind.stubgen -q -m armctl._core -o armctl/_core.pyi
+	@$(BIN)/ruff format --quiet armctl/_core.pyi
+
+# The interpreter itself is not instrumented, so it has to load the sanitizer's library; it also frees nothing at exit.
+sanitize: export ASAN_OPTIONS := detect_leaks=0
+sanitize: export UBSAN_OPTIONS := print_stacktrace=1
+sanitize: $(VENV)/dev.stamp $(VENV)/core.stamp
+	@$(BUILD_CORE) --sanitize
+	@LD_PRELOAD="$$($${CXX:-c++} -print-file-name=libasan.so) $$($${CXX:-c++} -print-file-name=libstdc++.so)" \
+	  ARMCTL_SANITIZED_CORE="$$(echo build/sanitize/*/_core*.so)" $(BIN)/python -m pytest -m core -q || { \
+	  echo "tests of the compiled core failed under the sanitizers, as listed above"; exit 1; }
+
+demo: $(VENV)/core.stamp
 	@$(BIN)/armctl reach robot_arm_3dof
 
 # The checks use one core each.
@@ -58,23 +92,29 @@ test:
 	@$(MAKE) --no-print-directory --jobs 2 lint types docs
 	@$(MAKE) --no-print-directory pytest
 
-lint: $(VENV)/dev.stamp
+lint: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/ruff check . || { echo "ruff found the above; make format fixes some of it"; exit 1; }
 	@$(BIN)/lint-imports --no-logo || { echo "an import runs against the layers in pyproject.toml"; exit 1; }
 	@$(BIN)/ruff format --check . || { echo "some files are not in ruff's format; make format applies it"; exit 1; }
+	@$(BIN)/clang-format --dry-run -Werror $(CXX_SOURCES) || { echo "some C++ files are not in clang-format's format; make format applies it"; exit 1; }
+	@# clang-tidy reads the headers of the computer's own compiler; zig's are elsewhere.
+	@! command -v c++ >/dev/null || printf '%s\n' $(filter %.cpp,$(CXX_SOURCES)) | \
+	  xargs -P 2 -n 4 $(BIN)/clang-tidy --quiet -p $$(ls -td build/core/* | head -1) 2>/dev/null || { \
+	  echo "clang-tidy found the above"; exit 1; }
+	@$(BIN)/python packaging/code_size.py
 
-format: $(VENV)/dev.stamp
-	@$(BIN)/ruff check --fix . ; $(BIN)/ruff format .
+format: $(VENV)/dev.stamp $(VENV)/core.stamp
+	@$(BIN)/ruff check --fix . ; $(BIN)/ruff format . ; $(BIN)/clang-format -i $(CXX_SOURCES)
 
-types: $(VENV)/dev.stamp
+types: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/pyright --pythonpath $(BIN)/python || { echo "pyright found the type errors above"; exit 1; }
 
-docs: $(VENV)/dev.stamp
+docs: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build || { echo "the docs do not build; the warnings above count as errors"; exit 1; }
 	@echo "docs/_build/index.html is up to date"
 
-pytest: $(VENV)/dev.stamp
-	@$(BIN)/python -m pytest -n $(WORKERS) --maxprocesses 8 --dist loadgroup || { echo "tests failed, as listed above; make pytest runs them alone"; exit 1; }
+pytest: $(VENV)/dev.stamp $(VENV)/core.stamp
+	@$(BIN)/python -m pytest $(TESTS) -n $(WORKERS) --maxprocesses 8 --dist loadgroup $(if $(ROBOT_MODULES),--robot-modules=$(ROBOT_MODULES)) || { echo "tests failed, as listed above; make pytest runs them alone"; exit 1; }
 
 # uv installs the lowest versions; pip cannot.
 .lowest/stamp: pyproject.toml
@@ -83,34 +123,31 @@ pytest: $(VENV)/dev.stamp
 	@.lowest/bin/uv pip install --quiet --python .lowest/bin/python --resolution lowest-direct --editable '.[dev]'
 	@touch $@
 
-lowest: export NUMBA_CACHE_DIR := $(CURDIR)/.lowest/kernels
 lowest: .lowest/stamp
 	@.lowest/bin/python -m pytest -n $(WORKERS) --maxprocesses 8 --dist loadgroup || { echo "tests failed, as listed above"; exit 1; }
 
-examples: $(VENV)/dev.stamp
+examples: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/python -m pytest tests/project/test_examples.py -n $(WORKERS) --maxprocesses 8
 
 # With MINUTES the tests take this time together. Without it they take ten minutes, and the motions go on until all are made.
 fuzz: SEED ?= 0
 fuzz: MOTIONS ?= $(if $(filter undefined,$(origin MINUTES)),10000,5)
-fuzz: $(VENV)/dev.stamp
+fuzz: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/python -m pytest tests/fuzz -rP -n $(WORKERS) --maxprocesses 8 --fuzz-seed $(SEED) --fuzz-minutes $(or $(MINUTES),10) --fuzz-motions $(MOTIONS)
 
 soak: MINUTES ?= 60
-soak: $(VENV)/dev.stamp
+soak: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/python benchmarks/soak.py --minutes $(MINUTES)
 
-bench outputs pictures: export ARMCTL_COMPILE_AT_ONCE := 1
-
-bench: $(VENV)/dev.stamp
+bench: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@for file in $(filter-out benchmarks/soak.py,$(wildcard benchmarks/*.py)); do echo "== $$file"; $(BIN)/python $$file || exit 1; done
 
-outputs: $(VENV)/run.stamp
+outputs: $(VENV)/core.stamp
 	@$(BIN)/python docs/outputs/make.py
 
-pictures: $(VENV)/dev.stamp
+pictures: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/python docs/pictures/make.py
 
 clean:
-	rm -rf $(VENV) .lowest build dist docs/_build run out .pytest_cache .ruff_cache .import_linter_cache .hypothesis MUJOCO_LOG.TXT
+	rm -rf armctl/_core*.so $(VENV) .lowest build dist docs/_build run out .pytest_cache .ruff_cache .import_linter_cache .hypothesis MUJOCO_LOG.TXT
 	find armctl tests -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -9,10 +9,16 @@ import lazy_loader
 
 from armctl.core import hooks
 from armctl.core.distribution import warn_if_foreign_armctl_is_installed
+from armctl.core.uninterrupted import uninterrupted_import
 
 __version__ = "0.1.0"
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_public, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> Any:
+    with uninterrupted_import():
+        return _public(name)
 
 
 def _open_viewer(arm: Any) -> Any:

@@ -1,5 +1,6 @@
 """The public names of armctl: this file is the only list of them, for type checkers and for Python, which reads it as well."""
 
+from ._core import CFunctionLaw as CFunctionLaw
 from .analysis.comparison import compare as compare
 from .analysis.comparison import out_and_back as out_and_back
 from .analysis.diagnose import Diagnosis as Diagnosis
@@ -14,7 +15,6 @@ from .analysis.report import Report as Report
 from .analysis.report import table as table
 from .collision.clearance import ClearanceCheck as ClearanceCheck
 from .collision.clearance import check_clearance as check_clearance
-from .control.adaptive import Adaptive as Adaptive
 from .control.admittance import Admittance as Admittance
 from .control.computed_torque import ComputedTorque as ComputedTorque
 from .control.computed_torque_learning import ComputedTorqueLearning as ComputedTorqueLearning
@@ -22,8 +22,8 @@ from .control.computed_torque_observer import ComputedTorqueObserver as Computed
 from .control.computed_torque_qp import ComputedTorqueQP as ComputedTorqueQP
 from .control.hybrid_force import HybridForce as HybridForce
 from .control.impedance import Impedance as Impedance
+from .control.interface import CompiledController as CompiledController
 from .control.interface import Controller as Controller
-from .control.interface import KernelController as KernelController
 from .control.interface import State as State
 from .control.operational_space import OperationalSpace as OperationalSpace
 from .control.pd import PD as PD
@@ -79,6 +79,7 @@ from .loading.load import load_arms as load_arms
 from .loading.scene import Scene as Scene
 from .motion.move_cartesian import Arc as Arc
 from .motion.move_cartesian import Line as Line
+from .motion.move_cartesian import PathOptions as PathOptions
 from .motion.move_cartesian import move_c as move_c
 from .motion.move_cartesian import move_l as move_l
 from .motion.move_cartesian import move_path as move_path
@@ -98,12 +99,13 @@ from .render.video import record as record
 from .render.video import still as still
 from .robot.actuation import Actuation as Actuation
 from .robot.arm import Arm as Arm
-from .sim.gripper import Gripper as Gripper
-from .sim.gripper import GripResult as GripResult
+from .sim.gripper.gripper import Gripper as Gripper
+from .sim.gripper.gripper import GripResult as GripResult
 from .sim.plant import Plant as Plant
 from .sim.plant import Push as Push
 from .sim.simulate import simulate as simulate
 from .sim.simulate_many import simulate_many as simulate_many
+from .sim.simulation import PathMoveOptions as PathMoveOptions
 from .sim.simulation import Simulation as Simulation
 from .sim.team import Team as Team
 from .study.factors import Choice as Choice

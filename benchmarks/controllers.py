@@ -17,20 +17,19 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pinocchio as pin
+from markdown_table import titled_table
 
 import armctl
-from armctl.analysis.comparison import out_and_back
-from armctl.analysis.iso9283 import iso9283_cycles
-from armctl.cli.plants import plant_by_name
 from armctl.control import CONTROLLERS, controller_by_name
-from armctl.core.tables import Table
-from armctl.core.trajectory import TickReference
 from armctl.motion import JointTrajectory
 
 ROBOTS = ("panda", "ur5e", "iiwa14", "xarm7")
 TICK_S = 0.001
 LEG_S = 2.0
-PLANTS = {"nominal": "nominal", "continuous": "near-continuous", "payload=1": "1 kg unknown", "all": "everything at once"}
+FRICTION_SHARE = 0.02  # Coulomb friction as a share of the torque limit; half as much viscous friction per rad/s
+ENCODER_NOISE_RAD = 1e-5
+PLANTS = ("nominal", "near-continuous", "1 kg unknown", "everything at once")
+EXACT = ("nominal", "near-continuous")  # computed torque needs no observer there
 TARGETS = {  # joint RMS, rad, of computed torque with an observer
     ("1 kg unknown", "panda"): "4.5e-5",
     ("1 kg unknown", "iiwa14"): "1e-3",
@@ -53,13 +52,9 @@ def main() -> None:
     print(text)
 
 
-def table(title: str, columns: list[str], rows: list) -> str:
-    return f"**{title}**\n\n{Table(columns, rows).markdown()}"
-
-
 def quintic(arm: armctl.Arm) -> JointTrajectory:
     """Out and back on the path of `armctl compare`, each leg a rest-to-rest quintic."""
-    way = out_and_back(arm)
+    way = armctl.out_and_back(arm)
     there = way(0.5 * way.duration).q - arm.home
     leg = np.zeros((6, arm.n))
     leg[3] = 10 * there / LEG_S**3
@@ -72,16 +67,34 @@ def quintic(arm: armctl.Arm) -> JointTrajectory:
     return JointTrajectory(LEG_S * np.arange(3), np.stack([out, back]), arm.joint_names, arm.limits)
 
 
+def with_friction(plant: armctl.Plant, arm: armctl.Arm) -> armctl.Plant:
+    """The plant with dry and viscous friction at the joints."""
+    dry = FRICTION_SHARE * arm.limits.tau_max
+    return replace(plant, coulomb_friction=dry, viscous_friction=0.5 * dry)
+
+
+def plants(arm: armctl.Arm) -> dict[str, armctl.Plant]:
+    """The plants of the tables; the last one is `all` of the command line."""
+    nominal = armctl.Plant(timestep=TICK_S)
+    everything = replace(nominal, payload=1.0, mass_scale=1.2, delay=2, encoder_noise=ENCODER_NOISE_RAD)
+    variants = (
+        nominal,
+        replace(nominal, continuous=True),
+        replace(nominal, payload=1.0),
+        with_friction(everything, arm),
+    )
+    return dict(zip(PLANTS, variants, strict=True))
+
+
 def tracking(arms: dict[str, armctl.Arm]) -> str:
     rows = []
-    for words, plant in PLANTS.items():
+    for plant in PLANTS:
         reports = {
-            robot: armctl.compare(arm, list(CONTROLLERS), quintic(arm), [plant_by_name(words, arm, TICK_S)])
-            for robot, arm in arms.items()
+            robot: armctl.compare(arm, list(CONTROLLERS), quintic(arm), [plants(arm)[plant]]) for robot, arm in arms.items()
         }
         for i, name in enumerate(CONTROLLERS):
             rows.append([plant, name, *(shown(reports[robot][i]) for robot in arms)])
-    return table("Joint error RMS, rad, while the reference moves", ["plant", "controller", *arms], rows)
+    return titled_table("Joint error RMS, rad, while the reference moves", ["plant", "controller", *arms], rows)
 
 
 def shown(report: armctl.Report) -> str:
@@ -99,23 +112,23 @@ def robustness(arms: dict[str, armctl.Arm]) -> str:
             found = armctl.margins(arm, name, 10, [plant])
             cells.append(f"{1e3 * found.delay.value:.1f} / {found.peak_sensitivity.value:.2f}")
         rows.append([name, *cells])
-    return table("Delay margin, ms / peak sensitivity Ms, worst of 10 configurations", ["controller", *arms], rows)
+    return titled_table("Delay margin, ms / peak sensitivity Ms, worst of 10 configurations", ["controller", *arms], rows)
 
 
 def observed(arms: dict[str, armctl.Arm]) -> str:
     """The error of computed torque on each plant, beside its target."""
     rows = []
     for robot, arm in arms.items():
-        for words, plant in PLANTS.items():
-            name = "computed-torque" if words in ("nominal", "continuous") else "computed-torque-observer"
-            report = armctl.compare(arm, [name], quintic(arm), [plant_by_name(words, arm, TICK_S)])[0]
+        for plant in PLANTS:
+            name = "computed-torque" if plant in EXACT else "computed-torque-observer"
+            report = armctl.compare(arm, [name], quintic(arm), [plants(arm)[plant]])[0]
             target = TARGETS.get((plant, robot), TARGETS.get((plant, ""), ""))
-            if words in ("nominal", "continuous"):
-                target = "max 1e-9" if words == "nominal" else "max 5e-7"
+            if plant in EXACT:
+                target = "max 1e-9" if plant == "nominal" else "max 5e-7"
             figures = shown(report), f"{report.joint_max_rad:.1e}", target, f"{report.chatter_nm:.1g}"
             rows.append([robot, plant, name, *figures])
     columns = ["robot", "plant", "controller", "joint RMS, rad", "joint max, rad", "target (RMS unless stated)", "chatter, N m"]
-    return table("Computed torque", columns, rows)
+    return titled_table("Computed torque", columns, rows)
 
 
 def iso(panda: armctl.Arm) -> str:
@@ -129,13 +142,13 @@ def iso(panda: armctl.Arm) -> str:
         ("1 kg unknown", panda, loaded, ("10", "0.1", "0.35")),
         ("1 kg, identified", known, loaded, ("", "", "0.05")),
     ):
-        f = iso9283_cycles(panda, controller_by_name("computed-torque-observer", arm), plant)
+        f = armctl.iso9283_cycles(panda, controller_by_name("computed-torque-observer", arm), plant)
         values = f"{1e6 * f.pose_accuracy_m:.1f}", f"{f.stabilisation_time_s:.3f}", f"{1e3 * f.path_accuracy_m:.3f}"
         pairs = [f"{value} ({bound})" if bound else value for value, bound in zip(values, target, strict=True)]
         rows.append([what, pairs[0], f"{1e6 * f.pose_repeatability_m:.1f}", pairs[1], f"{1e6 * f.overshoot_m:.0f}", pairs[2]])
     columns = ["Panda, encoder noise 1e-5 rad", "AP, um (target)", "RP, um", "stable after, s (target)", "overshoot, um"]
     title = f"ISO 9283: 30 cycles, full speed, cube of {1e3 * f.cube_m:.0f} mm, stable within 0.1 mm"
-    return table(title, [*columns, "AT, mm (target)"], rows)
+    return titled_table(title, [*columns, "AT, mm (target)"], rows)
 
 
 def identification(arms: dict[str, armctl.Arm]) -> str:
@@ -144,10 +157,11 @@ def identification(arms: dict[str, armctl.Arm]) -> str:
     for robot, arm in arms.items():
         motion = armctl.excitation(arm, payload=2.0)
         row = [robot, f"{motion.duration:.1f}"]
-        for words in ("", "+friction+noise"):
+        loaded = armctl.Plant(payload_center=[0.02, 0.01, 0.05], timestep=TICK_S)
+        for unloaded in (loaded, replace(with_friction(loaded, arm), encoder_noise=ENCODER_NOISE_RAD)):
             errors = []
             for mass in (0.5, 1.0, 2.0):
-                plant = replace(plant_by_name(f"payload={mass}{words}", arm, TICK_S), payload_center=[0.02, 0.01, 0.05])
+                plant = replace(unloaded, payload=mass)
                 log = armctl.simulate(arm, "computed-torque-observer", motion, plant)
                 q = log.q + plant.encoder_noise * rng.standard_normal(log.q.shape)
                 v = np.gradient(q, log.dt, axis=0)
@@ -156,7 +170,7 @@ def identification(arms: dict[str, armctl.Arm]) -> str:
             row.append(f"{100 * max(errors):.2f}")
         rows.append(row)
     columns = ["robot", "motion, s", "worst error, % (target 1)", "with friction and noise, % (target 3)"]
-    return table("Payloads of 0.5, 1 and 2 kg identified from one run", columns, rows)
+    return titled_table("Payloads of 0.5, 1 and 2 kg identified from one run", columns, rows)
 
 
 def speed(arms: dict[str, armctl.Arm]) -> str:
@@ -164,7 +178,7 @@ def speed(arms: dict[str, armctl.Arm]) -> str:
     rows = [speed_of(name, arm) for name, arm in {**arms, "robot_arm_3dof": bundled}.items()]
     columns = ["robot", "rnea, us", "tick of computed torque, us", "ratio (target 8)"]
     columns += ["bare mj_step loop, us", "simulate, computed torque, us", "ratio (target 2.0)", "simulate, PD, us", "ratio"]
-    return table("What a tick costs: the best of interleaved rounds", columns, rows)
+    return titled_table("What a tick costs: the best of interleaved rounds", columns, rows)
 
 
 def speed_of(name: str, arm: armctl.Arm) -> list:
@@ -176,8 +190,7 @@ def speed_of(name: str, arm: armctl.Arm) -> list:
     model = plant.model(arm)
     data = mujoco.MjData(model)
     step = mujoco.mj_step
-    reference = TickReference.of(motion, TICK_S, 1000)
-    setpoint = armctl.Setpoint(*(column[500].copy() for column in reference))
+    setpoint = motion(0.5)
     state = armctl.State(setpoint.q, setpoint.v, 0.5, TICK_S)
     pin_model = arm.pinocchio_model.pin_model
     pin_data = pin_model.createData()

@@ -13,9 +13,10 @@ import sys
 import warnings
 from pathlib import Path
 
+from markdown_table import titled_table
+
 import armctl
 from armctl.control import CONTROLLERS
-from armctl.core.tables import Table
 
 sys.path.append(str(Path(__file__).parent.parent / "tests"))
 from instability import grows  # the test of the same statement uses it, too
@@ -34,7 +35,7 @@ def main() -> None:
     arms = [armctl.load(name) for name in args.robots.split(",")]
     rows = [[name, *(cell(arm, name, plant) for arm in arms)] for name in CONTROLLERS]
     title = f"Delay margin in control periods of {1e3 * args.timestep:g} ms, predicted; ok if the simulation agrees"
-    text = f"**{title}**\n\n{Table(['controller', *(arm.name for arm in arms)], rows).markdown()}\n"
+    text = titled_table(title, ["controller", *(arm.name for arm in arms)], rows) + "\n"
     args.out.write_text(text, encoding="utf-8")
     print(text)
 

@@ -12,14 +12,14 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
+from markdown_table import markdown_table
 
 import armctl
 import armctl.envs
-from armctl.core.tables import Table
-from armctl.envs.tasks import TASKS
 
 ROBOTS = ("panda", "ur5e+robotiq_2f85", "xarm7", "gen3+robotiq_2f85", "so_arm100", "robot_arm_3dof")
 ROBOT_OF_ALL_ACTIONS = "panda"
+TASKS = ("Reach", "ReachPast", "Track", "Push", "PickPlace")
 ACTIONS = ("joint_target", "joint_delta", "cartesian_delta")
 RESULTS = Path(__file__).parent / "results" / "experts.md"
 
@@ -55,7 +55,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--episodes", type=int, default=200)
     parser.add_argument("--robots", nargs="+", default=ROBOTS)
-    parser.add_argument("--tasks", nargs="+", choices=TASKS, default=list(TASKS))
+    parser.add_argument("--tasks", nargs="+", choices=TASKS, default=TASKS)
     parser.add_argument("--workers", type=int, default=2)
     arguments = parser.parse_args()
     cases = [(robot, task, ACTIONS[0]) for robot in arguments.robots for task in arguments.tasks]
@@ -67,7 +67,7 @@ def main() -> None:
         for row in pool.map(partial(solved, episodes=arguments.episodes), *zip(*cases, strict=True)):
             rows.append(row)
             print(*row, sep=" | ", flush=True)
-    RESULTS.write_text(Table(headers, rows).markdown() + "\n", encoding="utf-8")
+    RESULTS.write_text(markdown_table(headers, rows) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -17,11 +17,9 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from markdown_table import titled_table
 
 import armctl
-from armctl.core.tables import Table
-from armctl.core.trajectory import Setpoint
-from armctl.mjmodel.queries import is_below
 
 FORCE_N = 20.0
 GAP_M = 0.002
@@ -55,12 +53,12 @@ class Hold:
     def __init__(self, q: np.ndarray):
         self.q = q
 
-    def __call__(self, t: float) -> Setpoint:
-        return Setpoint(self.q, 0 * self.q, 0 * self.q)
+    def __call__(self, t: float) -> armctl.Setpoint:
+        return armctl.Setpoint(self.q, 0 * self.q, 0 * self.q)
 
-    def sample(self, times: np.ndarray) -> Setpoint:
+    def sample(self, times: np.ndarray) -> armctl.Setpoint:
         q = np.tile(self.q, (len(times), 1))
-        return Setpoint(q, 0 * q, 0 * q)
+        return armctl.Setpoint(q, 0 * q, 0 * q)
 
 
 class Watched:
@@ -138,11 +136,18 @@ def place(arm: armctl.Arm, geom: int, axis: int, sign: float) -> tuple[float, st
         model.body_pos[model.geom_bodyid[geom]] = position
         mujoco.mj_kinematics(model, data)
         distance = {g: mujoco.mj_geomDistance(model, data, g, geom, 2.0, None) for g in moving}
-        hand = [g for g in moving if is_below(model, int(model.geom_bodyid[g]), last)]
+        hand = [g for g in moving if is_carried_by(model, int(model.geom_bodyid[g]), last)]
         closest = min(hand, key=distance.__getitem__)
         face -= distance[closest] - GAP_M
     other = min((distance[g] for g in moving if g not in hand), default=2.0)
     return distance[closest], model.body(int(model.geom_bodyid[closest])).name, other
+
+
+def is_carried_by(model: mujoco.MjModel, body: int, link: int) -> bool:
+    """Whether a body is a link or a descendant of it; a body has a larger index than its parent."""
+    while body > link:
+        body = int(model.body_parentid[body])
+    return body == link
 
 
 class Pressed(NamedTuple):
@@ -221,7 +226,7 @@ def main() -> None:
         "depth in the wall, mm",
     ]
     text = (
-        f"**20 N on a wall, overshoot from the first contact on (targets in brackets)**\n\n{Table(columns, rows).markdown()}\n"
+        titled_table("20 N on a wall, overshoot from the first contact on (targets in brackets)", columns, rows) + "\n"
         f"{''.join(notes)}"
     )
     args.out.parent.mkdir(exist_ok=True)

@@ -1,8 +1,4 @@
-"""Identification: tracking before and after with models that are 20 % wrong, friction, consistency, and a real recording.
-
-Beside the errors stand the bounds of `identification_bound.py`: what an estimator could reach that knows everything but the
-parameters and the noise of the torques.
-"""
+"""Identification: tracking before and after with models that are 20 % wrong, friction, consistency, and a real recording."""
 
 import argparse
 import copy
@@ -10,17 +6,14 @@ import tempfile
 import time
 import warnings
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import mujoco
 import numpy as np
 from controllers import quintic
-from identification_bound import BoundFinder
+from markdown_table import markdown_table
 
 import armctl
-from armctl.core.tables import Table
-from armctl.robot.pinocchio_model import build_pinocchio_model
 
 ROBOTS = ("panda", "ur5e", "iiwa14", "xarm7")
 SYNTHETIC = "six joints"
@@ -86,9 +79,7 @@ def changed(arm: armctl.Arm, seed: int, coulomb: float) -> armctl.Arm:
     model.dof_damping[arm.dof_adr] *= 1 + SHARE * rng.uniform(-1, 1, arm.n)
     model.dof_frictionloss[arm.dof_adr] += coulomb * arm.limits.tau_max
     mujoco.mj_setConst(model, mujoco.MjData(model))
-    body = arm.pinocchio_model
-    body = build_pinocchio_model(model, body.chain_length, arm.joint_map, arm.home_qpos, arm.tip_body, arm.T_body_tip)
-    return replace(arm, model=model, pinocchio_model=body)
+    return replace(arm, model=model)
 
 
 def run(real: armctl.Arm, model: armctl.Arm, motion: armctl.JointTrajectory) -> armctl.Log:
@@ -126,17 +117,13 @@ def simulated(arms: dict[str, armctl.Arm], seeds: int) -> str:
     rows = []
     for name, arm in arms.items():
         motion = armctl.excitation(arm, seconds=5.0, for_="arm")
-        finder = BoundFinder(arm, quintic(arm), TICK_S, TORQUE_NOISE_SHARE)
         for coulomb in (0.0, COULOMB_SHARE):
             for seed in range(seeds):
                 real = changed(arm, seed, coulomb)
-                clean = run(real, arm, motion)
-                log = measured(clean, arm, seed)
+                log = measured(run(real, arm, motion), arm, seed)
                 began = time.process_time()
                 found = armctl.identify(arm, log)
                 seconds = time.process_time() - began
-                if seed == 0:
-                    bound = finder.bound(real, clean, partial(changed, arm, coulomb=coulomb))
                 row = [
                     name,
                     f"{100 * coulomb:g} %",
@@ -148,9 +135,9 @@ def simulated(arms: dict[str, armctl.Arm], seeds: int) -> str:
                 if found:
                     known = found.applied_to(arm)
                     after = [f"{error(real, known, False):.1e}", f"{error(real, known, True):.1e}"]
-                row += [after[0], f"{bound.computed_torque:.1e}", after[1], f"{bound.observer:.1e}"]
+                row += after
                 off = 100 * np.abs(found.coulomb_friction / real.model.dof_frictionloss[arm.dof_adr] - 1) if coulomb else []
-                row += [f"{max(off):.1f}", f"{100 * bound.coulomb.max():.1f}"] if coulomb else ["-", "-"]
+                row.append(f"{max(off):.1f}" if coulomb else "-")
                 row += [f"{possible_links(found.inertia)}/{arm.n}", f"{seconds:.1f}"]
                 rows.append(row)
                 print(*row, sep=" | ", flush=True)
@@ -161,12 +148,10 @@ def simulated(arms: dict[str, armctl.Arm], seeds: int) -> str:
         "CT before",
         "observer before",
         "CT after",
-        "CT bound",
         "observer after",
-        "observer bound",
     ]
-    head += ["Coulomb error, %", "its bound, %", "possible links", "fit, s CPU"]
-    return "RMS in rad; models up to 20 % wrong, 5 s of data.\n\n" + Table(tuple(head), rows).markdown()
+    head += ["Coulomb error, %", "possible links", "fit, s CPU"]
+    return "RMS in rad; models up to 20 % wrong, 5 s of data.\n\n" + markdown_table(head, rows)
 
 
 def recorded(path: Path) -> str:
@@ -180,7 +165,7 @@ def recorded(path: Path) -> str:
             if friction == "coulomb+viscous":
                 rows.append([friction, f"{holdout:g}", "model", " ".join(f"{x:.2f}" for x in check.model_rms)])
     head = ("friction", "held out", "torques by", "residual RMS of the joints, N m")
-    return "A recorded Panda without hand; torques that the fit has not seen.\n\n" + Table(head, rows).markdown()
+    return "A recorded Panda without hand; torques that the fit has not seen.\n\n" + markdown_table(head, rows)
 
 
 if __name__ == "__main__":

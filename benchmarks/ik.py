@@ -19,11 +19,10 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from markdown_table import markdown_table
 
 import armctl
 from armctl import Arm, Pose
-from armctl.core.jit import njit
-from armctl.core.tables import Table
 from armctl.ik import DifferentialIk, solve_ik, solve_ik_all, solve_ik_batch
 
 ARMS = ["panda", "ur5e", "iiwa14", "xarm7", "gen3"]
@@ -185,17 +184,6 @@ def eaik_solver(arm: Arm) -> Callable[[Pose], np.ndarray] | None:
     return lambda T: robot.IK(T.matrix @ turn).Q
 
 
-def all_fields_solver(arm: Arm, limit: int) -> Callable[[Pose], np.ndarray]:
-    """`solve_ik_all`, with the errors and branches, which are computed when they are read."""
-
-    def solve(T: Pose) -> np.ndarray:
-        found = solve_ik_all(arm, T, limit)
-        assert len(found.branch) == len(found.position_error)
-        return found.q
-
-    return solve
-
-
 def inside_limits(arm: Arm, q: np.ndarray) -> np.ndarray:
     """A configuration turned by whole turns into the limits, as far as they permit."""
     q = q + 2 * np.pi * np.round((arm.home - q) / (2 * np.pi))
@@ -209,7 +197,6 @@ def all_solutions(arm: Arm, judge: Judge, targets: list[Pose]) -> list[list[str]
     solvers: dict[str, Callable[[Pose], np.ndarray]] = {"armctl": lambda T: solve_ik_all(arm, T, limit).q}
     eaik = eaik_solver(arm) if arm.n == 6 else None
     if eaik is not None:
-        solvers["armctl, all fields read"] = all_fields_solver(arm, limit)
         solvers["EAIK"] = eaik
     times: dict[tuple[str, int], list[float]] = {(name, turn): [] for name in solvers for turn in (HOT_TURN, COLD_TURN)}
     found: dict[str, list[np.ndarray]] = {name: [] for name in solvers}
@@ -241,18 +228,16 @@ def seconds(function: Callable[..., object], *args: object, **options: object) -
     return time.perf_counter() - start
 
 
-@njit
-def _sum_of_roots(count: int) -> float:
-    total = 0.0
-    for k in range(count):
-        total += np.sqrt(total + k)
-    return total
+def _roots(count: int) -> None:
+    numbers = np.full(16_384, 2.0)  # in the inner caches of a core; NumPy releases the GIL meanwhile
+    for _ in range(count // numbers.size):
+        np.sqrt(numbers, out=numbers)
 
 
 def arithmetic(threads: int) -> None:
-    """Plain arithmetic without memory, shared by threads: what of a second core this machine gives."""
+    """Plain arithmetic in the inner caches, shared by threads: what of a second core this machine gives."""
     with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(_sum_of_roots, [20_000_000 // threads] * threads))
+        list(pool.map(_roots, [20_000_000 // threads] * threads))
 
 
 def mink_steps(arm: Arm, targets: list[Pose]) -> list[float]:
@@ -337,7 +322,7 @@ def main() -> None:
             for arm in arms
             for cells in all_solutions(arm, Judge(arm), poses(arm, options.poses, False, np.random.default_rng(2)))
         ]
-        text = Table(ALL_COLUMNS, rows).markdown() + "\n"
+        text = markdown_table(ALL_COLUMNS, rows) + "\n"
         print(text)
         ALL_RESULTS.write_text(text, encoding="utf-8")
         return
@@ -373,8 +358,7 @@ def main() -> None:
         for label in makers.keys() - solvers.keys():
             solver_rows.append([name, label, "not installed", "", "", "", "", ""])
         rate_rows.append([name, *rates(arm, targets)])
-    tables = Table(solver_columns, solver_rows), Table(rate_columns, rate_rows)
-    text = "\n\n".join(table.markdown() for table in tables) + "\n"
+    text = markdown_table(solver_columns, solver_rows) + "\n\n" + markdown_table(rate_columns, rate_rows) + "\n"
     print(text)
     RESULTS.parent.mkdir(exist_ok=True)
     RESULTS.write_text(text, encoding="utf-8")

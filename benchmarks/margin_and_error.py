@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from markdown_table import titled_table
 from payload_and_saturation import CENTER_M, Repeated
 
 import armctl
-from armctl.core.tables import Table
 
 TICK_S = 0.001
 POSES = 3
@@ -57,7 +57,7 @@ def main() -> None:
             rows.append([each.gains, f"{1e3 * each.delay_margin:.1f}", f"{each.peak_sensitivity:.2f}", f"{each.error:.1e}"])
     ratio = inertia_ratio(arm, arm.with_payload(args.payload, CENTER_M), motion)
     title = f"{args.robot}, control period {1e3 * TICK_S:g} ms; {args.payload:g} kg beside the tip, inertia x {ratio:.1f}"
-    text = f"**{title}**\n\n{Table(['gains', 'delay margin, ms', 'Ms', 'joint RMS, rad'], rows).markdown()}\n"
+    text = titled_table(title, ["gains", "delay margin, ms", "Ms", "joint RMS, rad"], rows) + "\n"
     args.out.write_text(text, encoding="utf-8")
     print(text)
 

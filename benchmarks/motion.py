@@ -19,13 +19,12 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from markdown_table import titled_table
 from motion_peers import TIMERS, Timed
 from scipy.interpolate import make_interp_spline
 
 import armctl
-from armctl.core.tables import Table
 from armctl.motion import JointTrajectory, move_path
-from armctl.motion.timing.waypoint_timing import WaypointSearch
 
 Array = np.ndarray
 
@@ -55,10 +54,6 @@ def untiring(arm: armctl.Arm, jerk: float = 1.0) -> armctl.Arm:
     """The arm without torque limits, and with a share of its jerk."""
     limits = replace(arm.limits, tau_max=np.full(arm.n, np.inf), j_max=jerk * arm.limits.j_max)
     return arm.with_limits(limits)
-
-
-def table(title: str, columns: list[str], rows: list) -> str:
-    return f"**{title}**\n\n{Table(columns, rows).markdown()}"
 
 
 # Waypoints
@@ -94,7 +89,7 @@ def waypoints(panda: armctl.Arm, sets: int) -> str:
             shares, peers, times, inside = [], [], [], True
             for k in range(sets):
                 q = kind(arm, rng)
-                stopping = WaypointSearch(q, arm.limits).stopping().durations
+                stopping = np.array([armctl.move_j(arm, a, b).duration for a, b in pairwise(q)])
                 began = time.perf_counter()
                 motion = armctl.move_through(arm, q)
                 times.append(time.perf_counter() - began)
@@ -106,7 +101,7 @@ def waypoints(panda: armctl.Arm, sets: int) -> str:
             figures = f"{np.mean(shares):.4f} +- {error:.4f}", target, f"{np.mean(peers):.3f}", f"{1e3 * np.median(times):.0f}"
             rows.append((kind.__name__, jerk, *figures, "yes" if inside else "NO"))
     columns = ["10 waypoints", "jerk", "armctl / stopping", "target", "toppra / stopping", "median, ms", "all limits kept"]
-    return table(
+    return titled_table(
         f"{sets} sets of waypoints: duration as a share of stopping at each, mean and standard error (toppra, on every tenth "
         "set: without jerk or position limits)",
         columns,
@@ -169,7 +164,7 @@ def torques(sets: int) -> str:
         "median, ms of CPU",
         "all limits kept",
     ]
-    return table(
+    return titled_table(
         f"{sets} sets of waypoints with torque limits: how much longer than without them (toppra: along armctl's path without "
         "them, no jerk limits, torques at samples 8 ms apart, so it is about a bound and no plan)",
         columns,
@@ -248,7 +243,7 @@ def lines(panda: armctl.Arm, count: int) -> str:
         rest = f"{1e6 * np.max(off):.3f}", f"{1e3 * np.median(times):.0f}", "yes" if inside else "NO"
         rows.append((jerk, *figures, aim, *rest))
     columns = ["jerk", "mean", "median", "worst", "target", "tip off the line, um (target 5)", "median, ms", "all limits kept"]
-    return table(
+    return titled_table(
         f"{count} tip lines: duration over toppra's optimum, without jerk limits, for the same joint path", columns, rows
     )
 
@@ -311,7 +306,7 @@ def peers(panda: armctl.Arm, count: int) -> str:
         "off the line, um",
         "median, ms of CPU",
     ]
-    return table(
+    return titled_table(
         f"{count} tip lines timed along the same joint path: duration over toppra's, and the worst of 1 kHz differences (only "
         "armctl limits the jerk; its time contains the inverse kinematics of the line)",
         columns,
@@ -379,7 +374,7 @@ def limits_kept(moves: int) -> str:
         "slowed for torque",
         "refused",
     ]
-    return table("Random moves on panda, ur5e and robot_arm_3dof: v, a, j and position limits", columns, rows)
+    return titled_table("Random moves on panda, ur5e and robot_arm_3dof: v, a, j and position limits", columns, rows)
 
 
 def anywhere(arm: armctl.Arm, rng: np.random.Generator) -> Array:
@@ -445,7 +440,7 @@ def online(panda: armctl.Arm) -> str:
         "yes" if limits.contains(q, 1e-9) else "NO",
     ]
     columns = ["new goals", "median, us", "p99, us", "target", "worst v, a, j / limit", "position limits kept"]
-    return table("Online: a new goal in motion", columns, [row])
+    return titled_table("Online: a new goal in motion", columns, [row])
 
 
 PARTS = {

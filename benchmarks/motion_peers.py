@@ -16,10 +16,11 @@ from typing import NamedTuple
 import numpy as np
 
 import armctl
-from armctl.core.validation import Array
 
 GRID = 1000  # points
 SAMPLE_S = 1e-3
+
+Array = np.ndarray
 
 
 class Timed(NamedTuple):

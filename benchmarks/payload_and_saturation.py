@@ -6,15 +6,11 @@ import warnings
 from dataclasses import replace
 from pathlib import Path
 
-import daqp
 import numpy as np
+from markdown_table import titled_table
 
 import armctl
 from armctl.control import controller_by_name
-from armctl.control.active_set_kernel import solve_program, work_size
-from armctl.control.qp_kernel import last_program
-from armctl.core.tables import Table
-from armctl.core.trajectory import Setpoint
 
 ROBOTS = {"panda": 1.0, "ur5e": 1.0, "iiwa14": 1.0, "xarm7": 0.5, "kinova_gen3": 0.5}  # kg
 TICKS_S = (0.001, 0.002, 0.004)
@@ -34,15 +30,15 @@ class Repeated:
         self.period = self.out.duration + self.back.duration + 0.4
         self.duration = 3 * self.period
 
-    def __call__(self, t: float) -> Setpoint:
-        return Setpoint(*(column[0] for column in self.sample(np.array([t]))[:3]))
+    def __call__(self, t: float) -> armctl.Setpoint:
+        return armctl.Setpoint(*(column[0] for column in self.sample(np.array([t]))[:3]))
 
-    def sample(self, times: np.ndarray) -> Setpoint:
+    def sample(self, times: np.ndarray) -> armctl.Setpoint:
         phase = np.clip(times, 0.0, self.duration - 1e-9) % self.period
         out = self.out.sample(phase)
         back = self.back.sample(np.maximum(phase - self.out.duration - 0.2, 0.0))
         first = (phase < self.out.duration + 0.2)[:, None]
-        return Setpoint(*(np.where(first, a, b) for a, b in zip(out[:3], back[:3], strict=True)))
+        return armctl.Setpoint(*(np.where(first, a, b) for a, b in zip(out[:3], back[:3], strict=True)))
 
 
 class Clipped:
@@ -54,7 +50,7 @@ class Clipped:
         self.law = armctl.ComputedTorque(arm)
         self.tau_max = arm.limits.tau_max
 
-    def torque(self, state: armctl.State, setpoint: Setpoint) -> np.ndarray:
+    def torque(self, state: armctl.State, setpoint: armctl.Setpoint) -> np.ndarray:
         return np.clip(self.law.torque(state, setpoint), -self.tau_max, self.tau_max)
 
 
@@ -64,7 +60,7 @@ def main() -> None:
     args = parser.parse_args()
     warnings.simplefilter("ignore", armctl.ArmctlWarning)
     arms = {name: armctl.load(name) for name in ROBOTS}
-    text = "\n\n".join([learning(arms), saturation(arms), programs(arms), cost(arms["panda"])]) + "\n"
+    text = "\n\n".join([learning(arms), saturation(arms), cost(arms["panda"])]) + "\n"
     args.out.write_text(text, encoding="utf-8")
     print(text)
 
@@ -87,7 +83,7 @@ def learning(arms: dict[str, armctl.Arm]) -> str:
     laws = ["integral", "observer", "learning", "mass error, %"]
     columns = ["robot", "tick, ms", *laws, *(f"{law}, disturbed" for law in laws)]
     title = "Joint RMS, rad, of the third motion with an unknown payload; disturbed: sensor noise and a tick of delay"
-    return f"**{title}**\n\n{Table(columns, rows).markdown()}"
+    return titled_table(title, columns, rows)
 
 
 def saturation(arms: dict[str, armctl.Arm]) -> str:
@@ -108,7 +104,7 @@ def saturation(arms: dict[str, armctl.Arm]) -> str:
                 row += [f"{1e3 * path_deviation(log):.3f}", f"{np.abs(log.tau_cmd / weak.limits.tau_max).max():.6f}"]
             rows.append(row)
     columns = ["robot", "share of the moving torque", "clipped: off the line, mm", "torque / limit", "qp: off the line, mm"]
-    return f"**A straight line with too little torque**\n\n{Table([*columns, 'torque / limit, qp'], rows).markdown()}"
+    return titled_table("A straight line with too little torque", [*columns, "torque / limit, qp"], rows)
 
 
 def straight_line(arm: armctl.Arm):
@@ -128,56 +124,9 @@ def path_deviation(log: armctl.Log) -> float:
     return float(np.linalg.norm(offset - np.outer(offset @ along, along), axis=1).max())
 
 
-class Recorded:
-    """`ComputedTorqueQP` that keeps its quadratic programs."""
-
-    name = "recorded"
-
-    def __init__(self, arm: armctl.Arm):
-        self.law = armctl.ComputedTorqueQP(arm)
-        self.programs = []
-
-    def torque(self, state: armctl.State, setpoint: Setpoint) -> np.ndarray:
-        tau = self.law.torque(state, setpoint)
-        program = last_program(self.law.memory, self.law.n)
-        if program is not None:
-            self.programs.append([part.copy() for part in program[:4]])
-        return tau
-
-
-def programs(arms: dict[str, armctl.Arm]) -> str:
-    """The programs of a fast motion, for which the motors are too weak and the joints too slow."""
-    rows = []
-    for name in ("panda", "ur5e", "iiwa14"):
-        arm = arms[name]
-        law = Recorded(arm)
-        goal = arm.limits.clamp(arm.home + np.random.default_rng(3).choice([-1, 1], arm.n))
-        fast = replace(arm.limits, v_max=4 * arm.limits.v_max, tau_max=4 * arm.limits.tau_max)
-        armctl.simulate(arm, law, armctl.move_j(arm.with_limits(fast), arm.home, goal), armctl.Plant(timestep=0.001))
-        n = arm.n
-        zero = np.zeros(n)
-        work = np.zeros(work_size(n))
-        solutions = np.zeros((2, len(law.programs), n))
-        best = [np.inf, np.inf]
-        for _ in range(6):
-            began = time.process_time()
-            for k, (H, M, lower, upper) in enumerate(law.programs):
-                solve_program(H, zero, M, lower, upper, work, solutions[0, k])
-            middle = time.process_time()
-            for k, (H, M, lower, upper) in enumerate(law.programs):
-                solutions[1, k] = daqp.solve(H, zero, M, upper, lower)[0]
-            best = [min(best[0], middle - began), min(best[1], time.process_time() - middle)]
-        error = np.abs(solutions[0] - solutions[1]).max(axis=1) / np.abs(solutions[1]).max(axis=1)
-        rows.append(
-            [name, str(len(law.programs)), *(f"{1e6 * each / len(law.programs):.1f}" for each in best), f"{error.max():.0e}"]
-        )
-    columns = ["robot", "programs", "kernel, us", "daqp, us", "largest relative difference"]
-    return f"**Quadratic programs of a run at the limits, called from Python**\n\n{Table(columns, rows).markdown()}"
-
-
 def cost(arm: armctl.Arm) -> str:
     still = np.zeros(arm.n)
-    setpoint = Setpoint(arm.home, still + 0.1, still, still + 0.1, still)
+    setpoint = armctl.Setpoint(arm.home, still + 0.1, still, still + 0.1, still)
     rows = []
     for name, offset in (
         ("computed-torque", 0.01),
@@ -197,7 +146,7 @@ def cost(arm: armctl.Arm) -> str:
                 controller.torque(state, setpoint)
             best = min(best, 1e3 * (time.process_time() - began))
         rows.append([name, "active" if offset > 0.1 else "", f"{best:.1f}"])
-    return f"**One call of torque, Panda**\n\n{Table(['controller', 'limits', 'CPU time, us'], rows).markdown()}"
+    return titled_table("One call of torque, Panda", ["controller", "limits", "CPU time, us"], rows)
 
 
 if __name__ == "__main__":

@@ -1,23 +1,24 @@
-"""Collision-free motion: paths, motions and their proofs, on given problems and on scenes of its own, beside roboplan and OMPL.
+"""Collision-free motion: motions and their proofs, on given problems and on scenes of its own, beside roboplan and OMPL.
 
-    python benchmarks/planning.py [--problems FILE.json] [--every K] [--only checks problems peers scenes moves] [--out FILE]
+    python benchmarks/planning.py [--problems FILE.json] [--every K] [--only problems peers scenes moves] [--out FILE]
 
 A problem file is a list of `{scene, index, start, goal, rest, objects}` for the Panda, as the MotionBenchMaker problems are
 written: joints in rad, `objects` with name, type (box, cylinder, sphere), dimensions in full lengths, position and rotation.
+Fingers stay as the arm has them at home.
+
 Every motion is verified at 1 kHz with MuJoCo's own collision detection, and, where links are capsules, by brute force. Times
-are CPU times of one thread.
+are CPU times of one thread, of `armctl.move_free` and `armctl.check_clearance` as a user calls them.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import os
 import time
 import warnings
 from collections.abc import Iterator
-from functools import lru_cache
+from functools import lru_cache, reduce
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -27,15 +28,13 @@ import numpy as np
 from planning_peers import ompl_planner, roboplan_planner
 
 import armctl
-from armctl.collision.checker import CollisionChecker
-from armctl.collision.clearance import clearance_of
+from armctl.collision.checkers import collision_checker
 from armctl.core.tables import Table
-from armctl.planning.move_free import move_free_with
-from armctl.planning.path import find_path, sampling_bounds, shorten
 
-CLEARANCE_M = 2e-3
+CLEARANCE_M = 2e-3  # the default of move_free
+
 VERIFY_STEP_S = 1e-3
-CHECKS = 3000
+LENGTH_SAMPLES = 2000
 PAIRS = 20
 MOVES = 8  # of the pairs of each arm and scene
 GRASPS = {"cage": "Cube1", "table_pick": "Can1", "table_under_pick": "Can1"}  # the goal is a grasp: fingers may touch this
@@ -47,7 +46,7 @@ PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 class Problem(NamedTuple):
     name: str
     arm: armctl.Arm
-    checker: CollisionChecker
+    allow: tuple[tuple[str, str], ...]
     start: np.ndarray
     goal: np.ndarray
     index: int = 0  # within its scene
@@ -55,13 +54,13 @@ class Problem(NamedTuple):
 
 class Solved(NamedTuple):
     name: str
-    path_s: float
+    first_s: float
     total_s: float
     proof_s: float
     is_proved: bool
     touches: int
     duration: float
-    stopping: float
+    direct: float
     length: float
 
 
@@ -69,14 +68,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--problems", type=Path, help="a file of problems for the Panda")
     parser.add_argument("--every", type=int, default=1, help="take every K-th problem")
-    parts = ["checks", "problems", "peers", "scenes", "moves"]
+    parts = ["problems", "peers", "scenes", "moves"]
     parser.add_argument("--only", nargs="+", choices=parts, default=parts)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "planning.md")
     args = parser.parse_args()
     warnings.simplefilter("ignore", armctl.ArmctlWarning)
     parts = []
-    if "checks" in args.only:
-        parts.append(checks())
     if "problems" in args.only and args.problems:
         parts.append(planned("MotionBenchMaker, Panda", list(problems(args.problems, args.every))))
     if "peers" in args.only and args.problems:
@@ -92,40 +89,6 @@ def main() -> None:
     print(text)
 
 
-def checks() -> str:
-    """One check at random configurations, beside MuJoCo's collision detection, and how often they disagree."""
-    rows = []
-    for name in ("panda", "ur5e", "xarm7"):
-        arm = arm_in(name, "table")
-        if arm is None:
-            continue
-        checker = CollisionChecker(arm)
-        points = arm.limits.random(arm.home, CHECKS, np.random.default_rng(0))
-        checker.hit(points[0])
-        ours = 1e6 * cpu_time(lambda checker=checker, points=points: [checker.hit(q) for q in points]) / CHECKS
-        data = mujoco.MjData(arm.model)
-
-        def theirs(arm=arm, points=points, data=data) -> None:
-            for q in points:
-                place(arm, data, q)
-
-        mujocos = 1e6 * cpu_time(theirs) / CHECKS
-        differ = [q for q in points if (checker.hit(q) >= 0) != bool(contacts(arm, checker, data, q))]
-        missed = sum(checker.hit(q) >= 0 and capsules_in_boxes(arm, data, q) for q in differ)
-        rows.append([name, len(checker.geometry.pairs), f"{ours:.1f}", f"{mujocos:.1f}", len(differ), missed])
-    header = [
-        "arm",
-        "pairs",
-        "one check, us",
-        "mj_kinematics + mj_collision, us",
-        "disagree",
-        "of these, a capsule is in a box",
-    ]
-    return f"**One check at {CHECKS} random configurations among table, crate, can and monitor**\n\n" + as_markdown(
-        header, rows
-    )
-
-
 def as_markdown(header: list[str], rows: list[list[object]]) -> str:
     return Table(tuple(header), tuple(tuple(map(str, row)) for row in rows)).markdown()
 
@@ -134,9 +97,6 @@ def planned(title: str, all_problems: list[Problem]) -> str:
     """Every problem solved, timed and verified."""
     solved: list[Solved] = []
     refused: list[str] = []
-    for problem in all_problems:  # compiles what any of them needs
-        with contextlib.suppress(armctl.ArmctlError):
-            solve(problem)
     for problem in all_problems:
         try:
             solved.append(solve(problem))
@@ -149,7 +109,7 @@ def planned(title: str, all_problems: list[Problem]) -> str:
         "solved",
         "proved",
         "touching at 1 kHz",
-        "path, ms",
+        "first motion, ms",
         "motion, ms",
         "proof, ms",
         "length, rad",
@@ -157,9 +117,10 @@ def planned(title: str, all_problems: list[Problem]) -> str:
     ]
     notes = "\n".join(f"- not solved: {reason}" for reason in refused)
     legend = (
-        "Times: median / 95 %. Motion: path, timing, torque limits and proof together, with a clearance of "
-        f"{1e3 * CLEARANCE_M:g} mm. Proof: of the finished motion, with its closest approach. Duration: median share of the "
-        "time that stopping at each point of the path takes."
+        "Times: median / 95 %. Motion: `armctl.move_free`, which is the path, its timing, the torque limits and the proof, "
+        f"with a clearance of {1e3 * CLEARANCE_M:g} mm. First motion: the same call before it, for which the collision model "
+        "is made where the arm or its scene is new. Proof: `armctl.check_clearance` of the finished motion, with its closest "
+        "approach. Duration: median multiple of that of the straight motion, which touches something or is the same."
     )
     return (
         f"**{title}: {len(solved)} of {len(all_problems)} solved**\n\n{as_markdown(header, rows)}\n\n{legend}\n{notes}".rstrip()
@@ -176,48 +137,48 @@ def summary(name: str, solved: list[Solved]) -> list[object]:
         len(solved),
         sum(one.is_proved for one in solved),
         sum(one.touches > 0 for one in solved),
-        times([one.path_s for one in solved]),
+        times([one.first_s for one in solved]),
         times([one.total_s for one in solved]),
         times([one.proof_s for one in solved]),
         f"{np.median([one.length for one in solved]):.2f}",
-        f"{np.median([one.duration / one.stopping for one in solved]):.2f}",
+        f"{np.median([one.duration / one.direct for one in solved]):.2f}",
     ]
 
 
 def solve(problem: Problem) -> Solved:
-    name, arm, checker, start, goal, _ = problem
-    path: list[np.ndarray] = []
     motions: list[armctl.JointTrajectory] = []
-    path_s = cpu_time(lambda: path.extend(own_path(problem)))
-    total_s = cpu_time(
-        lambda: motions.append(move_free_with(checker, arm, start, goal, clearance=CLEARANCE_M, speed=1.0, seed=0))
-    )
-    motion = motions[0]
     verdicts: list[armctl.ClearanceCheck] = []
-    proof_s = cpu_time(lambda: verdicts.append(clearance_of(checker, motion, 0.0)))
-    data = mujoco.MjData(arm.model)
+    first_s = cpu_time(lambda: motions.append(planned_by_armctl(problem)))
+    total_s = cpu_time(lambda: motions.append(planned_by_armctl(problem)))
+    motion = motions[-1]
+    proof_s = cpu_time(lambda: verdicts.append(armctl.check_clearance(problem.arm, motion, allow=problem.allow)))
+    data = mujoco.MjData(problem.arm.model)
     times = np.arange(0.0, motion.duration, VERIFY_STEP_S)
-    touches = sum(bool(contacts(arm, checker, data, q)) or capsules_in_boxes(arm, data, q) for q in motion.sample(times).q)
-    if not motion.check_limits().ok or not armctl.check_torque(arm, motion).ok:
+    touches = sum(bool(contacts(problem, data, q)) or capsules_in_boxes(problem.arm, data, q) for q in motion.sample(times).q)
+    if not motion.check_limits().ok or not armctl.check_torque(problem.arm, motion).ok:
         raise armctl.PlanError("the motion breaks a limit")
-    points = np.array(path)
-    stopping = sum(armctl.move_j(arm, a, b).duration for a, b in pairwise(points))
-    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-    return Solved(name, path_s, total_s, proof_s, verdicts[0].ok, touches, motion.duration, stopping, length)
+    direct = armctl.move_j(problem.arm, problem.start, problem.goal).duration
+    return Solved(
+        name=problem.name,
+        first_s=first_s,
+        total_s=total_s,
+        proof_s=proof_s,
+        is_proved=verdicts[0].ok,
+        touches=touches,
+        duration=motion.duration,
+        direct=direct,
+        length=length_of(motion),
+    )
 
 
-def own_path(problem: Problem) -> list[np.ndarray]:
-    """The points of a path that is proved free."""
-    _, arm, checker, start, goal, _ = problem
-    rng = np.random.default_rng(0)
-    low, high = sampling_bounds(arm.limits.q_min, arm.limits.q_max, np.array([start, goal]))
-    found = find_path(checker, start, goal[None], low, high, clearance_for(problem), rng, 20_000)
-    return [] if found is None else list(shorten(checker, found.points, clearance_for(problem), rng))
+def planned_by_armctl(problem: Problem) -> armctl.JointTrajectory:
+    return armctl.move_free(problem.arm, problem.start, problem.goal, allow=problem.allow)
 
 
-def clearance_for(problem: Problem) -> float:
-    distances = (problem.checker.nearest(problem.start)[1], problem.checker.nearest(problem.goal)[1])
-    return min(CLEARANCE_M, 0.5 * min(distances))
+def length_of(motion: armctl.JointTrajectory) -> float:
+    """rad, of the way in joint space."""
+    q = motion.sample(np.linspace(0.0, motion.duration, LENGTH_SAMPLES)).q
+    return float(np.linalg.norm(np.diff(q, axis=0), axis=1).sum())
 
 
 def beside_peers(all_problems: list[Problem]) -> str:
@@ -227,26 +188,27 @@ def beside_peers(all_problems: list[Problem]) -> str:
     for i, problem in enumerate(all_problems):
         if not problem.arm.limits.contains(problem.goal):
             continue
+        checker = collision_checker(problem.arm, allow=problem.allow)
+        clearance = min(CLEARANCE_M, 0.5 * min(checker.nearest(problem.start)[1], checker.nearest(problem.goal)[1]))
         planners = {
-            "armctl": lambda start, goal, problem=problem: own_path(problem),
-            "roboplan": roboplan_planner(problem.arm, problem.checker),
-            "OMPL": ompl_planner(problem.arm, problem.checker, clearance_for(problem)),
+            "armctl": lambda start, goal, problem=problem: planned_by_armctl(problem),
+            "roboplan": roboplan_planner(problem.arm, checker),
+            "OMPL": ompl_planner(problem.arm, checker, clearance),
         }
         missing |= {name for name, plan in planners.items() if plan is None}
         for name, plan in planners.items():
             if plan is None:
                 continue
             if i == 0:
-                plan(problem.start, problem.goal)  # compiles and loads, once
-            found: list[np.ndarray | list | None] = []
+                plan(problem.start, problem.goal)  # loads what is needed, once
+            found: list = []
             seconds = cpu_time(lambda plan=plan, problem=problem, found=found: found.append(plan(problem.start, problem.goal)))
-            path = found[0]
-            if path is None or len(path) == 0:
+            if found[0] is None or (name != "armctl" and len(found[0]) == 0):
                 results.setdefault(name, []).append((seconds, np.nan, False))
                 continue
-            lengths = np.linalg.norm(np.diff(np.array(path), axis=0), axis=1)
-            is_free = all(problem.checker.line_hit(a, b) is None for a, b in pairwise(path))
-            results.setdefault(name, []).append((seconds, float(lengths.sum()), is_free))
+            motion = found[0] if name == "armctl" else stopping_at(problem.arm, found[0])
+            is_free = armctl.check_clearance(problem.arm, motion, allow=problem.allow).ok
+            results.setdefault(name, []).append((seconds, length_of(motion), is_free))
     rows = []
     own = np.array([length for _, length, _ in results["armctl"]])
     for name, found in results.items():
@@ -255,13 +217,19 @@ def beside_peers(all_problems: list[Problem]) -> str:
         solved = int(np.isfinite(length).sum())
         ratio = np.nanmedian(own / length)
         rows.append([name, f"{solved} of {len(found)}", int(is_free.sum()), f"{median:.1f} / {high:.1f}", f"{ratio:.3f}"])
-    header = ["planner", "solved", "path proved free", "path, ms, median / 95 %", "armctl's length over its length, median"]
+    header = ["planner", "solved", "proved free", "ms, median / 95 %", "armctl's length over its length, median"]
     notes = (
-        "RRT-Connect and shortcuts each, with the same geoms and pairs. armctl proves every line; roboplan checks every 0.05 "
-        "rad; OMPL every 0.5 %, with armctl's distances called through Python, so its times are not its best."
+        "RRT-Connect and shortcuts each, with the same geoms and pairs. armctl's times are those of a motion: it proves every "
+        "line and the smooth motion, and times it within the limits. The others' are those of a path: roboplan checks every "
+        "0.05 rad; OMPL every 0.5 %, with armctl's distances called through Python, so its times are not its best."
     )
     absent = f" Not installed: {', '.join(sorted(missing))}." if missing else ""
     return f"**Paths beside peers, MotionBenchMaker, Panda**\n\n{as_markdown(header, rows)}\n\n{notes}{absent}"
+
+
+def stopping_at(arm: armctl.Arm, points: np.ndarray) -> armctl.JointTrajectory:
+    """The motion that stops at each point of a path."""
+    return reduce(armctl.JointTrajectory.then, [armctl.move_j(arm, a, b) for a, b in pairwise(points)])
 
 
 def moves() -> str:
@@ -290,9 +258,7 @@ def moves() -> str:
 def touches_at(problem: Problem, configurations: np.ndarray) -> bool:
     """Whether the arm touches anything, by MuJoCo, or by brute force for capsules and boxes."""
     data = mujoco.MjData(problem.arm.model)
-    return any(
-        contacts(problem.arm, problem.checker, data, q) or capsules_in_boxes(problem.arm, data, q) for q in configurations
-    )
+    return any(contacts(problem, data, q) or capsules_in_boxes(problem.arm, data, q) for q in configurations)
 
 
 def cpu_time(action) -> float:
@@ -307,16 +273,18 @@ def place(arm: armctl.Arm, data: mujoco.MjData, q: np.ndarray) -> None:
     mujoco.mj_collision(arm.model, data)
 
 
-def contacts(arm: armctl.Arm, checker: CollisionChecker, data: mujoco.MjData, q: np.ndarray) -> set[tuple[int, int]]:
-    """The pairs that MuJoCo finds touching, of those that the checker counts."""
-    place(arm, data, q)
-    return {tuple(sorted(contact.geom.tolist())) for contact in data.contact if contact.dist < 0.0} & counted_pairs(checker)
+def contacts(problem: Problem, data: mujoco.MjData, q: np.ndarray) -> set[tuple[int, int]]:
+    """The pairs that MuJoCo finds touching, of those that armctl counts."""
+    place(problem.arm, data, q)
+    touching = {tuple(sorted(contact.geom.tolist())) for contact in data.contact if contact.dist < 0.0}
+    return touching & counted_pairs(problem.arm, problem.allow)
 
 
 @lru_cache(maxsize=1)
-def counted_pairs(checker: CollisionChecker) -> set[tuple[int, int]]:
-    """The geoms of the pairs that the checker counts."""
-    return {tuple(sorted(checker.geometry.pair_geoms(p))) for p in range(len(checker.geometry.pairs))}
+def counted_pairs(arm: armctl.Arm, allow: tuple[tuple[str, str], ...]) -> set[tuple[int, int]]:
+    """The geoms of the pairs that armctl counts."""
+    geometry = collision_checker(arm, allow=allow).geometry
+    return {tuple(sorted(geometry.pair_geoms(p))) for p in range(len(geometry.pairs))}
 
 
 def capsules_in_boxes(arm: armctl.Arm, data: mujoco.MjData, q: np.ndarray) -> bool:
@@ -355,13 +323,9 @@ def problems(file: Path, every: int) -> Iterator[Problem]:
         planes = arm.model.geom_type == PLANE
         arm.model.geom_contype[planes] = 0
         arm.model.geom_conaffinity[planes] = 0
-        qpos = arm.home_qpos.copy()
-        for finger, width in zip(("finger_joint1", "finger_joint2"), row["rest"].values(), strict=True):
-            joint = arm.model.joint(finger).id
-            qpos[arm.model.jnt_qposadr[joint]] = min(width, arm.model.jnt_range[joint, 1])
         grasped = GRASPS.get(row["scene"])
-        allow = [(finger, grasped) for finger in ("left_finger", "right_finger")] if grasped else []
-        yield Problem(row["scene"], arm, CollisionChecker(arm, qpos, allow), np.array(row["start"]), np.array(row["goal"]))
+        allow = tuple((finger, grasped) for finger in ("left_finger", "right_finger")) if grasped else ()
+        yield Problem(row["scene"], arm, allow, np.array(row["start"]), np.array(row["goal"]))
 
 
 def arm_in(name: str, scene: str) -> armctl.Arm | None:
@@ -380,13 +344,13 @@ def own_problems() -> Iterator[Problem]:
             arm = arm_in(name, scene)
             if arm is None:
                 continue
-            checker = CollisionChecker(arm)
+            checker = collision_checker(arm)
             span = np.minimum(arm.limits.q_max - arm.home, np.pi)
             low = np.maximum(arm.limits.q_min - arm.home, -np.pi)
             points = arm.home + np.random.default_rng(0).uniform(low, span, (2000, arm.n))
             goals = [q for q in points if checker.hit(q, 2 * CLEARANCE_M) < 0 and tip_is_above(arm, q)][:PAIRS]
             for index, goal in enumerate(goals):
-                yield Problem(f"{name}, {scene}", arm, checker, arm.home, goal, index)
+                yield Problem(f"{name}, {scene}", arm, (), arm.home, goal, index)
 
 
 def tip_is_above(arm: armctl.Arm, q: np.ndarray) -> bool:

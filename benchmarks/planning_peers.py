@@ -14,8 +14,9 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 import armctl
-from armctl.collision import kernel
+from armctl._core import ShapeKind
 from armctl.collision.checker import CollisionChecker
+from armctl.collision.geometry import Shape
 
 RESOLUTION = 0.005  # of the extent of the joint space, OMPL
 STEP_RAD = 0.05  # between the checks of roboplan, its default
@@ -85,13 +86,13 @@ def roboplan_planner(arm: armctl.Arm, checker: CollisionChecker) -> Planner | No
         scene = Scene("arm", loadUrdfSceneDescription(str(file)))
     geometry = checker.geometry
     count = len(geometry.geom_ids)
-    wanted = {tuple(sorted((int(row[kernel.A]), int(row[kernel.B])))) for row in geometry.pairs}
+    wanted = {tuple(sorted(pair)) for pair in geometry.pairs.tolist()}
     names = [f"g{i}" for i in range(count)]
     off = [(names[a], names[b]) for a in range(count) for b in range(a + 1, count) if (a, b) not in wanted]
     scene.setCollisions(off, False)
     joints = [f"j{i}" for i in range(arm.n)]
     scene.addGroup("arm", joints)
-    reference = geometry.tree[:, kernel.REFERENCE]
+    reference = geometry.frames.references
     planner = RRT(scene, RRTOptions("arm", max_nodes=20_000, rrt_connect=True, collision_check_step_size=STEP_RAD))
     planner.setRngSeed(0)
     shortcutter = PathShortcutter(scene, PathShortcuttingOptions("arm", max_step_size=STEP_RAD))
@@ -112,22 +113,21 @@ def _urdf(arm: armctl.Arm, checker: CollisionChecker, folder: Path) -> str:
     mass = '<inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
     parts = [f'<link name="f0">{mass}</link>']
     anchors = [np.zeros(3)]
-    for i, row in enumerate(geometry.tree):
-        parent = int(row[kernel.PARENT])
-        anchors.append(row[kernel.ANCHOR : kernel.ANCHOR + 3])
-        low = arm.limits.q_min[i] - row[kernel.REFERENCE]
-        high = arm.limits.q_max[i] - row[kernel.REFERENCE]
+    frames = geometry.frames
+    for i, parent in enumerate(frames.parents):
+        anchors.append(frames.anchors[i])
+        low = arm.limits.q_min[i] - frames.references[i]
+        high = arm.limits.q_max[i] - frames.references[i]
         parts.append(
             f'<link name="f{i + 1}">{mass}</link><joint name="j{i}" type="revolute"><parent link="f{parent}"/>'
             f'<child link="f{i + 1}"/><origin xyz="{_numbers(anchors[i + 1] - anchors[parent])}"/>'
-            f'<axis xyz="{_numbers(row[kernel.AXIS : kernel.AXIS + 3])}"/>'
+            f'<axis xyz="{_numbers(frames.axes[i])}"/>'
             f'<limit lower="{low}" upper="{high}" effort="100" velocity="2"/></joint>'
         )
-    for g in range(len(geometry.geom_ids)):
-        row = geometry.geoms[g]
-        frame = int(row[kernel.FRAME])
+    for g, shape in enumerate(geometry.shapes):
+        frame = shape.frame
         file = folder / f"g{g}.stl"
-        _write_stl(file, _vertices(row, geometry.points) - anchors[frame])
+        _write_stl(file, _vertices(shape) - anchors[frame])
         parts.append(
             f'<link name="g{g}"><collision><geometry><mesh filename="{file}"/></geometry></collision></link>'
             f'<joint name="to_g{g}" type="fixed"><parent link="f{frame}"/><child link="g{g}"/></joint>'
@@ -135,25 +135,25 @@ def _urdf(arm: armctl.Arm, checker: CollisionChecker, folder: Path) -> str:
     return f'<robot name="arm">{"".join(parts)}</robot>'
 
 
-def _vertices(row: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _vertices(shape: Shape) -> np.ndarray:
     """(V, 3) m, the vertices of a geom or of a polyhedron inside a round one."""
-    own = points[int(row[kernel.FIRST]) : int(row[kernel.LAST]), :3]
     i = np.arange(200) + 0.5
     polar = np.arccos(1.0 - 2.0 * i / 200)
     turn = np.pi * (1.0 + np.sqrt(5.0)) * i
     sphere = np.column_stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)])
-    if int(row[kernel.SHAPE]) == kernel.POINTS:
-        return own if row[kernel.RADIUS] == 0.0 else (own[:, None] + row[kernel.RADIUS] * sphere).reshape(-1, 3)
-    info = row[kernel.INFO :]
-    if int(row[kernel.SHAPE]) == kernel.ELLIPSOID:
-        return own[0] + sphere @ info[:9].reshape(3, 3).T
-    if int(row[kernel.SHAPE]) == kernel.PLANE:
+    if shape.kind in (ShapeKind.HULL, ShapeKind.BOX):
+        if shape.inflation == 0.0:
+            return shape.vertices
+        return (shape.vertices[:, None] + shape.inflation * sphere).reshape(-1, 3)
+    if shape.kind == ShapeKind.ELLIPSOID:
+        return shape.position + (sphere * shape.size) @ shape.rotation.T
+    if shape.kind == ShapeKind.PLANE:
         raise armctl.ModelError("a plane has no mesh")
-    axis = info[:3]
-    across = np.linalg.svd(axis[None])[2][1:]
+    radius, half_length = shape.size[:2]
     angles = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
-    ring = info[3] * (np.cos(angles)[:, None] * across[0] + np.sin(angles)[:, None] * across[1])
-    return np.vstack([own[0] + ring + side * info[4] * axis for side in (-1, 1)])
+    ring = radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    rims = [np.column_stack([ring, np.full(len(ring), side * half_length)]) for side in (-1, 1)]
+    return shape.position + np.vstack(rims) @ shape.rotation.T
 
 
 def _write_stl(file: Path, vertices: np.ndarray) -> None:

@@ -8,6 +8,9 @@ It writes the page `docs/robots.md`. A robot is installed if MENAGERIE_ROOT or t
 from __future__ import annotations
 
 import argparse
+import json
+import subprocess
+import sys
 import time
 import warnings
 from collections.abc import Callable
@@ -15,13 +18,14 @@ from pathlib import Path
 
 import mujoco
 import mujoco_menagerie as menagerie
+import numpy as np
+from markdown_table import markdown_table
 
 import armctl
-from armctl.analysis.chain_check import GOAL_DISTANCE, ChainCheck, arms_of, check_chain
-from armctl.core.tables import Table
-from armctl.loading.catalog import BUNDLED, installed_robots, locate
-from armctl.loading.ratings import ratings_table
 
+BUNDLED = "robot_arm_3dof"
+STEP = 0.2  # rad, m: how far the joints move from home in the tracking runs
+POSITION_TOLERANCE_M = 1e-5  # of solve_ik
 PAGE = Path(__file__).parent.parent / "docs" / "robots.md"
 HEAD = """# Robots
 
@@ -45,7 +49,6 @@ cache of meshes cleared before each run. armctl compiles twice and compares its 
 Every serial chain of the robots that were installed when this page was made, by `python benchmarks/robots.py`. The command
 `armctl chains NAME` finds them; `load(NAME, base=..., tip=..., hold_base=True)` loads one.
 
-- Parity: the largest difference between armctl's model and MuJoCo's in tip pose, mass matrix and bias, over 20 states.
 - IK: of {poses} poses, each of some configuration inside the limits, the share that `solve_ik` solves within 1e-5 m.
 - PD, computed torque: the joint errors on a motion of up to {step} rad from home, RMS for PD, the largest for computed torque.
 - Joints in brackets follow the one before them: an equality ties them to it.
@@ -53,23 +56,48 @@ Every serial chain of the robots that were installed when this page was made, by
 """
 LOADING_COLUMNS = ("robot", "load, s", "MuJoCo alone, s", "ratio")
 LOADING_RUNS = 3
-COLUMNS = ("base to tip", "joints", "torque limits", "speed limits", "parity", "IK", "PD, rad", "computed torque, rad", "")
+RATINGS_COLUMNS = ("robot", "payload, kg", "reach, m", "joint speeds, deg/s", "source")
+COLUMNS = ("base to tip", "joints", "torque limits", "speed limits", "IK", "PD, rad", "computed torque, rad", "")
 
 
-def row(check: ChainCheck) -> list[str]:
+def row(chain: armctl.SerialChain, arm: armctl.Arm, poses: int) -> list[str]:
     """The cells of a chain."""
-    arm = check.arm
+    motion, note = motion_near_home(arm)
+    pd = armctl.simulate(arm, "pd", motion, dwell=0.0)
+    computed_torque = armctl.simulate(arm, "computed-torque", motion, dwell=0.0)
     return [
-        f"{check.base} to {arm.tip}",
+        f"{chain.base} to {arm.tip}",
         joints_of(arm),
         arm.sources["tau_max"],
         arm.sources["v_max"],
-        f"{check.parity:.0e}",
-        f"{100 * check.ik_success:.1f} %",
-        f"{check.pd_error:.1e}",
-        f"{check.computed_torque_error:.0e}",
-        check.tracking_note or check.reason,
+        f"{100 * solved_share(arm, poses):.1f} %",
+        f"{np.sqrt(np.mean((pd.q - pd.q_ref) ** 2)):.1e}",
+        f"{np.abs(computed_torque.q - computed_torque.q_ref).max():.0e}",
+        note,
     ]
+
+
+def motion_near_home(arm: armctl.Arm) -> tuple[armctl.JointTrajectory, str]:
+    """A motion from home that touches nothing, and no words; if there is none, any motion, and the reason."""
+    reason = ""
+    for step in (STEP, -STEP, 0.1 * STEP, -0.1 * STEP):
+        motion = armctl.move_j(arm, arm.home, arm.limits.clamp(arm.home + step))
+        if motion.duration == 0.0:
+            continue
+        check = armctl.check_clearance(arm, motion)
+        if check.ok:
+            return motion, ""
+        reason = check.reason
+    return armctl.move_j(arm, arm.home, arm.limits.clamp(arm.home + STEP)), reason
+
+
+def solved_share(arm: armctl.Arm, poses: int) -> float:
+    """The share of the poses of random configurations that `solve_ik_batch` solves, by the kinematics of the arm."""
+    targets = [arm.fk(q) for q in arm.limits.random(arm.home, poses, np.random.default_rng(0))]
+    found = armctl.solve_ik_batch(arm, targets)
+    positions = arm.fk_many(found.q)[0]
+    off = np.linalg.norm(positions - np.array([target.position for target in targets]), axis=1)
+    return float(np.mean(found.ok & (off <= POSITION_TOLERANCE_M * (1 + 1e-6))))
 
 
 def joints_of(arm: armctl.Arm) -> str:
@@ -83,27 +111,41 @@ def joints_of(arm: armctl.Arm) -> str:
     return ", ".join(texts)
 
 
-def robot_entries() -> list[str]:
-    """The bundled arm and the robots of Menagerie that need no download, each without its scene."""
-    names = [name for name in installed_robots() if name != BUNDLED]
-    return [BUNDLED, *(f"{name}/{menagerie.get(name).default_model}" for name in names)]
+def installed_robots() -> list[menagerie.Robot]:
+    """The robots of Menagerie that need no download."""
+    cache = menagerie.Cache()
+    if cache.root is not None:
+        return [robot for robot in menagerie.robots() if (cache.root / robot.name).is_dir()]
+    return [robot for robot in menagerie.robots() if cache.is_cached(robot)]
 
 
-def loading(robots: list[str]) -> Table:
+def ratings() -> str:
+    """The table of `armctl robots --ratings`."""
+    command = [sys.executable, "-m", "armctl", "robots", "--ratings", "--json"]
+    printed = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
+    rows = []
+    for rated in json.loads(printed)["result"]:
+        figures = ["" if rated[name] is None else f"{rated[name]:g}" for name in ("payload_kg", "reach_m")]
+        speeds = " ".join(f"{np.degrees(speed):.0f}" for speed in rated["v_max"] or ())
+        rows.append([rated["robot"], *figures, speeds, rated["source"] or "no data sheet"])
+    return markdown_table(RATINGS_COLUMNS, rows)
+
+
+def loading(robots: list[menagerie.Robot]) -> str:
     """How long `load` takes, beside MuJoCo's own compilation, for the arms among some robots."""
     armctl.load(BUNDLED)  # imports
     rows = []
     for robot in robots:
-        if not is_arm(robot):
+        if not is_arm(robot.name):
             continue
-        path = str(locate(robot).path)
+        path = str(menagerie.Cache().resolve(robot) / f"{robot.default_model}.xml")
         alone = []
         whole = []
         for _ in range(LOADING_RUNS):
             alone.append(cold_seconds(lambda path=path: mujoco.MjSpec.from_file(path).compile()))
-            whole.append(cold_seconds(lambda robot=robot: armctl.load(robot)))
-        rows.append([robot, f"{min(whole):.3f}", f"{min(alone):.3f}", f"{min(whole) / min(alone):.2f}"])
-    return Table(LOADING_COLUMNS, rows)
+            whole.append(cold_seconds(lambda robot=robot: armctl.load(robot.name)))
+        rows.append([robot.name, f"{min(whole):.3f}", f"{min(alone):.3f}", f"{min(whole) / min(alone):.2f}"])
+    return markdown_table(LOADING_COLUMNS, rows)
 
 
 def is_arm(robot: str) -> bool:
@@ -125,14 +167,19 @@ def cold_seconds(call: Callable[[], object]) -> float:
 
 def page(poses: int) -> str:
     """The whole page."""
-    tables = {"ratings": ratings_table().markdown(), "loading": loading(installed_robots()).markdown()}
-    text = HEAD.format(poses=poses, step=GOAL_DISTANCE, runs=LOADING_RUNS, **tables)
-    for robot in robot_entries():
-        rows = [row(check_chain(arm, base, poses)) for base, arm in arms_of(robot)]
-        refused = [chain for chain in armctl.chains(robot) if not chain.ok]
+    installed = installed_robots()
+    text = HEAD.format(poses=poses, step=STEP, runs=LOADING_RUNS, ratings=ratings(), loading=loading(installed))
+    for robot in (BUNDLED, *(f"{each.name}/{each.default_model}" for each in installed)):
+        chains = armctl.chains(robot)
+        rows = []
+        for chain in chains:
+            if chain.ok:
+                base = None if chain.base == "world" else chain.base
+                rows.append(row(chain, armctl.load(robot, tip=chain.tip, base=base, hold_base=True), poses))
+        refused = [chain for chain in chains if not chain.ok]
         text += f"### {robot}\n\n"
         if rows:
-            text += Table(COLUMNS, rows).markdown() + "\n\n"
+            text += markdown_table(COLUMNS, rows) + "\n\n"
         if refused:
             text += "Refused, with the reason:\n\n"
             text += "".join(f"- {chain.reason}\n" for chain in refused) + "\n"

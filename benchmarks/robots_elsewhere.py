@@ -25,13 +25,11 @@ from types import FrameType
 import mujoco
 import numpy as np
 import pinocchio
+from markdown_table import markdown_table
 
 import armctl
-from armctl.core.tables import Table
-from armctl.loading.catalog import BUNDLED
-from armctl.robot.parity import check_parity
 
-COLUMNS = ("file", "joints", "tip", "parity", "IK", "moves", "gripper", "load, s", "warnings", "reason")
+COLUMNS = ("file", "joints", "tip", "IK", "moves", "gripper", "load, s", "warnings", "reason")
 _ENDINGS = (".urdf", ".xml", ".mjcf", ".xacro")
 _HEAD_CHARACTERS = 200_000  # of a file, in which its first joint is expected
 _SHOWN_CHARACTERS = 60
@@ -124,7 +122,7 @@ def moves_of(arm: armctl.Arm, count: int) -> tuple[Counter[str], list[str]]:
 
 
 def checked(path: Path, folder: Path, poses: int, moves: int) -> Outcome:
-    """Loads a file; compares its models, solves poses of random configurations and moves to random points."""
+    """Loads a file, which compares its models; solves poses of random configurations and moves to random points."""
     name = str(path.relative_to(folder))[-_SHOWN_CHARACTERS:]
     started = time.perf_counter()
     try:
@@ -140,7 +138,6 @@ def checked(path: Path, folder: Path, poses: int, moves: int) -> Outcome:
             name,
             str(arm.n),
             arm.tip,
-            f"{check_parity(arm):.0e}",
             f"{solved}/{poses}",
             ", ".join(f"{number} {kind}" for kind, number in outcomes.items()),
             gripper_of(arm),
@@ -177,7 +174,7 @@ def reasons_table(outcomes: list[Outcome], folders: list[Path]) -> str:
         paths = [each.path for each in outcomes if each.kind == reason]
         example = next(str(paths[0].relative_to(folder)) for folder in folders if paths[0].is_relative_to(folder))
         rows.append([reason, str(count), str(sum(map(is_read_elsewhere, paths))), example[-_SHOWN_CHARACTERS:]])
-    return Table(("not loaded because", "files", "read by others", "for example"), rows).markdown()
+    return markdown_table(("not loaded because", "files", "read by others", "for example"), rows)
 
 
 def _stop(_signal: int, _frame: FrameType | None) -> None:
@@ -192,7 +189,6 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "robots_elsewhere.md")
     parser.add_argument("--limit", type=float, default=60.0, help="seconds of CPU for each file")
     args = parser.parse_args()
-    moves_of(armctl.load(BUNDLED), 1)  # compiles: an exception inside numba's compiler would leave it unusable
     signal.signal(signal.SIGPROF, _stop)
     outcomes = []
     for folder in args.folder:
@@ -200,7 +196,7 @@ def main() -> None:
             signal.setitimer(signal.ITIMER_PROF, args.limit)
             outcomes.append(checked(path, folder, args.poses, args.moves))
             signal.setitimer(signal.ITIMER_PROF, 0.0)
-    print(Table(COLUMNS, [outcome.cells for outcome in outcomes]).markdown())
+    print(markdown_table(COLUMNS, [outcome.cells for outcome in outcomes]))
     loaded = [outcome for outcome in outcomes if outcome.kind == "loaded"]
     grippers = sum(bool(outcome.cells[COLUMNS.index("gripper")]) for outcome in loaded)
     moves = sum((outcome.moves for outcome in outcomes), Counter())

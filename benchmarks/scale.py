@@ -2,33 +2,26 @@
 
     python benchmarks/scale.py [--robots panda ur5e robot_arm_3dof] [--runs 40] [--out benchmarks/results/scale.md]
 
-CPU time, the best of several rounds in turns, after the first 10 000 steps of each arm: from then on, collision detection is
-skipped where nothing can touch. The motion is that of `armctl compare`. Every answer is verified: a bare loop of `mj_step` that
-knows nothing of armctl replays the recorded controls and must reach the same positions to the bit.
+CPU time, the best of several rounds in turns. The motion is that of `armctl compare`. Every answer is verified: a bare loop of
+`mj_step` that knows nothing of armctl replays the recorded controls and must reach the same positions to the bit.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
 import time
 import warnings
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import mujoco
 import numpy as np
+from markdown_table import titled_table
 
 import armctl
-from armctl.analysis.comparison import out_and_back
-from armctl.core.python_kernel import COMPILE_AT_ONCE
-from armctl.core.tables import Table
-from armctl.sim import compiled_loop
 
 ROUNDS = 5
 LONG_MOVES = 30
-FIRST_STEPS = 10_000
 CONTROLLERS: dict[str, Callable[[armctl.Arm], armctl.Controller]] = {
     "pd": armctl.PD,
     "computed-torque": armctl.ComputedTorque,
@@ -54,10 +47,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "scale.md")
     args = parser.parse_args()
     warnings.simplefilter("ignore", armctl.ArmctlWarning)
-    os.environ[COMPILE_AT_ONCE] = "1"
     arms = {name: armctl.load(name) for name in args.robots}
-    for arm in arms.values():  # after this many steps, simulations begin to skip collision detection
-        armctl.simulate(arm, "computed-torque", armctl.move_j(arm, arm.home, arm.home + 1e-3), dwell=FIRST_STEPS * arm.dt)
     text = "\n\n".join([single(arms), rates(arms), many(arms, args.runs)]) + "\n"
     args.out.parent.mkdir(exist_ok=True)
     args.out.write_text(text, encoding="utf-8")
@@ -66,85 +56,53 @@ def main() -> None:
 
 def single(arms: dict[str, armctl.Arm]) -> str:
     rows = []
-    free = armctl.Plant(free_space=True)
     for robot, arm in arms.items():
-        motion = out_and_back(arm)
+        motion = armctl.out_and_back(arm)
         for name, make in CONTROLLERS.items():
             controller = make(arm)
             log = armctl.simulate(arm, controller, motion)
             verify(arm, log, armctl.simulate(arm, InPython(controller), motion))
-            in_free_space = armctl.simulate(arm, controller, motion, free)
             calls: list[Callable[[], object]] = [
                 lambda arm=arm, log=log: replayed(arm, log),
                 lambda arm=arm, c=controller, m=motion: armctl.simulate(arm, InPython(c), m),
                 lambda arm=arm, c=controller, m=motion: armctl.simulate(arm, c, m),
-                partial(again, armctl.Simulation(arm, controller, free), motion),
             ]
-            bare, python, compiled, fast = [1e6 * seconds / len(log) for seconds in best(calls)]
-            touched = bool(in_free_space.contacts)
-            difference = "touched something" if touched else f"{np.abs(in_free_space.q - log.q).max():.1g}"
-            cells = [f"{bare:.1f}", f"{python:.1f}", f"{compiled:.1f}", f"{compiled / bare:.2f}", f"{fast:.2f}", difference]
+            bare, python, compiled = [1e6 * seconds / len(log) for seconds in best(calls)]
+            cells = [f"{bare:.1f}", f"{python:.1f}", f"{compiled:.1f}", f"{compiled / bare:.2f}"]
             rows.append([robot, name, *cells])
-    columns = ["robot", "controller", "bare loop", "Python loop", "simulate", "to bare", "free space", "rad from mj_step"]
+    columns = ["robot", "controller", "bare loop", "Python loop", "simulate", "to bare"]
     title = "us CPU for a tick, with reference, log and checks; the bare loop is Python that calls `mj_step`"
-    return table(title, columns, rows)
-
-
-class LoopTime:
-    """CPU time inside the compiled loop."""
-
-    def __init__(self) -> None:
-        self.seconds = 0.0
-        self._call = compiled_loop.guarded_call
-        compiled_loop.guarded_call = self._timed
-
-    def _timed(self, function: int, argument: int) -> str:
-        begin = time.process_time()
-        error = self._call(function, argument)
-        self.seconds += time.process_time() - begin
-        return error
+    return titled_table(title, columns, rows)
 
 
 def rates(arms: dict[str, armctl.Arm]) -> str:
-    """Ticks a second of the compiled loop alone and of a whole call of `simulate`, in a long run and in a short one.
+    """Ticks a second of a call of `simulate`, in a long run and in a short one.
 
     The rounds follow the same motion, as the runs of a study do: its reference is sampled once.
     """
-    timer = LoopTime()
     rows = []
     for robot, arm in arms.items():
         ends = [arm.home, *arm.limits.clamp(arm.home + np.random.default_rng(0).uniform(-0.3, 0.3, (LONG_MOVES - 1, arm.n)))]
         moves = [armctl.move_j(arm, ends[k - 1], ends[k]) for k in range(1, LONG_MOVES)]
-        for motion in (armctl.move_sequence(arm, moves), out_and_back(arm)):
+        for motion in (armctl.move_sequence(arm, moves), armctl.out_and_back(arm)):
             log = armctl.simulate(arm, "computed-torque", motion)
             verify(arm, log, armctl.simulate(arm, InPython(armctl.ComputedTorque(arm)), motion))
             assert not log.contacts
-            cells = []
-            for plant in (armctl.Plant(), armctl.Plant(free_space=True)):
-                loop = []
-                whole = []
-                for _ in range(2 * ROUNDS):
-                    timer.seconds = 0.0
-                    begin = time.process_time()
-                    log = armctl.simulate(arm, "computed-torque", motion, plant)
-                    whole.append(time.process_time() - begin)
-                    loop.append(timer.seconds)
-                    assert not log.failure
-                cells += [f"{1e-3 * len(log) / min(seconds):.0f}" for seconds in (loop, whole)]
-            rows.append([robot, len(log), *cells])
-    columns = ["robot", "ticks", "loop", "simulate", "free space: loop", "free space: simulate"]
-    return table("thousand ticks a second of CPU time, computed torque, a long motion and a short one", columns, rows)
-
-
-def again(sim: armctl.Simulation, motion: armctl.Trajectory) -> armctl.Log:
-    sim.reset(motion(0.0).q)
-    return sim.run(motion)
+            whole = []
+            for _ in range(2 * ROUNDS):
+                begin = time.process_time()
+                log = armctl.simulate(arm, "computed-torque", motion)
+                whole.append(time.process_time() - begin)
+                assert not log.failure
+            rows.append([robot, len(log), f"{1e-3 * len(log) / min(whole):.0f}"])
+    columns = ["robot", "ticks", "simulate"]
+    return titled_table("thousand ticks a second of CPU time, computed torque, a long motion and a short one", columns, rows)
 
 
 def many(arms: dict[str, armctl.Arm], count: int) -> str:
     rows = []
     for robot, arm in arms.items():
-        motion = out_and_back(arm)
+        motion = armctl.out_and_back(arm)
         rng = np.random.default_rng(0)
         plants = [
             armctl.Plant(payload=float(rng.uniform(0, 1)), viscous_friction=float(rng.uniform(0, 1))) for _ in range(count)
@@ -167,7 +125,7 @@ def many(arms: dict[str, armctl.Arm], count: int) -> str:
             [robot, len(one[0]), *(f"{value:.1f}" for value in milliseconds), f"{milliseconds[1] / milliseconds[0]:.2f}"]
         )
     columns = ["robot", "ticks", "1 thread", "2 threads", "compare, 1", "compare, 2", "2 threads to 1"]
-    return table("ms CPU for one of many runs, each with a new payload and friction, computed torque", columns, rows)
+    return titled_table("ms CPU for one of many runs, each with a new payload and friction, computed torque", columns, rows)
 
 
 def best(calls: list[Callable[[], object]]) -> list[float]:
@@ -214,10 +172,6 @@ def verify(arm: armctl.Arm, log: armctl.Log, in_python: armctl.Log) -> None:
     assert np.array_equal(log.tau[:shared], in_python.tau[:shared])
     if log.plant == "nominal":
         assert np.array_equal(log.qpos, replayed(arm, log))
-
-
-def table(title: str, columns: list[str], rows: list) -> str:
-    return f"**{title}**\n\n{Table(columns, rows).markdown()}"
 
 
 if __name__ == "__main__":

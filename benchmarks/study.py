@@ -13,10 +13,9 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
+from markdown_table import markdown_table
 
 import armctl
-from armctl.analysis.comparison import out_and_back
-from armctl.core.tables import Table
 
 ROBOTS = ("panda", "ur5e", "robot_arm_3dof")
 SAMPLES = 1024
@@ -64,11 +63,10 @@ def peak_megabytes() -> float:
 
 
 def log_row(log: armctl.Log, path: Path) -> list[str]:
-    write = (lambda: log.to_rerun(path)) if path.suffix == ".rrd" else (lambda: log.save(path))
-    write()
-    writing = min(cpu_ms(write) for _ in range(ROUNDS))
+    log.save(path)
+    writing = min(cpu_ms(lambda: log.save(path)) for _ in range(ROUNDS))
     size = path.stat().st_size / 1e6
-    if path.suffix in (".rrd", ".mcap"):
+    if path.suffix == ".mcap":
         return [path.suffix, f"{writing:.0f}", "", f"{size:.1f}"]
     reading = min(cpu_ms(lambda: armctl.Log.load(path)) for _ in range(ROUNDS))
     again = armctl.Log.load(path)
@@ -78,7 +76,7 @@ def log_row(log: armctl.Log, path: Path) -> list[str]:
 
 def ten_seconds() -> armctl.Log:
     arm = armctl.load("panda")
-    motion = out_and_back(arm, speed=0.3)
+    motion = armctl.out_and_back(arm, speed=0.3)
     return armctl.simulate(
         arm, "computed-torque", motion, armctl.Plant(timestep=1e-3, encoder_noise=1e-5), 10.0 - motion.duration
     )
@@ -95,10 +93,10 @@ def main() -> None:
             "10 000 runs, s",
             "worker process, MB",
         ]
-        studies = Table(header, rows).markdown()
+        studies = markdown_table(header, rows)
         log = ten_seconds()
-        files = [log_row(log, Path(name) / f"run{ending}") for ending in (".npz", ".parquet", ".csv", ".mcap", ".rrd")]
-        formats = Table(["file", "write, ms", "read, ms", "MB"], files).markdown()
+        files = [log_row(log, Path(name) / f"run{ending}") for ending in (".npz", ".parquet", ".csv", ".mcap")]
+        formats = markdown_table(["file", "write, ms", "read, ms", "MB"], files)
     text = (
         f"CPU time per run of `Study.run()`: {SAMPLES} runs of computed torque, with payload, friction and noise;\n"
         "and the most memory of a worker of a `ProcessPoolExecutor`.\n\n"

@@ -14,21 +14,16 @@ import os
 import shutil
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
 import mujoco
 import numpy as np
+from markdown_table import markdown_table
 from PIL import Image
 
 import armctl
-from armctl.core.pose import Pose
-from armctl.core.tables import Table
 from armctl.render import Renderer
-from armctl.render.camera import fitted_camera
-from armctl.viewer.page import Page
-from armctl.viewer.web_scene import WebScene
 
 STARTS = 5
 SOFTWARE_GL = "--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --ignore-gpu-blocklist"
@@ -40,8 +35,9 @@ def frames_a_second(robot: str, quality: str, frames: int) -> float:
     data = mujoco.MjData(arm.model)
     data.qpos[:] = arm.home_qpos
     mujoco.mj_forward(arm.model, data)
-    camera = fitted_camera(arm, [data], arm.fk(arm.home).position[None], 4 / 3)
-    with Renderer(arm.model, 640, 480, quality) as renderer:
+    camera = mujoco.MjvCamera()
+    mujoco.mjv_defaultFreeCamera(arm.model, camera)
+    with Renderer(arm.model, (640, 480), quality) as renderer:
         renderer.image(data, camera)
         started = time.perf_counter()
         for k in range(frames):
@@ -88,33 +84,31 @@ def _shows_something(png: bytes) -> bool:
 
 
 def real_time(robot: str, seconds: float) -> tuple[float, float]:
-    """The real-time factor over some seconds with the page open in a browser, and the least over two of them."""
+    """The real-time factor of a simulation whose page is open in a browser, and the least over two seconds."""
     from playwright.sync_api import sync_playwright
 
-    page = Page([armctl.load(robot)], WebScene(0))
-    threading.Thread(target=page.serve, daemon=True).start()
-    session = page.session
-    least = np.inf
+    sim = armctl.Simulation(robot, viewer=True)
+    center = sim.tip
+    factors = []
+
+    def target(t: float) -> armctl.Pose:
+        factors.append(sim.viewer.real_time_factor)
+        angle = 2 * np.pi * t / 4
+        return armctl.Pose(center.position + 0.1 * np.array([0.0, np.sin(angle), 0.5 * np.sin(2 * angle)]), quat=center.quat)
+
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=SOFTWARE_GL.split())
         tab = browser.new_page(viewport={"width": 1280, "height": 800})
-        tab.goto(page.url)
+        tab.goto(sim.viewer.url)
+        sim.follow(target, seconds=2.0)  # loads what a run needs
         tab.get_by_text("real time").wait_for(timeout=60e3)
-        while session.status.elapsed == 0.0:
-            time.sleep(0.1)
-        center = session.status.target
+        factors.clear()
         started = time.perf_counter()
-        begin = session.status.elapsed
-        while time.perf_counter() - started < seconds:
-            angle = 2 * np.pi * (time.perf_counter() - started) / 4
-            offset = 0.1 * np.array([0.0, np.sin(angle), 0.5 * np.sin(2 * angle)])
-            session.aim(Pose(center.position + offset, quat=center.quat))
-            time.sleep(1 / 30)
-            least = min(least, session.status.real_time_factor)
-        factor = (session.status.elapsed - begin) / (time.perf_counter() - started)
+        sim.follow(target, seconds=seconds)
+        factor = seconds / (time.perf_counter() - started)
         browser.close()
-    page.close()
-    return factor, least
+    sim.viewer.close()
+    return factor, min(factors)
 
 
 def main() -> None:
@@ -136,7 +130,7 @@ def main() -> None:
         ),
     ]
     columns = (f"{args.robot}, software OpenGL, {os.cpu_count()} cores", "target", "measured")
-    text = Table(columns, rows).markdown() + "\n"
+    text = markdown_table(columns, rows) + "\n"
     print(text)
     args.out.parent.mkdir(parents=True, exist_ok=True)
     args.out.write_text(text, encoding="utf-8")

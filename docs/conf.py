@@ -63,7 +63,8 @@ def reference() -> dict[str, str]:
     names: dict[str, list[str]] = {subpackage: [] for subpackage in CHAPTERS}
     for name in armctl.__all__:
         if name != "__version__":
-            names[getattr(armctl, name).__module__.split(".")[1]].append(name)
+            subpackage = getattr(armctl, name).__module__.split(".")[1]
+            names["control" if subpackage == "_core" else subpackage].append(name)  # the core's public class is a law
     names["envs"] = [f"envs.{name}" for name in armctl.envs.__all__]
     names["jax"] = [f"jax.{name}" for name in armctl.jax.__all__]
     chapters = [subpackage for subpackage in CHAPTERS if names[subpackage]]
@@ -96,7 +97,7 @@ def directive(name: str) -> list[str]:
         return [f".. autofunction:: armctl.{name}"]
     if issubclass(value, Exception):
         return [f".. autoclass:: armctl.{name}", "   :members:", "   :show-inheritance:"]
-    return [f".. autoclass:: armctl.{name}", "   :members:", "   :inherited-members: tuple, object"]
+    return [f".. autoclass:: armctl.{name}", "   :members:", "   :inherited-members: tuple, dict, object"]
 
 
 def skip_fields_of_named_tuples(app, what, name, obj, skip, options):

@@ -18,6 +18,6 @@ for blend in (0.0, 0.01, 0.05):
 t = 0.5 * approach.duration  # a new target appears during the motion
 now = approach(t)
 target = arm.fk(above).position + np.array([0.0, -0.05, -0.05])
-turned = approach.until(t).then(armctl.move_l(arm, now.q, target, v_start=now.v, a_start=now.a))
+turned = approach.until(t).then(armctl.move_l(arm, now, target))
 print(f"at {t:.3f} s the tip turns to another target, which it reaches at {turned.duration:.3f} s")
 print(f"it ends {1e3 * np.linalg.norm(arm.fk(turned(turned.duration).q).position - target):.3f} mm from it")

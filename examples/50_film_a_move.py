@@ -13,7 +13,7 @@ for controller in ("pd", "computed-torque"):
     logs.append(sim.move_to(sim.target).log)
 
 try:
-    sim.record(folder / "reach.gif", width=320, height=240)
+    sim.record(folder / "reach.gif", size=(320, 240))
 except armctl.NotInstalledError as error:
     print(f"no film: {error}")
 overlay(logs, folder / "overlay.png")

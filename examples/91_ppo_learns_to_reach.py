@@ -1,4 +1,4 @@
-"""PPO of stable-baselines3 learns Reach in free space; the policy is then tested and filmed on mj_step."""
+"""PPO of stable-baselines3 learns Reach without contacts; the policy is then tested and filmed with contacts."""
 
 import sys
 import time
@@ -79,14 +79,14 @@ policy = PPO(
 )
 policy.learn(600_000)
 print(f"{policy.num_timesteps} steps in {time.process_time() - start:.0f} s of CPU time")
-touching = ArmVectorEnv("panda", action="joint_delta", num_envs=500, free_space=False)
-for name, tested in (("free space", envs), ("mj_step", touching)):
+touching = ArmVectorEnv("panda", action="joint_delta", num_envs=500, contacts=True)
+for name, tested in (("without contacts", envs), ("with contacts", touching)):
     share, distance = success(policy, tested, seed=10_000)
     print(
         f"{name}: {share:.1%} of {tested.num_envs} episodes end within 20 mm, the largest distance is {1e3 * distance:.1f} mm"
     )
 
-env = ArmEnv("panda", action="joint_delta", free_space=False, render_mode="rgb_array")
+env = ArmEnv("panda", action="joint_delta", contacts=True, render_mode="rgb_array")
 pictures = []
 for episode in range(3):
     observation, _ = env.reset(seed=episode)

@@ -3,21 +3,27 @@
 `ARMS` are their names: the bundled arm, every arm of MuJoCo Menagerie under MENAGERIE_ROOT or in its cache, and the chains in
 `tests/models/` with what no robot there has: slides, joints without limits, unusual axes and anchors, a URDF. `ROBOTS` are all
 installed robots, with legs and hands.
+
+All these lists are names, so pytest collects the tests without loading a robot. `arm_of` refuses to load one outside a test.
 """
 
+import os
 import re
 import warnings
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import mujoco_menagerie as menagerie
 import pytest
+from synthetic import BENT, serial_arm
 
 import armctl
 from armctl.loading.catalog import BUNDLED
 from armctl.loading.datasheets import ALIASES
 
 MODELS = Path(__file__).parent / "models"
+CHAINS = ("first", "second")  # of a robot with two arms
 MISSING = "its model is not installed"
 
 
@@ -37,36 +43,55 @@ def at_hand(robot: str) -> bool:
     return (store.root / row.name).is_dir() if store.root else store.is_cached(row)
 
 
-@cache
 def arm_of(name: str) -> armctl.Arm:
     """An arm by name, the same object all session; the test is skipped where its model is not installed.
 
     Args:
-        name: One of `ARMS`, or what `armctl.load` takes; "aloha:left/gripper" is a chain by its tip.
+        name: One of `ARMS`, of the shapes in `synthetic.BENT`, or what `armctl.load` takes; "aloha:left/gripper" is a chain by
+            its tip, and so is "aloha:first".
 
     Returns:
         The arm.
+
+    Raises:
+        RuntimeError: No test runs yet.
     """
-    own = [path for path in MODELS.iterdir() if path.stem == name]
+    if "PYTEST_CURRENT_TEST" not in os.environ:
+        raise RuntimeError(f"{name}: load robots in tests and fixtures; a module that loads one delays every run of pytest")
     robot, _, tip = name.partition(":")
+    own = [path for path in MODELS.iterdir() if path.stem == name]
+    if not own and name in BENT:  # `planar` is both
+        return _synthetic(name)
     if not own and robot != BUNDLED and not at_hand(robot.partition("/")[0]):
         pytest.skip(f"{name}: {MISSING}")
+    return _loaded(own[0] if own else robot, tip)
+
+
+@cache
+def _synthetic(name: str) -> armctl.Arm:
+    with TemporaryDirectory() as folder:
+        return serial_arm(Path(folder), BENT[name])
+
+
+@cache
+def _loaded(robot: str | Path, tip: str) -> armctl.Arm:
+    if tip in CHAINS:
+        tip = _tips(str(robot))[CHAINS.index(tip)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", armctl.ArmctlWarning)  # a model that leaves something out is no fault of a test
-        return armctl.load(own[0] if own else robot, tip=tip or None)
+        return armctl.load(robot, tip=tip or None)
 
 
-def _chains(robot: str) -> list[str]:
-    """A robot with one arm as it is, one with several by their tips."""
-    try:
-        arm_of(robot)
-    except armctl.ModelError as error:
-        return [f"{robot}:{tip}" for tip in re.findall(r"'([^']+)'", str(error).partition("tip=:")[2])]
-    return [robot]
+@cache
+def _tips(robot: str) -> list[str]:
+    """The tips of a robot with several arms, from the message that asks for one of them."""
+    with pytest.raises(armctl.ModelError) as caught:
+        armctl.load(robot)
+    return re.findall(r"'([^']+)'", str(caught.value).partition("tip=:")[2])
 
 
 _SHORT = {name: alias for alias, name in ALIASES.items()}
 MENAGERIE_ARMS = [_SHORT.get(r.name, r.name) for r in menagerie.robots("arm") if at_hand(r.name)]
-PAIRS = [chain for r in menagerie.robots("dual_arm") if at_hand(r.name) for chain in _chains(r.name)]
+PAIRS = [f"{r.name}:{chain}" for r in menagerie.robots("dual_arm") if at_hand(r.name) for chain in CHAINS]
 ARMS = [BUNDLED, *MENAGERIE_ARMS, *PAIRS, *sorted(path.stem for path in MODELS.iterdir())]
 ROBOTS = [BUNDLED, *(_SHORT.get(r.name, r.name) for r in menagerie.robots() if at_hand(r.name))]

@@ -1,22 +1,33 @@
 """What all tests share: the environment, the arms at hand, and a loud word about those that are not."""
 
+import multiprocessing.process
 import os
+import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # seven-vectors gain nothing from threads, and two workers lose
 os.environ.setdefault("MPLBACKEND", "agg")
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")  # JAX compiles in half the time
-os.environ["ARMCTL_COMPILE_AT_ONCE"] = "1"  # what is tested is compiled code; test_python_kernel compares it with Python
 os.environ["MENAGERIE_BASE_URL"] = "file:///nowhere"  # a test downloads nothing, and is told so at once
 if not os.environ.get("DISPLAY"):
     os.environ.setdefault("MUJOCO_GL", "egl")
 
+import importlib.util
+import sys
+
 import hypothesis
+import mujoco_menagerie as menagerie
 import pytest
 from arms import ARMS, MISSING, ROBOTS, arm_of
 from synthetic import mjcf
 
 import armctl
+
+if sanitized := os.environ.get("ARMCTL_SANITIZED_CORE"):  # `make sanitize` tests another build of the compiled core
+    spec = importlib.util.spec_from_file_location("armctl._core", sanitized)
+    sys.modules["armctl._core"] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(sys.modules["armctl._core"])
 
 hypothesis.settings.register_profile("armctl", deadline=None, derandomize=True, print_blob=True)
 hypothesis.settings.load_profile("armctl")
@@ -61,6 +72,38 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--fuzz-motions", type=int, default=5, help="least number of motions of every kind for each arm (default: %(default)s)"
     )
+    parser.addoption(
+        "--robot-modules", type=Path, help="file to which the modules are appended that depend on installed robots"
+    )
+
+
+_robot_modules: set[str] = set()
+
+
+def _noting(function: Callable) -> Callable:
+    """The function, which also notes the module of the test that calls it."""
+
+    def noted(*arguments, **more):
+        test = os.environ.get("PYTEST_CURRENT_TEST", "")
+        if test:
+            _robot_modules.add(test.partition("::")[0])
+        return function(*arguments, **more)
+
+    return noted
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Notes which modules of tests ask where robots are, or start a process that may ask: only these depend on robots."""
+    if config.option.robot_modules:
+        menagerie.Cache.__init__ = _noting(menagerie.Cache.__init__)
+        subprocess.Popen.__init__ = _noting(subprocess.Popen.__init__)
+        multiprocessing.process.BaseProcess.start = _noting(multiprocessing.process.BaseProcess.start)
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if session.config.option.robot_modules:
+        with session.config.option.robot_modules.open("a", encoding="utf-8") as file:
+            file.writelines(f"{module}\n" for module in sorted(_robot_modules))
 
 
 def pytest_report_header() -> str:

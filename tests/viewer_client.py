@@ -15,7 +15,7 @@ import websockets.sync.client
 from arms import BUNDLED, arm_of
 
 from armctl.robot.arm import Arm
-from armctl.sim.status import Activity
+from armctl.sim.realtime.status import Activity
 from armctl.viewer.page import Page, Scenes
 from armctl.viewer.web_scene import WebScene
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import groupby
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from armctl.core.errors import InputError, ModelError, PlanError
 from armctl.core.log import Log
 from armctl.core.tables import Table
 from armctl.core.trajectory import Trajectory
-from armctl.core.validation import integer, number, shown
+from armctl.core.validation import integer, number
 from armctl.design.margins import margins
 from armctl.motion import JointTrajectory, move_j
 from armctl.robot.arm import Arm, check_arm
@@ -34,18 +34,14 @@ def compare(
     *,
     workers: int = 1,
     poses: int = 0,
-    progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
-    """Follows one trajectory under every controller on every plant.
+    """Follows one trajectory under every controller on every plant. A progress bar appears on a terminal after two seconds.
 
     Args:
-        arm: The arm.
         controllers: Controllers or names of controllers.
-        trajectory: The motion.
         plants: The simulated plants.
         workers: Number of threads, as for `simulate_many`.
         poses: Number of configurations at which delay margin and peak sensitivity are computed, as by `margins`; 0 for none.
-        progress: Called after each run with the number of completed runs and their total.
 
     Returns:
         A list with one report per pair, plant by plant. A run that failed after its first tick has a report, too.
@@ -66,15 +62,11 @@ def compare(
         for controller, controller_label in zip(controllers, _distinct(map(_name_of, controllers)), strict=True)
     ]
     poses = integer("poses", poses, 0)
-    if progress is not None and not callable(progress):
-        raise InputError(f"progress: expected a function of two numbers, got {shown(progress)}")
     runs = rows_as_runs(arm, [(pair.controller, trajectory, pair.plant) for pair in pairs])
     reports = Comparison()
     for pair, report in zip(pairs, run_many(arm, runs, _report, threads=integer("workers", workers, 1)), strict=True):
         labelled = replace(report, controller=pair.controller_label, plant=pair.plant_label)
         reports.append(_with_margins(arm, pair, labelled, poses) if poses else labelled)
-        if progress is not None:
-            progress(len(reports), len(pairs))
     return reports
 
 
@@ -155,12 +147,8 @@ def out_and_back(arm: Arm, distance: float = 0.6, *, speed: float = 1.0) -> Join
     If the arm would touch something, the joints move in the other direction, or half as far, up to four times.
 
     Args:
-        arm: The arm.
         distance: rad (m for a slide joint) by which each joint moves, less where its range ends before.
         speed: Fraction of the full speed, in (0, 1].
-
-    Returns:
-        The motion.
 
     Raises:
         InputError: The distance is no number, or the speed is outside (0, 1].

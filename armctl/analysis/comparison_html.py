@@ -8,11 +8,11 @@ import json
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from string import Template
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from armctl.analysis import html_page
 from armctl.analysis.comparison import Comparison, marked_table, remarks
 from armctl.analysis.report import Report, table
 from armctl.core import units
@@ -29,28 +29,6 @@ if TYPE_CHECKING:
 _MAX_POINTS_PER_LINE = 500  # more cannot be seen
 _MIN_ERROR_SHOWN = 1e-9  # rad or m; the axis is logarithmic, and smaller errors are rounding: they would compress the others
 _FILM_PX = (320, 240)
-_PAGE = Template("""<!doctype html>
-<html lang="en">
-<meta charset="utf-8">
-<title>$title</title>
-<style>
-body { font: 15px/1.5 system-ui, sans-serif; max-width: 84rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
-table { border-collapse: collapse; font-size: 13px; }
-td, th { padding: .25rem .6rem; text-align: right; border-bottom: 1px solid #ddd; }
-td:first-child, th:first-child, td:last-child { text-align: left; }
-mark { background: #d9f2e3; color: #0b5a32; font-weight: 600; } figcaption { font-size: 13px; }
-.plant { display: grid; grid-template-columns: minmax(0, 1fr) auto; gap: 1.5rem; align-items: start; }
-@media (max-width: 60rem) { .plant { grid-template-columns: 1fr; } }
-figure { margin: 0; } video { max-width: 100%; }
-.remark { color: #a33; } svg { width: 100%; height: auto; } .table { overflow-x: auto; max-width: 100%; }
-</style>
-<h1>$title</h1>
-<p>$conditions</p>
-$remarks
-<p>The best values of each plant are <mark>marked</mark>.</p>
-$sections
-</html>
-""")
 
 
 def write_comparison(reports: Sequence[Report], folder: Path, motion: str, film_of: Arm | None = None) -> list[Path]:
@@ -62,9 +40,6 @@ def write_comparison(reports: Sequence[Report], folder: Path, motion: str, film_
         motion: What was followed, in words.
         film_of: The arm, to show a film of the run with the largest error beside each table. Without OpenGL or an encoder there
             is none.
-
-    Returns:
-        The three files.
     """
     title = f"Controllers compared on {reports[0].robot}"
     conditions = _conditions(reports[0].log, motion)
@@ -87,18 +62,13 @@ def _conditions(log: Log, motion: str) -> str:
 
 
 def _page(title: str, conditions: str, notes: Sequence[str], reports: Sequence[Report], film_of: Arm | None) -> str:
-    paragraphs = [f'<p class="remark">{html.escape(line)}</p>' for line in notes]
-    sections = []
+    marks = "<p>The best values of each plant are <mark>marked</mark>.</p>"
+    elements = [html_page.paragraph(conditions), *map(html_page.remark, notes), marks]
     for plant, group in Comparison(reports).plants().items():
         film = "" if film_of is None else _film(group, film_of)
-        table = f'<div class="table">\n{marked_table(group)}\n</div>'
-        sections.append(f'<h2>{html.escape(plant)}</h2><div class="plant">{table}{film}</div>{_svg(group)}')
-    return _PAGE.substitute(
-        title=html.escape(title),
-        conditions=html.escape(conditions),
-        remarks="\n".join(paragraphs),
-        sections="\n".join(sections),
-    )
+        elements.append(html_page.heading(plant))
+        elements.append(f'<div class="columns">{html_page.table(marked_table(group))}{film}</div>{_svg(group)}')
+    return html_page.page(title, *elements)
 
 
 def _film(reports: Sequence[Report], arm: Arm) -> str:
@@ -107,7 +77,7 @@ def _film(reports: Sequence[Report], arm: Arm) -> str:
     width, height = _FILM_PX
     try:
         with tempfile.TemporaryDirectory() as folder:
-            film = record(report.log, arm, Path(folder) / "run.mp4", width=width, height=height)
+            film = record(report.log, arm, Path(folder) / "run.mp4", size=_FILM_PX)
             data = base64.b64encode(film.read_bytes()).decode()
     except NotInstalledError:
         return ""

@@ -61,7 +61,6 @@ class Diagnosis:
     """What `diagnose` found.
 
     Attributes:
-        name: The robot.
         findings: Errors first, then warnings, then notes.
         payload: kg, the static payload at the tip that the torque limits hold in all but the worst 5 % of random
             configurations; NaN if the robot could not be loaded.

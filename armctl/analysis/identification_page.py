@@ -3,43 +3,19 @@
 from __future__ import annotations
 
 import html
-import io
 import os
 from pathlib import Path
-from string import Template
 from typing import TYPE_CHECKING
 
-from armctl.analysis.plot import COLORS, STYLE
+from armctl.analysis import html_page
 from armctl.core.atomic import file_path, write_text
+from armctl.core.plotting import COLORS, figure_svg
 from armctl.core.tables import Table
 from armctl.core.validation import instance
 from armctl.design.arm_estimate import ArmEstimate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-_PAGE = Template("""<!doctype html>
-<html lang="en">
-<meta charset="utf-8">
-<title>$title</title>
-<style>
-body { font: 15px/1.5 system-ui, sans-serif; max-width: 72rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
-table { border-collapse: collapse; font-size: 13px; }
-td, th { padding: .25rem .6rem; text-align: right; border-bottom: 1px solid #ddd; }
-td:first-child, th:first-child { text-align: left; }
-.remark { color: #a33; } svg { width: 100%; height: auto; } .table { overflow-x: auto; }
-</style>
-<h1>$title</h1>
-<p class="$kind">$verdict</p>
-<p>$facts</p>
-<div class="table">
-$table
-</div>
-$findings
-<h2>Torques on held-out data</h2>
-$figure
-</html>
-""")
 
 
 def identification_page(estimate: ArmEstimate, path: str | os.PathLike[str]) -> Path:
@@ -49,31 +25,25 @@ def identification_page(estimate: ArmEstimate, path: str | os.PathLike[str]) -> 
         estimate: The result; also one that is not ok.
         path: The .html file, which needs no other files. It is written atomically, and its folder is made.
 
-    Returns:
-        The path.
-
     Raises:
         InputError: It is no estimate, or the path has another file extension.
         ArmctlError: The file cannot be written.
     """
     instance("estimate", estimate, ArmEstimate, "armctl.identify(arm, log) returns one")
     path = file_path("path", path, (".html",))
-    findings = "".join(f"<li>{html.escape(line)}</li>" for line in estimate.findings)
     facts = (
         f"{len(estimate.base_names)} base parameters, condition number {estimate.condition_number:.3g}. "
         f"Zero-phase filter of {estimate.cutoff:.3g} Hz, chosen from the data. "
         f"Torques are recorded {1e3 * estimate.delay:.2f} ms after positions. Friction model: {estimate.friction}."
     )
-    text = _PAGE.substitute(
-        title=html.escape(f"Identification of {estimate.arm.name}"),
-        kind="ok" if estimate else "remark",
-        verdict=html.escape("Identified." if estimate else f"Not identified: {estimate.reason}."),
-        facts=html.escape(facts),
-        table=_table(estimate).html(),
-        findings=f"<h2>Differences from the model</h2><ul>{findings}</ul>" if findings else "",
-        figure=_svg(estimate),
-    )
-    write_text(path, text)
+    verdict = html_page.paragraph("Identified.") if estimate else html_page.remark(f"Not identified: {estimate.reason}.")
+    elements = [verdict, html_page.paragraph(facts), html_page.table(_table(estimate))]
+    if estimate.findings:
+        findings = "".join(f"<li>{html.escape(line)}</li>" for line in estimate.findings)
+        elements += [html_page.heading("Differences from the model"), f"<ul>{findings}</ul>"]
+    figure = figure_svg(lambda figure: _draw(figure, estimate), (11, 1.7 * estimate.arm.n + 0.6))
+    elements += [html_page.heading("Torques on held-out data"), figure]
+    write_text(path, html_page.page(f"Identification of {estimate.arm.name}", *elements))
     return path
 
 
@@ -106,19 +76,6 @@ def _table(estimate: ArmEstimate) -> Table:
             ]
         )
     return Table(columns, rows)
-
-
-def _svg(estimate: ArmEstimate) -> str:
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(11, 1.7 * estimate.arm.n + 0.6), layout="constrained")
-        _draw(figure, estimate)
-        text = io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None})
-    svg = text.getvalue()
-    return svg[svg.index("<svg") :]
 
 
 def _draw(figure: Figure, estimate: ArmEstimate) -> None:

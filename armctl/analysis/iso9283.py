@@ -46,6 +46,9 @@ _CORNER_BLEND = 0.1  # of the edge of the cube
 _CRUISE_RATIO = 0.5  # of the largest speed on the line: below it the speed is constant on most of the line
 _POSING_DISTANCES_M = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 _COMPLIANCE_SETTLING_S = 1.0
+_DWELL_S = 0.5  # at each pose before it is measured
+_BAND_M = 1e-4  # the tip is stable while its distance from the attained position is at most this
+_LOAD_N = 10.0  # at the tip, for the static compliance
 _Triple = tuple[float, float, float]
 _NO_TRIPLE: _Triple = (nan, nan, nan)
 
@@ -57,8 +60,6 @@ class Iso9283:
     Attributes:
         ok: Whether all cycles were run.
         reason: The reason if it is not ok; empty if it is.
-        robot: The arm's name.
-        controller: The controller's name.
         plant: The differences of the plant from the model.
         cycles: Number of cycles through the five poses.
         path_cycles: Number of cycles along the path.
@@ -170,9 +171,6 @@ def iso9283_cycles(
     cycles: int = 30,
     path_cycles: int = 10,
     speed: float = 1.0,
-    dwell: float = 0.5,
-    band: float = 1e-4,
-    load: float = 10.0,
 ) -> Iso9283:
     """Runs the standard's cycles: five poses on the inclined plane of a cube, a line, a corner, and loads at the tip.
 
@@ -180,15 +178,9 @@ def iso9283_cycles(
     six or more joints keep the tip's orientation. Without noise in the plant, repeatability means little.
 
     Args:
-        arm: The arm.
-        controller: A controller or the name of one.
-        plant: The simulated plant.
         cycles: Number of cycles through the poses; 30 in the standard.
         path_cycles: Number of cycles along the path; 10 in the standard.
         speed: Fraction of the maximum speed that the limits allow, in [0.001, 1].
-        dwell: s at each pose before it is measured, at least 0.05.
-        band: m; the tip is stable while its distance from the attained position is at most this.
-        load: N, the force at the tip for the static compliance.
 
     Returns:
         The figures; if a run fails, `ok` is False and `reason` says why.
@@ -201,9 +193,6 @@ def iso9283_cycles(
     cycles = integer("cycles", cycles, 2)
     path_cycles = integer("path_cycles", path_cycles, 2)
     speed = number("speed", speed, 1e-3, 1.0)
-    dwell = number("dwell", dwell, 0.05)
-    band = number("band", band, 1e-9)
-    load = number("load", load, 1e-6)
     controller = controller_by_name(controller, arm) if isinstance(controller, str) else controller
     edge, points, q = _poses(arm)
     legs = [move_j(arm, q[a], q[b]).scaled(speed) for a, b in pairwise(_ORDER)]
@@ -211,7 +200,7 @@ def iso9283_cycles(
     back = move_j(arm, line(line.duration).q, q[1])
 
     simulation = Simulation(arm, controller, plant)
-    tests = _Tests(simulation, points, q, line, back, dwell, band)
+    tests = _Tests(simulation, points, q, line, back)
     figures: dict[str, object] = {}
     try:
         figures |= tests.poses(legs, cycles)
@@ -219,7 +208,7 @@ def iso9283_cycles(
         figures |= tests.corner(0.5 * _INSET * edge, path_cycles, speed)
         figures |= tests.path_velocity(path_cycles, speed)
         figures |= tests.posing(speed)
-        figures |= _compliance(arm, controller, plant, load)
+        figures |= _compliance(arm, controller, plant)
         reason = ""
     except _RunFailed as failed:
         figures = {}
@@ -234,7 +223,7 @@ def iso9283_cycles(
         path_cycles=path_cycles,
         speed=speed,
         cube_m=edge,
-        band_m=band,
+        band_m=_BAND_M,
         **figures,  # type: ignore[arg-type]
     )
 
@@ -252,12 +241,10 @@ class _Tests:
     q: Array
     line: JointTrajectory
     back: JointTrajectory
-    dwell: float
-    band: float
 
     def poses(self, legs: list[JointTrajectory], cycles: int) -> dict[str, object]:
         """Clauses 7.2 to 7.6."""
-        logs = _runs(self.simulation, self.q[0], legs * cycles, self.dwell)
+        logs = _runs(self.simulation, self.q[0], legs * cycles)
         shape = (cycles, len(_ORDER) - 1, -1)
         attained = np.array([log.tip[-1] for log in logs]).reshape(shape)
         turned = rotation_vectors(
@@ -269,7 +256,7 @@ class _Tests:
         at_p2 = attained[:, _ORDER[1:].index(1)]
         at_p4 = attained[:, _ORDER[1:].index(3)]
         apart = distance(at_p2, at_p4, float(np.linalg.norm(self.points[1] - self.points[3])))
-        stable = np.max([stabilisation(log, self.band) for log in logs], axis=0)
+        stable = np.max([stabilisation(log, _BAND_M) for log in logs], axis=0)
         return {
             "pose_accuracy_m": pose.accuracy,
             "pose_repeatability_m": pose.repeatability,
@@ -284,7 +271,7 @@ class _Tests:
 
     def path(self, cycles: int) -> dict[str, object]:
         """Clauses 8.2 and 8.3."""
-        logs = _runs(self.simulation, self.q[1], [self.line, self.back] * cycles, self.dwell)[::2]
+        logs = _runs(self.simulation, self.q[1], [self.line, self.back] * cycles)[::2]
         ends = self.points[1], self.points[3]
         spread = accuracy(np.array([deviations_in_planes(log, *ends, self.line.duration) for log in logs]))
         return {"path_accuracy_m": spread.accuracy, "path_repeatability_m": spread.repeatability}
@@ -299,7 +286,7 @@ class _Tests:
             back = move_j(arm, around(around.duration).q, self.q[1])
         except PlanError:
             return {}
-        logs = _runs(self.simulation, self.q[1], [around, back] * cycles, self.dwell)[::2]
+        logs = _runs(self.simulation, self.q[1], [around, back] * cycles)[::2]
         found = cornering(logs, self.points[2], self.points[3], blend)
         return {"corner_round_off_m": found.round_off, "corner_overshoot_m": found.overshoot}
 
@@ -309,7 +296,7 @@ class _Tests:
         length = float(np.linalg.norm(self.points[3] - self.points[1]))
         cruise = _CRUISE_RATIO * length / self.line.duration
         line = move_l(arm, self.q[1], _target(arm, self.points[3]), tip_speed=cruise / speed).scaled(speed)
-        logs = _runs(self.simulation, self.q[1], [line, self.back] * cycles, self.dwell)[::2]
+        logs = _runs(self.simulation, self.q[1], [line, self.back] * cycles)[::2]
         found = path_speed(logs, self.points[1], self.points[3], line.duration, cruise)
         return {
             "path_speed_m_s": cruise,
@@ -328,24 +315,24 @@ class _Tests:
             if apart > length:
                 break
             there = move_l(arm, self.q[1], _target(arm, self.points[1] + apart / length * way)).scaled(speed)
-            log = _runs(self.simulation, self.q[1], [there], self.dwell)[0]
-            times.append((apart, posing_time(log, self.band)))
+            log = _runs(self.simulation, self.q[1], [there])[0]
+            times.append((apart, posing_time(log, _BAND_M)))
         return {"posing_times": tuple(times)}
 
 
-def _compliance(arm: Arm, controller: Controller, plant: Plant, load: float) -> dict[str, object]:
+def _compliance(arm: Arm, controller: Controller, plant: Plant) -> dict[str, object]:
     """Clause 10, at home: displacement by a force along each axis, in both directions, after it has settled."""
     hold = move_j(arm, arm.limits.clamp(arm.home), arm.limits.clamp(arm.home))
     compliance = []
     for direction in np.eye(3):
         ends = []
         for sign in (1.0, -1.0):
-            push = Push(0.0, 10 * _COMPLIANCE_SETTLING_S, force=sign * load * direction)
+            push = Push(0.0, 10 * _COMPLIANCE_SETTLING_S, force=sign * _LOAD_N * direction)
             log = simulate(arm, controller, hold, replace(plant, pushes=(*plant.pushes, push)), _COMPLIANCE_SETTLING_S)  # type: ignore[misc]
             if log.failure:
                 raise _RunFailed(log.failure)
             ends.append(log.tip[-len(log) // 10 :].mean(axis=0))
-        compliance.append(float((ends[0] - ends[1]) @ direction / (2 * load)))
+        compliance.append(float((ends[0] - ends[1]) @ direction / (2 * _LOAD_N)))
     return {"compliance_m_per_N": tuple(compliance)}
 
 
@@ -396,12 +383,12 @@ def _target(arm: Arm, point: Array) -> Pose | Array:
     return Pose.from_rotation(point, home.rotation) if arm.n >= 6 else point
 
 
-def _runs(simulation: Simulation, q: Array, motions: list[JointTrajectory], dwell: float) -> list[Log]:
+def _runs(simulation: Simulation, q: Array, motions: list[JointTrajectory]) -> list[Log]:
     """The logs of motions one after another."""
     simulation.reset(q)
     logs: list[Log] = []
     for motion in motions:
-        logs.append(simulation.run(motion, dwell))
+        logs.append(simulation.run(motion, _DWELL_S))
         if logs[-1].failure:
             raise _RunFailed(logs[-1].failure)
     return logs

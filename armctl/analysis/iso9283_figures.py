@@ -91,13 +91,7 @@ def rotation_vectors(quat: Array, quat_ref: Array) -> Array:
 
 
 def distance(first: Array, second: Array, commanded: float) -> Spread:
-    """Clause 7.3, AD and RD: the distance between two attained poses.
-
-    Args:
-        first: (cycles, 3) m.
-        second: (cycles, 3) m.
-        commanded: m, the distance of the commanded poses.
-    """
+    """Clause 7.3, AD and RD: the distance between two attained poses, each (cycles, 3) m, against the commanded one, m."""
     distances = np.linalg.norm(first - second, axis=1)
     return Spread(float(distances.mean() - commanded), float(3 * distances.std(ddof=1)))
 
@@ -169,14 +163,7 @@ def path_speed(logs: list[Log], start: Array, end: Array, duration: float, comma
 
 
 def cornering(logs: list[Log], corner: Array, end: Array, blend: float) -> Corner:
-    """Clause 8.5: the worst of all cycles around a corner that is rounded within `blend` m.
-
-    Args:
-        logs: The runs.
-        corner: (3,) m.
-        end: (3,) m, where the second line ends.
-        blend: m.
-    """
+    """Clause 8.5: the worst of all cycles around a corner that is rounded within `blend` m; the second line ends at `end`."""
     line = (end - corner) / np.linalg.norm(end - corner)
     round_off = 0.0
     overshoot = 0.0

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Sequence
 from math import degrees, isfinite
 from pathlib import Path
-from string import Template
 
+from armctl.analysis import html_page
 from armctl.core.atomic import write_text
 from armctl.core.plotting import figure_svg
 from armctl.core.tables import Table
@@ -18,24 +17,6 @@ from armctl.robot.arm import Arm
 from armctl.sim.plant import NOMINAL, Plant
 
 _HEADER = ("controller", "delay margin, ms", "in ticks", "gain margin", "phase margin, deg", "Ms", "worst delay at q", "note")
-_PAGE = Template("""<!doctype html>
-<html lang="en">
-<meta charset="utf-8">
-<title>$title</title>
-<style>
-body { font: 15px/1.5 system-ui, sans-serif; max-width: 72rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
-table { border-collapse: collapse; font-size: 13px; }
-td, th { padding: .25rem .6rem; text-align: left; border-bottom: 1px solid #ddd; }
-svg { width: 100%; height: auto; } .table { overflow-x: auto; }
-</style>
-<h1>$title</h1>
-<p>The worst of $loops loops for each controller. Below, each controller at the configuration with its least delay margin.</p>
-<div class="table">
-$table
-</div>
-$sections
-</html>
-""")
 
 
 def margins_table(found: Sequence[Margins]) -> Table:
@@ -44,31 +25,18 @@ def margins_table(found: Sequence[Margins]) -> Table:
 
 
 def write_margins(arm: Arm, found: Sequence[Margins], plants: Sequence[Plant], folder: Path) -> Path:
-    """Writes margins.html atomically: the table, and the plots of each controller where its delay margin is least.
-
-    Args:
-        arm: The arm.
-        found: The margins of its controllers, by name.
-        plants: The plants over which they were found.
-        folder: The folder of the file; it is made.
-
-    Returns:
-        The file.
-    """
+    """Writes margins.html atomically: the table, and the plots of each controller where its delay margin is least."""
     by_name = {str(plant): plant for plant in (plants or (NOMINAL,))}
-    sections = []
+    elements = []
     for each in found:
         loop = linearize(arm, each.controller, each.delay.q, by_name[each.delay.plant])
         svg = figure_svg(lambda figure, loop=loop: draw_loop(figure, loop), (13, 4.6))
-        sections.append(f"<h2>{html.escape(each.controller)}</h2>{svg}")
-    page = _PAGE.substitute(
-        title=html.escape(f"Margins of controllers on {arm.name}"),
-        loops=found[0].loops,
-        table=margins_table(found).html(),
-        sections="\n".join(sections),
-    )
+        elements += [html_page.heading(each.controller), svg]
+    worst = f"The worst of {found[0].loops} loops for each controller."
+    below = "Below, each controller at the configuration with its least delay margin."
+    introduction = [html_page.paragraph(f"{worst} {below}"), html_page.table(margins_table(found))]
     path = folder / "margins.html"
-    write_text(path, page)
+    write_text(path, html_page.page(f"Margins of controllers on {arm.name}", *introduction, *elements))
     return path
 
 

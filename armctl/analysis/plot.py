@@ -31,11 +31,7 @@ def four_panels(log: Log, path: str | os.PathLike[str] | None = None) -> Path | 
     The reference is dashed, torque limits are grey lines, and a circle marks the target.
 
     Args:
-        log: The run.
         path: The picture, .png, .svg or .pdf; its folder is made, and the file is written atomically. Left out, a window opens.
-
-    Returns:
-        The path, if one was given.
 
     Raises:
         InputError: The log is empty, or the path has another file extension.
@@ -82,9 +78,6 @@ def overlay(
         logs: The runs; each must have followed a reference.
         path: The picture, .png, .svg or .pdf; its folder is made, and the file is written atomically. Left out, a window opens.
         labels: One per run; the names of their controllers if left out.
-
-    Returns:
-        The path, if one was given.
 
     Raises:
         InputError: A log is empty or without a reference, there is none, the number of labels differs, or the path has another

@@ -33,8 +33,6 @@ class Report:
         ok: Whether the run was completed and the tip was at its goal at the end.
         reason: The reason if it is not ok; empty if it is.
         verdict: The result in one sentence.
-        robot: The arm's name.
-        controller: The controller's name.
         plant: The differences of the plant from the model.
         joint_rms_rad: Root mean square of q_ref - q over ticks and hinge joints, while the reference moves; NaN without hinges.
         joint_max_rad: The largest of these errors.
@@ -54,7 +52,6 @@ class Report:
         contacts: What the arm touched, and for how long.
         duration_s: Simulated time.
         real_time_factor: Simulated time divided by computing time.
-        log: The run itself.
         delay_margin_s: The smallest delay margin of the controller on the plant; NaN unless `compare` computed margins.
         peak_sensitivity: Its largest Ms; NaN as for the delay margin.
     """
@@ -96,9 +93,6 @@ class Report:
             log: The run; it must have followed a reference.
             tolerance: m, the largest distance at which the tip is at its goal.
             angle_tolerance: rad, the largest angle at which it has its orientation.
-
-        Returns:
-            The report.
 
         Raises:
             InputError: The log is empty or of an open-loop run, or a tolerance is negative or not finite.
@@ -167,9 +161,6 @@ class Report:
 
         Args:
             path: The picture, .png, .svg or .pdf; its folder is made. Left out, a window opens.
-
-        Returns:
-            The path, if one was given.
         """
         return four_panels(self.log, path)
 
@@ -212,9 +203,6 @@ def table(reports: Sequence[Report]) -> str:
 
     Args:
         reports: The reports, one per row.
-
-    Returns:
-        The table.
 
     Raises:
         InputError: Something else than reports.

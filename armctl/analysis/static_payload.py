@@ -40,12 +40,7 @@ def static_payload(payloads: Array) -> float:
 
 
 def doubt_about_torque_limits(arm: Arm, payload: float) -> str:
-    """Why the torque limits cannot be those of the motors, by the rated payload; empty if there is no doubt or no rating.
-
-    Args:
-        arm: The arm.
-        payload: kg, its static payload.
-    """
+    """Why the limits cannot be those of the motors, by the static and the rated payload, kg; empty without doubt or rating."""
     row = datasheet_of(arm.name)
     if row is None or row.payload is None or row.rating not in arm.notes:
         return ""

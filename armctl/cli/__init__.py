@@ -19,9 +19,6 @@ def program() -> int:
     """Runs the command of this process, from the first import to the last line of output.
 
     Ctrl-C ends it at any moment with status 130 and without a traceback, also if the parent process ignores SIGINT.
-
-    Returns:
-        The exit status.
     """
     status = _INTERRUPTED
     try:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from armctl.core.errors import InputError
+from armctl.core.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
     from armctl.analysis.report import Report
@@ -20,7 +20,7 @@ NOT_REACHED = 1
 WRONG_CALL = 2
 INTERRUPTED = 130
 
-PLANTS_HELP = "nominal, payload=1, mass=1.2, friction, delay=2, noise, ripple, continuous, all, or several joined with +"
+PLANTS_HELP = "nominal, payload=1, mass=1.2, friction, delay=2, noise, all, or a number of Plant; several joined with +"
 # Those of armctl.control.CONTROLLERS, which the help must not import: it would take a second.
 CONTROLLER_NAMES = (
     "pd",
@@ -35,7 +35,6 @@ CONTROLLER_NAMES = (
     "qp",
     "operational-space",
     "impedance",
-    "adaptive",
 )
 CONTROLLERS_HELP = ", ".join(CONTROLLER_NAMES)
 _CHAIN_OPTIONS = {
@@ -95,6 +94,29 @@ def add_speed(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--speed", metavar="FRACTION", default="1", help="fraction of full speed, in (0, 1] (default 1)")
 
 
+def add_timestep(parser: argparse.ArgumentParser) -> None:
+    """Adds --timestep."""
+    parser.add_argument("--timestep", help="the control period, s (default the model's)")
+
+
+def timestep_from(args: argparse.Namespace) -> float | None:
+    """The value of --timestep, s; None if it is left out."""
+    return one_number("timestep", args.timestep) if args.timestep else None
+
+
+def controllers_from(text: str) -> list[str]:
+    """The names of --controllers, checked; "all" is every controller."""
+    from armctl.control import CONTROLLERS
+
+    if text == "all":
+        return list(CONTROLLERS)
+    controllers = names(text)
+    for name in controllers:
+        if name not in CONTROLLERS:
+            raise UnknownNameError.of("controller", name, CONTROLLERS)
+    return controllers
+
+
 def load_arm(args: argparse.Namespace) -> Arm:
     """The arm that the arguments select."""
     from armctl.loading.load import load
@@ -139,14 +161,7 @@ def names(text: str | None) -> list[str]:
 
 
 def print_result(args: argparse.Namespace, text: str, figures: object, reason: str = "") -> None:
-    """Prints text, or JSON with --json. On a terminal longer lines are folded; in a pipe a sentence stays on one line.
-
-    Args:
-        args: The arguments of the command.
-        text: The result in words.
-        figures: The result as JSON has it; None if nothing was computed.
-        reason: Why the command failed; empty if it did not.
-    """
+    """Prints text, or JSON with --json. On a terminal longer lines are folded; in a pipe a sentence stays on one line."""
     from armctl.core.tables import folded
 
     if args.json:

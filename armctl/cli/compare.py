@@ -19,6 +19,8 @@ from armctl.cli.common import (
     add_json,
     add_save,
     add_speed,
+    add_timestep,
+    controllers_from,
     load_arm,
     names,
     one_number,
@@ -26,8 +28,8 @@ from armctl.cli.common import (
     save_report,
     say_written,
     speed_from,
+    timestep_from,
 )
-from armctl.core.errors import UnknownNameError
 
 if TYPE_CHECKING:
     from armctl.analysis.report import Report
@@ -61,7 +63,7 @@ def add(commands: Commands) -> None:
         metavar="S",
         help="tune every controller to this delay margin first, as armctl tune does (default: its default gains)",
     )
-    parser.add_argument("--timestep", help="the control period, s (default the model's)")
+    add_timestep(parser)
     parser.add_argument(
         "--workers", type=int, default=os.cpu_count() or 1, help="number of threads (default one per processor core)"
     )
@@ -77,28 +79,15 @@ def run(args: argparse.Namespace) -> int:
     from armctl.analysis.comparison_html import write_comparison
     from armctl.analysis.report import report_table
     from armctl.cli.plants import plant_by_name
-    from armctl.control import CONTROLLERS
-    from armctl.core.progress import progress_bar
 
     arm = load_arm(args)
-    timestep = one_number("timestep", args.timestep) if args.timestep else None
-    controllers = list(CONTROLLERS) if args.controllers == "all" else names(args.controllers)
-    for name in controllers:
-        if name not in CONTROLLERS:
-            raise UnknownNameError.of("controller", name, CONTROLLERS)
+    timestep = timestep_from(args)
+    controllers = controllers_from(args.controllers)
     plants = [plant_by_name(name, arm, timestep) for name in names(args.plants)]
     for folder in filter(None, (args.report, args.save)):
         folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is reported before the runs
     laws, notes = _tuned(args, arm, controllers, timestep) if args.delay_margin else (controllers, [])
-    runs = len(plants) * len(laws)
-    with progress_bar("compare", runs, "runs") as bar:
-
-        def advance(done: int, total: int) -> None:
-            bar.update()
-
-        reports = compare(
-            arm, laws, out_and_back(arm, speed=speed), plants, workers=args.workers, poses=args.poses, progress=advance
-        )
+    reports = compare(arm, laws, out_and_back(arm, speed=speed), plants, workers=args.workers, poses=args.poses)
     notes += remarks(reports)
     if notes:
         notes.append("")

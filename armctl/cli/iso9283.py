@@ -15,10 +15,11 @@ from armctl.cli.common import (
     add_command,
     add_json,
     add_speed,
+    add_timestep,
     load_arm,
-    one_number,
     print_result,
     speed_from,
+    timestep_from,
 )
 
 _STANDARD_SPEEDS = (1.0, 0.5, 0.1)
@@ -32,7 +33,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--plant", default="noise", metavar="A+B", help=f"{PLANTS_HELP} (default noise)")
     parser.add_argument("--identify", action="store_true", help="identify the payload first; the controller then uses it")
     parser.add_argument("--cycles", type=int, default=30, help="number of cycles through the five poses (default 30)")
-    parser.add_argument("--timestep", help="the control period, s (default the model's)")
+    add_timestep(parser)
     parser.add_argument("--all-speeds", action="store_true", help="at 100, 50 and 10 %% of the speed, as in the standard")
     add_speed(parser)
     add_json(parser)
@@ -50,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
 
     arm = load_arm(args)
     known = arm
-    plant = plant_by_name(args.plant, arm, one_number("timestep", args.timestep) if args.timestep else None)
+    plant = plant_by_name(args.plant, arm, timestep_from(args))
     if args.identify:
         found = identify_payload(arm, simulate(arm, args.controller, excitation(arm), plant))
         print(f"armctl: {found}", file=sys.stderr)

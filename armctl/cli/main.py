@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import os
 import re
-import signal
 import sys
 import warnings
 from collections.abc import Sequence
@@ -30,10 +29,10 @@ from armctl.cli import (
     study,
     tune,
     view,
-    warmup,
 )
 from armctl.cli.common import DONE, INTERRUPTED, WRONG_CALL, print_json
 from armctl.core.errors import ArmctlError, InputError, UnknownNameError
+from armctl.core.uninterrupted import uninterrupted_import
 
 _COMMANDS = (
     robots,
@@ -50,20 +49,12 @@ _COMMANDS = (
     simulate,
     study,
     view,
-    warmup,
 )
 _NOT_OPTIONS = {"robot", "law", "file", "run", "options"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command.
-
-    Args:
-        argv: The arguments; those of the process if left out.
-
-    Returns:
-        The exit status.
-    """
+    """Runs one command, by default that of the process, and returns the exit status."""
     words = sys.argv[1:] if argv is None else list(argv)
     parser = _parser()
     if "_ARGCOMPLETE" in os.environ:  # set by the shell when Tab is pressed
@@ -105,7 +96,8 @@ def _parsed(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse.N
 def _run(args: argparse.Namespace) -> int:
     as_json = getattr(args, "json", False)
     try:
-        _import_mujoco()
+        with uninterrupted_import():
+            import mujoco  # noqa: F401  # the imports of the commands find it loaded
         status = args.run(args)
         sys.stdout.flush()
         return status
@@ -120,16 +112,6 @@ def _run(args: argparse.Namespace) -> int:
         return _refuse(f"{error.filename}: {error.strerror or error}", as_json)
     except KeyboardInterrupt:
         return _refuse("stopped", as_json, INTERRUPTED)
-
-
-def _import_mujoco() -> None:
-    """Imports MuJoCo with SIGINT blocked: the import of glfw, on its way, runs a child process that would print a traceback."""
-    if sys.platform != "win32":
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    import mujoco  # noqa: F401
-
-    if sys.platform != "win32":
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _refuse(message: str, as_json: bool, status: int = WRONG_CALL) -> int:

@@ -14,13 +14,14 @@ from armctl.cli.common import (
     add_arm,
     add_command,
     add_json,
+    add_timestep,
+    controllers_from,
     load_arm,
     names,
-    one_number,
     print_result,
     say_written,
+    timestep_from,
 )
-from armctl.core.errors import UnknownNameError
 
 
 def add(commands: Commands) -> None:
@@ -30,7 +31,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--controllers", default="all", metavar="A,B,...", help=f"of {CONTROLLERS_HELP} (default all)")
     parser.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{PLANTS_HELP} (default nominal)")
     parser.add_argument("--poses", type=int, default=20, help="number of configurations (default 20)")
-    parser.add_argument("--timestep", help="the control period, s (default the model's)")
+    add_timestep(parser)
     parser.add_argument(
         "--report", type=Path, metavar="DIR", help="write a page with Nyquist, sensitivity and compliance plots"
     )
@@ -41,16 +42,12 @@ def run(args: argparse.Namespace) -> int:
     """Runs the command."""
     from armctl.analysis.margins_html import margins_table, write_margins
     from armctl.cli.plants import plant_by_name
-    from armctl.control import CONTROLLERS
     from armctl.core.progress import progress_bar
     from armctl.design.margins import margins
 
     arm = load_arm(args)
-    timestep = one_number("timestep", args.timestep) if args.timestep else None
-    controllers = list(CONTROLLERS) if args.controllers == "all" else names(args.controllers)
-    for name in controllers:
-        if name not in CONTROLLERS:
-            raise UnknownNameError.of("controller", name, CONTROLLERS)
+    timestep = timestep_from(args)
+    controllers = controllers_from(args.controllers)
     plants = [plant_by_name(name, arm, timestep) for name in names(args.plants)]
     found = []
     with progress_bar("margins", len(controllers), "controllers") as bar:

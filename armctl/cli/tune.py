@@ -13,10 +13,12 @@ from armctl.cli.common import (
     add_arm,
     add_command,
     add_json,
+    add_timestep,
     load_arm,
     names,
     one_number,
     print_result,
+    timestep_from,
 )
 
 
@@ -30,7 +32,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--chatter", metavar="NM", help="the largest permitted torque noise with an encoder of 1e-5 rad")
     parser.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{PLANTS_HELP} (default nominal)")
     parser.add_argument("--poses", type=int, default=20, help="number of configurations (default 20)")
-    parser.add_argument("--timestep", help="the control period, s (default the model's)")
+    add_timestep(parser)
     add_json(parser)
 
 
@@ -40,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     from armctl.design.tuning import tune
 
     arm = load_arm(args)
-    timestep = one_number("timestep", args.timestep) if args.timestep else None
+    timestep = timestep_from(args)
     plants = [plant_by_name(name, arm, timestep) for name in names(args.plants)]
     found = tune(
         arm,

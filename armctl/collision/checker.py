@@ -4,54 +4,29 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterable, Mapping, Sequence
-from functools import lru_cache
 
 import mujoco
 import numpy as np
 
-from armctl.collision import kernel
-from armctl.collision.geometry import Geometry, build_geometry, colliding_pairs, frames_above, is_convex
-from armctl.collision.interface import Approach, Hit, KeptAxis, MovingJoints, NearPairs
+from armctl._core import Approach, ClearanceProof, CollisionScene, Hit
+from armctl.collision.geometry import Geometry, build_geometry, colliding_pairs, is_convex
+from armctl.collision.interface import KeptAxis, MovingJoints, NearPairs
 from armctl.core.errors import InputError, ModelError, UnknownNameError
-from armctl.core.validation import Array, BoolArray, IntArray
-from armctl.mjmodel.queries import geom_owner_name, is_below, last_joint_above, name_of
+from armctl.core.validation import Array, BoolArray
+from armctl.mjmodel.queries import geom_owner_name, is_below, last_joint_above, name_of, object_id
 
 SAMPLES = 64
-RESOLUTION_M = 2e-4  # of the closest approach: between the proved bound and a distance that is attained
-_INTERVALS = 8192  # that wait in a proof, at most
-_SAMPLES_OF_MOTION = 24  # from which the search for its closest approach starts
 _UNIT_KNOTS = np.array([0.0, 1.0])
-_OPEN_PAIRS_PER_PAIR = 400
-_MIN_OPEN_PAIRS = 4096
 _HALF_TURN = np.pi
-_DEPTH_DIRECTIONS = 500
 
 
 class _Memory(threading.local):
     """What queries overwrite; each thread has its own."""
 
     def __init__(self, geometry: Geometry):
-        count = len(geometry.pairs)
-        self.pairs = geometry.pairs.copy()
-        self.frames = np.zeros((len(geometry.tree) + 1, 18))
-        self.spheres = np.zeros((len(geometry.geoms), kernel.MOTION + geometry.depth))
-        self.work = np.zeros((kernel.WORK_ROWS, 3))
-        self.work[kernel.LAST_HIT, 0] = -1.0
-        self.open_pairs = np.empty(_OPEN_PAIRS_PER_PAIR * count + _MIN_OPEN_PAIRS, np.int64)
-        self.intervals = np.empty((_INTERVALS, kernel.INTERVAL_COLUMNS))
-        self.q = np.empty(len(geometry.tree))
-        self.delta = np.empty(len(geometry.tree))
-        self.line = np.empty((1, 2, len(geometry.tree)))
-        self.ranges = np.empty((1, 2, len(geometry.tree)))
-        self.keep = np.zeros(kernel.KEEP_SIZE)
-        self.trace = np.empty((kernel.MAX_GJK_STEPS, kernel.TRACE_COLUMNS))
-        self.found = np.empty((count, kernel.GRADIENT + len(geometry.tree)))
+        self.scene = CollisionScene(geometry.core)
+        self.proof = ClearanceProof(self.scene)
         self.data: mujoco.MjData | None = None
-
-    @property
-    def proof_rows(self) -> tuple[Array | IntArray, ...]:
-        """What every proof takes."""
-        return self.open_pairs, self.intervals, self.q, self.delta, self.keep
 
 
 class CollisionChecker:
@@ -62,7 +37,7 @@ class CollisionChecker:
     design), and pairs that one joint alone moves and that are proved apart over its whole range.
 
     Attributes:
-        geometry: The packed geoms and pairs.
+        geometry: The geoms and pairs.
         not_convex: Names of height fields and other geoms that no proof covers.
     """
 
@@ -73,7 +48,7 @@ class CollisionChecker:
         allow: Iterable[tuple[str, str]] = (),
         held: Mapping[int, int] | None = None,
     ):
-        """Packs the geoms and learns which pairs always touch.
+        """Finds the geoms, and learns which pairs always touch.
 
         Args:
             arm: The arm, or several as one.
@@ -90,65 +65,40 @@ class CollisionChecker:
         self._limits = arm.limits
         self._home = arm.home
         self._qpos = arm.home_qpos if qpos is None else np.array(qpos)
-        is_plain = self._joint_map.is_plain
-        self._ratio = np.eye(len(self._home)) if is_plain else np.array(self._joint_map.ratio)
-        self._offset = np.zeros(len(self._ratio)) if is_plain else np.array(self._joint_map.offset)
-        geometry = build_geometry(self._model, self._joint_map.joints, self._qpos, dict(held or {}))
-        allowed = _allowed_geoms(self._model, allow)
-        keep = [tuple(sorted(geometry.pair_geoms(p))) not in allowed for p in range(len(geometry.pairs))]
+        geometry = build_geometry(self._model, self._joint_map, self._qpos, dict(held or {}))
+        allowed = allowed_geoms(self._model, allow)
+        keep = [tuple(sorted(pair)) not in allowed for pair in geometry.geom_ids[geometry.pairs].tolist()]
         self._set(geometry.with_pairs(np.array(keep, bool)))
         self._set(self.geometry.with_pairs(~self._touch_by_design()))
         self._set(self.geometry.with_pairs(~self._proved_by_one_joint()))
         self.not_convex = self._not_convex_geoms()
 
-    @property
-    def scene_rows(self) -> tuple[Array | IntArray, ...]:
-        """The scene as the last nine arguments of the kernels, with the memory of this thread."""
+    def proof(self, keep: KeptAxis | None = None) -> ClearanceProof:
+        """The proofs of this thread, with an axis that must keep its direction."""
         memory = self._memory
-        geometry = self.geometry
-        return (*self._rows, memory.pairs, geometry.groups, geometry.tree, memory.frames, memory.spheres, memory.work)
+        if keep is None:
+            memory.proof.keep_axis(None)
+            return memory.proof
+        joints = sorted(self._joint_map.joints)
+        last = joints[last_joint_above(self._model, tuple(joints))[keep.body]]
+        row = self._joint_map.joints.index(last)
+        memory.proof.keep_axis(memory.scene.kept_axis(_contiguous(keep.q), row, _contiguous(keep.direction), keep.within))
+        return memory.proof
 
-    def line_rows(self, keep: KeptAxis | None = None) -> tuple[object, ...]:
-        """What the kernels of `armctl.planning` take before the scene: how all joints move, and memory for a proof.
-
-        Args:
-            keep: An axis that keeps its direction.
-
-        Returns:
-            The arrays.
-        """
-        memory = self._memory
-        return (self._ratio, self._offset, _UNIT_KNOTS, memory.line, memory.ranges, self._proof_rows(keep))
-
-    def _proof_rows(self, keep: KeptAxis | None) -> tuple[Array | IntArray, ...]:
-        """What a proof takes, with the axis that keeps its direction."""
-        memory = self._memory
-        memory.keep[kernel.KEEP_FRAME] = -1.0
-        if keep is not None:
-            joints = sorted(self._joint_map.joints)
-            last = last_joint_above(self._model, tuple(joints))[keep.body]
-            kernel.locate_frames(self._moving(keep.q), self.geometry.tree, memory.frames)
-            frame = memory.frames[last + 1, :9].reshape(3, 3)
-            memory.keep[kernel.KEEP_FRAME] = last + 1
-            memory.keep[kernel.KEEP_AXIS : kernel.KEEP_AXIS + 3] = frame.T @ keep.direction
-            memory.keep[kernel.KEEP_DIRECTION : kernel.KEEP_DIRECTION + 3] = keep.direction
-            memory.keep[kernel.KEEP_WITHIN] = keep.within
-        return memory.proof_rows
+    def forget(self) -> None:
+        """Forgets what earlier queries of this thread found: they can change the last bits of later results."""
+        self._memory.scene.forget()
 
     def tilts(self, hit: Hit) -> bool:
         """Whether a proof stopped because the kept axis tilts, and not because a pair is too near.
 
         Args:
             hit: Where it stopped.
-
-        Returns:
-            True if so.
         """
         return hit.pair == len(self.geometry.pairs)
 
     def _set(self, geometry: Geometry) -> None:
         self.geometry = geometry
-        self._rows = (geometry.geoms, geometry.points, geometry.neighbors)
         self._memory = _Memory(geometry)
 
     def at(self, q: Array, clearance: float = 0.0) -> str:
@@ -184,11 +134,9 @@ class CollisionChecker:
         Args:
             q: (n,) rad.
             clearance: m.
-
-        Returns:
-            The pair's row.
         """
-        return kernel.first_hit(self._moving(q), clearance, *self.scene_rows)
+        pair = self._memory.scene.first_hit(_contiguous(q), clearance)
+        return pair if pair < len(self.geometry.pairs) else -1
 
     def nearest(self, q: Array) -> tuple[int, float]:
         """The pair that is nearest to touching, or -1 where there is no pair, and its distance.
@@ -199,21 +147,19 @@ class CollisionChecker:
         Returns:
             The pair's row, and m; zero or less if it overlaps, then not the depth.
         """
-        return kernel.nearest_pair(self._moving(q), *self.scene_rows)
+        nearest = self._memory.scene.nearest_pair(_contiguous(q))
+        return (nearest.pair if nearest.pair < len(self.geometry.pairs) else -1), nearest.distance
 
     def depth(self, q: Array, pair: int) -> float:
         """How deep a pair overlaps at a configuration: the shortest of many displacements that part it.
 
         Args:
             q: (n,) rad.
-            pair: Its row.
 
         Returns:
             m, an upper bound; negative if the geoms are apart.
         """
-        memory = self._memory
-        kernel.locate_frames(self._moving(q), self.geometry.tree, memory.frames)
-        return kernel.overlap_depth(pair, _directions(), *self._rows, memory.pairs, memory.frames)
+        return self._memory.scene.overlap_depth(_contiguous(q), pair)
 
     def near(self, q: Array, moves: Array, share: float, clearances: Array) -> NearPairs:
         """The pairs that a small motion can bring nearer by more than a share of what is free.
@@ -229,17 +175,12 @@ class CollisionChecker:
         Returns:
             The pairs, their distances and derivatives.
         """
-        memory = self._memory
-        geometry = self.geometry
-        memory.pairs[:] = geometry.pairs
-        memory.delta[:] = np.abs(self._ratio) @ moves
-        q_all = self._moving(q)
-        count = kernel.near_pairs(
-            q_all, memory.delta, share, clearances, _directions(), memory.trace, memory.found, *self.scene_rows
-        )
-        found = memory.found[:count]
-        gradient = found[:, kernel.GRADIENT :] @ self._ratio
-        return NearPairs(found[:, kernel.PAIR].astype(np.int64), found[:, kernel.DISTANCE].copy(), gradient)
+        scene = self._memory.scene
+        scene.forget()
+        count = scene.find_near_pairs(_contiguous(q), _contiguous(moves), share, clearances)
+        near = NearPairs(np.empty(count, np.int64), np.empty(count), np.empty((count, len(q))))
+        scene.near_pairs(near.pairs, near.distances, near.gradients)
+        return near
 
     def line_hit(self, start: Array, end: Array, clearance: float = 0.0, keep: KeptAxis | None = None) -> Hit | None:
         """Proves that the straight line between two configurations keeps more than a clearance.
@@ -248,7 +189,6 @@ class CollisionChecker:
             start: (n,) rad.
             end: (n,) rad.
             clearance: m.
-            keep: An axis that keeps its direction.
 
         Returns:
             None if it does; else the pair and where on the line, from 0 to 1, it is not known to be free.
@@ -262,12 +202,13 @@ class CollisionChecker:
             knots: (K + 1,) s.
             coefficients: (K, degree + 1, n), each piece's by powers of the time since its knot.
             clearance: m.
-            keep: An axis that keeps its direction.
 
         Returns:
             None if it does; else the pair and the time at which it is not known to be free.
         """
-        return self._motion_hit(knots, self._moving_coefficients(coefficients), clearance, keep=keep)
+        proof = self.proof(keep)
+        proof.set_motion(knots, _contiguous(coefficients))
+        return proof.hit(clearance)
 
     def closest_approach(self, knots: Array, coefficients: Array, clearance: float, keep: KeptAxis | None = None) -> Approach:
         """Proves that a motion keeps more than a clearance, and how near it comes.
@@ -276,33 +217,13 @@ class CollisionChecker:
             knots: As for `motion_hit`.
             coefficients: As for `motion_hit`.
             clearance: m.
-            keep: An axis that keeps its direction.
-
-        Returns:
-            The closest approach.
         """
-        moving = self._moving_coefficients(coefficients)
-        bound, least, pair, time = kernel.closest_approach(
-            knots.copy(),
-            moving,
-            clearance,
-            RESOLUTION_M,
-            _SAMPLES_OF_MOTION,
-            np.empty((len(moving), 2, moving.shape[2])),
-            self._proof_rows(keep),
-            self.scene_rows,
-        )
-        return Approach(bound, least, Hit(pair, time))
+        proof = self.proof(keep)
+        proof.set_motion(knots, _contiguous(coefficients))
+        return proof.closest_approach(clearance)
 
     def names(self, pair: int) -> tuple[str, str]:
-        """What a pair is called: bodies, or geoms that stand in the world.
-
-        Args:
-            pair: Its row.
-
-        Returns:
-            Both names.
-        """
+        """What a pair is called: bodies, or geoms that stand in the world."""
         first, second = self.geometry.pair_geoms(pair)
         return geom_owner_name(self._model, first), geom_owner_name(self._model, second)
 
@@ -318,31 +239,10 @@ class CollisionChecker:
                 "replace it by boxes or meshes"
             )
 
-    def _motion_hit(
-        self, knots: Array, coefficients: Array, clearance: float, pair: int = -1, keep: KeptAxis | None = None
-    ) -> Hit | None:
-        """As `motion_hit`, for polynomials of all joints that move, and for one pair or all."""
-        ranges = np.empty((len(coefficients), 2, coefficients.shape[2]))
-        knots = knots.copy()  # numba would compile the proof again for a read-only array
-        found, time = kernel.prove_motion(knots, coefficients, pair, clearance, ranges, self._proof_rows(keep), self.scene_rows)
-        return None if found < 0 else Hit(found, time)
-
-    def _moving(self, q: Array) -> Array:
-        """(m,) of all joints that move, those that follow others included."""
-        q_all = self._memory.q
-        q_all[:] = self._joint_map.positions(np.asarray(q, np.float64))
-        return q_all
-
-    def _moving_coefficients(self, coefficients: Array) -> Array:
-        """(K, degree + 1, m) polynomials of all joints that move: only the constant has the offset."""
-        moving = np.array(self._joint_map.speeds(coefficients), order="C")
-        moving[:, 0] = self._joint_map.positions(coefficients[:, 0])
-        return moving
-
     def _all_hits(self, q: Array) -> BoolArray:
-        hits = np.zeros(len(self.geometry.pairs), bool)
-        kernel.all_hits(self._moving(q), 0.0, hits, *self.scene_rows)
-        return hits
+        hits = np.empty(len(self.geometry.pairs), np.int64)
+        self._memory.scene.all_hits(_contiguous(q), 0.0, hits)
+        return hits.astype(bool)
 
     def _touch_by_design(self) -> BoolArray:
         """(K,) pairs that touch at home and at every sample, or at home between neighboring frames."""
@@ -350,18 +250,9 @@ class CollisionChecker:
         always = at_home.copy()
         for q in self._limits.random(self._home, SAMPLES, np.random.default_rng(0)):
             always &= self._all_hits(q)
-        are_neighbors = np.array([len(self._joints_between(p)) == 1 for p in range(len(at_home))], bool)
+        joints_between = self.geometry.core.joints_between
+        are_neighbors = np.array([len(joints_between(p)) == 1 for p in range(len(at_home))], bool)
         return always | (at_home & are_neighbors)
-
-    def _joints_between(self, pair: int) -> list[int]:
-        """The rows of the tree that move one geom of a pair relative to the other."""
-        row = self.geometry.pairs[pair]
-        common = int(row[kernel.COMMON])
-        joints = []
-        for geom in (int(row[kernel.A]), int(row[kernel.B])):
-            path = frames_above(self.geometry.tree, int(self.geometry.geoms[geom, kernel.FRAME]))
-            joints += [frame - 1 for frame in path[: path.index(common)]]
-        return joints
 
     def _proved_by_one_joint(self) -> BoolArray:
         """(K,) pairs that one joint alone moves, and that never touch over its whole range."""
@@ -369,19 +260,18 @@ class CollisionChecker:
         low = self._joint_map.positions(np.maximum(self._limits.q_min, self._home - _HALF_TURN))
         high = self._joint_map.positions(np.minimum(self._limits.q_max, self._home + _HALF_TURN))
         is_endless = ~np.isfinite(self._limits.q_max - self._limits.q_min)
+        home = self._joint_map.positions(self._home)
+        slides = self._model.jnt_type[list(self._joint_map.joints)] == int(mujoco.mjtJoint.mjJNT_SLIDE)
+        proof = self.proof()
         for pair in range(len(proved)):
-            joints = self._joints_between(pair)
-            if len(joints) != 1:
+            joints = self.geometry.core.joints_between(pair)
+            if len(joints) != 1 or (slides[joints[0]] and is_endless.any()):
                 continue
-            row = self.geometry.tree[joints[0]]
-            index = int(row[kernel.JOINT])
-            if row[kernel.KIND] == kernel.SLIDE and is_endless.any():
-                continue
-            coefficients = np.zeros((1, 2, len(self.geometry.tree)))
-            coefficients[0, 0] = self._joint_map.positions(self._home)
-            coefficients[0, 0, index] = low[index]
-            coefficients[0, 1, index] = high[index] - low[index]
-            proved[pair] = self._motion_hit(_UNIT_KNOTS, coefficients, 0.0, pair) is None
+            start = home.copy()
+            end = home.copy()
+            start[joints] = low[joints]
+            end[joints] = high[joints]
+            proved[pair] = proof.joint_range_is_free(pair, start, end)
         return proved
 
     def _not_convex_geoms(self) -> list[str]:
@@ -409,7 +299,7 @@ class CollisionChecker:
         return ""
 
 
-def _allowed_geoms(model: mujoco.MjModel, allow: Iterable[tuple[str, str]]) -> set[tuple[int, int]]:
+def allowed_geoms(model: mujoco.MjModel, allow: Iterable[tuple[str, str]]) -> set[tuple[int, int]]:
     """The pairs of geoms, the lesser first, that pairs of names allow to touch."""
     allowed = set()
     for pair in allow:
@@ -424,21 +314,15 @@ def _allowed_geoms(model: mujoco.MjModel, allow: Iterable[tuple[str, str]]) -> s
 
 def _geoms_named(model: mujoco.MjModel, name: str) -> list[int]:
     """The geoms of a body and of those below it, or the geom of that name."""
-    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+    body = object_id(model, mujoco.mjtObj.mjOBJ_BODY, name)
     if body >= 0:
         return [geom for geom in range(model.ngeom) if is_below(model, int(model.geom_bodyid[geom]), body)]
-    geom = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name)
+    geom = object_id(model, mujoco.mjtObj.mjOBJ_GEOM, name)
     if geom < 0:
         bodies = [model.body(i).name for i in range(1, model.nbody)]
         raise UnknownNameError.of("body or geom in allow", name, [*bodies, *(model.geom(i).name for i in range(model.ngeom))])
     return [geom]
 
 
-@lru_cache(maxsize=1)
-def _directions() -> Array:
-    """(D, 3) unit vectors, spread evenly over the sphere (Fibonacci lattice), with the axes of the world."""
-    i = np.arange(_DEPTH_DIRECTIONS) + 0.5
-    polar = np.arccos(1.0 - 2.0 * i / _DEPTH_DIRECTIONS)
-    turn = np.pi * (1.0 + np.sqrt(5.0)) * i
-    lattice = np.column_stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)])
-    return np.vstack([lattice, np.eye(3), -np.eye(3)])
+def _contiguous(numbers: Array) -> Array:
+    return np.ascontiguousarray(numbers, np.float64)

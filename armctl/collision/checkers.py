@@ -1,21 +1,20 @@
-"""The collision checker of each arm, made when it is first needed."""
+"""The collision checkers of each arm, made when they are first needed."""
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
+from threading import Lock
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from armctl.collision.checker import CollisionChecker, allowed_geoms
 from armctl.collision.interface import KeptAxis, MovingJoints
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.validation import Array, IntArray, number, shown
 from armctl.mjmodel.queries import last_joint_above
 from armctl.robot.arm import Arm
-
-if TYPE_CHECKING:
-    from armctl.collision.checker import CollisionChecker
 
 
 def read_pairs(allow: object) -> tuple[tuple[str, str], ...]:
@@ -34,13 +33,9 @@ def read_kept_axis(arm: Arm, keep: str | None, keep_within: float, q: Array) -> 
     """The axis of the tip that keeps the direction it has at a configuration.
 
     Args:
-        arm: The arm.
         keep: "x", "y" or "z"; None for none.
         keep_within: rad that it may tilt.
         q: (n,) rad.
-
-    Returns:
-        The axis, or None.
 
     Raises:
         InputError: `keep_within` is no number from 0.001 to pi / 2.
@@ -57,16 +52,16 @@ def read_kept_axis(arm: Arm, keep: str | None, keep_within: float, q: Array) -> 
 def geom_owners(arm: Arm) -> IntArray:
     """Which joint of the chain moves each geom.
 
-    Args:
-        arm: The arm.
-
     Returns:
         (ngeom,) the last joint above it, counted from the base; -1 where none is.
     """
     return np.array(last_joint_above(arm.model, arm.joint_map.joints), np.int64)[arm.model.geom_bodyid]
 
 
-_checkers: WeakKeyDictionary[MovingJoints, CollisionChecker] = WeakKeyDictionary()
+# The checkers that were used last, of each arm. One of them takes about 0.5 MB.
+_KEPT_CHECKERS = 8
+_checkers: WeakKeyDictionary[MovingJoints, OrderedDict[tuple[object, ...], CollisionChecker]] = WeakKeyDictionary()
+_lock = Lock()
 
 
 def collision_checker(
@@ -75,24 +70,23 @@ def collision_checker(
     allow: Iterable[tuple[str, str]] = (),
     held: Mapping[int, int] | None = None,
 ) -> CollisionChecker:
-    """A checker of an arm in its scene; with everything at home and nothing allowed or held, it is made once for each arm.
+    """A checker of an arm in its scene. Those that were used last are kept with the arm.
 
     Args:
         arm: The arm, or several as one.
         qpos: As for `CollisionChecker`, like all that follow.
         allow: Pairs of names.
         held: Bodies that the arm carries.
-
-    Returns:
-        The checker.
     """
-    from armctl.collision.checker import CollisionChecker  # loads numba
-
     allow = read_pairs(allow)
-    if qpos is not None or allow or held:
-        return CollisionChecker(arm, qpos, allow, held)
-    checker = _checkers.get(arm)
-    if checker is None:
-        checker = CollisionChecker(arm)
-        _checkers[arm] = checker
-    return checker
+    carried = dict(held or {})
+    where = b"" if qpos is None else np.array(qpos).tobytes()
+    key = (where, frozenset(allowed_geoms(arm.model, allow)), tuple(sorted(carried.items())))
+    with _lock:
+        kept = _checkers.setdefault(arm, OrderedDict())
+        if key not in kept:
+            kept[key] = CollisionChecker(arm, qpos, allow, carried)
+        kept.move_to_end(key)
+        while len(kept) > _KEPT_CHECKERS:
+            kept.popitem(last=False)
+        return kept[key]

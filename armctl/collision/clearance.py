@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from armctl._core import Approach
+from armctl.collision.checker import CollisionChecker
 from armctl.collision.checkers import KEEP_WITHIN_RAD, collision_checker, read_kept_axis
-from armctl.collision.interface import Approach, KeptAxis
+from armctl.collision.interface import KeptAxis
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number
 from armctl.robot.arm import Arm, check_arm
 
-if TYPE_CHECKING:
-    from armctl.collision.checker import CollisionChecker
-
-MAX_DEGREE = 5  # of the polynomials in the kernels
+MAX_DEGREE = 5  # of the polynomials in the core
 _NO_PAIRS_M = np.inf
 
 
@@ -136,13 +135,7 @@ def clearance_of(
     """As `check_clearance`, with a checker that is at hand.
 
     Args:
-        checker: The checker.
-        trajectory: The motion.
         clearance: m.
-        keep: An axis that keeps its direction.
-
-    Returns:
-        The check.
 
     Raises:
         ModelError: As for `check_clearance`.
@@ -152,10 +145,11 @@ def clearance_of(
         raise InputError(
             f"trajectory: expected polynomials of degree at most {MAX_DEGREE}, got {trajectory.coefficients.shape[1] - 1}"
         )
+    checker.forget()
     approach = checker.closest_approach(trajectory.knots, trajectory.coefficients, clearance, keep)
     if approach.bound < 0.0:
         return _refused(checker, trajectory, clearance, approach, keep)
-    if approach.nearest.pair < 0:
+    if not len(checker.geometry.pairs):
         return ClearanceCheck(True, _NO_PAIRS_M, 0.0, "", "", clearance, "")
     first, second = checker.names(approach.nearest.pair)
     return ClearanceCheck(True, approach.bound, approach.nearest.time, first, second, clearance, "")

@@ -1,4 +1,4 @@
-"""The convex geoms of a MuJoCo model as packed rows for the collision kernels: shapes, frames, and the pairs that may meet.
+"""The convex geoms of a MuJoCo model as a model for the compiled core: shapes, frames, and the pairs that may meet.
 
 MuJoCo collides the convex hull of a mesh, so hulls and primitives are its own truth.
 """
@@ -7,14 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
-from armctl.collision import kernel
+from armctl._core import CollisionModel, ShapeKind, bounding_sphere
 from armctl.core.validation import Array, BoolArray, IntArray, frozen
 from armctl.mjmodel.queries import is_below
+from armctl.robot.joint_map import JointMap
 
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 _SPHERE = int(mujoco.mjtGeom.mjGEOM_SPHERE)
@@ -25,115 +27,130 @@ _BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 _CONVEX = (_PLANE, _SPHERE, _CAPSULE, _ELLIPSOID, _CYLINDER, _BOX, _MESH)
 
-_SPHERE_STEPS = 60  # of the iteration towards the smallest bounding sphere: within 2 % of it
-_ROUNDING = 1.0 + 1e-12
+_NO_VERTICES = np.empty((0, 3))
+_DEPTH_DIRECTIONS = 500
+
+
+class Edges(NamedTuple):
+    """Which vertices of a hull share an edge.
+
+    Attributes:
+        counts: (P,) how many neighbors each vertex has.
+        neighbors: The neighbors of the first vertex, then those of the second, and so on.
+    """
+
+    counts: IntArray
+    neighbors: IntArray
+
+    @classmethod
+    def unknown(cls, vertices: Array) -> Edges:
+        """No edges, for hulls of so few vertices that the core tries all of them."""
+        return cls(np.zeros(len(vertices), np.int64), np.empty(0, np.int64))
 
 
 class Shape(NamedTuple):
     """One geom at the reference configuration.
 
     Attributes:
-        kind: POINTS, CYLINDER, ELLIPSOID or PLANE of the kernel.
-        points: (P, 3) m, the vertices; the center of a round shape.
-        radius: m by which it is inflated.
-        info: (16,) the parameters of a round shape or a plane for the kernel.
-        box: (15,) center, inverse rotation, half sizes of a box; None for other shapes.
+        kind: How the core finds its support points.
+        frame: The frame that moves it, 0 if it stands.
+        position: (3,) m, of the geom.
+        rotation: (3, 3) of the geom.
+        size: (3,) m, half sizes of a box or an ellipsoid; radius and half length of a cylinder.
+        vertices: (P, 3) m, of a hull or a box.
+        inflation: m by which the vertices are inflated: the radius of a sphere or capsule.
         center: (3,) m, of its bounding sphere.
         bound: m, the radius of its bounding sphere.
-        neighbors: For each vertex those that share an edge with it; empty where all are tried.
+        edges: The edges of a mesh, by which the core searches large hulls.
     """
 
-    kind: int
-    points: Array
-    radius: float
-    info: Array
-    box: Array | None
+    kind: ShapeKind
+    frame: int
+    position: Array
+    rotation: Array
+    size: Array
+    vertices: Array
+    inflation: float
     center: Array
     bound: float
-    neighbors: Sequence[Sequence[int]]
+    edges: Edges
 
 
 class Frames(NamedTuple):
-    """What moves, as rows of `tree`, and which frame each body belongs to.
+    """One frame for each of the m joints that move, numbered from 1; frame 0 is the world.
 
     Attributes:
-        tree: (F, 11) as the kernel reads it.
-        of_body: (nbody,) frame of each body; 0 where it stands in the world.
+        axes: (m, 3) of the joints, in the world at the reference configuration.
+        anchors: (m, 3) m, a point on each axis.
+        slides: (m,) whether a joint slides.
+        references: (m,) rad, the joint positions of the reference configuration.
+        parents: (m,) the frames above.
+        joints: (m,) the row of each joint in the joint map.
+        of_body: (nbody,) the frame of each body.
     """
 
-    tree: Array
+    axes: Array
+    anchors: Array
+    slides: IntArray
+    references: Array
+    parents: IntArray
+    joints: IntArray
     of_body: IntArray
+
+    def depths(self) -> IntArray:
+        """(m + 1,) how many frames are above each, the world included."""
+        depths = np.zeros(len(self.parents) + 1, np.int64)
+        for i, parent in enumerate(self.parents):
+            depths[i + 1] = 1 + depths[parent]
+        return depths
 
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """The packed rows of a model. Arrays are read-only; `pairs` is copied by each thread that asks.
+    """What an arm could touch, and the model of it in the compiled core.
 
     Attributes:
-        geom_ids: (G,) the model's geoms in the order of the rows.
-        geoms: (G + groups, 41).
-        points: (P, 5).
-        neighbors: (N,).
-        pairs: (K, 9).
-        groups: (Q, 4).
-        tree: (F, 11).
-        depth: Frames above the deepest one, the world included.
+        geom_ids: (G,) the model's geoms in the order of the shapes.
+        shapes: Their shapes.
+        frames: What moves them.
+        core: The model in the core.
+        pairs: (K, 2) the shapes of each pair.
     """
 
     geom_ids: IntArray
-    geoms: Array
-    points: Array
-    neighbors: IntArray
-    pairs: Array
-    groups: IntArray
-    tree: Array
-    depth: int
+    shapes: Sequence[Shape]
+    frames: Frames
+    core: CollisionModel
+    pairs: IntArray
+
+    @classmethod
+    def of_core(cls, geom_ids: IntArray, shapes: Sequence[Shape], frames: Frames, core: CollisionModel) -> Geometry:
+        """The geometry of a model in the core, which has its own order of the pairs."""
+        pairs = np.empty((core.pair_count, 2), np.int64)
+        core.pairs(pairs)
+        return cls(frozen(geom_ids), shapes, frames, core, frozen(pairs))
 
     def with_pairs(self, keep: BoolArray) -> Geometry:
         """The same geometry with fewer pairs.
 
         Args:
             keep: (K,) which pairs stay.
-
-        Returns:
-            The geometry.
         """
-        rows = self.pairs[keep][:, [kernel.A, kernel.B]].astype(np.int64)
-        count = len(self.geom_ids)
-        return _packed(self.geom_ids, self.geoms[:count], self.points, self.neighbors, self.tree, rows)
+        return self.of_core(self.geom_ids, self.shapes, self.frames, self.core.with_pairs(keep.astype(np.int64)))
 
     def pair_geoms(self, pair: int) -> tuple[int, int]:
-        """The model's geoms of a pair.
-
-        Args:
-            pair: Its row.
-
-        Returns:
-            Both geoms.
-        """
-        first = int(self.pairs[pair, kernel.A])
-        second = int(self.pairs[pair, kernel.B])
-        return int(self.geom_ids[first]), int(self.geom_ids[second])
+        """The model's geoms of a pair."""
+        first, second = self.geom_ids[self.pairs[pair]].tolist()
+        return first, second
 
 
 def is_convex(model: mujoco.MjModel, geom: int) -> bool:
-    """Whether the kernels know a geom's shape; height fields and signed distance fields are not convex.
-
-    Args:
-        model: The model.
-        geom: The geom.
-
-    Returns:
-        True if they do.
-    """
+    """Whether the core knows a geom's shape; height fields and signed distance fields are not convex."""
     return int(model.geom_type[geom]) in _CONVEX
 
 
 def colliding_pairs(model: mujoco.MjModel) -> IntArray:
     """The pairs of geoms that MuJoCo tests for contacts: by their bits, parents and exclusions, and those that are listed.
-
-    Args:
-        model: The model.
 
     Returns:
         (K, 2), the lesser geom first.
@@ -163,12 +180,11 @@ def colliding_pairs(model: mujoco.MjModel) -> IntArray:
     return np.unique(np.vstack([tested, listed]).astype(np.int64), axis=0)
 
 
-def build_geometry(model: mujoco.MjModel, joints: Sequence[int], qpos: Array, held: dict[int, int] | None = None) -> Geometry:
-    """Packs the geoms that an arm could touch, or touch something with.
+def build_geometry(model: mujoco.MjModel, joint_map: JointMap, qpos: Array, held: dict[int, int] | None = None) -> Geometry:
+    """The geoms that an arm could touch, or touch something with.
 
     Args:
-        model: The model.
-        joints: The hinges and slides that move, in the order of the joint positions; all others stay where qpos has them.
+        joint_map: The hinges and slides that move; all others stay where qpos has them.
         qpos: (nq,) the reference configuration.
         held: Bodies that are carried, and the body that carries each.
 
@@ -180,210 +196,151 @@ def build_geometry(model: mujoco.MjModel, joints: Sequence[int], qpos: Array, he
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
-    frames = _frames(model, data, joints, held or {})
+    frames = _frames(model, data, joint_map.joints, held or {})
     pairs = _moving_pairs(model, frames)
     geom_ids = np.unique(pairs)
-    rows = np.zeros((len(geom_ids), kernel.GEOM_COLUMNS))
-    points: list[Array] = []
-    neighbors: list[int] = []
-    for row, geom in zip(rows, geom_ids, strict=True):
-        first = len(points)
-        shape = _shape(model, data, int(geom))
-        _write_geom(row, shape, int(frames.of_body[model.geom_bodyid[geom]]), first)
-        for i, point in enumerate(shape.points):
-            begin = len(neighbors)
-            neighbors += [first + k for k in shape.neighbors[i]] if shape.neighbors else []
-            points.append(np.array([*point, begin, len(neighbors)]))
-    index = {int(geom): i for i, geom in enumerate(geom_ids)}
-    by_row = np.array([[index[int(a)], index[int(b)]] for a, b in pairs], np.int64).reshape(-1, 2)
-    packed_points = np.array(points).reshape(-1, 5)
-    return _packed(geom_ids, rows, packed_points, np.array([*neighbors, 0], np.int64), frames.tree, by_row)
+    shapes = [_shape(model, data, int(geom), int(frames.of_body[model.geom_bodyid[geom]])) for geom in geom_ids]
+    core = _core_model(frames, shapes, joint_map, np.searchsorted(geom_ids, pairs))
+    return Geometry.of_core(geom_ids, shapes, frames, core)
+
+
+def _core_model(frames: Frames, shapes: Sequence[Shape], joint_map: JointMap, pairs: IntArray) -> CollisionModel:
+    first_vertex = np.cumsum([0, *(len(shape.vertices) for shape in shapes)])
+    counts = [shape.edges.counts for shape in shapes]
+    neighbors = [shape.edges.neighbors + first for shape, first in zip(shapes, first_vertex[:-1], strict=True)]
+    return CollisionModel(
+        axes=frames.axes,
+        anchors=frames.anchors,
+        slides=frames.slides,
+        references=frames.references,
+        parents=frames.parents,
+        joints=frames.joints,
+        ratio=joint_map.ratio,
+        joint_offset=joint_map.offset,
+        kinds=np.array([int(shape.kind) for shape in shapes], np.int64),
+        frames=np.array([shape.frame for shape in shapes], np.int64),
+        inflations=np.array([shape.inflation for shape in shapes], np.float64),
+        positions=np.array([shape.position for shape in shapes]).reshape(-1, 3),
+        rotations=np.array([shape.rotation for shape in shapes]).reshape(-1, 3, 3),
+        sizes=np.array([shape.size for shape in shapes]).reshape(-1, 3),
+        centers=np.array([shape.center for shape in shapes]).reshape(-1, 3),
+        bounds=np.array([shape.bound for shape in shapes], np.float64),
+        first_vertex=first_vertex.astype(np.int64),
+        vertices=np.concatenate([_NO_VERTICES, *(shape.vertices for shape in shapes)]),
+        first_neighbor=np.cumsum(np.concatenate([[0], *counts])).astype(np.int64),
+        neighbors=np.concatenate([np.empty(0, np.int64), *neighbors]).astype(np.int64),
+        directions=_depth_directions(),
+        pairs=np.ascontiguousarray(pairs, np.int64),
+    )
+
+
+@lru_cache(maxsize=1)
+def _depth_directions() -> Array:
+    """(D, 3) unit vectors, spread evenly over the sphere (Fibonacci lattice), with the axes of the world."""
+    i = np.arange(_DEPTH_DIRECTIONS) + 0.5
+    polar = np.arccos(1.0 - 2.0 * i / _DEPTH_DIRECTIONS)
+    turn = np.pi * (1.0 + np.sqrt(5.0)) * i
+    lattice = np.column_stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)])
+    return np.vstack([lattice, np.eye(3), -np.eye(3)])
 
 
 def _frames(model: mujoco.MjModel, data: mujoco.MjData, order: Sequence[int], held: dict[int, int]) -> Frames:
     """One frame for each joint that moves. A body belongs to the last one above it, a carried body to its carrier's."""
     joints = sorted(order)  # MuJoCo numbers parents before children
-    reference = data.qpos[model.jnt_qposadr[joints]]
-    tree = np.zeros((len(joints), kernel.TREE_COLUMNS))
+    parents = np.zeros(len(joints), np.int64)
     of_body = np.zeros(model.nbody, np.int64)
     for body in range(1, model.nbody):
         of_body[body] = of_body[int(model.body_parentid[body])]
         for i, joint in enumerate(joints):
-            if model.jnt_bodyid[joint] != body:
-                continue
-            parent = int(of_body[body])
-            row = tree[i]
-            row[kernel.AXIS : kernel.AXIS + 3] = data.xaxis[joint]
-            row[kernel.ANCHOR : kernel.ANCHOR + 3] = data.xanchor[joint]
-            is_slide = model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_SLIDE)
-            row[kernel.KIND] = kernel.SLIDE if is_slide else kernel.HINGE
-            row[kernel.REFERENCE] = reference[i]
-            row[kernel.PARENT] = parent
-            row[kernel.JOINT] = order.index(joint)
-            row[kernel.DEPTH] = 1 + (tree[parent - 1, kernel.DEPTH] if parent else 0)
-            of_body[body] = i + 1
+            if model.jnt_bodyid[joint] == body:
+                parents[i] = of_body[body]
+                of_body[body] = i + 1
     for body in range(1, model.nbody):
         for carried, carrier in held.items():
             if is_below(model, body, carried):
                 of_body[body] = of_body[carrier]
-    return Frames(tree, of_body)
+    return Frames(
+        axes=data.xaxis[joints],
+        anchors=data.xanchor[joints],
+        slides=(model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_SLIDE)).astype(np.int64),
+        references=data.qpos[model.jnt_qposadr[joints]],
+        parents=parents,
+        joints=np.array([order.index(joint) for joint in joints], np.int64),
+        of_body=of_body,
+    )
 
 
 def _moving_pairs(model: mujoco.MjModel, frames: Frames) -> IntArray:
     """The convex pairs that the motion of the arm can change; planes first, then the geom that is nearer to the base."""
     pairs = colliding_pairs(model)
     frame = frames.of_body[model.geom_bodyid]
-    convex = np.array([is_convex(model, geom) for geom in range(model.ngeom)], bool)
+    convex = np.isin(model.geom_type, _CONVEX)
     pairs = pairs[(frame[pairs[:, 0]] != frame[pairs[:, 1]]) & convex[pairs].all(axis=1)]
-    depth = np.concatenate([[0], frames.tree[:, kernel.DEPTH]])
-    rank = 2 * depth[frame] - (model.geom_type == _PLANE)
+    rank = 2 * frames.depths()[frame] - (model.geom_type == _PLANE)
     swap = rank[pairs[:, 0]] > rank[pairs[:, 1]]
     pairs[swap] = pairs[swap][:, ::-1]
     return pairs
 
 
-def _write_geom(row: Array, shape: Shape, frame: int, first: int) -> None:
-    row[kernel.CENTER : kernel.CENTER + 3] = shape.center
-    row[kernel.BOUND] = shape.bound * _ROUNDING
-    row[kernel.RADIUS] = shape.radius
-    row[kernel.SHAPE] = shape.kind
-    row[kernel.FRAME] = frame
-    row[kernel.FIRST] = first
-    row[kernel.LAST] = first + len(shape.points)
-    row[kernel.INFO : kernel.INFO + 16] = shape.info
-    if shape.box is not None:
-        row[kernel.IS_BOX] = 1.0
-        row[kernel.BOX : kernel.BOX + 15] = shape.box
-
-
-def _shape(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Shape:
+def _shape(model: mujoco.MjModel, data: mujoco.MjData, geom: int, frame: int) -> Shape:
     """The shape of a geom in the world, where `data` has it."""
     position = data.geom_xpos[geom].copy()
     R = data.geom_xmat[geom].reshape(3, 3).copy()
     size = model.geom_size[geom]
     kind = int(model.geom_type[geom])
-    info = np.zeros(16)
+    round_shape = Shape(
+        kind=ShapeKind.HULL,
+        frame=frame,
+        position=position,
+        rotation=R,
+        size=size,
+        vertices=_NO_VERTICES,
+        inflation=0.0,
+        center=position,
+        bound=np.inf,
+        edges=Edges.unknown(_NO_VERTICES),
+    )
     if kind == _PLANE:
-        info[:3] = R[:, 2]
-        info[3] = R[:, 2] @ position
-        return Shape(kernel.PLANE, position[None], 0.0, info, None, position, np.inf, ())
+        return round_shape._replace(kind=ShapeKind.PLANE)
     if kind == _ELLIPSOID:
-        info[:9] = (R * size).ravel()
-        return Shape(kernel.ELLIPSOID, position[None], 0.0, info, None, position, float(size.max()), ())
+        return round_shape._replace(kind=ShapeKind.ELLIPSOID, bound=float(size.max()))
     if kind == _CYLINDER:
-        info[:3] = R[:, 2]
-        info[3:5] = size[:2]
-        return Shape(kernel.CYLINDER, position[None], 0.0, info, None, position, float(np.hypot(size[0], size[1])), ())
+        return round_shape._replace(kind=ShapeKind.CYLINDER, bound=float(np.hypot(size[0], size[1])))
     if kind == _SPHERE:
-        return Shape(kernel.POINTS, position[None], float(size[0]), info, None, position, float(size[0]), ())
+        radius = float(size[0])
+        center = position[None]
+        return round_shape._replace(vertices=center, inflation=radius, bound=radius, edges=Edges.unknown(center))
     if kind == _CAPSULE:
         axis = R[:, 2] * size[1]
-        points = np.array([position - axis, position + axis])
-        return Shape(kernel.POINTS, points, float(size[0]), info, None, position, float(size[0] + size[1]), ())
+        ends = np.array([position - axis, position + axis])
+        bound = float(size[0] + size[1])
+        return round_shape._replace(vertices=ends, inflation=float(size[0]), bound=bound, edges=Edges.unknown(ends))
     if kind == _BOX:
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        points = position + (signs * size) @ R.T
-        box = np.concatenate([position, R.T.ravel(), size])
-        return Shape(kernel.POINTS, points, 0.0, info, box, position, float(np.linalg.norm(size)), ())
-    vertices, neighbors = _hull(model, int(model.geom_dataid[geom]))
-    points = position + vertices @ R.T
-    center, bound = _bounding_sphere(points)
-    return Shape(kernel.POINTS, points, 0.0, info, None, center, bound, neighbors)
+        corners = position + (signs * size) @ R.T
+        bound = float(np.linalg.norm(size))
+        return round_shape._replace(kind=ShapeKind.BOX, vertices=corners, bound=bound, edges=Edges.unknown(corners))
+    vertices, edges = _hull(model, int(model.geom_dataid[geom]))
+    vertices = position + vertices @ R.T
+    center = np.empty(3)
+    bound = bounding_sphere(vertices, center)
+    return round_shape._replace(vertices=vertices, center=center, bound=bound, edges=edges)
 
 
-def _hull(model: mujoco.MjModel, mesh: int) -> tuple[Array, Sequence[Sequence[int]]]:
-    """The vertices of a mesh's convex hull, (V, 3), and the neighbors of each, by MuJoCo's own hull graph.
+def _hull(model: mujoco.MjModel, mesh: int) -> tuple[Array, Edges]:
+    """The vertices of a mesh's convex hull, (V, 3), and its edges, by MuJoCo's own hull graph.
 
-    The graph is: numbers of vertices and faces, where the edges of each vertex start, the vertices' numbers, and the edges,
-    each list ended by -1 (MuJoCo's `mesh_graph`).
+    The graph is: numbers of vertices and faces, where the edges of each vertex start, the vertices' numbers, and the edges of
+    one vertex after another, each list ended by -1 (MuJoCo's `mesh_graph`).
     """
     address = int(model.mesh_vertadr[mesh])
     vertices = model.mesh_vert[address : address + model.mesh_vertnum[mesh]].astype(np.float64)
     graph_address = int(model.mesh_graphadr[mesh])
     if graph_address < 0:  # a mesh of four vertices at most is its own hull
-        return vertices, ()
-    graph = model.mesh_graph[graph_address:]
-    count = int(graph[0])
-    starts = graph[2 : 2 + count]
-    numbers = graph[2 + count : 2 + 2 * count]
-    edges = graph[2 + 2 * count :]
-    if count <= kernel.LARGE_HULL:
-        return vertices[numbers], ()
-    neighbors = []
-    for start in starts:
-        stop = start
-        while edges[stop] >= 0:
-            stop += 1
-        neighbors.append([int(edge) for edge in edges[start:stop]])
-    return vertices[numbers], neighbors
-
-
-def _bounding_sphere(points: Array, radii: Array | float = 0.0) -> tuple[Array, float]:
-    """A small sphere around spheres: M. Badoiu, K. L. Clarkson, "Smaller core-sets for balls", SODA 2003."""
-    center = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    for step in range(_SPHERE_STEPS):
-        farthest = int(np.argmax(np.linalg.norm(points - center, axis=1) + radii))
-        center = center + (points[farthest] - center) / (step + 2)
-    return center, float(np.max(np.linalg.norm(points - center, axis=1) + radii))
-
-
-def _packed(geom_ids: IntArray, geoms: Array, points: Array, neighbors: IntArray, tree: Array, pairs: IntArray) -> Geometry:
-    """Adds the groups: all geoms of a moving frame together, each thing that stands alone."""
-    count = len(geoms)
-    frame = geoms[:, kernel.FRAME].astype(np.int64)
-    group = np.arange(count)
-    rows = [*geoms]
-    for moving in np.unique(frame[frame > 0]):
-        members = np.flatnonzero(frame == moving)
-        row = np.zeros(kernel.GEOM_COLUMNS)
-        center, bound = _bounding_sphere(geoms[members, :3], geoms[members, kernel.BOUND])
-        row[kernel.CENTER : kernel.CENTER + 3] = center
-        row[kernel.BOUND] = bound * _ROUNDING
-        row[kernel.FRAME] = moving
-        group[members] = len(rows)
-        rows.append(row)
-    key = group[pairs[:, 0]] * len(rows) + group[pairs[:, 1]]
-    order = np.argsort(key, kind="stable")
-    pairs = pairs[order]
-    key = key[order]
-    starts = np.flatnonzero(np.diff(key, prepend=-1))
-    stops = np.append(starts[1:], len(key))[: len(starts)]
-    groups = np.column_stack([key[starts] // len(rows), key[starts] % len(rows), starts, stops]).astype(np.int64)
-    packed_pairs = np.zeros((len(pairs), kernel.PAIR_COLUMNS))
-    packed_pairs[:, [kernel.A, kernel.B]] = pairs
-    packed_pairs[:, [kernel.VERTEX_A, kernel.VERTEX_B]] = -1.0
-    for row, (a, b) in zip(packed_pairs, pairs, strict=True):
-        common = _common_frame(tree, int(frame[a]), int(frame[b]))
-        row[kernel.COMMON] = common
-        row[kernel.COMMON_DEPTH] = tree[common - 1, kernel.DEPTH] if common else 0.0
-    return Geometry(
-        geom_ids=frozen(geom_ids),
-        geoms=frozen(np.array(rows).reshape(-1, kernel.GEOM_COLUMNS)),
-        points=frozen(points),
-        neighbors=frozen(neighbors),
-        pairs=frozen(packed_pairs),
-        groups=frozen(groups),
-        tree=frozen(tree),
-        depth=1 + int(tree[:, kernel.DEPTH].max(initial=0.0)),
-    )
-
-
-def frames_above(tree: Array, frame: int) -> list[int]:
-    """A frame and those above it, up to the world, 0.
-
-    Args:
-        tree: (F, 11).
-        frame: The frame.
-
-    Returns:
-        Frames, from the given one to the world.
-    """
-    path = [frame]
-    while path[-1] > 0:
-        path.append(int(tree[path[-1] - 1, kernel.PARENT]))
-    return path
-
-
-def _common_frame(tree: Array, a: int, b: int) -> int:
-    above = frames_above(tree, a)
-    return next(frame for frame in frames_above(tree, b) if frame in above)
+        return vertices, Edges.unknown(vertices)
+    count = int(model.mesh_graph[graph_address])
+    faces = int(model.mesh_graph[graph_address + 1])
+    graph = model.mesh_graph[graph_address + 2 : graph_address + 2 + 3 * (count + faces)].astype(np.int64)
+    starts, numbers, edges = np.split(graph, [count, 2 * count])
+    stops = np.flatnonzero(edges < 0)
+    return vertices[numbers], Edges(counts=stops - starts, neighbors=edges[edges >= 0])

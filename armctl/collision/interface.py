@@ -45,7 +45,6 @@ class KeptAxis(NamedTuple):
 
     Attributes:
         name: "x", "y" or "z".
-        body: The tip's body.
         q: (n,) rad, where it has the direction that it keeps.
         direction: (3,) of the world.
         within: rad that it may tilt.
@@ -56,32 +55,6 @@ class KeptAxis(NamedTuple):
     q: Array
     direction: Array
     within: float
-
-
-class Hit(NamedTuple):
-    """A pair that is not known to be free.
-
-    Attributes:
-        pair: Its row in the checker's geometry.
-        time: s, when.
-    """
-
-    pair: int
-    time: float
-
-
-class Approach(NamedTuple):
-    """How near a motion comes.
-
-    Attributes:
-        bound: m, proved for the whole motion; negative if the clearance could not be proved.
-        distance: m, that occurs: at most 0.2 mm above the bound, or where the proof failed.
-        nearest: Its pair and time.
-    """
-
-    bound: float
-    distance: float
-    nearest: Hit
 
 
 class NearPairs(NamedTuple):

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from functools import partial
 
-from armctl.control.adaptive import Adaptive
 from armctl.control.admittance import Admittance
 from armctl.control.computed_torque import ComputedTorque
 from armctl.control.computed_torque_learning import ComputedTorqueLearning
@@ -11,7 +10,7 @@ from armctl.control.computed_torque_observer import ComputedTorqueObserver
 from armctl.control.computed_torque_qp import ComputedTorqueQP
 from armctl.control.hybrid_force import HybridForce
 from armctl.control.impedance import Impedance
-from armctl.control.interface import Controller, KernelController, State, controller_name
+from armctl.control.interface import CompiledController, Controller, State, controller_name
 from armctl.control.operational_space import OperationalSpace
 from armctl.control.pd import PD
 from armctl.control.pd_feedforward import PDFeedforward
@@ -33,7 +32,6 @@ CONTROLLERS: dict[str, Callable[[Arm], Controller]] = {
     "qp": ComputedTorqueQP,
     "operational-space": OperationalSpace,
     "impedance": Impedance,
-    "adaptive": Adaptive,
 }
 
 
@@ -51,8 +49,8 @@ def controller_by_name(name: str, arm: Arm) -> Controller:
 __all__ = [
     "CONTROLLERS",
     "PD",
-    "Adaptive",
     "Admittance",
+    "CompiledController",
     "ComputedTorque",
     "ComputedTorqueLearning",
     "ComputedTorqueObserver",
@@ -60,7 +58,6 @@ __all__ = [
     "Controller",
     "HybridForce",
     "Impedance",
-    "KernelController",
     "OperationalSpace",
     "PDFeedforward",
     "PDGravity",

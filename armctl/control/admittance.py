@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl import _core
 from armctl.control.arm_controller import ArmController
 from armctl.control.gains import MAX_BANDWIDTH, gain
-from armctl.control.task_space import POSE_SIZE, task_rows
+from armctl.control.task_space import POSE_SIZE
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, number
 from armctl.robot.arm import Arm
@@ -54,7 +53,6 @@ class Admittance(ArmController):
         """An admittance controller for an arm.
 
         Args:
-            arm: The arm whose model it uses.
             mass: (6,) kg and kg m^2, or one number for all six. The default is three times the effective
                 inertia of the tip at home.
             stiffness: (6,) N/m and N m/rad, or one number for all six. The default is mass x (10 rad/s)^2.
@@ -78,24 +76,19 @@ class Admittance(ArmController):
     @property
     def offset(self) -> Array:
         """(6,) m and rad, the displacement of the reference after the last tick."""
-        from armctl.control.admittance_kernel import OFFSET
+        law = self._law
+        return law.offset.copy() if isinstance(law, _core.Admittance) else np.zeros(POSE_SIZE)
 
-        return self.memory[OFFSET : OFFSET + POSE_SIZE].copy()
-
-    @property
-    def kernel(self) -> Callable[..., None]:
-        """The compiled law, as `KernelController` describes it."""
-        from armctl.control.admittance_kernel import admittance
-
-        return admittance
-
-    def _constants(self, dt: float, continuous: bool) -> Sequence[Array | Sequence[float]]:
-        return [dt, self.bandwidth, task_rows(self._arm).stop], self.mass, self.damping, self.stiffness
-
-    def _own_memory_size(self) -> int:
-        from armctl.control.admittance_kernel import memory_size
-
-        return memory_size(self.n)
+    def _make_law(self, dt: float, continuous: bool) -> _core.Law:
+        """A law with the present gains, at the start of a run."""
+        return _core.Admittance(
+            self._model(dt, continuous),
+            mass=self.mass,
+            damping=self.damping,
+            stiffness=self.stiffness,
+            bandwidth=self.bandwidth,
+            dt=dt,
+        )
 
 
 def _inertia_at_home(arm: Arm) -> Array:

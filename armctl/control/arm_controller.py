@@ -1,64 +1,40 @@
-"""The base of the shipped controllers: a kernel whose parameters are constants and the arm's model."""
+"""The base of the shipped controllers."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
 
-import numpy as np
-
-from armctl.control.interface import KernelController, checked_period
-from armctl.core.validation import Array
+from armctl import _core
+from armctl.control.interface import CompiledController, checked_period
 from armctl.robot.arm import Arm, check_arm
 
 
-class ArmController(KernelController):
-    """A controller for an arm. Behind its own memory, the kernel has scratch memory of the model."""
-
-    _has_model = True
+class ArmController(CompiledController):
+    """A controller for an arm."""
 
     def __init__(self, arm: Arm):
-        """A controller whose memory is empty.
-
-        Args:
-            arm: The arm.
-        """
+        """A controller at the start of a run."""
         check_arm(arm)
         super().__init__(arm.n)
         self._arm = arm
 
-    @property
-    def memory_size(self) -> int:
-        """How many numbers of memory the kernel needs, with scratch."""
-        return self._own_memory_size() + (self._arm.packed_dynamics.work_size() if self._has_model else 0)
-
-    def parameters(self, dt: float, continuous: bool) -> Array:
-        """The constants of a run: gains and limits, then the model.
+    def make_law(self, dt: float, continuous: bool) -> _core.Law:
+        """A law with the present gains, at the start of a run.
 
         Args:
-            dt: s, the control period.
+            dt: s, the control period; 0 means continuous time.
             continuous: Whether the arm moves continuously during the control period.
 
-        Returns:
-            A new vector, the first argument of the kernel.
-
         Raises:
-            InputError: The control period is no number in [0, 1] s, or `continuous` is not True or False.
+            InputError: The control period is no number in [0, 1] s, `continuous` is not True or False, or an assigned gain
+                is negative, not finite or of the wrong length.
         """
-        dt, continuous = checked_period(dt, continuous)
-        parts = [*self._constants(dt, continuous)]
-        if self._has_model:
-            parts.append(self._packed_model(dt, continuous))
-        return np.concatenate(parts, dtype=np.float64)
+        return self._make_law(*checked_period(dt, continuous))
 
     @abstractmethod
-    def _constants(self, dt: float, continuous: bool) -> Sequence[Array | Sequence[float]]:
-        """The parameters before the model, in parts."""
+    def _make_law(self, dt: float, continuous: bool) -> _core.Law:
+        """`make_law` with checked arguments."""
 
-    def _packed_model(self, dt: float, continuous: bool) -> Array:
-        """The model that the law inverts."""
-        return self._arm.packed_dynamics.vector(dt, continuous)
-
-    def _own_memory_size(self) -> int:
-        """How many numbers of memory the kernel needs besides scratch of the model."""
-        return 0
+    def _model(self, dt: float, continuous: bool) -> _core.ArmModel:
+        """The model of a control period."""
+        return self._arm.core_model.for_period(dt, continuous)

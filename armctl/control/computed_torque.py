@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from weakref import WeakSet
-
 import numpy as np
 
+from armctl import _core
 from armctl.control.arm_controller import ArmController
 from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH, extra_inertia
 from armctl.control.integral_gains import IntegralGains, integral_gains
+from armctl.control.interface import checked_period
 from armctl.control.observer_gains import max_inertia_ratio
-from armctl.core.errors import InputError, ModelError
+from armctl.core.errors import InputError
 from armctl.core.validation import Array, choice, instance, number
 from armctl.robot.arm import Arm
 
 FORMS = ("discrete", "textbook")
 DEFAULT_DELAY_MARGIN_S = 5e-3
-_TOLERANCE = 1e-9  # relative, as between Pinocchio and MuJoCo
-
-_checked: WeakSet[Arm] = WeakSet()  # arms whose law was compared with Pinocchio
 
 
 class ComputedTorque(ArmController):
@@ -60,7 +56,6 @@ class ComputedTorque(ArmController):
         """A computed torque controller for an arm.
 
         Args:
-            arm: The arm whose model it uses.
             bandwidth: rad/s, the natural frequency of the error.
             damping_ratio: 1 is critically damped.
             form: "discrete" or "textbook".
@@ -88,53 +83,50 @@ class ComputedTorque(ArmController):
         elif self.form == "textbook":
             self.name = "computed-torque-textbook"
 
-    @property
-    def kernel(self) -> Callable[..., None]:
-        """The compiled law, as `KernelController` describes it."""
-        from armctl.control.computed_torque_kernel import computed_torque
-
-        return computed_torque
-
-    def _constants(self, dt: float, continuous: bool) -> Sequence[Array | Sequence[float]]:
-        if self.integral:
-            gains = integral_gains(dt, self.delay_margin, continuous, max_inertia_ratio(self._arm))
-            added = np.zeros(self.n)
-        else:
-            gains = IntegralGains(self.bandwidth**2, 2 * self.damping_ratio * self.bandwidth, 0.0)
-            added = extra_inertia(self._arm, self.bandwidth, self.damping_ratio, dt)
-        header = [float(self.form == "textbook"), gains.ki * dt]
-        kp = np.full(self.n, gains.kp)
-        kd = np.full(self.n, gains.kd)
-        return header, kp, kd, added, self._arm.limits.tau_max
-
-    def _packed_model(self, dt: float, continuous: bool) -> Array:
-        if self._arm not in _checked:
-            _check_law(self._arm)
-            _checked.add(self._arm)
+    def _make_law(self, dt: float, continuous: bool) -> _core.Law:
+        """A law with the present gains, at the start of a run."""
+        gains = self.gains_at(dt, continuous)
         is_textbook = self.form == "textbook"
-        return self._arm.packed_dynamics.vector(0.0 if is_textbook else dt, continuous and not is_textbook)
-
-    def _own_memory_size(self) -> int:
-        from armctl.control.computed_torque_kernel import memory_size
-
-        return memory_size(self.n)
-
-
-def _check_law(arm: Arm) -> None:
-    """Compares the compiled law without errors and dry friction with Pinocchio's inverse dynamics."""
-    from armctl.control.computed_torque_kernel import HEADER, computed_torque, memory_size
-    from armctl.robot.dynamics_kernel import HAS_FRICTION
-
-    q, v, a = np.random.default_rng(0).uniform(-1.0, 1.0, (3, arm.n))
-    model = arm.packed_dynamics.vector(0.0)
-    model[HAS_FRICTION] = 0.0
-    parameters = np.concatenate([np.zeros(HEADER + 4 * arm.n), model])
-    memory = np.zeros(memory_size(arm.n) + arm.packed_dynamics.work_size())
-    tau = np.zeros(arm.n)
-    computed_torque(parameters, q, v, np.array([q, v, a, v, a]), memory, tau)
-    expected = arm.inverse_dynamics(q, v, a)
-    error = float(np.abs(tau - expected).max() / max(1.0, np.abs(expected).max()))
-    if not error <= _TOLERANCE:
-        raise ModelError(
-            f"the compiled computed torque of {arm.name:.80} differs by {error:.2g} from Pinocchio's inverse dynamics"
+        return _core.ComputedTorque(
+            self._arm.core_model if is_textbook else self._model(dt, continuous),
+            stiffness=gains.kp,
+            damping=gains.kd,
+            integral_gain=gains.ki,
+            added_inertia=self.added_inertia(dt),
+            torque_limit=self._arm.limits.tau_max,
+            textbook=is_textbook,
+            dt=dt,
         )
+
+    def gains_at(self, dt: float, continuous: bool) -> IntegralGains:
+        """The gains for a control period.
+
+        Args:
+            dt: s, the control period; 0 means continuous time.
+            continuous: Whether the arm moves continuously during the control period.
+
+        Returns:
+            The gains that all joints share.
+
+        Raises:
+            InputError: The control period is no number in [0, 1] s, or `continuous` is not True or False.
+        """
+        dt, continuous = checked_period(dt, continuous)
+        if self.integral:
+            return integral_gains(dt, self.delay_margin, continuous, max_inertia_ratio(self._arm))
+        return IntegralGains(self.bandwidth**2, 2 * self.damping_ratio * self.bandwidth, 0.0)
+
+    def added_inertia(self, dt: float) -> Array:
+        """The inertia with which the feedback of joints of negligible inertia acts.
+
+        Args:
+            dt: s, the control period; 0 means continuous time.
+
+        Returns:
+            (n,) kg m^2.
+
+        Raises:
+            InputError: The control period is no number in [0, 1] s.
+        """
+        dt, _ = checked_period(dt, False)
+        return np.zeros(self.n) if self.integral else extra_inertia(self._arm, self.bandwidth, self.damping_ratio, dt)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from armctl import _core
 from armctl.control.computed_torque_observer import ComputedTorqueObserver
 from armctl.control.task_space import arm_length
 from armctl.core.errors import InputError
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 
+BODY_PARAMETERS = 10  # mass, first and second moments of the payload
 FILTER_BANDWIDTH = 60.0  # rad/s, of each of two low-passes; above most motion, and below the noise of measured accelerations
 TORQUE_NOISE_SHARE = 0.01  # of the torque limits: standard deviation of torques that neither model nor payload explain
 FORGETTING_RATE = 0.2  # 1/s, while the reference moves and the estimate explains the torques
@@ -72,49 +73,38 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
     @property
     def payload(self) -> Array:
         """The estimate of this run, (4,): mass, kg, and first moment m c in the tip's frame, kg m."""
-        return self.memory[:4].copy()
+        return self._estimate[:4]
 
     @property
     def delay(self) -> float:
         """The estimate of this run of the time, s, that passes until a torque acts."""
-        from armctl.control.payload_kernel import DELAY
-
-        return float(self.memory[DELAY])
+        return float(self._estimate[BODY_PARAMETERS])
 
     @property
     def friction(self) -> Array:
         """The estimate of this run of the dry friction, (n,) N m, besides that of the model."""
-        from armctl.control.payload_kernel import FRICTION
-
-        return self.memory[FRICTION : FRICTION + self.n].copy()
+        return self._estimate[BODY_PARAMETERS + 1 :]
 
     @property
-    def disturbance(self) -> Array:
-        """The torque (n,) N m that the observer estimates besides what is learnt."""
-        from armctl.control.computed_torque_observer_kernel import estimate, memory_size
+    def _estimate(self) -> Array:
+        """(11 + n,) inertial parameters of the payload, delay and friction."""
+        law = self._law
+        return law.estimate.copy() if isinstance(law, _core.ComputedTorqueLearning) else np.zeros(BODY_PARAMETERS + 1 + self.n)
 
-        size = memory_size(self.n) + self._arm.packed_dynamics.work_size()
-        return estimate(self.memory[-size:], self.n).copy()
-
-    @property
-    def kernel(self) -> Callable[..., None]:
-        """The compiled law, as `KernelController` describes it."""
-        from armctl.control.computed_torque_learning_kernel import computed_torque_learning
-
-        return computed_torque_learning
-
-    def _own_memory_size(self) -> int:
-        from armctl.control.computed_torque_learning_kernel import memory_size
-
-        return memory_size(self.n)
-
-    def _constants(self, dt: float, continuous: bool) -> Sequence[Array | Sequence[float]]:
-        filter_weight = -math.expm1(-FILTER_BANDWIDTH * dt)
-        information_weight = 0.5 * FILTER_BANDWIDTH * dt  # filtered samples are correlated over two periods of the low-pass
-        rates = [filter_weight, information_weight, FORGETTING_RATE * dt]
+    def _make_law(self, dt: float, continuous: bool) -> _core.Law:
+        """A law with the present gains, at the start of a run."""
         tau_max = self._arm.limits.tau_max
         deviations = [self._prior, [PRIOR_DELAY_PERIODS * dt], PRIOR_FRICTION_SHARE * tau_max]
-        return rates, 1 / (TORQUE_NOISE_SHARE * tau_max), *deviations, *super()._constants(dt, continuous)
+        return _core.ComputedTorqueLearning(
+            self._model(dt, continuous),
+            **self._law_gains(dt, continuous),
+            filter_weight=-math.expm1(-FILTER_BANDWIDTH * dt),
+            # Filtered samples are correlated over two periods of the low-pass.
+            information_weight=0.5 * FILTER_BANDWIDTH * dt,
+            forgetting=FORGETTING_RATE * dt,
+            torque_precision=1 / (TORQUE_NOISE_SHARE * tau_max),
+            prior_deviations=np.concatenate(deviations),
+        )
 
 
 def _prior_deviations(arm: Arm) -> Array:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
+from armctl import _core
 from armctl.control.arm_controller import ArmController
 from armctl.control.gains import MAX_BANDWIDTH
 from armctl.control.observer_gains import (
@@ -47,7 +48,6 @@ class ComputedTorqueObserver(ArmController):
         """A computed torque controller with an observer for an arm.
 
         Args:
-            arm: The arm whose model it uses.
             bandwidth: rad/s, the natural frequency of the error; by default it follows from the margins, like the others.
             damping_ratio: 1 is critically damped.
             observer_bandwidth: rad/s up to which unknown torques are cancelled.
@@ -63,40 +63,35 @@ class ComputedTorqueObserver(ArmController):
     @property
     def disturbance(self) -> Array:
         """The torque (n,) N m that the observer estimates."""
-        from armctl.control.computed_torque_observer_kernel import estimate
+        law = self._law
+        return law.disturbance.copy() if isinstance(law, _core.ComputedTorqueObserver) else np.zeros(self.n)
 
-        return estimate(self.memory, self.n).copy()
+    def _make_law(self, dt: float, continuous: bool) -> _core.Law:
+        """A law with the present gains, at the start of a run."""
+        return _core.ComputedTorqueObserver(self._model(dt, continuous), **self._law_gains(dt, continuous))
 
-    @property
-    def kernel(self) -> Callable[..., None]:
-        """The compiled law, as `KernelController` describes it."""
-        from armctl.control.computed_torque_observer_kernel import computed_torque_observer
+    def _law_gains(self, dt: float, continuous: bool) -> dict[str, Any]:
+        """Arguments of the compiled law."""
+        gains = self._gains_at(dt)
+        return {
+            "stiffness": gains.feedback**2,
+            "damping": 2 * gains.damping_ratio * gains.feedback,
+            "position_weight": position_weight(gains.estimate, dt),
+            "velocity_weight": velocity_weight(gains.estimate, dt),
+            "disturbance_weight": low_pass_weight(gains.disturbance, dt),
+            "torque_limit": self._arm.limits.tau_max,
+            "dt": dt,
+            "continuous": continuous,
+        }
 
-        return computed_torque_observer
-
-    def _own_memory_size(self) -> int:
-        from armctl.control.computed_torque_observer_kernel import memory_size
-
-        return memory_size(self.n)
-
-    def _constants(self, dt: float, continuous: bool) -> Sequence[Array | Sequence[float]]:
+    def _gains_at(self, dt: float) -> ObserverGains:
         default = observer_gains(self._arm, dt)
-        gains = ObserverGains(
+        return ObserverGains(
             feedback=default.feedback if self.bandwidth is None else self.bandwidth,
             damping_ratio=default.damping_ratio if self.damping_ratio is None else self.damping_ratio,
             estimate=default.estimate,
             disturbance=default.disturbance if self.observer_bandwidth is None else self.observer_bandwidth,
         )
-        header = [
-            dt,
-            0.5 if continuous else 1.0,
-            position_weight(gains.estimate, dt),
-            velocity_weight(gains.estimate, dt),
-            low_pass_weight(gains.disturbance, dt),
-        ]
-        stiffness = np.full(self.n, gains.feedback**2)
-        damping = np.full(self.n, 2 * gains.damping_ratio * gains.feedback)
-        return header, stiffness, damping, self._arm.limits.tau_max
 
 
 def _optional(name: str, value: float | None) -> float | None:

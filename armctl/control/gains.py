@@ -182,7 +182,6 @@ def margin_gains(arm: Arm, dt: float, integral: bool = False) -> FeedbackGains:
     smallest the peak sensitivity. Damping in the model allows more stiffness. Where gravity needs more, the peak is higher.
 
     Args:
-        arm: The arm.
         dt: s, the control period.
         integral: Whether there is an integral term.
     """
@@ -238,7 +237,6 @@ def extra_inertia(arm: Arm, bandwidth: float, damping_ratio: float, dt: float) -
     are bounded by the delay margin in all sampled configurations.
 
     Args:
-        arm: The arm.
         bandwidth: rad/s, of the feedback of the unit masses.
         damping_ratio: Of that feedback.
         dt: s, the control period.
@@ -270,7 +268,6 @@ def bandwidth_gains(
     """Stiffness and damping of each joint, from a bandwidth unless given.
 
     Args:
-        arm: The arm.
         bandwidth: rad/s, the natural frequency of each joint's closed loop at its median inertia; 30 if None.
         damping_ratio: 1 is critically damped.
         stiffness: (n,) or one number for all joints, N m/rad (Kp), instead of bandwidth^2 x inertia.

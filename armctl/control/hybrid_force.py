@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 
+import numpy as np
+
+from armctl import _core
 from armctl.control.arm_controller import ArmController
 from armctl.control.gains import MAX_BANDWIDTH
 from armctl.control.task_space import task_rows
 from armctl.core.errors import InputError, UnknownNameError
-from armctl.core.validation import Array, choice, number, shown
+from armctl.core.validation import Array, IntArray, choice, number, shown
 from armctl.robot.arm import Arm
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -55,7 +58,6 @@ class HybridForce(ArmController):
         """A hybrid force controller for an arm.
 
         Args:
-            arm: The arm whose model it uses.
             force: The target force, N along "x", "y", "z" and N m about "rx", "ry", "rz"; all other axes follow the motion.
                 `{"z": -20.0}` presses down with 20 N.
             frame: "world" for axes of the world, "tip" for axes that turn with the tip.
@@ -96,44 +98,32 @@ class HybridForce(ArmController):
                 raise InputError(f"force: an arm of {self.n} joints controls no moments, so {name} cannot be a force axis")
             targets[name] = number(f"force along {name}", target)
         self._force = targets
-        if self._memory is not None:
-            self._axes()[[name not in targets for name in AXES]] = 0.0  # an axis that comes back begins with an approach
+        if isinstance(self._law, _core.HybridForce):
+            self._law.set_axes(*self._axes())  # an axis that comes back later begins with an approach
 
     @property
     def in_contact(self) -> bool:
         """Whether every force axis is in contact."""
-        from armctl.control.hybrid_force_kernel import TOUCHES
+        if isinstance(self._law, _core.HybridForce):
+            return self._law.in_contact
+        return not any(self._force.values())
 
-        touches = self._axes()[:, TOUCHES]
-        return all(touches[AXES.index(name)] for name, target in self._force.items() if target)
+    def _make_law(self, dt: float, continuous: bool) -> _core.Law:
+        """A law with the present gains, at the start of a run."""
+        is_force, targets = self._axes()
+        return _core.HybridForce(
+            self._model(dt, continuous),
+            bandwidth=self.bandwidth,
+            damping_ratio=self.damping_ratio,
+            in_tip_frame=self.frame == "tip",
+            approach_speed=self.approach_speed or 0.0,
+            contact_force=self.contact_force or 0.0,
+            is_force=is_force,
+            targets=targets,
+            dt=dt,
+        )
 
-    @property
-    def kernel(self) -> Callable[..., None]:
-        """The compiled law, as `KernelController` describes it."""
-        from armctl.control.hybrid_force_kernel import hybrid_force
-
-        return hybrid_force
-
-    def _constants(self, dt: float, continuous: bool) -> Sequence[Sequence[float]]:
-        header = [
-            dt,
-            self.bandwidth,
-            self.damping_ratio,
-            float(task_rows(self._arm).stop),
-            float(self.frame == "tip"),
-            self.approach_speed or 0.0,
-            self.contact_force or 0.0,
-        ]
-        return header, [float(name in self._force) for name in AXES], [self._force.get(name, 0.0) for name in AXES]
-
-    def _own_memory_size(self) -> int:
-        from armctl.control.hybrid_force_kernel import memory_size
-
-        return memory_size(self.n)
-
-    def _axes(self) -> Array:
-        """(6, k) the states of all axes in the memory of the kernel."""
-        from armctl.control.hybrid_force_kernel import AXES as FIRST
-        from armctl.control.hybrid_force_kernel import AXIS_SIZE
-
-        return self.memory[FIRST : FIRST + len(AXES) * AXIS_SIZE].reshape(len(AXES), AXIS_SIZE)
+    def _axes(self) -> tuple[IntArray, Array]:
+        """Of each axis whether it is a force axis, (6,), and its target, (6,) N and N m."""
+        is_force = np.array([name in self._force for name in AXES], dtype=np.int64)
+        return is_force, np.array([self._force.get(name, 0.0) for name in AXES])

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl import _core
 from armctl.control.arm_controller import ArmController
 from armctl.control.gains import MAX_BANDWIDTH, gain, sample_configurations
 from armctl.control.interface import State
@@ -54,7 +55,6 @@ class Impedance(ArmController):
         """An impedance controller for an arm.
 
         Args:
-            arm: The arm whose model it uses.
             stiffness: (6,) N/m and N m/rad, or one number for all six, or a function of the time, s, that gives either. The
                 default is bandwidth^2 x the smallest mass and
                 the smallest inertia of the tip in any direction and configuration.
@@ -89,44 +89,33 @@ class Impedance(ArmController):
         self._stiffness = stiffness if callable(stiffness) else gain("stiffness", stiffness, POSE_SIZE)
 
     @property
-    def kernel(self) -> Callable[..., None]:
-        """The compiled law, as `KernelController` describes it."""
-        from armctl.control.impedance_kernel import impedance
-
-        return impedance
-
-    @property
     def is_time_varying(self) -> bool:
         """Whether the stiffness is a function of the time."""
         return callable(self._stiffness)
 
-    def begin(self, state: State) -> tuple[Array, Array]:
+    def begin(self, state: State) -> _core.Law:
         """Prepares for a tick.
 
-        Args:
-            state: The measured state.
-
         Returns:
-            The parameters and the memory for the kernel, with the stiffness at the time of the state.
+            The law, with the stiffness at the time of the state.
 
         Raises:
             InputError: It is no `State`, or the function of the time gives no stiffness.
         """
-        from armctl.control.impedance_kernel import TIP_STIFFNESS
+        law = super().begin(state)
+        if callable(self._stiffness) and isinstance(law, _core.Impedance):
+            law.set_stiffness(gain("stiffness", self._stiffness(state.t), POSE_SIZE))
+        return law
 
-        parameters, memory = super().begin(state)
-        if callable(self._stiffness):
-            parameters[TIP_STIFFNESS : TIP_STIFFNESS + POSE_SIZE] = gain("stiffness", self._stiffness(state.t), POSE_SIZE)
-        return parameters, memory
-
-    def _constants(self, dt: float, continuous: bool) -> Sequence[Array | Sequence[float]]:
-        stiffness = np.zeros(POSE_SIZE) if callable(self._stiffness) else self._stiffness
-        return [self.damping_ratio], stiffness, self.error_max, self.posture_stiffness
-
-    def _own_memory_size(self) -> int:
-        from armctl.control.impedance_kernel import memory_size
-
-        return memory_size(self.n)
+    def _make_law(self, dt: float, continuous: bool) -> _core.Law:
+        """A law with the present gains, at the start of a run."""
+        return _core.Impedance(
+            self._model(dt, continuous),
+            stiffness=np.zeros(POSE_SIZE) if callable(self._stiffness) else self._stiffness,
+            max_error=self.error_max,
+            posture_stiffness=self.posture_stiffness,
+            damping_ratio=self.damping_ratio,
+        )
 
     def joint_stiffness(self, q: ArrayLike, tip_stiffness: ArrayLike) -> Array:
         """The springs of tip and posture as seen by the joints.
@@ -150,15 +139,6 @@ class Impedance(ArmController):
         """(n, n) N m/rad, the posture spring in the null space of the tip."""
         N = np.eye(self._arm.n) - consistent_inverse(J, M) @ J
         return N.T * self.posture_stiffness @ N
-
-
-def _critical_damping(M: Array, K: Array) -> Array:
-    """(n, n) N m s/rad that damps every mode of M and K critically: 2 M^1/2 (M^-1/2 K M^-1/2)^1/2 M^1/2, by Cholesky."""
-    L = np.linalg.cholesky(M)
-    L_inv_K = np.linalg.solve(L, K)
-    eigenvalues, modes = np.linalg.eigh(np.linalg.solve(L, L_inv_K.T))
-    L_modes = L @ modes
-    return 2 * L_modes * np.sqrt(np.maximum(eigenvalues, 0.0)) @ L_modes.T
 
 
 class _MinInertia(NamedTuple):

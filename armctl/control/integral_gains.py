@@ -43,9 +43,6 @@ def integral_gains(dt: float, delay_margin: float, continuous: bool, inertia_rat
         delay_margin: s, above 0; at least two and a half control periods are used.
         continuous: Whether the mass moves continuously during the control period.
         inertia_ratio: The ratio that the gains are designed for, at least 1; they are stable with twice that.
-
-    Returns:
-        The gains.
     """
     unit = _unit_gains(inertia_ratio)
     target = _RESERVE * max(delay_margin, MIN_DELAY_MARGIN_TICKS * dt)

@@ -11,12 +11,14 @@ from typing import Any, NamedTuple, Protocol, Self, TypeGuard, TypeVar, runtime_
 
 import numpy as np
 
+from armctl import _core
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, flag, instance, number, shown
 
 WRENCH_SIZE = 6
-_MAX_PERIOD_S = 1.0
+MAX_PERIOD_S = 1.0  # of control
+_NO_WRENCH = np.zeros(0)
 _STATE_HINT = "armctl.State(q, v) is one"
 
 
@@ -53,7 +55,6 @@ class Controller(Protocol):
         """The torque for the coming control period.
 
         Args:
-            state: The measured state.
             setpoint: Where the arm should be.
 
         Returns:
@@ -81,19 +82,16 @@ class Clock:
 
 
 def checked_period(dt: float, continuous: bool) -> tuple[float, bool]:
-    """The arguments of `KernelController.parameters`, checked.
+    """The arguments of `CompiledController.make_law`, checked.
 
     Args:
         dt: s, the control period; 0 means continuous time.
         continuous: Whether the arm moves continuously during the control period.
 
-    Returns:
-        Both.
-
     Raises:
         InputError: The control period is no number in [0, 1] s, or `continuous` is not True or False.
     """
-    return number("dt", dt, 0.0, _MAX_PERIOD_S), flag("continuous", continuous)
+    return number("dt", dt, 0.0, MAX_PERIOD_S), flag("continuous", continuous)
 
 
 _TorqueMethod = TypeVar("_TorqueMethod", bound=Callable[..., Array])
@@ -116,39 +114,31 @@ def explains_wrong_arguments(torque: _TorqueMethod) -> _TorqueMethod:
     return torque_or_input_error  # type: ignore[return-value]
 
 
-class KernelController(ABC):
-    """A controller whose law is one compiled kernel, which `torque` and the compiled loop of a simulation both call.
-
-    A kernel is a function compiled by numba in nopython mode,
-
-        kernel(params, q, v, reference, memory, tau)
-
-    with the constants of a run, the measured positions and velocities (n,), the reference of the tick (5, n) with the rows q,
-    v, a, v_tick, a_tick of a `Setpoint`, the memory of the controller, and the torque (n,), which it writes. All are contiguous
-    arrays of float64. Memory is zero at the first tick of a run; it may also contain scratch. A kernel must not keep state
-    anywhere else, must not raise, and has to terminate for any numbers, also if they are not finite. If the controller has
-    `needs_wrench = True`, its memory begins with the measured wrench of the tick, (6,) as `State.wrench`.
+class CompiledController(ABC):
+    """A controller whose law is one object of the compiled core, which `torque` and the tick loop of a simulation both call.
 
     A simulation then runs all ticks without Python, and many runs on several threads. Gains may be assigned between runs. A
-    subclass that overrides `torque` runs in the Python loop, like a controller without a kernel.
+    subclass that overrides `torque` runs in the Python loop, like a controller without a compiled law.
+
+    A law of your own is a C function, for example one that `numba.cfunc` compiles: `make_law` then returns an
+    `armctl.CFunctionLaw`.
     """
 
     needs_wrench = False
 
     def __init__(self, n: int):
-        """A controller whose memory is empty.
+        """A controller at the start of a run.
 
         Args:
             n: The number of joints.
         """
         self._n = n
         self._clock = Clock()
-        self._memory: Array | None = None
+        self._law: _core.Law | None = None
         self._period: tuple[float, bool] | None = None
-        self._parameters = np.zeros(0)
 
     def __setattr__(self, name: str, value: object) -> None:
-        """Sets an attribute; a public one is a gain, so the parameters of the kernel follow from the new value."""
+        """Sets an attribute; a public one is a gain, so the law is made anew, with the same memory, when it is next needed."""
         object.__setattr__(self, name, value)
         if not name.startswith("_"):
             object.__setattr__(self, "_period", None)
@@ -158,75 +148,72 @@ class KernelController(ABC):
         """The number of joints."""
         return self._n
 
-    @property
     @abstractmethod
-    def kernel(self) -> Callable[..., None]:
-        """The compiled function. It is imported here, because numba takes long to load."""
-
-    @abstractmethod
-    def parameters(self, dt: float, continuous: bool) -> Array:
-        """The constants of a run.
+    def make_law(self, dt: float, continuous: bool) -> _core.Law:
+        """A law with the present gains, at the start of a run.
 
         Args:
-            dt: s, the control period.
+            dt: s, the control period; 0 means continuous time.
             continuous: Whether the arm moves continuously during the control period.
-
-        Returns:
-            A new vector, the first argument of the kernel.
         """
 
     @property
     def is_compiled(self) -> bool:
-        """Whether the kernel is the whole law, so that a simulation need not call `torque`."""
-        return type(self).torque is KernelController.torque and "torque" not in vars(self) and not self.is_time_varying
+        """Whether the compiled law is the whole law, so that a simulation need not call `torque`."""
+        return type(self).torque is CompiledController.torque and "torque" not in vars(self) and not self.is_time_varying
 
     @property
     def is_time_varying(self) -> bool:
-        """Whether `begin` has to be called in every tick, because the parameters depend on the time."""
+        """Whether `begin` has to be called in every tick, because the gains depend on the time."""
         return False
 
     @property
-    def memory_size(self) -> int:
-        """How many numbers of memory the kernel needs; 0 for a law without memory and scratch."""
-        return 0
-
-    @property
     def memory(self) -> Array:
-        """The memory that `torque` uses, (memory_size,)."""
-        if self._memory is None:
-            self._memory = np.zeros(self.memory_size)
-        return self._memory
+        """What the law keeps from tick to tick, which may be written; empty before the first tick."""
+        return np.zeros(0) if self._law is None else self._law.memory
 
     def fresh(self) -> Self:
         """The same law with a memory of its own, for a run at the same time."""
         other = copy.copy(self)
         other._clock = Clock()
-        other._memory = None
         return other
 
-    def begin(self, state: State) -> tuple[Array, Array]:
+    def __getstate__(self) -> dict[str, Any]:
+        """The state of a copy, or of one in another process: it begins a run."""
+        return self.__dict__ | {"_law": None, "_period": None}
+
+    def begin(self, state: State) -> _core.Law:
         """Prepares for a tick.
 
         Args:
             state: The measured state. The memory is reset unless this state follows that of the previous tick.
 
         Returns:
-            The parameters and the memory for the kernel, until the control period changes.
+            The law, until a gain or the control period changes.
 
         Raises:
-            InputError: It is no `State`.
+            InputError: It is no `State`, its control period is no number in [0, 1] s, or a gain that was assigned is negative,
+                not finite or of the wrong length.
         """
         instance("state", state, State, _STATE_HINT)
-        if self._period != (state.dt, state.continuous):
-            self._parameters = self.parameters(state.dt, state.continuous)
-            self._period = (state.dt, state.continuous)
-        memory = self.memory
+        period = (state.dt, state.continuous)
+        law = self._law
+        if law is None or self._period != period:
+            law = self._replace_law(self.make_law(*checked_period(*period)), period)
         if not self._clock.follows(state):
-            memory[:] = 0.0
-        return self._parameters, memory
+            law.reset()
+        return law
+
+    def _replace_law(self, law: _core.Law, period: tuple[float, bool]) -> _core.Law:
+        """Takes a law for a control period, and gives it the memory of the present one."""
+        if self._law is not None:
+            law.memory[:] = self._law.memory
+        self._law = law
+        self._period = period
+        return law
 
     def finish(self, t: float) -> None:
-        """Notes that the kernel computed further ticks, with the arrays that `begin` returned.
+        """Notes that the law computed further ticks without `begin`.
 
         Args:
             t: s, the time of the next tick.
@@ -241,7 +228,6 @@ class KernelController(ABC):
         """The torque for the coming control period.
 
         Args:
-            state: The measured state.
             setpoint: Where the arm should be.
 
         Returns:
@@ -267,11 +253,10 @@ class KernelController(ABC):
             if len(column) != n:  # type: ignore[arg-type]
                 raise InputError(f"state and setpoint: every vector needs {n} numbers, one has {len(column)}")  # type: ignore[arg-type]
             rows[k] = column
-        parameters, memory = self.begin(state)
-        if self.needs_wrench:
-            memory[:WRENCH_SIZE] = measured_wrench(state, controller_name(self))
+        law = self.begin(state)
+        wrench = measured_wrench(state, controller_name(self)) if self.needs_wrench else _NO_WRENCH
         tau = rows[7]
-        self.kernel(parameters, rows[0], rows[1], rows[2:7], memory, tau)
+        law.torque(rows[0], rows[1], rows[2:7], wrench, tau)
         return tau
 
 
@@ -304,7 +289,7 @@ def measured_wrench(state: State, controller: str) -> Array:
         raise InputError(f"state.wrench: {controller} needs the measured wrench (6,); a Simulation measures it")
     if np.shape(state.wrench) != (WRENCH_SIZE,):
         raise InputError(f"state.wrench: {controller} needs the measured wrench (6,), got {shown(state.wrench)}")
-    return state.wrench
+    return np.ascontiguousarray(state.wrench, dtype=np.float64)
 
 
 def controller_name(controller: Controller) -> str:
@@ -312,14 +297,13 @@ def controller_name(controller: Controller) -> str:
     return getattr(controller, "name", type(controller).__name__)
 
 
-def has_compiled_law(controller: Controller, n: int) -> TypeGuard[KernelController]:
-    """Whether a controller computes its torque by a kernel for n joints and nothing else.
+def has_compiled_law(controller: Controller, n: int) -> TypeGuard[CompiledController]:
+    """Whether a controller computes its torque by a compiled law for n joints and nothing else.
 
     Args:
-        controller: The controller.
         n: Joints of the arms.
 
     Returns:
-        True if the kernel is its whole law.
+        True if the compiled law is its whole law.
     """
-    return isinstance(controller, KernelController) and controller.n == n and controller.is_compiled
+    return isinstance(controller, CompiledController) and controller.n == n and controller.is_compiled

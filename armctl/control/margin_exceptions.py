@@ -26,9 +26,6 @@ def margin_exceptions(arm: Arm) -> tuple[str, ...]:
 
     It follows from inertia and gravity at sampled configurations, not from the loops themselves, as `armctl.margins` does.
 
-    Args:
-        arm: The arm.
-
     Returns:
         Sentences, none if every controller has a sufficient delay margin and peak sensitivity.
     """

@@ -3,7 +3,7 @@
 The observer has three stages. The commanded acceleration predicts position and velocity of each joint; the measured position
 corrects both (two equal poles). The inverse dynamics of the estimated motion minus the commanded torque is a disturbance, after
 Ohnishi, Shibata, Murakami, "Motion control for advanced mechatronics" (1996). A low-pass of first order smoothes it. The law is
-in `computed_torque_observer_kernel`.
+in `armctl/cpp/laws/computed_torque_observer.cpp`.
 
 An estimated velocity has much less noise than the difference of two measured positions, and it is late by less than that
 difference behind a low-pass of the same noise; see Friedland, Control System Design (1986), chapter 8.
@@ -59,7 +59,6 @@ def observer_gains(arm: Arm, dt: float) -> ObserverGains:
     1.2 to 4 and control periods of 1, 2 and 4 ms.
 
     Args:
-        arm: The arm.
         dt: s, the control period.
     """
     acceleration = float((arm.limits.tau_max / max_locked_inertia(arm)).min())
@@ -97,7 +96,6 @@ def min_effective_mass(arm: Arm, lever: float) -> float:
     Over `sample_configurations`, directions, and points along the axes of the world.
 
     Args:
-        arm: The arm.
         lever: m, from the tip to the points.
     """
     offsets = lever * np.vstack([np.eye(3), -np.eye(3)])

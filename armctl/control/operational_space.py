@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
+from armctl import _core
 from armctl.control.arm_controller import ArmController
 from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH
 from armctl.core.validation import number
@@ -38,7 +37,6 @@ class OperationalSpace(ArmController):
         """An operational space controller for an arm.
 
         Args:
-            arm: The arm whose model it uses.
             bandwidth: rad/s, the natural frequency of the tip's error.
             damping_ratio: 1 is critically damped.
             posture_bandwidth: rad/s, the natural frequency of the joint error in the null space.
@@ -51,21 +49,13 @@ class OperationalSpace(ArmController):
         self.damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
         self.posture_bandwidth = number("posture_bandwidth", posture_bandwidth, 0.0, MAX_BANDWIDTH)
 
-    @property
-    def kernel(self) -> Callable[..., None]:
-        """The compiled law, as `KernelController` describes it."""
-        from armctl.control.operational_space_kernel import operational_space
-
-        return operational_space
-
-    def _constants(self, dt: float, continuous: bool) -> Sequence[Sequence[float]]:
+    def _make_law(self, dt: float, continuous: bool) -> _core.Law:
+        """A law with the present gains, at the start of a run."""
         damping = 2 * self.damping_ratio
-        return (
-            [self.bandwidth**2, damping * self.bandwidth],
-            [self.posture_bandwidth**2, damping * self.posture_bandwidth],
+        return _core.OperationalSpace(
+            self._model(dt, continuous),
+            stiffness=self.bandwidth**2,
+            damping=damping * self.bandwidth,
+            posture_stiffness=self.posture_bandwidth**2,
+            posture_damping=damping * self.posture_bandwidth,
         )
-
-    def _own_memory_size(self) -> int:
-        from armctl.control.operational_space_kernel import memory_size
-
-        return memory_size(self.n)

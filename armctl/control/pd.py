@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
 from numpy.typing import ArrayLike
 
+from armctl import _core
 from armctl.control.arm_controller import ArmController
 from armctl.control.gains import MAX_BANDWIDTH, FeedbackGains, bandwidth_gains, margin_gains
-from armctl.core.validation import Array, number
+from armctl.control.interface import checked_period
+from armctl.core.validation import number
 from armctl.robot.arm import Arm
 
 
@@ -27,7 +27,6 @@ class PD(ArmController):
 
     name = "pd"
     _is_integrating = False
-    _has_model = False
 
     def __init__(
         self,
@@ -41,7 +40,6 @@ class PD(ArmController):
         """A PD controller for an arm.
 
         Args:
-            arm: The arm.
             bandwidth: rad/s, the natural frequency of each joint's closed loop at its median inertia. The gains follow from
                 margins if neither it nor stiffness nor damping is given.
             damping_ratio: 1 is critically damped; of gains that follow from a bandwidth.
@@ -61,19 +59,24 @@ class PD(ArmController):
         self.stiffness = self._default.stiffness
         self.damping = self._default.damping
 
-    @property
-    def kernel(self) -> Callable[..., None]:
-        """The compiled law, as `KernelController` describes it."""
-        from armctl.control.pd_kernel import pd
+    def _make_law(self, dt: float, continuous: bool) -> _core.Law:
+        """A law with the present gains, at the start of a run."""
+        gains = self.gains_at(dt)
+        return _core.PD(stiffness=gains.stiffness, damping=gains.damping)
 
-        return pd
+    def gains_at(self, dt: float) -> FeedbackGains:
+        """The gains for a control period; those that were given or assigned do not depend on it.
 
-    def _constants(self, dt: float, continuous: bool) -> Sequence[Array]:
-        gains = self._gains_at(dt)
-        return gains.stiffness, gains.damping
+        Args:
+            dt: s, the control period; 0 means continuous time.
 
-    def _gains_at(self, dt: float) -> FeedbackGains:
-        """The gains for a control period of dt; those that were given or assigned do not depend on it."""
+        Returns:
+            The gains of all joints.
+
+        Raises:
+            InputError: The control period is no number in [0, 1] s.
+        """
+        dt, _ = checked_period(dt, False)
         default = margin_gains(self._arm, dt, self._is_integrating) if self._has_default_gains and dt else self._default
         return FeedbackGains(
             stiffness=default.stiffness if self.stiffness is self._default.stiffness else self.stiffness,

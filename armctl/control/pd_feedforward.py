@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
+from armctl import _core
 from armctl.control.pd import PD
 
 
@@ -20,11 +19,9 @@ class PDFeedforward(PD):
     """
 
     name = "pd-feedforward"
-    _has_model = True
 
-    @property
-    def kernel(self) -> Callable[..., None]:
-        """The compiled law, as `KernelController` describes it."""
-        from armctl.control.pd_kernel import pd_feedforward
-
-        return pd_feedforward
+    def _make_law(self, dt: float, continuous: bool) -> _core.Law:
+        """A law with the present gains, at the start of a run."""
+        gains = self.gains_at(dt)
+        model = self._model(dt, continuous)
+        return _core.PDFeedforward(model, stiffness=gains.stiffness, damping=gains.damping)

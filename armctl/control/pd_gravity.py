@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
 from numpy.typing import ArrayLike
 
-from armctl.control.gains import gain, max_locked_inertia
+from armctl import _core
+from armctl.control.gains import FeedbackGains, gain, max_locked_inertia
 from armctl.control.pd import PD
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
@@ -28,20 +27,11 @@ class PDGravity(PD):
     """
 
     name = "pd-gravity"
-    _has_model = True
 
-    @property
-    def kernel(self) -> Callable[..., None]:
-        """The compiled law, as `KernelController` describes it."""
-        from armctl.control.pd_kernel import pd_gravity
-
-        return pd_gravity
-
-    def _packed_model(self, dt: float, continuous: bool) -> Array:
-        return self._arm.packed_dynamics.vector(0.0)
-
-    def _own_memory_size(self) -> int:
-        return self.n
+    def _make_law(self, dt: float, continuous: bool) -> _core.Law:
+        """A law with the present gains, at the start of a run."""
+        gains = self.gains_at(dt)
+        return _core.PDGravity(self._arm.core_model, stiffness=gains.stiffness, damping=gains.damping)
 
 
 class PIDGravity(PDGravity):
@@ -91,17 +81,17 @@ class PIDGravity(PDGravity):
             self._default.integral_gain if integral_gain is None else gain("integral_gain", integral_gain, arm.n)
         )
 
-    @property
-    def kernel(self) -> Callable[..., None]:
-        """The compiled law, as `KernelController` describes it."""
-        from armctl.control.pd_kernel import pid_gravity
+    def _make_law(self, dt: float, continuous: bool) -> _core.Law:
+        """A law with the present gains, at the start of a run."""
+        gains = self.gains_at(dt)
+        return _core.PIDGravity(
+            self._arm.core_model,
+            stiffness=gains.stiffness,
+            damping=gains.damping,
+            integral_gain=self._integral_gain(gains),
+            torque_limit=self._arm.limits.tau_max,
+            dt=dt,
+        )
 
-        return pid_gravity
-
-    def _constants(self, dt: float, continuous: bool) -> Sequence[Array]:
-        gains = self._gains_at(dt)
-        integral = gains.integral_gain if self.integral_gain is self._default.integral_gain else self.integral_gain
-        return gains.stiffness, gains.damping, dt * integral, self._arm.limits.tau_max
-
-    def _own_memory_size(self) -> int:
-        return 2 * self.n
+    def _integral_gain(self, gains: FeedbackGains) -> Array:
+        return gains.integral_gain if self.integral_gain is self._default.integral_gain else self.integral_gain

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl import _core
 from armctl.control.gains import gain
 from armctl.control.interface import (
+    CompiledController,
     Controller,
-    KernelController,
     State,
     checked_period,
     controller_name,
@@ -20,11 +20,11 @@ from armctl.control.interface import (
 )
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Setpoint
-from armctl.core.validation import Array, shown, vector
+from armctl.core.validation import Array, instance, shown, vector
 from armctl.robot.arm import Arm, check_arm
 
 
-class TorqueRateLimit(KernelController):
+class TorqueRateLimit(CompiledController):
     """A controller with limited torque rates, as the interfaces of many arms require.
 
     The first torque of a run is not limited.
@@ -40,7 +40,6 @@ class TorqueRateLimit(KernelController):
         """A controller with limited torque rates.
 
         Args:
-            arm: The arm.
             controller: The controller whose torques are limited.
             tau_rate_max: (n,) or one number for all joints, N m/s; 1000 N m/s is 1 N m a tick of 1 ms.
 
@@ -55,43 +54,32 @@ class TorqueRateLimit(KernelController):
         self.tau_rate_max = gain("tau_rate_max", tau_rate_max, arm.n)
         self.name = controller_name(controller)
         self.needs_wrench = bool(getattr(controller, "needs_wrench", False))
+        self._limited: _core.Law | None = None
+        self._last_torque: Array | None = None  # of a controller without compiled law
 
     @property
     def is_compiled(self) -> bool:
-        """Whether the law of the controller is a kernel."""
+        """Whether the law of the controller is compiled."""
         return has_compiled_law(self.controller, self.n) and type(self).torque is TorqueRateLimit.torque
 
-    @property
-    def kernel(self) -> Callable[..., None]:
-        """The compiled law, as `KernelController` describes it; it calls the kernel of the controller."""
-        from armctl.control.rate_limit_kernel import rate_limited
-
-        return rate_limited
-
-    def parameters(self, dt: float, continuous: bool) -> Array:
-        """The constants of a run; `begin` adds the kernel of the controller.
+    def make_law(self, dt: float, continuous: bool) -> _core.Law:
+        """A law with the present gains, at the start of a run, if the controller has a compiled one.
 
         Args:
-            dt: s, the control period.
+            dt: s, the control period; 0 means continuous time.
             continuous: Whether the arm moves continuously during the control period.
 
-        Returns:
-            A new vector, the first argument of the kernel.
-
         Raises:
-            InputError: The control period is no number in [0, 1] s, or `continuous` is not True or False.
+            InputError: The controller has no compiled law, the control period is no number in [0, 1] s, or `continuous` is not
+                True or False.
         """
-        from armctl.control.rate_limit_kernel import HEADER
+        if not isinstance(self.controller, CompiledController):
+            raise InputError(f"controller: {shown(self.controller)} has no compiled law")
+        dt, continuous = checked_period(dt, continuous)
+        return self._limit(self.controller.make_law(dt, continuous), dt)
 
-        dt, _ = checked_period(dt, continuous)
-        return np.concatenate([np.zeros(HEADER), self.tau_rate_max * dt])
-
-    @property
-    def memory_size(self) -> int:
-        """How many numbers of memory the kernel needs, besides that of the controller."""
-        from armctl.control.rate_limit_kernel import MEMORY_HEADER
-
-        return MEMORY_HEADER + self.n
+    def _limit(self, limited: _core.Law, dt: float) -> _core.Law:
+        return _core.TorqueRateLimit(limited, tau_rate_max=self.tau_rate_max, dt=dt)
 
     def fresh(self) -> Self:
         """The same law with a memory of its own, for a run at the same time."""
@@ -100,32 +88,28 @@ class TorqueRateLimit(KernelController):
             other.controller = self.controller.fresh()
         return other
 
-    def begin(self, state: State) -> tuple[Array, Array]:
+    def __getstate__(self) -> dict[str, Any]:
+        """The state of a copy, or of one in another process: it begins a run."""
+        return super().__getstate__() | {"_limited": None, "_last_torque": None}
+
+    def begin(self, state: State) -> _core.Law:
         """Prepares for a tick.
 
-        Args:
-            state: The measured state.
-
         Returns:
-            The parameters and the memory for the kernel, with the kernel of the controller.
+            The law, which shares that of the controller: so the controller shows what it estimates.
 
         Raises:
-            InputError: It is no `State`.
+            InputError: It is no `State`, or the controller has no compiled law.
         """
-        parameters, memory = super().begin(state)
-        if has_compiled_law(self.controller, self.n):
-            from armctl.control.kernel_call import entry_point
-            from armctl.control.rate_limit_kernel import HEADER
-
-            called = self.controller.begin(state)
-            entries = [entry_point(self.controller.kernel), int(self.needs_wrench)]
-            for array in called:  # the controller keeps them
-                entries += [array.ctypes.data, len(array)]
-            parameters[:HEADER].view(np.int64)[:] = entries
-        return parameters, memory
+        if isinstance(self.controller, CompiledController):
+            limited = self.controller.begin(state)
+            if limited is not self._limited or self._period is None:
+                self._limited = limited
+                self._replace_law(self._limit(limited, state.dt), (state.dt, state.continuous))
+        return super().begin(state)
 
     def finish(self, t: float) -> None:
-        """Notes that the kernel computed further ticks, with the arrays that `begin` returned.
+        """Notes that the law computed further ticks without `begin`.
 
         Args:
             t: s, the time of the next tick.
@@ -142,7 +126,6 @@ class TorqueRateLimit(KernelController):
         """The torque for the coming control period.
 
         Args:
-            state: The measured state.
             setpoint: Where the arm should be.
 
         Returns:
@@ -153,9 +136,12 @@ class TorqueRateLimit(KernelController):
         """
         if self.is_compiled:
             return super().torque(state, setpoint)
-        from armctl.control.rate_limit_kernel import HEADER, MEMORY_HEADER, limit_rate
-
         tau = vector("torque", self.controller.torque(state, setpoint), self.n, finite=False).copy()
-        parameters, memory = super().begin(state)
-        limit_rate(parameters[HEADER:], memory[MEMORY_HEADER - 1 :], tau)
+        instance("state", state, State, "armctl.State(q, v) is one")
+        if self._clock.follows(state) and self._last_torque is not None:
+            change = self.tau_rate_max * state.dt
+            highest = self._last_torque + change
+            lowest = self._last_torque - change
+            tau = np.where(tau > highest, highest, np.where(tau < lowest, lowest, tau))
+        self._last_torque = tau.copy()
         return tau

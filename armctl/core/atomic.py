@@ -18,11 +18,7 @@ def file_path(what: str, path: str | os.PathLike[str], endings: Sequence[str] = 
 
     Args:
         what: The name of the argument, for the error.
-        path: The file.
         endings: The endings that are possible, such as ".npz"; any if left out.
-
-    Returns:
-        The path.
 
     Raises:
         InputError: It is not the name of a file, or it has another ending.
@@ -47,9 +43,6 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     The folder of `path` is made. The temporary file has the same suffix, so that writers can tell the format from it; it is
     flushed to the disk before it replaces `path`, and removed if the block raises. The new file keeps the permissions of the
     old one. A link is followed. What is no regular file, such as a pipe or /dev/null, is written directly.
-
-    Args:
-        path: The file to be written.
 
     Yields:
         The temporary path; the block must create that file.

@@ -11,6 +11,16 @@ from collections.abc import Iterable
 
 MAX_MESSAGE_CHARACTERS = 400
 _MAX_LISTED_CHARACTERS = 240  # of known names; of a longer list the message gives the number
+_MAX_SHOWN_CHARACTERS = 80  # of a value in a message
+
+
+def shown(value: object) -> str:
+    """A value for a message: its repr in one line of at most 80 characters."""
+    try:
+        text = " ".join(repr(value).split())
+    except Exception:  # the repr of a caller's object may raise anything
+        text = f"an object of type {type(value).__name__}"
+    return text if len(text) <= _MAX_SHOWN_CHARACTERS else text[: _MAX_SHOWN_CHARACTERS - 3] + "..."
 
 
 class ArmctlError(Exception):
@@ -54,7 +64,7 @@ class UnknownNameError(ArmctlError, LookupError):
             The error, for the caller to raise.
         """
         if not isinstance(name, str):
-            return cls(f"{kind}: {name!r:.80} is not a name")
+            return cls(f"{kind}: {shown(name)} is not a name")
         known = list(dict.fromkeys(known))
         near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.6) or [
             k for k in known if name and name.lower() in k.lower()

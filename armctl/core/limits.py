@@ -51,9 +51,6 @@ class Limits:
             q: (n,) or (T, n) rad.
             tolerance: rad by which they may be outside.
 
-        Returns:
-            True if all are.
-
         Raises:
             InputError: The positions are not numbers, or not of n joints.
         """
@@ -83,8 +80,6 @@ class Limits:
 
         Args:
             around: (n,) rad; the nearest positions inside the limits are used.
-            count: Number of positions.
-            rng: The generator.
 
         Returns:
             (count, n) rad.

@@ -11,16 +11,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armctl.core import log_files
+from armctl.core import log_columns, log_files
 from armctl.core.atomic import atomic_path, file_path
-from armctl.core.errors import ArmctlError, InputError, NotInstalledError
+from armctl.core.errors import ArmctlError, InputError
+from armctl.core.file_reading import reading
+from armctl.core.log_columns import QUANTITIES, REFERENCES, STATES
 from armctl.core.log_csv import Columns, Units, read_recording
-from armctl.core.log_files import PER_JOINT
 from armctl.core.validation import Array, frozen, instance, number, shown
 
 RECORDED = "recorded"  # the unknown controller in the recording of a real robot
-_STATE = ("q", "v", "tau", "tau_cmd")
-_REFERENCE = ("q_ref", "v_ref", "a_ref")
 _MAX_STATE = 1e20  # rad, m, rad/s, m/s; MuJoCo itself stops at 1e10
 _QUATERNION_TOLERANCE = 1e-3  # of the norm of a quaternion in a file
 
@@ -51,9 +50,6 @@ class Log:
     """The record of a run, tick by tick, in read-only arrays. Row k holds the state at t[k] and the torques of that tick.
 
     Attributes:
-        robot: The arm's name.
-        controller: The controller's name.
-        joint_names: The n joints.
         dt: s, the tick.
         tau_max: (n,) N m.
         motion_duration: s, until the reference is at rest; the log may continue.
@@ -141,7 +137,7 @@ class Log:
         Returns:
             Vectors (T,) by name: "t", "q/joint1", ..., "tip/x", ..., "qpos/0"; the units are those of the attributes.
         """
-        return log_files.flat(vars(self), log_files.columns(self.joint_names, self.units, log_files.widths(vars(self))))
+        return log_columns.flat(vars(self), log_columns.columns(self.joint_names, self.units, log_columns.widths(vars(self))))
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes the log. The extension selects the format. `load` reads .npz, .parquet and .csv, which contain the whole log.
@@ -155,9 +151,6 @@ class Log:
 
         Args:
             path: The file; its folder is made.
-
-        Returns:
-            The path.
 
         Raises:
             InputError: Another file extension.
@@ -177,52 +170,17 @@ class Log:
                 log_files.save(temporary, log_files.Content(arrays, facts))
         return path
 
-    def to_rerun(self, path: str | os.PathLike[str]) -> Path:
-        """Writes a recording for the rerun viewer: curves of all joints over time, and the tip in 3D. The writing is atomic.
-
-        Args:
-            path: The file, .rrd; its folder is made. `rerun run.rrd` shows it.
-
-        Returns:
-            The path.
-
-        Raises:
-            InputError: Another file extension.
-            NotInstalledError: The extra `rerun` is not installed.
-            ArmctlError: The file cannot be written.
-        """
-        from armctl.core.log_rerun import save_rerun
-
-        path = file_path("path", path, (".rrd",))
-        with atomic_path(path) as temporary:
-            save_rerun(temporary, self)
-        return path
-
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Log:
         """Reads a log that `save` wrote as .npz, .parquet or .csv, and checks it: shapes, finite numbers, increasing time.
-
-        Args:
-            path: The file.
-
-        Returns:
-            The log.
 
         Raises:
             InputError: There is no such file, or it holds no log.
             NotInstalledError: Parquet needs the extra `study`.
         """
         path = file_path("path", path)
-        try:
+        with reading(path, "no log that armctl wrote"):
             return cls(**_checked(*log_files.load(path)))
-        except NotInstalledError:
-            raise
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
-        except InputError as error:
-            raise InputError(f"{path}: no log that armctl wrote: {error}") from None
-        except Exception as error:  # damaged bytes raise whatever zipfile, zlib, pyarrow, NumPy or JSON run into
-            raise InputError(f"{path}: no log that armctl wrote ({type(error).__name__}: {error!s:.120})") from None
 
     @classmethod
     def from_csv(
@@ -247,7 +205,6 @@ class Log:
             units: The units of "t" (s, ms, us, ns), "q" (rad, deg, m, mm) and "tau" (N m, mN m, N, N mm); a list for "q" and
                 "tau" if the joints have different units. The default is s, rad and N m.
             joint_names: The n joints, such as `arm.joint_names`; the names of the columns of q if left out.
-            robot: The name of the robot.
 
         Returns:
             The log. What the file does not contain (references, the tip) is NaN; torque limits are infinite.
@@ -320,25 +277,26 @@ def _checked(arrays: Mapping[str, Array], meta: Mapping[str, Any]) -> dict[str, 
 def _check_arrays(arrays: Mapping[str, Array], n: int, dt: float) -> None:
     ticks = len(arrays["t"]) if np.ndim(arrays["t"]) == 1 else -1
     nq = arrays["qpos"].shape[1:]
-    shapes: dict[str, tuple[int, ...]] = {"t": (ticks,), "tau_max": (n,), "target": (7,), "qpos": (ticks, *nq)}
-    shapes |= dict.fromkeys(PER_JOINT, (ticks, n))
-    shapes |= {"tip": (ticks, 3), "tip_ref": (ticks, 3), "tip_quat": (ticks, 4), "tip_ref_quat": (ticks, 4)}
+    shapes: dict[str, tuple[int, ...]] = {"t": (ticks,), "tau_max": (n,), "target": (7,)}
+    for name, quantity in QUANTITIES.items():
+        shapes[name] = (ticks, n) if quantity.is_per_joint else (ticks, len(quantity.axes))
+    shapes["qpos"] = (ticks, *nq)
     if arrays["qpos"].shape == (0, 0):  # a log without positions of the model
         shapes["qpos"] = (0, 0)
-    if len(arrays.get("wrench", ())):
-        shapes["wrench"] = (ticks, 6)
+    if not len(arrays.get("wrench", ())):
+        del shapes["wrench"]
     for name, shape in shapes.items():
         column = arrays[name]
         if column.dtype != np.float64 or column.shape != shape or len(nq) != 1:
             raise InputError(f"{name}: expected float64 of shape {shape}, got {column.dtype} of shape {column.shape}")
-    for name in ("t", *_STATE, "tip", "tip_quat", "qpos"):
+    for name in ("t", *STATES, "tip", "tip_quat", "qpos"):
         unknown = name.startswith("tip") and np.isnan(arrays[name]).all()  # a recording does not contain the tip
         if not np.isfinite(arrays[name]).all() and not unknown:
             raise InputError(f"{name}: a number is not finite")
     for name in ("t", "q", "v", "tip", "qpos"):
         if (np.abs(arrays[name]) > _MAX_STATE).any():
             raise InputError(f"{name}: a number is above {_MAX_STATE:g}")
-    for name in (*_REFERENCE, "tip_ref", "tip_ref_quat", "target"):
+    for name in (*REFERENCES, "tip_ref", "tip_ref_quat", "target"):
         if np.isinf(arrays[name]).any():
             raise InputError(f"{name}: a number is infinite")
     if not (arrays["tau_max"] > 0).all():

@@ -15,6 +15,7 @@ import numpy as np
 
 from armctl.core.atomic import file_path
 from armctl.core.errors import InputError
+from armctl.core.file_reading import check_size, reading
 from armctl.core.filtering import choose_cutoff, derivatives, low_pass
 from armctl.core.validation import Array, BoolArray, shown
 
@@ -73,12 +74,8 @@ def read_recording(path: str | os.PathLike[str], columns: Columns | None, units:
     """Reads a CSV file of a real robot.
 
     Args:
-        path: The file.
         columns: The names of the columns of "t", "q" and "tau"; see `Log.from_csv`.
         units: The units of "t", "q" and "tau"; those of "q" and "tau" may be lists of one unit per joint.
-
-    Returns:
-        The recording.
 
     Raises:
         InputError: The file cannot be read, a column is missing, or the numbers are no recording.
@@ -86,13 +83,9 @@ def read_recording(path: str | os.PathLike[str], columns: Columns | None, units:
     path = file_path("path", path)
     wanted = _merged("columns", columns, _DEFAULT_COLUMNS)
     of_units = _checked_units(units)
-    try:
+    with reading(path, "no recording"):
         names, table = _read_table(path, wanted)
         return _on_even_grid(names, table, _unit_of_each_column(names, of_units))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except InputError as error:
-        raise InputError(f"{path!s:.80}: {error}") from None
 
 
 def _merged(what: str, given: object, defaults: Mapping[str, str]) -> dict[str, str | list[str]]:
@@ -135,25 +128,18 @@ def _unit_of_each_column(names: Mapping[str, list[str]], units: Mapping[str, str
 
 def _read_table(path: os.PathLike[str], wanted: Mapping[str, str | list[str]]) -> tuple[dict[str, list[str]], Array]:
     """The names of the columns of each quantity, and their numbers (T, 1 + 2 n)."""
-    if os.path.getsize(path) > _MAX_BYTES:
-        raise InputError(f"it is larger than {_MAX_BYTES / 1e9:g} GB")
-    try:
-        with open(path, encoding="utf-8-sig", newline="") as file:
+    check_size(os.path.getsize(path), _MAX_BYTES)
+    with open(path, encoding="utf-8-sig", newline="") as file:
+        first = file.readline()
+        while first.startswith("#"):  # comments, such as the first line of a log that armctl wrote
             first = file.readline()
-            while first.startswith("#"):  # comments, such as the first line of a log that armctl wrote
-                first = file.readline()
-            delimiter = max(",;\t", key=first.count)
-            header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
-            names = {quantity: _matching(quantity, wanted[quantity], header) for quantity in _QUANTITIES}
-            _check_counts(names)
-            order = [header.index(name) for quantity in _QUANTITIES for name in names[quantity]]
-            rows = csv.reader(file, delimiter=delimiter)
-            table = _numbers(rows, order, len(header))
-    except (UnicodeDecodeError, csv.Error, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"it is not a CSV file in UTF-8 ({str(error)[:100]})") from None
-    return names, table
+        delimiter = max(",;\t", key=first.count)
+        header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
+        names = {quantity: _matching(quantity, wanted[quantity], header) for quantity in _QUANTITIES}
+        _check_counts(names)
+        order = [header.index(name) for quantity in _QUANTITIES for name in names[quantity]]
+        rows = csv.reader(file, delimiter=delimiter)
+        return names, _numbers(rows, order, len(header))
 
 
 def _matching(quantity: str, wanted: str | list[str], header: list[str]) -> list[str]:

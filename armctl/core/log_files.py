@@ -8,81 +8,27 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from armctl.core import units
-from armctl.core.errors import InputError, NotInstalledError
+from armctl.core.errors import InputError
+from armctl.core.file_reading import check_size, pyarrow, read_npz, read_parquet
+from armctl.core.log_columns import QUANTITIES, Column, columns, flat, widths
 from armctl.core.validation import Array
 
-PER_JOINT = ("q", "v", "q_ref", "v_ref", "a_ref", "tau", "tau_cmd")
-# Arrays that a log may lack, with the names of their columns if they have a fixed number.
-_OPTIONAL: dict[str, tuple[str, ...]] = {"qpos": (), "wrench": ("fx", "fy", "fz", "tx", "ty", "tz")}
-_AXES = {"tip": "xyz", "tip_quat": "wxyz", "tip_ref": "xyz", "tip_ref_quat": "wxyz"}
-_UNIT_RATES = {"q": "", "v": "/s", "q_ref": "", "v_ref": "/s", "a_ref": "/s^2"}
 _CSV_MARK = "# armctl log "  # begins the first line of a CSV; the facts follow
 _PARQUET_KEY = b"armctl log"
-_MAX_CSV_BYTES = 4_000_000_000
+_MAX_BYTES = 4_000_000_000  # unpacked: two hours of seven joints at 1 kHz
 
 
 class Content(NamedTuple):
-    """What a file of a log holds.
-
-    Attributes:
-        arrays: The arrays of the log by name; those over time have a row per tick.
-        facts: Everything else by name, such as it is in JSON.
-    """
+    """What a file of a log holds: its arrays, those over time with a row per tick, and everything else as it is in JSON."""
 
     arrays: dict[str, Array]
     facts: dict[str, Any]
-
-
-class Column(NamedTuple):
-    """One column of a flat table: the array of the log and the place in it, its name and its unit."""
-
-    array: str
-    place: int
-    name: str
-    unit: str
-
-
-def widths(arrays: Mapping[str, Array]) -> dict[str, int]:
-    """The number of columns of each optional array that a log has."""
-    return {name: arrays[name].shape[1] for name in _OPTIONAL if len(arrays[name])}
-
-
-def columns(joint_names: Sequence[str], joint_units: Sequence[str], optional: Mapping[str, int]) -> list[Column]:
-    """The columns of a flat table: "t", "q/joint1", ..., "tip/x", ..., "qpos/0"; `optional` as from `widths`."""
-    torque_units = units.of_torque(joint_units)
-    out = [Column("t", 0, "t", "s")]
-    for array in PER_JOINT:
-        for i, joint in enumerate(joint_names):
-            unit = f"{joint_units[i]}{_UNIT_RATES[array]}" if array in _UNIT_RATES else torque_units[i]
-            out.append(Column(array, i, f"{array}/{joint}", unit))
-    for array, axes in _AXES.items():
-        unit = "" if array.endswith("quat") else "m"
-        out += [Column(array, i, f"{array}/{axis}", unit) for i, axis in enumerate(axes)]
-    for array, width in optional.items():
-        for i in range(width):
-            axis = _OPTIONAL[array][i] if _OPTIONAL[array] else str(i)
-            out.append(Column(array, i, f"{array}/{axis}", _unit_of_wrench(axis) if array == "wrench" else ""))
-    return out
-
-
-def _unit_of_wrench(axis: str) -> str:
-    return "N" if axis.startswith("f") else "N m"
-
-
-def flat(arrays: Mapping[str, Array], layout: Sequence[Column]) -> dict[str, Array]:
-    """The arrays over time as vectors by the names of their columns."""
-    out = {}
-    for column in layout:
-        values = arrays[column.array]
-        out[column.name] = values if values.ndim == 1 else values[:, column.place]
-    return out
 
 
 def save(path: Path, content: Content) -> None:
@@ -108,9 +54,8 @@ def _save_npz(path: Path, content: Content) -> None:
 
 
 def _load_npz(path: Path) -> Content:
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
-        arrays = {k: data[k] for k in data.files if k != "meta"}
-        facts = json.loads(str(data["meta"]))
+    arrays = read_npz(path, _MAX_BYTES)
+    facts = json.loads(str(arrays.pop("meta")))
     if not isinstance(facts, dict):
         raise InputError("its head is not a table")
     return Content(arrays, facts)
@@ -127,10 +72,9 @@ def _save_csv(path: Path, content: Content) -> None:
 
 
 def _load_csv(path: Path) -> Content:
-    if path.stat().st_size > _MAX_CSV_BYTES:
-        raise InputError(f"it is larger than {_MAX_CSV_BYTES / 1e9:g} GB")
+    check_size(path.stat().st_size, _MAX_BYTES)
     with path.open(encoding="utf-8", newline="") as file:
-        first = file.readline(_MAX_CSV_BYTES)
+        first = file.readline(_MAX_BYTES)
         if not first.startswith(_CSV_MARK):
             raise InputError("Log.from_csv reads recordings of other programs")
         facts = json.loads(first.removeprefix(_CSV_MARK))
@@ -141,7 +85,7 @@ def _load_csv(path: Path) -> Content:
 
 
 def _save_parquet(path: Path, content: Content) -> None:
-    arrow, parquet = _pyarrow()
+    arrow, parquet = pyarrow()
     facts, layout = _tabular(content)
     fields = [arrow.field(column.name, arrow.float64(), metadata={"unit": column.unit}) for column in layout]
     schema = arrow.schema(fields, metadata={_PARQUET_KEY: json.dumps(facts)})
@@ -154,21 +98,11 @@ def _save_parquet(path: Path, content: Content) -> None:
 
 
 def _load_parquet(path: Path) -> Content:
-    _, parquet = _pyarrow()
-    table = parquet.read_table(path, memory_map=False)
+    table = read_parquet(path, _MAX_BYTES)
     metadata = table.schema.metadata or {}
     if _PARQUET_KEY not in metadata:
         raise InputError("its metadata contain no log")
     return _untabular(json.loads(metadata[_PARQUET_KEY]), table.column_names, [each.to_numpy() for each in table.columns])
-
-
-def _pyarrow() -> tuple[Any, Any]:
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise NotInstalledError.of_extra("Parquet files need pyarrow", "study") from None
-    return pyarrow, pyarrow.parquet
 
 
 def _tabular(content: Content) -> tuple[dict[str, Any], list[Column]]:
@@ -176,8 +110,7 @@ def _tabular(content: Content) -> tuple[dict[str, Any], list[Column]]:
     arrays = content.arrays
     optional = widths(arrays)
     layout = columns(content.facts["joint_names"], content.facts["units"], optional)
-    over_time = {column.array for column in layout} | set(_OPTIONAL)
-    constant = {name: values.tolist() for name, values in arrays.items() if name not in over_time}
+    constant = {name: values.tolist() for name, values in arrays.items() if name != "t" and name not in QUANTITIES}
     return {**content.facts, "arrays": constant, "optional": optional}, layout
 
 
@@ -198,8 +131,8 @@ def _untabular(facts: Any, header: Sequence[str], table: Sequence[Any] | Array) 
         arrays[column.array].append(np.asarray(values))
     stacked = {name: np.column_stack(parts) for name, parts in arrays.items()}
     stacked["t"] = stacked["t"][:, 0]
-    for name in _OPTIONAL.keys() - stacked.keys():
-        stacked[name] = np.zeros((0, len(_OPTIONAL[name])))
+    for name in QUANTITIES.keys() - stacked.keys():
+        stacked[name] = np.zeros((0, len(QUANTITIES[name].axes)))
     return Content(stacked | {name: np.array(values, dtype=np.float64) for name, values in constant.items()}, facts)
 
 

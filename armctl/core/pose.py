@@ -79,9 +79,6 @@ class Pose:
         Args:
             matrix: (4, 4), its rotation orthonormal within 1e-6.
 
-        Returns:
-            The pose.
-
         Raises:
             InputError: Another shape, or no rigid transform.
         """
@@ -104,9 +101,6 @@ class Pose:
         Args:
             position: (3,) m.
             rotation: (3, 3), orthonormal.
-
-        Returns:
-            The pose.
 
         Raises:
             InputError: They have another shape, or are not numeric.

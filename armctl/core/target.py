@@ -40,9 +40,6 @@ class Target:
             tolerance: m; None is 1e-3 m.
             angle_tolerance: rad; None is 1e-2 rad.
 
-        Returns:
-            The target.
-
         Raises:
             InputError: The target has a wrong length or a number that is not finite, or a tolerance is negative or not finite.
         """
@@ -92,9 +89,6 @@ class Target:
 
         Args:
             tip: T_world_tip.
-
-        Returns:
-            True if they are.
         """
         position_error, orientation_error = self.distance(tip)
         return position_error <= self.tolerance and orientation_error <= self.angle_tolerance

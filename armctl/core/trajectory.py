@@ -102,7 +102,13 @@ class TickReference(NamedTuple):
         return cls(q[1:-1], v[1:-1], a[1:-1], v_tick[:-1], np.diff(v_tick, axis=0) / dt)
 
 
-def check_motion(trajectory: object, joint_names: Sequence[str], *, what: str = "trajectory") -> None:
+def check_trajectory(trajectory: object, what: str = "trajectory") -> None:
+    """Raises InputError if an argument is not a trajectory."""
+    if not callable(trajectory) or not hasattr(trajectory, "duration") or not hasattr(trajectory, "sample"):
+        raise InputError(f"{what}: {shown(trajectory)} is not a trajectory; armctl.move_j(arm, arm.home, q) returns one")
+
+
+def check_motion(trajectory: Any, joint_names: Sequence[str], *, what: str = "trajectory") -> None:
     """Checks that an argument is a motion of these joints.
 
     A motion without `joint_names`, such as one that a user wrote, is compared by its number of joints.
@@ -115,8 +121,7 @@ def check_motion(trajectory: object, joint_names: Sequence[str], *, what: str = 
     Raises:
         InputError: It is not a trajectory, or it is a motion of other joints.
     """
-    if not callable(trajectory) or not hasattr(trajectory, "duration") or not hasattr(trajectory, "sample"):
-        raise InputError(f"{what}: {shown(trajectory)} is not a trajectory; armctl.move_j(arm, arm.home, q) returns one")
+    check_trajectory(trajectory, what)
     names = getattr(trajectory, "joint_names", None)
     if names is None:
         start: Any = trajectory(0.0)

@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armctl.core.errors import InputError
+from armctl.core.errors import InputError, shown
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -18,24 +18,12 @@ BoolArray = NDArray[np.bool_]
 TextArray = NDArray[np.object_]
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
-_MAX_SHOWN_CHARACTERS = 80  # of a value in a message
-
-
-def shown(value: object) -> str:
-    """A value for a message: its repr in one line of at most 80 characters."""
-    try:
-        text = " ".join(repr(value).split())
-    except Exception:  # the repr of a caller's object may raise anything
-        text = f"an object of type {type(value).__name__}"
-    return text if len(text) <= _MAX_SHOWN_CHARACTERS else text[: _MAX_SHOWN_CHARACTERS - 3] + "..."
-
 
 def instance(what: str, value: object, kind: type | tuple[type, ...], hint: str) -> None:
     """Checks that an argument is of a type.
 
     Args:
         what: The name of the argument, for the error.
-        value: The argument.
         kind: The type, or several types of which one must match.
         hint: How to get such a value, for the error.
 
@@ -52,11 +40,7 @@ def choice(what: str, value: object, known: Iterable[str]) -> str:
 
     Args:
         what: The name of the argument, for the error.
-        value: The argument.
         known: The words.
-
-    Returns:
-        The word.
 
     Raises:
         InputError: The argument is none of them.
@@ -155,9 +139,6 @@ def number(what: str, value: float, low: float = -np.inf, high: float = np.inf) 
         low: The lower bound.
         high: The upper bound.
 
-    Returns:
-        The number as a float.
-
     Raises:
         InputError: The value is not a number, not finite, or out of its bounds.
     """
@@ -177,9 +158,6 @@ def integer(what: str, value: float, low: float = -np.inf, high: float = np.inf)
         value: The number; a float is accepted if it is whole.
         low: The lower bound.
         high: The upper bound.
-
-    Returns:
-        The number as an int.
 
     Raises:
         InputError: The value is not a whole number, or out of its bounds.
@@ -212,10 +190,6 @@ def flag(what: str, value: object) -> bool:
 
     Args:
         what: The name of the argument, for the error.
-        value: The argument.
-
-    Returns:
-        The argument as a bool.
 
     Raises:
         InputError: It is something else, such as an array, whose truth would be ambiguous.

@@ -65,7 +65,6 @@ class ArmEstimate:
     Attributes:
         ok: Whether the motion excited all parameters that matter, and the prediction of held-out torques is good.
         reason: The reason if it is not ok; empty if it is.
-        arm: The model of the arm.
         friction: The friction model: "none", "coulomb+viscous" or "stribeck".
         inertia: (n, 10) of the link behind each joint, in the frame of the joint in `arm.pinocchio_model`: m, m c (3), Ixx,
             Ixy, Iyy, Ixz, Iyz, Izz, in kg, kg m and kg m^2; inertia about the origin of that frame.
@@ -177,9 +176,6 @@ class ArmEstimate:
             path: The .xml file; it is written atomically, and its folder is made. Meshes are referred to by absolute paths.
             source: The name or file that the arm was loaded from; the name of the arm if left out.
 
-        Returns:
-            The path.
-
         Raises:
             InputError: As for `applied_to`, or the source is not that of the arm.
             UnknownNameError: There is no robot of the name of the arm; give `source`.
@@ -196,9 +192,6 @@ class ArmEstimate:
 
         Args:
             path: The .urdf file; it is written atomically, and its folder is made.
-
-        Returns:
-            The path.
 
         Raises:
             InputError: As for `applied_to`.

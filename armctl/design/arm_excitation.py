@@ -98,7 +98,7 @@ def arm_excitation(arm: Arm, seconds: float, speed: float, seed: int) -> Excitat
         score = score_of(motion)
         if score.uncertainty < least:
             least = score.uncertainty
-            best = _excitation(motion, score.condition, clearance.distance)
+            best = excitation_along(motion, "arm", score.condition, clearance.distance)
         if found == _CANDIDATES:
             break
     if best is None:
@@ -106,7 +106,10 @@ def arm_excitation(arm: Arm, seconds: float, speed: float, seed: int) -> Excitat
     return best
 
 
-def _excitation(motion: JointTrajectory, condition: float, clearance: float) -> Excitation:
+def excitation_along(
+    motion: JointTrajectory, excites: str, condition_number: float, clearance: float = float("nan")
+) -> Excitation:
+    """A motion with what it is good for."""
     return Excitation(
         motion.knots,
         motion.coefficients,
@@ -114,8 +117,8 @@ def _excitation(motion: JointTrajectory, condition: float, clearance: float) -> 
         motion.limits,
         motion.slowed,
         motion.units,
-        excites="arm",
-        condition_number=condition,
+        excites=excites,
+        condition_number=condition_number,
         clearance=clearance,
     )
 

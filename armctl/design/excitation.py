@@ -11,7 +11,7 @@ from armctl.collision.checkers import collision_checker
 from armctl.core.errors import LimitError, PlanError
 from armctl.core.limits import check_speed
 from armctl.core.validation import Array, choice, instance, number
-from armctl.design.arm_excitation import Excitation, arm_excitation
+from armctl.design.arm_excitation import Excitation, arm_excitation, excitation_along
 from armctl.motion import JointTrajectory, check_torque, move_through
 from armctl.robot.arm import Arm, check_arm
 from armctl.robot.dynamics import Dynamics
@@ -57,7 +57,6 @@ def excitation(
     of clearance covers the whole motion.
 
     Args:
-        arm: The arm.
         payload: kg, the largest mass that its tip may be holding; only for a payload.
         seconds: s, the duration of a motion for the arm; one for a payload takes as long as it needs.
         for_: "arm" for `identify`, "payload" for `identify_payload`.
@@ -83,16 +82,7 @@ def excitation(
     if for_ == "arm":
         return arm_excitation(arm, seconds, speed, int(seed))
     motion = _payload_excitation(arm, payload, speed, int(seed))
-    return Excitation(
-        motion.knots,
-        motion.coefficients,
-        motion.joint_names,
-        motion.limits,
-        motion.slowed,
-        motion.units,
-        excites="payload",
-        condition_number=_condition_number(arm, motion),
-    )
+    return excitation_along(motion, excites="payload", condition_number=_condition_number(arm, motion))
 
 
 def _condition_number(arm: Arm, motion: JointTrajectory) -> float:

@@ -42,7 +42,6 @@ class FrequencyResponse:
 
     Attributes:
         ok: Whether the run was complete, no motor was saturated and the coherence is at least 0.5 at every frequency.
-        joint: The name of the joint.
         frequency: (k,) rad/s.
         measured: (k,) complex, the sensitivity S_ii from the simulation.
         predicted: (k,) complex, from the linear loop.
@@ -113,8 +112,6 @@ def frequency_response(
     plant has noise. See Pintelon and Schoukens, System Identification: A Frequency Domain Approach (2012), chapter 2.
 
     Args:
-        arm: The arm.
-        controller: A controller or its name.
         q: (n,) rad, the configuration.
         joint: The joint's name, or its index from the base.
         plant: How the simulated arm differs from the model; by default it does not.

@@ -68,7 +68,6 @@ def identify(
     rigid-body inertia" (2022).
 
     Args:
-        arm: The model of the arm.
         log: A recording, or a CSV file with the default columns of `Log.from_csv` in the arm's units.
         friction: "none", "coulomb+viscous", or "stribeck" for a breakaway torque as well.
         consistent: Whether each link must be physically consistent.

@@ -34,10 +34,9 @@ def linearize(arm: Arm, controller: Controller | str, q: ArrayLike, plant: Plant
     `torque(state, setpoint)`: its linear model, memory included, follows from its responses to small impulses.
 
     Args:
-        arm: The arm.
         controller: A controller or its name. Its own memory does not change if it can be copied.
         q: (n,) rad, the configuration.
-        plant: How the simulated arm differs from the model; by default it does not. Its noise, ripple, pushes and dry friction
+        plant: How the simulated arm differs from the model; by default it does not. Its noise, pushes and dry friction
             have no effect.
         delay: s of delay between controller and motors besides that of the plant; a whole number of control periods.
 

@@ -34,10 +34,7 @@ class Loop:
     the controller; the loop is closed by negative feedback. Contacts, limits and dry friction are left out.
 
     Attributes:
-        robot: The name of the arm.
-        controller: The name of the controller.
         plant: The simulated plant, in words.
-        joint_names: The n joints.
         q: (n,) rad, the configuration.
         dt: s, the control period.
         delay: Ticks of delay between controller and motors.
@@ -125,9 +122,6 @@ class Loop:
         Args:
             ticks: Delay between controller and motors, instead of the one it has.
 
-        Returns:
-            The loop.
-
         Raises:
             InputError: The delay is negative, above 200 ticks or no integer.
         """
@@ -186,9 +180,6 @@ class Loop:
         Args:
             path: The picture, .png, .svg or .pdf; its folder is made, and the file is written atomically. Left out, a window
                 opens.
-
-        Returns:
-            The path, if one was given.
 
         Raises:
             InputError: The path has another ending.

@@ -28,7 +28,6 @@ class WorstMargin:
     """The worst value of one margin, and where it occurs.
 
     Attributes:
-        value: The margin.
         q: (n,) rad, the configuration.
         plant: The plant, in words.
     """
@@ -44,8 +43,6 @@ class Margins:
 
     Attributes:
         ok: Whether the closed loop is stable everywhere.
-        robot: The name of the arm.
-        controller: The name of the controller.
         dt: s, the control period of the plant with the least delay margin.
         delay: The smallest delay margin, s.
         gain: The smallest gain margin, a factor above 1.
@@ -79,11 +76,7 @@ class Margins:
         )
 
     def to_dict(self) -> dict[str, object]:
-        """All figures for JSON; an infinite margin is None.
-
-        Returns:
-            A dictionary of numbers, texts and lists.
-        """
+        """All figures for JSON; an infinite margin is None."""
         figures: dict[str, object] = {
             "ok": self.ok,
             "reason": self.reason,
@@ -108,8 +101,6 @@ def margins(
     """Linearizes the loop of an arm and a controller at many configurations, and finds the worst margins.
 
     Args:
-        arm: The arm.
-        controller: A controller or its name.
         poses: Number of configurations: home and random ones, always the same; or the configurations themselves, (k, n) rad.
         plants: The simulated plants; by default the one that does not differ from the model.
 

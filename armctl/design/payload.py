@@ -100,7 +100,6 @@ def identify_payload(arm: Arm, log: Log) -> PayloadEstimate:
     parameters of a payload would be ill-conditioned; its inertia is taken to be a point mass's.
 
     Args:
-        arm: The model of the arm.
         log: A run of it with the payload, best along `excitation`.
 
     Returns:

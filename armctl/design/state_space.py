@@ -22,7 +22,7 @@ ComplexArray = NDArray[np.complex128]
 # Size of an impulse. The error of a central difference is of the order of the size squared, that of rounding of its inverse.
 _POSITION_IMPULSE = 1e-4  # rad (m)
 _VELOCITY_IMPULSE = 1e-3  # rad/s (m/s)
-_IMPULSE_SCALES = (1.0, 0.05)  # the smaller one is for controllers that are linear around rest only, such as adaptive ones
+_IMPULSE_SCALES = (1.0, 0.05)  # the smaller one is for controllers that are linear around rest only, such as those that learn
 _HORIZONS_TICKS = (16, 128)  # length of an impulse response; the longer one is for controllers with long delay lines
 _RANK_TOLERANCE = 1e-7  # of singular values of the scaled Hankel matrix; rounding is below 1e-8
 _MAX_MODEL_ERROR = 1e-4  # relative; a controller that differs more from its linear model is not linear around this state
@@ -66,10 +66,6 @@ def linear_controller(arm: Arm, controller: Controller, q: Array, dt: float, con
     The controller is called like in a simulation, on a copy of it, so its memory need not be known: the model follows from the
     responses to an impulse in each measured signal, after Ho and Kalman (1966) in the balanced form of Kung (1978). At last the
     model is compared with the controller on a random signal.
-
-    Raises:
-        InputError: The controller keeps its memory at a new start and cannot be copied.
-        ModelError: The controller fails at this state, or no linear model describes it.
     """
     run = _runs(arm, controller, q, dt, continuous)
     error = np.inf

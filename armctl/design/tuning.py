@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from armctl.control import (
     PD,
-    Adaptive,
     ComputedTorque,
     ComputedTorqueLearning,
     ComputedTorqueObserver,
@@ -106,11 +105,7 @@ class Tuning:
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, object]:
-        """The figures as plain values for JSON.
-
-        Returns:
-            A dictionary of numbers, texts and lists.
-        """
+        """The figures as plain values for JSON."""
         figures = {
             name: {field: getattr(each, field) for field in ("delay_margin", "peak_sensitivity", "chatter", "compliance")}
             for name, each in (("before", self.before), ("after", self.after))
@@ -134,7 +129,6 @@ def tune(
     stiffness to its square, an integral gain to its cube.
 
     Args:
-        arm: The arm.
         law: The name of a controller whose gains can be tuned: all but "computed-torque-textbook".
         delay_margin: s, the smallest permitted one.
         peak_sensitivity: The largest permitted Ms, above 1.
@@ -192,7 +186,6 @@ class _Family:
     Attributes:
         scales: How many scales there are.
         gains: The arguments of the constructor at (scales,) scales.
-        make: The constructor.
     """
 
     scales: int
@@ -213,7 +206,6 @@ _BANDWIDTH_LAWS: dict[str, Callable[..., Controller]] = {
     "computed-torque": ComputedTorque,
     "operational-space": OperationalSpace,
     "impedance": Impedance,
-    "adaptive": Adaptive,
     "qp": ComputedTorqueQP,
 }
 _OBSERVER_LAWS: dict[str, Callable[..., Controller]] = {

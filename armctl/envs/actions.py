@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from armctl import _core
+from armctl.core.errors import InputError
+from armctl.core.limits import Limits
 from armctl.core.validation import choice
 from armctl.robot.arm import Arm
 
 _MIN_JOINTS_FOR_POSES = 6
+_TURN = 2.0 * np.pi  # rad (m), to both sides of home
+_STOP_MARGIN = 1e-3  # of the range of a joint
 
 
 @dataclass(frozen=True)
@@ -15,13 +22,13 @@ class ActionMode:
     """How the controller uses an action, whose numbers are in [-1, 1].
 
     Attributes:
-        number: What the compiled step calls it.
+        kind: What the compiled step calls it.
         joint_scale: Fraction of the way at full speed that a full action moves the target of a joint in a step.
         position_scale: m, of a full action.
         rotation_scale: rad, of a full action.
     """
 
-    number: int
+    kind: _core.ActionMode
     joint_scale: float = 0.5
     position_scale: float = 0.0
     rotation_scale: float = 0.0
@@ -34,12 +41,30 @@ class ActionMode:
 
 
 ACTION_MODES = {
-    "torque": ActionMode(0),
-    "joint_delta": ActionMode(1),
-    "joint_target": ActionMode(2),
-    "cartesian_delta": ActionMode(3, position_scale=0.025, rotation_scale=0.1),
-    "cartesian_pose": ActionMode(4, position_scale=0.5, rotation_scale=1.0),
+    "torque": ActionMode(_core.ActionMode.torque),
+    "joint_delta": ActionMode(_core.ActionMode.joint_delta),
+    "joint_target": ActionMode(_core.ActionMode.joint_target),
+    "cartesian_delta": ActionMode(_core.ActionMode.cartesian_delta, position_scale=0.025, rotation_scale=0.1),
+    "cartesian_pose": ActionMode(_core.ActionMode.cartesian_pose, position_scale=0.5, rotation_scale=1.0),
 }
+
+
+def target_limits(arm: Arm) -> Limits:
+    """The limits of an arm, with finite positions for joint targets.
+
+    Targets keep a thousandth of a joint's range away from its stops; those of a joint without stops stay within a turn of home.
+
+    Raises:
+        InputError: A joint has no limit of its speed, acceleration or torque.
+    """
+    limits = arm.limits
+    for what in ("v_max", "a_max", "tau_max"):
+        if not np.isfinite(getattr(limits, what)).all():
+            raise InputError(f"{what}: environments need a finite limit of each joint of {arm.name:.80}; use arm.with_limits")
+    low = np.where(np.isfinite(limits.q_min), limits.q_min, arm.home - _TURN)
+    high = np.where(np.isfinite(limits.q_max), limits.q_max, arm.home + _TURN)
+    margin = _STOP_MARGIN * (high - low)
+    return replace(limits, q_min=low + margin, q_max=high - margin)
 
 
 def read_mode(action: object) -> ActionMode:

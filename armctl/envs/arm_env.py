@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 
 from armctl.core.errors import InputError
-from armctl.core.validation import flag
+from armctl.core.validation import flag, integer
 from armctl.envs.batch import Batch
 from armctl.envs.screen import Screen
 from armctl.envs.source import Robot
@@ -79,8 +79,11 @@ class ArmEnv(gymnasium.Env):
 
         Returns:
             The observation, and an empty dictionary.
+
+        Raises:
+            InputError: The seed is not an integer of at least 0.
         """
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else integer("seed", seed, 0))
         self.batch.reset((0,), (self.np_random,))
         observation = self.batch.observe()[0]
         self._show()

@@ -12,7 +12,6 @@ from armctl.core.errors import InputError
 from armctl.core.validation import BoolArray, choice, flag, integer, shown
 from armctl.envs.actions import read_mode
 from armctl.envs.observation import Observations, Observer
-from armctl.envs.plants import moves_freely
 from armctl.envs.randomization import Randomization
 from armctl.envs.rows import Rows
 from armctl.envs.source import ArmSource, Robot
@@ -27,10 +26,7 @@ class Batch:
     """Several episodes of one task.
 
     Attributes:
-        task: The task.
-        arm: The arm.
         action: The name of what the actions mean.
-        rows: The simulated arms.
         observer: What is observed.
         horizon: Steps of an episode.
         step_time: s, of a step.
@@ -52,7 +48,7 @@ class Batch:
         controller: str = "computed-torque",
         ticks: int = 25,
         horizon: int | None = None,
-        free_space: bool | None = None,
+        contacts: bool | None = None,
         randomize: Mapping[str, Range] | None = None,
         reward: str = "dense",
         load_options: Mapping[str, Any] | None = None,
@@ -60,8 +56,10 @@ class Batch:
         """Episodes that wait for `reset`; the arguments are those of `ArmVectorEnv`."""
         mode = read_mode(action)
         task_class = TASKS[choice("task", task, TASKS)]
-        if free_space is not None and flag("free_space", free_space) and (task_class.object or task_class.obstacle):
-            raise InputError(f"free_space: {task} is about contacts, which are not simulated in free space; leave it out")
+        needs_contacts = bool(task_class.object or task_class.obstacle)
+        has_contacts = needs_contacts if contacts is None else flag("contacts", contacts)
+        if needs_contacts and not has_contacts:
+            raise InputError(f"contacts: {task} is about contacts, so they must be simulated; leave the argument out")
         count = integer("num_envs", count, 1)
         threads = min(integer("threads", threads, 1), count)
         ticks = integer("ticks", ticks, 1)
@@ -69,9 +67,7 @@ class Batch:
         self._is_sparse = choice("reward", reward, REWARDS) == "sparse"
         self.task = task_class(ArmSource(robot, load_options), ticks)
         self.arm = self.task.arm
-        if free_space is None:
-            free_space = not (self.task.object or self.task.obstacle) and moves_freely(self.arm)
-        self._randomization = Randomization.read(randomize, free_space=free_space, has_object=bool(self.task.object))
+        self._randomization = Randomization.read(randomize, has_object=bool(self.task.object))
         self.step_time = ticks * self.arm.dt
         shortest = max(_MIN_HORIZON, int(np.ceil(self.task.min_duration / self.step_time)))
         self.horizon = shortest if horizon is None else integer("horizon", horizon, 1)
@@ -82,7 +78,7 @@ class Batch:
             count,
             ticks=ticks,
             threads=threads,
-            free_space=free_space,
+            has_contacts=has_contacts,
             randomization=self._randomization,
         )
         self.observer = Observer(self.task, self.rows)
@@ -97,7 +93,6 @@ class Batch:
         """Starts new episodes.
 
         Args:
-            which: The rows.
             rngs: For each of them, what everything is drawn from.
         """
         chosen = []

@@ -10,7 +10,7 @@ import numpy as np
 
 from armctl.core.validation import Array, IntArray
 from armctl.robot.arm import Arm
-from armctl.sim.gripper_model import GripperModel, find_gripper_model, make_usable
+from armctl.sim.gripper.model import GripperModel, find_gripper_model, make_usable
 from armctl.sim.plant import brake
 
 _SETTLE_TIME = 1.0  # s
@@ -46,9 +46,6 @@ class Grip(NamedTuple):
 
 def find_grip(arm: Arm) -> Grip:
     """The gripper behind an arm's tip.
-
-    Args:
-        arm: The arm.
 
     Returns:
         The gripper, with the states that a simulation finds.

@@ -195,7 +195,7 @@ class LeRobotWriter:
             self._video_path = self._new_file(_VIDEO_PATH, self._video_files)
             self._video_files += 1
             self._video_frames = 0
-            self._video = Mp4Writer(self._video_path, self._rate, *self._size, keyframe_interval=_KEYFRAME_INTERVAL)
+            self._video = Mp4Writer(self._video_path, self._rate, self._size, keyframe_interval=_KEYFRAME_INTERVAL)
         first = self._video_frames
         sampled = []
         for count, image in enumerate(images):

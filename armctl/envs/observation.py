@@ -28,7 +28,6 @@ class Observer:
         """Observations of a task.
 
         Args:
-            task: The task.
             rows: What is observed.
         """
         n = task.arm.n

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.validation import instance, number, shown
-from armctl.sim.plant import Plant
+from armctl.sim.plant import PLANT_ATTRIBUTES, Plant
+from armctl.sim.plant_attribute import Kind
 from armctl.study.factors import Range
 
-_OF_DYNAMICS = ("payload", "mass_scale", "viscous_friction", "coulomb_friction")
-_OF_FREE_DYNAMICS = _OF_DYNAMICS[:3]
-_OF_SIGNALS = ("encoder_noise", "delay")
+_OF_PLANT = tuple(name for name, attribute in PLANT_ATTRIBUTES.items() if attribute.varies_in_episodes)
 _OF_OBJECT = ("object_size", "object_mass", "object_friction")
 
 
@@ -46,16 +45,12 @@ class Randomization:
     object: Mapping[str, Range]
 
     @classmethod
-    def read(cls, ranges: object, *, free_space: bool, has_object: bool) -> Randomization:
+    def read(cls, ranges: object, *, has_object: bool) -> Randomization:
         """Ranges as a caller gave them.
 
         Args:
             ranges: A mapping from names to ranges, or None.
-            free_space: Whether the plant moves in free space.
             has_object: Whether there is a loose object.
-
-        Returns:
-            The randomization.
 
         Raises:
             InputError: It is no mapping, a value is no Range, or an attribute cannot vary here.
@@ -63,14 +58,12 @@ class Randomization:
         """
         instance("randomize", {} if ranges is None else ranges, Mapping, "{'payload': armctl.Range(0.0, 0.5)} is one")
         given: dict[str, Range] = dict(cast(Mapping[str, Range], ranges or {}))
-        of_plant = (*(_OF_FREE_DYNAMICS if free_space else _OF_DYNAMICS), *_OF_SIGNALS)
-        allowed = (*of_plant, *(_OF_OBJECT if has_object else ()))
+        allowed = (*_OF_PLANT, *(_OF_OBJECT if has_object else ()))
         for name, each in given.items():
-            if name not in {*_OF_OBJECT, *(field.name for field in fields(Plant))}:
+            if name not in {*_OF_OBJECT, *PLANT_ATTRIBUTES}:
                 raise UnknownNameError.of("attribute that can vary", f"{name!s:.80}", allowed)
             if name not in allowed:
-                where = " in free space" if name in _OF_DYNAMICS else ""
-                raise InputError(f"randomize: {name} cannot vary{where}; {', '.join(allowed)} can")
+                raise InputError(f"randomize: {name} cannot vary; {', '.join(allowed)} can")
             if not isinstance(each, Range):
                 raise InputError(f"randomize: {name}: expected Range, got {shown(each)}; armctl.Range(0.0, 0.5) is one")
             if name in _OF_OBJECT:
@@ -78,7 +71,7 @@ class Randomization:
             else:
                 _plant({name: each.low})
         return cls(
-            plant={name: each for name, each in given.items() if name in of_plant},
+            plant={name: each for name, each in given.items() if name in _OF_PLANT},
             object={name: each for name, each in given.items() if name in _OF_OBJECT},
         )
 
@@ -107,12 +100,16 @@ class Randomization:
 
 def _value(name: str, each: Range, rng: np.random.Generator) -> float:
     """A number within a range; a whole number has the same probability as each other."""
-    if name != "delay":
+    if not _is_whole_number(name):
         return each.at(rng.random())
     return min(each.low + rng.random() * (each.high - each.low + 1.0), each.high)
 
 
 def _plant(values: dict[str, Any]) -> Plant:
-    """A plant with these attributes; the delay is a whole number."""
-    rounded: dict[str, Any] = {name: int(value) if name == "delay" else value for name, value in values.items()}
+    """A plant with these attributes; whole numbers are rounded down."""
+    rounded: dict[str, Any] = {name: int(value) if _is_whole_number(name) else value for name, value in values.items()}
     return Plant(**rounded)
+
+
+def _is_whole_number(name: str) -> bool:
+    return PLANT_ATTRIBUTES[name].kind is Kind.WHOLE_NUMBER

@@ -35,7 +35,6 @@ class Screen:
         """A screen; pictures or the page are opened when they are first needed.
 
         Args:
-            batch: The batch.
             mode: "rgb_array" or "human".
             width: Pixels of a picture.
             height: Pixels of a picture.
@@ -47,7 +46,7 @@ class Screen:
         self._batch = batch
         self._arm = batch.arm
         self._data = mujoco.MjData(self._arm.model)
-        self._width, self._height = check_size(width, height)
+        self._width, self._height = check_size((width, height))
         self._renderer: Renderer | None = None
         self._camera: mujoco.MjvCamera | None = None
         self._viewer = None
@@ -70,7 +69,7 @@ class Screen:
         """A state, or that of now, as a picture (height, width, 3)."""
         state = self.state() if state is None else state
         if self._renderer is None:
-            self._renderer = Renderer(self._arm.model, self._width, self._height)
+            self._renderer = Renderer(self._arm.model, (self._width, self._height))
         if self._camera is None:
             self._place(self._arm.home)
             self._camera = fitted_camera(self._arm, [self._data], self._batch.task.points, self._width / self._height)
@@ -98,12 +97,9 @@ class Screen:
 
     def _place(self, q: np.ndarray) -> None:
         """Puts the arm at q (n,), everything else where it is, and the marker at the goal."""
-        simulated = self._batch.rows.simulated
-        if simulated is not None:
-            self._data.qpos[:] = simulated.data(0).qpos
-            self._data.mocap_pos[:] = simulated.data(0).mocap_pos
-            self._data.qpos[self._arm.joint_map.qpos_adr] = self._arm.joint_map.positions(q)
-        else:
-            self._data.qpos[:] = self._arm.qpos(q)
+        data = self._batch.rows.simulated.data(0)
+        self._data.qpos[:] = data.qpos
+        self._data.mocap_pos[:] = data.mocap_pos
+        self._data.qpos[self._arm.joint_map.qpos_adr] = self._arm.joint_map.positions(q)
         set_target(self._arm.model, self._data, self._batch.goal[0])
         mujoco.mj_forward(self._arm.model, self._data)

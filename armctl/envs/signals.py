@@ -1,4 +1,4 @@
-"""Signals: noise of measured positions and delay of commands, of each copy of an arm."""
+"""Signals: noise of measured positions of each copy of an arm."""
 
 from __future__ import annotations
 
@@ -9,32 +9,24 @@ from armctl.sim.plant import Plant
 
 
 class Signals:
-    """What disturbs the signals of several copies of an arm in the next step.
+    """Noise of what is measured on several copies of an arm in the next step.
 
     The velocity is differenced from the measured positions, as that of `Plant` without a velocity sensor.
 
     Attributes:
         noise: (count, ticks, 2, n) rad and rad/s, on measured positions and velocities; empty if there is none.
-        delays: (count,) ticks.
-        commands: (count, depth, n) N m, the last commands.
-        given: (count,) commands since the start of the episode.
     """
 
-    def __init__(self, count: int, ticks: int, n: int, dt: float, *, is_noisy: bool, max_delay: int):
-        """Signals without disturbances.
+    def __init__(self, count: int, ticks: int, n: int, dt: float, *, is_noisy: bool):
+        """Signals without noise.
 
         Args:
-            count: The number of copies.
             ticks: Control periods in a step.
             n: Joints.
             dt: s, the control period.
             is_noisy: Whether there will be noise.
-            max_delay: Ticks.
         """
         self.noise = np.zeros((count if is_noisy else 0, ticks, 2, n))
-        self.delays = np.zeros(count, np.int64)
-        self.commands = np.zeros((count, max_delay + 1, n))
-        self.given = np.zeros(count, np.int64)
         self._dt = dt
         self._deviation = np.zeros(count)
         self._rngs: list[np.random.Generator | None] = [None] * count
@@ -44,11 +36,9 @@ class Signals:
 
         Args:
             row: Which copy.
-            plant: The plant, whose noise and delay count.
+            plant: The plant, whose noise counts.
             rng: What the seed of the noise is drawn from.
         """
-        self.given[row] = 0
-        self.delays[row] = plant.delay
         if len(self.noise):
             self._deviation[row] = plant.encoder_noise
             self._rngs[row] = np.random.default_rng(int(rng.integers(2**63)))

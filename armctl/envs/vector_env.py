@@ -25,7 +25,6 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
     same step: the observation is that of the next episode, and `info["final_obs"]` has the last one of the old.
 
     Attributes:
-        batch: The episodes.
         metadata: The autoreset mode and the rendering modes, in the form of Gymnasium.
     """
 
@@ -45,7 +44,7 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
         controller: str = "computed-torque",
         ticks: int = 25,
         horizon: int | None = None,
-        free_space: bool | None = None,
+        contacts: bool | None = None,
         randomize: Mapping[str, Range] | None = None,
         reward: str = "dense",
         goal_conditioned: bool = False,
@@ -62,8 +61,7 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
             controller: The name of a controller, for all actions but torques.
             ticks: Control periods of a step.
             horizon: Steps of an episode; left out, as many as the task needs.
-            free_space: Whether nothing touches the arm, so that no contacts are simulated; False for `mj_step`. Left out, it is
-                True for Reach and Track, unless the arm has dry friction or coupled joints.
+            contacts: Whether contacts are simulated. Left out, they are, except in Reach and Track, which have no obstacles.
             randomize: A range for attributes of the plant and of the object, such as `{"payload": armctl.Range(0.0, 0.5)}`.
             reward: "dense" or "sparse".
             goal_conditioned: Whether an observation is a dictionary with the achieved and the desired goal.
@@ -82,7 +80,7 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
             controller=controller,
             ticks=ticks,
             horizon=horizon,
-            free_space=free_space,
+            contacts=contacts,
             randomize=randomize,
             reward=reward,
             load_options=load_options,
@@ -90,6 +88,7 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
         self._has_goals = flag("goal_conditioned", goal_conditioned)
         self.num_envs = len(self.batch.steps)
         self.render_mode = None
+        self._is_closed = False
         self.single_action_space = action_space(self.batch)
         self.single_observation_space = observation_space(self.batch, self._has_goals)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -137,8 +136,10 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
             `distance` (m) and, if there is an obstacle, `touched` of each, and `final_obs` where an episode ended.
 
         Raises:
-            InputError: The actions have another shape, or one of them is not a number.
+            InputError: The actions have another shape, one of them is not a number, or the environments are closed.
         """
+        if self._is_closed:
+            raise InputError("step: the environments are closed; make them again")
         batch = self.batch
         batch.step(actions)
         observations = batch.observe()
@@ -175,6 +176,7 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
         Args:
             **kwargs: Not used.
         """
+        self._is_closed = True
         self.batch.rows.close()
 
     def _formed(self, observations: Any) -> Any:

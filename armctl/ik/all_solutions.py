@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl._core import Constraint
 from armctl.collision.checkers import collision_checker
 from armctl.core.pose import Pose
 from armctl.core.target import TargetLike
@@ -17,15 +18,17 @@ from armctl.ik.numerical_solutions import completed_solutions, numerical_solutio
 from armctl.ik.problem import (
     MIN_TOLERANCE,
     Problem,
-    packed_chain,
+    ik_chain,
     read_seed,
-    read_starts,
+    read_start,
     read_target,
     read_tolerance,
 )
-from armctl.ik.result import IkBatch, IkResult, batch_of_solutions
+from armctl.ik.result import IkBatch, IkResult
 from armctl.ik.solve import solve_ik
 from armctl.robot.arm import Arm
+
+_POSE = Constraint.POSE  # a global name is read faster than a member of an enumeration
 
 
 def solve_ik_all(
@@ -57,7 +60,6 @@ def solve_ik_all(
     Configurations that differ by whole turns are one solution; of these the nearest to q0 inside the limits is returned.
 
     Args:
-        arm: The arm.
         target: A Pose, (3,) m for position only, or a Target, whose own tolerances are not used here.
         limit: The largest number of solutions to return.
         q0: (n,) rad (m for a slide joint), from which distances are measured. By default the arm's home.
@@ -65,7 +67,6 @@ def solve_ik_all(
         orientation_tolerance: rad.
         free_axis: "x", "y" or "z": the tip's axis about which the target may be turned freely.
         avoid_collisions: Whether solutions must be free of contact of the arm with itself and with the scene.
-        seed: The seed of the random starts.
 
     Returns:
         The solutions, sorted by their distance from q0. If there is none, the result has one row, which is the best
@@ -76,9 +77,9 @@ def solve_ik_all(
         LimitError: q0 is outside the joint limits.
     """
     # The checks of the usual types are inline, as in solve_ik.
-    chain = packed_chain(arm)
+    chain = ik_chain(arm)
     if type(target) is Pose and free_axis is None:
-        constraint = chain.kernel.POSE
+        constraint = _POSE
         rows = target.rows
     else:
         constraint, numbers = read_target(target, free_axis)
@@ -87,7 +88,7 @@ def solve_ik_all(
         position_tolerance = read_tolerance("position_tolerance", position_tolerance)
     if type(orientation_tolerance) is not float or not MIN_TOLERANCE <= orientation_tolerance < math.inf:
         orientation_tolerance = read_tolerance("orientation_tolerance", orientation_tolerance)
-    starts = read_starts(arm, q0, 1)
+    start = read_start(arm, chain, q0)
     if type(seed) is not int or not 0 <= seed < 2**63:
         seed = read_seed(seed)
     if type(limit) is not int or limit < 1:
@@ -95,10 +96,11 @@ def solve_ik_all(
     if avoid_collisions is not False:
         avoid_collisions = flag("avoid_collisions", avoid_collisions)
     form = chain.closed_form
-    if form is not None and form.is_exact and constraint == chain.kernel.POSE:
-        found = closed_form_solutions(chain, form, rows, starts[0], position_tolerance, orientation_tolerance, limit)
+    if form is not None and form.is_exact and constraint == _POSE:
+        found = closed_form_solutions(chain, form, rows, start, position_tolerance, orientation_tolerance, limit)
     else:
-        problem = Problem(arm, chain, constraint, rows.reshape(1, 12), starts, position_tolerance, orientation_tolerance, seed)
+        goal = rows.reshape(1, 12)
+        problem = Problem(arm, chain, constraint, goal, start[None], position_tolerance, orientation_tolerance, seed)
         found = _inexact_solutions(problem, limit)
     is_complete = found.is_complete and len(found.q) <= limit
     if avoid_collisions:
@@ -110,7 +112,7 @@ def solve_ik_all(
             solve_ik(
                 arm,
                 target,
-                starts[0],
+                start,
                 position_tolerance=position_tolerance,
                 orientation_tolerance=orientation_tolerance,
                 free_axis=free_axis,
@@ -121,40 +123,46 @@ def solve_ik_all(
     if count > limit:
         count = limit
         found = found.select(np.arange(count))
-    found.q.setflags(write=False)
-    return batch_of_solutions(found.q, is_complete, partial(_fill, found, chain.branch_names))
-
-
-def _fill(found: Solutions, branch_names: tuple[str | None, ...], batch: IkBatch) -> None:
-    """Fills the fields of a batch of solutions of one target."""
-    details = found.details
-    details.setflags(write=False)
-    batch.ok, batch.reason, batch.iterations, batch.starts = _equal_rows(len(found.q), found.steps, found.starts)
-    batch.position_error = details[0]
-    batch.orientation_error = details[1]
-    batch.branch = tuple(map(branch_names.__getitem__, map(int, details[2].tolist())))
+    return IkBatch(
+        ok=_all_solved(count),
+        q=frozen(found.q),
+        position_error=frozen(found.position_errors),
+        orientation_error=frozen(found.orientation_errors),
+        reason=_no_reasons(count),
+        iterations=_column(found.steps, count),
+        starts=_column(found.starts, count),
+        branch=tuple([chain.branch_names[number] for number in found.branches.tolist()]),
+        is_complete=is_complete,
+    )
 
 
 @lru_cache(maxsize=1024)
-def _equal_rows(count: int, steps: int, starts: int) -> tuple[BoolArray, TextArray, IntArray, IntArray]:
-    """The fields that are the same for each of `count` solutions: read-only, and shared, because making them takes longer."""
-    return (
-        frozen(np.full(count, True)),
-        frozen(np.full(count, "", object)),
-        frozen(np.full(count, steps)),
-        frozen(np.full(count, starts)),
-    )
+def _column(value: int, count: int) -> IntArray:
+    """(count,) of one value, read-only: calls with the same numbers share it."""
+    return frozen(np.full(count, value))
+
+
+@lru_cache(maxsize=1024)
+def _all_solved(count: int) -> BoolArray:
+    """(count,) of True, read-only."""
+    return frozen(np.ones(count, np.bool_))
+
+
+@lru_cache(maxsize=1024)
+def _no_reasons(count: int) -> TextArray:
+    """(count,) empty texts, read-only."""
+    return frozen(np.full(count, "", object))
 
 
 def _inexact_solutions(problem: Problem, limit: int) -> Solutions:
     """The solutions of a problem that has no closed form, or only almost."""
     chain = problem.chain
     form = chain.closed_form
-    if form is None or problem.constraint != chain.kernel.POSE:
+    if form is None or problem.constraint != _POSE:
         return numerical_solutions(problem, limit)
     tolerances = (problem.position_tolerance, problem.orientation_tolerance)
     found = closed_form_solutions(chain, form, problem.targets.reshape(4, 3), problem.q0[0], *tolerances, limit)
-    return found if form.held >= 0 else completed_solutions(problem, found)
+    return completed_solutions(problem, found) if form.held is None else found
 
 
 def _one_row(result: IkResult) -> IkBatch:

@@ -11,17 +11,20 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armctl._core import Constraint
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose
 from armctl.core.progress import progress_bar
 from armctl.core.validation import Array, IntArray, array, frozen, integer, matrix, shown
 from armctl.ik import lm
-from armctl.ik.problem import Problem, compiled, constraint_of, read_problem
+from armctl.ik.problem import Problem, constraint_of, read_problem
 from armctl.ik.result import IkBatch, failure_reason
 from armctl.robot.arm import Arm
 
 MAX_CHUNK = 1024  # targets
 MIN_CHUNK = 128
+MAX_SKEW = 1e-6  # of a matrix that is accepted as a rotation
+MAX_LAST_ROW_ERROR = 1e-9  # of a homogeneous transform's last row from 0 0 0 1
 
 
 def solve_ik_batch(
@@ -40,14 +43,12 @@ def solve_ik_batch(
     If stderr is a terminal, a progress bar appears after two seconds.
 
     Args:
-        arm: The arm.
         targets: N Poses, (N, 4, 4) homogeneous transforms, or (N, 3) m for positions only.
         q0: (n,) or (N, n) rad (m for a slide joint), where the search starts. By default the arm's home.
         threads: How many threads to use; by default one per core.
         position_tolerance: m.
         orientation_tolerance: rad.
         free_axis: "x", "y" or "z": the tip's axis about which every target may be turned freely.
-        seed: The seed of the random starts.
 
     Returns:
         The fields of IkResult as arrays.
@@ -130,7 +131,7 @@ def _solve(problem: Problem, rows: IntArray, stay_near: bool) -> IkBatch:
     )
 
 
-def _read_targets(targets: Sequence[Pose] | ArrayLike, free_axis: str | None) -> tuple[int, Array]:
+def _read_targets(targets: Sequence[Pose] | ArrayLike, free_axis: str | None) -> tuple[Constraint, Array]:
     """The constraint of the targets and their numbers (N, 12), checked."""
     if isinstance(targets, Pose):
         raise InputError("targets: expected a list of Poses, got one Pose; solve_ik takes one")
@@ -154,8 +155,10 @@ def _read_transforms(T: Array) -> Array:
     """(N, 12) of homogeneous transforms, checked."""
     if T.shape[1:] != (4, 4):
         raise InputError(f"targets: expected shape (N, 4, 4) or (N, 3), got {T.shape}")
-    rows = np.empty((len(T), 12))
-    read = compiled().read_transforms(T, rows)
-    if read < len(T):
-        raise InputError(f"targets: element {read} is not a rigid transform")
-    return rows
+    R = T[:, :3, :3]
+    skew = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    last_row_error = np.abs(T[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1)
+    is_rigid = (skew <= MAX_SKEW) & (last_row_error <= MAX_LAST_ROW_ERROR) & (np.linalg.det(R) >= 0)
+    if not is_rigid.all():
+        raise InputError(f"targets: element {is_rigid.argmin()} is not a rigid transform")
+    return np.concatenate([R.reshape(-1, 9), T[:, :3, 3]], axis=1)

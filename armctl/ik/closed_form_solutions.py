@@ -1,16 +1,14 @@
-"""Solutions of a closed form: found by its kernels, refined by those of the solver."""
+"""Solutions of a closed form, found and refined by the compiled core."""
 
 from __future__ import annotations
 
-from functools import cache
-from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
 
 from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.ik.geometry import ClosedForm
-from armctl.ik.problem import PackedChain, Problem
+from armctl.ik.problem import IkChain, Problem
 
 MIN_SAMPLES = 16  # of a sweep
 MAX_SEEDS_PER_SAMPLE = 16
@@ -29,25 +27,34 @@ class Solutions(NamedTuple):
 
     Attributes:
         q: (N, n) rad.
-        details: (3, N) the position errors, m, the orientation errors, rad, and the numbers of the branches.
+        position_errors: (N,) m.
+        orientation_errors: (N,) rad.
+        branches: (N,) the core's numbers of the branches.
         starts: How many configurations were begun with.
         steps: Solver steps.
         is_complete: Whether there is proved to be no other.
     """
 
     q: Array
-    details: Array
+    position_errors: Array
+    orientation_errors: Array
+    branches: IntArray
     starts: int
     steps: int
     is_complete: bool
 
     def select(self, rows: IntArray) -> Solutions:
         """Those with the numbers (K,)."""
-        return self._replace(q=self.q[rows], details=self.details[:, rows])
+        return self._replace(
+            q=self.q[rows],
+            position_errors=self.position_errors[rows],
+            orientation_errors=self.orientation_errors[rows],
+            branches=self.branches[rows],
+        )
 
 
 def closed_form_solutions(
-    chain: PackedChain,
+    chain: IkChain,
     closed_form: ClosedForm,
     target: Array,
     q0: Array,
@@ -64,16 +71,16 @@ def closed_form_solutions(
     min_samples = 1
     max_samples = 1
     room = MAX_SEEDS_PER_SAMPLE
-    if closed_form.held >= 0:
+    if closed_form.held is not None:
         min_samples = MIN_SAMPLES
         max_samples = max(MIN_EMPTY_SAMPLES, SAMPLES_PER_SOLUTION * limit)
         room = limit + MAX_SEEDS_PER_SAMPLE * MIN_SAMPLES
-    q = np.empty((room, len(closed_form.form) - 2))
-    details = np.empty((3, room))
-    count, steps, samples, is_complete = _kernels().solve_all(
-        closed_form.form,
-        chain.rows,
-        chain.reach,
+    q = np.empty((room, len(chain.unit)))
+    position_errors = np.empty(room)
+    orientation_errors = np.empty(room)
+    branches = np.empty(room, np.int64)
+    found = closed_form.core.solve_all(
+        chain.core,
         target,
         q0,
         position_tolerance,
@@ -84,48 +91,58 @@ def closed_form_solutions(
         max_samples,
         limit,
         q,
-        details,
+        position_errors,
+        orientation_errors,
+        branches,
     )
-    q = q[:count]
-    if closed_form.held < 0:
-        return Solutions(q, details[:, :count], samples, steps, is_complete and closed_form.is_exact)
-    return Solutions(q.copy(), details[:, :count].copy(), samples, steps, False)
+    count = found.count
+    return Solutions(
+        q=q[:count],
+        position_errors=position_errors[:count],
+        orientation_errors=orientation_errors[:count],
+        branches=branches[:count],
+        starts=found.samples,
+        steps=found.steps,
+        is_complete=found.complete and closed_form.is_exact and closed_form.held is None,
+    )
 
 
-def first_solutions(chain: PackedChain, closed_form: ClosedForm, targets: Array, q: Array) -> BoolArray:
+def first_solutions(closed_form: ClosedForm, targets: Array, q: Array) -> BoolArray:
     """Fills q (N, n) with one solution for each of the targets (N, 12) that has any inside the limits; returns which have.
 
     They are exact as far as the closed form is. `q` also holds the configurations near which to search first.
     """
-    found = np.empty(len(targets), np.bool_)
+    found = np.empty(len(targets), np.int64)
     margin = 0.0 if closed_form.is_exact else INEXACT_MARGIN
     slack = 0.0 if closed_form.is_exact else DEVIATION_FACTOR * closed_form.deviation
-    _kernels().find_first(closed_form.form, chain.reach, targets, slack, margin, FIRST_SAMPLES, q, found)
-    return found
+    closed_form.core.find_first(targets, slack, margin, FIRST_SAMPLES, q, found)
+    return found == 1
 
 
 def polished(problem: Problem, seeds: Array, starts: int, is_complete: bool) -> Solutions:
     """The solutions that seeds (M, n) lead to, the nearest to q0 first; `is_complete` holds if none of the seeds is lost."""
-    chain = problem.chain
     q = np.empty(seeds.shape)
-    details = np.empty((3, len(seeds)))
-    found, steps, lost = chain.kernel.polish(
-        chain.rows,
-        chain.reach,
+    position_errors = np.empty(len(seeds))
+    orientation_errors = np.empty(len(seeds))
+    branches = np.empty(len(seeds), np.int64)
+    found = problem.chain.core.polish(
         problem.targets[0],
         problem.position_tolerance,
         problem.orientation_tolerance,
         problem.q0[0],
         seeds,
         q,
-        details,
+        position_errors,
+        orientation_errors,
+        branches,
     )
-    return Solutions(q[:found], details[:, :found], starts, steps, is_complete and lost == 0)
-
-
-@cache
-def _kernels() -> ModuleType:
-    """The compiled kernels of the closed form; numba is imported when they are first used."""
-    from armctl.ik import closed_form
-
-    return closed_form
+    count = found.count
+    return Solutions(
+        q=q[:count],
+        position_errors=position_errors[:count],
+        orientation_errors=orientation_errors[:count],
+        branches=branches[:count],
+        starts=starts,
+        steps=found.steps,
+        is_complete=is_complete and found.lost == 0,
+    )

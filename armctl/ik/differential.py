@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.core.errors import InputError, UnknownNameError
+from armctl.core.errors import InputError
 from armctl.core.target import TargetLike
-from armctl.core.validation import Array, flag, frozen, number, shown, vector
+from armctl.core.validation import Array, choice, flag, frozen, number, shown, vector
 from armctl.ik.problem import read_target
-from armctl.ik.quadratic_program import QuadraticProgram
+from armctl.ik.quadratic_program import QP_SOLVERS, QuadraticProgram
 from armctl.robot.arm import Arm, check_arm
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ class DifferentialIk:
     """Follows a target with joint velocities. Position and velocity limits hold even if the solver fails.
 
     Attributes:
-        arm: The arm.
         configuration: mink's configuration, at the last step.
         tip: The mink task that brings the tip to the target.
         status: How the last step ended: "solved", "held back" (shortened, because it would have ended too near a body), or
@@ -53,7 +52,6 @@ class DifferentialIk:
         """Prepares the program of an arm.
 
         Args:
-            arm: The arm.
             posture: (n,) rad (m for a slide joint), which the joints approach as far as the tip leaves them free. By default
                 the arm's home.
             posture_gain: 1/s, the gain of the posture; 0 disables it.
@@ -62,29 +60,25 @@ class DifferentialIk:
             tasks: Further mink tasks, made for `arm.model`.
             limits: Further mink limits, made for `arm.model`.
             constraints: mink tasks that must hold exactly.
-            solver: The QP solver, such as "daqp", "osqp" or "proxqp".
+            solver: The QP solver, "daqp" (an active set, the faster one) or "osqp".
 
         Raises:
             InputError: An argument has a wrong shape, type or value.
             LimitError: The posture is outside the joint limits.
             ModelError: The arm could touch a height field or signed distance field, which `avoid_collisions` cannot avoid.
-            UnknownNameError: The solver is not installed.
         """
         import mink
-        import qpsolvers
         from mink.tasks import BaseTask
 
         from armctl.ik.tasks import ClearanceLimit, TipTask
 
         check_arm(arm)
-        if not isinstance(solver, str) or solver not in qpsolvers.available_solvers:
-            raise UnknownNameError.of("QP solver", f"{solver!s:.80}", qpsolvers.available_solvers)
+        self._solver = choice("solver", solver, QP_SOLVERS)
         rest = arm.home if posture is None else arm.checked("posture", posture)
         self.arm = arm
         self.status = "solved"
         self.configuration = mink.Configuration(arm.model, arm.home_qpos.copy())
         self.tip = TipTask(arm, rest)
-        self._solver = solver
         self._posture_gain = number("posture_gain", posture_gain, 0.0)
         self._tasks = [self.tip, *_checked_list("tasks", tasks, BaseTask)]
         self._limits = _checked_list("limits", limits, mink.Limit)
@@ -111,21 +105,19 @@ class DifferentialIk:
             InputError: An argument has a wrong shape, type or value.
         """
         constraint, numbers = read_target(target, free_axis)
-        return frozen(self._velocity(vector("q", q, self.arm.n), constraint, numbers, number("dt", dt, 1e-9)))
-
-    def _velocity(self, q: Array, constraint: int, numbers: Array, dt: float) -> Array:
-        """`step` for a target that `armctl.ik.problem.read_target` has read, without checks."""
-        low, high = self._bounds(q, dt)
+        start = vector("q", q, self.arm.n)
+        dt = number("dt", dt, 1e-9)
+        low, high = self._bounds(start, dt)
         self.tip.constraint = constraint
         self.tip.target = numbers
         self.tip.posture_share = min(1.0, self._posture_gain * dt)
         self.tip.low = low
         self.tip.high = high
         joint_map = self.arm.joint_map
-        self.configuration.data.qpos[joint_map.qpos_adr] = joint_map.positions(q)
+        self.configuration.data.qpos[joint_map.qpos_adr] = joint_map.positions(start)
         if self._needs_kinematics:
             self.configuration.update()
-        return self._solve(q, low, high, dt) / dt
+        return frozen(self._solve(start, low, high, dt) / dt)
 
     def _bounds(self, q: Array, dt: float) -> tuple[Array, Array]:
         """The least and the greatest move of each joint in one step; outside its limits it must move back as fast as it can."""
@@ -197,8 +189,3 @@ def _checked_list(what: str, value: object, kind: type) -> list:
     if not isinstance(value, Sequence) or not all(isinstance(item, kind) for item in value):
         raise InputError(f"{what}: expected a list of mink {kind.__name__} objects, got {shown(value)}")
     return list(value)
-
-
-def unchecked_velocity(follower: DifferentialIk, q: Array, constraint: int, numbers: Array, dt: float) -> Array:
-    """`DifferentialIk.step` for a target that `armctl.ik.problem.read_target` has read, without checks."""
-    return follower._velocity(q, constraint, numbers, dt)

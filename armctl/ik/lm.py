@@ -1,4 +1,4 @@
-"""The Levenberg-Marquardt method: the compiled kernels, called with a Problem."""
+"""The Levenberg-Marquardt method of the compiled core, called with a Problem."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armctl.core.validation import Array, BoolArray, IntArray, frozen
-from armctl.ik.problem import Problem, compiled
+from armctl._core import Constraint
+from armctl.core.validation import Array, BoolArray, IntArray
+from armctl.ik.problem import Problem
 
 # Of 760 000 targets with joints at their bounds, on 38 arms, the slowest was solved after 778 starts, the next after 366.
 LM_STARTS = 2000
+ROTATION_WEIGHT = 1 / 3  # reaches per rad, of the search: an error of 3 rad counts like an error of one reach
 # The search uses this share of the tolerances, so that rounding does not decide when the answer is measured.
 TOLERANCE_SHARE = 0.999
 NEARBY_TRIALS = 4
@@ -25,31 +27,17 @@ class SearchResult(NamedTuple):
 
     Attributes:
         q: (N, n) rad, inside the joint limits: the solutions, or the best configurations met.
-        report: (4, N) the rows that the properties give; they cost nothing where nobody reads them.
+        solved: (N,) whether q is a solution.
+        next_start: (N,) the start after the last one used.
+        iterations: (N,) steps over all starts.
+        jumped: (N,) whether q is far from q0 although the tip began near the target.
     """
 
     q: Array
-    report: IntArray
-
-    @property
-    def solved(self) -> BoolArray:
-        """(N,) whether q is a solution."""
-        return self.report[compiled().SOLVED] == 1
-
-    @property
-    def next_start(self) -> IntArray:
-        """(N,) the start after the last one used."""
-        return self.report[compiled().NEXT_START]
-
-    @property
-    def iterations(self) -> IntArray:
-        """(N,) steps over all starts."""
-        return self.report[compiled().ITERATIONS]
-
-    @property
-    def jumped(self) -> BoolArray:
-        """(N,) whether q is far from q0 although the tip began near the target."""
-        return self.report[compiled().JUMPED] == 1
+    solved: BoolArray
+    next_start: IntArray
+    iterations: IntArray
+    jumped: BoolArray
 
 
 class Refined(NamedTuple):
@@ -82,49 +70,42 @@ class BestEffort(NamedTuple):
 
 def search(problem: Problem, first: int, last: int, begin: Array | None = None) -> SearchResult:
     """Searches from the starts `first` to `last - 1`. Start 0 is `begin` (N, n), by default q0; the others are random."""
-    kernel = compiled()
     chain = problem.chain
-    q0 = chain.to_units(problem.q0)
-    q = (q0 if begin is None else chain.to_units(begin)).copy()
-    report = np.empty((kernel.SEARCH_ROWS, len(q0)), np.int64)
-    kernel.search(
-        chain.rows,
-        chain.reach,
-        frozen(problem.targets.view()),  # as in a search for one target: numba compiles again for a writable array
+    q0 = np.ascontiguousarray(chain.to_units(problem.q0))
+    q = q0.copy() if begin is None else np.array(chain.to_units(begin), order="C")
+    solved = np.empty(len(q0), np.int64)
+    next_start = np.empty(len(q0), np.int64)
+    iterations = np.empty(len(q0), np.int64)
+    jumped = np.empty(len(q0), np.int64)
+    chain.core.search(
+        problem.targets,
         problem.constraint,
         problem.position_tolerance * TOLERANCE_SHARE,
         problem.orientation_tolerance * TOLERANCE_SHARE,
-        frozen(q0.view()),
+        q0,
         first,
         last,
         problem.seed,
         q,
-        report,
+        solved,
+        next_start,
+        iterations,
+        jumped,
     )
-    return SearchResult(chain.from_units(q), report)
+    return SearchResult(chain.from_units(q), solved == 1, next_start, iterations, jumped == 1)
 
 
-def refine(problem: Problem, q: Array, pull: float = 0.0, rotation_weight: float | None = None) -> Refined:
+def refine(problem: Problem, q: Array, pull: float = 0.0, rotation_weight: float = ROTATION_WEIGHT) -> Refined:
     """Descends from q (N, n) to local minima of the squared error, where every step decreases it.
 
     `pull` adds the squared distance from q0: it is the weight of a squared radian beside a squared reach from the target.
     `rotation_weight` is the weight of a radian beside a reach, by default that of the search.
     """
-    kernel = compiled()
     chain = problem.chain
-    q = chain.to_units(q) + 0.0
+    q = np.array(chain.to_units(q), order="C")
+    q0 = np.ascontiguousarray(chain.to_units(problem.q0))
     squared_error = np.empty(len(q))
-    kernel.refine(
-        chain.rows,
-        chain.reach,
-        frozen(problem.targets.view()),
-        problem.constraint,
-        kernel.ROTATION_WEIGHT if rotation_weight is None else rotation_weight,
-        chain.to_units(problem.q0),
-        pull,
-        q,
-        squared_error,
-    )
+    chain.core.refine(problem.targets, problem.constraint, rotation_weight, q0, pull, q, squared_error)
     return Refined(chain.from_units(q), squared_error)
 
 
@@ -153,7 +134,7 @@ def best_effort(problem: Problem, q: Array) -> BestEffort:
     The position comes first: if the tip cannot reach its point at all, it is as near to it as possible; else it is at its
     point, with the least orientation error that a descent finds.
     """
-    points = problem._replace(constraint=compiled().POSITION)
+    points = problem._replace(constraint=Constraint.POSITION)
     limit = (problem.position_tolerance / problem.chain.reach) ** 2
     least = np.full(len(q), np.inf)
     nearest = q.copy()

@@ -8,10 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armctl.core.validation import Array, IntArray, frozen
+from armctl import _core
+from armctl._core import Constraint
+from armctl.core.validation import Array, IntArray
 from armctl.ik import lm
 from armctl.ik.closed_form_solutions import MIN_SAMPLES, Solutions, polished
-from armctl.ik.problem import PackedChain, Problem, compiled
+from armctl.ik.problem import IkChain, Problem
 
 # Bounds on the number of isolated configurations of six hinges in series: 16 in general (Primrose, "On the input-output
 # equation of the general 7R mechanism", Mech. Mach. Theory 21, 1986), 8 if three consecutive axes are parallel or meet in a
@@ -25,6 +27,7 @@ MIN_REGULAR_SINGULAR_VALUE = 1e-6  # of the Jacobian in reaches per radian: abov
 PATIENCE = 300  # random starts without a new solution, after which the search ends
 SWEEP_PATIENCE = 12  # the same for each further sample of a sweep, which begins at the solutions of the sample before
 SOLUTIONS_PER_SAMPLE = 4  # fewest to expect: it determines the number of samples of a sweep
+LIMIT_ROUNDING = 1e-6  # rad, or reaches: a solution that much outside the limits is moved to the limit
 CONDITION_SAMPLES = 16  # configurations at which the choice of swept joints is judged
 
 
@@ -51,24 +54,30 @@ def numerical_solutions(problem: Problem, limit: int) -> Solutions:
     distance = np.linalg.norm(chain.to_units(q) - chain.to_units(problem.q0), axis=1)
     order = np.flatnonzero(ok)[np.argsort(distance[ok], kind="stable")]
     q = q[order]
-    details = np.array([position_error[order], orientation_error[order], chain.branch_numbers(q).astype(float)])
     is_complete = 0 < len(found.q) == bound and _all_regular(problem, found.q)
-    return Solutions(q, details, found.starts + starts, found.steps + steps, is_complete)
+    return Solutions(
+        q=q,
+        position_errors=position_error[order],
+        orientation_errors=orientation_error[order],
+        branches=chain.branch_numbers(q),
+        starts=found.starts + starts,
+        steps=found.steps + steps,
+        is_complete=is_complete,
+    )
 
 
 def completed_solutions(problem: Problem, found: Solutions) -> Solutions:
     """The solutions of an arm whose axes are only almost special: near singularities its closed form may miss some."""
     chain = problem.chain
-    more = _find(problem, chain.rows, found.q, MAX_SOLUTIONS_6R, is_first=False)
+    more = _find(problem, chain.core, found.q, MAX_SOLUTIONS_6R, is_first=False)
     complete = polished(problem, more.q, found.starts + more.starts, len(more.q) == MAX_SOLUTIONS_6R)
     return complete._replace(steps=found.steps + more.steps + complete.steps)
 
 
 @lru_cache(maxsize=64)
-def swept_joints(chain: PackedChain, constraint: int) -> tuple[int, ...]:
+def swept_joints(chain: IkChain, constraint: Constraint) -> tuple[int, ...]:
     """The surplus joints to sweep: those without which the other joints move the tip best, on average."""
-    kernel = compiled()
-    rank = {kernel.POSE: 6, kernel.POSITION: 3}.get(constraint, 5)
+    rank = {Constraint.POSE: 6, Constraint.POSITION: 3}.get(constraint, 5)
     n = len(chain.unit)
     if n <= rank:
         return ()
@@ -86,19 +95,18 @@ def swept_joints(chain: PackedChain, constraint: int) -> tuple[int, ...]:
 def _isolated(problem: Problem, bound: int, begin: Array, limit: int) -> _Found:
     """The solutions of an arm without surplus joints."""
     chain = problem.chain
-    return _find(problem, chain.rows, chain.to_units(begin[None]), bound or limit, is_first=True)
+    return _find(problem, chain.core, chain.to_units(begin[None]), bound or limit, is_first=True)
 
 
 def _sweep(problem: Problem, swept: tuple[int, ...], begin: Array, limit: int) -> _Found:
     """The solutions at sampled positions of the swept joints."""
-    kernel = compiled()
     chain = problem.chain
     samples = max(MIN_SAMPLES, -(-limit // SOLUTIONS_PER_SAMPLE))
     joints = list(swept)
     q0 = chain.to_units(problem.q0)[0]
-    low = chain.rows[joints, kernel.LOW]
-    high = chain.rows[joints, kernel.HIGH]
-    periodic = (chain.rows[joints, kernel.PERIOD] > 0) & (high - low > 2 * np.pi)
+    low = chain.low[joints]
+    high = chain.high[joints]
+    periodic = (chain.period[joints] > 0) & (high - low > 2 * np.pi)
     unbounded = periodic | ~np.isfinite(high - low)
     low = np.where(unbounded, np.maximum(low, q0[joints] - np.pi), low)
     high = np.where(unbounded, np.minimum(high, low + 2 * np.pi), high)
@@ -110,13 +118,10 @@ def _sweep(problem: Problem, swept: tuple[int, ...], begin: Array, limit: int) -
     steps = 0
     known = first
     for k, position in enumerate(positions):
-        rows = chain.rows.copy()
-        for column in (kernel.LOW, kernel.HIGH, kernel.FREE_LOW, kernel.FREE_HIGH):
-            rows[joints, column] = position
-        rows[joints, kernel.PERIOD] = 0.0
+        held = chain.core.with_held(np.array(joints, np.int64), position)
         known = known.copy()
         known[:, joints] = position
-        found = _find(problem, frozen(rows), known, limit, is_first=k == 0)
+        found = _find(problem, held, known, limit, is_first=k == 0)
         known = found.q if len(found.q) else first
         parts.append(found.q)
         starts += found.starts
@@ -140,32 +145,22 @@ def _low_discrepancy(count: int, dimensions: int) -> Array:
     return out
 
 
-def _find(problem: Problem, rows: Array, begin: Array, bound: int, is_first: bool) -> _Found:
-    kernel = compiled()
+def _find(problem: Problem, core: _core.Chain, begin: Array, bound: int, is_first: bool) -> _Found:
     chain = problem.chain
-    n = problem.arm.n
-    whole = rows.copy()
-    turns = rows[:n, kernel.PERIOD] > 0
-    whole[:n, kernel.LOW][turns] = -np.pi
-    whole[:n, kernel.HIGH][turns] = np.pi
-    known = np.empty((bound, n))
-    count, starts, steps = kernel.find_all(
-        rows,
-        frozen(whole),
-        chain.reach,
+    known = np.empty((bound, problem.arm.n))
+    found = core.find_all(
         problem.targets[0],
         problem.constraint,
         problem.position_tolerance * lm.TOLERANCE_SHARE,
         problem.orientation_tolerance * lm.TOLERANCE_SHARE,
-        frozen(chain.to_units(problem.q0)[0].copy()),
-        frozen(np.ascontiguousarray(begin)),
-        bound,
+        np.ascontiguousarray(chain.to_units(problem.q0)[0]),
+        np.ascontiguousarray(begin),
         PATIENCE if is_first else SWEEP_PATIENCE,
         is_first,
         problem.seed,
         known,
     )
-    return _Found(known[:count], starts, steps)
+    return _Found(known[: found.count], found.starts, found.steps)
 
 
 def _inside_limits(problem: Problem, q: Array) -> Array:
@@ -173,12 +168,10 @@ def _inside_limits(problem: Problem, q: Array) -> Array:
 
     Those for which there is none are left out.
     """
-    kernel = compiled()
     chain = problem.chain
-    n = problem.arm.n
-    low = chain.rows[:n, kernel.LOW] - kernel.LIMIT_ROUNDING
-    high = chain.rows[:n, kernel.HIGH] + kernel.LIMIT_ROUNDING
-    period = chain.rows[:n, kernel.PERIOD]
+    low = chain.low - LIMIT_ROUNDING
+    high = chain.high + LIMIT_ROUNDING
+    period = chain.period
     turn = np.where(period > 0, period, np.inf)
     q = q + period * np.round((chain.to_units(problem.q0) - q) / turn)
     q = q - period * np.ceil(np.maximum(0.0, q - high) / turn)
@@ -187,16 +180,14 @@ def _inside_limits(problem: Problem, q: Array) -> Array:
     return chain.limits.clamp(q[inside] * chain.unit)
 
 
-def _max_solutions(chain: PackedChain, constraint: int) -> int:
+def _max_solutions(chain: IkChain, constraint: Constraint) -> int:
     """How many isolated solutions there can be, without regard to the limits; 0 if no bound is known."""
-    kernel = compiled()
-    n = len(chain.rows) - 1
-    if n != 6 or len(chain.unit) != 6 or chain.has_slides or constraint != kernel.POSE:
+    n = chain.core.joint_count
+    if n != 6 or len(chain.unit) != 6 or chain.has_slides or constraint != Constraint.POSE:
         return 0
-    work = kernel.scratch(n, n)
-    kernel.forward(chain.rows, np.full(n, 0.3), work)
-    axes = work[:n, kernel.AXIS : kernel.AXIS + 3]
-    origins = work[:n, kernel.ORIGIN : kernel.ORIGIN + 3]
+    axes = np.empty((n, 3))
+    origins = np.empty((n, 3))
+    chain.core.joint_lines(np.full(n, 0.3), origins, axes)
     for k in range(n - 2):
         are_parallel = all(_sine(axes[k], axes[j]) < SPECIAL_AXES_TOLERANCE for j in (k + 1, k + 2))
         if are_parallel or _meet(origins[k : k + 3], axes[k : k + 3]):
@@ -222,16 +213,8 @@ def _all_regular(problem: Problem, q: Array) -> bool:
     return bool((values[:, -1] > MIN_REGULAR_SINGULAR_VALUE).all())
 
 
-def _jacobian(chain: PackedChain, constraint: int, q: Array) -> Array:
+def _jacobian(chain: IkChain, constraint: Constraint, q: Array) -> Array:
     """(6, n), or (3, n) for a point, in the solver's units; a free axis is taken out."""
-    kernel = compiled()
-    n = len(q)
-    work = kernel.scratch(len(chain.rows) - 1, n)
-    kernel.forward(chain.rows, q, work)
-    target = work[-2, :12].copy()
-    target[9:] *= chain.reach
-    hessian = np.empty((n, n))
-    gradient = np.empty(n)
-    J = np.empty((6, n))
-    kernel.objective(chain.rows, chain.reach, target, constraint, 0.0, False, q, hessian, gradient, J, work)
-    return J[:3] if constraint == kernel.POSITION else J
+    J = np.empty((6, len(q)))
+    chain.core.error_jacobian(constraint, np.ascontiguousarray(q), J)
+    return J[:3] if constraint == Constraint.POSITION else J

@@ -1,65 +1,72 @@
-"""An IK problem in numbers: the chain packed for the compiled solver, the targets, and the residual that judges an answer."""
+"""An IK problem in numbers: the chain of an arm, the targets, and the residual that judges an answer."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
-from types import ModuleType
 from typing import NamedTuple
 from weakref import finalize
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl import _core
+from armctl._core import Constraint
 from armctl.core.errors import InputError
 from armctl.core.limits import Limits
 from armctl.core.pose import Pose
 from armctl.core.target import Target, TargetLike
 from armctl.core.validation import Array, BoolArray, IntArray, choice, frozen, integer, matrix, number, shown, vector
-from armctl.ik.geometry import ClosedForm, closed_form_of
+from armctl.ik.geometry import ClosedForm, Hinges, closed_form_of
 from armctl.robot.arm import Arm, check_arm
+from armctl.robot.core_model import tips
 
-_FREE_AXES = {"x": 0, "y": 1, "z": 2}
+_FREE_AXES = {"x": Constraint.FREE_X, "y": Constraint.FREE_Y, "z": Constraint.FREE_Z}
 MIN_TOLERANCE = 1e-12  # m or rad: below it rounding decides
 _LIMIT_ROUNDING = 1e-9  # rad or m: a start that much outside the limits is moved to the limit
-_NO_BRANCHES = (None,) * 28
+_NO_BRANCHES = (None,) * (_core.NO_BRANCH + 1)
 
 
 @dataclass(frozen=True, eq=False)
-class PackedChain:
-    """A serial chain as the compiled solver takes it, with lengths in units of the reach.
+class IkChain:
+    """The chain of an arm with n unknowns, as the solver sees it: lengths are in units of the reach.
 
     Attributes:
-        rows: (k + 1, 20), one row per joint and a last one for the tip; `armctl.ik.kernel` names the columns.
+        core: The chain in the compiled core.
         reach: m, the length of the arm stretched out, which is the unit of length.
+        base: (3,) m, the origin of the first joint.
+        low: (n,) the bounds of the unknowns.
+        high: (n,)
+        period: (n,) 2 pi for hinges, of which whole turns lead back to the same pose, and 0 for others.
         unit: (n,) one unit of each joint of the arm: 1 rad, or the reach for a slide joint.
         has_slides: Whether there is a slide joint.
         limits: The arm's limits.
         home: (n,) the arm's home, in the solver's units.
-        kernel: `armctl.ik.kernel`, which is faster to read here than to look up.
         closed_form: The closed form of its inverse kinematics, or None.
-        branch_names: (28,) what the branches are called that the kernels number.
+        branch_names: (28,) what the branches are called that the core numbers.
     """
 
-    rows: Array
+    core: _core.Chain
     reach: float
+    base: Array
+    low: Array
+    high: Array
+    period: Array
     unit: Array
     has_slides: bool
     limits: Limits
     home: Array
-    kernel: ModuleType
     closed_form: ClosedForm | None
     branch_names: tuple[str | None, ...]
 
     def branches(self, q: Array) -> list[str | None]:
         """The branches of configurations (N, n) in rad."""
-        return [self.branch_names[number] for number in self.branch_numbers(q)]
+        return [self.branch_names[number] for number in self.branch_numbers(q).tolist()]
 
     def branch_numbers(self, q: Array) -> IntArray:
-        """The kernel's numbers of the branches of configurations (N, n) in rad."""
-        numbers = np.full(len(q), self.kernel.NO_BRANCH)
+        """The core's numbers of the branches of configurations (N, n) in rad."""
+        numbers = np.full(len(q), _core.NO_BRANCH)
         if self.closed_form is not None:
-            self.kernel.branches(self.rows, np.ascontiguousarray(q), numbers)
+            self.core.branches(np.ascontiguousarray(q), numbers)
         return numbers
 
     def to_units(self, q: Array) -> Array:
@@ -75,20 +82,16 @@ class Problem(NamedTuple):
     """N targets for one arm, all with the same constraint.
 
     Attributes:
-        arm: The arm.
-        chain: Its packed chain.
-        constraint: Which parts of the tip's pose are constrained: POSE, POSITION, or FREE_X and the next two numbers, as
-            `armctl.ik.kernel` defines them.
+        constraint: Which parts of the tip's pose are constrained.
         targets: (N, 12) rotation row by row, position.
         q0: (N, n) rad, where to start.
         position_tolerance: m.
         orientation_tolerance: rad.
-        seed: The seed of the random starts.
     """
 
     arm: Arm
-    chain: PackedChain
-    constraint: int
+    chain: IkChain
+    constraint: Constraint
     targets: Array
     q0: Array
     position_tolerance: float
@@ -102,26 +105,19 @@ class Problem(NamedTuple):
     def residual(self, q: Array) -> tuple[float, float]:
         """Position error, m, and orientation error, rad, at q (n,) for the first target, by the arm's forward kinematics."""
         position, rotation = self.arm.pinocchio_model.tip(q)
-        return compiled().residual(self.constraint, self.targets[0], position, rotation)
+        error = _core.residual(self.constraint, self.targets[0], position, np.ascontiguousarray(rotation))
+        return error.position, error.orientation
 
     def residuals(self, q: Array) -> tuple[Array, Array]:
         """Position errors (N,), m, and orientation errors (N,), rad, of each row of q (N, n) for its target."""
-        positions, rotations = self.arm.pinocchio_model.tips(q)
+        positions, rotations = tips(self.arm.core_model, q)
         position_errors = np.empty(len(q))
         orientation_errors = np.empty(len(q))
-        compiled().residuals(self.constraint, self.targets, positions, rotations, position_errors, orientation_errors)
+        _core.residuals(self.constraint, self.targets, positions, rotations, position_errors, orientation_errors)
         return position_errors, orientation_errors
 
 
-@cache
-def compiled() -> ModuleType:
-    """The compiled kernels; numba is imported when they are first used."""
-    from armctl.ik import kernel
-
-    return kernel
-
-
-def read_target(target: TargetLike, free_axis: str | None) -> tuple[int, Array]:
+def read_target(target: TargetLike, free_axis: str | None) -> tuple[Constraint, Array]:
     """The constraint of a target and its numbers (12,): rotation row by row (zeros for a point), position.
 
     It is checked unless it is a Pose or a Target, which were checked when they were made.
@@ -136,19 +132,19 @@ def read_target(target: TargetLike, free_axis: str | None) -> tuple[int, Array]:
     return constraint, frozen(numbers)
 
 
-def constraint_of(is_pose: bool, free_axis: str | None) -> int:
+def constraint_of(is_pose: bool, free_axis: str | None) -> Constraint:
     """Which parts of the tip's pose are constrained; an InputError if there is no such axis, or an axis beside a point."""
     if free_axis is None:
-        return compiled().POSE if is_pose else compiled().POSITION
+        return Constraint.POSE if is_pose else Constraint.POSITION
     choice("free_axis", free_axis, _FREE_AXES)
     if not is_pose:
         raise InputError("free_axis: a point leaves every axis free; give a Pose as the target")
-    return compiled().FREE_X + _FREE_AXES[free_axis]
+    return _FREE_AXES[free_axis]
 
 
 def read_problem(
     arm: Arm,
-    constraint: int,
+    constraint: Constraint,
     targets: Array,
     q0: ArrayLike | None,
     position_tolerance: float,
@@ -156,12 +152,12 @@ def read_problem(
     seed: int,
 ) -> Problem:
     """The problem of a call with targets (N, 12), checked; q0 is (n,), (N, n) or None for the arm's home."""
-    chain = packed_chain(arm)
+    chain = ik_chain(arm)
     return Problem(
         arm,
         chain,
         constraint,
-        targets,
+        np.ascontiguousarray(targets),
         read_starts(arm, q0, len(targets)),
         read_tolerance("position_tolerance", position_tolerance),
         read_tolerance("orientation_tolerance", orientation_tolerance),
@@ -175,10 +171,19 @@ def read_tolerance(what: str, value: float) -> float:
 
 
 def read_seed(seed: int) -> int:
-    """A checked seed, as the kernels take it."""
+    """A checked seed, as the core takes it."""
     if type(seed) is not int or seed < 0:
         seed = integer("seed", seed, 0)
     return seed % 2**63
+
+
+def read_start(arm: Arm, chain: IkChain, q0: ArrayLike | None) -> Array:
+    """Where to start for one target, (n,), read-only."""
+    if q0 is None:
+        return arm.home
+    if type(q0) is np.ndarray and not chain.has_slides and chain.core.contains(q0):
+        return frozen(q0.copy())
+    return read_starts(arm, q0, 1)[0]
 
 
 def read_starts(arm: Arm, q0: ArrayLike | None, count: int) -> Array:
@@ -204,26 +209,24 @@ def read_starts(arm: Arm, q0: ArrayLike | None, count: int) -> Array:
 
 
 # By id, because a look-up in a WeakKeyDictionary takes four times as long. An arm's entry ends with the arm.
-_packed_chains: dict[int, PackedChain] = {}
+_chains: dict[int, IkChain] = {}
 
 
-def packed_chain(arm: Arm) -> PackedChain:
-    """The packed chain of an arm, made once for each arm; an InputError if it is no arm."""
-    chain = _packed_chains.get(id(arm))
+def ik_chain(arm: Arm) -> IkChain:
+    """The chain of an arm, made once for each arm; an InputError if it is no arm."""
+    chain = _chains.get(id(arm))
     if chain is None:
         check_arm(arm)
-        chain = _pack(arm)
-        _packed_chains[id(arm)] = chain
-        finalize(arm, _packed_chains.pop, id(arm), None)
+        chain = _make_chain(arm)
+        _chains[id(arm)] = chain
+        finalize(arm, _chains.pop, id(arm), None)
     return chain
 
 
-def _pack(arm: Arm) -> PackedChain:
-    kernel = compiled()
+def _make_chain(arm: Arm) -> IkChain:
     body = arm.pinocchio_model
     limits = arm.limits
     joint_map = arm.joint_map
-    n = arm.n
     ratio = joint_map.ratio[: body.chain_length]
     slides = body.is_slide[joint_map.leaders]
     offsets = _joint_transforms(joint_map.offset[: body.chain_length], body.is_slide)
@@ -233,54 +236,65 @@ def _pack(arm: Arm) -> PackedChain:
     reach = float(np.linalg.norm(links[1:, :3, 3], axis=1).sum() + travel.sum()) or 1.0
     unit = np.where(slides, reach, 1.0)
     moves_several_joints = np.count_nonzero(ratio, axis=0) > 1
-    rows = np.zeros((body.chain_length + 1, kernel.CHAIN_COLUMNS))
-    rows[:, :9] = links[:, :3, :3].reshape(-1, 9)
-    rows[:, 9:12] = links[:, :3, 3] / reach
-    rows[:-1, kernel.IS_SLIDE] = body.is_slide
-    rows[:-1, kernel.LEADER] = np.abs(ratio).argmax(axis=1)
-    rows[:-1, kernel.RATIO] = (ratio @ unit) / np.where(body.is_slide, reach, 1.0)
-    rows[:n, kernel.LOW] = limits.q_min / unit
-    rows[:n, kernel.HIGH] = limits.q_max / unit
-    rows[:n, kernel.PERIOD] = np.where(slides | moves_several_joints, 0.0, 2 * np.pi)
-    rows[:n, kernel.FREE_LOW] = np.where(rows[:n, kernel.PERIOD] > 0, -np.inf, rows[:n, kernel.LOW])
-    rows[:n, kernel.FREE_HIGH] = np.where(rows[:n, kernel.PERIOD] > 0, np.inf, rows[:n, kernel.HIGH])
-    closed_form = _closed_form(rows, n) if body.chain_length == n and (rows[:n, kernel.PERIOD] > 0).all() else None
-    return PackedChain(
-        rows=frozen(rows),
+    rotations = np.ascontiguousarray(links[:, :3, :3])
+    translations = links[:, :3, 3] / reach
+    ratios = (ratio @ unit) / np.where(body.is_slide, reach, 1.0)
+    low = limits.q_min / unit
+    high = limits.q_max / unit
+    period = np.where(slides | moves_several_joints, 0.0, 2 * np.pi)
+    core = _core.Chain(
+        rotations=rotations,
+        translations=translations,
+        slides=body.is_slide.astype(np.int64),
+        unknowns=np.abs(ratio).argmax(axis=1).astype(np.int64),
+        ratios=ratios,
+        low=low,
+        high=high,
+        period=period,
         reach=reach,
+    )
+    closed_form = None
+    if body.chain_length == arm.n and (period > 0).all() and (ratios == 1.0).all():
+        hinges = _zero_configuration(rotations, translations, low, high, reach)
+        closed_form = closed_form_of(hinges)
+        if closed_form is not None:
+            core = core.with_special_axes(
+                relation=closed_form.kind,
+                first=closed_form.special[0],
+                others=np.array(closed_form.others, np.int64),
+                pair_relation=closed_form.pair_kind,
+                pair_first=closed_form.pair_first,
+                distances_to_points=np.einsum("kj,kj->k", closed_form.points - hinges.points, hinges.axes),
+            )
+    return IkChain(
+        core=core,
+        reach=reach,
+        base=frozen(links[0, :3, 3].copy()),
+        low=frozen(low),
+        high=frozen(high),
+        period=frozen(period),
         unit=frozen(unit),
         has_slides=bool(slides.any()),
         limits=limits,
         home=frozen(arm.home / unit),
-        kernel=kernel,
         closed_form=closed_form,
         branch_names=_NO_BRANCHES if closed_form is None else closed_form.branch_names,
     )
 
 
-def _closed_form(rows: Array, n: int) -> ClosedForm | None:
-    """The closed form of a packed chain of n hinges, if it has one; then its structure is written into the rows."""
-    kernel = compiled()
-    if not (rows[:n, kernel.RATIO] == 1.0).all():
-        return None
+def _zero_configuration(rotations: Array, translations: Array, low: Array, high: Array, reach: float) -> Hinges:
+    """The hinges of a chain whose links are (n + 1, 3, 3) and (n + 1, 3), the tip's last."""
     rotation = np.eye(3)
     position = np.zeros(3)
-    frames = np.empty((n + 1, 12))
-    for k in range(n + 1):
-        position = position + rotation @ rows[k, 9:12]
-        rotation = rotation @ rows[k, :9].reshape(3, 3)
-        frames[k, :9] = rotation.ravel()
-        frames[k, 9:] = position
-    axes = frames[:n, 2:9:3]
-    found = closed_form_of(axes, frames[:n, 9:], frames[n], rows[:n, kernel.LOW : kernel.HIGH + 1])
-    if found is not None:
-        rows[:n, kernel.MEETING_POINT] = np.einsum("kj,kj->k", found.form[:n, 3:6] - frames[:n, 9:], axes)
-        rows[n, kernel.AXES_KIND] = found.kind
-        rows[n, kernel.AXES_FIRST] = found.special[0]
-        rows[n, kernel.AXES_OTHERS : kernel.AXES_OTHERS + 3] = found.others
-        rows[n, kernel.PAIR_KIND] = found.pair_kind
-        rows[n, kernel.PAIR_FIRST] = found.pair_first
-    return found
+    axes = np.empty((len(low), 3))
+    points = np.empty((len(low), 3))
+    for k, (link_rotation, link_translation) in enumerate(zip(rotations, translations, strict=True)):
+        position = position + rotation @ link_translation
+        rotation = rotation @ link_rotation
+        if k < len(low):
+            axes[k] = rotation[:, 2]
+            points[k] = position
+    return Hinges(axes, points, low, high, rotation, position, reach)
 
 
 def _joint_transforms(displacements: Array, is_slide: BoolArray) -> Array:

@@ -1,4 +1,4 @@
-"""A quadratic program of a few unknowns, solved by any solver that qpsolvers finds."""
+"""A quadratic program of a few unknowns, solved by daqp or osqp."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 
 from armctl.core.validation import Array
 
-# First-order solvers stop at 1e-3 by default, which is visible in a joint velocity.
-_SOLVER_OPTIONS: dict[str, dict[str, Any]] = {"osqp": {"eps_abs": 1e-7, "eps_rel": 1e-7}, "proxqp": {"eps_abs": 1e-9}}
+# A first-order solver stops at 1e-3 by default, which is visible in a joint velocity.
+QP_SOLVERS: dict[str, dict[str, Any]] = {"daqp": {}, "osqp": {"eps_abs": 1e-7, "eps_rel": 1e-7}}
 
 
 class QuadraticProgram(NamedTuple):
@@ -37,14 +37,14 @@ class QuadraticProgram(NamedTuple):
         return self.A is None and inequalities_hold and bool((self.low <= 0).all() and (self.high >= 0).all())
 
     def solve(self, solver: str) -> Array | None:
-        """The solution, or None if there is none; solvers differ in how they report that."""
+        """The solution, or None if there is none."""
         import qpsolvers
 
         problem = qpsolvers.Problem(self.P, self.q, self.G, self.h, self.A, self.b, self.low, self.high)
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # what a solver warns of is visible in its solution
-                solution = qpsolvers.solve_problem(problem, solver=solver, **_SOLVER_OPTIONS.get(solver, {}))
+                warnings.simplefilter("ignore")  # what the solver warns of is visible in its solution
+                solution = qpsolvers.solve_problem(problem, solver=solver, **QP_SOLVERS[solver])
         except (qpsolvers.QPError, ValueError, ArithmeticError, RuntimeError):
             return None
         if not solution.found or solution.x is None or not np.isfinite(solution.x).all():

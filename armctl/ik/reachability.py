@@ -12,14 +12,16 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armctl._core import Constraint
 from armctl.core.atomic import atomic_path, file_path
 from armctl.core.errors import InputError
+from armctl.core.file_reading import read_npz, reading
 from armctl.core.plotting import finish_figure
 from armctl.core.progress import progress_bar
-from armctl.core.validation import Array, array, choice, frozen, integer, number, vector
+from armctl.core.validation import Array, array, choice, frozen, integer, matrix, number, vector
 from armctl.ik.closed_form_solutions import first_solutions
 from armctl.ik.lm import TOLERANCE_SHARE
-from armctl.ik.problem import PackedChain, packed_chain
+from armctl.ik.problem import IkChain, ik_chain
 from armctl.robot.arm import Arm
 
 if TYPE_CHECKING:
@@ -37,6 +39,8 @@ POSITION_TOLERANCE = 1e-5  # m
 ORIENTATION_TOLERANCE = 1e-4  # rad
 FULL_ROTATIONS = (np.sqrt(2.0), 1.533751168755204288)  # constants of the super-Fibonacci spiral
 _FILE_VERSION = 1
+_MAX_VALUE = 1e9  # m or m^3; more is a damaged number
+_MAX_FILE_BYTES = 128 * MAX_POINTS  # unpacked; a point has 40 bytes
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -150,29 +154,28 @@ class Reachability:
         Args:
             path: A file that ends in ".npz".
 
-        Returns:
-            The map.
-
         Raises:
-            InputError: It is no such file.
-            OSError: The file cannot be read.
+            InputError: There is no such file, or it holds something else.
         """
         file = file_path("path", path, (".npz",))
-        try:
-            with np.load(file, allow_pickle=False) as data:
-                points = array("points", data["points"], 2)
-                return cls(
-                    ok=not str(data["reason"]),
-                    reason=str(data["reason"]),
-                    arm=str(data["arm"]),
-                    points=frozen(points.copy()),
-                    fraction=frozen(vector("fraction", data["fraction"], len(points)).copy()),
-                    manipulability=frozen(vector("manipulability", data["manipulability"], len(points)).copy()),
-                    spacing=number("spacing", float(data["spacing"]), 1e-9),
-                    orientations=frozen(array("orientations", data["orientations"], 2).copy()),
-                )
-        except (KeyError, ValueError, EOFError) as error:
-            raise InputError(f"path: {file.name!r:.80} is not a file of Reachability.save ({error!s:.120})") from None
+        with reading(file, "no map that Reachability.save wrote"):
+            data = read_npz(file, _MAX_FILE_BYTES)
+            points = matrix("points", data["points"], 3)
+            result = cls(
+                ok=not str(data["reason"]),
+                reason=str(data["reason"]),
+                arm=str(data["arm"]),
+                points=points,
+                fraction=vector("fraction", data["fraction"], len(points)),
+                manipulability=vector("manipulability", data["manipulability"], len(points)),
+                spacing=number("spacing", data["spacing"].item(), 1e-9, _MAX_VALUE),
+                orientations=matrix("orientations", data["orientations"], 4),
+            )
+            if result.ok != (result.fraction > 0).any() or not ((result.fraction >= 0) & (result.fraction <= 1)).all():
+                raise InputError("fraction: the values are not those of its reason")
+            if max(np.abs(points).max(initial=0.0), np.abs(result.manipulability).max(initial=0.0)) > _MAX_VALUE:
+                raise InputError(f"points: a number is above {_MAX_VALUE:g}")
+            return result
 
     def plot(self, path: str | os.PathLike[str] | None = None, values: str = "fraction") -> Path | None:
         """Draws slices through the middle of the reached points: seen from above, from the front and from the side.
@@ -182,9 +185,6 @@ class Reachability:
         Args:
             path: An image file, such as "reach.png" or ".pdf"; without it a window opens.
             values: "fraction" or "manipulability".
-
-        Returns:
-            The file, if one was written.
 
         Raises:
             InputError: There are no such values.
@@ -241,20 +241,16 @@ def reachability(
     If stderr is a terminal, a progress bar appears after two seconds.
 
     Args:
-        arm: The arm.
         spacing: m, between the points; by default an eighth of the arm's length.
         orientations: How many to try at each point; 0 tests points only. By default 32, or 0 with fewer than six joints.
         region: Two opposite corners of a box, (3,) m each; in one between two layers of the grid, its middle is the layer. By
             default the sphere that the stretched arm could reach.
         threads: How many threads to use; by default one per core. The result does not depend on it.
 
-    Returns:
-        The result.
-
     Raises:
         InputError: An argument has a wrong shape, type or value, or there are more than two million points.
     """
-    chain = packed_chain(arm)
+    chain = ik_chain(arm)
     spacing = DEFAULT_SPACING_REACHES * chain.reach if spacing is None else number("spacing", spacing, 1e-6)
     default = DEFAULT_ORIENTATIONS if arm.n >= 6 else 0
     count = default if orientations is None else integer("orientations", orientations, 0, 100_000)
@@ -316,12 +312,12 @@ def _tip_planes(arm: Arm) -> Array:
     return np.where(np.ptp(tips, axis=0) <= MAX_PLANE_DEVIATION, tips[0], np.nan)
 
 
-def _grid(chain: PackedChain, spacing: float, region: Sequence[ArrayLike] | None, planes: Array) -> Array:
+def _grid(chain: IkChain, spacing: float, region: Sequence[ArrayLike] | None, planes: Array) -> Array:
     """(N, 3) m the points of a cubic grid around the first joint, inside a box or the stretched arm's sphere.
 
     Where the tip has a fixed coordinate in `planes` (3,), or the box contains no layer of the grid, there is one layer.
     """
-    centre = chain.rows[0, 9:12] * chain.reach
+    centre = chain.base
     if region is None:
         low = centre - chain.reach
         high = centre + chain.reach
@@ -346,9 +342,8 @@ def _grid(chain: PackedChain, spacing: float, region: Sequence[ArrayLike] | None
     return points + centre
 
 
-def _reached(chain: PackedChain, points: Array, rows: Array, is_oriented: bool) -> tuple[Array, Array]:
+def _reached(chain: IkChain, points: Array, rows: Array, is_oriented: bool) -> tuple[Array, Array]:
     """The fraction of the orientations (M, 12) and the largest manipulability at each of the points (K, 3)."""
-    kernel = chain.kernel
     targets = np.tile(rows, (len(points), 1))
     targets[:, 9:] = np.repeat(points, len(rows), axis=0)
     q = np.tile(chain.home, (len(targets), 1))
@@ -356,31 +351,31 @@ def _reached(chain: PackedChain, points: Array, rows: Array, is_oriented: bool) 
     candidates = np.ones(len(targets), bool)
     starts = NUMERICAL_STARTS
     if chain.closed_form is not None and is_oriented:
-        candidates = first_solutions(chain, chain.closed_form, targets, q)
+        candidates = first_solutions(chain.closed_form, targets, q)
         starts = 1
     solved = np.zeros(len(targets), bool)
     search = np.flatnonzero(candidates)
     found = q[search]
-    report = np.empty((kernel.SEARCH_ROWS, len(search)), np.int64)
-    kernel.search(
-        chain.rows,
-        chain.reach,
-        frozen(targets[search]),
-        kernel.POSE if is_oriented else kernel.POSITION,
+    is_solution = np.empty(len(search), np.int64)
+    unused = np.empty((3, len(search)), np.int64)
+    chain.core.search(
+        targets[search],
+        Constraint.POSE if is_oriented else Constraint.POSITION,
         POSITION_TOLERANCE * TOLERANCE_SHARE,
         ORIENTATION_TOLERANCE * TOLERANCE_SHARE,
-        frozen(q0[search]),
+        q0[search],
         0,
         starts,
         0,
         found,
-        report,
+        is_solution,
+        *unused,
     )
-    solved[search] = report[kernel.SOLVED] == 1
+    solved[search] = is_solution == 1
     q[search] = found
     index = np.zeros(len(targets))
     measured = np.empty(int(solved.sum()))
-    kernel.manipulabilities(chain.rows, chain.reach, 6 if is_oriented else 3, q[solved], measured)
+    chain.core.manipulabilities(is_oriented, q[solved], measured)
     index[solved] = measured
     shape = (len(points), len(rows))
     return solved.reshape(shape).mean(axis=1), index.reshape(shape).max(axis=1)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 from armctl.core.validation import Array, BoolArray, IntArray, TextArray
 
 
-@dataclass(eq=False, slots=True)  # not frozen: that makes creation 5 times slower, a tenth of a solve_ik call
+@dataclass(frozen=True, eq=False, slots=True)
 class IkResult:
     """The result of one IK problem. `q` is finite and inside the joint limits, also if `ok` is False.
 
@@ -46,25 +44,8 @@ class IkResult:
         return f"not solved: {self.reason}"
 
 
-class _FilledWhenRead:
-    """Fills the fields of a record when the first of them is read: few callers of a fast function read all of them."""
-
-    __slots__ = ("_fill",)
-
-    _fill: Callable[[Any], None]
-
-    if not TYPE_CHECKING:  # which would take any name for a field
-
-        def __getattr__(self, name: str) -> Any:
-            """A field that is not filled yet."""
-            if name not in type(self).__slots__:
-                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
-            self._fill(self)
-            return getattr(self, name)
-
-
-@dataclass(eq=False, slots=True)  # not frozen, as IkResult
-class IkBatch(_FilledWhenRead):
+@dataclass(frozen=True, eq=False, slots=True)
+class IkBatch:
     """The results of N IK problems: the fields of IkResult as arrays. Its length is N, and `batch[i]` is an IkResult.
 
     `bool(batch)` tells whether all N are solved.
@@ -111,15 +92,6 @@ class IkBatch(_FilledWhenRead):
 
     def __str__(self) -> str:
         return f"{int(self.ok.sum())} of {len(self)} solved"
-
-
-def batch_of_solutions(q: Array, is_complete: bool, fill: Callable[[IkBatch], None]) -> IkBatch:
-    """Solutions (N, n) of one target; `fill` fills the other fields when one of them is read."""
-    batch = IkBatch.__new__(IkBatch)
-    batch.q = q
-    batch.is_complete = is_complete
-    batch._fill = fill
-    return batch
 
 
 def failure_reason(out_of_reach: bool, position_error: float, orientation_error: float, starts: int) -> str:

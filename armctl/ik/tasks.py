@@ -8,9 +8,10 @@ import mink
 import numpy as np
 from mink.tasks import BaseTask
 
+from armctl._core import Constraint, IkErrorModel
 from armctl.collision.checkers import collision_checker
 from armctl.core.validation import Array
-from armctl.ik.problem import compiled, packed_chain
+from armctl.ik.problem import ik_chain
 from armctl.robot.arm import Arm
 
 # The weight of the rotation is divided by 1 + this times the position error in reaches: at a target out of reach the position
@@ -23,7 +24,6 @@ SINGULAR_DAMPING = 1e-3  # ... up to this
 MIN_GAIN_REACHES = 1e-8  # a step that gains less at a target out of reach is not made
 FLAT_CURVATURE = 1e-3  # the posture acts only in directions less curved than this ...
 FAR_ERROR_REACHES = 0.01  # ... and at targets nearer than this
-SEARCH_DAMPING = 2e-2  # times the squared error, if the second order is left out
 APPROACH_SHARE = 0.5  # of the free distance that may be used up in one step
 RECOVERY_SPEED = 0.1  # m/s, with which bodies that are too near are moved apart
 DISTANCE_ROUNDING = 1e-9  # m
@@ -49,17 +49,16 @@ class TipTask(BaseTask):
         """The task of an arm whose joints approach `posture` (n,)."""
         self._arm = arm
         self._posture = posture
-        self._chain = packed_chain(arm)
+        self._chain = ik_chain(arm)
         self._block = np.ix_(arm.dof_adr, arm.dof_adr)
         self._hessian = np.empty((arm.n, arm.n))
         self._gradient = np.empty(arm.n)
         self._jacobian = np.empty((6, arm.n))
-        self._scratch = compiled().scratch(arm.pinocchio_model.chain_length, arm.n)
+        self._squared_error = IkErrorModel(self._chain.core)
         self._gain: Array | None = None  # (n,) reaches gained per unit of a joint's step, at a target far away
         self.low = np.full(arm.n, -np.inf)  # bounds of the step
         self.high = np.full(arm.n, np.inf)
-        self.converges_out_of_reach = True  # a search that restarts elsewhere is faster without
-        self.constraint = compiled().POSITION
+        self.constraint = Constraint.POSITION
         self.target = np.zeros(12)
         self.posture_share = 0.0  # of the way to the posture in one step
 
@@ -69,22 +68,17 @@ class TipTask(BaseTask):
 
     def _error_model(self, q: Array) -> _ErrorModel:
         """Half the squared error around q (n,)."""
-        kernel = compiled()
         chain = self._chain
-        size = kernel.objective(
-            chain.rows,
-            chain.reach,
+        size = self._squared_error.linearize(
             self.target,
             self.constraint,
             POSITION_PRIORITY,
-            self.converges_out_of_reach,
             chain.to_units(q),
             self._hessian,
             self._gradient,
             self._jacobian,
-            self._scratch,
         )
-        jacobian = self._jacobian[:3] if self.constraint == kernel.POSITION else self._jacobian
+        jacobian = self._jacobian[:3] if self.constraint == Constraint.POSITION else self._jacobian
         if not chain.has_slides:
             return _ErrorModel(size, self._hessian, self._gradient, jacobian)
         unit = chain.unit
@@ -94,31 +88,28 @@ class TipTask(BaseTask):
         """The part of a desired step (n,) that leaves the error as it is, within the bounds."""
         unit = self._chain.unit
         step = np.empty_like(desired)
-        compiled().null_step(self.constraint, desired / unit, self.low / unit, self.high / unit, step, self._scratch)
+        self._squared_error.null_step(self.constraint, desired / unit, self.low / unit, self.high / unit, step)
         return step * unit
 
     def compute_qp_objective(self, configuration: mink.Configuration) -> mink.Objective:
         """The Hessian H (nv, nv) and gradient c (nv,) of the task's part of the program."""
         q = configuration.data.qpos[self._arm.qpos_adr]
         size, hessian, descent, jacobian = self._error_model(q)
-        if self.converges_out_of_reach:
-            eigenvalues, V = np.linalg.eigh(hessian)
-            curvature = np.abs(eigenvalues)
-            hessian = (V * curvature) @ V.T
-            redundant = len(jacobian) < len(q)
-            gram = jacobian @ jacobian.T if len(jacobian) <= len(q) else jacobian.T @ jacobian
-            smallest = np.linalg.eigvalsh(gram)[0]
-            damping = (
-                MIN_DAMPING
-                + min(ERROR_DAMPING * size, SINGULAR_DAMPING)
-                + SINGULAR_DAMPING * max(0.0, 1 - smallest / SINGULAR_VALUE**2)
-            )
-            share = self.posture_share * max(0.0, 1 - size / FAR_ERROR_REACHES)
-            if share > 0 and redundant:
-                flatness = np.maximum(0.0, 1 - curvature / FLAT_CURVATURE) ** 2
-                descent = descent + damping * (V * flatness) @ (self._null_step(share * (self._posture - q)) @ V)
-        else:
-            damping = SEARCH_DAMPING * min(1.0, size**2)
+        eigenvalues, V = np.linalg.eigh(hessian)
+        curvature = np.abs(eigenvalues)
+        hessian = (V * curvature) @ V.T
+        redundant = len(jacobian) < len(q)
+        gram = jacobian @ jacobian.T if len(jacobian) <= len(q) else jacobian.T @ jacobian
+        smallest = np.linalg.eigvalsh(gram)[0]
+        damping = (
+            MIN_DAMPING
+            + min(ERROR_DAMPING * size, SINGULAR_DAMPING)
+            + SINGULAR_DAMPING * max(0.0, 1 - smallest / SINGULAR_VALUE**2)
+        )
+        share = self.posture_share * max(0.0, 1 - size / FAR_ERROR_REACHES)
+        if share > 0 and redundant:
+            flatness = np.maximum(0.0, 1 - curvature / FLAT_CURVATURE) ** 2
+            descent = descent + damping * (V * flatness) @ (self._null_step(share * (self._posture - q)) @ V)
         self._gain = descent / size if size > FAR_ERROR_REACHES else None
         H = np.zeros((configuration.nv, configuration.nv))
         c = np.zeros(configuration.nv)

@@ -1,9 +1,8 @@
 """Control laws and the dynamics of arms as pure functions of JAX, for `jit`, `vmap`, `grad` and `scan`, on CPUs and GPUs.
 
-The arm, the gains and the plant are pytrees. The functions compute what the controllers of armctl and `Plant(free_space=True)`
-compute: in float64 on a CPU, the difference is one of rounding. JAX computes in float32 unless
-`jax.config.update("jax_enable_x64", True)` is called first. The names are those of this package and not of `armctl`, which
-works without JAX.
+The arm and the gains are pytrees. The functions compute what the controllers of armctl and Pinocchio compute: in float64 on a
+CPU, the difference is one of rounding. JAX computes in float32 unless `jax.config.update("jax_enable_x64", True)` is called
+first. The names are those of this package and not of `armctl`, which works without JAX.
 """
 
 from importlib.util import find_spec
@@ -25,22 +24,16 @@ from armctl.jax.control import (
     tick_reference,
 )
 from armctl.jax.dynamics import forward_dynamics, gravity, inverse_dynamics, mass_matrix, tip_jacobian, tip_pose
-from armctl.jax.free_space import FollowedMotion, FreePlant, follow, free_plant, free_step
 
 __all__ = [
     "ArmModel",
     "ComputedTorqueGains",
-    "FollowedMotion",
-    "FreePlant",
     "OperationalSpaceGains",
     "PDGains",
     "Reference",
     "arm_model",
     "computed_torque",
-    "follow",
     "forward_dynamics",
-    "free_plant",
-    "free_step",
     "gravity",
     "inverse_dynamics",
     "mass_matrix",

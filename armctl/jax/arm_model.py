@@ -8,12 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from armctl.core import validation
+from armctl.control.interface import MAX_PERIOD_S
 from armctl.core.validation import flag, number
-from armctl.robot import dynamics_kernel as kernel
 from armctl.robot.arm import Arm, check_arm
-
-_MAX_PERIOD_S = 1.0
+from armctl.robot.core_model import model_arrays
 
 
 @jax.tree_util.register_dataclass
@@ -91,58 +89,50 @@ def arm_model(arm: Arm, dt: float | None = None, continuous: bool = False) -> Ar
     """The dynamics of an arm as controllers know it.
 
     Args:
-        arm: The arm.
         dt: s, the control period; 0 for continuous time, None for that of the arm's model.
         continuous: Whether the arm moves continuously during the control period; if not, the period is one step of MuJoCo.
-
-    Returns:
-        The pytree.
 
     Raises:
         InputError: It is no arm, or the control period is no number in [0, 1] s.
     """
     check_arm(arm)
-    period = number("dt", arm.dt if dt is None else dt, 0.0, _MAX_PERIOD_S)
-    return unpack(arm.packed_dynamics.vector(period, flag("continuous", continuous)), arm.n)
-
-
-def unpack(vector: validation.Array, n: int) -> ArmModel:
-    """The pytree of a vector of `PackedDynamics` for n driven joints."""
-    m = int(vector[kernel.JOINTS])
-    joints_end = kernel.HEADER + m * kernel.JOINT_COLUMNS
-    drives_end = joints_end + n * kernel.DRIVE_COLUMNS
-    joints = vector[kernel.HEADER : joints_end].reshape(m, kernel.JOINT_COLUMNS)
-    drives = vector[joints_end:drives_end].reshape(n, kernel.DRIVE_COLUMNS)
-    xx, yy, zz, xy, xz, yz = joints[:, kernel.INERTIA : kernel.INERTIA + 6].T
+    period = number("dt", arm.dt if dt is None else dt, 0.0, MAX_PERIOD_S)
+    is_continuous = flag("continuous", continuous)
+    arrays = model_arrays(arm.model, arm.pinocchio_model)
+    m, n = arrays["ratio"].shape
+    is_plain = m == n
+    is_nonlinear = bool(arrays["damping"][:, 1:].any())
+    is_coriolis_implicit = arrays["implicit_coriolis"] and is_plain
+    xx, yy, zz, xy, xz, yz = arrays["inertias"].T
     inertia = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(m, 3, 3)
     return ArmModel(
-        parents=tuple(joints[:, kernel.PARENT].astype(int).tolist()),
-        slides=tuple((joints[:, kernel.IS_SLIDE] != 0.0).tolist()),
-        chain_length=int(vector[kernel.CHAIN_LENGTH]),
-        period=float(vector[kernel.STEP]),
-        half_period=float(vector[kernel.HALF_STEP]),
-        is_plain=bool(vector[kernel.IS_PLAIN]),
-        is_lifted=bool(vector[kernel.HAS_LIFT]),
-        is_sprung=bool(vector[kernel.HAS_SPRINGS]),
-        is_coriolis_implicit=bool(vector[kernel.IMPLICIT_CORIOLIS]),
-        is_nonlinear_implicit=bool(vector[kernel.IMPLICIT_NONLINEAR]),
-        is_rubbing=bool(vector[kernel.HAS_FRICTION]),
-        rotation=jnp.asarray(joints[:, kernel.PLACEMENT : kernel.PLACEMENT + 9].reshape(m, 3, 3)),
-        translation=jnp.asarray(joints[:, kernel.PLACEMENT + 9 : kernel.PLACEMENT + 12]),
-        mass=jnp.asarray(joints[:, kernel.MASS]),
-        center=jnp.asarray(joints[:, kernel.CENTER : kernel.CENTER + 3]),
+        parents=tuple(arrays["parents"].tolist()),
+        slides=tuple((arrays["slides"] != 0).tolist()),
+        chain_length=arrays["chain_length"],
+        period=0.0 if is_continuous else period,
+        half_period=0.5 * period if is_continuous else 0.0,
+        is_plain=is_plain,
+        is_lifted=bool(arrays["lifted_masses"].any() or arrays["lifted_moments"].any()),
+        is_sprung=bool(arrays["stiffness"].any()),
+        is_coriolis_implicit=is_coriolis_implicit,
+        is_nonlinear_implicit=is_coriolis_implicit or (arrays["implicit_damping"] and is_nonlinear),
+        is_rubbing=bool(arrays["friction_loss"].any()),
+        rotation=jnp.asarray(arrays["rotations"]),
+        translation=jnp.asarray(arrays["translations"]),
+        mass=jnp.asarray(arrays["masses"]),
+        center=jnp.asarray(arrays["centers"]),
         inertia=jnp.asarray(inertia),
-        lifted_mass=jnp.asarray(joints[:, kernel.LIFTED_MASS]),
-        lifted_moment=jnp.asarray(joints[:, kernel.LIFTED_MOMENT : kernel.LIFTED_MOMENT + 3]),
-        spring=jnp.asarray(joints[:, kernel.STIFFNESS : kernel.STIFFNESS + 3]),
-        spring_rest=jnp.asarray(joints[:, kernel.SPRING_REST]),
-        ratio=jnp.asarray(vector[drives_end:].reshape(m, n)),
-        offset=jnp.asarray(joints[:, kernel.OFFSET]),
-        armature=jnp.asarray(drives[:, kernel.ARMATURE]),
-        damping=jnp.asarray(drives[:, kernel.DAMPING : kernel.DAMPING + 3]),
-        implicit_damping=jnp.asarray(drives[:, kernel.IMPLICIT_DAMPING]),
-        friction=jnp.asarray(drives[:, kernel.FRICTION_LOSS : kernel.FRICTION_RATE + 1]),
-        gravity=jnp.asarray(vector[kernel.GRAVITY : kernel.GRAVITY + 3]),
-        tip_rotation=jnp.asarray(vector[kernel.TIP : kernel.TIP + 9].reshape(3, 3)),
-        tip_translation=jnp.asarray(vector[kernel.TIP + 9 : kernel.TIP + 12]),
+        lifted_mass=jnp.asarray(arrays["lifted_masses"]),
+        lifted_moment=jnp.asarray(arrays["lifted_moments"]),
+        spring=jnp.asarray(arrays["stiffness"]),
+        spring_rest=jnp.asarray(arrays["spring_rest"]),
+        ratio=jnp.asarray(arrays["ratio"]),
+        offset=jnp.asarray(arrays["offsets"]),
+        armature=jnp.asarray(arrays["armature"]),
+        damping=jnp.asarray(arrays["damping"]),
+        implicit_damping=jnp.asarray(arrays["damping"][:, 0] * arrays["implicit_damping"]),
+        friction=jnp.asarray(np.column_stack([arrays["friction_loss"], arrays["friction_gain"], arrays["friction_rate"]])),
+        gravity=jnp.asarray(arrays["gravity"]),
+        tip_rotation=jnp.asarray(arrays["tip_rotation"]),
+        tip_translation=jnp.asarray(arrays["tip_translation"]),
     )

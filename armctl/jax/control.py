@@ -6,15 +6,16 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from armctl.control.computed_torque import ComputedTorque
+from armctl.control.interface import MAX_PERIOD_S, checked_period
 from armctl.control.operational_space import OperationalSpace
 from armctl.control.pd import PD
 from armctl.control.task_space import SINGULARITY_DAMPING
 from armctl.core.errors import InputError
-from armctl.core.trajectory import TickReference, Trajectory
+from armctl.core.trajectory import TickReference, Trajectory, check_trajectory
 from armctl.core.validation import flag, instance, integer, number
+from armctl.jax.arguments import checked
 from armctl.jax.arm_model import ArmModel
 from armctl.jax.dynamics import (
     cholesky_solve,
@@ -25,7 +26,6 @@ from armctl.jax.dynamics import (
     tip_pose,
 )
 
-_MAX_PERIOD_S = 1.0
 # Below this sine of half an angle, the rotation vector follows from a series: the next term is below 1e-16.
 _SMALL_SINE = 1e-4
 
@@ -64,19 +64,15 @@ class PDGains(NamedTuple):
         """The gains of a controller.
 
         Args:
-            controller: A PD controller.
             dt: s, the control period.
-
-        Returns:
-            A pytree.
 
         Raises:
             InputError: It is no PD controller, or the control period is no number in [0, 1] s.
         """
         if type(controller) is not PD:
             raise InputError(f"controller: expected armctl.PD(arm), got a {type(controller).__name__:.80}")
-        stiffness, damping = np.split(controller.parameters(dt, False), 2)
-        return cls(jnp.asarray(stiffness), jnp.asarray(damping))
+        gains = controller.gains_at(checked_period(dt, False)[0])
+        return cls(jnp.asarray(gains.stiffness), jnp.asarray(gains.damping))
 
 
 class ComputedTorqueGains(NamedTuple):
@@ -100,9 +96,6 @@ class ComputedTorqueGains(NamedTuple):
             controller: A computed torque controller in its discrete form.
             dt: s, the control period.
 
-        Returns:
-            A pytree.
-
         Raises:
             InputError: It is no ComputedTorque, it has integral action or the textbook form, or the control period is no number
                 in [0, 1] s.
@@ -111,11 +104,13 @@ class ComputedTorqueGains(NamedTuple):
             raise InputError(f"controller: expected armctl.ComputedTorque(arm), got a {type(controller).__name__:.80}")
         if controller.integral or controller.form == "textbook":
             raise InputError("controller: armctl.jax needs ComputedTorque with form='discrete' and without integral action")
-        from armctl.control.computed_torque_kernel import HEADER
-
-        n = controller.n
-        rows = controller.parameters(dt, False)[HEADER : HEADER + 3 * n].reshape(3, n)
-        return cls(*(jnp.asarray(row) for row in rows))
+        dt, _ = checked_period(dt, False)
+        gains = controller.gains_at(dt, continuous=False)
+        return cls(
+            stiffness=jnp.full(controller.n, gains.kp),
+            damping=jnp.full(controller.n, gains.kd),
+            added_inertia=jnp.asarray(controller.added_inertia(dt)),
+        )
 
 
 class OperationalSpaceGains(NamedTuple):
@@ -136,12 +131,6 @@ class OperationalSpaceGains(NamedTuple):
     @classmethod
     def of(cls, controller: OperationalSpace) -> OperationalSpaceGains:
         """The gains of a controller.
-
-        Args:
-            controller: An operational space controller.
-
-        Returns:
-            A pytree.
 
         Raises:
             InputError: It is no OperationalSpace.
@@ -169,19 +158,20 @@ def tick_reference(trajectory: Trajectory, dt: float, ticks: int | None = None, 
         Rows for all ticks, over which `scan` goes.
 
     Raises:
-        InputError: The control period is no number in [0, 1] s, or there is no tick.
+        InputError: It is no trajectory, the control period is no number in [0, 1] s, or there is no tick.
     """
-    period = number("dt", dt, 1e-6, _MAX_PERIOD_S)
+    check_trajectory(trajectory)
+    period = number("dt", dt, 1e-6, MAX_PERIOD_S)
     count = round(trajectory.duration / period) + 1 if ticks is None else integer("ticks", ticks, 1)
     rows = TickReference.of(trajectory, period, count, flag("continuous", continuous))
     return Reference(*(jnp.asarray(row) for row in rows))
 
 
+@checked
 def pd(gains: PDGains, q: jax.Array, v: jax.Array, reference: Reference) -> jax.Array:
     """The law of `armctl.PD`.
 
     Args:
-        gains: Its gains.
         q: (n,) rad, measured.
         v: (n,) rad/s, measured.
         reference: That of one tick, (n,) each.
@@ -192,12 +182,12 @@ def pd(gains: PDGains, q: jax.Array, v: jax.Array, reference: Reference) -> jax.
     return gains.stiffness * (reference.q - q) + gains.damping * (reference.v - v)
 
 
+@checked
 def computed_torque(model: ArmModel, gains: ComputedTorqueGains, q: jax.Array, v: jax.Array, reference: Reference) -> jax.Array:
     """The law of `armctl.ComputedTorque`, in its discrete form without integral action.
 
     Args:
         model: The arm as the controller knows it.
-        gains: Its gains.
         q: (n,) rad, measured.
         v: (n,) rad/s, measured.
         reference: That of one tick, (n,) each.
@@ -210,6 +200,7 @@ def computed_torque(model: ArmModel, gains: ComputedTorqueGains, q: jax.Array, v
     return _tracking_torque(model, q, v, reference.a_tick + correction, reference) + gains.added_inertia * correction
 
 
+@checked
 def operational_space(
     model: ArmModel, gains: OperationalSpaceGains, q: jax.Array, v: jax.Array, reference: Reference
 ) -> jax.Array:
@@ -217,7 +208,6 @@ def operational_space(
 
     Args:
         model: The arm as the controller knows it.
-        gains: Its gains.
         q: (n,) rad, measured.
         v: (n,) rad/s, measured.
         reference: That of one tick, (n,) each.

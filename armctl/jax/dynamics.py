@@ -1,6 +1,6 @@
 """Equations of motion of an `ArmModel`, as pure functions of JAX.
 
-The recursions of `robot/dynamics_kernel.py` become sums over the joints before a link and the links behind a joint, of spatial
+The recursions of `armctl/cpp/dynamics.cpp` become sums over the joints before a link and the links behind a joint, of spatial
 velocities, accelerations and forces (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 2) in world axes. Only the
 frames of the joints follow from each other in a loop, so a program is short, compiles fast, and has few steps on a GPU. The
 mass matrix is the sum over the links of J^T m J, not of composite inertias, which lose digits in float32 far from the base.
@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import jax.scipy.linalg
 import numpy as np
 
+from armctl.jax.arguments import checked
 from armctl.jax.arm_model import ArmModel
 
 # Without it, GPUs and TPUs multiply float32 matrices with fewer bits.
@@ -43,11 +44,11 @@ class Placed(NamedTuple):
     position: jax.Array
 
 
+@checked
 def mass_matrix(model: ArmModel, q: jax.Array) -> jax.Array:
     """The mass matrix with armature.
 
     Args:
-        model: The arm.
         q: (n,) rad.
 
     Returns:
@@ -56,6 +57,7 @@ def mass_matrix(model: ArmModel, q: jax.Array) -> jax.Array:
     return _mass_matrix(model, place(model, q))
 
 
+@checked
 def inverse_dynamics(model: ArmModel, q: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
     """The torque that changes the velocity by a dt over the coming control period, without dry friction.
 
@@ -78,6 +80,7 @@ def inverse_dynamics(model: ArmModel, q: jax.Array, v: jax.Array, a: jax.Array) 
     return tau
 
 
+@checked
 def forward_dynamics(model: ArmModel, q: jax.Array, v: jax.Array, tau: jax.Array) -> jax.Array:
     """The acceleration that a torque causes, without dry friction: the inverse of `inverse_dynamics`.
 
@@ -85,7 +88,6 @@ def forward_dynamics(model: ArmModel, q: jax.Array, v: jax.Array, tau: jax.Array
     in the velocity and the arm does not move continuously.
 
     Args:
-        model: The arm.
         q: (n,) rad.
         v: (n,) rad/s.
         tau: (n,) N m.
@@ -98,11 +100,11 @@ def forward_dynamics(model: ArmModel, q: jax.Array, v: jax.Array, tau: jax.Array
     return cholesky_solve(M, tau - _smooth_torque(model, placed, v, jnp.zeros_like(v)))
 
 
+@checked
 def gravity(model: ArmModel, q: jax.Array) -> jax.Array:
     """The torque that holds the arm at rest, with gravity compensation and springs.
 
     Args:
-        model: The arm.
         q: (n,) rad.
 
     Returns:
@@ -115,7 +117,7 @@ def gravity(model: ArmModel, q: jax.Array) -> jax.Array:
 def dry_friction(model: ArmModel, q: jax.Array, v_ref: jax.Array, a_ref: jax.Array) -> jax.Array:
     """The torque against dry friction on a reference motion, (n,) N m.
 
-    As `armctl.control.feedforward.friction`: in a discrete step, friction acts on the acceleration before implicit forces.
+    As `Dynamics.discrete_friction`: in a discrete step, friction acts on the acceleration before implicit forces.
     """
     loss, gain, rate = model.friction.T
     half = model.half_period
@@ -127,11 +129,11 @@ def dry_friction(model: ArmModel, q: jax.Array, v_ref: jax.Array, a_ref: jax.Arr
     return jnp.clip(gain * (a_before + rate * (v_ref + half * a_ref)), -loss, loss)
 
 
+@checked
 def tip_pose(model: ArmModel, q: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The tip in the world.
 
     Args:
-        model: The arm.
         q: (n,) rad.
 
     Returns:
@@ -141,11 +143,11 @@ def tip_pose(model: ArmModel, q: jax.Array) -> tuple[jax.Array, jax.Array]:
     return _tip(model, rotations[model.chain_length - 1], origins[model.chain_length - 1])
 
 
+@checked
 def tip_jacobian(model: ArmModel, q: jax.Array) -> jax.Array:
     """The Jacobian of the tip.
 
     Args:
-        model: The arm.
         q: (n,) rad.
 
     Returns:

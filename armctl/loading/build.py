@@ -40,7 +40,6 @@ def make_arms(name: str, model: mujoco.MjModel, plans: Sequence[ArmPlan], notes:
     Args:
         name: What the arms were loaded as.
         model: The compiled model, with torque motors; all arms share it.
-        plans: The arms.
         notes: What had to be assumed of the whole model.
     """
     qpos = home_qpos(model, tuple(joint for plan in plans for joint in plan.joints))

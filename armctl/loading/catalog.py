@@ -15,11 +15,12 @@ from urllib.request import getproxies
 import mujoco
 
 from armctl.core.errors import ArmctlError, InputError, ModelError, UnknownNameError
+from armctl.core.file_reading import shown_path
 from armctl.core.validation import shown
 from armctl.loading.datasheets import ALIASES, BY_CATEGORY, BY_ROBOT, ROWS, Row
 from armctl.loading.robot_descriptions import description_file, is_description_name
 from armctl.loading.urdf import read_urdf
-from armctl.loading.urdf_file import UrdfFile, is_urdf, read_urdf_file, shown_path
+from armctl.loading.urdf_file import UrdfFile, is_urdf, read_urdf_file
 
 if TYPE_CHECKING:
     import mujoco_menagerie as menagerie

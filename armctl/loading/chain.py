@@ -74,9 +74,6 @@ def all_chains(analysis: Transmissions) -> list[SerialChain]:
     A chain ends where the model branches no further, before the fingers of a gripper, and before a joint that cannot be driven:
     the joints after that are a chain of their own, on the body before them.
 
-    Args:
-        analysis: The analysis of the compiled model.
-
     Returns:
         The chains that can be driven, longest first, then the joints that cannot, with the reason.
     """
@@ -101,7 +98,6 @@ def find_chain(analysis: Transmissions, base: int = 0) -> Joints:
     than before it, or at joints named like a jaw.
 
     Args:
-        analysis: The analysis of the compiled model.
         base: The body it stands on; the world if left out.
 
     Returns:
@@ -141,7 +137,6 @@ def chain_to(analysis: Transmissions, body: int, base: int = 0) -> Joints:
     """All joints between a base and a body.
 
     Args:
-        analysis: The analysis of the compiled model.
         body: The body at the end.
         base: The body it stands on; the world if left out.
 

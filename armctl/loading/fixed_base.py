@@ -13,7 +13,6 @@ def remove_free_joints(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
 
     Args:
         spec: The specification that `model` was compiled from.
-        model: The compiled model.
     """
     qpos = keyframe_qpos(model)
     actuated = [int(model.jnt_bodyid[joint]) for joint in joint_actuators(model)]

@@ -122,11 +122,8 @@ def joint_limits(
     of the mass matrix), at most ten times the speed per second. The default jerk reaches the acceleration in 0.05 s.
 
     Args:
-        model: The compiled model.
-        transmissions: What moves the joints.
         home_qpos: (nq,) the model at home.
         tau_max: (n,) N m.
-        datasheet: The arm's data-sheet limits, or None.
 
     Returns:
         The limits, and where each of them comes from.

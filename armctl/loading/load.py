@@ -47,7 +47,6 @@ class _Robot:
     """A robot as it was read, before a tool or a scene is added.
 
     Attributes:
-        spec: The specification.
         notes: What was assumed, one sentence each; they are reported as warnings.
         quiet_notes: What needs no warning, one sentence each.
         srdf: The SRDF that belongs to it, or None.
@@ -99,9 +98,6 @@ def load(
         scene: The objects around the robot: a Scene, or the path of an MJCF file that holds one.
         srdf: The path of an SRDF, with allowed contacts, the home configuration, and groups for `tip`. Left out,
             armctl uses the one beside a URDF; without any, links of a URDF that touch at home may touch.
-
-    Returns:
-        The arm.
 
     Raises:
         InputError: An argument has a wrong type, or the names of the scene are taken.

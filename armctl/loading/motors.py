@@ -23,7 +23,6 @@ def make_motors(
 
     Args:
         spec: The specification that `analysis.model` was compiled from.
-        analysis: The analysis of the compiled model.
         transmissions: What moves the arm's joints.
         tau_max: (n,) N m, which become the motors' ranges.
 
@@ -59,15 +58,6 @@ def make_motors_in_model(
     model: mujoco.MjModel, analysis: Transmissions, transmissions: Sequence[Transmission], tau_max: Array
 ) -> list[str]:
     """Turns the actuators of an arm into torque motors in a compiled model, in place; the result acts as `make_motors`' does.
-
-    Args:
-        model: The model to change, with the actuators of `analysis.model`.
-        analysis: The analysis of the model before the change.
-        transmissions: What moves the arm's joints.
-        tau_max: (n,) N m, which become the motors' ranges.
-
-    Returns:
-        What else had to be changed, one sentence each.
 
     Raises:
         ModelError: An actuator has an activation state, a delay or a plugin, which a compiled model cannot lose.

@@ -25,7 +25,6 @@ class PreparedModel:
     """A model with torque motors.
 
     Attributes:
-        model: The compiled model.
         plans: The arms; their bodies are numbered as in this model.
         notes: What was changed besides the motors, one sentence each; they are reported as warnings.
         quiet_notes: Changes that need no warning, one sentence each.
@@ -45,8 +44,6 @@ def make_arm_model(
     Args:
         source: Where the model comes from, for errors.
         spec: The specification that `analysis.model` was compiled from.
-        analysis: The analysis of the compiled model.
-        plans: The arms.
         loose_links: Bodies of which no file says which of them may touch: those that touch at home may.
 
     Raises:
@@ -94,10 +91,6 @@ def make_arm_model_from_compiled(analysis: Transmissions, plans: Sequence[ArmPla
     """Gives the arms torque motors in a copy of the compiled model.
 
     A compiled model cannot get further elements, so there are no excluded contacts, no target and no body for payloads.
-
-    Args:
-        analysis: The analysis of the compiled model, which is not changed.
-        plans: The arms.
 
     Raises:
         ModelError: An actuator has an activation state, a delay or a plugin, which a compiled model cannot lose.

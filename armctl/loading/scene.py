@@ -30,7 +30,6 @@ class Item:
     """One object in a scene.
 
     Attributes:
-        name: Its name.
         shape: Its shape, as MuJoCo's geom type.
         size: (3,) m, as MuJoCo's geom size: half of each edge, or radius and half the length.
         pose: T_world_item.
@@ -70,7 +69,6 @@ class Scene:
         """Adds a box.
 
         Args:
-            name: Its name.
             size: (3,) m, its edges.
             at: T_world_box, or (3,) m where its centre is.
             mass: kg if it is loose; left out, it is fixed.
@@ -87,7 +85,6 @@ class Scene:
         """Adds a ball.
 
         Args:
-            name: Its name.
             radius: m.
             at: T_world_ball, or (3,) m where its centre is.
             mass: kg if it is loose; left out, it is fixed.
@@ -104,7 +101,6 @@ class Scene:
         """Adds a cylinder along its own z axis.
 
         Args:
-            name: Its name.
             radius: m.
             length: m.
             at: T_world_cylinder, or (3,) m where its centre is.
@@ -122,9 +118,6 @@ class Scene:
 
     def build(self, spec: mujoco.MjSpec) -> None:
         """Adds everything in it to a specification.
-
-        Args:
-            spec: The specification, changed in place.
 
         Raises:
             InputError: It is no specification, or the model has a body or a geom of the same name already.

@@ -29,15 +29,11 @@ class SceneFile:
     """The bodies, geoms and joints of an MJCF file; what has a free joint is loose.
 
     Attributes:
-        bodies: The names of its bodies.
         is_loose: Whether anything in it is loose.
     """
 
     def __init__(self, path: str | os.PathLike[str]):
         """Reads a scene.
-
-        Args:
-            path: The .xml file.
 
         Raises:
             InputError: It is no path of an .xml file.

@@ -12,7 +12,8 @@ import mujoco
 import numpy as np
 
 from armctl.core.errors import ArmctlError, ModelError
-from armctl.loading.urdf_file import UrdfFile, parse_xml, shown_path
+from armctl.core.file_reading import shown_path
+from armctl.loading.urdf_file import UrdfFile, model_bytes, parse_xml
 
 # Names under which MoveIt and Pinocchio's packages store the configuration that a robot starts from; the first found is used.
 _HOME_STATES = ("home", "ready", "half_sitting", "standing")
@@ -25,7 +26,6 @@ class Srdf:
     """What an SRDF says about a robot.
 
     Attributes:
-        path: The file.
         disabled: The pairs of links whose contacts are switched off, each sorted by name.
         groups: The base link and the tip link of each group that is a chain.
         states: Positions of joints, rad or m, in each named state; those of several groups are merged.
@@ -53,8 +53,8 @@ def find_srdf(urdf: UrdfFile) -> Srdf | None:
     found = []
     for path in (path for folder in folders if folder.is_dir() for path in sorted(folder.glob("*.srdf"))):
         try:
-            root = parse_xml(path.read_bytes(), path)
-        except (OSError, ArmctlError):
+            root = parse_xml(model_bytes(path), path)
+        except ArmctlError:
             continue  # of another robot, perhaps; only a file of the right name must be readable
         if root.get("name") and root.get("name") == urdf.root.get("name"):
             found.append(path)
@@ -67,10 +67,7 @@ def read_srdf(path: Path) -> Srdf:
     Raises:
         ModelError: It cannot be read, is no SRDF, or a position in it is not a finite number.
     """
-    try:
-        root = parse_xml(path.read_bytes(), path)
-    except OSError as error:
-        raise ModelError(f"{shown_path(path)}: it cannot be read: {error.strerror or error}") from None
+    root = parse_xml(model_bytes(path), path)
     if root.tag != "robot":
         raise ModelError(f"{shown_path(path)}: no SRDF: its first element is <{root.tag:.40}>, not <robot>")
     disabled = {_pair(element) for element in root.iter("disable_collisions")}
@@ -90,9 +87,7 @@ def read_srdf(path: Path) -> Srdf:
 def apply_srdf(spec: mujoco.MjSpec, srdf: Srdf) -> list[str]:
     """Excludes the contacts that an SRDF disables and makes its home the keyframe `home`, in place.
 
-    Args:
-        spec: The specification of the robot.
-        srdf: The SRDF. What it says about links and joints that the robot does not have is left out.
+    What it says about links and joints that the robot does not have is left out.
 
     Returns:
         What was changed, one sentence each; these need no warning.

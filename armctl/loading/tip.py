@@ -10,7 +10,7 @@ import mujoco
 from armctl.core.errors import UnknownNameError
 from armctl.core.pose import Pose
 from armctl.core.validation import instance
-from armctl.mjmodel.queries import Joints, body_name, is_below, welded_behind
+from armctl.mjmodel.queries import Joints, body_name, is_below, object_id, welded_behind
 
 _TIP_WORDS = ("pinch", "grasp", "tcp", "attachment", "tool", "effector", "eef", "ee", "tip", "flange", "gripper")
 _SENSOR_NAME = re.compile(r"imu|cam|force|torque|sensor", re.IGNORECASE)
@@ -18,13 +18,7 @@ _SENSOR_NAME = re.compile(r"imu|cam|force|torque|sensor", re.IGNORECASE)
 
 @dataclass(frozen=True, eq=False)
 class Tip:
-    """The end of an arm: a frame in one of its bodies.
-
-    Attributes:
-        name: The site, body or geom at the end.
-        body: The number of the body that carries it.
-        T_body_tip: The tip in that body.
-    """
+    """The end of an arm: a frame in one of its bodies."""
 
     name: str
     body: int
@@ -46,10 +40,6 @@ def tip_on(model: mujoco.MjModel, body: int) -> Tip:
     The first of these that exists: a site that is named like a tip; the only site; the only named ball, such as a foot; a body
     that is named like a tip, such as a URDF's tool0; the end of the piece, and where it branches, as into fingers, the body
     before that. A body comes last because its frame often lies on the last joint's axis, which then could not move it.
-
-    Args:
-        model: The compiled model.
-        body: Its number.
     """
     bodies = welded_behind(model, body)
     sites = {
@@ -78,13 +68,13 @@ def named_tip(model: mujoco.MjModel, name: str) -> Tip:
         UnknownNameError: There is none of that name.
     """
     instance("tip", name, str, "give the name of a site, body or geom")
-    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
+    site = object_id(model, mujoco.mjtObj.mjOBJ_SITE, name)
     if site >= 0:
         return Tip(name, int(model.site_bodyid[site]), Pose(model.site_pos[site], model.site_quat[site]))
-    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+    body = object_id(model, mujoco.mjtObj.mjOBJ_BODY, name)
     if body >= 0:
         return Tip(name, body, Pose([0.0, 0.0, 0.0]))
-    geom = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name)
+    geom = object_id(model, mujoco.mjtObj.mjOBJ_GEOM, name)
     if geom >= 0:
         return Tip(name, int(model.geom_bodyid[geom]), Pose(model.geom_pos[geom], model.geom_quat[geom]))
     known = [model.site(i).name for i in range(model.nsite)] + [model.body(i).name for i in range(1, model.nbody)]
@@ -99,7 +89,7 @@ def named_body(model: mujoco.MjModel, name: str) -> int:
         UnknownNameError: There is none of that name.
     """
     instance("base", name, str, "give the name of a body")
-    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+    body = object_id(model, mujoco.mjtObj.mjOBJ_BODY, name)
     if body < 0:
         raise UnknownNameError.of("body", name, filter(None, (model.body(i).name for i in range(model.nbody))))
     return body

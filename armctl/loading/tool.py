@@ -16,10 +16,8 @@ def mount(spec: mujoco.MjSpec, flange: mujoco.MjsBody, T_body_flange: Pose, tool
     """Mounts a tool, in place; its masses, joints and actuators become part of the robot's model.
 
     Args:
-        spec: The robot's specification.
         flange: The body of it that carries the tool.
         T_body_flange: Where the tool's own frame goes, in that body.
-        tool: The tool.
 
     Returns:
         The name of the tool's tip in the robot's model: all names of the tool get its own before them.

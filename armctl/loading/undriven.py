@@ -17,9 +17,6 @@ def add_missing_motors(spec: mujoco.MjSpec) -> list[str]:
     A weld of a moving body to a mocap body is removed, and the joints above that body get motors. If nothing in the file has an
     actuator, all hinge and slide joints get motors, except those that an equality makes follow another.
 
-    Args:
-        spec: The specification of a robot.
-
     Returns:
         What was changed, one sentence each.
     """

@@ -27,9 +27,6 @@ def read_urdf(file: UrdfFile) -> tuple[mujoco.MjSpec, list[str]]:
     Every link stays a body, so that tool frames keep their names. Meshes are used for collisions only; one that cannot be read
     is left out, because kinematics and dynamics do not need it.
 
-    Args:
-        file: The URDF as XML.
-
     Returns:
         The specification, and what was left out or corrected, one sentence each.
 

@@ -9,9 +9,10 @@ from pathlib import Path
 from xml.parsers import expat
 
 from armctl.core.errors import ModelError
+from armctl.core.file_reading import read_bytes, reading, shown_path
 
 _HEAD_BYTES = 65536  # in which the first element of a file is expected
-_MAX_PATH_CHARACTERS = 120  # of a path in a message
+_MAX_BYTES = 100_000_000
 _UNIQUE = {"link": ("inertial",), "joint": ("origin", "axis", "limit", "dynamics", "mimic")}
 _ZERO_INERTIA = {"ixx": "0", "ixy": "0", "ixz": "0", "iyy": "0", "iyz": "0", "izz": "0"}
 
@@ -45,7 +46,7 @@ def read_urdf_file(path: Path) -> UrdfFile:
         ModelError: The file is no well-formed XML, declares entities, or is a xacro that cannot be expanded; or it has a planar
             joint.
     """
-    content = _content(path)
+    content = model_bytes(path)
     root = parse_xml(content, path)
     text = None
     if _is_xacro(root):
@@ -62,10 +63,6 @@ def read_urdf_file(path: Path) -> UrdfFile:
 
 def parse_xml(content: bytes, path: Path) -> ElementTree.Element:
     """The root element of an XML document whose namespace prefixes need no declaration, as in MuJoCo and other URDF readers.
-
-    Args:
-        content: The document; blanks before its declaration are allowed, as in MuJoCo.
-        path: Its file, for messages.
 
     Raises:
         ModelError: It is no well-formed XML, or declares entities, which could expand to gigabytes.
@@ -96,11 +93,10 @@ def _refuse_entity(name: str, *_: object) -> None:
     raise _EntityError(name)
 
 
-def _content(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise ModelError(f"{shown_path(path)}: it cannot be read: {error.strerror or error}") from None
+def model_bytes(path: Path) -> bytes:
+    """The content of a URDF, xacro or SRDF; ModelError if it cannot be read."""
+    with reading(path, "no model", ModelError):
+        return read_bytes(path, _MAX_BYTES)
 
 
 def _first_tag(path: Path) -> str:
@@ -178,9 +174,3 @@ def _complete_inertials(root: ElementTree.Element) -> list[str]:
         else:
             inertial.append(ElementTree.Element("inertia", _ZERO_INERTIA))
     return [f"the inertial of {', '.join(names):.200} has no mass or no inertia"] if names else []
-
-
-def shown_path(path: Path) -> str:
-    """A path for a message: its end, if it is long."""
-    text = str(path)
-    return text if len(text) <= _MAX_PATH_CHARACTERS else f"...{text[-_MAX_PATH_CHARACTERS:]}"

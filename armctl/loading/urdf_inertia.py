@@ -18,9 +18,6 @@ _NO_INERTIA = (np.nan, 0.0, 0.0, 0.0, 0.0, 0.0)  # no full inertia, as MuJoCo wr
 def correct_inertias(spec: mujoco.MjSpec) -> list[str]:
     """Gives every link the nearest inertia that a body can have, and moving links without a mass a small one.
 
-    Args:
-        spec: The specification of a URDF, changed in place.
-
     Returns:
         What was changed or had to be assumed, one sentence each.
     """
@@ -39,15 +36,9 @@ def correct_inertias(spec: mujoco.MjSpec) -> list[str]:
 
 
 def nearest_inertia(inertia: Array) -> Array:
-    """The nearest inertia that some distribution of mass has: its moments positive, the sum of two at least the third.
+    """The nearest inertia (3, 3) that a distribution of mass has: its moments positive, the sum of two at least the third.
 
     Nearest by the second moments of mass, `trace(I)/2 - I`, which must have no negative eigenvalue.
-
-    Args:
-        inertia: (3, 3) kg m^2, symmetric, about the centre of mass.
-
-    Returns:
-        (3, 3) kg m^2; the same one where it is possible already.
     """
     spread, axes = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
     floor = _MIN_RELATIVE_SPREAD * np.abs(spread).max()

@@ -13,18 +13,10 @@ _LOOP_EQUALITIES = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
 
 
 class Couplings:
-    """The equalities and tendons of a compiled model and the degrees of freedom they act on, found once.
-
-    Attributes:
-        model: The compiled model.
-    """
+    """The equalities and tendons of a compiled model and the degrees of freedom they act on, found once."""
 
     def __init__(self, model: mujoco.MjModel):
-        """Finds what each equality and each tendon acts on.
-
-        Args:
-            model: The compiled model.
-        """
+        """Finds what each equality and each tendon acts on."""
         self.model = model
         self._dofs_of_equality = {e: frozenset(dofs_of_equality(model, e)) for e in range(model.neq) if model.eq_active0[e]}
         self._dofs_of_tendon = {t: frozenset(dofs_of_tendon(model, t)) for t in range(model.ntendon)}
@@ -37,15 +29,12 @@ class Couplings:
         return [equality for equality in found if self.model.eq_type[equality] == JOINT_EQUALITY]
 
     def reason(self, joint: int, coupled: frozenset[int]) -> str:
-        """Why a joint does not move independently of all others.
+        """The sentence why a joint does not move independently of all others; empty if it does.
 
         Args:
             joint: Its number.
             coupled: The joints that move as one with it, at fixed ratios. A tendon that only drives or limits these couples
                 nothing else.
-
-        Returns:
-            A sentence that names the tendon or the equality; empty if the joint is independent.
         """
         own = {int(self.model.jnt_dofadr[other]) for other in coupled}
         return self._equality_reason(joint, own) or self._tendon_reason(joint, own)

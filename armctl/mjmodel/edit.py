@@ -21,11 +21,6 @@ def add_payload_bodies(spec: mujoco.MjSpec, model: mujoco.MjModel, bodies: dict[
     """Welds a body without mass to each of some bodies that MuJoCo lifts by `gravcomp`, in place.
 
     `gravcomp` would lift a payload in the same body as well.
-
-    Args:
-        spec: The specification that `model` was compiled from.
-        model: The compiled model.
-        bodies: The bodies that may carry a payload, by their numbers in `model`.
     """
     for number, body in bodies.items():
         if payload_body(model, number) is None:

@@ -24,6 +24,14 @@ def name_of(model: mujoco.MjModel, kind: mujoco.mjtObj, index: int) -> str:
     return mujoco.mj_id2name(model, kind, index) or f"{kind.name.removeprefix('mjOBJ_').lower()}{index}"
 
 
+def object_id(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
+    """The number of the object of a name; -1 if there is none."""
+    try:
+        return mujoco.mj_name2id(model, kind, name)
+    except TypeError:  # of a text that no file can contain, such as "\ud800"
+        return -1
+
+
 def joint_name(model: mujoco.MjModel, joint: int) -> str:
     """The name of a joint, or "joint3" for a nameless one."""
     return name_of(model, mujoco.mjtObj.mjOBJ_JOINT, joint)
@@ -111,15 +119,7 @@ def joints_above(model: mujoco.MjModel, body: int, base: int = 0) -> Joints:
 
 
 def last_joint_above(model: mujoco.MjModel, joints: Joints) -> list[int]:
-    """For every body, which joint of an arm moves it.
-
-    Args:
-        model: The compiled model.
-        joints: The joints; of several on one body the last one carries it.
-
-    Returns:
-        (nbody,) positions in `joints` of the last joint above each body, -1 if there is none.
-    """
+    """(nbody,) the position in `joints` of the last joint above each body, -1 if there is none."""
     last_on_body = {int(model.jnt_bodyid[j]): i for i, j in enumerate(joints)}
     owner = [-1] * model.nbody
     for body in range(1, model.nbody):

@@ -41,14 +41,7 @@ def target_pose(model: mujoco.MjModel, data: mujoco.MjData) -> Pose:
 
 
 def set_target(model: mujoco.MjModel, data: mujoco.MjData, position: Array, quat: Array | None = None) -> None:
-    """Moves the target in a simulation's state, if the model has one that can be placed.
-
-    Args:
-        model: The compiled model.
-        data: Its state, changed in place.
-        position: (3,) m, in the world.
-        quat: (4,) wxyz; the orientation stays if left out.
-    """
+    """Moves a target that can be placed, in a simulation's state: (3,) m in the world, and wxyz unless left out."""
     mocap = _mocap(model)
     if mocap is None:
         return
@@ -79,12 +72,7 @@ def add_target(spec: mujoco.MjSpec) -> bool:
 
 
 def set_target_start(model: mujoco.MjModel, position: Array) -> None:
-    """Sets where a target at the world's origin starts, in the model and in its keyframes.
-
-    Args:
-        model: The compiled model, changed in place.
-        position: (3,) m, in the world.
-    """
+    """Sets where a target at the world's origin starts, (3,) m, in the model and in its keyframes."""
     body = find_target(model)
     mocap = _mocap(model)
     if body is None or mocap is None or model.body_pos[body].any():

@@ -36,8 +36,6 @@ class Transmission:
     """What moves a joint.
 
     Attributes:
-        joint: The joint.
-        actuator: Its actuator.
         moments: Torque on each joint that the actuator acts on, per unit of actuator force, N m.
         coupled: The joints that move as one with this one, itself first, and how they follow it.
     """
@@ -54,18 +52,10 @@ class Transmission:
 
 
 class Transmissions:
-    """The transmissions of a compiled model. Each joint is analysed once.
-
-    Attributes:
-        model: The compiled model, with its own actuators.
-    """
+    """The transmissions of a compiled model. Each joint is analysed once."""
 
     def __init__(self, model: mujoco.MjModel):
-        """Reads the actuators, equalities and tendons of a model.
-
-        Args:
-            model: The compiled model.
-        """
+        """Reads the actuators, equalities and tendons of a model."""
         self.model = model
         self.moments = [moments_of(model, actuator) for actuator in range(model.nu)]
         self._couplings = Couplings(model)

@@ -1,6 +1,6 @@
 """Motion: from joint positions, tip lines and waypoints to jerk-limited trajectories within every joint's limits."""
 
-from armctl.motion.move_cartesian import Arc, Line, move_c, move_l, move_path
+from armctl.motion.move_cartesian import Arc, Line, PathOptions, move_c, move_l, move_path
 from armctl.motion.move_j import move_j
 from armctl.motion.move_sequence import move_sequence
 from armctl.motion.move_through import move_through
@@ -14,6 +14,7 @@ __all__ = [
     "JointTrajectory",
     "Line",
     "OnlineMotion",
+    "PathOptions",
     "TorqueCheck",
     "Via",
     "check_torque",

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, LimitError
+from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, vector
 from armctl.robot.arm import Arm, check_arm
 
@@ -27,37 +28,35 @@ def planning_arm(arm: Arm, speed: float) -> Arm:
     return arm if limits is arm.limits else arm.with_limits(limits)
 
 
-def start_velocity(arm: Arm, v_start: ArrayLike | None) -> Array:
-    """A caller's start velocity (n,), zero if None.
+def start_state(arm: Arm, q_start: ArrayLike | Setpoint) -> Setpoint:
+    """A caller's start: at rest at joint positions, or in motion if it is a setpoint.
 
-    Raises InputError for a wrong length or a number that is not finite, and LimitError if a joint is faster than its limit.
+    Raises InputError for a wrong length or a number that is not finite, and LimitError outside the limits, also if the
+    acceleration would take a joint beyond its greatest speed.
     """
-    if v_start is None:
-        return np.zeros(arm.n)
-    v = vector("v_start", v_start, arm.n)
-    too_fast = np.abs(v) > arm.limits.v_max * (1 + _LIMIT_ROUNDING)
-    if too_fast.any():
-        i = int(too_fast.argmax())
-        name = arm.joint_names[i]
-        unit = arm.units[i]
-        raise LimitError(f"v_start: {name}: {v[i]:g} {unit}/s is outside +-{arm.limits.v_max[i]:g} {unit}/s")
-    return v
-
-
-def require_feasible_start(arm: Arm, v: Array, a: Array) -> None:
-    """Refuses a start from which a joint would have to exceed its speed or acceleration. Raises LimitError."""
+    if not isinstance(q_start, Setpoint):
+        zero = np.zeros(arm.n)
+        return Setpoint(arm.checked("q_start", q_start), zero, zero)
+    q = arm.checked("q_start", q_start.q)
+    v = vector("q_start.v", q_start.v, arm.n)
+    a = vector("q_start.a", q_start.a, arm.n)
     limits = arm.limits
-    names = arm.joint_names
-    units = arm.units
-    over = np.abs(a) > limits.a_max * (1 + _LIMIT_ROUNDING)
-    if over.any():
-        i = int(over.argmax())
-        raise LimitError(f"a_start: {names[i]}: {a[i]:g} {units[i]}/s^2 is outside +-{limits.a_max[i]:g} {units[i]}/s^2")
+    _require_within(arm, "q_start.v", v, limits.v_max, "/s")
+    _require_within(arm, "q_start.a", a, limits.a_max, "/s^2")
     later = np.abs(v + a * np.abs(a) / (2 * limits.j_max))
     over = later > limits.v_max * (1 + _LIMIT_ROUNDING)
     if over.any():
         i = int(over.argmax())
         raise LimitError(
-            f"v_start: {names[i]}: with this acceleration its speed comes to {later[i]:g} {units[i]}/s, "
-            f"more than its limit {limits.v_max[i]:g} {units[i]}/s; start slower"
+            f"q_start.v: {arm.joint_names[i]}: with this acceleration its speed comes to {later[i]:g} {arm.units[i]}/s, "
+            f"more than its limit {limits.v_max[i]:g} {arm.units[i]}/s; start slower"
         )
+    return Setpoint(q, v, a)
+
+
+def _require_within(arm: Arm, what: str, values: Array, bounds: Array, per: str) -> None:
+    over = np.abs(values) > bounds * (1 + _LIMIT_ROUNDING)
+    if over.any():
+        i = int(over.argmax())
+        unit = arm.units[i] + per
+        raise LimitError(f"{what}: {arm.joint_names[i]}: {values[i]:g} {unit} is outside +-{bounds[i]:g} {unit}")

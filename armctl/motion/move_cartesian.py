@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,13 +12,14 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError, PlanError
 from armctl.core.limits import Limits
 from armctl.core.pose import Pose
+from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number, shown, vector
 from armctl.ik.all_solutions import solve_ik_all
 from armctl.motion.checks import planning_arm
 from armctl.motion.moving_start import planned_from
 from armctl.motion.path.blending import Blend, CompositePath, SubPath
 from armctl.motion.path.geometry import Circle, Shape, Straight, Turn
-from armctl.motion.path.joint_path import joint_path_along
+from armctl.motion.path.joint_path import JointPath, joint_path_along
 from armctl.motion.path.tip_caps import TipCaps
 from armctl.motion.sections import NO_LIMITS, SectionLimits, pause, section_dwell, section_limits, within_sections
 from armctl.motion.timing.path_timing import time_optimal
@@ -81,16 +82,22 @@ class Arc:
     dwell: float = 0.0
 
 
+class PathOptions(TypedDict, total=False):
+    """The speed of a motion along a path of the tip: options of `move_l`, `move_c` and `move_path`.
+
+    Attributes:
+        speed: Fraction of the full speed, in (0, 1], also of the limits of the tip's speed; 1 if left out.
+        tip_speed: m/s, the maximum speed of the tip; no limit if left out.
+        tip_angular_speed: rad/s, the maximum angular speed of the tip; no limit if left out.
+    """
+
+    speed: float
+    tip_speed: float | None
+    tip_angular_speed: float | None
+
+
 def move_l(
-    arm: Arm,
-    q_start: Pose | ArrayLike,
-    target: Pose | ArrayLike,
-    *,
-    speed: float = 1.0,
-    tip_speed: float | None = None,
-    tip_angular_speed: float | None = None,
-    v_start: ArrayLike | None = None,
-    a_start: ArrayLike | None = None,
+    arm: Arm, q_start: Pose | Setpoint | ArrayLike, target: Pose | ArrayLike, **options: Unpack[PathOptions]
 ) -> JointTrajectory:
     """The fastest motion of the tip on a straight line; its orientation rotates about one axis.
 
@@ -98,14 +105,10 @@ def move_l(
     would come to rest, and the arm turns onto it while it slows down.
 
     Args:
-        arm: The arm.
-        q_start: (n,) rad, the start; or the pose of the tip at the start: then the branch with the shortest motion is chosen.
+        q_start: (n,) rad, the start; or a setpoint, if it starts while the arm moves; or the pose of the tip at the start:
+            then the branch with the shortest motion is chosen.
         target: T_world_tip at the end, or (3,) m with the orientation left free.
-        speed: Fraction of the full speed, in (0, 1]; it also scales the limits of the tip's speed.
-        tip_speed: m/s, the maximum speed of the tip; None for no limit.
-        tip_angular_speed: rad/s, the maximum angular speed of the tip; None for no limit.
-        v_start: (n,) rad/s, if it starts while the arm moves; zero if left out.
-        a_start: (n,) rad/s^2, likewise.
+        **options: `speed`, `tip_speed` and `tip_angular_speed`, as in `PathOptions`.
 
     Returns:
         The motion, at rest at its end.
@@ -115,113 +118,96 @@ def move_l(
         LimitError: q_start is outside the limits, or the start so fast that the arm cannot stop inside them.
         PlanError: The line leaves the reach or the joint limits, or a motor cannot hold the arm on it.
     """
-    caps = (speed, tip_speed, tip_angular_speed)
-    return planned_from(arm, q_start, v_start, a_start, lambda q: _plan(arm, "move_l", q, [Line(target)], 0.0, *caps))
+    return _planned(arm, q_start, _Request("move_l", [Line(target)]), options)
 
 
 def move_c(
     arm: Arm,
-    q_start: Pose | ArrayLike,
+    q_start: Pose | Setpoint | ArrayLike,
     via: Pose | ArrayLike,
     target: Pose | ArrayLike,
     *,
     angle: float | None = None,
-    speed: float = 1.0,
-    tip_speed: float | None = None,
-    tip_angular_speed: float | None = None,
-    v_start: ArrayLike | None = None,
-    a_start: ArrayLike | None = None,
+    **options: Unpack[PathOptions],
 ) -> JointTrajectory:
     """The fastest motion of the tip on an arc through one point to another; its orientation rotates about one axis.
 
     Args:
-        arm: The arm.
-        q_start: (n,) rad, the start; or the pose of the tip at the start: then the branch with the shortest motion is chosen.
+        q_start: As for `move_l`.
         via: T_world_tip or (3,) m, an intermediate point; its orientation is ignored.
         target: T_world_tip, or (3,) m with the orientation left free.
         angle: rad, the angle on the circle; None stops at the target's point. 2 pi is the full circle, back to the start's.
             The target's orientation is reached at the end in any case.
-        speed: Fraction of the full speed, in (0, 1]; it also scales the limits of the tip's speed.
-        tip_speed: m/s, the maximum speed of the tip; None for no limit.
-        tip_angular_speed: rad/s, the maximum angular speed of the tip; None for no limit.
-        v_start: (n,) rad/s, if it starts while the arm moves; zero if left out.
-        a_start: (n,) rad/s^2, likewise.
+        **options: As for `move_l`.
 
     Returns:
         The motion, at rest at its end.
 
     Raises:
-        InputError: An argument of the wrong shape, kind or value, or three points on one line.
-        LimitError: q_start is outside the limits, or the start so fast that the arm cannot stop inside them.
-        PlanError: The arc leaves the reach or the joint limits, or a motor cannot hold the arm on it.
+        InputError: As for `move_l`, or three points on one line.
+        LimitError: As for `move_l`.
+        PlanError: As for `move_l`.
     """
-    caps = (speed, tip_speed, tip_angular_speed)
-    return planned_from(
-        arm, q_start, v_start, a_start, lambda q: _plan(arm, "move_c", q, [Arc(via, target, angle)], 0.0, *caps)
-    )
+    return _planned(arm, q_start, _Request("move_c", [Arc(via, target, angle)]), options)
 
 
 def move_path(
     arm: Arm,
-    q_start: Pose | ArrayLike,
+    q_start: Pose | Setpoint | ArrayLike,
     path: Sequence[Line | Arc | Pose | ArrayLike],
     *,
     blend: float = 0.0,
-    speed: float = 1.0,
-    tip_speed: float | None = None,
-    tip_angular_speed: float | None = None,
-    v_start: ArrayLike | None = None,
-    a_start: ArrayLike | None = None,
+    **options: Unpack[PathOptions],
 ) -> JointTrajectory:
     """The fastest motion of the tip on lines and arcs with rounded corners.
 
     Inside the blend radius of a corner the path is rounded; outside it is exact. If the radius is 0, the tip stops.
 
     Args:
-        arm: The arm.
-        q_start: (n,) rad, the start; or the pose of the tip at the start: then the branch with the shortest motion is chosen.
+        q_start: As for `move_l`.
         path: Its lines and arcs; a pose or a point alone is a line to it. All with orientation or all without.
         blend: m, the radius around each corner in which it is rounded, at most half of each neighbour.
-        speed: Fraction of the full speed, in (0, 1]; it also scales the limits of the tip's speed.
-        tip_speed: m/s, the maximum speed of the tip; None for no limit.
-        tip_angular_speed: rad/s, the maximum angular speed of the tip; None for no limit.
-        v_start: (n,) rad/s, if it starts while the arm moves; zero if left out.
-        a_start: (n,) rad/s^2, likewise.
+        **options: As for `move_l`.
 
     Returns:
         The motion, at rest at its end.
 
     Raises:
-        InputError: An argument of the wrong shape, kind or value.
-        LimitError: q_start is outside the limits, or the start so fast that the arm cannot stop inside them.
-        PlanError: The path leaves the reach or the joint limits, or a motor cannot hold the arm on it.
+        InputError: As for `move_l`.
+        LimitError: As for `move_l`.
+        PlanError: As for `move_l`.
     """
     if isinstance(path, (Pose, str)) or not isinstance(path, Iterable) or getattr(path, "shape", None) == ():
         raise InputError(f"path: expected a list of lines, arcs, poses or points, got {shown(path)}")
     parts = [part if isinstance(part, (Line, Arc)) else Line(part) for part in path]
-    radius = number("blend", blend, 0.0)
-    caps = (speed, tip_speed, tip_angular_speed)
-    return planned_from(arm, q_start, v_start, a_start, lambda q: _plan(arm, "move_path", q, parts, radius, *caps))
+    return _planned(arm, q_start, _Request("move_path", parts, number("blend", blend, 0.0)), options)
 
 
-def _plan(
-    arm: Arm,
-    what: str,
-    q_start: Pose | ArrayLike,
-    parts: list[Line | Arc],
-    blend: float,
-    speed: float,
-    tip_speed: float | None,
-    tip_angular_speed: float | None,
-) -> JointTrajectory:
-    planning = planning_arm(arm, speed)
+class _Request(NamedTuple):
+    """A path that a caller asks for: the name of the function, lines and arcs, and the radius of corners without one."""
+
+    function: str
+    parts: list[Line | Arc]
+    blend: float = 0.0
+
+
+def _planned(arm: Arm, q_start: Pose | Setpoint | ArrayLike, request: _Request, options: PathOptions) -> JointTrajectory:
+    for name in options.keys() - PathOptions.__annotations__.keys():
+        raise TypeError(f"{request.function}() got an unexpected keyword argument {name!r}")
+    return planned_from(arm, q_start, lambda start: _plan(arm, start, request, options))
+
+
+def _plan(arm: Arm, q_start: Pose | ArrayLike, request: _Request, options: PathOptions) -> JointTrajectory:
+    what = request.function
+    parts = request.parts
+    planning = planning_arm(arm, options.get("speed", 1.0))
     if isinstance(q_start, Pose):
-        return _best_branch(arm, q_start, lambda q: _plan(arm, what, q, parts, blend, speed, tip_speed, tip_angular_speed))
+        return _best_branch(arm, q_start, lambda q: _plan(arm, q, request, options))
     q = arm.checked("q_start", q_start)
     if not parts:
         raise InputError("path: it is empty; give at least one line or arc")
     oriented = isinstance(parts[0].target, Pose)
-    blends = [number("blend", blend if part.blend is None else part.blend, 0.0) for part in parts]
+    blends = [number("blend", request.blend if part.blend is None else part.blend, 0.0) for part in parts]
     shapes = _shapes(arm.fk(q), parts, oriented)
     legs = [
         _Leg(shape, 0.0 if part.dwell else blend, section_limits(part), section_dwell(part))
@@ -231,7 +217,9 @@ def _plan(
     motions: list[JointTrajectory] = []
     for chain in _chains(legs):
         if chain.path.length > 0.0:
-            motions.append(_along(arm, planning.limits, what, chain, q, oriented, (speed, tip_speed, tip_angular_speed)))
+            joint_path = joint_path_along(arm, what, chain.path, q, oriented)
+            motions.append(_timed(arm, planning.limits, joint_path, chain, options))
+            _require_limits(arm, what, motions[-1])
             q = motions[-1](motions[-1].duration).q
         if chain.dwell:
             motions.append(pause(arm, q, chain.dwell))
@@ -257,18 +245,10 @@ def _best_branch(arm: Arm, start: Pose, plan: Callable[[Array], JointTrajectory]
     return min(motions, key=lambda motion: motion.duration)
 
 
-def _along(
-    arm: Arm,
-    limits: Limits,
-    what: str,
-    chain: _Chain,
-    q: Array,
-    oriented: bool,
-    caps_of: tuple[float, float | None, float | None],
-) -> JointTrajectory:
+def _timed(arm: Arm, limits: Limits, joint_path: JointPath, chain: _Chain, options: PathOptions) -> JointTrajectory:
     """The motion along what is gone through without stopping."""
-    joint_path = joint_path_along(arm, what, chain.path, q, oriented)
-    caps = TipCaps.of(arm, joint_path, *caps_of)
+    speed = options.get("speed", 1.0)
+    caps = TipCaps.of(arm, joint_path, speed, options.get("tip_speed"), options.get("tip_angular_speed"))
     pieces = time_optimal(joint_path, limits, caps)
     free = JointTrajectory(*joints_of(pieces), arm.joint_names, arm.limits, units=arm.units)
     if all(section == NO_LIMITS for section in chain.sections):
@@ -276,9 +256,7 @@ def _along(
     else:
         ends = np.interp(chain.ends, pieces.coefficients[:, 0, -1], pieces.knots[:-1])
         motion = within_sections(arm, free, np.append(ends[:-1], free.duration), chain.sections)
-    motion = motion if caps is None else caps.kept(motion)
-    _require_limits(arm, what, motion)
-    return motion
+    return motion if caps is None else caps.kept(motion)
 
 
 def _require_limits(arm: Arm, what: str, motion: JointTrajectory) -> None:

@@ -17,12 +17,12 @@ from armctl.motion.torque_limits import MotionPath, within_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.limit_check import is_inside
 from armctl.motion.trajectory.overlap import overlapped
+from armctl.motion.trajectory.path_stop import REST_SPEED
 from armctl.motion.trajectory.piecewise import Pieces, joints_of
 from armctl.robot.arm import Arm, check_arm
 
 _SAMPLES = 200  # of half a motion, between which the corner's begin is looked for
 _MIN_OVERLAP_S = 1e-3
-_REST_SPEED = 1e-6  # rad/s
 
 
 def move_sequence(arm: Arm, motions: Sequence[JointTrajectory], *, blend: float = 0.0) -> JointTrajectory:
@@ -34,12 +34,8 @@ def move_sequence(arm: Arm, motions: Sequence[JointTrajectory], *, blend: float 
     longer than to stop at the corners, it stops. Obstacles are not considered: `check_clearance` tells whether all is free.
 
     Args:
-        arm: The arm.
         motions: Motions of its joints, each from rest where the one before it ends.
         blend: m, the radius around each corner; 0 stops there.
-
-    Returns:
-        The motion.
 
     Raises:
         InputError: An argument of the wrong kind or value, or a motion that does not start where the one before it ends, or
@@ -72,7 +68,7 @@ def move_sequence(arm: Arm, motions: Sequence[JointTrajectory], *, blend: float 
 
 def _require_rest(parts: Sequence[JointTrajectory]) -> None:
     for k, (before, after) in enumerate(pairwise(parts)):
-        if max(np.abs(before(before.duration).v).max(), np.abs(after(0.0).v).max()) > _REST_SPEED:
+        if max(np.abs(before(before.duration).v).max(), np.abs(after(0.0).v).max()) > REST_SPEED:
             raise InputError(f"motions: the arm does not rest between motions {k} and {k + 1}, so there is no corner to round")
 
 

@@ -37,13 +37,9 @@ def move_through(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike], *, 
     same path, and `slowed` contains the factor. It is never slower than `move_j` from waypoint to waypoint.
 
     Args:
-        arm: The arm.
         waypoints: (k, n) rad, at least two, each inside the limits; the first is the start. A `Via` instead of a row
             also contains speed, acceleration and payload of the section that ends at it, and a pause.
         speed: Fraction of the full speed, in (0, 1]; 0.5 takes twice as long.
-
-    Returns:
-        The motion.
 
     Raises:
         InputError: A wrong shape, a number that is not finite, or an arm without finite limits.

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.core.errors import InputError, LimitError, PlanError
+from armctl.core.errors import LimitError, PlanError
 from armctl.core.pose import Pose
-from armctl.core.validation import Array, vector
-from armctl.motion.checks import planning_arm, require_feasible_start, start_velocity
+from armctl.core.trajectory import Setpoint
+from armctl.motion.checks import planning_arm, start_state
 from armctl.motion.timing.otg import JointState, ProfileSolver, at_rest, ending_at
 from armctl.motion.torque_limits import check_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
@@ -23,89 +23,42 @@ _OVERLAPS = 16  # shares of the stop's duration that are tried
 
 
 def planned_from(
-    arm: Arm,
-    q_start: Pose | ArrayLike,
-    v_start: ArrayLike | None,
-    a_start: ArrayLike | None,
-    plan: Callable[[Pose | ArrayLike], JointTrajectory],
+    arm: Arm, q_start: Pose | Setpoint | ArrayLike, plan: Callable[[Pose | ArrayLike], JointTrajectory]
 ) -> JointTrajectory:
-    """A planned motion, which starts while the arm moves if a velocity or an acceleration is given.
-
-    Args:
-        arm: The arm.
-        q_start: (n,) rad, where it is; or a pose, from which it starts at rest.
-        v_start: (n,) rad/s; None for zero.
-        a_start: (n,) rad/s^2; None for zero.
-        plan: The motion from rest.
-
-    Returns:
-        The motion.
-
-    Raises:
-        InputError: A moving start at a pose, or as for `stop_from`.
-        LimitError: As for `stop_from`.
-        PlanError: As for `plan`.
-    """
-    if v_start is None and a_start is None:
+    """A motion that `plan` makes from rest, begun while the arm moves if the start is a setpoint in motion."""
+    if not isinstance(q_start, Setpoint):
         return plan(q_start)
-    if isinstance(q_start, Pose):
-        raise InputError("q_start: a moving start needs joint positions, not a pose")
-    planning_arm(arm, 1.0)
-    q = arm.checked("q_start", q_start)
-    stop = stop_from(arm, q, v_start, a_start)
+    start = start_state(planning_arm(arm, 1.0), q_start)
+    stop = stop_from(arm, start)
     if stop is None:
-        return plan(q)
+        return plan(start.q)
     return begun_moving(arm, stop, plan(arm.limits.clamp(stop(stop.duration).q)))
 
 
-def stop_from(arm: Arm, q: Array, v_start: ArrayLike | None, a_start: ArrayLike | None) -> JointTrajectory | None:
-    """The fastest stop from a moving start; None if it is at rest.
+def stop_from(arm: Arm, start: Setpoint) -> JointTrajectory | None:
+    """The fastest stop from a start inside the limits; None if it is at rest.
 
-    Args:
-        arm: The arm, with the limits of the motion.
-        q: (n,) rad, checked.
-        v_start: (n,) rad/s, as a caller gave it; None for zero.
-        a_start: (n,) rad/s^2, likewise.
-
-    Returns:
-        The stop.
-
-    Raises:
-        InputError: A wrong length or a number that is not finite.
-        LimitError: A start outside the limits, or so fast that no stop inside them is possible.
+    Raises LimitError or PlanError if no stop inside the limits is possible.
     """
-    v = start_velocity(arm, v_start)
-    a = np.zeros(arm.n) if a_start is None else vector("a_start", a_start, arm.n)
-    if not v.any() and not a.any():
+    if not start.v.any() and not start.a.any():
         return None
-    require_feasible_start(arm, v, a)
-    start = JointState(q, v, a)
-    profile = ProfileSolver.of(arm.limits).stop(start)
+    state = JointState(start.q, start.v, start.a)
+    profile = ProfileSolver.of(arm.limits).stop(state)
     if profile is None:
         raise PlanError("no stop inside the limits was found from this start; start slower")
-    pieces = profile.pieces(start)
+    pieces = profile.pieces(state)
     pieces = ending_at(pieces, at_rest(sample(pieces, pieces.knots[-1:]).q[0])).corrected
     if not is_inside(pieces, arm.limits):
-        raise LimitError("v_start: the arm cannot stop inside its position limits from this start; start slower")
+        raise LimitError("q_start: the arm cannot stop inside its position limits from this start; start slower")
     return JointTrajectory(*pieces, arm.joint_names, arm.limits, units=arm.units)
 
 
 def begun_moving(
     arm: Arm, stop: JointTrajectory, motion: JointTrajectory, accepts: Callable[[JointTrajectory], bool] | None = None
 ) -> JointTrajectory:
-    """A stop and the motion that follows from where it ends, with the largest overlap that keeps all limits.
+    """A stop and the motion that follows from where it ends, with the largest overlap that keeps all limits and is accepted.
 
-    Args:
-        arm: The arm.
-        stop: The stop.
-        motion: What follows, within all limits.
-        accepts: Whether the whole is accepted; None for always.
-
-    Returns:
-        The whole.
-
-    Raises:
-        PlanError: Not even the stop with the motion after it is accepted.
+    Raises PlanError if not even the stop with the motion after it is accepted.
     """
     longest = min(stop.duration, motion.duration)
     for share in np.linspace(1.0, 0.0, _OVERLAPS, endpoint=False):

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, LimitError, PlanError
 from armctl.core.trajectory import Setpoint
-from armctl.core.validation import Array, number, shown, vector
-from armctl.motion.checks import planning_arm, require_feasible_start, start_velocity
+from armctl.core.validation import Array, number, shown
+from armctl.motion.checks import planning_arm, start_state
 from armctl.motion.timing.otg import JointState, Profile, ProfileSolver
 from armctl.motion.trajectory.piecewise import Pieces
 from armctl.robot.arm import Arm
@@ -31,14 +31,11 @@ class OnlineMotion:
     ```
     """
 
-    def __init__(self, arm: Arm, q_start: ArrayLike, *, v_start: ArrayLike | None = None, a_start: ArrayLike | None = None):
+    def __init__(self, arm: Arm, q_start: ArrayLike | Setpoint):
         """A motion that starts at the state of the arm; without a goal it decelerates to rest.
 
         Args:
-            arm: The arm.
-            q_start: (n,) rad, inside the limits.
-            v_start: (n,) rad/s; at rest if left out. With `a_start` it continues a motion.
-            a_start: (n,) rad/s^2; zero if left out.
+            q_start: (n,) rad, inside the limits; or a setpoint, whose motion it continues.
 
         Raises:
             InputError: A wrong length or a number that is not finite.
@@ -53,16 +50,13 @@ class OnlineMotion:
         self._q_max_loose = (limits.q_max + _POSITION_ROUNDING).tolist()
         self._zero = [0.0] * arm.n
         self._solver = ProfileSolver.of(limits)
-        q = arm.checked("q_start", q_start)
-        v = start_velocity(arm, v_start)
-        a = np.zeros(arm.n) if a_start is None else vector("a_start", a_start, arm.n)
-        require_feasible_start(arm, v, a)
+        start = start_state(arm, q_start)
         self._t = 0.0
-        self._start = JointState(q.tolist(), v.tolist(), a.tolist())
+        self._start = JointState(start.q.tolist(), start.v.tolist(), start.a.tolist())
         self._goal: Array | None = None
         self._brake()
         if not self._stays_inside(self._profile):
-            raise LimitError("v_start: the arm cannot stop inside its position limits from this start; start slower")
+            raise LimitError("q_start: the arm cannot stop inside its position limits from this start; start slower")
 
     @property
     def goal(self) -> Array | None:

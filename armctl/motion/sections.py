@@ -106,19 +106,10 @@ def pause(arm: Arm, q: Array, duration: float) -> JointTrajectory:
 
 
 def within_sections(arm: Arm, motion: JointTrajectory, ends: Array, limits: Sequence[SectionLimits]) -> JointTrajectory:
-    """A motion within the limits of its sections and the torque limits, on the same path.
+    """A motion from rest to rest, within the limits of its k sections and of the torques, on the same path.
 
-    Args:
-        arm: The arm.
-        motion: A motion from rest to rest, planned without torque limits.
-        ends: (k,) s, where each section ends in it.
-        limits: The k limits of the sections.
-
-    Returns:
-        The motion; its `slowed` says what the torque limits, with the payloads, cost.
-
-    Raises:
-        PlanError: A motor cannot hold the arm with its payload, however slowly it moves.
+    `ends` (k,) s are the ends of the sections. `slowed` of the result says what the torque limits, with the payloads, cost.
+    Raises PlanError if a motor cannot hold the arm with its payload, however slowly it moves.
     """
     fractions = Fractions(ends, np.array([each.speed for each in limits]), np.array([each.acceleration for each in limits]))
     torques = _SectionTorques(arm, ends, limits)

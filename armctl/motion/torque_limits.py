@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from armctl import _core
 from armctl.core.errors import PlanError
 from armctl.core.trajectory import Trajectory, check_motion
 from armctl.core.validation import Array
@@ -161,16 +162,18 @@ class InverseDynamics:
     """The torques of an arm at many states, each (T, n)."""
 
     def __init__(self, arm: Arm):
-        self._model = arm.packed_dynamics.vector(0.0)
+        self._model = arm.core_model
         self._friction = DryFriction.of(arm.model, arm.joint_map)
         self.damping = PassiveForces(arm.model, arm.joint_map).damping_torque
         self.friction_loss = self._friction.loss
 
     def smooth(self, q: Array, v: Array, a: Array) -> Array:
         """Without dry friction."""
-        from armctl.motion import torque_kernel as kernel
-
-        return kernel.torques(self._model, *(np.ascontiguousarray(each) for each in (q, v, a)))
+        tau = np.empty(q.shape)
+        _core.inverse_dynamics_along(
+            self._model, np.ascontiguousarray(q), np.ascontiguousarray(v), np.ascontiguousarray(a), tau
+        )
+        return tau
 
     def total(self, q: Array, v: Array, a: Array) -> Array:
         """With dry friction."""
@@ -178,9 +181,9 @@ class InverseDynamics:
 
     def holding(self, q: Array) -> Array:
         """At rest."""
-        from armctl.motion import torque_kernel as kernel
-
-        return kernel.holding_torques(self._model, np.ascontiguousarray(q))
+        tau = np.empty(q.shape)
+        _core.gravity_along(self._model, np.ascontiguousarray(q), tau)
+        return tau
 
 
 class TorqueBounds:

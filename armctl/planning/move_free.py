@@ -5,33 +5,31 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial, reduce
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl.collision.checker import CollisionChecker
 from armctl.collision.checkers import KEEP_WITHIN_RAD, collision_checker, read_kept_axis
 from armctl.collision.clearance import clearance_of
-from armctl.collision.interface import Hit, KeptAxis
+from armctl.collision.interface import KeptAxis
 from armctl.core.errors import InputError, PlanError, UnknownNameError
 from armctl.core.pose import Pose
 from armctl.core.target import Target
+from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number, shown
 from armctl.ik import solve_ik
+from armctl.mjmodel.queries import object_id
 from armctl.motion import JointTrajectory, move_j
-from armctl.motion.checks import planning_arm
+from armctl.motion.checks import planning_arm, start_state
 from armctl.motion.move_through import TimedJoints, through_waypoints
 from armctl.motion.moving_start import begun_moving, stop_from
 from armctl.motion.torque_limits import within_torque
-from armctl.planning.path import find_path, sampling_bounds, shorten
+from armctl.planning.path import CLEARANCE_M, MAX_SAMPLES, FreeSpace, find_path, shorten
 from armctl.robot.arm import Arm, check_arm
 
-if TYPE_CHECKING:
-    from armctl.collision.checker import CollisionChecker
-
-CLEARANCE_M = 2e-3
-MAX_SAMPLES = 20_000
 _IK_TRIES = 24  # starts from which solutions for a pose or a point are looked for
 _MAX_IK_TRIES = 500  # as long as no solution is free
 _MAX_ROOTS = 8  # of the goal tree, for each pose or point
@@ -45,7 +43,7 @@ FreeGoal = Any  # Pose | ArrayLike | Sequence[Pose | ArrayLike]: the type ArrayL
 
 def move_free(
     arm: Arm,
-    q_start: ArrayLike,
+    q_start: ArrayLike | Setpoint,
     goal: FreeGoal,
     *,
     clearance: float = CLEARANCE_M,
@@ -55,8 +53,6 @@ def move_free(
     keep_within: float = KEEP_WITHIN_RAD,
     speed: float = 1.0,
     seed: int = 0,
-    v_start: ArrayLike | None = None,
-    a_start: ArrayLike | None = None,
 ) -> JointTrajectory:
     """A motion around obstacles, at rest at its end: jerk-limited, torque-limited, and proved to touch nothing.
 
@@ -67,7 +63,8 @@ def move_free(
 
     Args:
         arm: The arm, in its scene.
-        q_start: (n,) rad, the start.
+        q_start: (n,) rad, the start; or a setpoint, if it starts while the arm moves. The arm then slows down as fast as it
+            can, and turns to the way around the obstacles meanwhile.
         goal: (n,) rad, a Pose, (3,) m where the orientation does not matter, or a list of these, of which one is reached. For
             an arm of three joints three numbers are a configuration; `Target.read(point)` is a point.
         clearance: m, of the path; the smooth motion keeps half of it. It is less if the start or the goal is nearer to
@@ -79,12 +76,6 @@ def move_free(
         keep_within: rad that this axis may tilt.
         speed: Fraction of the full speed, in (0, 1].
         seed: Of the random samples.
-        v_start: (n,) rad/s, if it starts while the arm moves; zero if left out. The arm then slows down as fast as it can, and
-            turns to the way around the obstacles meanwhile.
-        a_start: (n,) rad/s^2, likewise.
-
-    Returns:
-        The motion.
 
     Raises:
         InputError: An argument of the wrong kind, a negative clearance, or an arm without finite limits.
@@ -95,79 +86,55 @@ def move_free(
         UnknownNameError: The model has no body or geom of a name in `allow` or `holding`, or there is no such axis.
     """
     check_arm(arm)
-    start = arm.checked("q_start", q_start)
+    state = start_state(arm, q_start)
+    start = state.q
     kept = read_kept_axis(arm, keep, keep_within, start)
     checker = _checker(arm, start, allow, holding)
-    stop = None if v_start is None and a_start is None else stop_from(planning_arm(arm, 1.0), start, v_start, a_start)
+    space = FreeSpace(checker, number("clearance", clearance, 0.0), kept)
+    stop = stop_from(planning_arm(arm, 1.0), state)
     if stop is None:
-        return move_free_with(checker, arm, start, goal, clearance=clearance, speed=speed, seed=seed, keep=kept)
+        return move_free_with(space, arm, start, goal, speed=speed, seed=seed)
     checker.require_provable()
     free = clearance_of(checker, stop, 0.0, kept)
     if not free.ok:
         raise PlanError(f"start: the arm cannot stop in time: {free.reason}; start slower or allow the contact")
     rest = arm.limits.clamp(stop(stop.duration).q)
-    motion = move_free_with(checker, arm, rest, goal, clearance=clearance, speed=speed, seed=seed, keep=kept)
+    motion = move_free_with(space, arm, rest, goal, speed=speed, seed=seed)
     ends = [checker.nearest(q)[1] for q in (start, rest, motion(motion.duration).q)]
-    required = _Required(checker, min(0.5 * clearance, 0.25 * min(ends), 0.5 * free.distance), kept)
-    return begun_moving(arm, stop, motion, lambda whole: required.hit(whole) is None)
+    space = space._replace(clearance=min(0.5 * clearance, 0.25 * min(ends), 0.5 * free.distance))
+    return begun_moving(arm, stop, motion, lambda whole: space.motion_hit(whole) is None)
 
 
 def move_free_with(
-    checker: CollisionChecker,
-    arm: Arm,
-    start: Array,
-    goal: FreeGoal,
-    *,
-    clearance: float,
-    speed: float,
-    seed: int,
-    keep: KeptAxis | None = None,
+    space: FreeSpace, arm: Arm, start: Array, goal: FreeGoal, *, speed: float = 1.0, seed: int = 0
 ) -> JointTrajectory:
-    """As `move_free`, with a checker of the scene as it is.
-
-    Args:
-        checker: What may not be touched.
-        arm: The arm.
-        start: (n,) rad, inside the limits.
-        goal: As for `move_free`.
-        clearance: m.
-        speed: Fraction of the full speed.
-        seed: Of the random samples.
-        keep: An axis of the tip that keeps its direction.
-
-    Returns:
-        The motion.
-
-    Raises:
-        InputError: As for `move_free`.
-        PlanError: As for `move_free`.
-    """
+    """As `move_free` from a configuration at rest, with a checker of the scene as it is."""
     arm = planning_arm(arm, speed)
+    checker = space.checker
     checker.require_provable()
-    clearance = number("clearance", clearance, 0.0)
+    checker.forget()
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise InputError(f"seed: {seed!r:.80} is not an integer of at least 0")
     rng = np.random.default_rng(seed)
     start_distance = _distance_at(checker, start, "start")
-    goals, goal_distance = _goals(checker, arm, start, goal, rng, keep)
-    clearance = min(clearance, 0.5 * start_distance, 0.5 * goal_distance)
+    goals, goal_distance = _goals(space, arm, start, goal, rng)
+    clearance = min(space.clearance, 0.5 * start_distance, 0.5 * goal_distance)
     motion_clearance = max(0.5 * clearance, min(_MIN_CLEARANCE_M, 0.5 * min(start_distance, goal_distance)))
-    required = _Required(checker, motion_clearance, keep)
+    motion_space = space._replace(clearance=motion_clearance)
     for configuration in goals:
-        if checker.line_hit(start, configuration, motion_clearance, keep) is not None:
+        if not motion_space.line_is_free(start, configuration):
             continue
         motion = move_j(arm, start, configuration)
-        if required.hit(motion) is None:
+        if motion_space.motion_hit(motion) is None:
             return motion
-    low, high = sampling_bounds(arm.limits.q_min, arm.limits.q_max, np.vstack([start, goals]))
-    found = find_path(checker, start, goals, low, high, clearance, rng, MAX_SAMPLES, keep)
+    path_space = space._replace(clearance=clearance)
+    found = find_path(path_space, start, goals, arm.limits, rng)
     if found is None:
         raise PlanError(
             f"no collision-free path found after {MAX_SAMPLES} samples with a clearance of {1e3 * clearance:.2g} mm; "
             "another seed, a smaller clearance or a point on the way may help"
         )
-    points = shorten(checker, found.points, clearance, rng, keep)
-    return _timed(required, arm, points)
+    return _timed(motion_space, arm, shorten(path_space, found.points, rng))
 
 
 def _checker(arm: Arm, start: Array, allow: Iterable[tuple[str, str]], holding: str | Iterable[str] | None) -> CollisionChecker:
@@ -184,18 +151,14 @@ def _checker(arm: Arm, start: Array, allow: Iterable[tuple[str, str]], holding: 
 
 
 def _body(arm: Arm, name: str) -> int:
-    body = mujoco.mj_name2id(arm.model, mujoco.mjtObj.mjOBJ_BODY, name)
+    body = object_id(arm.model, mujoco.mjtObj.mjOBJ_BODY, name)
     if body < 1:
         raise UnknownNameError.of("body to hold", name, [arm.model.body(i).name for i in range(1, arm.model.nbody)])
     return body
 
 
 def _distance_at(checker: CollisionChecker, q: Array, what: str) -> float:
-    """m to the nearest pair at a configuration.
-
-    Raises:
-        PlanError: Something touches there.
-    """
+    """m to the nearest pair at a configuration. Raises PlanError if something touches there."""
     pair, distance = checker.nearest(q)
     if pair < 0:
         return np.inf
@@ -211,19 +174,10 @@ def overlap_in_words(checker: CollisionChecker, q: Array, pair: int) -> str:
     return f"{second} is {1e3 * depth:.1f} mm inside {first}"
 
 
-def _goals(
-    checker: CollisionChecker,
-    arm: Arm,
-    start: Array,
-    goal: FreeGoal,
-    rng: np.random.Generator,
-    keep: KeptAxis | None,
-) -> tuple[Array, float]:
-    """The configurations that a goal stands for, nearest to the start first, and the distance of the freest from everything.
-
-    Raises:
-        PlanError: None of them can be reached, or all of them touch something.
-    """
+def _goals(space: FreeSpace, arm: Arm, start: Array, goal: FreeGoal, rng: np.random.Generator) -> tuple[Array, float]:
+    """The free configurations of a goal, nearest to the start first, and the distance of the freest. Raises PlanError."""
+    checker = space.checker
+    keep = space.keep
     found: list[Array] = []
     distances: list[float] = []
     refusals: list[str] = []
@@ -316,33 +270,21 @@ def _tilt(arm: Arm, q: Array, keep: KeptAxis) -> float:
     return float(np.arctan2(np.linalg.norm(np.cross(axis, keep.direction)), axis @ keep.direction))
 
 
-class _Required(NamedTuple):
-    """What a motion must keep, and who proves it."""
-
-    checker: CollisionChecker
-    clearance: float
-    keep: KeptAxis | None
-
-    def hit(self, motion: JointTrajectory) -> Hit | None:
-        """Where it is not known to keep it; None if it is proved."""
-        return self.checker.motion_hit(motion.knots, motion.coefficients, self.clearance, self.keep)
-
-
-def _timed(required: _Required, arm: Arm, points: Array) -> JointTrajectory:
+def _timed(space: FreeSpace, arm: Arm, points: Array) -> JointTrajectory:
     """The fastest smooth motion along a free path that is proved free, within the torques; at worst it stops at each point."""
-    motion = flowing_motion(required.hit, arm, points)
+    motion = flowing_motion(space, arm, points)
     if motion is not None:
         slowed = within_torque(arm, motion)
-        if slowed is motion or required.hit(slowed) is None:
+        if slowed is motion or space.motion_hit(slowed) is None:
             return slowed
     lines = [move_j(arm, a, b) for a, b in pairwise(points)]
     stopping = reduce(JointTrajectory.then, lines)
-    if required.hit(stopping) is None:
+    if space.motion_hit(stopping) is None:
         return stopping
     raise PlanError("the path is free, but no motion along it could be proved; try another seed or a smaller clearance")
 
 
-def flowing_motion(hit_of: Callable[[JointTrajectory], Hit | None], arm: TimedJoints, points: Array) -> JointTrajectory | None:
+def flowing_motion(space: FreeSpace, arm: TimedJoints, points: Array) -> JointTrajectory | None:
     """A smooth motion along a free path that is proved free, without regard to the torques; None if there is none.
 
     A smooth motion through the points of the path leaves its lines. Where it touches, a point of the line is added and the
@@ -351,7 +293,7 @@ def flowing_motion(hit_of: Callable[[JointTrajectory], Hit | None], arm: TimedJo
     waypoints = list(points)
     for _ in range(_REPAIRS):
         motion = through_waypoints(arm, np.array(waypoints))
-        hit = hit_of(motion)
+        hit = space.motion_hit(motion)
         if hit is None:
             return motion
         line, share = _nearest_line(waypoints, motion(hit.time).q)

@@ -15,8 +15,8 @@ from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
 from armctl.motion import JointTrajectory, check_torque, move_j
-from armctl.planning.move_free import MAX_SAMPLES, flowing_motion, overlap_in_words
-from armctl.planning.path import find_path, sampling_bounds, shorten
+from armctl.planning.move_free import flowing_motion, overlap_in_words
+from armctl.planning.path import CLEARANCE_M, MAX_SAMPLES, FreeSpace, find_path, shorten
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
 from armctl.robot.joint_map import JointMap
@@ -35,7 +35,6 @@ class ArmGroup:
     """Several arms as one: their joints one after another. It has what planning needs of an Arm.
 
     Attributes:
-        model: The compiled model of all.
         joint_names: The N joints.
         joint_map: How they move all joints that are coupled to them.
         limits: Their limits.
@@ -72,54 +71,33 @@ def plan_together(
     arms: Mapping[str, Arm],
     starts: Mapping[str, Array],
     solutions: Mapping[str, Sequence[Array]],
-    *,
-    clearance: float,
     speed: float,
-    seed: int,
 ) -> dict[str, JointTrajectory]:
     """Motions of several arms that start at once and are proved together.
 
     Each arm goes straight if all together are proved free. Otherwise one path is planned in the joint space of all arms.
-
-    Args:
-        checker: What may not be touched; its joints are those of all arms, in order.
-        arms: All arms by their tips.
-        starts: (n,) rad of each.
-        solutions: Configurations, each (n,) rad, of which some of the arms take one; the other arms stay.
-        clearance: m that the path keeps, as for `move_free`.
-        speed: Fraction of the full speed.
-        seed: Of the random samples.
-
-    Returns:
-        A motion for each arm that has solutions.
-
-    Raises:
-        PlanError: The arms touch something at the start or with every combination of solutions, or no path was found.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     group = ArmGroup.of(list(arms.values()), speed)
     start = np.concatenate([starts[tip] for tip in arms])
     nearest, start_distance = checker.nearest(start)
     if nearest >= 0 and start_distance <= 0.0:
         raise PlanError(f"start: {overlap_in_words(checker, start, nearest)}; move it apart or allow the contact")
     goals, goal_distance = _goals(checker, arms, starts, solutions)
-    clearance = min(clearance, 0.5 * start_distance, 0.5 * goal_distance)
+    clearance = min(CLEARANCE_M, 0.5 * start_distance, 0.5 * goal_distance)
     columns = _columns(arms)
     for goal in goals:
         motions = {tip: move_j(arms[tip], starts[tip], goal[columns[tip]], speed=speed) for tip in solutions}
         knots, coefficients = combined(motions, columns, start)
         if checker.motion_hit(knots, coefficients, 0.5 * clearance) is None:
             return motions
-    low, high = sampling_bounds(group.limits.q_min, group.limits.q_max, np.vstack([start, goals]))
-    found = find_path(checker, start, goals, low, high, clearance, rng, MAX_SAMPLES)
+    space = FreeSpace(checker, clearance)
+    found = find_path(space, start, goals, group.limits, rng)
     if found is None:
         raise PlanError(
             f"no collision-free path of the arms together found after {MAX_SAMPLES} samples; move one after the other"
         )
-    points = shorten(checker, found.points, clearance, rng)
-    motion = flowing_motion(
-        lambda motion: checker.motion_hit(motion.knots, motion.coefficients, 0.5 * clearance), group, points
-    )
+    motion = flowing_motion(space._replace(clearance=0.5 * clearance), group, shorten(space, found.points, rng))
     if motion is None:
         raise PlanError("the path of the arms is free, but no motion along it could be proved; move one after the other")
     return _within_torques({tip: _part(motion, arms[tip], columns[tip]) for tip in solutions}, arms)

@@ -30,15 +30,6 @@ def fitted_camera(arm: Arm, states: Sequence[mujoco.MjData], path: Array, aspect
     """A free camera that shows an arm in several states and the path of its tip.
 
     Of twelve azimuths it takes the one with the fewest hidden points and the most of the path seen from the side.
-
-    Args:
-        arm: The arm.
-        states: States of its model, after forward kinematics.
-        path: (k, 3) m, the path of the tip; the last point is the target.
-        aspect: Width over height of the picture.
-
-    Returns:
-        The camera.
     """
     model = arm.model
     corners = np.concatenate([*(box_corners(arm, data) for data in states), path])

@@ -31,17 +31,9 @@ class GlContext(Protocol):
 
 
 def gl_context(width: int, height: int) -> GlContext:
-    """An offscreen OpenGL context. `MUJOCO_GL` selects the backend; unset, the first one that is installed.
+    """An offscreen OpenGL context, not yet current. `MUJOCO_GL` selects the backend; unset, the first one that is installed.
 
-    Args:
-        width: Pixels.
-        height: Pixels.
-
-    Returns:
-        The context, not yet current.
-
-    Raises:
-        NotInstalledError: No OpenGL works here without a screen.
+    Raises NotInstalledError if no OpenGL works here without a screen.
     """
     backend = os.environ.get("MUJOCO_GL", "").strip().lower() or _installed_backend()
     try:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.core.errors import InputError
-from armctl.core.validation import Array, choice, integer
+from armctl.core.validation import Array, choice, integer, shown
 from armctl.render.gl import gl_context
 
 Image = NDArray[np.uint8]
@@ -25,28 +25,25 @@ _MIN_TRACE_SEGMENT_M = 5e-4
 _MIN_TRACE_LENGTH_M = 1e-6
 
 
-def check_size(width: int, height: int) -> tuple[int, int]:
+def check_size(size: tuple[int, int]) -> tuple[int, int]:
     """The checked width and height of a picture, in pixels."""
-    return integer("width", width, MIN_PIXELS, MAX_PIXELS), integer("height", height, MIN_PIXELS, MAX_PIXELS)
+    if not isinstance(size, (tuple, list)) or len(size) != 2:
+        raise InputError(f"size: expected width and height in pixels, such as (640, 480), got {shown(size)}")
+    return integer("width", size[0], MIN_PIXELS, MAX_PIXELS), integer("height", size[1], MIN_PIXELS, MAX_PIXELS)
 
 
 class Renderer:
     """Draws states of one model into images. Close it, or use it in a `with`.
 
     In software, shadows, reflections and smooth edges take ten times longer than the rest, so the fast quality omits them.
-
-    Attributes:
-        width: Pixels.
-        height: Pixels.
     """
 
-    def __init__(self, model: mujoco.MjModel, width: int = 640, height: int = 480, quality: str = "fast"):
+    def __init__(self, model: mujoco.MjModel, size: tuple[int, int] = (640, 480), quality: str = "fast"):
         """A renderer for a model.
 
         Args:
             model: The model; the renderer keeps a copy.
-            width: Pixels.
-            height: Pixels.
+            size: Width and height in pixels.
             quality: "fast" or "full".
 
         Raises:
@@ -54,7 +51,7 @@ class Renderer:
             NotInstalledError: No OpenGL works here without a screen.
         """
         self._fast = choice("quality", quality, QUALITIES) == "fast"
-        self.width, self.height = check_size(width, height)
+        self.width, self.height = check_size(size)
         self._model = copy.copy(model)
         self._model.vis.global_.offwidth = self.width
         self._model.vis.global_.offheight = self.height
@@ -90,7 +87,6 @@ class Renderer:
 
         Args:
             data: The state, after forward kinematics.
-            camera: The camera.
             trace: (k, 3) m, a path to draw as a line, such as the tip's; none if left out.
 
         Returns:

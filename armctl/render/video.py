@@ -35,11 +35,7 @@ class Film(type(Path())):  # type: ignore[misc]  # before Python 3.12 only the c
     """The path of a film; a notebook shows the film itself."""
 
     def __new__(cls, *parts: str | os.PathLike[str]) -> Self:
-        """The path of a film from its parts, as `pathlib.Path` takes them.
-
-        Raises:
-            InputError: A part is neither text nor a path.
-        """
+        """The path of a film from its parts, as `pathlib.Path` takes them."""
         for part in parts:
             instance("parts", part, (str, os.PathLike), "'film.mp4' is one")
         return super().__new__(cls, *parts)
@@ -56,8 +52,7 @@ def record(
     arm: Arm,
     path: str | os.PathLike[str],
     *,
-    width: int = 640,
-    height: int = 480,
+    size: tuple[int, int] = (640, 480),
     quality: str = "fast",
     speed: float = 1.0,
 ) -> Film:
@@ -71,8 +66,7 @@ def record(
         log: The run, or the runs; all with the same tick.
         arm: The arm of these runs.
         path: The film, .mp4 or .gif; its folder is made.
-        width: Pixels, even, in [16, 8192].
-        height: Pixels, even, in [16, 8192].
+        size: Width and height in pixels, even, in [16, 8192].
         quality: "fast", for software rendering, or "full", with shadows and smooth edges.
         speed: Simulated time per film time, in [0.01, 100]: 1 is real time, 0.5 is slow motion.
 
@@ -86,7 +80,7 @@ def record(
         NotInstalledError: No OpenGL works here without a screen, or there is no encoder for .mp4.
     """
     path = film_path(path)
-    width, height = check_size(width, height)
+    width, height = check_size(size)
     if width % 2 or height % 2:
         raise InputError(f"size: expected even numbers, got {width} x {height} pixels")
     choice("quality", quality, QUALITIES)
@@ -97,13 +91,13 @@ def record(
     end = (sum(map(len, logs)) - 1) * logs[0].dt
     times = np.arange(0.0, end + 1e-9, speed / frames_per_second)
     held = round(frames_per_second * max(_LAST_FRAME_S, _SHORTEST_FILM_S - times[-1] / speed))
-    film = _with_last_held(images(logs, arm, times, width=width, height=height, quality=quality), held)
+    film = _with_last_held(images(logs, arm, times, (width, height), quality), held)
     frames = _with_progress(path, film, len(times) + held)
     with atomic_path(path) as temporary:
         if path.suffix == ".gif":
             _write_gif(temporary, frames, frames_per_second)
         else:
-            write_mp4(temporary, frames, frames_per_second, width, height)
+            write_mp4(temporary, frames, frames_per_second, (width, height))
     return Film(path)
 
 
@@ -113,23 +107,17 @@ def still(
     path: str | os.PathLike[str],
     *,
     at: float | None = None,
-    width: int = 1280,
-    height: int = 720,
+    size: tuple[int, int] = (1280, 720),
     quality: str = "full",
 ) -> Path:
     """Draws one instant of a run, with the path of the tip until then. The file is written atomically.
 
     Args:
-        log: The run.
         arm: The arm of this run.
         path: The picture, .png; its folder is made.
         at: s, the instant; the end of the run if left out.
-        width: Pixels, in [16, 8192].
-        height: Pixels, in [16, 8192].
+        size: Width and height in pixels, in [16, 8192].
         quality: "fast" or "full".
-
-    Returns:
-        The path.
 
     Raises:
         InputError: Another file extension, an empty log or one of another arm, a size out of bounds, or an unknown quality.
@@ -137,33 +125,21 @@ def still(
         NotInstalledError: No OpenGL works here without a screen.
     """
     path = file_path("path", path, (".png",))
-    width, height = check_size(width, height)
+    size = check_size(size)
     choice("quality", quality, QUALITIES)
     instance("log", log, Log, "armctl.simulate and every move of a Simulation give one")
     _check([log], arm)
     from PIL import Image as Picture
 
     instant = log.t[-1] if at is None else number("at", at)
-    (image,) = images([log], arm, np.array([instant]), width=width, height=height, quality=quality)
+    (image,) = images([log], arm, np.array([instant]), size, quality)
     with atomic_path(path) as temporary:
         Picture.fromarray(image).save(temporary, optimize=True)
     return path
 
 
 def film_path(path: str | os.PathLike[str], what: str = "path") -> Path:
-    """Checks the path of a film, before anything runs.
-
-    Args:
-        path: The path.
-        what: The name of the argument, for the error.
-
-    Returns:
-        The path.
-
-    Raises:
-        InputError: It ends neither in .mp4 nor in .gif.
-        NotInstalledError: It ends in .mp4 and there is no encoder.
-    """
+    """The path of a film, checked before anything runs. Raises NotInstalledError if there is no encoder for it."""
     path = file_path(what, path, ENDINGS)
     if path.suffix == ".mp4":
         try:
@@ -173,7 +149,7 @@ def film_path(path: str | os.PathLike[str], what: str = "path") -> Path:
     return path
 
 
-def images(logs: Sequence[Log], arm: Arm, times: Array, *, width: int, height: int, quality: str) -> Iterator[Image]:
+def images(logs: Sequence[Log], arm: Arm, times: Array, size: tuple[int, int], quality: str) -> Iterator[Image]:
     """Images of runs, each (height, width, 3), at times (k,) in s since the start of the first run."""
     model = copy.copy(arm.model)
     model.geom_size[model.geom_bodyid == find_target(model)] *= _TARGET_SCALE
@@ -181,9 +157,9 @@ def images(logs: Sequence[Log], arm: Arm, times: Array, *, width: int, height: i
     tip = np.concatenate([log.tip for log in logs])
     targets = np.repeat([_target(log) for log in logs], [len(log) for log in logs], axis=0)
     states = [_state(arm, qpos[k], targets[k]) for k in np.linspace(0, len(qpos) - 1, _STATES_IN_VIEW).astype(int)]
-    camera = fitted_camera(arm, states, np.concatenate([tip, targets[-1:, :3]]), width / height)
+    camera = fitted_camera(arm, states, np.concatenate([tip, targets[-1:, :3]]), size[0] / size[1])
     data = states[-1]
-    with Renderer(model, width, height, quality) as renderer:
+    with Renderer(model, size, quality) as renderer:
         for k in np.rint(np.clip(times / logs[0].dt, 0, len(qpos) - 1)).astype(int):
             pose(arm, data, qpos[k], targets[k])
             yield renderer.image(data, camera, tip[: k + 1])
@@ -235,27 +211,16 @@ class Mp4Writer:
     """Writes images into an .mp4, one after the other. Close it, or use it in a `with`."""
 
     def __init__(
-        self, file: Path | IO[bytes], frames_per_second: int, width: int, height: int, keyframe_interval: int | None = None
+        self, file: Path | IO[bytes], frames_per_second: int, size: tuple[int, int], keyframe_interval: int | None = None
     ):
-        """A film without images.
-
-        Args:
-            file: The file; a package that encodes is installed.
-            frames_per_second: 1/s.
-            width: Pixels, even.
-            height: Pixels, even.
-            keyframe_interval: Frames between two from which a player can start; the encoder's if left out.
-
-        Raises:
-            OSError: The file cannot be written.
-        """
+        """A film without images; a player can start at every `keyframe_interval`-th one."""
         import av
 
         with _as_os_error():
             self._container = av.open(file, "w", format="mp4")
         self._stream = self._container.add_stream("h264", rate=frames_per_second)
-        self._stream.width = width
-        self._stream.height = height
+        self._stream.width = size[0]
+        self._stream.height = size[1]
         self._stream.pix_fmt = "yuv420p"
         self._stream.options = {"crf": "20", "preset": "veryfast"}
         if keyframe_interval is not None:
@@ -272,11 +237,7 @@ class Mp4Writer:
                 self._container.close()
 
     def add(self, image: Image) -> None:
-        """Adds an image (height, width, 3).
-
-        Raises:
-            OSError: The file cannot be written.
-        """
+        """Adds an image (height, width, 3). Raises OSError if the file cannot be written."""
         import av
 
         with _as_os_error():
@@ -284,11 +245,7 @@ class Mp4Writer:
             self._container.mux(self._stream.encode(frame))
 
     def close(self) -> None:
-        """Writes the last frames and closes the file.
-
-        Raises:
-            OSError: The file cannot be written.
-        """
+        """Writes the last frames and closes the file."""
         with _as_os_error():
             try:
                 self._container.mux(self._stream.encode())
@@ -307,9 +264,9 @@ def _as_os_error() -> Iterator[None]:
         raise OSError(error.errno, error.strerror) from None
 
 
-def write_mp4(file: Path | IO[bytes], frames: Iterable[Image], frames_per_second: int, width: int, height: int) -> None:
+def write_mp4(file: Path | IO[bytes], frames: Iterable[Image], frames_per_second: int, size: tuple[int, int]) -> None:
     """Writes frames, each (height, width, 3), into an .mp4."""
-    with Mp4Writer(file, frames_per_second, width, height) as film:
+    with Mp4Writer(file, frames_per_second, size) as film:
         for image in frames:
             film.add(image)
 

@@ -70,9 +70,6 @@ class Actuation:
             transmissions: What moves the n joints.
             limits: The limits of the n joints.
 
-        Returns:
-            The actuation.
-
         Raises:
             InputError: An argument of another type.
         """

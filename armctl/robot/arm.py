@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl import _core
 from armctl.core.errors import InputError, LimitError
 from armctl.core.limits import Limits
 from armctl.core.pose import Pose
@@ -20,10 +21,12 @@ from armctl.core.tables import Table
 from armctl.core.validation import Array, IntArray, instance, matrix, number, vector
 from armctl.mjmodel.edit import add_point_mass
 from armctl.robot.actuation import Actuation
+from armctl.robot.core_model import core_model, tips
 from armctl.robot.dynamics import Dynamics
 from armctl.robot.joint_map import JointMap
-from armctl.robot.packed_dynamics import PackedDynamics
 from armctl.robot.pinocchio_model import PinocchioModel, build_pinocchio_model
+
+_NOT_PICKLED = ("_thread_dynamics", "core_model")  # a process makes its own
 
 
 class _ThreadDynamics(threading.local):
@@ -43,11 +46,8 @@ class Arm:
         actuation: Its n joints: names, limits, couplings, and addresses in the arrays of MuJoCo.
         tip: The name of the site, body or geom at the end.
         home: (n,) rad, the rest position.
-        pinocchio_model: Its Pinocchio model.
         home_qpos: (nq,) the whole model at home; joints outside the chain are held there.
         home_ctrl: (nctrl,) the controls of the whole model at home; the arm's own are zero.
-        tip_body: The body that carries the tip.
-        T_body_tip: The tip in that body.
         notes: The assumptions made when it was loaded, one sentence each.
         sources: The source of each kind of limit, such as `{"tau_max": "forcerange"}`.
     """
@@ -107,8 +107,12 @@ class Arm:
 
     @property
     def dt(self) -> float:
-        """The model's time step, s."""
-        return float(self.model.opt.timestep)
+        """The model's time step, s.
+
+        Raises:
+            InputError: It was changed to 0, a negative number or NaN.
+        """
+        return number("model.opt.timestep", self.model.opt.timestep, 1e-12)
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -175,7 +179,7 @@ class Arm:
         Raises:
             InputError: A wrong shape or a number that is not finite.
         """
-        return self.pinocchio_model.tips(matrix("q", q, self.n))
+        return tips(self.core_model, matrix("q", q, self.n))
 
     def jacobian(self, q: ArrayLike) -> Array:
         """The Jacobian of the tip: its twist is J(q) v.
@@ -289,12 +293,12 @@ class Arm:
         return _ThreadDynamics(self.model, self.pinocchio_model)
 
     @cached_property
-    def packed_dynamics(self) -> PackedDynamics:
-        """Its dynamics as vectors for compiled kernels, compared with Pinocchio at the first use."""
-        return PackedDynamics(self.model, self.pinocchio_model)
+    def core_model(self) -> _core.ArmModel:
+        """Its model for the compiled core, in continuous time, compared with Pinocchio at the first use."""
+        return core_model(self.model, self.pinocchio_model)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_thread_dynamics"}
+        return {name: value for name, value in self.__dict__.items() if name not in _NOT_PICKLED}
 
     def qpos(self, q: Array) -> Array:
         """The whole model's positions with the arm at q and all else at home.
@@ -333,9 +337,6 @@ class Arm:
 
         Args:
             limits: The new limits of its n joints.
-
-        Returns:
-            The arm.
 
         Raises:
             InputError: The argument is no Limits, or has another number of joints.
@@ -404,9 +405,6 @@ class Arm:
 
 def check_arm(arm: object) -> None:
     """Checks that an argument is an arm.
-
-    Args:
-        arm: The argument.
 
     Raises:
         InputError: It is something else, such as a name.

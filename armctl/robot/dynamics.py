@@ -116,13 +116,6 @@ class Dynamics:
         """Coriolis and centrifugal torques C(q, v) v, (n,) N m."""
         return self.bias(q, v) - self.bias(q, np.zeros_like(v))
 
-    def coriolis_product(self, q: Array, v: Array, w: Array) -> Array:
-        """C(q, v) w with the C of Christoffel's symbols, for which M_dot - 2 C is skew-symmetric; (n,) N m.
-
-        C(q, v) w is symmetric in v and w, so it follows from C(q, v) v by polarization.
-        """
-        return 0.25 * (self.bias(q, v + w) - self.bias(q, v - w))
-
     def gravity(self, q: Array) -> Array:
         """The torque that holds the arm at rest: gravity minus gravity compensation, plus springs; (n,) N m."""
         tau = pin.computeGeneralizedGravity(self._model, self._data, q).copy()

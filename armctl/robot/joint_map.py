@@ -46,9 +46,7 @@ class JointMap:
         """The joint map of a chain.
 
         Args:
-            model: The compiled model.
             chain: The joints of the chain, from the base to the tip.
-            transmissions: What moves the chain.
 
         Returns:
             The joint map; the joints of the chain come first in it.

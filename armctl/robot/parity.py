@@ -18,9 +18,7 @@ def check_parity(arm: Arm, samples: int = 3, seed: int = 0) -> float:
     """Compares tip pose, mass matrix and bias of an arm's Pinocchio model with MuJoCo's, at home and at random states.
 
     Args:
-        arm: The arm.
         samples: The number of random states, inside the limits.
-        seed: The seed of the random states.
 
     Returns:
         The largest difference, relative to the magnitude of what is compared (at least 1).

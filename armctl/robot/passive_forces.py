@@ -38,12 +38,7 @@ class PassiveForces:
     """
 
     def __init__(self, model: mujoco.MjModel, joint_map: JointMap):
-        """The passive forces of the joints that an arm moves.
-
-        Args:
-            model: The compiled model.
-            joint_map: The joints of the arm.
-        """
+        """The passive forces of the joints that an arm moves."""
         dofs = joint_map.dof_adr
         joints = model.dof_jntid[dofs]
         ratio = np.abs(joint_map.ratio.T)

@@ -94,43 +94,8 @@ class PinocchioModel:
         J = pin.computeFrameJacobian(self.pin_model, self._memory.data, q, self.tip_frame, WORLD_AXES_AT_TIP)
         return J.reshape(6, -1)  # Pinocchio drops the column of a single joint
 
-    def tips(self, q: Array) -> tuple[Array, Array]:
-        """Where the tip is at many positions at once. A row's bits do not depend on the number of rows.
-
-        Args:
-            q: (T, n) rad.
-
-        Returns:
-            Positions (T, 3) m and rotation matrices (T, 3, 3), in the world.
-        """
-        # The columns of the rotations are the first axis, time is the last: whole columns turn at once. Products of matrices
-        # would round differently with another number of rows.
-        R = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(q)))
-        p = np.zeros((3, len(q)))
-        chain = q if self.joint_map.is_plain else self.joint_map.positions(q)[:, : self.chain_length]
-        for qi, X, slides in zip(chain.T, self.placements, self.is_slide, strict=True):
-            p = p + _combined(X[:3, 3], R)
-            R = _combined(X[:3, :3], R)
-            if slides:
-                p = p + R[2] * qi
-            else:
-                c = np.cos(qi)
-                s = np.sin(qi)
-                x = c * R[0] + s * R[1]
-                R[1] = c * R[1] - s * R[0]
-                R[0] = x
-        p = p + _combined(self.T_last_tip[:3, 3], R)
-        R = _combined(self.T_last_tip[:3, :3], R)
-        return np.ascontiguousarray(p.T), np.ascontiguousarray(R.transpose(2, 1, 0))
-
     def __reduce__(self):
         return PinocchioModel, tuple(getattr(self, field.name) for field in fields(self))
-
-
-def _combined(weights: Array, columns: Array) -> Array:
-    """The sums of three columns (3, 3, T) with weights (3,), which is (3, T), or (3, m), which is (m, 3, T)."""
-    first, second, third = weights[..., None, None]
-    return first * columns[0] + second * columns[1] + third * columns[2]
 
 
 def build_pinocchio_model(
@@ -139,12 +104,9 @@ def build_pinocchio_model(
     """The rigid-body model of a chain.
 
     Args:
-        model: The compiled model.
         chain_length: How many of the joints of `joint_map`, its first ones, are in the chain.
         joint_map: The chain's hinge and slide joints, from the base to the tip, and those outside it that follow one of them.
         qpos: (nq,) where all other joints are held.
-        tip_body: The body that carries the tip.
-        T_body_tip: The tip in that body.
 
     Returns:
         The model, its joints in the order given.

@@ -1,4 +1,4 @@
-"""Disturbances: how a plant disturbs signals during a run: measurement noise, command delay, torque ripple, pushes."""
+"""Disturbances: how a plant disturbs signals during a run: measurement noise, command delay, pushes."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
+from armctl import _core
 from armctl.core.validation import Array, IntArray
-from armctl.robot.packed_dynamics import PackedDynamics
 from armctl.sim.plant import Plant, Push
 
 
@@ -18,59 +18,45 @@ class Signals(NamedTuple):
     Attributes:
         noise: (ticks, 2, n) on measured positions, rad, and velocities, rad/s; None for none.
         wrenches: (ticks, 6) N and N m, of the pushes on the tip; None for none.
-        push: (6,) the one of the last tick, which the loop writes.
-        pushed_joints: The joints of the arm on whose tip they act.
-        commands: (delay + 1, n) N m, ring buffer of the last commands.
-        commands_given: How many commands there were since the last reset.
-        ripple: (1,) amplitude of the torque ripple.
     """
 
     noise: Array | None
     wrenches: Array | None
-    push: Array
-    pushed_joints: int
-    commands: Array
-    commands_given: int
-    ripple: Array
 
 
 class Disturbances:
-    """Noise, delay, ripple and pushes of one run; every run of the same plant has the same ones.
+    """Noise, delay and pushes of one run; every run of the same plant has the same ones.
 
     Attributes:
         push: (6,) N and N m, the wrench of the pushes in the last tick; both loops write it.
+        delay: What delays the commands; both loops use it.
     """
 
     def __init__(
-        self, plant: Plant, model: mujoco.MjModel, data: mujoco.MjData, dof_adr: IntArray, tip: PackedDynamics, dt: float
+        self, plant: Plant, model: mujoco.MjModel, data: mujoco.MjData, dof_adr: IntArray, pushed_arm: _core.ArmModel, dt: float
     ):
         """The disturbances of a run that starts now.
 
         Args:
-            plant: The plant that describes them.
-            model: The plant's model.
             data: The state of the simulation; pushes are applied to it.
             dof_adr: (n,) addresses of the joints in `MjData.qvel`.
-            tip: The dynamics of the arm on whose tip pushes act; its joints are the first ones.
+            pushed_arm: The arm on whose tip pushes act; its joints are the first ones.
             dt: s, the tick, over which positions are differenced.
         """
         n = len(dof_adr)
         self._plant = plant
         self._data = data
-        self._pushed_dofs = dof_adr[: tip.n]
-        self._tip = tip
-        self._tip_model = tip.vector(0.0)
-        self._tip_scratch = np.zeros(tip.work_size())
+        self._pushed_dofs = dof_adr[: pushed_arm.n]
+        self._tip_force = _core.TipForce(pushed_arm)
         self._pushes: tuple[Push, ...] = tuple(plant.pushes)  # type: ignore[arg-type]  # a tuple after Plant.__post_init__
         self._dt = dt
         self._steps = round(dt / model.opt.timestep)
         self._timestep = float(model.opt.timestep)
         self.push = np.zeros(6)
+        self.delay = _core.Delay(n, plant.delay)
+        self.delay.restart(plant.delay)
         self._rng = np.random.default_rng(plant.seed)
         self._last_noise = np.zeros(n)
-        self._commands = np.zeros((plant.delay + 1, n))
-        self._commands_given = 0
-        self._ripple = np.array([plant.torque_ripple])
         self._planned: Signals | None = None
         self._noise_before: tuple[Any, Array] | None = None
 
@@ -85,21 +71,16 @@ class Disturbances:
     def driven(self, tau: Array, q: Array) -> Array:
         """Applies the pushes of this moment, and returns the torque that the motors receive for a commanded torque.
 
-        That is the command `delay` ticks ago, or the first command until then, with ripple.
+        That is the command `delay` ticks ago, or the first command until then.
         """
-        from armctl.sim.tick_kernel import rippled, tip_torque
-
         if self._pushes:
             self.push[:] = self._wrenches(np.array([self._data.time]))[0]
-            n = self._tip.n
-            torque = np.zeros(n)
-            tip_torque(self._tip_model, q[:n].copy(), self.push, self._tip_scratch, np.zeros((6, n)), torque)
+            torque = np.zeros(len(self._pushed_dofs))
+            self._tip_force.torque(q[: len(torque)].copy(), self.push, torque)
             self._data.qfrc_applied[self._pushed_dofs] = torque
-        length = len(self._commands)
-        self._commands[self._commands_given % length] = tau
-        oldest = self._commands[max(self._commands_given - self._plant.delay, 0) % length]
-        self._commands_given += 1
-        return np.array([rippled(*each, self._plant.torque_ripple) for each in zip(oldest.tolist(), q.tolist(), strict=True)])
+        oldest = np.empty_like(tau)
+        self.delay.delayed(tau, oldest)
+        return oldest
 
     def planned(self, ticks: int) -> Signals:
         """The disturbances of the coming ticks; call `took` afterwards."""
@@ -111,19 +92,13 @@ class Disturbances:
         wrenches = None
         if self._pushes:
             wrenches = self._wrenches(tick_times(self._data.time, ticks, self._steps, self._timestep))
-        self._planned = Signals(noise, wrenches, self.push, self._tip.n, self._commands, self._commands_given, self._ripple)
+        self._planned = Signals(noise, wrenches)
         return self._planned
 
-    def took(self, measured: int, commands_given: int) -> None:
-        """Notes which of the planned disturbances were used.
-
-        Args:
-            measured: The number of ticks at which the state was measured.
-            commands_given: The number of commands since the last reset.
-        """
+    def took(self, measured: int) -> None:
+        """Notes at how many of the planned ticks the state was measured."""
         planned = self._planned
         assert planned is not None
-        self._commands_given = commands_given
         if planned.noise is not None and self._noise_before is not None and measured < len(planned.noise):
             state, self._last_noise = self._noise_before
             self._rng.bit_generator.state = state  # type: ignore[attr-defined]

@@ -13,6 +13,7 @@ from armctl.core.pose import Pose
 from armctl.core.target import Target
 from armctl.core.validation import Array, shown
 from armctl.ik import solve_ik
+from armctl.mjmodel.queries import object_id
 from armctl.robot.arm import Arm
 from armctl.sim.move import ControlledArms
 from armctl.sim.online_reference import OnlineReference
@@ -57,7 +58,7 @@ def _target_function(model: mujoco.MjModel, data: mujoco.MjData, target: MovingT
         return called
     if not isinstance(target, str):
         raise InputError(f"target: {shown(target)} is neither the name of a body nor a function of the time")
-    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, target)
+    body = object_id(model, mujoco.mjtObj.mjOBJ_BODY, target)
     if body < 0:
         raise UnknownNameError.of("body", target, [model.body(i).name for i in range(1, model.nbody)])
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.collision.clearance import clearance_of
-from armctl.collision.interface import KeptAxis
 from armctl.control import Controller, State, controller_by_name, controller_name
 from armctl.core.errors import ArmctlWarning, InputError, ModelError, PlanError
 from armctl.core.log import Log, SimulationError
@@ -25,17 +23,19 @@ from armctl.core.trajectory import Setpoint, TickReference, Trajectory, check_mo
 from armctl.core.validation import Array, shown
 from armctl.ik import solve_ik
 from armctl.motion import JointTrajectory, move_j
-from armctl.planning.move_free import CLEARANCE_M, move_free_with
+from armctl.planning.move_free import move_free_with
+from armctl.planning.path import FreeSpace
 from armctl.robot.arm import Arm
 from armctl.sim.constant_torque import ConstantTorque
-from armctl.sim.recorder import Recorder, TickRows, ticks_for
+from armctl.sim.recorder import Recorder, RunInfo, TickRows, ticks_for
 from armctl.sim.stepper import ControllerFailure, Stepper, checked_torque
 from armctl.sim.wrench_sensor import WRENCH_SIZE
 
 if TYPE_CHECKING:
     from armctl.collision.checker import CollisionChecker
 
-SETTLED_SPEED = 1e-3  # rad/s (m/s): every joint below it counts as at rest
+AT_REST_SPEED = 1e-3  # rad/s (m/s): every joint below it counts as at rest
+_SETTLE_TIMEOUT_S = 1.0  # for the arm to come to rest after a motion
 SETTLE_CHECK_INTERVAL_S = 0.02
 NO_TARGET = np.full(7, np.nan)
 _STEP_ROWS = 1024  # ticks for which memory is allocated at once while a caller steps
@@ -82,23 +82,14 @@ def plan_move(
     return PlannedMove(target, trajectory)
 
 
-def plan_to(
-    arm: Arm,
-    target: Target,
-    q_start: Array,
-    speed: float = 1.0,
-    checker: CollisionChecker | None = None,
-    keep: KeptAxis | None = None,
-) -> PlannedMove:
-    """A move to a target by inverse kinematics and a joint motion, around obstacles if there is a checker.
+def plan_to(arm: Arm, target: Target, q_start: Array, speed: float, space: FreeSpace | None = None) -> PlannedMove:
+    """A move to a target by inverse kinematics and a joint motion, around obstacles if there is a space to keep to.
 
-    Without a checker a solution without contact is preferred. If there is none, any solution is accepted.
+    Otherwise a solution without contact is preferred. If there is none, any solution is accepted.
     """
     arm.limits.at_speed(speed)  # a wrong speed is an error even if the target is out of reach
-    if checker is not None:
-        return plan_free(arm, target, q_start, target, speed, checker, keep)
-    if keep is not None:
-        raise InputError("keep: an axis keeps its direction only with avoid=True, which plans the whole motion")
+    if space is not None:
+        return plan_free(arm, target, q_start, target, speed, space)
     solution = solve_ik(arm, target, q_start, avoid_collisions=True)
     if not solution.ok:
         solution = solve_ik(arm, target, q_start)
@@ -107,21 +98,9 @@ def plan_to(
     return plan_move(arm, target, lambda: move_j(arm, q_start, solution.q, speed=speed))
 
 
-def plan_free(
-    arm: Arm,
-    target: Target,
-    q_start: Array,
-    goal: Target | Array,
-    speed: float,
-    checker: CollisionChecker,
-    keep: KeptAxis | None = None,
-) -> PlannedMove:
+def plan_free(arm: Arm, target: Target, q_start: Array, goal: Target | Array, speed: float, space: FreeSpace) -> PlannedMove:
     """A move around obstacles to a target or a configuration."""
-    return plan_move(
-        arm,
-        target,
-        lambda: move_free_with(checker, arm, q_start, goal, clearance=CLEARANCE_M, speed=speed, seed=0, keep=keep),
-    )
+    return plan_move(arm, target, lambda: move_free_with(space, arm, q_start, goal, speed=speed))
 
 
 def read_controller(given: Controller | str, arm: Arm) -> Controller:
@@ -144,7 +123,6 @@ class ControlledArms:
     Attributes:
         arms: The arms by the names of their tips.
         controllers: The controllers by the names of the tips.
-        stepper: The simulated plant.
     """
 
     def __init__(self, arms: Sequence[Arm], controllers: Mapping[str, Controller], stepper: Stepper):
@@ -186,7 +164,7 @@ class ControlledArms:
         durations = {tip: trajectory.duration for tip, trajectory in trajectories.items()}
         ticks = ticks_for(max(durations.values(), default=0.0) + dwell, self.stepper.dt)
         reference = self._reference(trajectories, ticks)
-        with self.recording(durations, ticks=ticks) as recorder:
+        with self.recording(durations) as recorder:
             self.stepper.run(self._controller, reference, recorder)
         return self._logs
 
@@ -196,27 +174,26 @@ class ControlledArms:
             return PlannedMove(target, refusal=f"{self.stepper.failure}; call reset() to start again")
         return plan()
 
-    def move(self, moves: Mapping[str, PlannedMove], settle_timeout: float) -> dict[str, MoveResult]:
-        """Runs planned moves at once, then waits until the tips rest at their targets, at most `settle_timeout` seconds."""
+    def move(self, moves: Mapping[str, PlannedMove]) -> dict[str, MoveResult]:
+        """Runs planned moves at once, then waits until the tips rest at their targets, at most one second."""
         stepper = self.stepper
         trajectories = {tip: each.trajectory for tip, each in moves.items() if each.trajectory is not None}
         if not trajectories:
             return {tip: self._refused(tip, each) for tip, each in moves.items()}
-        ticks_for(settle_timeout, stepper.dt)
         begin = stepper.data.time
         durations = {tip: trajectory.duration for tip, trajectory in trajectories.items()}
         reference = self._reference(trajectories, ticks_for(max(durations.values()), stepper.dt))
         targets = {tip: each.target.numbers for tip, each in moves.items()}
-        with self.recording(durations, targets, ticks=len(reference.q)) as recorder:
+        with self.recording(durations, targets) as recorder:
             stepper.run(self._controller, reference, recorder)
             hold = stepper.hold_reference(ticks_for(SETTLE_CHECK_INTERVAL_S, stepper.dt) * stepper.dt)
-            deadline = stepper.data.time + settle_timeout
+            deadline = stepper.data.time + _SETTLE_TIMEOUT_S
             while not stepper.failure and stepper.data.time < deadline:
                 if all(self._is_still(tip) and moves[tip].target.is_reached(self.tip_pose(tip)) for tip in trajectories):
                     break
                 stepper.run(self._controller, hold, recorder)
         duration = float(stepper.data.time - begin)
-        return {tip: self._result(tip, each, duration, settle_timeout) for tip, each in moves.items()}
+        return {tip: self._result(tip, each, duration) for tip, each in moves.items()}
 
     def hold(self, seconds: float) -> None:
         """Holds all arms at their last references, for at least one tick; not recorded unless it fails."""
@@ -224,7 +201,6 @@ class ControlledArms:
         recorder = self.stepper.recorder()
         reference = self.stepper.hold_reference(seconds)
         try:
-            self.stepper.load_compiled_code(self._controller, len(reference.q))
             self.stepper.run(self._controller, reference, recorder)
         except BaseException as error:
             self._keep_logs(recorder, {}, {}, time.perf_counter(), error)
@@ -260,7 +236,6 @@ class ControlledArms:
         durations: Mapping[str, float],
         targets: Mapping[str, Array] | None = None,
         controller: Controller | None = None,
-        ticks: float = math.inf,
     ) -> Iterator[Recorder]:
         """A recorder whose ticks become the logs, however the run ends; a SimulationError gets the log of its arm.
 
@@ -268,11 +243,9 @@ class ControlledArms:
             durations: s, until the reference of each arm is at rest; left-out arms do not move.
             targets: (7,) of each arm; changes until the end of the run count. None for no targets.
             controller: The controller of an open-loop run, instead of the arms' own.
-            ticks: How long the run is; infinite if it is not known.
         """
         self.resume()
         recorder = self.stepper.recorder()
-        self.stepper.load_compiled_code(self._controller if controller is None else controller, ticks)
         started = time.perf_counter()
         targets = {} if targets is None else targets
         try:
@@ -294,26 +267,13 @@ class ControlledArms:
         """Makes the logs of a run that ended, by an error or without one."""
         if not recorder.has_begun:
             return
-        wall = time.perf_counter() - started
-        failure = self.stepper.failure
-        if error is not None and not failure:
-            failure = f"interrupted at {self.stepper.data.time:.3f} s by {type(error).__name__}"
         self._steps = None
-        self._logs = {
-            tip: recorder.log(
-                arm,
-                joints=self._slices[tip],
-                wrench=self._wrenches[tip],
-                controller=controller_name(controller or self.controllers[tip]),
-                plant=str(self.stepper.plant),
-                dt=self.stepper.dt,
-                motion_duration=float(durations.get(tip, 0.0)),
-                target=targets.get(tip, NO_TARGET),
-                wall=wall,
-                failure=failure,
-            )
-            for tip, arm in self.arms.items()
-        }
+        self._logs = {}
+        for tip, arm in self.arms.items():
+            name = controller_name(controller or self.controllers[tip])
+            duration = float(durations.get(tip, 0.0))
+            info = self._run_info(name, duration, targets.get(tip, NO_TARGET), started, error)
+            self._logs[tip] = recorder.log(arm, info, self._slices[tip], self._wrenches[tip])
         self._give_log(error)
         if self.stepper.plant.wrench_source == "flange":
             self._warn_of_unmeasured_forces()
@@ -332,24 +292,20 @@ class ControlledArms:
 
     def _keep_step_logs(self, steps: _StepRecording, error: BaseException | None = None) -> None:
         """Makes the log of the steps so far."""
+        duration = steps.recorder.size * self.stepper.dt
+        info = self._run_info(" + ".join(steps.controllers), duration, NO_TARGET, steps.started, error)
+        self._logs = {tip: steps.recorder.log(arm, info) for tip, arm in self.arms.items()}
+        steps.logged = steps.recorder.size
+        self._give_log(error)
+
+    def _run_info(
+        self, controller: str, duration: float, target: Array, started: float, error: BaseException | None
+    ) -> RunInfo:
         failure = self.stepper.failure
         if error is not None and not failure:
             failure = f"interrupted at {self.stepper.data.time:.3f} s by {type(error).__name__}"
-        self._logs = {
-            tip: steps.recorder.log(
-                arm,
-                controller=" + ".join(steps.controllers),
-                plant=str(self.stepper.plant),
-                dt=self.stepper.dt,
-                motion_duration=steps.recorder.size * self.stepper.dt,
-                target=NO_TARGET,
-                wall=time.perf_counter() - steps.started,
-                failure=failure,
-            )
-            for tip, arm in self.arms.items()
-        }
-        steps.logged = steps.recorder.size
-        self._give_log(error)
+        wall_time = time.perf_counter() - started
+        return RunInfo(controller, str(self.stepper.plant), self.stepper.dt, duration, target, wall_time, failure)
 
     def _give_log(self, error: BaseException | None) -> None:
         """Gives a SimulationError the log of the arm whose controller failed."""
@@ -379,7 +335,7 @@ class ControlledArms:
 
     def _is_still(self, tip: str) -> bool:
         speeds = self.stepper.data.qvel[self.stepper.actuation.dof_adr[self._slices[tip]]]
-        return bool(np.abs(speeds).max() < SETTLED_SPEED)
+        return bool(np.abs(speeds).max() < AT_REST_SPEED)
 
     def _refused(self, tip: str, move: PlannedMove) -> MoveResult:
         position_error, orientation_error = move.target.distance(self.tip_pose(tip))
@@ -392,7 +348,7 @@ class ControlledArms:
             log=None,
         )
 
-    def _result(self, tip: str, move: PlannedMove, duration: float, settle_timeout: float) -> MoveResult:
+    def _result(self, tip: str, move: PlannedMove, duration: float) -> MoveResult:
         position_error, orientation_error = move.target.distance(self.tip_pose(tip))
         log = self._logs[tip]
         reason = move.refusal or self.stepper.failure
@@ -400,7 +356,7 @@ class ControlledArms:
             reason = f"the tip is {1e3 * position_error:.3g} mm and {orientation_error:.3g} rad from the target"
             reason = "; ".join([reason, *map(str, log.contacts[:_MAX_CONTACTS_IN_REASON])])
         if not reason and not self._is_still(tip):
-            reason = f"the arm has not come to rest within {settle_timeout:g} s"
+            reason = f"the arm has not come to rest within {_SETTLE_TIMEOUT_S:g} s"
         return MoveResult(
             ok=not reason,
             position_error=position_error,
@@ -446,7 +402,6 @@ class _StepRecording:
 
     Attributes:
         recorder: Where they are recorded.
-        controllers: The names of the controllers so far.
         started: When the first step began, by `time.perf_counter`.
         logged: How many ticks the last log of them has.
     """

@@ -29,7 +29,6 @@ class OnlineReference:
         """A reference that rests at q.
 
         Args:
-            arm: The arm.
             dt: s, the tick.
             q: (n,) rad, where it starts.
             acceleration_scale: Factor on the acceleration limits; its square scales the jerk limits.

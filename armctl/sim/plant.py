@@ -12,16 +12,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
-from armctl.core.validation import Array, IntArray, choice, instance, integer, number, shown, vector
+from armctl.core.validation import Array, IntArray, instance, number, shown, vector
 from armctl.mjmodel.couplings import dofs_of_equality, dofs_of_tendon
 from armctl.mjmodel.edit import add_point_mass
 from armctl.robot.arm import Arm
+from armctl.sim.plant_attribute import Kind, PlantAttribute, attributes_of, number_text, plant_attribute
 
 # Runge-Kutta is stable up to steps of 2.8 time constants of the fastest damped joint; one time constant keeps it accurate.
 _CONTINUOUS_STEP_S = 2e-4
 # Armature of a braked joint: forces of the arm then move it by less than the rounding error.
 _BRAKE_INERTIA = 1e8  # kg m^2 (kg for a slide joint)
-WRENCH_SOURCES = ("flange", "torques")
+DIVERGED_SPEED = 1e4  # rad/s (m/s), of all joints together; above it a run counts as diverged
 _BRAKED_ARRAYS = (
     "dof_armature",
     "dof_frictionloss",
@@ -61,9 +62,9 @@ class Push:
         force = np.asarray(self.force)
         torque = np.asarray(self.torque)
         parts = [
-            f"{_text(force)} N" if force.any() else "",
-            f"{_text(torque)} N m" if torque.any() else "",
-            f"from {_text(self.start)} s for {_text(self.duration)} s",
+            f"{number_text(force)} N" if force.any() else "",
+            f"{number_text(torque)} N m" if torque.any() else "",
+            f"from {number_text(self.start)} s for {number_text(self.duration)} s",
         ]
         return "push " + " ".join(part for part in parts if part)
 
@@ -78,9 +79,6 @@ class Push:
         Args:
             t: s.
 
-        Returns:
-            Whether it acts.
-
         Raises:
             InputError: The time is not a finite number.
         """
@@ -92,7 +90,7 @@ class Push:
 class Plant:
     """How the simulated arm differs from the controller's model. By default it does not differ.
 
-    `str(plant)` is its name, or else a list of all differences.
+    `str(plant)` is its name, or else a list of all differences. `PLANT_ATTRIBUTES` is the table of its attributes.
 
     Attributes:
         payload: kg, a point mass at the tip.
@@ -109,136 +107,90 @@ class Plant:
         force_noise: N, standard deviation of the noise on measured forces.
         moment_noise: N m, standard deviation of the noise on measured moments.
         wrench_delay: Ticks by which measured wrenches are delayed.
-        torque_ripple: Amplitude of the torque's variation with the joint angle, as a fraction of the torque.
         pushes: External forces, each a `Push`.
         continuous: Whether the arm moves almost continuously between ticks while the torque is held, as a real arm does
             (Runge-Kutta steps of at most 0.2 ms, less if damping is faster). Otherwise the model's integrator makes one step
             a tick.
-        free_space: Whether the arm touches nothing, which makes its simulation several times as fast: the steps are those of
-            `mj_step` without collision detection. Every run is checked, and fails if the arm touched something. Arms with dry
-            friction, springs or coupled joints are refused.
         timestep: s, the tick: control period and, unless continuous, integration step; None for the model's.
         seed: The seed of the noise; every run of the same plant has the same noise.
         name: A short name for tables and files, such as "worn gears".
     """
 
-    payload: float = 0.0
-    payload_center: ArrayLike = (0.0, 0.0, 0.0)
-    mass_scale: float = 1.0
-    coulomb_friction: ArrayLike = 0.0
-    viscous_friction: ArrayLike = 0.0
-    delay: int = 0
-    encoder_noise: float = 0.0
-    velocity_noise: float | None = None
-    wrench_source: str = "flange"
-    force_noise: float = 0.0
-    moment_noise: float = 0.0
-    wrench_delay: int = 0
-    torque_ripple: float = 0.0
-    pushes: Push | Sequence[Push] = ()
-    continuous: bool = False
-    free_space: bool = False
-    timestep: float | None = None
-    seed: int = 0
-    name: str = ""
+    payload: float = plant_attribute(Kind.NUMBER, 0.0, unit="kg", low=0.0, phrase="payload {} kg", varies_in_episodes=True)
+    payload_center: ArrayLike = plant_attribute(
+        Kind.POINT, (0.0, 0.0, 0.0), unit="m", phrase="payload at {} m", only_with=("payload",)
+    )
+    mass_scale: float = plant_attribute(Kind.NUMBER, 1.0, low=1e-3, phrase="masses x {}", varies_in_episodes=True)
+    coulomb_friction: ArrayLike = plant_attribute(
+        Kind.PER_JOINT, 0.0, unit="N m", low=0.0, phrase="Coulomb friction {} N m", varies_in_episodes=True
+    )
+    viscous_friction: ArrayLike = plant_attribute(
+        Kind.PER_JOINT, 0.0, unit="N m s/rad", low=0.0, phrase="viscous friction {} N m s/rad", varies_in_episodes=True
+    )
+    delay: int = plant_attribute(
+        Kind.WHOLE_NUMBER, 0, unit="ticks", low=0, phrase="delay {}", disturbs_signals=True, varies_in_episodes=True
+    )
+    encoder_noise: float = plant_attribute(
+        Kind.NUMBER,
+        0.0,
+        unit="rad",
+        low=0.0,
+        phrase="encoder noise {} rad",
+        disturbs_signals=True,
+        varies_in_episodes=True,
+    )
+    velocity_noise: float | None = plant_attribute(
+        Kind.NUMBER, None, unit="rad/s", low=0.0, phrase="velocity noise {} rad/s", disturbs_signals=True
+    )
+    wrench_source: str = plant_attribute(Kind.WORD, "flange", words=("flange", "torques"), phrase="wrench estimated from {}")
+    force_noise: float = plant_attribute(Kind.NUMBER, 0.0, unit="N", low=0.0, phrase="force noise {} N")
+    moment_noise: float = plant_attribute(Kind.NUMBER, 0.0, unit="N m", low=0.0, phrase="moment noise {} N m")
+    wrench_delay: int = plant_attribute(Kind.WHOLE_NUMBER, 0, unit="ticks", low=0, phrase="wrench delay {}")
+    pushes: Push | Sequence[Push] = plant_attribute(Kind.OTHER, (), phrase="{}", disturbs_signals=True, is_factor=False)
+    continuous: bool = plant_attribute(Kind.FLAG, False, phrase="continuous")
+    timestep: float | None = plant_attribute(Kind.NUMBER, None, unit="s", low=1e-6, high=0.1, phrase="tick {} ms", scale=1e3)
+    seed: int = plant_attribute(
+        Kind.WHOLE_NUMBER,
+        0,
+        low=0,
+        phrase="seed {}",
+        only_with=("encoder_noise", "velocity_noise", "force_noise", "moment_noise"),
+        is_factor=False,
+    )
+    name: str = plant_attribute(Kind.OTHER, "", is_factor=False)
 
     def __post_init__(self) -> None:
-        checked: dict[str, object] = {
-            what: number(what, getattr(self, what), 0.0)
-            for what in ("payload", "encoder_noise", "force_noise", "moment_noise", "torque_ripple")
-        }
-        if self.velocity_noise is not None:
-            checked["velocity_noise"] = number("velocity_noise", self.velocity_noise, 0.0)
-        checked["mass_scale"] = number("mass_scale", self.mass_scale, 1e-3)
-        checked["payload_center"] = vector("payload_center", self.payload_center, 3)
-        checked["coulomb_friction"] = _friction("coulomb_friction", self.coulomb_friction)
-        checked["viscous_friction"] = _friction("viscous_friction", self.viscous_friction)
-        checked["delay"] = integer("delay", self.delay, 0)
-        checked["wrench_source"] = choice("wrench_source", self.wrench_source, WRENCH_SOURCES)
-        checked["wrench_delay"] = integer("wrench_delay", self.wrench_delay, 0)
-        checked["pushes"] = _pushes(self.pushes)
-        instance("continuous", self.continuous, bool, "True or False is one")
-        instance("free_space", self.free_space, bool, "True or False is one")
-        if self.timestep is not None:
-            checked["timestep"] = number("timestep", self.timestep, 1e-6, 0.1)
-        checked["seed"] = integer("seed", self.seed, 0)
+        for name, attribute in PLANT_ATTRIBUTES.items():
+            object.__setattr__(self, name, attribute.read(name, getattr(self, name)))
+        object.__setattr__(self, "pushes", _pushes(self.pushes))
         instance("name", self.name, str, "'worn gears' is one")
-        for what, value in checked.items():
-            object.__setattr__(self, what, value)
 
     def __str__(self) -> str:
         return self.name or ", ".join(self._differences()) or "nominal"
 
     def _differences(self) -> list[str]:
         """All differences from the model, one phrase each."""
-        center = np.asarray(self.payload_center)
-        coulomb = np.asarray(self.coulomb_friction)
-        viscous = np.asarray(self.viscous_friction)
-        found = []
-        if self.payload:
-            found.append(f"payload {_text(self.payload)} kg" + (f" at {_text(center)} m" if center.any() else ""))
-        if self.mass_scale != 1.0:
-            found.append(f"masses x {_text(self.mass_scale)}")
-        if coulomb.any():
-            found.append(f"Coulomb friction {_text(coulomb)} N m")
-        if viscous.any():
-            found.append(f"viscous friction {_text(viscous)} N m s/rad")
-        if self.delay:
-            found.append(f"delay {self.delay}")
-        if self.encoder_noise:
-            found.append(f"encoder noise {_text(self.encoder_noise)} rad")
-        if self.velocity_noise or (self.encoder_noise and self.velocity_noise is not None):
-            found.append(f"velocity noise {_text(self.velocity_noise)} rad/s")
-        if self.wrench_source != "flange":
-            found.append("wrench estimated from torques")
-        if self.force_noise:
-            found.append(f"force noise {_text(self.force_noise)} N")
-        if self.moment_noise:
-            found.append(f"moment noise {_text(self.moment_noise)} N m")
-        if self.wrench_delay:
-            found.append(f"wrench delay {self.wrench_delay}")
-        if self.seed and (self.encoder_noise or self.velocity_noise or self.force_noise or self.moment_noise):
-            found.append(f"seed {self.seed}")
-        if self.torque_ripple:
-            found.append(f"ripple {_text(self.torque_ripple)}")
-        found += [str(push) for push in _pushes(self.pushes)]
-        if self.continuous:
-            found.append("continuous")
-        if self.free_space:
-            found.append("free space")
-        if self.timestep is not None:
-            found.append(f"tick {_text(1e3 * self.timestep)} ms")
-        return found
+        return [
+            attribute.describe(getattr(self, name))
+            for name, attribute in PLANT_ATTRIBUTES.items()
+            if attribute.phrase and self._differs(name) and self._matters(attribute)
+        ]
+
+    def _differs(self, name: str) -> bool:
+        return PLANT_ATTRIBUTES[name].differs(getattr(self, name))
+
+    def _matters(self, attribute: PlantAttribute) -> bool:
+        return not attribute.only_with or any(self._differs(name) for name in attribute.only_with)
 
     @property
     def key(self) -> tuple[object, ...]:
         """All values as something hashable: two plants with equal keys behave identically."""
-        arrays = (self.payload_center, self.coulomb_friction, self.viscous_friction)
-        pushes = tuple((push.start, push.duration, push.wrench.tobytes()) for push in _pushes(self.pushes))
-        return (
-            self.payload,
-            self.mass_scale,
-            self.delay,
-            self.encoder_noise,
-            self.velocity_noise,
-            self.wrench_source,
-            self.force_noise,
-            self.moment_noise,
-            self.wrench_delay,
-            self.torque_ripple,
-            self.continuous,
-            self.free_space,
-            self.timestep,
-            self.seed,
-            self.name,
-            pushes,
-            *(np.asarray(each).tobytes() for each in arrays),
-        )
+        return tuple(_hashable(getattr(self, name)) for name in PLANT_ATTRIBUTES)
 
     @property
     def has_signal_disturbances(self) -> bool:
         """Whether measurements or commands are disturbed during a run."""
-        return bool(self.delay or self.encoder_noise or self.velocity_noise or self.torque_ripple or self.pushes)
+        return any(attribute.disturbs_signals and self._differs(name) for name, attribute in PLANT_ATTRIBUTES.items())
 
     def model(self, arm: Arm) -> mujoco.MjModel:
         """The MuJoCo model of this plant.
@@ -257,6 +209,9 @@ class Plant:
         apply_plant(model, mujoco.MjData(model), self, [arm])
         brake(model, held_dofs(arm))
         return model
+
+
+PLANT_ATTRIBUTES = attributes_of(Plant)
 
 
 def read_plant(plant: Plant | None) -> Plant:
@@ -296,7 +251,6 @@ def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: 
     Args:
         model: The copy.
         data: Any state of it; it is lost.
-        plant: The plant.
         arms: The arms. A payload hangs at the first one's tip.
     """
     for name in (*_PLANT_ARRAYS, *_BRAKED_ARRAYS):
@@ -367,16 +321,6 @@ def brake(model: mujoco.MjModel, dofs: IntArray) -> None:
             model.eq_active0[equality] = 0
 
 
-def _friction(what: str, value: ArrayLike) -> Array:
-    """Friction as a vector of one number or one for each joint."""
-    values = vector(what, [value] if np.ndim(value) == 0 else value)  # type: ignore[list-item]
-    if not len(values):
-        raise InputError(f"{what}: expected one number, or one for each joint, got none")
-    if values.min() < 0.0:
-        raise InputError(f"{what}: every value must be at least 0, got {values.min():g}")
-    return values
-
-
 def _pushes(value: Push | Iterable[Push]) -> tuple[Push, ...]:
     """One push or several as a tuple."""
     if isinstance(value, Push):
@@ -388,10 +332,12 @@ def _pushes(value: Push | Iterable[Push]) -> tuple[Push, ...]:
     return pushes
 
 
-def _text(value: float | Array) -> str:
-    """Numbers in the fewest digits that identify them."""
-    texts = [f"{x:g}" if float(f"{x:g}") == x else repr(x) for x in np.ravel(value).tolist()]
-    return texts[0] if len(texts) == 1 else f"[{' '.join(texts)}]"
+def _hashable(value: object) -> object:
+    if isinstance(value, np.ndarray):
+        return value.tobytes()
+    if isinstance(value, tuple):
+        return tuple((push.start, push.duration, push.wrench.tobytes()) for push in value)
+    return value
 
 
 NOMINAL = Plant()

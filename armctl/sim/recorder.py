@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
+from armctl import _core
 from armctl.core.errors import InputError
 from armctl.core.log import Contact, Log
+from armctl.core.log_columns import REFERENCES, STATES
 from armctl.core.trajectory import TickReference
 from armctl.core.validation import Array, read_only
 from armctl.mjmodel.queries import body_name, geom_owner_name, is_below
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
-from armctl.robot.packed_dynamics import PackedDynamics
+from armctl.robot.core_model import quaternions, tips
 
 MOST_TICKS = 10_000_000  # 2.8 hours at 1 ms, and 4 GB for seven joints
 _MAX_KEPT_ROWS = 20_000  # of a reference
 _FIRST_WRENCH = slice(0, 6)  # the columns of the only arm
-_REFERENCE = ("q_ref", "v_ref", "a_ref")
-_RECORDED = ("qpos", "v", "tau", "tau_cmd")
+_RECORDED = ("qpos", *STATES[1:])  # q is part of qpos
 
 
 class TickRows:
@@ -60,20 +62,42 @@ class ReferenceTips:
 
     def __init__(self) -> None:
         """Knows no tips."""
-        self._last: tuple[PackedDynamics, Array, tuple[Array, Array]] | None = None
+        self._last: tuple[_core.ArmModel, Array, tuple[Array, Array]] | None = None
 
-    def of(self, dynamics: PackedDynamics, q_ref: Array) -> tuple[Array, Array]:
-        """The tips of an arm at the rows of a reference, as `PackedDynamics.tips`.
+    def of(self, model: _core.ArmModel, q_ref: Array) -> tuple[Array, Array]:
+        """The tips of an arm at the rows of a reference: positions (T, 3) and quaternions (T, 4).
 
         Args:
-            dynamics: The dynamics of the arm.
             q_ref: (T, n) rad; must not change later.
         """
         last = self._last
-        if last is None or last[0] is not dynamics or last[1] is not q_ref:
-            last = (dynamics, q_ref, dynamics.tips(q_ref))
+        if last is None or last[0] is not model or last[1] is not q_ref:
+            positions, rotations = tips(model, q_ref)
+            last = (model, q_ref, (positions, quaternions(rotations)))
             self._last = last if len(q_ref) <= _MAX_KEPT_ROWS else None
         return last[2]
+
+
+class RunInfo(NamedTuple):
+    """What a log says of its run as a whole; as in Log, but for one.
+
+    Attributes:
+        controller: Its name.
+        plant: In words.
+        dt: s.
+        motion_duration: s.
+        target: (7,).
+        wall_time: s that the run took.
+        failure: Why it ended early; empty if it did not.
+    """
+
+    controller: str
+    plant: str
+    dt: float
+    motion_duration: float
+    target: Array
+    wall_time: float
+    failure: str
 
 
 class Recorder:
@@ -101,54 +125,35 @@ class Recorder:
         self._parts.append(rows)
         return rows
 
-    def log(
-        self,
-        arm: Arm,
-        *,
-        joints: slice = slice(None),
-        wrench: slice = _FIRST_WRENCH,
-        controller: str,
-        plant: str,
-        dt: float,
-        motion_duration: float,
-        target: Array,
-        wall: float,
-        failure: str,
-    ) -> Log:
+    def log(self, arm: Arm, run: RunInfo, joints: slice = slice(None), wrench: slice = _FIRST_WRENCH) -> Log:
         """The recorded rows of an arm as a Log; the tips are from the arm's forward kinematics, which is MuJoCo's to 1e-9.
 
         Args:
-            arm: The arm.
+            run: What the rows do not say.
             joints: The arm's joints among the recorded ones.
             wrench: The arm's wrench among the recorded ones.
-            controller: As in Log, like all others but one.
-            plant: As in Log.
-            dt: s.
-            motion_duration: s.
-            target: (7,).
-            wall: s that the run took.
-            failure: Why the run ended early.
         """
+        dt = run.dt
         columns = self._columns()
         qpos = columns.pop("qpos")
         if len(arm.joint_names) < self._actuation.n:
             columns = {name: np.ascontiguousarray(column[:, joints]) for name, column in columns.items()}
-        tip, tip_quat = arm.packed_dynamics.tips(columns["q"])
-        tip_ref, tip_ref_quat = self._tips.of(arm.packed_dynamics, columns["q_ref"])
+        tip, rotations = tips(arm.core_model, columns["q"])
+        tip_ref, tip_ref_quat = self._tips.of(arm.core_model, columns["q_ref"])
         return Log(
             robot=arm.name,
             joint_names=arm.joint_names,
             tau_max=np.array(arm.limits.tau_max),
-            controller=controller,
-            plant=plant,
+            controller=run.controller,
+            plant=run.plant,
             dt=dt,
-            motion_duration=motion_duration,
-            target=np.array(target),
-            real_time_factor=self.size * dt / max(wall, 1e-9),
-            failure=failure,
+            motion_duration=run.motion_duration,
+            target=np.array(run.target),
+            real_time_factor=self.size * dt / max(run.wall_time, 1e-9),
+            failure=run.failure,
             t=dt * np.arange(self.size, dtype=np.float64),
             tip=tip,
-            tip_quat=tip_quat,
+            tip_quat=quaternions(rotations),
             tip_ref=tip_ref,
             tip_ref_quat=tip_ref_quat,
             qpos=qpos,
@@ -163,8 +168,9 @@ class Recorder:
         n = self._actuation.n
         parts = self._parts or [TickRows(TickReference(*[np.zeros((0, n))] * 5), self._model.nq, n)]
         columns = {name: _joined([getattr(part, name)[: part.count] for part in parts]) for name in _RECORDED}
-        for name, column in zip(_REFERENCE, ("q", "v", "a"), strict=True):
-            columns[name] = _joined([_first(getattr(part.reference, column), part.count) for part in parts])
+        for name in REFERENCES:
+            rows = [_first(getattr(part.reference, name.removesuffix("_ref")), part.count) for part in parts]
+            columns[name] = _joined(rows)
         columns["q"] = columns["qpos"].take(self._actuation.qpos_adr, axis=1)
         return columns
 

@@ -26,9 +26,6 @@ def simulate(
     """Follows a trajectory from its start, in a new simulation.
 
     Args:
-        arm: The arm.
-        controller: A controller or its name.
-        trajectory: The motion.
         plant: How the simulated arm differs from the model; by default it does not.
         dwell: s to hold the end of the motion.
 

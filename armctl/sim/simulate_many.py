@@ -11,8 +11,9 @@ from armctl.control import Controller
 from armctl.control.interface import has_compiled_law
 from armctl.core.errors import InputError
 from armctl.core.log import Log, SimulationError
+from armctl.core.progress import progress_bar
 from armctl.core.trajectory import Trajectory
-from armctl.core.validation import instance, integer, shown
+from armctl.core.validation import instance, integer
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.move import read_controller
 from armctl.sim.plant import Plant
@@ -27,8 +28,6 @@ class Run(NamedTuple):
 
     Attributes:
         controller: A controller; runs with the same one do not share its memory.
-        trajectory: The motion.
-        plant: The simulated plant.
     """
 
     controller: Controller
@@ -44,21 +43,18 @@ def simulate_many(
     *,
     dwell: float = 0.25,
     threads: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
 ) -> list[Log]:
     """Follows many trajectories, or one on many plants, each from its start in a new simulation.
 
     The logs are those of `simulate`, bit for bit, with any number of threads. Threads run at the same time while a controller
-    runs in the compiled loop; the others take turns.
+    runs in the compiled loop; the others take turns. A progress bar appears on a terminal after two seconds.
 
     Args:
-        arm: The arm.
         controller: A controller or its name for all runs, or a list with one for each run.
         trajectories: A motion for all runs, or a list with one for each run.
         plants: A plant for all runs, or a list with one for each run; by default none differs from the model.
         dwell: s to hold the end of each motion.
         threads: How many runs at the same time; by default one for each processor.
-        progress: Called after each run with the number of completed runs and their total.
 
     Returns:
         A log for each run, in their order. A run that diverges, or whose controller fails, ends early, with the reason in
@@ -70,8 +66,6 @@ def simulate_many(
         SimulationError: A controller failed at its first tick.
     """
     check_arm(arm)
-    if progress is not None and not callable(progress):
-        raise InputError(f"progress: expected a function of two numbers, got {shown(progress)}")
     columns = [
         list(each) if isinstance(each, Sequence) and not isinstance(each, str) else each
         for each in (controller, trajectories, Plant() if plants is None else plants)
@@ -83,12 +77,7 @@ def simulate_many(
         )
     count = lengths.pop() if lengths else 1
     rows = zip(*(column if isinstance(column, list) else [column] * count for column in columns), strict=True)
-    logs = []
-    for log in run_many(arm, rows_as_runs(arm, rows), _kept, dwell=dwell, threads=threads):
-        logs.append(log)
-        if progress is not None:
-            progress(len(logs), count)
-    return logs
+    return list(run_many(arm, rows_as_runs(arm, rows), _kept, dwell=dwell, threads=threads))
 
 
 def rows_as_runs(arm: Arm, rows: Any) -> list[Run]:
@@ -110,18 +99,7 @@ def run_many(
 ) -> Iterator[_Result]:
     """Simulates runs on threads, and gives what `evaluate` makes of each log, in the order of the runs.
 
-    Args:
-        arm: The arm.
-        runs: The runs.
-        evaluate: Called in the thread of the run; a log of which nothing is kept is freed at once.
-        dwell: s to hold the end of each motion.
-        threads: How many runs at the same time; by default one for each processor.
-
-    Yields:
-        The result of each run.
-
-    Raises:
-        InputError: The number of threads is not positive.
+    It is called in the thread of the run; a log of which nothing is kept is freed at once.
     """
     threads = _processors() if threads is None else integer("threads", threads, 1)
 
@@ -130,7 +108,8 @@ def run_many(
         return evaluate(run, _simulated(arm, run._replace(controller=law), dwell))
 
     compiled = [has_compiled_law(run.controller, arm.n) for run in runs]
-    with ThreadPoolExecutor(min(threads, max(1, sum(compiled)))) as pool:
+    workers = min(threads, max(1, sum(compiled)))
+    with ThreadPoolExecutor(workers) as pool, progress_bar("simulate", len(runs), "runs") as bar:
         queued: list[Future[_Result] | None] = []
         try:
             for k, run in enumerate(runs):
@@ -139,7 +118,9 @@ def run_many(
                     queued.append(pool.submit(result, runs[ahead]) if compiled[ahead] else None)
                 future = queued[k]
                 queued[k] = None
-                yield result(run) if future is None else future.result()
+                found = result(run) if future is None else future.result()
+                bar.update()
+                yield found
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,16 +17,17 @@ from armctl.core.errors import InputError
 from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
-from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE, Target
+from armctl.core.target import Target, TargetLike
 from armctl.core.trajectory import TickReference, Trajectory
 from armctl.core.validation import Array, flag, number, shown, vector
 from armctl.loading.load import load
 from armctl.mjmodel.target_marker import TARGET, set_target, target_pose
-from armctl.motion import Arc, JointTrajectory, Line, move_c, move_j, move_l, move_path
+from armctl.motion import Arc, JointTrajectory, Line, PathOptions, move_c, move_j, move_l, move_path
+from armctl.planning.path import FreeSpace
 from armctl.robot.arm import Arm
 from armctl.sim.constant_torque import constant_controls
 from armctl.sim.follow import follow
-from armctl.sim.gripper import Gripper
+from armctl.sim.gripper.gripper import Gripper
 from armctl.sim.move import ControlledArms, PlannedMove, plan_free, plan_move, plan_to, read_controller
 from armctl.sim.obstacles import Obstacles
 from armctl.sim.plant import Plant, read_plant
@@ -38,6 +39,18 @@ if TYPE_CHECKING:
     from armctl.render.video import Film
 
 
+class PathMoveOptions(PathOptions, total=False):
+    """Options of `Simulation.move_l`, `move_c` and `move_path`, besides those of `PathOptions`.
+
+    Attributes:
+        avoid: Whether a motion that would touch something is refused; True if left out.
+        allow: Pairs of names of bodies or geoms that may touch; none if left out.
+    """
+
+    avoid: bool
+    allow: Iterable[tuple[str, str]]
+
+
 class Simulation:
     """An arm in its scene with a controller, commanded by Cartesian or joint targets.
 
@@ -47,7 +60,6 @@ class Simulation:
     Attributes:
         arm: The model of the controller.
         plant: How the simulated arm differs.
-        model: The plant's MuJoCo model.
         data: Its MjData, for reading.
         viewer: The page that shows the simulation, or None.
     """
@@ -86,9 +98,6 @@ class Simulation:
     @controller.setter
     def controller(self, controller: Controller | str) -> None:
         """Replaces the controller.
-
-        Args:
-            controller: A controller or its name.
 
         Raises:
             InputError: It has no method `torque`.
@@ -217,12 +226,9 @@ class Simulation:
 
     def move_to(
         self,
-        target: Pose | ArrayLike,
+        target: TargetLike,
         *,
         speed: float = 1.0,
-        tolerance: float = TOLERANCE,
-        angle_tolerance: float = ANGLE_TOLERANCE,
-        settle_timeout: float = 1.0,
         avoid: bool = True,
         allow: Iterable[tuple[str, str]] = (),
         keep: str | None = None,
@@ -231,11 +237,8 @@ class Simulation:
         """Moves the tip to a target by inverse kinematics and a jerk-limited motion of the joints.
 
         Args:
-            target: T_world_tip, or (3,) m if any orientation is accepted.
+            target: T_world_tip, (3,) m if any orientation is accepted, or a Target with tolerances.
             speed: Fraction of the full speed, in (0, 1].
-            tolerance: m, the largest position error at which the target counts as reached.
-            angle_tolerance: rad, likewise.
-            settle_timeout: s that the arm may take to come to rest after the motion.
             avoid: Whether to plan around all bodies at their current positions; otherwise the move is straight.
             allow: Pairs of names of bodies or geoms that may touch.
             keep: "x", "y" or "z": the axis of the tip that keeps the direction it has now, as for a glass; needs `avoid`.
@@ -248,36 +251,32 @@ class Simulation:
             InputError: An argument has a wrong length or a number that is not finite or out of its bounds.
             SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
-        goal = Target.read(target, tolerance, angle_tolerance)
+        goal = Target.read(target)
         checker = self._checker(avoid, allow)
         kept = read_kept_axis(self.arm, keep, keep_within, self._start)
-        return self._move(goal, lambda: plan_to(self.arm, goal, self._start, speed, checker, kept), settle_timeout)
+        if kept is not None and checker is None:
+            raise InputError("keep: an axis keeps its direction only with avoid=True, which plans the whole motion")
+        space = None if checker is None else FreeSpace(checker, keep=kept)
+        return self._move(goal, lambda: plan_to(self.arm, goal, self._start, speed, space))
 
     def move_j(
-        self,
-        q: ArrayLike,
-        *,
-        speed: float = 1.0,
-        settle_timeout: float = 1.0,
-        avoid: bool = True,
-        allow: Iterable[tuple[str, str]] = (),
+        self, q: ArrayLike, *, speed: float = 1.0, avoid: bool = True, allow: Iterable[tuple[str, str]] = ()
     ) -> MoveResult:
         """Moves the joints to a configuration, on a straight line in joint space.
 
         Args:
             q: (n,) rad, inside the limits.
-            speed: Fraction of the full speed, in (0, 1].
-            settle_timeout: s that the arm may take to come to rest after the motion.
-            avoid: Whether to plan around all bodies at their current positions; otherwise the move is straight.
-            allow: Pairs of names of bodies or geoms that may touch.
+            speed: As for `move_to`.
+            avoid: As for `move_to`.
+            allow: As for `move_to`.
 
         Returns:
             The result, measured at the tip.
 
         Raises:
-            InputError: An argument has a wrong length or a number that is not finite or out of its bounds.
+            InputError: As for `move_to`.
             LimitError: A position outside the limits.
-            SimulationError: The controller failed; `error.log` contains the ticks until then.
+            SimulationError: As for `move_to`.
         """
         configuration = self.arm.checked("q", q)
         goal = Target.read(self.arm.fk(configuration))
@@ -286,130 +285,78 @@ class Simulation:
 
         def plan() -> PlannedMove:
             if checker is not None:
-                return plan_free(self.arm, goal, self._start, configuration, speed, checker)
+                return plan_free(self.arm, goal, self._start, configuration, speed, FreeSpace(checker))
             return plan_move(self.arm, goal, lambda: move_j(self.arm, self._start, configuration, speed=speed))
 
-        return self._move(goal, plan, settle_timeout)
+        return self._move(goal, plan)
 
-    def move_l(
-        self,
-        target: Pose | ArrayLike,
-        *,
-        speed: float = 1.0,
-        tip_speed: float | None = None,
-        tip_angular_speed: float | None = None,
-        settle_timeout: float = 1.0,
-        avoid: bool = True,
-        allow: Iterable[tuple[str, str]] = (),
-    ) -> MoveResult:
+    def move_l(self, target: TargetLike, **options: Unpack[PathMoveOptions]) -> MoveResult:
         """Moves the tip to a target on a straight line.
 
         Args:
-            target: T_world_tip, or (3,) m if any orientation is accepted.
-            speed: Fraction of the full speed, in (0, 1].
-            tip_speed: m/s, the highest speed of the tip; by default only the joints limit it.
-            tip_angular_speed: rad/s, likewise.
-            settle_timeout: s that the arm may take to come to rest after the motion.
-            avoid: Whether a motion that would touch something is refused.
-            allow: Pairs of names of bodies or geoms that may touch.
+            target: As for `move_to`.
+            **options: `speed`, `tip_speed`, `tip_angular_speed`, `avoid` and `allow`, as in `PathMoveOptions`.
 
         Returns:
-            The result. A line that leaves the workspace or the limits is not started, and `reason` says where.
+            The result. A line that leaves the workspace or the limits, or touches something, is not started, and `reason` says
+            where.
 
         Raises:
-            InputError: An argument has a wrong length or a number that is not finite or out of its bounds.
-            SimulationError: The controller failed; `error.log` contains the ticks until then.
+            InputError: As for `move_to`.
+            SimulationError: As for `move_to`.
         """
         goal = Target.read(target)
-
-        planner = partial(
-            move_l, self.arm, self._start, target, tip_speed=tip_speed, tip_angular_speed=tip_angular_speed, speed=speed
-        )
-
-        return self._move_along(goal, planner, settle_timeout, self._checker(avoid, allow))
+        end = goal.position if goal.pose is None else goal.pose
+        return self._move_along(goal, partial(move_l, self.arm, self._start, end), **options)
 
     def move_c(
         self,
         via: Pose | ArrayLike,
-        target: Pose | ArrayLike,
+        target: TargetLike,
         *,
         angle: float | None = None,
-        speed: float = 1.0,
-        tip_speed: float | None = None,
-        tip_angular_speed: float | None = None,
-        settle_timeout: float = 1.0,
-        avoid: bool = True,
-        allow: Iterable[tuple[str, str]] = (),
+        **options: Unpack[PathMoveOptions],
     ) -> MoveResult:
         """Moves the tip on an arc through one point to another.
 
         Args:
             via: T_world_tip or (3,) m, a point on the arc.
-            target: T_world_tip, or (3,) m if any orientation is accepted.
+            target: As for `move_to`.
             angle: rad, the angle on the circle; None stops at the target. 2 pi is the full circle.
-            speed: Fraction of the full speed, in (0, 1].
-            tip_speed: m/s, the highest speed of the tip; by default only the joints limit it.
-            tip_angular_speed: rad/s, likewise.
-            settle_timeout: s that the arm may take to come to rest after the motion.
-            avoid: Whether a motion that would touch something is refused.
-            allow: Pairs of names of bodies or geoms that may touch.
+            **options: As for `move_l`.
 
         Returns:
-            The result. An arc that leaves the workspace or the limits is not started, and `reason` says where.
+            The result, as for `move_l`.
 
         Raises:
-            InputError: An argument has a wrong length or a number that is not finite or out of its bounds, or the points are on
-                one line.
-            SimulationError: The controller failed; `error.log` contains the ticks until then.
+            InputError: As for `move_to`, or the points are on one line.
+            SimulationError: As for `move_to`.
         """
         goal = Target.read(target)
-
-        planner = partial(
-            move_c,
-            self.arm,
-            self._start,
-            via,
-            target,
-            angle=angle,
-            tip_speed=tip_speed,
-            tip_angular_speed=tip_angular_speed,
-            speed=speed,
-        )
-
-        ends_at_target = angle is None
-        return self._move_along(goal, planner, settle_timeout, self._checker(avoid, allow), ends_at_target)
+        end = goal.position if goal.pose is None else goal.pose
+        planner = partial(move_c, self.arm, self._start, via, end, angle=angle)
+        return self._move_along(goal, planner, ends_at_target=angle is None, **options)
 
     def move_path(
         self,
         path: Sequence[Line | Arc | Pose | ArrayLike],
         *,
         blend: float = 0.0,
-        speed: float = 1.0,
-        tip_speed: float | None = None,
-        tip_angular_speed: float | None = None,
-        settle_timeout: float = 1.0,
-        avoid: bool = True,
-        allow: Iterable[tuple[str, str]] = (),
+        **options: Unpack[PathMoveOptions],
     ) -> MoveResult:
         """Moves the tip along lines and arcs with rounded corners.
 
         Args:
             path: Lines and arcs; a pose or a point is a line to it.
             blend: m, the radius around each corner in which it is rounded.
-            speed: Fraction of the full speed, in (0, 1].
-            tip_speed: m/s, the highest speed of the tip; by default only the joints limit it.
-            tip_angular_speed: rad/s, likewise.
-            settle_timeout: s that the arm may take to come to rest after the motion.
-            avoid: Whether a motion that would touch something is refused.
-            allow: Pairs of names of bodies or geoms that may touch.
+            **options: As for `move_l`.
 
         Returns:
-            The result. A path that leaves the workspace or the limits is not started, and `reason` says where.
+            The result, as for `move_l`.
 
         Raises:
-            InputError: The path is empty, or an argument has a wrong length or a number that is not finite or out of its
-                bounds.
-            SimulationError: The controller failed; `error.log` contains the ticks until then.
+            InputError: As for `move_to`, or the path is empty.
+            SimulationError: As for `move_to`.
         """
         if not isinstance(path, (Sequence, np.ndarray)) or isinstance(path, str):
             raise InputError(f"path: {shown(path)} is not a list of lines, arcs, poses or points")
@@ -418,19 +365,8 @@ class Simulation:
         last = path[-1]
         goal = Target.read(last.target if isinstance(last, (Line, Arc)) else last)
         ends_at_target = not (isinstance(last, Arc) and last.angle is not None)
-
-        planner = partial(
-            move_path,
-            self.arm,
-            self._start,
-            path,
-            blend=blend,
-            tip_speed=tip_speed,
-            tip_angular_speed=tip_angular_speed,
-            speed=speed,
-        )
-
-        return self._move_along(goal, planner, settle_timeout, self._checker(avoid, allow), ends_at_target)
+        planner = partial(move_path, self.arm, self._start, path, blend=blend)
+        return self._move_along(goal, planner, ends_at_target=ends_at_target, **options)
 
     def follow(self, target: str | Callable[[float], Pose | ArrayLike] = TARGET, *, seconds: float = 10.0) -> Log:
         """Follows a moving target: reads it 50 times per second, and respects all joint limits.
@@ -452,15 +388,16 @@ class Simulation:
         """
         return follow(self._arms, self.arm, target, number("seconds", seconds, 0.0))
 
-    def record(self, path: str | os.PathLike[str], **options: Any) -> Film:
+    def record(
+        self, path: str | os.PathLike[str], *, size: tuple[int, int] = (640, 480), quality: str = "fast", speed: float = 1.0
+    ) -> Film:
         """Makes a video of the last run: the arm, the target, and the path of the tip.
 
         Args:
             path: The video, .mp4 or .gif; its folder is made.
-            **options: width, height, quality and speed, as for `armctl.record`.
-
-        Returns:
-            The path.
+            size: As for `armctl.record`.
+            quality: As for `armctl.record`.
+            speed: As for `armctl.record`.
 
         Raises:
             InputError: Nothing has run yet, or the path has another file extension.
@@ -469,29 +406,31 @@ class Simulation:
             raise InputError("log: nothing has run yet, so there is nothing to film; move first")
         from armctl.render.video import record  # cameras and encoders are loaded when a video is made
 
-        return record(self.log, self.arm, path, **options)
+        return record(self.log, self.arm, path, size=size, quality=quality, speed=speed)
 
     @property
     def _start(self) -> Array:
         return self._arms.start(self.arm.tip)
 
-    def _move(self, goal: Target, plan: Callable[[], PlannedMove], settle_timeout: float) -> MoveResult:
+    def _move(self, goal: Target, plan: Callable[[], PlannedMove]) -> MoveResult:
         """Shows the target, plans, and moves."""
-        settle_timeout = number("settle_timeout", settle_timeout, 0.0)
         set_target(self.model, self.data, goal.position, None if goal.pose is None else goal.pose.quat)
-        return self._arms.move({self.arm.tip: self._arms.planned(goal, plan)}, settle_timeout)[self.arm.tip]
+        return self._arms.move({self.arm.tip: self._arms.planned(goal, plan)})[self.arm.tip]
 
     def _move_along(
         self,
         goal: Target,
-        planner: Callable[[], JointTrajectory],
-        settle_timeout: float,
-        checker: CollisionChecker | None,
+        planner: Callable[..., JointTrajectory],
+        *,
+        avoid: bool = True,
+        allow: Iterable[tuple[str, str]] = (),
         ends_at_target: bool = True,
+        **speeds: Unpack[PathOptions],
     ) -> MoveResult:
         """Moves along a given path, if it is free."""
-        plan = partial(plan_move, self.arm, goal, planner, ends_at_target=ends_at_target, checker=checker)
-        return self._move(goal, plan, settle_timeout)
+        checker = self._checker(avoid, allow)
+        planner = partial(planner, **speeds)
+        return self._move(goal, partial(plan_move, self.arm, goal, planner, ends_at_target=ends_at_target, checker=checker))
 
     def _checker(self, avoid: bool, allow: Iterable[tuple[str, str]]) -> CollisionChecker | None:
         """What a move must not touch, where everything is now; None if it may touch anything."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from math import hypot, inf  # hypot of a short list is faster than numpy's norm
-from typing import TYPE_CHECKING, Protocol, TypeGuard
+from threading import Lock
+from typing import Protocol, TypeGuard
 
 import mujoco
 import numpy as np
@@ -13,8 +14,8 @@ from mujoco import mj_step
 from numpy import ndarray
 from numpy.typing import ArrayLike
 
-from armctl.collision.free_boxes import free_boxes
-from armctl.control import Controller, KernelController, State, controller_name
+from armctl import _core
+from armctl.control import CompiledController, Controller, State, controller_name
 from armctl.control.interface import has_compiled_law
 from armctl.core.errors import InputError
 from armctl.core.log import SimulationError
@@ -24,19 +25,13 @@ from armctl.core.validation import Array, IntArray, read_only, shown, vector
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
-from armctl.sim.box_proofs import BoxProofs
+from armctl.sim.compiled_loop import CompiledLoop
 from armctl.sim.disturbances import Disturbances
-from armctl.sim.plant import Brake, Plant, apply_plant, held_dofs
-from armctl.sim.python_ticks import PythonTicks
+from armctl.sim.plant import DIVERGED_SPEED, Brake, Plant, apply_plant, held_dofs
 from armctl.sim.recorder import Recorder, ReferenceTips, TickRows
 from armctl.sim.wrench_sensor import WrenchSensor
 
-if TYPE_CHECKING:
-    from armctl.sim.compiled_loop import CompiledLoop
-    from armctl.sim.free_space import FreeSpace
-
 _MAX_KEPT_TICKS = 20_000
-_MAX_SPEED = 1e4  # rad/s (m/s), of all joints together; above it a run counts as diverged
 _FLOAT64 = np.dtype(np.float64)
 
 
@@ -66,7 +61,6 @@ class ControllerFailure(Exception):
     """A controller raised an exception or returned no torque; the exception is the cause.
 
     Attributes:
-        controller: The controller.
         tip: The tip of its arm, where several arms move at once.
     """
 
@@ -74,6 +68,20 @@ class ControllerFailure(Exception):
         super().__init__(controller, tip)
         self.controller = controller
         self.tip = tip
+
+
+class _OneThread:
+    """Lets one thread at a time work on a simulation; another one gets an InputError and does not wait."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+
+    def __enter__(self) -> None:
+        if not self._lock.acquire(blocking=False):
+            raise InputError("simulation: another thread runs it; give each thread a simulation of its own")
+
+    def __exit__(self, *exception: object) -> None:
+        self._lock.release()
 
 
 class Stepper:
@@ -84,8 +92,6 @@ class Stepper:
     Attributes:
         actuation: The driven joints of all arms.
         plant: How the simulated arms differ from their models.
-        model: The plant's MuJoCo model.
-        data: Its MjData.
         dt: s, the tick: the control period.
         continuous: Whether the arm moves almost continuously between ticks.
         q_ref: (n,) rad, the last reference.
@@ -103,7 +109,8 @@ class Stepper:
         """
         self.actuation = arms[0].actuation if len(arms) == 1 else Actuation.concatenated([arm.actuation for arm in arms])
         self._observer = observer
-        self._packed_dynamics = arms[0].packed_dynamics
+        self._one_thread = _OneThread()
+        self._pushed_arm = arms[0].core_model
         self._home = np.concatenate([arm.home for arm in arms])
         self._home_qpos = arms[0].home_qpos
         self._home_ctrl = arms[0].home_ctrl
@@ -122,10 +129,8 @@ class Stepper:
         self._measurement: tuple[Array, Array] | None = None
         self._unobserved = 0.0
         self._reference_tips = ReferenceTips()
-        self._prefers_python = False  # while the compiled loop is not compiled
         self._sampled: tuple[Trajectory, tuple[float, int, bool], TickReference] | None = None
         self._held_dofs = held_dofs(*arms)
-        self._proofs = BoxProofs(free_boxes(arms[0]))
         self.set_plant(plant, arms)
         self.reset()
 
@@ -144,15 +149,7 @@ class Stepper:
         self.dt = arms[0].dt if plant.timestep is None else plant.timestep
         self._substeps = round(self.dt / self.model.opt.timestep)
         self._wrench_sensor = WrenchSensor(arms, plant, self.model, self.data, self.dt, self.continuous)
-        self._compiled: CompiledLoop | None = None
-        self._free_space = self._new_free_space(arms) if plant.free_space else None
-
-    def _new_free_space(self, arms: Sequence[Arm]) -> FreeSpace:
-        from armctl.sim.free_space import FreeSpace
-
-        if len(arms) > 1:
-            raise InputError("free_space: it is for one arm, several may touch each other; simulate them without free_space")
-        return FreeSpace(arms[0], self.model, self.data)
+        self._compiled = CompiledLoop(self.actuation, self.model, self.data, self._substeps, self._pushed_arm)
 
     @property
     def n(self) -> int:
@@ -185,10 +182,16 @@ class Stepper:
         """Sets time to 0 and the joints to q, rad, and v, rad/s; home and rest by default. Everything else is at home.
 
         Raises:
-            InputError: A wrong length or a number that is not finite.
+            InputError: A wrong length, a number that is not finite, or another thread runs the simulation.
         """
         q = vector("q", self._home if q is None else q, self.n)
         v = vector("v", np.zeros(self.n) if v is None else v, self.n)
+        with self._one_thread:
+            self._reset(q, v)
+        if self._observer is not None:
+            self._observer.after_reset(self.data)
+
+    def _reset(self, q: Array, v: Array) -> None:
         if len(self._released):
             self._released = self._released[:0]
             self._brake.release_only(self._released)
@@ -207,10 +210,8 @@ class Stepper:
         self._disturbances = None
         if self.plant.has_signal_disturbances:
             self._disturbances = Disturbances(
-                self.plant, self.model, self.data, self.actuation.dof_adr, self._packed_dynamics, self.dt
+                self.plant, self.model, self.data, self.actuation.dof_adr, self._pushed_arm, self.dt
             )
-        if self._observer is not None:
-            self._observer.after_reset(self.data)
 
     def release(self, dofs: IntArray) -> None:
         """Releases the brake of joints outside the arms, such as a gripper's; `reset` brakes them again.
@@ -271,32 +272,8 @@ class Stepper:
             if self.failure:
                 return
 
-    def load_compiled_code(self, controller: Controller, ticks: float = inf) -> None:
-        """Loads the code that `run` calls, so that the time of a run does not contain it; few `ticks` run in Python instead."""
-        if not self._runs_compiled(controller):
-            return
-        self._prefers_python = self._compiled is None and PythonTicks.suffice(controller.kernel, ticks)
-        if self._prefers_python:
-            return
-        from armctl.control.kernel_call import entry_point
-
-        entry_point(controller.kernel)
-        if self._compiled is None:
-            from armctl.sim.compiled_loop import CompiledLoop
-
-            self._compiled = CompiledLoop(
-                self.actuation,
-                self.model,
-                self.data,
-                self._substeps,
-                self._packed_dynamics,
-                self._free_space,
-                self._proofs,
-            )
-            controller.parameters(self.dt, self.continuous)  # which loads code, too
-
-    def _runs_compiled(self, controller: Controller) -> TypeGuard[KernelController]:
-        """Whether the ticks of a controller need no Python. A kernel can get the wrench on one tip."""
+    def _runs_compiled(self, controller: Controller) -> TypeGuard[CompiledController]:
+        """Whether the ticks of a controller need no Python. A compiled law can get the wrench on one tip."""
         return has_compiled_law(controller, self.n) and (self._wrench_sensor.arms == 1 or not controller.needs_wrench)
 
     def step(self, controller: Controller, rows: TickRows) -> None:
@@ -319,44 +296,28 @@ class Stepper:
                 self._unobserved = 0.0
 
     def _run_ticks(self, controller: Controller, rows: TickRows, first: int, last: int) -> None:
-        """The ticks of rows [first, last): compiled if the law of the controller is a kernel, else in Python."""
-        try:
-            self._run_unchecked_ticks(controller, rows, first, last)
-        finally:
-            if self._free_space is not None and rows.count > first:
-                touched = self._free_space.check(rows, first, self._proofs)
-                if touched and not self.failure:
-                    self.failure = f"free_space: {touched}; simulate it without free_space"
+        """The ticks of rows [first, last): compiled if the law of the controller is, else in Python."""
+        with self._one_thread:
+            if last == first + 1 or not self._runs_compiled(controller):
+                self._run_python_ticks(controller, rows, first, last)
+                return
+            if self._measurement is not None or self._wrench_sensor.has_measured(self.data.time):  # the first tick is measured
+                self._run_python_ticks(controller, rows, first, first + 1)
+            if not self.failure:
+                self._run_compiled_ticks(controller, rows, last)
 
-    def _run_unchecked_ticks(self, controller: Controller, rows: TickRows, first: int, last: int) -> None:
-        if last == first + 1 or self._prefers_python or not self._runs_compiled(controller):
-            self._run_python_ticks(controller, rows, first, last)
-            return
-        if self._measurement is not None or self._wrench_sensor.has_measured(self.data.time):  # the first tick is measured
-            self._run_python_ticks(controller, rows, first, first + 1)
-        if not self.failure:
-            self._run_compiled_ticks(controller, rows, last)
-
-    def _run_compiled_ticks(self, controller: KernelController, rows: TickRows, last: int) -> None:
+    def _run_compiled_ticks(self, controller: CompiledController, rows: TickRows, last: int) -> None:
         """The ticks up to row `last`, in the compiled loop."""
-        from armctl.sim import tick_kernel
-
-        self.load_compiled_code(controller)
-        assert self._compiled is not None
         end = self._compiled.run(controller, rows, last, self.state, self._disturbances, self._wrench_sensor)
         reached = rows.reference.q[end.row]
         self.q_ref = reached if np.isfinite(reached).all() else self.state.q
         self._measurement = end.measurement
         if end.error:
             raise mujoco.FatalError(end.error)
-        if end.status == tick_kernel.DIVERGED:
+        if end.status == _core.TickStatus.diverged:
             self._diverge(rows.v[end.row])
-        elif end.status == tick_kernel.NOT_FINITE:
+        elif end.status == _core.TickStatus.not_finite:
             self.failure = f"the controller gave no finite torque at {self.data.time:.3f} s"
-        elif end.status == tick_kernel.KERNEL_FAILED:
-            name = controller_name(controller)
-            self.failure = f"the kernel of the controller {name:.80} raised an exception at {self.data.time:.3f} s"
-            raise SimulationError(self.failure)
 
     def _run_python_ticks(self, controller: Controller, rows: TickRows, first: int, last: int) -> None:  # noqa: PLR0915  # locals are fast
         """The ticks of rows [first, last). The speed of every simulation depends on each line of this loop."""
@@ -380,7 +341,6 @@ class Stepper:
         v_seen_rows = read_only(v_rows)
         q_seen_rows = read_only(qpos_rows[:, self._joints]) if isinstance(self._joints, slice) else None
         torque = controller.torque
-        step = mj_step if self._free_space is None else self._free_space.step
         sensor = self._wrench_sensor if getattr(controller, "needs_wrench", False) else None
         wrench_rows = None if sensor is None else rows.with_wrench(len(sensor.true))
         wrench = None
@@ -393,7 +353,7 @@ class Stepper:
                 v_rows[row] = data.qvel[self._dofs] if qvel is None else qvel
                 qpos_rows[row] = qpos
                 v = v_seen_rows[row]
-                if not hypot(*v.tolist()) < _MAX_SPEED:
+                if not hypot(*v.tolist()) < DIVERGED_SPEED:
                     self._diverge(v)
                     break
                 q = read_only(qpos[self._joints]) if q_seen_rows is None else q_seen_rows[row]
@@ -416,9 +376,9 @@ class Stepper:
                     driven = command if disturbances is None else disturbances.driven(command, q)
                     data.ctrl[self._motors] = driven / self.actuation.gear
                     self._measurement = None
-                step(model, data, substeps)
+                mj_step(model, data, substeps)
                 torque_rows[row] = self._gathered_torque() if motor_torque is None else motor_torque
-                if (data.ncon or touching) and self._free_space is None:
+                if data.ncon or touching:
                     touching = self._noted_contacts(rows, row, touching)
                 count = row + 1
         finally:

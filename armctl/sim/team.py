@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from armctl.collision.checkers import collision_checker, read_pairs
 from armctl.control import ComputedTorque, Controller
@@ -14,14 +13,14 @@ from armctl.core.errors import InputError, ModelError, PlanError, UnknownNameErr
 from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
-from armctl.core.target import Target
+from armctl.core.target import Target, TargetLike
 from armctl.core.trajectory import Trajectory
 from armctl.core.validation import flag, number, shown
 from armctl.motion import JointTrajectory
-from armctl.planning.move_free import CLEARANCE_M, configurations_for
+from armctl.planning.move_free import configurations_for
 from armctl.planning.team import ArmGroup, plan_together
 from armctl.robot.arm import Arm
-from armctl.sim.gripper import Gripper
+from armctl.sim.gripper.gripper import Gripper
 from armctl.sim.move import ControlledArms, PlannedMove, plan_to, read_controller
 from armctl.sim.obstacles import touched_by
 from armctl.sim.plant import Plant, read_plant
@@ -37,7 +36,6 @@ class Team:
 
     Attributes:
         arms: The arms by the names of their tips.
-        model: The MuJoCo model of all.
         data: Its MjData, for reading.
     """
 
@@ -87,9 +85,6 @@ class Team:
     def tip(self, name: str) -> Pose:
         """The pose of a simulated tip now.
 
-        Args:
-            name: The tip.
-
         Returns:
             T_world_tip.
 
@@ -100,12 +95,6 @@ class Team:
 
     def gripper(self, name: str) -> Gripper:
         """The gripper behind a tip.
-
-        Args:
-            name: The tip.
-
-        Returns:
-            The gripper.
 
         Raises:
             UnknownNameError: There is no such tip.
@@ -142,10 +131,9 @@ class Team:
 
     def move_to(
         self,
-        targets: Mapping[str, Pose | ArrayLike],
+        targets: Mapping[str, TargetLike],
         *,
         speed: float = 1.0,
-        settle_timeout: float = 1.0,
         avoid: bool = True,
         allow: Iterable[tuple[str, str]] = (),
     ) -> dict[str, MoveResult]:
@@ -155,9 +143,8 @@ class Team:
         nor anything else. If there are no such motions, no arm moves, and every `reason` says why.
 
         Args:
-            targets: T_world_tip, or (3,) m if any orientation is accepted, by tip.
+            targets: By tip, as for `Simulation.move_to`.
             speed: Fraction of the full speed, in (0, 1].
-            settle_timeout: s that the arms may take to come to rest after the longest motion.
             avoid: Whether to plan around all bodies at their current positions; otherwise each arm moves straight.
             allow: Pairs of names of bodies or geoms that may touch.
 
@@ -170,12 +157,11 @@ class Team:
             SimulationError: A controller failed; `error.log` contains the ticks of its arm until then.
         """
         goals = {tip: Target.read(target) for tip, target in self._by_tip("targets", targets, "{tip: [0.4, 0, 0.3]}").items()}
-        settle_timeout = number("settle_timeout", settle_timeout, 0.0)
         if flag("avoid", avoid):
             moves = self._planned_together(goals, speed, allow)
         else:
             moves = {tip: self._planned(tip, goal, speed) for tip, goal in goals.items()}
-        return self._arms.move(moves, settle_timeout)
+        return self._arms.move(moves)
 
     def _planned_together(
         self, goals: Mapping[str, Target], speed: float, allow: Iterable[tuple[str, str]]
@@ -199,7 +185,7 @@ class Team:
         motions: dict[str, JointTrajectory] = {}
         try:
             checker.require_provable()
-            motions = plan_together(checker, self.arms, starts, solutions, clearance=CLEARANCE_M, speed=speed, seed=0)
+            motions = plan_together(checker, self.arms, starts, solutions, speed)
         except (PlanError, ModelError) as error:
             refusals |= {tip: str(error) for tip in solutions}
         return {tip: PlannedMove(goal, motions.get(tip), refusals[tip]) for tip, goal in goals.items()}

@@ -2,23 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import nan
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
+from armctl import _core
 from armctl.control.interface import WRENCH_SIZE, State
 from armctl.core.validation import Array
+from armctl.mjmodel.queries import is_below
 from armctl.robot.arm import Arm
+from armctl.sim.mujoco_library import mujoco_api
 from armctl.sim.plant import Plant
-from armctl.sim.sensor_site import SensorKind, Site
 
-if TYPE_CHECKING:
-    from armctl.sim.tip_sensor import TipSensor
-
+_MIN_JOINTS_FOR_MOMENTS = 6  # the torques of fewer joints do not separate moments from forces
 _CARTESIAN_EQUALITIES = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD), int(mujoco.mjtEq.mjEQ_FLEX))
+
+
+class _Site(NamedTuple):
+    """Where an arm's wrench acts, without the arm itself: a waiting simulation must not keep it.
+
+    Attributes:
+        last_body: Behind the arm's last joint.
+        offset: (3,) m, the tip in that body.
+    """
+
+    last_body: int
+    tip_body: int
+    offset: Array
+    arm: _core.ArmModel
+
+
+class TickSensor(NamedTuple):
+    """The sensor of the compiled loop.
+
+    Attributes:
+        times: (ticks,) s, of the coming ticks.
+        wrench_noise: (ticks, 6) N and N m; None for none.
+    """
+
+    sensor: _core.WrenchSensor
+    times: Array
+    wrench_noise: Array | None
 
 
 class WrenchSensor:
@@ -39,9 +66,6 @@ class WrenchSensor:
 
         Args:
             arms: Arms of the model.
-            plant: What disturbs the measurements.
-            model: The plant's model.
-            data: Its state.
             dt: s, the tick.
             continuous: Whether the arm moves almost continuously between ticks.
         """
@@ -49,13 +73,16 @@ class WrenchSensor:
         self._model = model
         self._data = data
         self._period = (dt, continuous)
-        self._sites = [Site.of(arm) for arm in arms]
+        self._sites = [
+            _Site(int(arm.model.dof_bodyid[arm.dof_adr[-1]]), arm.tip_body, arm.T_body_tip.position, arm.core_model)
+            for arm in arms
+        ]
         self._ends = np.cumsum([arm.n for arm in arms]).tolist()
         self._has_connections = bool(np.isin(model.eq_type, _CARTESIAN_EQUALITIES).any())
         self._noise_scale = np.tile([plant.force_noise] * 3 + [plant.moment_noise] * 3, len(arms))
         self._has_noise = bool(plant.force_noise or plant.moment_noise)
         self._is_sampled = self._has_noise or bool(plant.wrench_delay) or plant.wrench_source == "torques"
-        self._tips: list[TipSensor] = []
+        self._tips: list[_core.WrenchSensor] = []
         self.true = np.zeros(WRENCH_SIZE * len(arms))
         self.reset()
 
@@ -82,7 +109,7 @@ class WrenchSensor:
         self.true = np.zeros_like(self.true)
         if data.ncon or self._has_connections or data.xfrc_applied.any():
             for k, tip in enumerate(self._sensors()):
-                self.true[WRENCH_SIZE * k :][:WRENCH_SIZE] = tip.read(None if k else push)
+                tip.read(None if k else push, self.true[WRENCH_SIZE * k : WRENCH_SIZE * (k + 1)])
         elif push is not None:
             self.true[:WRENCH_SIZE] += push
         return self.true
@@ -92,7 +119,6 @@ class WrenchSensor:
 
         Args:
             push: As for `read`.
-            state: The measured state of all arms.
             tau: (n,) N m, the torque of the motors during the last tick.
         """
         if not self._is_sampled:
@@ -106,31 +132,33 @@ class WrenchSensor:
         first = 0
         for k, (tip, last) in enumerate(zip(self._sensors(), self._ends, strict=True)):
             own = slice(WRENCH_SIZE * k, WRENCH_SIZE * (k + 1))
-            signals = (state.q[first:last], state.v[first:last], tau[first:last], state.t, noise[own])
-            measured[own], self.true[own] = tip.measure(*signals, None if k else push)
+            joints = slice(first, last)
+            tip.measure(
+                np.ascontiguousarray(state.q[joints]),
+                np.ascontiguousarray(state.v[joints]),
+                np.ascontiguousarray(tau[joints]),
+                state.t,
+                noise[own],
+                None if k else push,
+                measured[own],
+                self.true[own],
+            )
             first = last
         return measured
 
-    def plan(self, push: Array | None, times: Array, true: Array, signals: Mapping[int, int]) -> int:
+    def plan(self, times: Array) -> TickSensor:
         """Prepares the sensor of a single arm for the coming ticks of the compiled loop; call `took` afterwards.
 
         Args:
-            push: As for `read`; the loop changes it.
             times: (ticks,) s.
-            true: (ticks, 6), where the true wrenches are noted.
-            signals: Addresses of measured positions and velocities, of the torque of the motors, and of the result, by the
-                entries of the table.
-
-        Returns:
-            The address of the table for `wrench_kernel`.
         """
-        (tip,) = self._sensors()
-        self._planned_noise = None
+        (sensor,) = self._sensors()
+        noise = None
         if self._has_noise:
             self._noise_before: Any = self._rng.bit_generator.state
-            self._planned_noise = self._noise(len(times))
+            noise = self._noise(len(times))
         self._times = times
-        return tip.plan(push, times, true, self._planned_noise, signals)
+        return TickSensor(sensor, times, noise)
 
     def took(self, measured: int) -> None:
         """Notes at how many of the planned ticks the wrench was measured."""
@@ -145,11 +173,28 @@ class WrenchSensor:
         """(ticks, 6 k) the noise of the coming ticks."""
         return self._noise_scale * self._rng.standard_normal((ticks, len(self._noise_scale)))
 
-    def _sensors(self) -> list[TipSensor]:
+    def _sensors(self) -> list[_core.WrenchSensor]:
         """The sensors of all arms, which are made when the first wrench is asked for: most simulations need none."""
-        from armctl.sim.tip_sensor import TipSensor
-
         if not self._tips:
-            kind = SensorKind(*self._period, self._plant, self._is_sampled, self._has_connections)
-            self._tips = [TipSensor(site, kind, self._model, self._data) for site in self._sites]
+            self._tips = [self._sensor(site) for site in self._sites]
         return self._tips
+
+    def _sensor(self, site: _Site) -> _core.WrenchSensor:
+        model = self._model
+        bodies = [body for body in range(site.last_body, model.nbody) if is_below(model, body, site.last_body)]
+        told_by_torques = WRENCH_SIZE if site.arm.n >= _MIN_JOINTS_FOR_MOMENTS else 3
+        return _core.WrenchSensor(
+            mujoco_api(),
+            model,
+            self._data,
+            arm=site.arm.for_period(*self._period),
+            bodies=np.array(bodies, np.int64),
+            root=int(model.body_rootid[site.last_body]),
+            tip=site.tip_body,
+            offset=np.array(site.offset),
+            is_connected=self._has_connections,
+            dt=self._period[0],
+            delay=self._plant.wrench_delay,
+            is_sampled=self._is_sampled,
+            estimated=told_by_torques if self._plant.wrench_source == "torques" else 0,
+        )

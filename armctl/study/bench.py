@@ -10,7 +10,6 @@ import sys
 import threading
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,7 +29,8 @@ from armctl.loading.load import load
 from armctl.motion import JointTrajectory, move_j
 from armctl.robot.arm import Arm
 from armctl.sim.mujoco_library import release_loading_memory
-from armctl.sim.plant import Plant
+from armctl.sim.plant import PLANT_ATTRIBUTES, Plant
+from armctl.sim.plant_attribute import Kind
 from armctl.sim.simulate import simulate
 from armctl.study.factors import Point
 
@@ -51,8 +51,7 @@ FIGURES = (
     "duration_s",
 )
 CONTROLLER_FACTOR = "controller."  # begins the name of a factor that is an argument of the controllers
-_NOT_FACTORS = ("pushes", "seed", "name")
-PLANT_FACTORS = tuple(field.name for field in fields(Plant) if field.name not in _NOT_FACTORS)
+PLANT_FACTORS = tuple(name for name, attribute in PLANT_ATTRIBUTES.items() if attribute.is_factor)
 _NOISE_RAD = 1e-5  # of encoders, for noise = 1
 _NOISE_RAD_S = 1e-3
 OTHER_FACTORS = {
@@ -63,31 +62,8 @@ OTHER_FACTORS = {
 }
 _KEPT_MOTIONS = 256
 _KEPT_CONTROLLERS = 64
-_MODEL_ARRAYS = (
-    "body_mass",
-    "body_inertia",
-    "body_pos",
-    "body_quat",
-    "body_ipos",
-    "body_iquat",
-    "jnt_pos",
-    "jnt_axis",
-    "jnt_range",
-    "jnt_stiffness",
-    "dof_damping",
-    "dof_armature",
-    "dof_frictionloss",
-    "geom_type",
-    "geom_size",
-    "geom_pos",
-    "geom_quat",
-    "geom_contype",
-    "geom_conaffinity",
-    "actuator_gear",
-    "actuator_forcerange",
-    "qpos0",
-)
-_LIMIT_ARRAYS = ("q_min", "q_max", "v_max", "a_max", "j_max", "tau_max")
+# What physics depends on; meshes and textures do not enter.
+_MODEL_ARRAYS = ("body_", "jnt_", "dof_", "geom_", "tendon_", "eq_", "actuator_", "qpos0")
 
 
 class Run(NamedTuple):
@@ -112,21 +88,10 @@ Outcome = dict[str, Any]  # "ok", "reason", "completed", the figures, "contacts"
 
 
 class Bench:
-    """The arm, the motions and the controllers of a study. Threads may share it.
-
-    Attributes:
-        arm: The arm.
-    """
+    """The arm, the motions and the controllers of a study. Threads may share it."""
 
     def __init__(self, setup: Mapping[str, Any]):
-        """Loads the arm.
-
-        Args:
-            setup: As `Study.setup` gives it.
-
-        Raises:
-            ArmctlError: The robot cannot be loaded, or another one has its name here.
-        """
+        """Loads the arm of `Study.setup`. Raises ArmctlError if that fails, or another robot has its name here."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ArmctlWarning)  # they were shown when the study was defined
             self.arm: Arm = load(**setup["robot"])
@@ -145,11 +110,7 @@ class Bench:
         self._own = threading.local()  # controllers have a memory, so each thread has its own
 
     def simulate(self, run: Run) -> Log:
-        """Makes one run, and returns all of its ticks.
-
-        Raises:
-            ArmctlError: A value of a factor is impossible, or the controller failed.
-        """
+        """All ticks of one run. Raises ArmctlError if a value of a factor is impossible, or the controller failed."""
         return simulate(self.arm, self.controller(run), self.motion(run.point), self.plant(run), self._dwell)
 
     def outcomes(self, runs: Sequence[Run]) -> list[Outcome]:
@@ -196,9 +157,9 @@ class Bench:
     def check_plant(self, run: Run) -> None:
         """Raises InputError if a value of a factor is impossible for this arm."""
         plant = self.plant(run)
-        for name in ("coulomb_friction", "viscous_friction"):
+        for name, attribute in PLANT_ATTRIBUTES.items():
             given = np.size(getattr(plant, name))
-            if given not in (1, self.arm.n):
+            if attribute.kind is Kind.PER_JOINT and given not in (1, self.arm.n):
                 raise InputError(f"{name}: expected 1 or {self.arm.n} numbers for {self.arm.name}, got {given}")
 
     def motion(self, point: Point) -> JointTrajectory:
@@ -247,17 +208,7 @@ class Bench:
 
 
 def make_controller(label: str, spec: Mapping[str, Any], arm: Arm) -> Controller:
-    """A controller from plain data.
-
-    Args:
-        label: Its name in the study.
-        spec: Its name as `CONTROLLERS` lists it, or "module:Class", under "controller"; the rest are arguments.
-        arm: The arm.
-
-    Raises:
-        UnknownNameError: There is no such controller.
-        InputError: An argument is wrong.
-    """
+    """A controller: its name in `CONTROLLERS` or "module:Class" under "controller" in `spec`, the rest are arguments."""
     name = spec["controller"]
     make = _imported(name) if ":" in name else CONTROLLERS.get(name)
     if make is None:
@@ -288,18 +239,7 @@ def _kept_bench(setup: str) -> Bench:
 
 
 def run_chunk(setup: str, runs: Sequence[Run]) -> list[Outcome]:
-    """Makes runs, in a worker. Equal runs have equal bits, whichever worker makes them, in whichever order.
-
-    Args:
-        setup: What the runs share, as JSON.
-        runs: The runs.
-
-    Returns:
-        The outcome of each run.
-
-    Raises:
-        ArmctlError: The robot cannot be loaded here.
-    """
+    """Makes runs, in a worker. Equal runs have equal bits, whichever worker makes them, in whichever order."""
     with _benches_lock:
         bench = _kept_bench(setup)
     return bench.outcomes(runs)
@@ -330,11 +270,9 @@ def _source_digest() -> str:
 
 
 def _model_digest(arm: Arm) -> str:
-    """Tells models apart; meshes and textures do not enter."""
+    """Tells models apart."""
     digest = hashlib.blake2b(digest_size=16)
-    for name in _MODEL_ARRAYS:
-        digest.update(getattr(arm.model, name).tobytes())
-    for name in _LIMIT_ARRAYS:
-        digest.update(getattr(arm.limits, name).tobytes())
-    digest.update(arm.home.tobytes())
+    arrays = [getattr(arm.model, name) for name in sorted(dir(arm.model)) if name.startswith(_MODEL_ARRAYS)]
+    for array in (*arrays, *vars(arm.limits).values(), arm.home):
+        digest.update(array.tobytes())
     return digest.hexdigest()

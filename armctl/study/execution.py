@@ -28,16 +28,9 @@ def execute_here(bench: Bench, runs: Sequence[Run], note: Note) -> None:
 
 
 def execute(work: Callable[[Sequence[Run]], list[Outcome]], runs: Sequence[Run], executor: Executor, note: Note) -> None:
-    """Makes runs on an executor.
+    """Makes runs on an executor; `note` is called in this thread with each chunk that is finished.
 
-    Args:
-        work: What a worker does with a chunk.
-        runs: The runs.
-        executor: Where they are made.
-        note: Called in this thread with each chunk that is finished.
-
-    Raises:
-        ArmctlError: The workers cannot load the robot, or the executor has stopped. What was finished has been noted.
+    Raises ArmctlError if the workers cannot load the robot, or the executor has stopped. What was finished has been noted.
     """
     pending: dict[Future[list[Outcome]], Sequence[Run]] = {}
     waiting = deque(_chunks(runs))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,6 @@ from armctl.core.validation import Array, choice, flag, integer, number, shown, 
 
 SAMPLINGS = ("sobol", "lhs", "saltelli")
 MAX_RUNS = 10_000_000
-_WHOLE_NUMBERS = ("delay",)  # a range of these is one of whole numbers, both ends included
 
 Value = float | bool | str | tuple[float, ...]
 Point = dict[str, Any]  # the value of each factor
@@ -51,7 +50,7 @@ class Range:
             share: From 0 to 1.
 
         Returns:
-            The value.
+            The value, in the unit of the bounds.
 
         Raises:
             InputError: The share is outside.
@@ -62,7 +61,7 @@ class Range:
         return self.low + share * (self.high - self.low)
 
     def _quantiles(self, u: Array, name: str) -> list[Value]:
-        if name in _WHOLE_NUMBERS:
+        if _is_whole_number(name):  # both ends included
             low = integer(f"{name}: low", self.low)
             high = integer(f"{name}: high", self.high)
             return [min(low + int(x * (high - low + 1)), high) for x in u.tolist()]
@@ -111,11 +110,7 @@ class Normal:
 
 @dataclass(frozen=True)
 class Choice:
-    """A factor that is drawn from values of equal probability. A plain list instead gives a grid: all combinations.
-
-    Attributes:
-        values: The values.
-    """
+    """A factor that is drawn from values of equal probability. A plain list instead gives a grid: all combinations."""
 
     values: tuple[Value, ...]
 
@@ -134,12 +129,8 @@ class Choice:
         last = len(self.values) - 1
         return [self.values[min(int(x * len(self.values)), last)] for x in u.tolist()]
 
-    def _examples(self) -> list[Value]:
-        return list(self.values)
-
 
 # `_quantiles(u, name)`: the values of the factor `name` below which the shares u (k,) of the distribution are.
-# `_examples()`: the values that are checked before anything runs.
 Random = Range | Normal | Choice
 Factor = Random | tuple[Value, ...]
 _TABLES: dict[frozenset[str], type[Random]] = {
@@ -147,6 +138,13 @@ _TABLES: dict[frozenset[str], type[Random]] = {
     frozenset({"mean", "std"}): Normal,
     frozenset({"values"}): Choice,
 }
+
+
+def _is_whole_number(name: str) -> bool:
+    from armctl.sim.plant import PLANT_ATTRIBUTES  # loads MuJoCo, which a Range alone does not need
+    from armctl.sim.plant_attribute import Kind
+
+    return name in PLANT_ATTRIBUTES and PLANT_ATTRIBUTES[name].kind is Kind.WHOLE_NUMBER
 
 
 def _bound(name: str, value: float) -> float:
@@ -179,9 +177,9 @@ def read_factor(name: str, value: Any) -> Factor:
     raise InputError(f"factors: {name}: expected {{low, high}}, {{mean, std}} or {{values}}, got {shown(dict(value))}")
 
 
-def examples(factor: Factor) -> Sequence[Value]:
-    """The values of a factor that are checked before anything runs: all of a list, the bounds of a distribution."""
-    return factor._examples() if isinstance(factor, Random) else factor
+def examples(factor: Factor, drawn: Iterable[Value]) -> Iterable[Value]:
+    """The values of a factor that are checked before anything runs: bounds, or those drawn for the runs."""
+    return factor._examples() if isinstance(factor, Range | Normal) else dict.fromkeys(drawn)
 
 
 def factor_table(factor: Factor) -> Any:
@@ -192,18 +190,7 @@ def factor_table(factor: Factor) -> Any:
 
 
 def design_points(factors: Mapping[str, Factor], samples: int, sampling: str, seed: int) -> list[Point]:
-    """The points of a study: every combination of the lists, at each sample of the distributions.
-
-    Args:
-        factors: The factors by name.
-        samples: The number of samples of the distributions; a power of 2 unless `sampling` is "lhs".
-        sampling: "sobol" (scrambled Sobol sequence), "lhs" (Latin hypercube), or "saltelli": for d distributions, the
-            (d + 2) samples points from which `scipy.stats.sobol_indices` computes the sensitivity.
-        seed: The seed of the design.
-
-    Raises:
-        InputError: An argument has a wrong value, or there would be more than `MAX_RUNS` points.
-    """
+    """The points of a study: every combination of the lists, at each sample of the distributions."""
     choice("sampling", sampling, SAMPLINGS)
     random = {name: factor for name, factor in factors.items() if isinstance(factor, Random)}
     lists = {name: factor for name, factor in factors.items() if not isinstance(factor, Random)}

@@ -16,6 +16,7 @@ from typing import Any, Self
 
 from armctl.core.atomic import file_path
 from armctl.core.errors import InputError, UnknownNameError
+from armctl.core.file_reading import read_bytes, reading
 from armctl.core.target import TOLERANCE
 from armctl.core.validation import choice, instance, integer, number, shown
 from armctl.motion import JointTrajectory
@@ -40,7 +41,6 @@ class StudyPlan:
         repeats: The number of runs at each point.
         samples: The number of samples of the distributions among the factors.
         sampling: "sobol", "lhs" or "saltelli".
-        seed: The seed of the study.
         dwell: s to hold the end of the motion.
         tolerance: m, the largest distance at which the tip is at its goal.
     """
@@ -86,9 +86,6 @@ class StudyPlan:
         Args:
             values: The arguments by name. A distribution is a dict: {"low", "high"}, {"mean", "std"} or {"values"}.
 
-        Returns:
-            The study.
-
         Raises:
             InputError: A name or a value is wrong.
             UnknownNameError: There is no such argument.
@@ -110,21 +107,12 @@ class StudyPlan:
         Args:
             path: The file. The paths in it are relative to its folder.
 
-        Returns:
-            The study.
-
         Raises:
             InputError: The file cannot be read, or an entry is wrong.
         """
         path = file_path("path", path, (".toml",))
-        try:
-            if path.stat().st_size > _MAX_FILE_BYTES:
-                raise InputError(f"{path!s:.160}: it is larger than {_MAX_FILE_BYTES // 10**6} MB")
-            values = tomllib.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputError(f"{path!s:.160}: cannot be read: {error.strerror or error}") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-            raise InputError(f"{path!s:.160}: it is not valid TOML: {error!s:.120}") from None
+        with reading(path, "no valid TOML"):
+            values = tomllib.loads(read_bytes(path, _MAX_FILE_BYTES).decode())
         for name in ("robot", "motion"):
             value = values.get(name)
             if isinstance(value, str) and (path.parent / value).is_file():
@@ -135,11 +123,7 @@ class StudyPlan:
             raise InputError(f"{path!s:.160}: {error}") from None
 
     def to_dict(self) -> dict[str, Any]:
-        """The study as plain data, for JSON.
-
-        Returns:
-            The arguments by name.
-        """
+        """The study as plain data, for JSON."""
         values = {name: getattr(self, name) for name in self.__dataclass_fields__}
         values["factors"] = {name: factor_table(factor) for name, factor in self.factors.items()}
         return json.loads(json.dumps(values))

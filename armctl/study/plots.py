@@ -11,6 +11,7 @@ import numpy as np
 
 from armctl.core.plotting import COLORS, finish_figure
 from armctl.core.validation import Array, BoolArray
+from armctl.sim.plant import PLANT_ATTRIBUTES
 from armctl.study.summary import unit_of
 
 if TYPE_CHECKING:
@@ -19,16 +20,8 @@ if TYPE_CHECKING:
 
 Columns = Mapping[str, np.ndarray]
 
-_UNITS = {
-    "payload": "kg",
-    "coulomb_friction": "N m",
-    "viscous_friction": "N m s/rad",
-    "delay": "ticks",
-    "encoder_noise": "rad",
-    "velocity_noise": "rad/s",
-    "timestep": "s",
-    "friction": "fraction of the torque limit",
-}
+_UNITS = {name: attribute.unit for name, attribute in PLANT_ATTRIBUTES.items() if attribute.unit}
+_UNITS["friction"] = "fraction of the torque limit"
 
 _MAX_LEVELS = 12  # a factor with more values is divided into bins
 _BINS = 8  # of about equally many runs

@@ -13,6 +13,7 @@ import numpy as np
 
 from armctl.core.atomic import atomic_path, file_path
 from armctl.core.errors import ArmctlError, InputError, NotInstalledError, UnknownNameError
+from armctl.core.file_reading import pyarrow, read_parquet, reading
 from armctl.core.log import Log
 from armctl.core.validation import choice, flag, instance, integer
 from armctl.study import plots
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 METRICS = (*FIGURES, "ok", "completed", "contacts")
 _PARQUET_KEY = b"armctl study"
+_MAX_FILE_BYTES = 8_000_000_000  # unpacked: the table of a study of ten million runs
 _TEXTS = ("controller", "reason", "digest", "key")
 
 
@@ -49,7 +51,6 @@ class StudyResult:
     Attributes:
         ok: Whether all runs are finished; a run that failed is finished, too.
         reason: The reason if it is not ok; empty if it is.
-        study: The study.
     """
 
     ok: bool
@@ -97,9 +98,6 @@ class StudyResult:
         Args:
             path: The file; its folder is made.
 
-        Returns:
-            The path.
-
         Raises:
             InputError: Another file extension.
             NotInstalledError: The extra `study` is not installed.
@@ -111,7 +109,7 @@ class StudyResult:
             with atomic_path(path) as temporary:
                 frame.to_csv(temporary, index=False)
             return path
-        arrow, parquet = _pyarrow()
+        arrow, parquet = pyarrow()
         columns = {name: column.tolist() for name, column in self.table().items()}
         table = arrow.table(columns)
         table = table.replace_schema_metadata({_PARQUET_KEY: json.dumps(self.study.to_dict())})
@@ -125,20 +123,13 @@ class StudyResult:
     def load(path: str | os.PathLike[str]) -> StudyResult:
         """Reads a result that `save` wrote as .parquet.
 
-        Args:
-            path: The file.
-
-        Returns:
-            The result.
-
         Raises:
             InputError: There is no such file, or it holds no result of a study.
             NotInstalledError: The extra `study` is not installed.
         """
         path = file_path("path", path, (".parquet",))
-        _, parquet = _pyarrow()
-        try:
-            table = parquet.read_table(path, memory_map=False)
+        with reading(path, "no result of a study"):
+            table = read_parquet(path, _MAX_FILE_BYTES)
             study = StudyPlan.from_dict(json.loads((table.schema.metadata or {})[_PARQUET_KEY]))
             columns = {name: _column(name, table.column(name).to_pylist()) for name in table.column_names}
             missing = {"run", "pair", "repeat", "seed", *_TEXTS, *METRICS, *study.factors} - columns.keys()
@@ -146,10 +137,6 @@ class StudyResult:
                 raise InputError(f"it has no column {sorted(missing)[0]!r:.40}")
             if not set(columns["controller"]) <= set(study.controllers):
                 raise InputError("its controllers are not those of its study")
-        except FileNotFoundError:
-            raise InputError(f"{path!s:.160}: cannot be read: No such file or directory") from None
-        except Exception as error:  # damaged bytes raise whatever pyarrow and JSON run into
-            raise InputError(f"{path!s:.160}: no result of a study ({type(error).__name__}: {error!s:.120})") from None
         return _with_columns(study, study.run_count, columns)
 
     def summary(self, metrics: Sequence[str] = ("tip_rms_m", "final_tip_error_m")) -> StudySummary:
@@ -204,7 +191,6 @@ class StudyResult:
         """Simulates the worst runs again: those that were not completed first, then those with the largest figure.
 
         Args:
-            count: How many.
             metric: A figure of the table.
             controller: The label of a controller; all if left out.
             folder: Where the logs are written, as worst-1.npz and so on; nowhere if left out.
@@ -258,9 +244,6 @@ class StudyResult:
             metric: A figure of the table.
             over: The factor; the first one with several numbers if left out.
 
-        Returns:
-            The path, if one was given.
-
         Raises:
             InputError: An argument has a wrong type or value, or the factor has no numbers.
             ArmctlError: The file cannot be written.
@@ -274,9 +257,6 @@ class StudyResult:
         Args:
             path: The picture, .png, .svg or .pdf; a window opens if left out.
             metric: A figure of the table.
-
-        Returns:
-            The path, if one was given.
 
         Raises:
             InputError: An argument has a wrong type or value, or no factor has several numbers.
@@ -303,9 +283,6 @@ class StudyResult:
             y: The factor on the vertical axis; the second one if left out.
             metric: "ok", the tip is at its goal at the end; or a figure with a limit.
             limit: The largest figure that is a success, in SI units.
-
-        Returns:
-            The path, if one was given.
 
         Raises:
             InputError: An argument has a wrong type or value, or the study has only one factor with several numbers.
@@ -396,12 +373,3 @@ def _column(name: str, values: Any) -> np.ndarray:
     out = np.empty(len(values), dtype=object)
     out[:] = [tuple(value) if isinstance(value, list) else value for value in values]
     return out
-
-
-def _pyarrow() -> tuple[Any, Any]:
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise NotInstalledError.of_extra("Parquet files need pyarrow", "study") from None
-    return pyarrow, pyarrow.parquet

@@ -40,8 +40,6 @@ class Sensitivity:
     Attributes:
         ok: Whether every interval is narrower than 0.2; otherwise more samples are needed.
         reason: The reason if it is not ok; empty if it is.
-        metric: The metric.
-        controller: The controller.
         samples: The number of samples; runs are (d + 2) times as many.
         factors: The indices of each factor, the largest total first.
     """
@@ -70,15 +68,6 @@ def sobol_indices(study: StudyPlan, values: Array, metric: str, controller: str)
 
     The estimators are those of Saltelli et al., "Variance based sensitivity analysis of model output", 2010. The intervals
     are of a bootstrap over the samples: SciPy's own bootstrap takes no seed.
-
-    Args:
-        study: The study, sampled with "saltelli".
-        values: The metric of all runs of the controller, in their order.
-        metric: Its name.
-        controller: The label of the controller.
-
-    Raises:
-        InputError: A run has no such figure.
     """
     names = [name for name, factor in study.factors.items() if isinstance(factor, Random)]
     if not np.isfinite(values).all():

@@ -37,11 +37,7 @@ class Estimate:
         return Estimate(factor * self.value, factor * self.low, factor * self.high)
 
     def to_dict(self) -> dict[str, float | None]:
-        """For JSON; what is not finite is None.
-
-        Returns:
-            value, low and high.
-        """
+        """For JSON; what is not finite is None."""
         return {name: value if isfinite(value) else None for name, value in vars(self).items()}
 
 

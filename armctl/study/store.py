@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from armctl.core.errors import ArmctlError, InputError
-from armctl.study.bench import Outcome, Run
+from armctl.study.bench import FIGURES, Outcome, Run, failed_outcome
 
 _BUSY_S = 30.0  # how long to wait for another program that writes the same file
 _KEYS_PER_QUERY = 500
@@ -19,16 +19,7 @@ class Store:
     """The file of a study. Only the program that runs the study writes; each `add` is one transaction."""
 
     def __init__(self, path: Path, versions: str):
-        """Opens or creates the file.
-
-        Args:
-            path: The file; its folder is made.
-            versions: The versions with which the runs are made.
-
-        Raises:
-            InputError: The file is none of a study.
-            ArmctlError: It cannot be opened.
-        """
+        """Opens or creates the file."""
         self._path = path
         self._versions = versions
         with self._one_sentence():
@@ -65,7 +56,7 @@ class Store:
                 keys = [run.key for run in runs[first : first + _KEYS_PER_QUERY]]
                 marks = ", ".join("?" * len(keys))
                 query = f"select key, outcome from runs where key in ({marks}){condition}"
-                found.update((key, json.loads(outcome)) for key, outcome in self._db.execute(query, keys))
+                found.update((key, _outcome(text)) for key, text in self._db.execute(query, keys))
         return found
 
     def of_other_versions(self) -> int:
@@ -79,7 +70,17 @@ class Store:
             yield
         except sqlite3.OperationalError as error:
             raise ArmctlError(f"{self._path!s:.160}: cannot be used: {error}") from None
-        except (sqlite3.DatabaseError, ValueError) as error:
+        except (sqlite3.DatabaseError, ValueError, TypeError, RecursionError) as error:
             raise InputError(f"{self._path!s:.160}: it is not a file of a study ({error!s:.120})") from None
         except OSError as error:
             raise ArmctlError(f"{self._path!s:.160}: cannot be used: {error.strerror or error}") from None
+
+
+def _outcome(text: str) -> Outcome:
+    """An outcome from its JSON; ValueError if it is something else."""
+    outcome = json.loads(text)
+    if not isinstance(outcome, dict) or outcome.keys() != failed_outcome("").keys():
+        raise ValueError("a run has no outcome")
+    if not all(isinstance(outcome[name], float | None) for name in FIGURES):
+        raise ValueError("a figure is not a number")
+    return outcome

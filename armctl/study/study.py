@@ -46,7 +46,6 @@ class Study(StudyPlan):
         samples: The number of samples of the distributions among the factors: a power of 2, unless `sampling` is "lhs".
         sampling: "sobol", a scrambled Sobol sequence, of which more samples keep the first ones; "lhs", a Latin hypercube;
             "saltelli", the points that `StudyResult.sensitivity` needs: (d + 2) samples for d distributions.
-        seed: The seed of the study.
         dwell: s to hold the end of the motion.
         tolerance: m, the largest distance at which the tip is at its goal.
 
@@ -67,7 +66,6 @@ class Study(StudyPlan):
             executor: Where the runs are made: any `concurrent.futures.Executor`, such as a `ProcessPoolExecutor`, or
                 `dask.distributed.Client(address).get_executor(pure=False)` for a cluster; None for this process. It is not shut
                 down. Processes that are started by spawning need `if __name__ == "__main__":` in the script.
-            folder: Where the file is.
             progress: Whether a bar shows the progress, if stderr is a terminal.
 
         Returns:
@@ -108,9 +106,6 @@ class Study(StudyPlan):
     def result(self, folder: str | os.PathLike[str] = ".") -> StudyResult:
         """The results of the runs that are finished, without making any.
 
-        Args:
-            folder: Where the file is.
-
         Returns:
             The results; not `ok` if runs are missing.
 
@@ -134,7 +129,7 @@ class Study(StudyPlan):
             make_controller(label, spec, self.bench.arm)
         first = self.runs[0]
         for name, factor in self.factors.items():
-            for value in examples(factor):
+            for value in examples(factor, (run.point[name] for run in self.runs)):
                 run = first._replace(point={**first.point, name: value})
                 self.bench.check_plant(run)
                 if name == "speed":

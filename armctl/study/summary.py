@@ -41,7 +41,6 @@ class StudySummary:
         ok: Whether all runs of the study are finished.
         reason: The reason if it is not ok; empty if it is.
         name: The name of the study.
-        metrics: The metrics.
         controllers: One for each controller.
     """
 
@@ -75,11 +74,7 @@ class StudySummary:
         return text if self.ok else f"{self.reason}\n\n{text}"
 
     def to_dict(self) -> dict[str, object]:
-        """All figures for JSON; what is not finite is None.
-
-        Returns:
-            A dictionary of numbers, texts and lists.
-        """
+        """All figures for JSON; what is not finite is None."""
         controllers = [
             {
                 "controller": each.controller,

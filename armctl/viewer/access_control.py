@@ -54,9 +54,6 @@ class AccessControl:
     A request must name this machine in Host: otherwise a foreign page could reach this one through a DNS name of its own (DNS
     rebinding). A request from a script carries Origin, which must be the page itself: otherwise any page in the same browser
     could open a WebSocket. With a token, a visitor shows the token once and gets a random session id as a cookie.
-
-    Attributes:
-        in_notebook: Whether a notebook of this machine may show the page in a frame.
     """
 
     def __init__(
@@ -68,14 +65,7 @@ class AccessControl:
         *,
         in_notebook: bool = False,
     ):
-        """Access control for one page.
-
-        Args:
-            port: Port of the page.
-            host: Address that the page listens at; None for this machine alone.
-            token: The token that visitors need; None if no token is needed.
-            allowed_hosts: More names of this machine that a request may carry in Host.
-            in_notebook: Whether a notebook of this machine may show the page in a frame.
+        """Access control for one page, with the arguments of its `WebScene`.
 
         Raises:
             InputError: The token is too short.
@@ -184,6 +174,8 @@ class AccessControl:
             return False
         if name.rstrip(".") in self._names:
             return True
+        if "%" in name:  # no browser sends a zone, and "127.0.0.1%00.evil.example" is no address
+            return False
         try:
             return _address(name) == _address(connection.local_address[0])
         except ValueError:

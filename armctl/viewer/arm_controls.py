@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from armctl.sim.realtime import RealTimeSession
-from armctl.sim.status import Activity
+from armctl.sim.realtime.session import RealTimeSession
+from armctl.sim.realtime.status import Activity
 from armctl.viewer.panel import Panel
 from armctl.viewer.plan_preview import PlanPreview
 from armctl.viewer.status_text import describe
@@ -17,22 +17,10 @@ _LABEL_OFFSET_M = np.array([0.0, 0.0, 0.1])
 
 
 class ArmControls:
-    """A session with its target, trail, planned path and panel.
-
-    Attributes:
-        session: The session.
-        panel: The controls of the session.
-        target: The target's handles and fields.
-    """
+    """A session with its target, trail, planned path and panel."""
 
     def __init__(self, session: RealTimeSession, scene: WebScene, root: str):
-        """Adds the controls of a session to a page. The session stands by.
-
-        Args:
-            session: The session, before its start.
-            scene: The page's scene.
-            root: The scene node below which everything of this arm is drawn.
-        """
+        """Adds the controls of a session to a page. The session stands by."""
         server = scene.server
         arm = session.arm
         self.session = session

@@ -10,7 +10,7 @@ import numpy as np
 from armctl.core.plotting import COLORS
 from armctl.core.target import TOLERANCE
 from armctl.core.validation import Array
-from armctl.sim.history import DURATION_S, Samples
+from armctl.sim.realtime.history import DURATION_S, Samples
 
 if TYPE_CHECKING:
     import viser

@@ -10,7 +10,7 @@ from armctl.analysis.report import Report
 from armctl.control import CONTROLLERS
 from armctl.core.latest_worker import LatestWorker
 from armctl.sim.plant import Plant
-from armctl.sim.realtime import RealTimeSession
+from armctl.sim.realtime.session import RealTimeSession
 
 if TYPE_CHECKING:
     import viser

@@ -13,8 +13,8 @@ import mujoco
 from armctl.core.errors import NotInstalledError
 from armctl.mjmodel.target_marker import find_target, is_movable, read_target, set_target
 from armctl.robot.arm import Arm
-from armctl.sim.realtime import RealTimeSession
-from armctl.sim.status import Status
+from armctl.sim.realtime.session import RealTimeSession
+from armctl.sim.realtime.status import Status
 from armctl.viewer.status_text import describe
 
 _DRAW_INTERVAL_S = 1 / 60
@@ -23,10 +23,6 @@ _CLOSE_TIMEOUT_S = 5.0
 
 def view_natively(arm: Arm, controller: str) -> None:
     """Runs a session in a window until that is closed, or Ctrl-C.
-
-    Args:
-        arm: The arm.
-        controller: Name of the controller.
 
     Raises:
         NotInstalledError: There is no screen.

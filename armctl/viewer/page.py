@@ -18,7 +18,7 @@ from armctl.control import CONTROLLERS
 from armctl.core.errors import ArmctlError, InputError, UnknownNameError
 from armctl.core.latest_worker import LatestWorker
 from armctl.robot.arm import Arm
-from armctl.sim.realtime import RealTimeSession
+from armctl.sim.realtime.session import RealTimeSession
 from armctl.viewer.panel import Panel
 from armctl.viewer.scene_controls import SceneControls
 from armctl.viewer.web_scene import DRAW_INTERVAL_S, PORT, WebScene
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _TEXT_INTERVAL_S = 0.15
 _START_DELAY_S = 2.0  # the first page is drawn before the arm moves
 _JOIN_TIMEOUT_S = 0.5
-_PRELOADED_MODULES = ("mjviser", "armctl.ik.kernel")  # slow to import: loaded while MuJoCo compiles the model
+_PRELOADED_MODULES = ("mjviser", "armctl._core")  # slow to import: loaded while MuJoCo compiles the model
 
 _MAX_NOTICE_LENGTH = 400
 
@@ -39,21 +39,13 @@ _log = logging.getLogger("armctl.viewer")
 
 
 class Page:
-    """Arms on a web page, of which one at a time is commanded, in one of several scenes.
-
-    Attributes:
-        scene: The page's 3D scene.
-        url: Address of the page.
-        port: Port of the page.
-    """
+    """Arms on a web page, of which one at a time is commanded, in one of several scenes."""
 
     def __init__(self, arms: Sequence[Arm], scene: WebScene, controller: str = "computed-torque", scenes: Scenes | None = None):
         """Puts arms and their controls on a page; `serve` then keeps it up to date.
 
         Args:
             arms: Arms of one model; the first is commanded first.
-            scene: An empty scene.
-            controller: Name of the first controller.
             scenes: Functions that load the arms in a scene, by the scene's name; the arms are in the first one. Visitors
                 choose among several.
 
@@ -193,7 +185,6 @@ def view(
     Args:
         scenes: Functions that load the arms in a scene, one arm or several of one model, by the scene's name. The first is
             called while the browser opens; visitors choose among several.
-        controller: Name of the first controller.
         port: Port of the page. Without a host, the next free one if it is taken; any free one if 0.
         host: Address of this machine at which other machines reach the page; None for this machine alone.
         token: The token that visitors need. Required with a host.

@@ -1,8 +1,9 @@
 """viser's server behind access control and a message filter.
 
 viser serves HTTP and WebSocket with one call of `websockets.asyncio.server.serve`. viser offers no hook for requests or
-messages, but `serve` does. So this module replaces that call by one with our hooks and limits, for viser alone and only while
-viser starts. The page has one port, there is no second server behind it, and no proxy copies its bytes.
+messages, but `serve` does. So this module adds our hooks and limits to that call, which it knows by its address, while viser
+starts. The page has one port. A proxy would need a second one: viser listens at TCP ports only, and checks neither Origin nor
+token, so that any page in a browser of this machine could reach it there.
 """
 
 from __future__ import annotations
@@ -15,13 +16,10 @@ import io
 import logging
 import socket
 import threading
-import types
 from typing import Any
 
 import viser
 import websockets.asyncio.server
-from viser import _messages
-from viser.infra import _infra
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
@@ -33,7 +31,7 @@ LOCAL = "127.0.0.1"
 _MAX_PORTS_TRIED = 100
 _CLOSE_TIMEOUT_S = 0.5  # for a client that does not answer when the page closes
 _OPEN_TIMEOUT_S = 10.0
-_MAX_CONNECTIONS = 256  # of browsers that load the page, and of others that have not sent a request yet
+_MAX_REQUESTS = 256  # connections without a WebSocket: they load the page, or have not sent a request yet
 _TOO_MANY_CLIENTS = 1013  # WebSocket close code "try again later"
 _GZIP_LEVEL = 6
 # Text and buttons with the contrast of WCAG 2 AA, 4.5 to 1. On a phone the panel is as wide as the page and leaves room above.
@@ -81,14 +79,44 @@ def _listen_at(host: str, port: int) -> socket.socket:
     return socket.create_server(address[:2], family=family)
 
 
+class _Connections:
+    """The connections of a page. One more request than allowed ends the oldest, so that idle ones lock nobody out."""
+
+    def __init__(self) -> None:
+        self.all: set[ServerConnection] = set()
+        self.requests: dict[ServerConnection, None] = {}  # in the order of their arrival
+
+    def add(self, connection: ServerConnection) -> None:
+        self.all.add(connection)
+        self.requests[connection] = None
+        if len(self.requests) > _MAX_REQUESTS:
+            oldest = next(iter(self.requests))
+            del self.requests[oldest]
+            oldest.transport.abort()
+
+    def remove(self, connection: ServerConnection) -> None:
+        self.all.discard(connection)
+        self.requests.pop(connection, None)
+
+    def abort(self) -> None:
+        for connection in list(self.all):
+            connection.transport.abort()
+
+
+class _UnsharedServer(viser.ViserServer):
+    """viser's server without the tunnel that would publish the page. The filter drops requests for it, too."""
+
+    def request_share_url(self, verbose: bool = True) -> None:
+        """Opens no tunnel."""
+
+    def disconnect_share_url(self) -> None:
+        """There is no tunnel."""
+
+
 class PageServer:
-    """viser's server with the connections that it serves.
+    """viser's server with the connections that it serves."""
 
-    Attributes:
-        viser: viser's server.
-    """
-
-    def __init__(self, server: viser.ViserServer, connections: set[ServerConnection]):
+    def __init__(self, server: viser.ViserServer, connections: _Connections):
         """Use `start_server`."""
         self.viser = server
         self._connections = connections
@@ -96,13 +124,9 @@ class PageServer:
     def stop(self) -> None:
         """Ends all connections at once and stops the server: a client that does not answer must not delay the end."""
         with contextlib.suppress(RuntimeError):  # the event loop is closed already
-            self.viser.get_event_loop().call_soon_threadsafe(self._abort_connections)
+            self.viser.get_event_loop().call_soon_threadsafe(self._connections.abort)
         with contextlib.redirect_stdout(io.StringIO()):  # viser announces its end
             self.viser.stop()
-
-    def _abort_connections(self) -> None:
-        for connection in list(self._connections):
-            connection.transport.abort()
 
 
 def start_server(listener: socket.socket, access: AccessControl, title: str) -> PageServer:
@@ -112,46 +136,46 @@ def start_server(listener: socket.socket, access: AccessControl, title: str) -> 
         NotInstalledError: This version of viser serves in another way, so that it cannot be protected.
     """
     messages = MessageFilter()
-    connections: set[ServerConnection] = set()
+    connections = _Connections()
+    address = (LOCAL, int(listener.getsockname()[1]))
+    unprotected_serve = websockets.asyncio.server.serve
     calls: list[str] = []
 
-    def serve(handler, host, port, *, process_request, **options: Any):
+    def serve(handler, host, port, *, process_request=None, **options: Any):
+        if (host, port) != address:  # not viser's call
+            return unprotected_serve(handler, host, port, process_request=process_request, **options)
         calls.append("serve")
         options.update(_options(messages, connections))
-        return websockets.asyncio.server.serve(
-            _counted(handler, access), sock=listener, process_request=_checked(process_request, access, title), **options
-        )
+        checked = _checked(process_request, access, title)
+        return unprotected_serve(_counted(handler, access, connections), sock=listener, process_request=checked, **options)
 
     with _start_lock, contextlib.redirect_stdout(io.StringIO()):  # viser prints a table
-        setattr(_infra, "websockets", _replaced_serve(serve))  # noqa: B010 (for the type checker, a module is not a variable)
+        setattr(websockets.asyncio.server, "serve", serve)  # noqa: B010 (for the type checker, a class is not a variable)
         try:
-            server = viser.ViserServer(host=LOCAL, port=listener.getsockname()[1], verbose=False)
+            server = _UnsharedServer(*address, verbose=False)
         finally:
-            setattr(_infra, "websockets", websockets)  # noqa: B010
+            setattr(websockets.asyncio.server, "serve", unprotected_serve)  # noqa: B010
     if calls != ["serve"]:
         listener.close()
         PageServer(server, connections).stop()
         raise NotInstalledError(f"armctl cannot protect the page of viser {viser.__version__}; install viser 1.1")
-    # These two would publish the page through a tunnel. The filter drops them too.
-    for message_class in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
-        server._websock_server.unregister_handler(message_class)
-    server._event_loop.call_soon_threadsafe(server._event_loop.set_exception_handler, _ErrorLog())
+    loop = server.get_event_loop()
+    loop.call_soon_threadsafe(loop.set_exception_handler, _ErrorLog())
+    # viser has no public way from the id in a message to the control.
     messages.inputs = server.gui._gui_input_handle_from_uuid
     return PageServer(server, connections)
 
 
-def _options(messages: MessageFilter, connections: set[ServerConnection]) -> dict[str, Any]:
+def _options(messages: MessageFilter, connections: _Connections) -> dict[str, Any]:
     class FilteredConnection(ServerConnection):
         """A connection whose receiver sees checked messages only."""
 
         def connection_made(self, transport: asyncio.BaseTransport) -> None:
             super().connection_made(transport)
             connections.add(self)
-            if len(connections) > _MAX_CONNECTIONS:
-                self.transport.abort()
 
         def connection_lost(self, exc: Exception | None) -> None:
-            connections.discard(self)
+            connections.remove(self)
             super().connection_lost(exc)
 
         async def recv(self, decode: bool | None = None) -> Any:
@@ -170,8 +194,9 @@ def _options(messages: MessageFilter, connections: set[ServerConnection]) -> dic
     }
 
 
-def _counted(handler, access: AccessControl):
+def _counted(handler, access: AccessControl, connections: _Connections):
     async def handle(connection: ServerConnection) -> None:
+        connections.requests.pop(connection, None)
         if not access.add_client(connection):
             await connection.close(_TOO_MANY_CLIENTS)
             return
@@ -208,18 +233,6 @@ def _styled(page: bytes, title: str, *, compressed: bool) -> bytes:
     head = f"<title>{html.escape(title)}</title><style>{_STYLE}</style>"
     styled = plain.replace(b"<title>Viser</title>", head.encode(), 1)
     return gzip.compress(styled, _GZIP_LEVEL) if compressed else styled
-
-
-def _replaced_serve(serve) -> types.ModuleType:
-    """The module `websockets` with another `asyncio.server.serve`."""
-    server = _copied(websockets.asyncio.server, serve=serve)
-    return _copied(websockets, asyncio=_copied(websockets.asyncio, server=server))
-
-
-def _copied(module: types.ModuleType, **replacements: object) -> types.ModuleType:
-    copy = types.ModuleType(module.__name__)
-    vars(copy).update(vars(module) | replacements)
-    return copy
 
 
 class _ErrorLog:

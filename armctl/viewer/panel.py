@@ -10,8 +10,8 @@ import numpy as np
 from armctl.control import CONTROLLERS
 from armctl.core.latest_worker import LatestWorker
 from armctl.core.validation import Array
-from armctl.sim.realtime import RealTimeSession
-from armctl.sim.status import Status
+from armctl.sim.realtime.session import RealTimeSession
+from armctl.sim.realtime.status import Status
 from armctl.viewer.charts import Charts
 from armctl.viewer.comparison_panel import ComparisonPanel
 from armctl.viewer.contact_arrows import ContactArrows

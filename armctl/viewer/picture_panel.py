@@ -16,8 +16,8 @@ from armctl.core.latest_worker import LatestWorker
 from armctl.core.validation import Array
 from armctl.render.renderer import Renderer
 from armctl.render.video import pose, write_mp4
-from armctl.sim.realtime import RealTimeSession
-from armctl.sim.status import Status
+from armctl.sim.realtime.session import RealTimeSession
+from armctl.sim.realtime.status import Status
 
 if TYPE_CHECKING:
     import viser
@@ -112,7 +112,7 @@ class PicturePanel:
         arm = self._session.arm
         data = mujoco.MjData(arm.model)
         pose(arm, data, moment.qpos, moment.target)
-        with Renderer(arm.model, *_SCREENSHOT_PX, "full") as renderer:
+        with Renderer(arm.model, _SCREENSHOT_PX, "full") as renderer:
             image = renderer.image(data, camera)
         file = io.BytesIO()
         Image.fromarray(np.ascontiguousarray(image)).save(file, "png")
@@ -122,14 +122,14 @@ class PicturePanel:
         arm = self._session.arm
         data = mujoco.MjData(arm.model)
         file = io.BytesIO()
-        with Renderer(arm.model, *_FILM_PX) as renderer:
+        with Renderer(arm.model, _FILM_PX) as renderer:
 
             def images():
                 for moment in film:
                     pose(arm, data, moment.qpos, moment.target)
                     yield renderer.image(data, camera)
 
-            write_mp4(file, images(), _FRAMES_PER_SECOND, *_FILM_PX)
+            write_mp4(file, images(), _FRAMES_PER_SECOND, _FILM_PX)
         return file.getvalue()
 
 

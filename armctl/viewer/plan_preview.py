@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from armctl.robot.arm import Arm
-from armctl.sim.target_follower import PATH_POINTS, PlannedPath
+from armctl.sim.realtime.target_follower import PATH_POINTS, PlannedPath
 from armctl.viewer.mesh_decimation import decimated
 
 if TYPE_CHECKING:

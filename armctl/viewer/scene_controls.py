@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from armctl.sim.realtime import UPDATE_INTERVAL_S, RealTimeSession
+from armctl.sim.realtime.session import UPDATE_INTERVAL_S, RealTimeSession
 from armctl.viewer.arm_controls import ArmControls
 from armctl.viewer.web_scene import WebScene
 
@@ -16,20 +16,13 @@ if TYPE_CHECKING:
 
 
 class SceneControls:
-    """The controls of all arms, of which one at a time is commanded; the brakes hold the others where they are.
-
-    Attributes:
-        shown: The controls of the commanded arm.
-        arms: The controls of each arm, by its tip.
-    """
+    """The controls of all arms, of which one at a time is commanded; the brakes hold the others where they are."""
 
     def __init__(self, sessions: Sequence[RealTimeSession], scene: WebScene, root: str, folder: str = ""):
         """Adds the controls to a page. All sessions stand by.
 
         Args:
             sessions: A session for each arm; the first is commanded first.
-            scene: The page's scene.
-            root: The scene node below which everything is drawn.
             folder: Label of a folder of the panel for the controls; without one, they cannot be removed from the panel.
         """
         gui = scene.server.gui

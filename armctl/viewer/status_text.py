@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from armctl.core.target import TOLERANCE
-from armctl.sim.history import Samples
-from armctl.sim.status import Activity, Status
+from armctl.sim.realtime.history import Samples
+from armctl.sim.realtime.status import Activity, Status
 
 _MIN_SHOWN_MM = 1e-3
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from armctl.core.pose import Pose
 from armctl.core.validation import Array
-from armctl.sim.realtime import RealTimeSession
-from armctl.sim.status import Status
+from armctl.sim.realtime.session import RealTimeSession
+from armctl.sim.realtime.status import Status
 
 if TYPE_CHECKING:
     import viser

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from armctl.robot.arm import Arm
-from armctl.sim.clock import RealTimeClock
+from armctl.sim.realtime.clock import RealTimeClock
 from armctl.viewer.web_scene import PORT, WebScene
 
 _TEXT_INTERVAL_S = 0.2
@@ -25,7 +25,6 @@ class Viewer:
         interval: Simulated time between two drawn states, s.
         url: Address of the page.
         clock: The page's clock; `clock.speed = 0.2` is slow motion.
-        scene: The page's 3D scene.
     """
 
     interval = 0.01
@@ -34,7 +33,6 @@ class Viewer:
         """Opens a page, and a browser where there is a screen.
 
         Args:
-            arm: The arm.
             port: Port of the page; the next free one if it is taken, any free one if 0.
 
         Raises:
@@ -75,11 +73,7 @@ class Viewer:
         self.scene.close()
 
     def after_reset(self, data: mujoco.MjData) -> None:
-        """Shows the new state.
-
-        Args:
-            data: State of the simulated model.
-        """
+        """Shows the new state."""
         self._show(data)
 
     def before_run(self) -> None:
@@ -87,12 +81,7 @@ class Viewer:
         self.clock.resume()
 
     def after_ticks(self, data: mujoco.MjData, seconds: float) -> None:
-        """Shows the state, and waits for the wall clock.
-
-        Args:
-            data: State of the simulated model.
-            seconds: Simulated time since the last call, s.
-        """
+        """Shows the state after `seconds` of simulated time, and waits for the wall clock."""
         self._show(data)
         self.clock.wait(seconds)
 

@@ -84,9 +84,6 @@ class WebScene:
 
     Attributes:
         server: viser's server, for more controls on the page.
-        text: The text at the top of the panel.
-        port: Port of the page.
-        url: Address of the page, with the token if there is one.
     """
 
     def __init__(
@@ -106,7 +103,6 @@ class WebScene:
             host: Address of this machine at which other machines reach the page; None for this machine alone.
             token: The token that visitors need; None if no token is needed.
             allowed_hosts: More names of this machine that a request may carry in its Host header.
-            title: What the browser's tab shows.
             in_notebook: Whether a notebook of this machine may show the page in a frame.
 
         Raises:
@@ -154,11 +150,7 @@ class WebScene:
         return bool(screen) and webbrowser.open(self._root + self._access.one_time_query())
 
     def set(self, arm: Arm, others: Sequence[Arm] = ()) -> None:
-        """Puts an arm on the page, at home. It replaces the one that is there.
-
-        Args:
-            arm: The arm.
-            others: More arms of its model that the first view shows.
+        """Puts an arm on the page, at home, in place of the one that is there; the first view shows the others, too.
 
         Raises:
             NotInstalledError: mjviser is missing.
@@ -185,13 +177,7 @@ class WebScene:
         self._thread.start()
 
     def show(self, qpos: Array, mocap_pos: Array | None = None, mocap_quat: Array | None = None) -> None:
-        """Sets what is drawn next. States that come faster than they are drawn are left out.
-
-        Args:
-            qpos: (nq,).
-            mocap_pos: (nmocap, 3) m; unchanged if None.
-            mocap_quat: (nmocap, 4) wxyz; unchanged if None.
-        """
+        """Sets what is drawn next: qpos (nq,), and positions (nmocap, 3) m and wxyz of mocap bodies, unchanged if None."""
         position = self._data.mocap_pos if mocap_pos is None else mocap_pos
         quat = self._data.mocap_quat if mocap_quat is None else mocap_quat
         self._latest = _Frame(np.array(qpos), np.array(position), np.array(quat))

@@ -11,7 +11,6 @@ import mujoco_menagerie as menagerie
 from PIL import Image
 
 import armctl
-from armctl.analysis.chain_check import arms_of
 from armctl.loading.catalog import BUNDLED
 
 DOCS = Path(__file__).resolve().parents[1]
@@ -38,13 +37,18 @@ def draw(arm: armctl.Arm, path: Path) -> None:
     """A small picture of an arm at home."""
     log = armctl.simulate(arm, "computed-torque", armctl.move_j(arm, arm.home, arm.home), dwell=0.01)
     with tempfile.TemporaryDirectory() as folder:
-        large = armctl.still(log, arm, Path(folder) / "still.png", width=2 * WIDTH_PIXELS, height=2 * HEIGHT_PIXELS)
+        large = armctl.still(log, arm, Path(folder) / "still.png", size=(2 * WIDTH_PIXELS, 2 * HEIGHT_PIXELS))
         Image.open(large).resize((WIDTH_PIXELS, HEIGHT_PIXELS)).save(path, quality=80)
+
+
+def load_chain(robot: str, chain: armctl.SerialChain) -> armctl.Arm:
+    """The arm of a chain, with a held base."""
+    return armctl.load(robot, tip=chain.tip, base=None if chain.base == "world" else chain.base, hold_base=True)
 
 
 def section(robot: str) -> str:
     """The heading, picture and arms of a robot; empty if nothing on it can be an arm."""
-    arms = [arm for _, arm in arms_of(robot)]
+    arms = [load_chain(robot, chain) for chain in armctl.chains(robot) if chain.ok]
     if not arms:
         return ""
     picture = FOLDER / f"{robot}.webp"

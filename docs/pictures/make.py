@@ -24,10 +24,10 @@ from armctl.analysis.comparison import compare, out_and_back
 from armctl.analysis.plot import overlay
 from armctl.core.plotting import COLORS, STYLE, finish_figure
 from armctl.render import record
-from armctl.sim.status import Activity
+from armctl.sim.realtime.status import Activity
 
 if TYPE_CHECKING:
-    from armctl.sim.realtime import RealTimeSession
+    from armctl.sim.realtime.session import RealTimeSession
     from armctl.viewer.page import Page
 
 HERE = Path(__file__).parent
@@ -65,7 +65,7 @@ def shelf() -> None:
         sim.reset(moves[-1](moves[-1].duration).q)
     sim.reset()
     log = sim.run(moves[0].then(moves[1]))
-    record(log, sim.arm, HERE / "shelf.gif", width=400, height=300, quality="fast", speed=0.75)
+    record(log, sim.arm, HERE / "shelf.gif", size=(400, 300), quality="fast", speed=0.75)
 
 
 def four_panels() -> None:

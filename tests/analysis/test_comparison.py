@@ -43,15 +43,13 @@ def bundled_motion():
 def test_every_pair_has_a_report_plant_by_plant(bundled_motion):
     arm, motion = bundled_motion
     plants = [armctl.Plant(), armctl.Plant(payload=1.0)]
-    told = []
-    reports = armctl.compare(arm, ["pd", "computed-torque"], motion, plants, progress=lambda *done: told.append(done))
+    reports = armctl.compare(arm, ["pd", "computed-torque"], motion, plants)
     assert [(r.controller, r.plant) for r in reports] == [
         ("pd", "nominal"),
         ("computed-torque", "nominal"),
         ("pd", "payload 1 kg"),
         ("computed-torque", "payload 1 kg"),
     ]
-    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
     assert reports[1].joint_rms_rad < 1e-9 < reports[0].joint_rms_rad
 
 
@@ -71,7 +69,7 @@ def test_plants_and_controllers_of_one_name_stay_apart(bundled_motion, tmp_path)
 def test_two_threads_find_what_one_finds(bundled_motion):
     arm, motion = bundled_motion
     plants = [armctl.Plant(encoder_noise=1e-4)]
-    one, two = (armctl.compare(arm, ["pd", "adaptive"], motion, plants, workers=workers) for workers in (1, 2))
+    one, two = (armctl.compare(arm, ["pd", "computed-torque-observer"], motion, plants, workers=workers) for workers in (1, 2))
     assert all(np.array_equal(a.log.q, b.log.q) for a, b in zip(one, two, strict=True))
 
 
@@ -96,10 +94,27 @@ def test_a_divergence_ends_in_a_verdict_with_its_log(bundled_motion):
     assert np.isfinite(report.log.tau).all()
 
 
+WITHOUT_DEFAULT = {
+    "mass_scale": "1.1",
+    "encoder_noise": "1e-5",
+    "velocity_noise": "1e-3",
+    "wrench_source": "torques",
+    "force_noise": "0.1",
+    "moment_noise": "0.01",
+    "wrench_delay": "2",
+    "timestep": "0.001",
+}
+
+
 @pytest.mark.parametrize("name", PLANTS)
 def test_every_plant_has_its_name(bundled, name):
-    plant = plant_by_name(name, bundled)
+    plant = plant_by_name(f"{name}={WITHOUT_DEFAULT[name]}" if name in WITHOUT_DEFAULT else name, bundled)
     assert (str(plant) == "nominal") == (name == "nominal")
+
+
+def test_the_attributes_of_a_plant_are_words_of_the_command_line(bundled):
+    plant = plant_by_name("mass_scale=1.1+wrench_source=torques+wrench_delay=2+continuous", bundled)
+    assert plant.key == armctl.Plant(mass_scale=1.1, wrench_source="torques", wrench_delay=2, continuous=True).key
 
 
 def test_plants_take_values_and_join(bundled):
@@ -114,6 +129,10 @@ def test_plants_take_values_and_join(bundled):
         ("paylod=1", armctl.UnknownNameError, "did you mean 'payload'"),
         ("payload=much", armctl.InputError, "plant payload=much: 'much' is not a number"),
         ("payload=-1", armctl.InputError, "payload: expected .*got -1"),
+        ("force_noise", armctl.InputError, "plant force_noise: 'force_noise' needs a value, as in 'force_noise=1'"),
+        ("wrench_source=x", armctl.InputError, "wrench_source: expected one of flange, torques"),
+        ("continuous=1", armctl.InputError, "'continuous' takes no value"),
+        ("all=2", armctl.InputError, "'all' takes no value"),
         ("nominal=3", armctl.InputError, "'nominal' takes no value"),
         ("delay=1.5", armctl.InputError, "delay: expected a whole number"),
     ],

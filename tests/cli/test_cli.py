@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from arms import BUNDLED, MISSING, at_hand
@@ -15,7 +16,6 @@ from synthetic import FIRST, SECOND, THIRD, TOOL, urdf
 import armctl
 from armctl.cli.common import CONTROLLER_NAMES
 from armctl.cli.main import _with_options, main
-from armctl.cli.warmup import compile_part
 from armctl.control import CONTROLLERS
 from armctl.core.tables import TERMINAL_COLUMNS, Table, folded
 from armctl.loading.datasheets import ROWS
@@ -244,10 +244,10 @@ def test_reachability_is_printed_saved_and_drawn(capsys, tmp_path):
 
 
 def test_margins_are_a_table_and_a_page(capsys, tmp_path):
-    chosen = ("--controllers", "pd,adaptive", "--poses", "3", "--timestep", "0.002")
+    chosen = ("--controllers", "pd,pd-gravity", "--poses", "3", "--timestep", "0.002")
     status, out, err = run(capsys, "margins", BUNDLED, *chosen, "--report", str(tmp_path))
     assert status == 0, err
-    assert [line.split()[0] for line in out.splitlines()[-2:]] == ["pd", "adaptive"]
+    assert [line.split()[0] for line in out.splitlines()[-2:]] == ["pd", "pd-gravity"]
     page = (tmp_path / "margins.html").read_text()
     assert page.count("<svg") == 2
     status, out, _ = run(capsys, "margins", BUNDLED, *chosen, "--json")
@@ -444,21 +444,6 @@ def test_a_reader_that_leaves_early_is_no_error():
     assert done.stderr == b""
 
 
-def test_after_a_warmup_nothing_is_left_to_compile(capsys):
-    status, out, _ = run(capsys, "warmup", "--workers", "1", "--only", "motion", "planning")
-    assert status == 0
-    assert out.startswith("[1/2] motion: ")
-    assert "\n[2/2] planning: " in out
-    assert "\nready after " in out
-    assert [compile_part(part).functions for part in ("motion", "planning")] == [0, 0]
-
-
-def test_a_warmup_without_workers_is_refused(capsys):
-    status, _, err = run(capsys, "warmup", "--workers", "0")
-    assert status == 2
-    assert err == "armctl: --workers: expected at least 1, got 0\n"
-
-
 def test_every_command_that_loads_an_arm_takes_an_srdf(capsys, tmp_path: Path):
     robot = urdf(FIRST, SECOND, THIRD, TOOL)
     (tmp_path / "robot.urdf").write_text(robot)
@@ -512,3 +497,16 @@ raise SystemExit(armctl.cli.program())
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=os.environ | _paths())
     assert (done.returncode, done.stderr) == (130, "")
+
+
+def test_all_speeds_of_iso9283_are_fractions_of_the_given_one(capsys, monkeypatch):
+    speeds = []
+
+    def measured(*_, speed, **__):
+        speeds.append(speed)
+        return SimpleNamespace(reason="", to_dict=lambda: {"speed": speed})
+
+    monkeypatch.setattr("armctl.analysis.iso9283.iso9283_cycles", measured)
+    status, _, _ = run(capsys, "iso9283", BUNDLED, "--all-speeds", "--speed", "0.4")
+    assert status == 0
+    assert speeds == pytest.approx([0.4, 0.2, 0.04])

@@ -17,7 +17,7 @@ from armctl.collision.checkers import collision_checker
 BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
 CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 
-pytestmark = pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")
+pytestmark = [pytest.mark.core, pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")]
 
 
 @pytest.fixture(scope="module")

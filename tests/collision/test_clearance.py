@@ -9,7 +9,7 @@ from collidable import arm_among
 import armctl
 from armctl.collision.checkers import collision_checker
 
-pytestmark = pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")
+pytestmark = [pytest.mark.core, pytest.mark.filterwarnings("ignore::armctl.ArmctlWarning")]
 
 
 @pytest.fixture(scope="module")

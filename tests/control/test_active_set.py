@@ -4,7 +4,9 @@ import daqp
 import numpy as np
 import pytest
 
-from armctl.control.active_set_kernel import UNBOUNDED, solve_program, work_size
+from armctl._core import UNBOUNDED, solve_program
+
+pytestmark = pytest.mark.core
 
 PROGRAMS = 400  # of each kind
 MAX_UNKNOWNS = 9
@@ -102,7 +104,7 @@ def program(rng: np.random.Generator, kind, condition: float):
 def solution(H, f, M, lower, upper):
     n = len(f)
     x = np.full(n, np.nan)
-    return x if solve_program(H, f, M, lower, upper, np.full(work_size(n), np.nan), x) else None
+    return x if solve_program(H, f, M, lower, upper, x) else None
 
 
 @pytest.mark.parametrize("kind", POSSIBLE, ids=lambda kind: kind.__name__)

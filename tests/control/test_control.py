@@ -22,9 +22,8 @@ EXACT = (
     "qp",
     "operational-space",
     "impedance",
-    "adaptive",
 )
-WITH_MEMORY = ("pid-gravity", "computed-torque-observer", "computed-torque-integral", "computed-torque-learning", "adaptive")
+WITH_MEMORY = ("pid-gravity", "computed-torque-observer", "computed-torque-integral", "computed-torque-learning")
 
 every_controller = pytest.mark.parametrize("name", CONTROLLERS)
 every_tick = pytest.mark.parametrize("dt", TICKS)
@@ -136,13 +135,12 @@ def test_an_unknown_controller_has_a_suggestion(bundled):
         (lambda arm: armctl.PIDGravity(arm, integral_gain=float("inf")), "integral_gain: expected a finite number, got inf"),
         (lambda arm: armctl.ComputedTorqueObserver(arm, observer_bandwidth="9"), "observer_bandwidth: '9' is not a number"),
         (lambda arm: armctl.Impedance(arm, posture_stiffness=-1.0), "posture_stiffness: every value must be at least 0"),
-        (lambda arm: armctl.Adaptive(arm, bandwidth=1j), "bandwidth: 1j is not a number"),
+        (lambda arm: armctl.ComputedTorqueObserver(arm, bandwidth=1j), "bandwidth: 1j is not a number"),
         (lambda arm: armctl.ComputedTorque(arm, form="exact"), "form: expected one of discrete, textbook, got 'exact'"),
         (lambda arm: armctl.ComputedTorque(arm, form="textbook", integral=True), "needs form='discrete'"),
         (lambda arm: armctl.ComputedTorque(arm, bandwidth=float("nan")), "bandwidth: expected a finite number, got nan"),
         (lambda arm: armctl.OperationalSpace(arm, posture_bandwidth=-2.0), "posture_bandwidth: expected .*got -2"),
         (lambda arm: armctl.Impedance(arm, stiffness=np.ones(3)), "stiffness: expected 6 numbers, got 3"),
-        (lambda arm: armctl.Adaptive(arm, adaptation_rate=-1.0), "adaptation_rate: expected .*got -1"),
     ],
 )
 def test_wrong_gains_are_refused_in_one_sentence(bundled, make, sentence):

@@ -75,18 +75,6 @@ def test_an_impedance_returns_no_more_energy_than_a_push_supplied(redundant):
     assert kinetic[-1] + spring[-1] < 1e-3 * supplied.max()
 
 
-def test_adaptive_control_estimates_the_payload(redundant):
-    arm = redundant
-    law = armctl.Adaptive(arm)
-    before = armctl.simulate(arm, "computed-torque", out_and_back(arm), armctl.Plant(payload=1.0))
-    motion = out_and_back(arm)
-    twice = motion.then(motion).then(motion)
-    after = armctl.simulate(arm, law, twice, armctl.Plant(payload=1.0))
-    assert law.payload[0] == pytest.approx(1.0, abs=0.1)
-    last = after.t > 2 * motion.duration
-    assert np.abs(after.q - after.q_ref)[last].max() < 0.2 * np.abs(before.q - before.q_ref).max()
-
-
 def test_the_observer_removes_most_of_the_error_of_an_unknown_payload(bent):
     without = greatest_error(bent, "computed-torque", 0.001, payload=1.0)
     observed = greatest_error(bent, "computed-torque-observer", 0.001, payload=1.0)

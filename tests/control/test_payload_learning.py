@@ -6,6 +6,7 @@ from motions import Still
 from synthetic import BENT, serial_arm
 
 import armctl
+from armctl import _core
 from armctl.core.trajectory import Setpoint
 
 OBSERVER = "computed-torque-observer"
@@ -49,24 +50,20 @@ def error_of_third_motion(arm, name, **plant):
 
 @pytest.mark.parametrize("continuous", [False, True])
 def test_the_regressor_gives_the_torque_of_a_body_at_the_tip(light_wrist, continuous):
-    from armctl.control.payload_kernel import payload_regressor, regressor_scratch
-    from armctl.robot.dynamics_kernel import inverse_dynamics
-
     arm = light_wrist
     center = np.array([0.03, -0.02, 0.05])
     loaded = arm.with_payload(0.7, center)
     moments = np.outer(center, center)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     parameters = 0.7 * np.concatenate([[1.0], center, moments])
     rng = np.random.default_rng(0)
-    work = np.zeros(arm.packed_dynamics.work_size())
+    dynamics = [_core.Dynamics(each.core_model.for_period(0.002, continuous)) for each in (arm, loaded)]
     Y = np.zeros((arm.n, 10))
     tau = np.zeros((2, arm.n))
     for _ in range(5):
         q, v, a = rng.uniform(-1.0, 1.0, (3, arm.n))
-        for row, each in zip(tau, (arm, loaded), strict=True):
-            inverse_dynamics(each.packed_dynamics.vector(0.002, continuous), q, v, a, work, row)
-        vector = arm.packed_dynamics.vector(0.002, continuous)
-        payload_regressor(vector, q, v, a, work, np.zeros(regressor_scratch(arm.n)), Y)
+        for row, each in zip(tau, dynamics, strict=True):
+            each.inverse_dynamics(q, v, a, row)
+        _core.payload_regressor(dynamics[0], q, v, a, Y)
         assert Y @ parameters == pytest.approx(tau[1] - tau[0], abs=1e-9)
 
 

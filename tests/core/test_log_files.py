@@ -137,19 +137,10 @@ def test_mcap_has_joint_states_that_ros_reads(log, tmp_path):
     assert [pose.orientation.w, pose.orientation.x] == log.tip_quat[0, :2].tolist()
 
 
-def test_rerun_reads_the_recording(log, tmp_path):
-    from rerun.chunk import RrdReader
-
-    rows = {chunk.entity_path: chunk.num_rows for chunk in RrdReader(log.to_rerun(tmp_path / "run.rrd")).stream()}
-    assert rows["/q/elbow"] == rows["/tau_cmd/shoulder_yaw"] == rows["/tip"] == len(log)
-    assert rows["/tip_path"] == 1
-
-
-@pytest.mark.parametrize(("name", "extra"), [("run.parquet", "study"), ("run.mcap", "ros"), ("run.rrd", "rerun")])
+@pytest.mark.parametrize(("name", "extra"), [("run.parquet", "study"), ("run.mcap", "ros")])
 def test_a_missing_package_is_named(log, tmp_path, monkeypatch, name: str, extra: str):
-    for package in ("pyarrow", "mcap_ros2.writer", "rerun"):
+    for package in ("pyarrow", "mcap_ros2.writer"):
         monkeypatch.setitem(__import__("sys").modules, package, None)
-    write = log.to_rerun if name.endswith("rrd") else log.save
     with pytest.raises(armctl.NotInstalledError, match=rf"its extra \[{extra}\]"):
-        write(tmp_path / name)
+        log.save(tmp_path / name)
     assert list(tmp_path.iterdir()) == []

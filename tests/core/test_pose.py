@@ -115,3 +115,12 @@ def test_equal_poses_are_equal_and_hash_alike():
 def test_a_wrong_pose_is_one_sentence(call, sentence: str):
     with pytest.raises(InputError, match=sentence):
         call()
+
+
+@pytest.mark.parametrize("pitch", [-0.5 * np.pi, 0.5 * np.pi])
+def test_pointing_straight_up_or_down_the_roll_is_zero_and_the_orientation_the_same(pitch: float):
+    for roll, yaw in ((0.4, 0.0), (0.0, -1.1), (2.0, 0.7)):
+        pose = Pose([0.0, 0.0, 0.0], rpy=[roll, pitch, yaw])
+        assert pose.rpy[0] == 0.0
+        assert pose.rpy[1] == pytest.approx(pitch)
+        assert_same(Pose([0.0, 0.0, 0.0], rpy=pose.rpy), pose)

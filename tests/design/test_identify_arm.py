@@ -12,6 +12,7 @@ from synthetic import BENT, limb, motors, serial_arm, ties
 import armctl
 from armctl.cli.main import main
 from armctl.design.pseudo_inertia import from_log_cholesky, inertial_parameters, pseudo_inertia, to_log_cholesky
+from armctl.design.regressor import FrictionShape
 from armctl.robot.pinocchio_model import build_pinocchio_model
 
 TICK = 0.002
@@ -294,3 +295,16 @@ def test_log_cholesky_factors_are_the_inverse_and_their_jacobian_is_exact():
         step = 1e-6 * np.eye(10)[k]
         slope = (from_log_cholesky(z + step)[0] - from_log_cholesky(z - step)[0]) / 2e-6
         assert jacobian[:, k] == pytest.approx(slope, abs=1e-6)
+
+
+def test_the_identified_friction_is_a_stribeck_curve(planar):
+    _, _, found = planar
+    shape = FrictionShape(np.array([0.01, 0.02, 0.03]), np.array([0.1, 0.2, 0.3]))
+    curve = replace(found, breakaway=np.array([1.0, 2.0, 3.0]), friction_speeds=shape)
+    sliding = found.viscous_friction * np.array([0.2, -0.1, 0.6]) + found.coulomb_friction * np.array([1.0, -1.0, 1.0])
+    falling = np.array([1.0, -2.0, 3.0]) * np.exp([-4.0, -0.25, -4.0])
+    assert curve.friction_torque([0.2, -0.1, 0.6]) == pytest.approx(sliding + falling)
+    sticking = 0.5 * (curve.coulomb_friction + curve.breakaway * np.exp(-0.0025))
+    assert curve.friction_torque(0.5 * shape.smoothing) == pytest.approx(
+        sticking + curve.viscous_friction * 0.5 * shape.smoothing, rel=1e-2
+    )

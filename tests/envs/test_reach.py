@@ -1,5 +1,6 @@
 """Environments of the task Reach: limits, seeds, threads, and what Gymnasium asks of an environment."""
 
+import dataclasses
 import os
 import subprocess
 import sys
@@ -9,14 +10,11 @@ import mujoco
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from synthetic import FAST, limb, mjcf, motors
+from synthetic import FAST, mjcf, motors
 
 import armctl
 import armctl.envs
-from armctl.envs.plants import FreePlants
-from armctl.envs.step_kernel import EVERYTHING, GEOMETRY, NOTHING
-from armctl.robot.dynamics_kernel import DRIVE_COLUMNS, FRICTION_GAIN
-from armctl.sim.free_space import FreeSpace
+from armctl.envs.actions import target_limits
 
 ROBOT = "robot_arm_3dof"
 ACTIONS = ("torque", "joint_delta", "joint_target", "cartesian_delta", "cartesian_pose")
@@ -60,10 +58,10 @@ for name in ("plugin/A-v0", "plugin:plugin/A-v0"):
     assert ended.stdout.split() == ["2", "NamespaceNotFound", "plugin/A-v0"]
 
 
-@pytest.mark.parametrize("free_space", [True, False])
+@pytest.mark.parametrize("contacts", [True, False])
 @pytest.mark.parametrize("action", ACTIONS)
-def test_joint_limits_hold_whatever_the_policy_does(arm, action, free_space):
-    env = armctl.envs.ArmEnv(arm, action=action, free_space=free_space)
+def test_joint_limits_hold_whatever_the_policy_does(arm, action, contacts):
+    env = armctl.envs.ArmEnv(arm, action=action, contacts=contacts)
     env.reset(seed=0)
     size = env.action_space.shape[0]
     pushes = np.sign(np.random.default_rng(1).uniform(-1.0, 1.0, (8, size)))
@@ -102,57 +100,6 @@ def test_a_batch_on_any_number_of_threads_is_its_single_environments(arm):
         assert np.array_equal(observation, batches[0][step, 2])
 
 
-VARIED = {
-    "payload": armctl.Range(0.1, 0.2),
-    "mass_scale": armctl.Range(0.9, 1.1),
-    "viscous_friction": armctl.Range(0.1, 0.5),
-}
-
-
-@pytest.mark.parametrize("action", ["torque", "joint_delta"])
-@pytest.mark.parametrize("randomize", [None, {"payload": VARIED["payload"]}, VARIED], ids=["nominal", "payload", "varied"])
-def test_dynamics_that_controller_and_plant_share_make_the_same_motion(arm, monkeypatch, action, randomize):
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (5, 4, arm.n))
-    seen = []
-    for shares in (EVERYTHING if randomize is None else GEOMETRY, NOTHING):
-        if shares == NOTHING:
-            monkeypatch.setattr("armctl.envs.rows.Rows._computes_with_nominal", lambda *_: False)
-        env = armctl.envs.ArmVectorEnv(arm, action=action, num_envs=4, randomize=randomize)
-        env.reset(seed=10)
-        seen.append(run(env, actions))
-        assert (env.batch.rows._shared == shares).all()
-    assert seen[0] == pytest.approx(seen[1], abs=1e-6)
-
-
-def test_only_controllers_that_know_the_positions_and_the_model_share_dynamics(arm):
-    for options, shares in (
-        ({}, EVERYTHING),
-        ({"controller": "pd-gravity"}, NOTHING),
-        ({"controller": "computed-torque-textbook"}, NOTHING),
-        ({"randomize": {"payload": armctl.Range(0.1, 0.2)}}, GEOMETRY),
-        ({"randomize": {"encoder_noise": armctl.Range(0.0, 1e-4)}}, NOTHING),
-    ):
-        env = armctl.envs.ArmEnv(arm, action="joint_delta", **options)
-        env.reset(seed=0)
-        assert env.batch.rows._shared == shares
-
-
-def test_steps_without_collision_detection_have_the_same_bits(arm, monkeypatch):
-    options = {"action": "joint_delta", "free_space": False, "randomize": {"payload": armctl.Range(0.0, 0.2)}, "horizon": 4}
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (10, 4, arm.n))
-    seen = []
-    for threads, least_steps in ((1, 10**9), (2, 1)):
-        monkeypatch.setattr("armctl.envs.simulated_arms._MIN_SKIP_STEPS", least_steps)
-        monkeypatch.setattr("armctl.collision.free_boxes._MIN_STEPS", least_steps)
-        env = armctl.envs.ArmVectorEnv(arm, num_envs=4, threads=threads, **options)
-        env.reset(seed=10)
-        seen.append(run(env, actions))
-        skipped = env.batch.rows.simulated.skipped
-        assert (skipped > 0) == (threads == 2)
-        env.close()
-    assert np.array_equal(*seen)
-
-
 def test_the_last_observation_of_an_episode_is_kept(arm):
     env = gymnasium.make_vec("armctl.envs:armctl/ReachGoal-v0", num_envs=2, robot=arm, horizon=2)
     assert env.metadata["autoreset_mode"] is gymnasium.vector.AutoresetMode.SAME_STEP
@@ -167,27 +114,71 @@ def test_the_last_observation_of_an_episode_is_kept(arm):
     assert env.compute_reward(last["achieved_goal"], last["desired_goal"], {}) == rewards[1]
 
 
-@pytest.mark.parametrize("lifted", [0.0, 0.6])
-def test_a_varied_plant_has_the_dynamics_of_its_model(lifted):
-    robot = mjcf(limb("a b c", joint='damping="0.1"').replace("<body", f'<body gravcomp="{lifted}"'), motors("a b c") + FAST)
-    arm = armctl.load(mujoco.MjSpec.from_string(robot))
+def test_contacts_are_simulated_where_they_are_asked_for():
+    """A ball on a slide goes through a block, or is stopped by it."""
+    slide = '<body name="slider" pos="0 0 0.3"><joint name="x" type="slide" axis="1 0 0" range="-1 1" damping="1"/>'
+    slide += '<geom size="0.02" mass="1"/><site name="tip"/></body>'
+    block = '<body name="block" pos="0.5 0 0.3"><geom type="box" size="0.02 0.2 0.2"/></body>'
+    slider = armctl.load(mujoco.MjSpec.from_string(mjcf(slide + block, motors("x") + FAST)))
+    ends = {}
+    for contacts in (None, False, True):
+        env = armctl.envs.ArmEnv(slider, action="joint_target", contacts=contacts)
+        env.reset(seed=0)
+        for _ in range(60):
+            env.step(np.ones(1))
+        ends[contacts] = env.batch.rows.q[0, 0]
+    assert ends[None] == ends[False] > 0.6
+    assert 0.4 < ends[True] < 0.5
 
-    def without_friction(found):
-        drives = len(found) - arm.n * (DRIVE_COLUMNS + arm.n)
-        found[drives + FRICTION_GAIN :: DRIVE_COLUMNS][: arm.n] = 0.0  # of dry friction, which there is none of
-        return found
 
-    plant = armctl.Plant(payload=0.3, mass_scale=1.2, viscous_friction=0.4)
-    model = plant.model(arm)
-    expected = FreeSpace(arm, model, mujoco.MjData(model)).vector
-    varied = FreePlants(arm).of(plant).vector
-    assert without_friction(varied) == pytest.approx(without_friction(expected), rel=1e-9, abs=1e-12)
+@pytest.mark.parametrize("action", ["torque", "joint_delta"])
+def test_a_varied_plant_moves_as_its_model_does(arm, action):
+    """`mj_step` on the model of the plant, with the torques of the motors, reaches the same positions."""
+    varied = {"payload": 0.15, "mass_scale": 1.1, "viscous_friction": 0.3}
+    randomize = {name: armctl.Range(value, value + 1e-12) for name, value in varied.items()}
+    env = armctl.envs.ArmEnv(arm, action=action, ticks=1, randomize=randomize)
+    env.reset(seed=0)
+    model = armctl.Plant(**varied).model(arm)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    data = mujoco.MjData(model)
+    data.qpos[:] = arm.qpos(env.batch.rows.q[0])
+    for push in np.random.default_rng(2).uniform(-1.0, 1.0, (40, arm.n)):
+        env.step(push)
+        data.ctrl[:] = env.batch.rows.simulated.data(0).ctrl
+        mujoco.mj_step(model, data)
+        assert data.qpos[arm.qpos_adr] == pytest.approx(env.batch.rows.q[0], abs=1e-9)
 
 
 def test_wrong_arguments_are_explained(arm):
-    for options in ({"action": "jump"}, {"randomize": {"torque_ripple": armctl.Range(0, 2)}}):
+    for options in ({"action": "jump"}, {"randomize": {"wrench_delay": armctl.Range(0, 2)}}):
         with pytest.raises(armctl.InputError, match=next(iter(options))):
             armctl.envs.ArmEnv(arm, **options)
+
+
+def test_targets_keep_away_from_stops_and_joints_without_stops_near_home(arm):
+    limits = dataclasses.replace(arm.limits, q_min=np.array([-np.inf, -1.0, -2.0]), q_max=np.array([np.inf, 1.0, 2.0]))
+    found = target_limits(arm.with_limits(limits))
+    turn = 2.0 * np.pi * (1.0 - 2e-3)
+    assert found.q_min == pytest.approx([arm.home[0] - turn, -0.998, -1.996])
+    assert found.q_max == pytest.approx([arm.home[0] + turn, 0.998, 1.996])
+    for what in ("v_max", "a_max", "j_max", "tau_max"):
+        assert np.array_equal(getattr(found, what), getattr(limits, what))
+
+
+@pytest.mark.parametrize("what", ["v_max", "a_max", "tau_max"])
+def test_a_joint_without_a_limit_of_its_motion_is_refused(arm, what):
+    limits = dataclasses.replace(arm.limits, **{what: np.full(arm.n, np.inf)})
+    with pytest.raises(armctl.InputError, match=f"^{what}: .*finite limit of each joint"):
+        armctl.envs.ArmEnv(arm.with_limits(limits))
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_closed_environments_make_no_step(arm, threads: int):
+    envs = armctl.envs.ArmVectorEnv(arm, num_envs=2, threads=threads)
+    envs.reset(seed=0)
+    envs.close()
+    with pytest.raises(armctl.InputError, match="step: the environments are closed"):
+        envs.step(np.zeros(envs.action_space.shape))
 
 
 def test_wrong_seeds_and_actions_are_explained(arm):
@@ -196,6 +187,9 @@ def test_wrong_seeds_and_actions_are_explained(arm):
         with pytest.raises(armctl.InputError, match="seed"):
             env.reset(seed=seed)
     single = armctl.envs.ArmEnv(arm)
+    for seed in ("ab", 0.5, -1, [[0]]):
+        with pytest.raises(armctl.InputError, match="seed"):
+            single.reset(seed=seed)
     for action in ("up", np.zeros(2), np.full(3, np.nan), ["a", "b", "c"]):
         with pytest.raises(armctl.InputError, match="action: expected"):
             single.step(action)

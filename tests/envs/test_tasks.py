@@ -220,7 +220,7 @@ def test_an_arm_that_does_not_fit_is_refused_in_one_sentence():
         ({"robot": armctl.load(ROBOT), "task": "ReachPast"}, "loaded already"),
         ({"robot": armctl.load(ROBOT), "load_options": {"tip": "link2"}}, "loaded already"),
         ({"robot": ROBOT, "load_options": {"scene": armctl.Scene()}}, "belongs to the task"),
-        ({"robot": ROBOT, "task": "ReachPast", "free_space": True}, "contacts"),
+        ({"robot": ROBOT, "task": "ReachPast", "contacts": False}, "contacts"),
         ({"robot": ROBOT, "randomize": {"object_mass": armctl.Range(1, 2)}}, "object_mass cannot vary"),
     ):
         with pytest.raises(armctl.InputError, match=message):

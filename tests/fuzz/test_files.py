@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import armctl
-from armctl import InputError, JointTrajectory, Log, Report, Simulation
+from armctl import InputError, JointTrajectory, Log, Reachability, Report, Simulation
 
 CASES = 150
 HOSTILE = [
@@ -46,7 +46,8 @@ def files(tmp_path_factory) -> dict[str, bytes]:
     log = sim.run(motion)
     log.save(folder / "log.npz")
     motion.save(folder / "trajectory.npz")
-    return {name: (folder / f"{name}.npz").read_bytes() for name in ("log", "trajectory")}
+    armctl.reachability(arm, 0.3).save(folder / "reachability.npz")
+    return {name: (folder / f"{name}.npz").read_bytes() for name in USES}
 
 
 def use_log(path: Path) -> None:
@@ -66,7 +67,14 @@ def use_trajectory(path: Path) -> None:
     motion.check_limits()
 
 
-USES = {"log": use_log, "trajectory": use_trajectory}
+def use_reachability(path: Path) -> None:
+    reached = Reachability.load(path)
+    assert str(reached)
+    json.loads(json.dumps(reached.to_dict()))
+    assert np.isfinite(reached.cloud()[0]).all()
+
+
+USES = {"log": use_log, "trajectory": use_trajectory, "reachability": use_reachability}
 
 
 def damaged_bytes(whole: bytes, rng: np.random.Generator) -> bytes:

@@ -61,7 +61,7 @@ def move_j_moving(arm, rng):
     start, goal = random_q(arm, rng, 2)
     way = goal - start
     v = rng.uniform(0, 0.8) * way * (arm.limits.v_max / np.maximum(np.abs(way), 1e-9)).min()
-    return armctl.move_j(arm, start, goal, v_start=v)
+    return armctl.move_j(arm, armctl.Setpoint(start, v, np.zeros(arm.n)), goal)
 
 
 def move_j_free(arm, rng):
@@ -72,7 +72,7 @@ def move_j_free(arm, rng):
 def move_j_free_moving(arm, rng):
     start, goal = random_q(arm, rng, 2)
     v = 10.0 ** rng.uniform(-4, 0) * rng.uniform(-0.9, 0.9, arm.n) * arm.limits.v_max
-    return armctl.move_j(arm, start, goal, v_start=v, straight=False)
+    return armctl.move_j(arm, armctl.Setpoint(start, v, np.zeros(arm.n)), goal, straight=False)
 
 
 def move_through(arm, rng):
@@ -135,7 +135,7 @@ PLANNERS = (
 def expected(error: Exception, plan) -> bool:
     """Whether a planner may raise this: PlanError, or an error that names what is wrong with the random arguments."""
     if isinstance(error, armctl.LimitError):
-        return plan in (move_j_moving, move_j_free_moving) and str(error).startswith("v_start")
+        return plan in (move_j_moving, move_j_free_moving) and str(error).startswith("q_start")
     wrong_argument = {move_c: "on one line", move_path: "of the shorter side"}
     return isinstance(error, armctl.PlanError) or (plan in wrong_argument and wrong_argument[plan] in str(error))
 

@@ -9,13 +9,13 @@ import mink
 import mujoco
 import numpy as np
 import pytest
-import qpsolvers
 from arms import ARMS, arm_of
 from collidable import arm_among, capsule_gaps, placed
 
 import armctl
-from armctl import Arm, DifferentialIk, InputError, LimitError, ModelError, Pose, UnknownNameError
+from armctl import Arm, DifferentialIk, InputError, LimitError, ModelError, Pose
 from armctl.collision.checkers import collision_checker
+from armctl.ik.tasks import ClearanceLimit
 from armctl.loading.catalog import BUNDLED
 
 every_arm = pytest.mark.parametrize("name", ARMS)
@@ -163,7 +163,7 @@ class Impossible(mink.Limit):
         return mink.Constraint(np.vstack([G, -G]), -np.ones(2 * configuration.nv))
 
 
-@pytest.mark.parametrize("solver", [s for s in ("daqp", "osqp", "proxqp") if s in qpsolvers.available_solvers])
+@pytest.mark.parametrize("solver", ["daqp", "osqp"])
 def test_a_program_without_a_solution_is_a_status(solver: str):
     arm = arm_of("robot_arm_3dof")
     ik = DifferentialIk(arm, limits=[Impossible()], solver=solver)
@@ -171,11 +171,11 @@ def test_a_program_without_a_solution_is_a_status(solver: str):
     assert ik.status == "no solution"
 
 
-@pytest.mark.parametrize("solver", [s for s in ("daqp", "osqp", "proxqp") if s in qpsolvers.available_solvers])
+@pytest.mark.parametrize("solver", ["daqp", "osqp"])
 def test_every_solver_arrives(solver: str):
     arm = arm_of("robot_arm_3dof")
     q, _ = follow(DifferentialIk(arm, solver=solver), arm.home, [0.3, 0.2, 0.3], 400)
-    assert np.linalg.norm(arm.fk(q).position - [0.3, 0.2, 0.3]) < 1e-4
+    assert np.abs(arm.fk(q).position - [0.3, 0.2, 0.3]).max() < 1e-4
 
 
 def deepest(arm: Arm, q: np.ndarray) -> float:
@@ -266,8 +266,8 @@ def test_a_height_field_cannot_be_avoided(tmp_path: Path):
 @pytest.mark.parametrize(
     ("arguments", "error", "sentence"),
     [
-        ({"solver": "dacp"}, UnknownNameError, "unknown QP solver 'dacp'; did you mean 'daqp'?"),
         ({"posture": [0.0, 9.0, 0.0]}, LimitError, "posture: shoulder_pitch: 9 rad is outside [-1.570, 1.570] rad"),
+        ({"solver": "dacp"}, InputError, "solver: expected one of daqp, osqp, got 'dacp'"),
         ({"clearance": -1.0}, InputError, "clearance: expected a number at least 0, got -1"),
         ({"limits": 1.0}, InputError, "limits: expected a list of mink Limit objects, got 1.0"),
         ({"tasks": ["tip"]}, InputError, "tasks: expected a list of mink BaseTask objects, got ['tip']"),
@@ -285,3 +285,18 @@ def test_a_wrong_step_is_one_sentence():
         ik.step([0.0, 0.0, 0.0], [0.3, 0.2, 0.3], 0.0)
     with pytest.raises(InputError, match=r"^q: element \[1\] is nan, expected a finite number$"):
         ik.step([0.0, float("nan"), 0.0], [0.3, 0.2, 0.3], DT)
+
+
+def test_a_step_that_ends_too_near_is_shortened_to_half_the_clearance(tmp_path):
+    """A ball on a slide before a wall: the distance is known."""
+    path = tmp_path / "ball.xml"
+    path.write_text(
+        '<mujoco><worldbody><geom name="wall" type="box" size="0.02 0.2 0.2" pos="0.3 0 0"/><body><joint name="x" type="slide" '
+        'axis="1 0 0" range="-1 1"/><geom size="0.02" mass="1"/><site name="tip"/></body></worldbody>'
+        '<actuator><motor joint="x" ctrlrange="-9 9"/></actuator></mujoco>'
+    )
+    limit = ClearanceLimit(armctl.load(path), 0.1)
+    for step in (0.15, 0.17):
+        cut = limit.violations(np.array([0.1]), np.array([step]))
+        assert cut.h / cut.G[:, 0] == pytest.approx([0.26 - 0.05 - 0.1], abs=1e-6)
+    assert limit.violations(np.array([0.1]), np.array([0.1])).inactive

@@ -1,5 +1,8 @@
 """reachability: the map agrees with solve_ik, does not depend on threads, and survives its file."""
 
+import tracemalloc
+import zipfile
+
 import numpy as np
 import pytest
 from arms import arm_of
@@ -62,8 +65,19 @@ def test_a_saved_map_is_read_back_and_another_file_is_refused(small, tmp_path):
     assert again.to_dict() == small.to_dict()
     assert again.points.tobytes() == small.points.tobytes()
     np.savez(tmp_path / "other.npz", points=np.zeros((1, 3)))
-    with pytest.raises(InputError, match=r"^path: 'other.npz' is not a file of Reachability.save"):
+    with pytest.raises(InputError, match=r"other\.npz: no map that Reachability\.save wrote"):
         Reachability.load(tmp_path / "other.npz")
+
+
+def test_a_map_that_would_unpack_to_gigabytes_is_refused_before_it_does(small, tmp_path):
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("points.npy", bytes(3 * 10**8))
+    tracemalloc.start()
+    with pytest.raises(InputError, match=r"bomb\.npz: no map that Reachability\.save wrote: it is larger than 256 MB"):
+        Reachability.load(tmp_path / "bomb.npz")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 10**7
 
 
 def test_the_cloud_and_the_plot_show_the_points_reached(small, tmp_path):
@@ -104,3 +118,22 @@ def test_a_wrong_call_is_one_sentence():
         armctl.reachability(arm, 1e-6)
     with pytest.raises(InputError, match=r"^region: expected two opposite corners, shape \(2, 3\), m, got shape \(1, 3\)$"):
         armctl.reachability(arm, 0.1, region=[(0.0, 0.0, 0.0)])
+
+
+def test_the_manipulability_of_a_point_is_that_of_its_best_orientation():
+    """Between the worst and the best configuration of the orientation whose configurations are best."""
+    arm = arm_of("six joints")
+    place = arm.fk(arm.home).position
+    found = armctl.reachability(arm, 0.3, 40, [place, place])
+    assert found.points == pytest.approx(place[None])
+    worst = []
+    best = []
+    for quat in found.orientations:
+        solutions = armctl.solve_ik_all(arm, Pose(place, quat=quat))
+        if solutions.ok.all():
+            J = np.array([arm.jacobian(q) for q in solutions.q])
+            values = np.abs(np.linalg.det(J))
+            worst.append(values.min())
+            best.append(values.max())
+    assert 4 < len(best) < 40
+    assert max(worst) * (1 - 1e-3) <= found.manipulability[0] <= max(best) * (1 + 1e-3)

@@ -1,5 +1,6 @@
-"""IK, each method on each arm: solutions are solutions, failures are honest, limits hold, the same call gives the same bits."""
+"""IK on each arm: solutions are solutions, failures are honest, limits hold, the same call gives the same bits."""
 
+import dataclasses
 import gc
 import os
 import subprocess
@@ -7,6 +8,7 @@ import sys
 import warnings
 import weakref
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -14,17 +16,17 @@ import pytest
 from arms import ARMS, arm_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import minimize
+from synthetic import BENT, serial_arm
 
 import armctl
-from armctl import Arm, InputError, LimitError, Pose, UnknownNameError, solve_ik
+from armctl import Arm, InputError, LimitError, Pose, solve_ik
+from armctl._core import Constraint
 from armctl.collision.checkers import collision_checker
 from armctl.core.target import Target
-from armctl.ik import kernel, lm, solve_ik_batch
-from armctl.ik.problem import packed_chain, read_problem
+from armctl.ik import lm, solve_ik_batch
+from armctl.ik.problem import ik_chain, read_problem
 
-METHODS = ["lm", "mink"]
-COUNT = {"lm": 40, "mink": 4}
-every_method = pytest.mark.parametrize("method", METHODS)
 every_arm = pytest.mark.parametrize("name", ARMS)
 
 
@@ -50,16 +52,15 @@ def mujoco_error(arm: Arm, q: np.ndarray, target: Pose | np.ndarray) -> tuple[fl
 
 
 @every_arm
-@every_method
-def test_reaches_what_can_be_reached_also_at_the_joint_limits(name: str, method: str):
+def test_reaches_what_can_be_reached_also_at_the_joint_limits(name: str):
     arm = arm_of(name)
     rng = np.random.default_rng(1)
-    for k, q in enumerate(positions(arm, COUNT[method])):
+    for k, q in enumerate(positions(arm, 40)):
         if k % 4 == 3:
             at_limit = np.where(rng.random(arm.n) < 0.5, arm.limits.q_min, arm.limits.q_max)
             q = np.where(np.isfinite(at_limit) & (rng.random(arm.n) < 0.5), at_limit, q)
         target = target_of(arm, q)
-        result = solve_ik(arm, target, method=method)
+        result = solve_ik(arm, target)
         assert result.ok, f"{q}: {result}"
         off, turned = mujoco_error(arm, result.q, target)
         assert off <= 1e-5 + 1e-9
@@ -72,7 +73,7 @@ def test_reaches_what_can_be_reached_also_at_the_joint_limits(name: str, method:
 @every_arm
 def test_a_point_out_of_reach_is_approached_as_near_as_any_position_comes(name: str):
     arm, rng = arm_of(name), np.random.default_rng(4)
-    middle, reach = arm.pinocchio_model.placements[0, :3, 3], packed_chain(arm).reach
+    middle, reach = arm.pinocchio_model.placements[0, :3, 3], ik_chain(arm).reach
     points = middle + 1.3 * reach * rng.uniform(-1, 1, (60, 3))
     found = solve_ik_batch(arm, points)
     tips = arm.fk_many(arm.limits.random(arm.home, 20_000, rng))[0]
@@ -84,8 +85,8 @@ def test_a_point_out_of_reach_is_approached_as_near_as_any_position_comes(name: 
 def test_refining_ends_finite_and_inside_the_limits_from_anywhere(name: str):
     arm, rng = arm_of(name), np.random.default_rng(5)
     targets = np.zeros((2000, 12))
-    targets[:, 9:] = packed_chain(arm).reach * rng.uniform(-1.5, 1.5, (2000, 3))
-    problem = read_problem(arm, kernel.POSITION, targets, arm.limits.random(arm.home, 2000, rng), 1e-5, 1e-4, 0)
+    targets[:, 9:] = ik_chain(arm).reach * rng.uniform(-1.5, 1.5, (2000, 3))
+    problem = read_problem(arm, Constraint.POSITION, targets, arm.limits.random(arm.home, 2000, rng), 1e-5, 1e-4, 0)
     q, sizes = lm.refine(problem, problem.q0)
     assert np.isfinite(q).all()
     assert np.isfinite(sizes).all()
@@ -93,13 +94,12 @@ def test_refining_ends_finite_and_inside_the_limits_from_anywhere(name: str):
 
 
 @every_arm
-@every_method
-def test_out_of_reach_is_a_best_effort_with_a_reason(name: str, method: str):
+def test_out_of_reach_is_a_best_effort_with_a_reason(name: str):
     arm = arm_of(name)
-    reach, base = packed_chain(arm).reach, arm.pinocchio_model.placements[0, :3, 3]
+    reach, base = ik_chain(arm).reach, arm.pinocchio_model.placements[0, :3, 3]
     for far in (1.5, 10.0, 1e6):
         target = base + far * reach * np.array([0.6, 0.0, 0.8])
-        result = solve_ik(arm, target, method=method)
+        result = solve_ik(arm, target)
         assert not result.ok
         assert "out of reach" in result.reason
         assert arm.limits.contains(result.q)
@@ -113,11 +113,10 @@ def test_out_of_reach_is_a_best_effort_with_a_reason(name: str, method: str):
         )
 
 
-@every_method
-def test_an_orientation_that_five_joints_cannot_take_is_a_best_effort(method: str):
+def test_an_orientation_that_five_joints_cannot_take_is_a_best_effort():
     arm = arm_of("so_arm100")
     twisted = arm.fk(arm.home) @ Pose([0.0, 0.0, 0.0], rpy=[0.3, 0.4, 0.8])
-    result = solve_ik(arm, twisted, method=method)
+    result = solve_ik(arm, twisted)
     assert not result.ok
     assert result.reason.startswith("the point is reachable, but not with this orientation: ")
     assert f"{result.orientation_error:.3g} rad off" in result.reason
@@ -126,22 +125,20 @@ def test_an_orientation_that_five_joints_cannot_take_is_a_best_effort(method: st
 
 
 @every_arm
-@every_method
-def test_the_base_itself_is_a_target_like_any_other(name: str, method: str):
+def test_the_base_itself_is_a_target_like_any_other(name: str):
     arm = arm_of(name)
-    result = solve_ik(arm, arm.pinocchio_model.placements[0, :3, 3], method=method)
+    result = solve_ik(arm, arm.pinocchio_model.placements[0, :3, 3])
     assert np.isfinite(result.q).all()
     assert arm.limits.contains(result.q)
     assert result.ok == (result.position_error <= 1e-5)
 
 
-@every_method
 @pytest.mark.parametrize("name", [arm for arm in ARMS if arm in ("panda", "ur5e", "so_arm100", "endless")])
-def test_a_free_axis_leaves_the_turn_about_it_open(name: str, method: str):
+def test_a_free_axis_leaves_the_turn_about_it_open(name: str):
     arm = arm_of(name)
     for k, q in enumerate(positions(arm, 8)):
         target = arm.fk(q) @ Pose([0.0, 0.0, 0.0], rpy=[0.0, 0.0, 1.0 + k])
-        result = solve_ik(arm, target, free_axis="z", method=method)
+        result = solve_ik(arm, target, free_axis="z")
         assert result.ok, result
         T = arm.fk(result.q)
         assert np.linalg.norm(T.position - target.position) <= 1e-5
@@ -160,6 +157,13 @@ def test_a_result_is_equal_to_itself_alone_and_its_configuration_is_read_only():
         first.q[0] = 0.0
 
 
+@pytest.mark.parametrize("solve", [solve_ik, armctl.solve_ik_all])
+def test_a_result_cannot_be_changed(solve):
+    result = solve(arm_of("robot_arm_3dof"), [0.3, 0.2, 0.3])
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        result.reason = ""
+
+
 def test_a_result_is_true_if_it_is_a_solution():
     arm = arm_of("robot_arm_3dof")
     assert solve_ik(arm, [0.3, 0.2, 0.3])
@@ -168,22 +172,20 @@ def test_a_result_is_true_if_it_is_a_solution():
     assert not solve_ik_batch(arm, [[0.3, 0.2, 0.3], [3.0, 0.2, 0.3]])
 
 
-@every_method
-def test_a_target_that_was_read_gives_the_same_answer(method: str):
+def test_a_target_that_was_read_gives_the_same_answer():
     arm = arm_of("panda") if "panda" in ARMS else arm_of("endless")
     pose = arm.fk(positions(arm, 1)[0])
     for target in (pose, pose.position):
-        plain = solve_ik(arm, target, method=method)
-        read = solve_ik(arm, Target.read(target, 0.1, 0.1), method=method)
+        plain = solve_ik(arm, target)
+        read = solve_ik(arm, Target.read(target, 0.1, 0.1))
         assert read.ok
         assert read.q.tobytes() == plain.q.tobytes()
 
 
-@every_method
-def test_the_same_call_gives_the_same_bits(method: str):
+def test_the_same_call_gives_the_same_bits():
     arm = arm_of("robot_arm_3dof")
     for target in ([0.3, 0.2, 0.3], [2.0, 0.0, 0.0]):
-        first, second = (solve_ik(arm, target, method=method, seed=3) for _ in range(2))
+        first, second = (solve_ik(arm, target, seed=3) for _ in range(2))
         assert first.q.tobytes() == second.q.tobytes()
         assert (first.position_error, first.iterations, first.starts) == (
             second.position_error,
@@ -212,13 +214,12 @@ def test_a_joint_turns_no_further_than_it_must(name: str):
     assert (np.abs(result.q - q0)[endless] <= np.pi + 1e-9).all()
 
 
-@every_method
 @pytest.mark.parametrize("name", [arm for arm in ARMS if arm in ("panda", "ur5e", "robot_arm_3dof")])
-def test_nearest_is_at_least_as_near(name: str, method: str):
+def test_nearest_is_at_least_as_near(name: str):
     arm = arm_of(name)
     for q, q0 in zip(positions(arm, 3), positions(arm, 3, seed=1), strict=True):
         target = target_of(arm, q)
-        near, plain = (solve_ik(arm, target, q0, nearest=nearest, method=method) for nearest in (True, False))
+        near, plain = (solve_ik(arm, target, q0, nearest=nearest) for nearest in (True, False))
         assert near.ok
         assert np.linalg.norm(near.q - q0) <= np.linalg.norm(plain.q - q0) + 1e-4
         assert np.linalg.norm(near.q - q0) <= np.linalg.norm(q - q0) + 1e-4
@@ -320,14 +321,12 @@ def test_a_batch_shows_its_progress_to_a_person_only(monkeypatch, capsys):
             InputError,
             "free_axis: a point leaves every axis free; give a Pose as the target",
         ),
-        ({"method": "newton"}, UnknownNameError, "unknown method 'newton'; known: lm, mink"),
         ({"free_axis": ["x"]}, InputError, "free_axis: expected one of x, y, z, got ['x']"),
         ({"seed": 1.5}, InputError, "seed: expected a whole number at least 0, got 1.5"),
         ({"seed": -1}, InputError, "seed: expected a number at least 0, got -1"),
         ({"q0": [[0.0], [0.0, 1.0]]}, InputError, "q0: [[0.0], [0.0, 1.0]] is not an array of numbers"),
         ({"orientation_tolerance": float("nan")}, InputError, "orientation_tolerance: expected a finite number, got nan"),
         ({"nearest": np.zeros(2)}, InputError, "nearest: expected True or False, got array([0., 0.])"),
-        ({"method": ["lm"]}, UnknownNameError, "unknown method \"['lm']\"; known: lm, mink"),
     ],
 )
 def test_a_wrong_call_is_one_sentence(arguments, error, sentence):
@@ -360,22 +359,6 @@ def test_a_wrong_batch_is_one_sentence(targets, more, sentence):
     with pytest.raises(InputError) as caught:
         solve_ik_batch(arm_of("robot_arm_3dof"), targets, **more)
     assert str(caught.value) == sentence
-
-
-@every_arm
-def test_the_kernel_is_pinocchio(name: str):
-    arm = arm_of(name)
-    chain, work = packed_chain(arm), kernel.scratch(arm.n, arm.n)
-    for q in positions(arm, 20):
-        kernel.forward(chain.rows, q / chain.unit, work)
-        kernel.jacobian(chain.rows, work)
-        position, R = arm.pinocchio_model.tip(q)
-        scale = max(1.0, chain.reach)
-        assert np.abs(work[arm.n, :9] - R.ravel()).max() < 1e-12
-        assert np.abs(work[arm.n, 9:12] * chain.reach - position).max() < 1e-12 * scale
-        J = work[: arm.n, 6:12].T / chain.unit
-        J[:3] *= chain.reach
-        assert np.abs(J - arm.jacobian(q)).max() < 1e-12 * scale
 
 
 @st.composite
@@ -433,9 +416,9 @@ def test_a_pose_that_no_configuration_reaches_is_given_up_after_few_starts():
     far = solve_ik(arm, Pose([50.0, 0.0, 0.0]))
     assert far.starts == 1
     base = arm.pinocchio_model.placements[0, :3, 3]
-    near = solve_ik(arm, Pose(base + np.array([0.0, 0.0, 0.99 * packed_chain(arm).reach])))
+    near = solve_ik(arm, Pose(base + np.array([0.0, 0.0, 0.99 * ik_chain(arm).reach])))
     assert not near.ok
-    assert near.starts <= kernel.MAX_STARTS_WITHOUT_FREE_SOLUTION
+    assert near.starts <= 110  # as docs/ik.md says
 
 
 @pytest.mark.parametrize("far", [1e150, 1e200, 1e307])
@@ -460,6 +443,35 @@ def test_a_pose_within_reach_but_not_with_its_orientation_leaves_the_tip_at_the_
         assert result.reason.startswith("the point is reachable, but not with this orientation: ")
         assert result.position_error <= 1e-5
         assert result.orientation_error > 1e-4
+
+
+def test_an_orientation_out_of_reach_is_approached_as_near_as_the_point_permits(tmp_path):
+    """SciPy, started at the answer, finds no better orientation with the tip at the point and the joints inside the limits."""
+    arm = serial_arm(tmp_path, replace(BENT["six joints"], range="-1.2 1.2", home=""))
+    rng = np.random.default_rng(3)
+    judged = 0
+    for q in arm.limits.random(arm.home, 20, rng):
+        target = arm.fk(q) @ Pose([0.0, 0.0, 0.0], rng.normal(size=4))
+        result = solve_ik(arm, target)
+        if result.ok or result.position_error > 1e-5:
+            continue
+        best = minimize(
+            lambda x, target=target: -np.trace(arm.fk(x).rotation.T @ target.rotation),
+            result.q,
+            constraints={
+                "type": "eq",
+                "fun": lambda x, target=target: arm.fk(x).position - target.position,
+                "jac": lambda x: arm.jacobian(x)[:3],
+            },
+            bounds=list(zip(arm.limits.q_min, arm.limits.q_max, strict=True)),
+            method="SLSQP",
+            options={"maxiter": 200, "ftol": 1e-12},
+        )
+        position_error, orientation_error = target.distance(arm.fk(best.x))
+        if best.success and position_error < 1e-6:
+            assert result.orientation_error < orientation_error + 1e-3
+            judged += 1
+    assert judged >= 10
 
 
 @settings(max_examples=25, deadline=None)
@@ -507,17 +519,6 @@ def test_importing_ik_loads_neither_numba_nor_mink():
     assert done.returncode == 0, done.stderr
 
 
-def test_solves_without_a_warning_where_no_folder_for_compiled_code_can_be_written():
-    code = (
-        "import numba.core.caching as caching\n"
-        "for locator in caching.CacheImpl._locator_classes: locator.from_function = classmethod(lambda *a: None)\n"
-        "import armctl\n"
-        "print(armctl.solve_ik(armctl.load('robot_arm_3dof'), [0.3, 0.2, 0.3]).ok)"
-    )
-    done = run(code)
-    assert (done.returncode, done.stdout.strip(), done.stderr) == (0, "True", "")
-
-
 @every_arm
 def test_the_compiled_call_measures_the_errors_that_the_arm_measures(name: str):
     arm = arm_of(name)
@@ -526,9 +527,10 @@ def test_the_compiled_call_measures_the_errors_that_the_arm_measures(name: str):
         result = solve_ik(arm, target)
         tip = arm.fk(result.q)
         errors = tip.distance(target) if isinstance(target, Pose) else (np.linalg.norm(tip.position - target), 0.0)
-        assert (result.position_error, result.orientation_error) == pytest.approx(errors, abs=1e-7 * packed_chain(arm).reach)
+        assert (result.position_error, result.orientation_error) == pytest.approx(errors, abs=1e-7 * ik_chain(arm).reach)
 
 
+@pytest.mark.core
 @pytest.mark.parametrize("name", ["endless", "robot_arm_3dof"])
 def test_threads_share_nothing(name: str):
     arm = arm_of(name)
@@ -541,13 +543,13 @@ def test_threads_share_nothing(name: str):
         assert (one.position_error, one.iterations, one.starts) == (other.position_error, other.iterations, other.starts)
 
 
-def test_all_kinds_of_targets_and_starts_use_one_compiled_function():
+def test_all_kinds_of_targets_and_starts_give_the_same_bits():
     arm = arm_of("endless")
     pose = arm.fk(arm.home)
-    solve_ik(arm, pose)
-    compiled = list(kernel.search_one.signatures)
-    q0 = arm.home + 0.1
-    for start in (q0, list(q0), q0[None], np.repeat(q0, 2)[::2], np.float32(q0)):
-        for target in (pose, pose.position, list(pose.position), Target.read(pose)):
-            assert solve_ik(arm, target, start, seed=True + 1, position_tolerance=np.float64(1e-5)).ok
-    assert kernel.search_one.signatures == compiled
+    q0 = arm.home + 0.125  # exact in single precision, as home is
+    for targets in ((pose, Target.read(pose)), (pose.position, list(pose.position), np.repeat(pose.position, 2)[::2])):
+        expected = solve_ik(arm, targets[0], q0).q.tobytes()
+        for start in (list(q0), q0[None], np.repeat(q0, 2)[::2], np.float32(q0)):
+            for target in targets:
+                found = solve_ik(arm, target, start, seed=True - 1, position_tolerance=np.float64(1e-5))
+                assert found.q.tobytes() == expected

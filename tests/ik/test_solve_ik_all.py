@@ -12,8 +12,8 @@ import pytest
 import armctl
 from armctl import Arm, InputError, LimitError, Pose, solve_ik, solve_ik_all
 from armctl.collision.checkers import collision_checker
-from armctl.core import jit, python_kernel
-from armctl.ik import closed_form, geometry, solve_ik_batch
+from armctl.ik import solve_ik_batch
+from armctl.ik.problem import ik_chain
 
 LINK = """<body pos="{x:g} {y:g} {z:g}"><joint name="j{i}" axis="{axis}" range="{range}"/>
 <geom type="capsule" fromto="0 0 0 0.01 0.01 0.02" size="0.01" mass="1" contype="0" conaffinity="0"/>"""
@@ -86,6 +86,23 @@ def arm_of(folder, name: str | list, bounds: str = "-3.1 3.1") -> Arm:
     return armctl.load(path)
 
 
+def arm_of_lines(folder, axes: np.ndarray, points: np.ndarray, tip: np.ndarray) -> Arm:
+    """An arm of hinges about these lines, in the frame of the world, with the tip's frame parallel to it."""
+    words = lambda numbers: " ".join(repr(float(x)) for x in numbers)  # noqa: E731
+    links = "".join(
+        f'<body><joint name="j{i}" axis="{words(axis)}" pos="{words(point)}" range="-3.15 3.15"/>'
+        '<geom type="sphere" size="0.01" mass="1" contype="0" conaffinity="0"/>'
+        for i, (axis, point) in enumerate(zip(axes, points, strict=True))
+    )
+    motors = "".join(f'<motor joint="j{i}" ctrlrange="-200 200"/>' for i in range(len(axes)))
+    path = folder / "lines.xml"
+    path.write_text(
+        f"""<mujoco><compiler angle="radian"/><worldbody>{links}<site name="tip" pos="{words(tip)}"/>
+        {"</body>" * len(axes)}</worldbody><actuator>{motors}</actuator></mujoco>"""
+    )
+    return armctl.load(path)
+
+
 def mujoco_error(arm: Arm, q: np.ndarray, target: Pose) -> tuple[float, float]:
     data = mujoco.MjData(arm.model)
     data.qpos[:] = arm.qpos(q)
@@ -141,13 +158,10 @@ def test_all_that_five_thousand_random_starts_find_is_found(tmp_path, name: str)
         assert distance(q, found.q) < 1e-3
 
 
+@pytest.mark.core
 @pytest.mark.parametrize("special", ["meet", "parallel"])
-def test_the_closed_form_finds_every_configuration_wherever_the_special_axes_are(special: str, monkeypatch):
-    monkeypatch.setattr(python_kernel, "_SECONDS", 1e9)
-    find_in_python = python_kernel.PythonKernel(closed_form.find.py_func, jit.Kernel)
-    seeds_in_python = np.empty((16, 6))
+def test_the_closed_form_finds_every_configuration_wherever_the_special_axes_are(tmp_path, special: str):
     rng = np.random.default_rng(5)
-    seeds = np.empty((16, 6))
     structures = set()
     doubts = 0
     for first, pair in itertools.product(range(4), ["neither", "first two meet", "last two parallel"]):
@@ -165,19 +179,23 @@ def test_the_closed_form_finds_every_configuration_wherever_the_special_axes_are
             axes[others[2]] = axes[others[1]]
         axes /= np.linalg.norm(axes, axis=1)[:, None]
         tip = np.concatenate([np.eye(3).ravel(), rng.uniform(-0.5, 0.5, 3)])
-        found = geometry.closed_form_of(axes, points, tip, np.tile([-np.pi, np.pi], (6, 1)))
-        structures.add((found.special[0], found.kind, found.pair_kind, found.pair_first))
+        arm = arm_of_lines(tmp_path, axes, points, tip[9:])
+        form = ik_chain(arm).closed_form
+        assert form is not None
+        assert form.is_exact
+        structures.add((form.special[0], form.kind, form.pair_kind, form.pair_first))
         for q in rng.uniform(-3, 3, (5, 6)):
-            target = product_of_exponentials(axes, points, tip, q)
-            count, is_doubtful, _ = closed_form.find(found.form, 1.0, target, np.zeros(6), 1e-9, 0.0, 1, 1, 1, seeds)
-            assert 2 <= count <= 8
-            doubts += is_doubtful
-            assert distance(q, seeds[:count]) < 1e-7
-            for one in seeds[:count]:
-                assert np.abs(product_of_exponentials(axes, points, tip, one) - target).max() < 1e-9
-        in_python = find_in_python(found.form, 1.0, target, np.zeros(6), 1e-9, 0.0, 1, 1, 1, seeds_in_python)
-        assert in_python[:2] == (count, is_doubtful)
-        assert seeds_in_python[:count].tobytes() == seeds[:count].tobytes()
+            goal = product_of_exponentials(axes, points, tip, q)
+            target = Pose.from_rotation(goal[9:], goal[:9].reshape(3, 3))
+            found = solve_ik_all(arm, target, position_tolerance=1e-9, orientation_tolerance=1e-9)
+            assert 2 <= len(found) <= 8
+            assert found.iterations[0] <= 2 * len(
+                found
+            )  # the closed form is exact: rounding of a quartic is all that is refined
+            doubts += not found.is_complete
+            assert distance(q, found.q) < 1e-7
+            for one in found.q:
+                assert np.abs(product_of_exponentials(axes, points, tip, one) - goal).max() < 1e-9
     assert len(structures) >= 9
     assert doubts <= 2
 
@@ -341,3 +359,14 @@ def test_a_wrong_call_is_one_sentence():
         solve_ik_all(arm, [0.3, 0.2])
     with pytest.raises(LimitError, match=r"^q0: "):
         solve_ik_all(arm, [0.3, 0.2, 0.3], q0=[9.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("name", ["no special axes", "a spherical wrist"])
+def test_no_solution_is_lost_where_the_start_is_at_a_limit(tmp_path, name: str):
+    """Solutions are turned towards q0: one beyond the limit there comes back from the other side."""
+    arm = arm_of(tmp_path, name)
+    for q in arm.limits.random(arm.home, 4, np.random.default_rng(1)):
+        target = arm.fk(q)
+        counts = [len(solve_ik_all(arm, target, q0=share * arm.limits.q_max)) for share in (-0.99, 0.0, 0.99)]
+        assert counts == [counts[1]] * 3
+        assert counts[1] > 1

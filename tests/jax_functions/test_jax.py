@@ -1,4 +1,4 @@
-"""armctl.jax computes what the controllers and the free-space plant of armctl compute, and can be mapped and differentiated."""
+"""armctl.jax computes what the controllers of armctl compute, and can be mapped and differentiated."""
 
 import importlib
 import importlib.util
@@ -92,37 +92,36 @@ def test_a_batch_of_closed_loops_is_simulated_and_differentiated(planar):
     trajectory = armctl.move_j(planar, planar.home, planar.home + 0.05)
     reference = aj.tick_reference(trajectory, planar.dt)
     gains = aj.PDGains.of(armctl.PD(planar), planar.dt)
-    differences = [armctl.Plant(viscous_friction=0.2, free_space=True), armctl.Plant(payload=0.5, free_space=True)]
-    plants = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(aj.free_plant(planar, each) for each in differences))
+    model = aj.arm_model(planar)
+    loads = (0.0, -5.0)  # N, in the plane of the arm
 
-    def run(plant, stiffness):
+    def run(load, stiffness):
         own = gains._replace(stiffness=stiffness * gains.stiffness)
-        start = (reference.q[0], reference.v[0])
-        return aj.follow(plant, lambda q, v, row: aj.pd(own, q, v, row), *start, reference)
+
+        def tick(state, row):
+            q, v = state
+            tau = aj.pd(own, q, v, row)
+            applied = aj.tip_jacobian(model, q)[2] * load
+            after = v + planar.dt * aj.forward_dynamics(model, q, v, tau + applied)
+            return (q + planar.dt * after, after), (q, tau)
+
+        return jax.lax.scan(tick, (reference.q[0], reference.v[0]), reference)[1]
 
     def squared_error(stiffness):
-        motions = jax.vmap(run, in_axes=(0, None))(plants, stiffness)
-        return jnp.sum((1e3 * (motions.q - reference.q)) ** 2), motions
+        q, tau = jax.vmap(run, in_axes=(0, None))(jnp.array(loads), stiffness)
+        return jnp.sum((1e3 * (q - reference.q)) ** 2), (q, tau)
 
     slope_of = jax.jit(jax.value_and_grad(squared_error, has_aux=True))
     (_, motions), slope = slope_of(1.0)
-    for plant, q, tau in zip(differences, motions.q, motions.tau, strict=True):
-        log = armctl.simulate(planar, armctl.PD(planar), trajectory, plant, dwell=0.0)
+    for load, q, tau in zip(loads, *motions, strict=True):
+        push = armctl.Push(0.0, 100.0, force=[0.0, 0.0, load])
+        log = armctl.simulate(planar, armctl.PD(planar), trajectory, armctl.Plant(pushes=push), dwell=0.0)
         assert relative_error(q, log.q[: len(q)]) < TOLERANCE
         assert relative_error(tau, log.tau[: len(q)]) < 1e2 * TOLERANCE  # a torque amplifies rounding errors of q by 1e4
     step = 1e-5
     difference = (slope_of(1.0 + step)[0][0] - slope_of(1.0 - step)[0][0]) / (2.0 * step)
     assert float(slope) == pytest.approx(float(difference), rel=1e-6)
     assert slope < 0.0  # a stiffer loop sags less
-
-
-def test_the_motors_of_the_free_plant_keep_within_their_limits(planar):
-    plant = aj.free_plant(planar)
-    step = jax.jit(aj.free_step)
-    still = jnp.zeros(planar.n)
-    q, v = step(plant, jnp.asarray(planar.home), still, plant.torque_max)
-    assert np.array_equal(step(plant, jnp.asarray(planar.home), still, 2.0 * plant.torque_max), (q, v))
-    assert not np.array_equal(step(plant, jnp.asarray(planar.home), still, 0.9 * plant.torque_max)[1], v)
 
 
 def test_rotation_vectors_are_those_of_pinocchio_also_of_half_a_turn():
@@ -133,19 +132,46 @@ def test_rotation_vectors_are_those_of_pinocchio_also_of_half_a_turn():
     assert np.isfinite(jax.jit(jax.vmap(jax.jacrev(rotation_vector)))(rotations)).all()
 
 
-def test_what_has_no_counterpart_is_refused(planar, tmp_path):
-    rubbing = serial_arm(tmp_path, BENT["rubbing"])
+def test_what_has_no_counterpart_is_refused(planar):
     for call, message in (
         (lambda: aj.PDGains.of(armctl.PDGravity(planar), 1e-3), "expected armctl.PD"),
         (lambda: aj.ComputedTorqueGains.of(armctl.PD(planar), 1e-3), "expected armctl.ComputedTorque"),
         (lambda: aj.ComputedTorqueGains.of(armctl.ComputedTorque(planar, integral=True), 1e-3), "without integral action"),
         (lambda: aj.OperationalSpaceGains.of(armctl.PD(planar)), "OperationalSpace"),
-        (lambda: aj.free_plant(rubbing), "dry friction"),
-        (lambda: aj.free_plant(planar, armctl.Plant(delay=1)), "put them into the law"),
         (lambda: aj.arm_model(planar, dt=-1.0), "dt"),
     ):
         with pytest.raises(armctl.InputError, match=message):
             call()
+
+
+WRONG = {
+    "the arm as model": (lambda arm, model, q: aj.tip_jacobian(arm, q), "model: expected ArmModel"),
+    "a list": (
+        lambda arm, model, q: aj.mass_matrix(model, [0.0, 0.0]),
+        r"q: \[0\.0, 0\.0\] is not an array of numbers; jax\.numpy\.asarray makes one",
+    ),
+    "a text": (lambda arm, model, q: aj.gravity(model, "q"), "q: 'q' is not an array of numbers"),
+    "texts": (lambda arm, model, q: aj.gravity(model, np.array(["a", "b"])), "q: .* is not an array of numbers"),
+    "too long": (lambda arm, model, q: aj.tip_pose(model, np.zeros(5)), r"q: expected an array of shape \(3,\), .*\(5,\)"),
+    "a matrix": (lambda arm, model, q: aj.inverse_dynamics(model, q, q, np.zeros((2, 2))), r"a: expected an array of shape"),
+    "no gains": (lambda arm, model, q: aj.pd(None, q, q, aj.Reference(q, q, q, q, q)), "gains: expected PDGains"),
+    "no gain": (
+        lambda arm, model, q: aj.pd(aj.PDGains(q, "x"), q, q, aj.Reference(q, q, q, q, q)),
+        "gains.damping: 'x' is not an array",
+    ),
+    "no reference": (lambda arm, model, q: aj.pd(aj.PDGains(q, q), q, q, q), "reference: expected Reference"),
+    "a reference of no numbers": (
+        lambda arm, model, q: aj.pd(aj.PDGains(1.0, 1.0), q, q, aj.Reference(q, None, q, q, q)),
+        "reference.v: None is not an array",
+    ),
+    "no trajectory": (lambda arm, model, q: aj.tick_reference(q, 0.01), "trajectory: .* is not a trajectory"),
+}
+
+
+@pytest.mark.parametrize(("call", "message"), WRONG.values(), ids=WRONG)
+def test_a_wrong_argument_is_one_sentence(planar, call, message: str):
+    with pytest.raises(armctl.InputError, match=message):
+        call(planar, aj.arm_model(planar), np.zeros(planar.n))
 
 
 def test_without_jax_a_sentence_names_what_to_install(monkeypatch):

@@ -6,9 +6,9 @@ import mujoco_menagerie as menagerie
 import numpy as np
 import pytest
 from arms import at_hand
+from chain_check import EXPLAINED_TRACKING, arms_of, check_chain
 from synthetic import limb, motors
 
-from armctl.analysis.chain_check import EXPLAINED_TRACKING, arms_of, check_chain
 from armctl.loading.catalog import BUNDLED
 
 POSES = 100  # at each chain

@@ -96,3 +96,14 @@ def test_messages_about_long_names_are_short(tmp_path, text: str):
     assert messages
     assert max(map(len, messages)) <= 400
     assert not any("\n" in message for message in messages)
+
+
+@pytest.mark.parametrize("lifted", [0.0, 0.5, 1.0])
+def test_default_accelerations_are_half_of_what_the_torque_beyond_gravity_gives(load, lifted: float):
+    bodies = limb("a b c", joint='armature="0.5"').replace("<body ", f'<body gravcomp="{lifted}" ')
+    arm = load(bodies, motors("a b c").replace("-20 20", "-9 9"))
+    headroom = np.maximum(9.0 - np.abs(arm.gravity(arm.home)), 0.9)
+    expected = 0.5 * headroom / np.abs(arm.mass_matrix(arm.home)).sum(axis=1)
+    assert arm.limits.a_max == pytest.approx(np.minimum(expected, 10.0 * arm.limits.v_max))
+    assert (expected < 10.0 * arm.limits.v_max).any()
+    assert arm.limits.j_max == pytest.approx(arm.limits.a_max / 0.05)

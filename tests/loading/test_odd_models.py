@@ -86,14 +86,6 @@ def test_only_the_groups_of_the_arms_motors_are_switched_on(load):
     assert arm.model.opt.disableactuator == 1 << 3
 
 
-def test_without_gravity_an_adaptive_controller_learns_nothing(load):
-    arm = load(limb("a b"), motors("a b") + '<option gravity="0 0 0"/>')
-    controller = armctl.Adaptive(arm)
-    log = armctl.simulate(arm, controller, armctl.move_j(arm, arm.home, arm.home + 0.3))
-    assert np.abs(log.q - log.q_ref).max() < 1e-9
-    assert not controller.payload.any()
-
-
 # --- chains that end early, and loose objects --------------------------------------------------------------------------------
 
 

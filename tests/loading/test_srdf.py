@@ -124,7 +124,7 @@ def test_a_broken_srdf_is_one_clear_sentence(load, text: str, reason: str):
 
 
 def test_an_srdf_that_does_not_exist_or_is_none_is_one_clear_sentence(load, tmp_path: Path):
-    with pytest.raises(armctl.ModelError, match=r"absent.srdf: it cannot be read: No such file"):
+    with pytest.raises(armctl.ModelError, match=r"absent.srdf: cannot be read: No such file"):
         load(srdf=tmp_path / "absent.srdf")
     (tmp_path / "x.srdf").write_text("<mujoco/>")
     with pytest.raises(armctl.ModelError, match="no SRDF: its first element is <mujoco>"):

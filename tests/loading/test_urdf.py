@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 from synthetic import FIRST, INERTIA, JOINT, LIMIT, LINK, MESH, SECOND, THIRD, TOOL, urdf
 
 import armctl
@@ -149,3 +150,14 @@ def test_gravity_switched_off_by_a_flag_is_no_gravity(tmp_path: Path):
     assert arm.model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
     log = armctl.simulate(arm, "computed-torque", armctl.move_j(arm, [0.0], [0.5]))
     assert np.abs(log.q - log.q_ref).max() < 1e-12
+
+
+def test_the_nearest_inertia_keeps_the_axes_and_every_moment_that_is_possible():
+    """Principal moments of 1, 2 and 4 kg m^2 are no body's; the nearest by their second moments has the third as 3 kg m^2."""
+    turn = Rotation.from_euler("xyz", [0.3, -0.8, 1.2]).as_matrix()
+    second_moments = 0.5 * (1 + 2 + 4) - np.array([1.0, 2.0, 4.0])  # of which the last one is below 0
+    kept = np.maximum(second_moments, 1e-7 * second_moments.max())
+    found = nearest_inertia(turn @ np.diag([1.0, 2.0, 4.0]) @ turn.T)
+    assert found == pytest.approx(turn @ np.diag(kept.sum() - kept) @ turn.T, abs=1e-9)
+    possible = turn @ np.diag([1.0, 2.0, 2.9]) @ turn.T
+    assert nearest_inertia(possible) is possible

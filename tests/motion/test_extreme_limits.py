@@ -90,7 +90,8 @@ def test_a_free_move_that_swings_out_by_a_micrometre_is_refused():
     for gap in np.geomspace(1e-5, 1.0, 200):
         start = np.array([limits.q_max[0] - gap, arm.home[1], arm.home[2]])
         try:
-            motion = armctl.move_j(arm, start, arm.home, v_start=[speed, 0.0, 0.0], straight=False)
+            moving = armctl.Setpoint(start, np.array([speed, 0.0, 0.0]), np.zeros(3))
+            motion = armctl.move_j(arm, moving, arm.home, straight=False)
         except armctl.LimitError:
             refused += 1
             continue

@@ -43,14 +43,14 @@ def distance_to_line(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> 
 def test_a_line_begins_in_any_moving_state_and_is_reached_when_the_stop_would_end(arm):
     overlapping = 0
     for state in moving_states(arm, 8):
-        stop = stop_from(arm, state.q, state.v, state.a)
+        stop = stop_from(arm, state)
         rest = stop(stop.duration).q
         target = arm.fk(rest).position + 0.03 * np.linalg.svd(arm.jacobian(rest)[:3])[0][:, 0]
         try:
             alone = armctl.move_l(arm, rest, target)
         except armctl.PlanError:
             continue
-        motion = armctl.move_l(arm, state.q, target, v_start=state.v, a_start=state.a)
+        motion = armctl.move_l(arm, state, target)
         for given, started in zip(state[:3], motion(0.0)[:3], strict=True):
             assert np.allclose(started, given, atol=1e-9)
         assert_kept(motion)
@@ -67,7 +67,7 @@ def test_a_motion_is_left_on_the_way_for_a_line(arm):
     t = 0.4 * first.duration
     state = first(t)
     target = arm.fk(arm.home + np.array([0.9, -0.3, -0.6])).position
-    whole = first.until(t).then(armctl.move_l(arm, state.q, target, v_start=state.v, a_start=state.a))
+    whole = first.until(t).then(armctl.move_l(arm, state, target))
     assert_kept(whole)
     assert np.array_equal(whole(0.5 * t).q, first(0.5 * t).q)
     assert np.linalg.norm(arm.fk(whole(whole.duration).q).position - target) < 1e-6
@@ -76,19 +76,19 @@ def test_a_motion_is_left_on_the_way_for_a_line(arm):
 def test_a_start_at_rest_given_as_zeros_is_the_plain_motion(arm):
     target = arm.fk(arm.home + 0.2).position
     plain = armctl.move_l(arm, arm.home, target)
-    zeros = armctl.move_l(arm, arm.home, target, v_start=np.zeros(3), a_start=np.zeros(3))
+    zeros = armctl.move_l(arm, armctl.Setpoint(arm.home, np.zeros(3), np.zeros(3)), target)
     assert np.array_equal(zeros.coefficients, plain.coefficients)
 
 
 def test_wrong_starts_are_one_sentence(arm):
     target = arm.fk(arm.home + 0.2).position
-    with pytest.raises(armctl.InputError, match=r"^q_start: a moving start needs joint positions, not a pose$"):
-        armctl.move_l(arm, arm.fk(arm.home), target, v_start=np.zeros(3))
-    with pytest.raises(armctl.LimitError, match=r"^a_start: shoulder_yaw: 1e\+06 rad/s\^2 is outside "):
-        armctl.move_l(arm, arm.home, target, a_start=[1e6, 0.0, 0.0])
+    with pytest.raises(armctl.InputError, match=r"^q_start.v: expected 3 numbers, got 2$"):
+        armctl.move_l(arm, armctl.Setpoint(arm.home, np.zeros(2), np.zeros(3)), target)
+    with pytest.raises(armctl.LimitError, match=r"^q_start.a: shoulder_yaw: 1e\+06 rad/s\^2 is outside "):
+        armctl.move_l(arm, armctl.Setpoint(arm.home, np.zeros(3), np.array([1e6, 0.0, 0.0])), target)
     at_limit = arm.limits.clamp(arm.home + np.array([9.0, 0.0, 0.0]))
-    with pytest.raises(armctl.LimitError, match=r"^v_start: the arm cannot stop inside its position limits"):
-        armctl.move_l(arm, at_limit, target, v_start=[0.5, 0.0, 0.0])
+    with pytest.raises(armctl.LimitError, match=r"^q_start: the arm cannot stop inside its position limits"):
+        armctl.move_l(arm, armctl.Setpoint(at_limit, np.array([0.5, 0.0, 0.0]), np.zeros(3)), target)
     with pytest.raises(armctl.InputError, match=r"^t: "):
         armctl.move_l(arm, arm.home, target).until(-1.0)
 
@@ -156,7 +156,7 @@ def test_a_wrong_sequence_is_one_sentence(arm, parts, motions, message):
 def test_motions_that_do_not_rest_at_the_corner_are_rejected(arm):
     move = armctl.move_j(arm, arm.home, arm.home + 0.4)
     middle = move(0.5 * move.duration)
-    rest = armctl.move_l(arm, middle.q, arm.fk(arm.home + 0.4).position, v_start=middle.v, a_start=middle.a)
+    rest = armctl.move_l(arm, middle, arm.fk(arm.home + 0.4).position)
     first = move.until(0.5 * move.duration)
     with pytest.raises(armctl.InputError, match=r"^motions: the arm does not rest between motions 0 and 1"):
         armctl.move_sequence(arm, [first, rest], blend=0.01)

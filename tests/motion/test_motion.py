@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 from synthetic import limb, motors
 
 import armctl
+from armctl import _core
 from armctl.motion import JointTrajectory
 from armctl.motion.timing.otg import JointState, ProfileSolver
-from armctl.motion.timing.waypoint_timing_kernel import farthest
-from armctl.motion.trajectory import polynomials
-from armctl.motion.trajectory.limit_check import piece_extremes
+from armctl.motion.trajectory.limit_check import piece_extremes, polynomial_extremes
 
 
 def anywhere(arm: armctl.Arm, rng: np.random.Generator, share: float = 1.0) -> np.ndarray:
@@ -205,7 +204,7 @@ def test_flowing_is_never_slower_than_stopping_and_meets_every_waypoint(seed, co
 
 
 def test_flowing_along_a_line_of_waypoints_does_not_stop():
-    arm = untiring(arm_of("panda"))
+    arm = untiring(arm_of("redundant"))
     q = arm.home + np.linspace(-0.5, 0.5, 6)[:, None] * np.array([1.0, 0.5, 0.2, 0.3, 0.4, 0.5, 0.1])
     straight_on = armctl.move_j(arm, q[0], q[-1], straight=False).duration
     assert armctl.move_through(arm, q).duration < 1.15 * straight_on
@@ -219,8 +218,12 @@ def random_states(rng: np.random.Generator) -> tuple[float, list[float], tuple[f
     return 10 ** rng.uniform(-1.5, 0.5), [v[0], a[0], v[1], a[1]], (v_max, a_max, j_max)
 
 
+farthest = _core.farthest_displacement
+SLOPES = ("by_time", "by_start_velocity", "by_start_acceleration", "by_end_velocity", "by_end_acceleration")
+
+
 def test_in_the_least_time_a_joint_goes_exactly_as_far_as_it_can():
-    rng, slopes, found = np.random.default_rng(0), np.empty(5), 0
+    rng, found = np.random.default_rng(0), 0
     for _ in range(400):
         time, states, bounds = random_states(rng)
         way = rng.uniform(-1.0, 1.0) * bounds[0] * time
@@ -228,8 +231,8 @@ def test_in_the_least_time_a_joint_goes_exactly_as_far_as_it_can():
         start, goal = (JointState(np.array([q]), *end) for q, end in zip((0.0, way), ends, strict=True))
         profile = ProfileSolver(*(np.array([bound]) for bound in bounds)).solve(start, goal)
         assert profile is not None
-        forwards = farthest(profile.duration + 1e-9, *states, *bounds, slopes)
-        backwards = -farthest(profile.duration + 1e-9, *(-x for x in states), *bounds, slopes)
+        forwards = farthest(profile.duration + 1e-9, *states, *bounds).distance
+        backwards = -farthest(profile.duration + 1e-9, *(-x for x in states), *bounds).distance
         if np.isfinite(forwards + backwards):
             found += 1
             assert min(abs(forwards - way), abs(backwards - way)) < 1e-6
@@ -237,21 +240,21 @@ def test_in_the_least_time_a_joint_goes_exactly_as_far_as_it_can():
 
 
 def test_the_slopes_of_the_furthest_way_are_its_differences():
-    rng, slopes, other, compared = np.random.default_rng(1), np.empty(5), np.empty(5), 0
+    rng, compared = np.random.default_rng(1), 0
     for _ in range(400):
         time, states, bounds = random_states(rng)
         at = np.array([time, *states])
-        farthest(*at, *bounds, slopes)
-        for i, step in enumerate(np.diag(1e-6 * np.maximum(1e-3, np.abs(at)))):
-            difference = farthest(*(at + step), *bounds, other) - farthest(*(at - step), *bounds, other)
+        slopes = farthest(*at, *bounds)
+        for i, (name, step) in enumerate(zip(SLOPES, np.diag(1e-6 * np.maximum(1e-3, np.abs(at))), strict=True)):
+            difference = farthest(*(at + step), *bounds).distance - farthest(*(at - step), *bounds).distance
             if np.isfinite(difference):
                 compared += 1
-                assert difference / (2 * step[i]) == pytest.approx(slopes[i], rel=1e-2, abs=1e-4)
+                assert difference / (2 * step[i]) == pytest.approx(getattr(slopes, name), rel=1e-2, abs=1e-4)
     assert compared > 500
 
 
 def test_flowing_past_a_joint_limit_slows_down_there_only():
-    arm = untiring(arm_of("panda"))
+    arm = untiring(arm_of("redundant"))
     rng, low, high = np.random.default_rng(4), arm.limits.q_min, arm.limits.q_max
     shares = []
     for _ in range(5):
@@ -266,7 +269,7 @@ def test_flowing_past_a_joint_limit_slows_down_there_only():
 
 @pytest.mark.parametrize("apart", [1e-4, 1e-8, 1e-10, 1e-13])
 def test_waypoints_next_to_each_other_are_met(apart):
-    arm = arm_of("panda")
+    arm = arm_of("redundant")
     q = arm.home + np.array([0.0, apart, 0.1, 0.1 + apart, 0.0])[:, None]
     motion = armctl.move_through(arm, q)
     assert_lawful(motion)
@@ -285,7 +288,7 @@ def test_waypoints_at_a_joint_limit_and_twice_the_same_are_met():
 
 
 def test_a_motion_to_where_the_arm_is_takes_no_time():
-    arm = arm_of("panda")
+    arm = arm_of("redundant")
     for motion in (armctl.move_j(arm, arm.home, arm.home), armctl.move_l(arm, arm.home, arm.fk(arm.home))):
         assert motion.duration == 0.0
         assert np.array_equal(motion(0.0).q, arm.home)
@@ -294,7 +297,7 @@ def test_a_motion_to_where_the_arm_is_takes_no_time():
 
 
 def test_the_same_waypoints_give_the_same_bits():
-    arm, rng = arm_of("panda"), np.random.default_rng(7)
+    arm, rng = arm_of("redundant"), np.random.default_rng(7)
     q = [anywhere(arm, rng) for _ in range(4)]
     one, two = armctl.move_through(arm, q), armctl.move_through(arm, q)
     assert np.array_equal(one.knots, two.knots)
@@ -313,10 +316,10 @@ def test_round_numbers_and_tiny_ways_can_be_planned(way):
 
 
 def test_a_move_can_start_along_its_line():
-    arm = arm_of("panda")
+    arm = arm_of("redundant")
     goal = arm.home + 0.4
     v = 0.3 * (goal - arm.home)
-    motion = armctl.move_j(arm, arm.home, goal, v_start=v)
+    motion = armctl.move_j(arm, armctl.Setpoint(arm.home, v, np.zeros(arm.n)), goal)
     assert np.allclose(motion(0.0).v, v)
     assert motion.duration < armctl.move_j(arm, arm.home, goal).duration
     assert_lawful(motion)
@@ -324,13 +327,31 @@ def test_a_move_can_start_along_its_line():
 
 def test_a_start_that_cannot_be_kept_is_refused():
     arm = arm_of("robot_arm_3dof")
-    start = arm.limits.q_max - 1e-3
-    with pytest.raises(armctl.InputError, match="off the straight line"):
-        armctl.move_j(arm, start, arm.home, v_start=[0.0, 0.1, 0.1])
-    with pytest.raises(armctl.LimitError, match=r"v_start: shoulder_yaw: position .* limit"):
-        armctl.move_j(arm, start, arm.home, v_start=[1.0, 0.0, 0.0], straight=False)
-    with pytest.raises(armctl.LimitError, match=r"v_start: shoulder_yaw: 99 rad/s is outside"):
-        armctl.move_j(arm, start, arm.home, v_start=[99.0, 0.0, 0.0], straight=False)
+    zero = np.zeros(3)
+
+    def start(v: list[float], a: np.ndarray = zero) -> armctl.Setpoint:
+        return armctl.Setpoint(arm.limits.q_max - 1e-3, np.array(v), a)
+
+    for off_line in (start([0.0, 0.1, 0.1]), start([0.0, 0.0, 0.0], np.array([0.0, 0.1, 0.1]))):
+        with pytest.raises(armctl.InputError, match="off the straight line"):
+            armctl.move_j(arm, off_line, arm.home)
+    with pytest.raises(armctl.LimitError, match=r"q_start: shoulder_yaw: position .* limit"):
+        armctl.move_j(arm, start([1.0, 0.0, 0.0]), arm.home, straight=False)
+    with pytest.raises(armctl.LimitError, match=r"q_start.v: shoulder_yaw: 99 rad/s is outside"):
+        armctl.move_j(arm, start([99.0, 0.0, 0.0]), arm.home, straight=False)
+
+
+@pytest.mark.parametrize("straight", [True, False])
+def test_a_move_continues_a_motion_with_its_acceleration(straight: bool):
+    arm = arm_of("robot_arm_3dof")
+    whole = armctl.move_j(arm, arm.home, arm.home + 0.4)
+    now = whole(0.1 * whole.duration)
+    assert np.abs(now.a).max() > 1.0
+    rest = armctl.move_j(arm, now, arm.home + 0.4, straight=straight)
+    for before, started in zip(now[:3], rest(0.0)[:3], strict=True):
+        assert np.allclose(started, before, atol=1e-9)
+    assert rest.duration == pytest.approx(0.9 * whole.duration, rel=1e-6)
+    assert_lawful(rest)
 
 
 # Bad input
@@ -338,9 +359,9 @@ def test_a_start_that_cannot_be_kept_is_refused():
 
 @pytest.mark.parametrize("plan", [armctl.move_j, lambda arm, a, b: armctl.move_through(arm, [a, b])], ids=["move_j", "through"])
 def test_bad_positions_are_refused(plan):
-    arm = arm_of("panda")
-    with pytest.raises(armctl.LimitError, match=r"joint4: 1 rad is outside \[-3.07"):
-        plan(arm, arm.home, [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    arm = arm_of("redundant")
+    with pytest.raises(armctl.LimitError, match=r"j3: 2.5 rad is outside \[-2"):
+        plan(arm, arm.home, [0.0, 0.0, 0.0, 2.5, 0.0, 0.0, 0.0])
     with pytest.raises(armctl.InputError):
         plan(arm, arm.home[:6], arm.home[:6])
     with pytest.raises(armctl.InputError, match="nan"):
@@ -348,15 +369,15 @@ def test_bad_positions_are_refused(plan):
 
 
 def test_one_waypoint_is_too_few():
-    arm = arm_of("panda")
+    arm = arm_of("redundant")
     with pytest.raises(armctl.InputError, match="expected at least 2"):
         armctl.move_through(arm, [arm.home])
 
 
 def test_an_arm_without_a_jerk_limit_is_refused():
-    arm = arm_of("panda")
+    arm = arm_of("redundant")
     endless = arm.with_limits(replace(arm.limits, j_max=np.full(7, np.inf)))
-    with pytest.raises(armctl.InputError, match="j_max: joint1 has no limit"):
+    with pytest.raises(armctl.InputError, match="j_max: j0 has no limit"):
         armctl.move_j(endless, arm.home, arm.home + 0.1)
 
 
@@ -396,7 +417,7 @@ def test_a_motion_is_slowed_until_the_motors_can_follow_and_says_so(plan, load):
 
 
 def test_a_slowed_move_stays_straight_and_slows_where_it_must_only():
-    arm = arm_of("panda")
+    arm = arm_of("redundant")
     start, goal = arm.home - 0.3, arm.home + 0.3
     free = armctl.move_j(untiring(arm), start, goal)
     need = armctl.check_torque(arm, free)
@@ -441,13 +462,13 @@ def test_a_payload_slows_a_motion_down():
 
 
 def test_what_no_slowness_helps_is_refused():
-    arm = weak(arm_of("panda"), 0.01)
-    with pytest.raises(armctl.PlanError, match=r"joint\d: holding still needs .* N m"):
+    arm = weak(arm_of("redundant"), 0.01)
+    with pytest.raises(armctl.PlanError, match=r"j\d: holding still needs .* N m"):
         armctl.move_j(arm, arm.home, arm.home + 0.2)
 
 
 def test_torques_of_any_trajectory_can_be_checked():
-    arm = arm_of("panda")
+    arm = arm_of("redundant")
 
     class Still:
         duration = 1.0
@@ -472,11 +493,11 @@ def test_torques_of_any_trajectory_can_be_checked():
 @given(st.lists(st.floats(-10, 10), min_size=1, max_size=6))
 def test_true_extremes_are_found(coefficients):
     p = np.array(coefficients)
-    values = polynomials.value(p, np.linspace(0, 1, 2001))
-    places, found = polynomials.extremes(p)
+    values = np.polynomial.polynomial.polyval(np.linspace(0, 1, 2001), p)
+    places, found = polynomial_extremes(p[None, :, None])
     assert found.max() >= values.max() - 1e-9
     assert found.min() <= values.min() + 1e-9
-    assert np.allclose(polynomials.value(p, places), found)
+    assert np.allclose(np.polynomial.polynomial.polyval(places, p), found)
     assert found.max() <= values.max() + 1e-4
     assert found.min() >= values.min() - 1e-4
 
@@ -512,13 +533,13 @@ def test_extremes_of_pieces_are_those_of_their_values():
 
 
 def test_motions_join_where_they_meet_and_only_there():
-    arm = arm_of("panda")
+    arm = arm_of("redundant")
     out, back = armctl.move_j(arm, arm.home, arm.home + 0.2), armctl.move_j(arm, arm.home + 0.2, arm.home)
     both = out.then(back)
     assert both.duration == pytest.approx(out.duration + back.duration)
     assert np.allclose(both(both.duration).q, arm.home)
     assert_lawful(both)
-    with pytest.raises(armctl.InputError, match=r"joint\d: the first motion ends at position"):
+    with pytest.raises(armctl.InputError, match=r"j\d: the first motion ends at position"):
         out.then(out)
     with pytest.raises(armctl.InputError, match="cannot follow"):
         out.then(armctl.move_j(arm_of("robot_arm_3dof"), [0, 0, -1], [0, 0, -1.5]))
@@ -541,3 +562,13 @@ def test_wrong_times_and_factors_are_refused():
     with pytest.raises(armctl.LimitError, match="factor: 2 is too fast"):
         motion.scaled(2.0)
     assert motion.scaled(0.5).scaled(2.0).duration == pytest.approx(motion.duration)
+
+
+def test_a_fraction_of_the_speed_makes_the_same_move_last_longer():
+    arm = arm_of("six joints")
+    goal = arm.home + np.array([0.6, -0.3, 0.2, 0.5, -0.4, 0.1])
+    fast = armctl.move_j(arm, arm.home, goal)
+    slow = armctl.move_j(arm, arm.home, goal, speed=0.4)
+    assert slow.duration == pytest.approx(fast.duration / 0.4)
+    times = np.linspace(0.0, fast.duration, 50)
+    assert slow.sample(times / 0.4).q == pytest.approx(fast.sample(times).q, abs=1e-9)

@@ -8,8 +8,11 @@ import pytest
 from arms import arm_of
 
 import armctl
+from armctl.core.pose import Pose, rotation_vector
 from armctl.motion import Arc, Line
 from armctl.motion.path import joint_path
+from armctl.motion.path.blending import Blend
+from armctl.motion.path.geometry import Straight, Turn
 from armctl.motion.path.tip_caps import TipCaps
 
 UM = 1e-6
@@ -305,3 +308,59 @@ def test_out_of_a_stretched_pose_a_path_keeps_the_limits_or_says_where_it_stops(
     except armctl.PlanError as error:
         where = str(error)
         assert "the arm can follow no further" in where or "would leave its limits" in where
+
+
+def test_the_twist_in_a_rounded_corner_is_how_its_pose_changes():
+    turns = [Pose([0, 0, 0], rpy=rpy).rotation for rpy in ([0.2, 0.1, -0.3], [1.0, -0.4, 0.3], [-0.2, 0.6, 1.4])]
+    places = np.array([[0.1, 0.2, 0.3], [0.4, 0.2, 0.2], [0.3, 0.5, 0.4]])
+    before = Straight(places[0], places[1], Turn.between(turns[0], turns[1]))
+    after = Straight(places[1], places[2], Turn.between(turns[1], turns[2]))
+    corner = Blend(before, after, 0.1)
+    step = 1e-6
+    for s in np.linspace(0.01, 0.19, 7):
+        earlier, later = corner.at(s - step), corner.at(s + step)
+        here = corner.at(s)
+        assert here.twist[:3] == pytest.approx((later.position - earlier.position) / (2 * step), abs=1e-6)
+        turned = rotation_vector(later.rotation @ earlier.rotation.T) / (2 * step)
+        assert here.twist[3:] == pytest.approx(turned, abs=1e-6)
+
+
+@pytest.fixture
+def slides(tmp_path) -> armctl.Arm:
+    """A ball on two slides without torque limits: 0.5 m/s, 4 m/s^2 and 80 m/s^3 along x and y."""
+    path = tmp_path / "slides.xml"
+    path.write_text(
+        '<mujoco><worldbody><body><joint name="x" type="slide" axis="1 0 0" range="-1 1"/>'
+        '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><body><joint name="y" type="slide" axis="0 1 0" range="-1 1"/>'
+        '<geom size="0.02" mass="1"/><site name="tip"/></body></body></worldbody>'
+        '<actuator><motor joint="x" ctrlrange="-9 9"/><motor joint="y" ctrlrange="-9 9"/></actuator></mujoco>'
+    )
+    arm = armctl.load(path)
+    both = np.ones(2)
+    limits = replace(arm.limits, v_max=0.5 * both, a_max=4 * both, j_max=80 * both, tau_max=np.inf * both)
+    return arm.with_limits(limits)
+
+
+@pytest.mark.parametrize("diagonal", [False, True])
+@pytest.mark.parametrize(
+    ("way", "least"),
+    [
+        (1.0, 1.0 / 0.5 + 0.5 / 4 + 4 / 80),  # at full speed for a while
+        (0.05, 4 / 80 + np.sqrt((4 / 80) ** 2 + 4 * 0.05 / 4)),  # at full acceleration for a while
+        (0.01, np.cbrt(32 * 0.01 / 80)),  # at full jerk all the time
+    ],
+)
+def test_a_line_along_slides_takes_the_least_time_that_speed_acceleration_and_jerk_permit(slides, way, least, diagonal):
+    start = np.array([-0.5 * way, -0.5 * way if diagonal else 0.2])
+    motion = armctl.move_l(slides, start, [*(start + way * np.array([1.0, float(diagonal)])), 0.0])
+    assert motion.check_limits().ok
+    assert least * (1 - 1e-9) < motion.duration < 1.01 * least
+
+
+def test_a_section_begins_in_the_middle_of_its_rounded_corner(slides):
+    """A path that is its own mirror image takes as long from either end, whichever half of it is slow."""
+    start, corner, end = [-0.3, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.3, 0.0]
+    forward = armctl.move_path(slides, start[:2], [Line(corner), Line(end, speed=0.3)], blend=0.1)
+    backward = armctl.move_path(slides, end[:2], [Line(corner, speed=0.3), Line(start)], blend=0.1)
+    assert forward.duration == pytest.approx(backward.duration, rel=1e-4)
+    assert forward.duration > 1.5 * armctl.move_path(slides, start[:2], [corner, end], blend=0.1).duration

@@ -87,3 +87,12 @@ def test_a_damaged_message_is_refused_in_one_sentence(bundled, tmp_path, content
     with pytest.raises(armctl.InputError) as error:
         JointTrajectory.from_ros(path, bundled)
     assert "\n" not in str(error.value)
+
+
+def test_a_yaml_whose_aliases_stand_for_billions_of_numbers_is_refused(bundled, tmp_path):
+    lines = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
+    lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 10)]
+    path = tmp_path / "bomb.yaml"
+    path.write_text("\n".join([*lines, "joint_names: [a, b, c]", "points: [{positions: *a9}]"]))
+    with pytest.raises(armctl.InputError, match="no YAML: it has an alias"):
+        JointTrajectory.from_ros(path, bundled)

@@ -44,7 +44,7 @@ def test_it_goes_around_a_wall_that_the_straight_move_runs_into(arm):
 def test_it_starts_while_the_arm_moves_and_goes_around_the_wall(arm):
     first = armctl.move_j(arm, START - 0.2, START + np.array([0.3, 0.0, 0.3, 0.1, 0.0, 0.0]))
     state = first(0.5 * first.duration)
-    motion = armctl.move_free(arm, state.q, GOAL, v_start=state.v, a_start=state.a)
+    motion = armctl.move_free(arm, state, GOAL)
     assert_free(arm, first.until(0.5 * first.duration).then(motion))
     for given, started in zip(state[:3], motion(0.0)[:3], strict=True):
         np.testing.assert_allclose(started, given, atol=1e-9)
@@ -57,7 +57,7 @@ def test_a_start_towards_the_wall_from_which_the_arm_cannot_stop_is_refused(arm)
     last = max(t for t in times if armctl.check_clearance(arm, into.until(t)).ok)
     state = into(last)
     with pytest.raises(armctl.PlanError, match=r"^start: the arm cannot stop in time: .*wall.*; start slower or allow"):
-        armctl.move_free(arm, state.q, GOAL, v_start=state.v, a_start=state.a)
+        armctl.move_free(arm, state, GOAL)
 
 
 @pytest.mark.parametrize("gap", [5e-5, 5e-6])
@@ -270,3 +270,22 @@ def test_no_simulated_move_among_things_touches_anything(tmp_path):
         reached += result.ok
     assert reached >= 3
     assert not all(straight)
+
+
+def test_a_motion_keeps_half_of_the_clearance(tmp_path):
+    """A ball of 2 cm on two slides, and a box 1.5 cm beside its straight way."""
+    path = tmp_path / "slides.xml"
+    path.write_text(
+        '<mujoco><worldbody><geom name="box" type="box" size="0.1 0.1 0.1" pos="0 0.135 0"/>'
+        '<body><joint name="x" type="slide" axis="1 0 0" range="-1 1"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+        '<body><joint name="y" type="slide" axis="0 1 0" range="-1 1"/><geom size="0.02" mass="1"/><site name="tip"/></body>'
+        '</body></worldbody><actuator><motor joint="x" ctrlrange="-99 99"/><motor joint="y" ctrlrange="-99 99"/></actuator>'
+        "</mujoco>"
+    )
+    arm = armctl.load(path)
+    motion = armctl.move_free(arm, [-0.4, 0.0], [0.4, 0.0], clearance=0.05)
+    q = motion.sample(np.linspace(0.0, motion.duration, 2000)).q
+    beside = np.maximum(np.abs(q - [0.0, 0.135]) - 0.1, 0.0)
+    assert np.linalg.norm(beside, axis=1).min() - 0.02 >= 0.025
+    near = armctl.move_free(arm, [-0.4, 0.0], [0.4, 0.0], clearance=0.02)
+    assert np.abs(near.sample(np.linspace(0.0, near.duration, 100)).q[:, 1]).max() == 0.0

@@ -28,11 +28,11 @@ def comparison(log: armctl.Log, path: Path) -> None:
 
 
 def film(log: armctl.Log, path: Path) -> None:
-    armctl.record(log, armctl.load("robot_arm_3dof"), path, width=48, height=48, speed=4.0)
+    armctl.record(log, armctl.load("robot_arm_3dof"), path, size=(48, 48), speed=4.0)
 
 
 def still(log: armctl.Log, path: Path) -> None:
-    armctl.still(log, armctl.load("robot_arm_3dof"), path, width=96, height=64)
+    armctl.still(log, armctl.load("robot_arm_3dof"), path, size=(96, 64))
 
 
 WRITERS: dict[str, Callable[[armctl.Log, Path], object]] = {

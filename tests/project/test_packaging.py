@@ -4,6 +4,7 @@ import ast
 import importlib.metadata
 import os
 import re
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -28,6 +29,11 @@ def run(*command: str | Path, cwd: Path) -> str:
     return done.stdout
 
 
+def call_backend(hook: str, folder: Path) -> None:
+    code = f"import sys; sys.path.append('packaging/build_backend'); import armctl_build; armctl_build.{hook}({str(folder)!r})"
+    run(sys.executable, "-c", code, cwd=ROOT)
+
+
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
@@ -49,22 +55,26 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_wheel_holds_the_package_the_models_and_the_license_and_nothing_else(wheel: Path):
+def test_a_wheel_holds_the_package_the_core_the_models_and_the_license_and_nothing_else(wheel: Path):
     names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "armctl").rglob("*.py")}
     models = {f"armctl/models/{path.name}" for path in (ROOT / "models").iterdir()}
-    assert names == modules | models | {"armctl/__init__.pyi", "armctl/py.typed"}
+    extension = f"armctl/_core{sysconfig.get_config_var('EXT_SUFFIX')}"
+    assert names == modules | models | {"armctl/__init__.pyi", "armctl/_core.pyi", "armctl/py.typed", extension}
     assert "armctl/models/robot_arm_3dof.xml" in names
     assert any(name.endswith(".dist-info/licenses/LICENSE") for name in zipfile.ZipFile(wheel).namelist())
 
 
 def test_a_source_distribution_holds_the_tests_and_what_they_read(tmp_path: Path):
-    run(sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", tmp_path, cwd=ROOT)
+    call_backend("build_sdist", tmp_path)
     [sdist] = tmp_path.glob("mujoco_armctl-*.tar.gz")
     with tarfile.open(sdist) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
     assert {
+        "CMakeLists.txt",
         "armctl/__init__.pyi",
+        "armctl/cpp/bindings/module.cpp",
+        "packaging/build_backend/armctl_build.py",
         "models/robot_arm_3dof.xml",
         "tests/conftest.py",
         "docs/conf.py",
@@ -72,7 +82,8 @@ def test_a_source_distribution_holds_the_tests_and_what_they_read(tmp_path: Path
         "README.md",
     } <= names
     assert {"LICENSE", "examples/01_reach.py", "tests/models/gantry.xml", ".ci/run", "packaging/conda/meta.yaml"} <= names
-    stray = [name for name in names if "__pycache__" in name or name.startswith(("docs/_build", "docs/reference"))]
+    ignored = ("docs/_build", "docs/reference", "build/", "armctl/_core.cpython")
+    stray = [name for name in names if "__pycache__" in name or name.startswith(ignored)]
     assert not stray
 
 
@@ -81,7 +92,7 @@ def declared() -> set[str]:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
     lines = [*project["dependencies"]]
-    for extra in ("view", "design", "study", "rerun", "ros", "envs", "jax"):
+    for extra in ("view", "design", "study", "ros", "envs", "jax"):
         lines += extras[extra]
     return {re.split(r"[<>=\[]", line)[0] for line in lines}
 
@@ -129,6 +140,34 @@ def test_an_installed_wheel_loads_the_bundled_arm(installed: Path):
 
 def test_the_installed_command_reaches_the_target(installed: Path):
     assert run(installed / "bin" / "armctl", "reach", "robot_arm_3dof", cwd=installed).startswith("reached")
+
+
+@pytest.mark.skipif(
+    "ARMCTL_TEST_ZIG" not in os.environ, reason="compiles zig's C++ library, in minutes; CI sets ARMCTL_TEST_ZIG"
+)
+def test_a_computer_without_a_compiler_builds_the_core_and_reaches_the_target(tmp_path: Path):
+    """With an empty PATH, in a new environment, from the registry that pip uses."""
+    checkout = tmp_path / "checkout"
+    ignored = shutil.ignore_patterns(".git", ".venv", "build", "_core.*so", "__pycache__", "_build")
+    shutil.copytree(ROOT, checkout, ignore=ignored)
+    venv.create(tmp_path / "fresh", symlinks=True, with_pip=True)
+    python = tmp_path / "fresh" / "bin" / "python"
+    environment = {name: value for name, value in ENVIRONMENT.items() if name not in ("CC", "CXX")}
+    environment |= {"PATH": "", "ZIG_GLOBAL_CACHE_DIR": str(tmp_path / "zig")}
+    install = [python, "-m", "pip", "install", "--verbose", checkout]
+    done = subprocess.run(install, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "with zig, for there is no C++ compiler" in done.stdout + done.stderr
+    assert run(tmp_path / "fresh" / "bin" / "armctl", "reach", "robot_arm_3dof", cwd=tmp_path).startswith("reached")
+
+
+def test_an_editable_install_is_a_path_to_the_checkout(tmp_path: Path):
+    """So a git worktree on PYTHONPATH uses its own extension, and no import hook finds another."""
+    call_backend("build_editable", tmp_path)
+    [wheel] = [zipfile.ZipFile(path) for path in tmp_path.glob("mujoco_armctl-*.whl")]
+    [path] = [name for name in wheel.namelist() if ".dist-info/" not in name]
+    assert path.endswith(".pth")
+    assert Path(wheel.read(path).decode().strip()).resolve() == ROOT
 
 
 def test_a_checkout_finds_the_bundled_models():

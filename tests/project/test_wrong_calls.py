@@ -1,6 +1,7 @@
 """Wrong calls across the library: each is one clear sentence of armctl's own, and on the command line exit status 2."""
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -13,44 +14,55 @@ from armctl.core.log import Log
 from armctl.motion import move_path
 from armctl.sim.recorder import MOST_TICKS
 
-ARM = arm_of("robot_arm_3dof")
-MOTION = armctl.move_j(ARM, ARM.home, ARM.home + 0.1)
+
+@cache
+def arm() -> armctl.Arm:
+    return arm_of("robot_arm_3dof")
+
+
+@cache
+def motion() -> armctl.Trajectory:
+    return armctl.move_j(arm(), arm().home, arm().home + 0.1)
+
 
 CALLS: dict[str, tuple[Callable[[], object], str]] = {
-    "an arm's name": (lambda: armctl.simulate("panda", "pd", MOTION), "arm: expected Arm, got 'panda'; armctl.load"),  # type: ignore
-    "no controller": (lambda: armctl.simulate(ARM, None, MOTION), "controller: None has no method torque"),  # type: ignore
-    "a class": (lambda: armctl.simulate(ARM, armctl.PD, MOTION), "has no method torque.*armctl.PD.arm. has"),  # type: ignore
-    "no motion": (lambda: armctl.simulate(ARM, "pd", None), "trajectory: None is not a trajectory"),  # type: ignore
-    "a position": (lambda: armctl.simulate(ARM, "pd", ARM.home), "trajectory: array.* is not a trajectory"),  # type: ignore
-    "a plant's name": (lambda: armctl.simulate(ARM, "pd", MOTION, "friction"), "plant: expected Plant, got 'friction'"),  # type: ignore
-    "a plant's name to Simulation": (lambda: armctl.Simulation(ARM, plant=3), "plant: expected Plant, got 3"),  # type: ignore
-    "days": (lambda: armctl.simulate(ARM, "pd", MOTION, dwell=1e9), f"ticks of .* s, at most {MOST_TICKS:,} fit into a log"),
-    "a motion to report": (lambda: armctl.Report.from_log(MOTION), "log: expected Log, got .*; armctl.simulate"),  # type: ignore
-    "a motion to identify": (lambda: armctl.identify_payload(ARM, MOTION), "log: expected Log, got .*"),  # type: ignore
-    "nothing to compare": (lambda: armctl.compare(ARM, [], MOTION), "a list of at least one of each"),
-    "one name to compare": (lambda: armctl.compare(ARM, "pd", MOTION), "a list of at least one of each"),
-    "a pose for a path": (lambda: move_path(ARM, ARM.home, armctl.Pose([0, 0, 1])), "path: expected a list of .* got Pose"),  # type: ignore
+    "an arm's name": (lambda: armctl.simulate("panda", "pd", motion()), "arm: expected Arm, got 'panda'; armctl.load"),  # type: ignore
+    "no controller": (lambda: armctl.simulate(arm(), None, motion()), "controller: None has no method torque"),  # type: ignore
+    "a class": (lambda: armctl.simulate(arm(), armctl.PD, motion()), "has no method torque.*armctl.PD.arm. has"),  # type: ignore
+    "no motion": (lambda: armctl.simulate(arm(), "pd", None), "trajectory: None is not a trajectory"),  # type: ignore
+    "a position": (lambda: armctl.simulate(arm(), "pd", arm().home), "trajectory: array.* is not a trajectory"),  # type: ignore
+    "a plant's name": (lambda: armctl.simulate(arm(), "pd", motion(), "friction"), "plant: expected Plant, got 'friction'"),  # type: ignore
+    "a plant's name to Simulation": (lambda: armctl.Simulation(arm(), plant=3), "plant: expected Plant, got 3"),  # type: ignore
+    "days": (
+        lambda: armctl.simulate(arm(), "pd", motion(), dwell=1e9),
+        f"ticks of .* s, at most {MOST_TICKS:,} fit into a log",
+    ),
+    "a motion to report": (lambda: armctl.Report.from_log(motion()), "log: expected Log, got .*; armctl.simulate"),  # type: ignore
+    "a motion to identify": (lambda: armctl.identify_payload(arm(), motion()), "log: expected Log, got .*"),  # type: ignore
+    "nothing to compare": (lambda: armctl.compare(arm(), [], motion()), "a list of at least one of each"),
+    "one name to compare": (lambda: armctl.compare(arm(), "pd", motion()), "a list of at least one of each"),
+    "a pose for a path": (lambda: move_path(arm(), arm().home, armctl.Pose([0, 0, 1])), "path: expected a list of .* got Pose"),  # type: ignore
     "a team's name": (lambda: armctl.Team("x"), "expected arms of one model; armctl.load_arms returns them"),  # type: ignore
-    "a team of one": (lambda: armctl.Team(ARM), "expected arms of one model; armctl.load_arms returns them"),  # type: ignore
+    "a team of one": (lambda: armctl.Team(arm()), "expected arms of one model; armctl.load_arms returns them"),  # type: ignore
     "a number for a name": (lambda: armctl.Scene().add_box(3, [1, 1, 1], [0, 0, 0]), "name: expected str, got 3"),  # type: ignore
-    "complex joints": (lambda: ARM.fk(ARM.home + 1j), "q: array.* is not an array of numbers"),
-    "a huge integer": (lambda: ARM.fk([0, 0, 10**400]), "q: .* is not an array of numbers"),
+    "complex joints": (lambda: arm().fk(arm().home + 1j), "q: array.* is not an array of numbers"),
+    "a huge integer": (lambda: arm().fk([0, 0, 10**400]), "q: .* is not an array of numbers"),
     "an arm's name to a controller": (
-        lambda: armctl.PD(ARM.name),
+        lambda: armctl.PD(arm().name),
         "arm: expected Arm, got 'robot_arm_3dof'; armctl.load.'robot_arm_3dof'",
     ),  # type: ignore
-    "an arm's name to computed torque": (lambda: armctl.ComputedTorque(ARM.name), "arm: expected Arm, got .*; armctl.load"),  # type: ignore
-    "an arm's name to a motion": (lambda: armctl.move_j(ARM.name, [0, 0, 0], [0, 0, 0]), "arm: expected Arm, got .*"),  # type: ignore
-    "an arm's name to a line": (lambda: armctl.move_l(ARM.name, [0, 0, 0], [0, 0, 0]), "arm: expected Arm, got .*"),  # type: ignore
-    "a position to check": (lambda: armctl.check_torque(ARM, ARM.home), "trajectory: .* is not a trajectory"),  # type: ignore
-    "an arm's name to identify": (lambda: armctl.identify_payload(ARM.name, None), "arm: expected Arm, got .*"),  # type: ignore
-    "an arm's name to excite": (lambda: armctl.excitation(ARM.name), "arm: expected Arm, got .*"),  # type: ignore
-    "a position to run": (lambda: armctl.Simulation(ARM).run([0, 0, 0]), "trajectory: .* is not a trajectory; armctl.move_j"),  # type: ignore
+    "an arm's name to computed torque": (lambda: armctl.ComputedTorque(arm().name), "arm: expected Arm, got .*; armctl.load"),  # type: ignore
+    "an arm's name to a motion": (lambda: armctl.move_j(arm().name, [0, 0, 0], [0, 0, 0]), "arm: expected Arm, got .*"),  # type: ignore
+    "an arm's name to a line": (lambda: armctl.move_l(arm().name, [0, 0, 0], [0, 0, 0]), "arm: expected Arm, got .*"),  # type: ignore
+    "a position to check": (lambda: armctl.check_torque(arm(), arm().home), "trajectory: .* is not a trajectory"),  # type: ignore
+    "an arm's name to identify": (lambda: armctl.identify_payload(arm().name, None), "arm: expected Arm, got .*"),  # type: ignore
+    "an arm's name to excite": (lambda: armctl.excitation(arm().name), "arm: expected Arm, got .*"),  # type: ignore
+    "a position to run": (lambda: armctl.Simulation(arm()).run([0, 0, 0]), "trajectory: .* is not a trajectory; armctl.move_j"),  # type: ignore
     "a report before any move": (
-        lambda: armctl.Report.from_log(armctl.Simulation(ARM).log),
+        lambda: armctl.Report.from_log(armctl.Simulation(arm()).log),
         "got None; .* every move of a Sim",
     ),  # type: ignore
-    "no path": (lambda: move_path(ARM, ARM.home, None), "path: expected a list of .* got None"),  # type: ignore
+    "no path": (lambda: move_path(arm(), arm().home, None), "path: expected a list of .* got None"),  # type: ignore
 }
 
 
@@ -62,9 +74,41 @@ def test_a_wrong_call_is_one_clear_sentence(name: str):
     assert "\n" not in str(caught.value)
 
 
+class Unprintable:
+    def __repr__(self) -> str:
+        raise RuntimeError("no text")
+
+
+NAMES: dict[str, tuple[Callable[[], object], str]] = {
+    "a body to follow": (lambda: armctl.Simulation(arm()).follow("\ud800"), "unknown body "),
+    "a tip": (lambda: armctl.load("robot_arm_3dof", tip="\ud800"), "unknown site, body or geom "),
+    "a body in allow": (
+        lambda: armctl.move_free(arm(), arm().home, arm().home, allow=[("\ud800", "x")]),
+        "unknown body or geom in allow ",
+    ),
+    "no tip of a team": (lambda: armctl.Team([arm()]).tip(Unprintable()), "tip: an object of type Unprintable is not a name"),  # type: ignore
+}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_text_that_cannot_be_a_name_is_an_unknown_name(name: str):
+    call, sentence = NAMES[name]
+    with pytest.raises(armctl.UnknownNameError, match=f"^{sentence}"):
+        call()
+
+
+@pytest.mark.parametrize("timestep", [0.0, -1.0, np.nan])
+def test_a_time_step_that_was_changed_to_no_time_is_refused(timestep: float):
+    changed = armctl.load("robot_arm_3dof")
+    changed.model.opt.timestep = timestep
+    for call in (lambda: armctl.Simulation(changed), lambda: armctl.simulate(changed, "pd", motion())):
+        with pytest.raises(armctl.InputError, match=r"^model\.opt\.timestep: expected"):
+            call()
+
+
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
-    return armctl.simulate(ARM, "pd", MOTION).save(tmp_path / "log.npz")
+    return armctl.simulate(arm(), "pd", motion()).save(tmp_path / "log.npz")
 
 
 def test_a_file_that_is_half_a_log_is_no_log(log: Path):

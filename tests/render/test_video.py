@@ -65,7 +65,7 @@ def seconds(path: Path) -> float:
 @draws
 @pytest.mark.parametrize(("ending", "per_second"), [(".mp4", 30), (".gif", 25)])
 def test_a_film_shows_the_arm_and_lasts_three_seconds(sim: Simulation, tmp_path: Path, ending: str, per_second: int):
-    path = sim.record(tmp_path / "new" / f"reach{ending}", width=320, height=240)
+    path = sim.record(tmp_path / "new" / f"reach{ending}", size=(320, 240))
     frames = decoded(path)
     assert sim.log is not None
     assert sim.log.t[-1] < 2.0
@@ -78,14 +78,14 @@ def test_a_film_shows_the_arm_and_lasts_three_seconds(sim: Simulation, tmp_path:
 @draws
 def test_slow_motion_takes_longer(sim: Simulation, tmp_path: Path):
     assert sim.log is not None
-    slow, slower = (seconds(sim.record(tmp_path / f"{s}.gif", width=64, height=48, speed=s)) for s in (0.2, 0.1))
+    slow, slower = (seconds(sim.record(tmp_path / f"{s}.gif", size=(64, 48), speed=s)) for s in (0.2, 0.1))
     assert slow == pytest.approx(sim.log.t[-1] / 0.2 + 1.0, abs=0.1)
     assert slower == pytest.approx(sim.log.t[-1] / 0.1 + 1.0, abs=0.1)
 
 
 @draws
 def test_a_notebook_shows_a_film(sim: Simulation, tmp_path: Path):
-    film = sim.record(tmp_path / "reach.gif", width=64, height=48)
+    film = sim.record(tmp_path / "reach.gif", size=(64, 48))
     data = re.fullmatch(r'<img src="data:image/gif;base64,(.+)" alt="film">', film._repr_html_())
     assert data is not None
     assert base64.b64decode(data[1]) == film.read_bytes()
@@ -94,7 +94,7 @@ def test_a_notebook_shows_a_film(sim: Simulation, tmp_path: Path):
 @draws
 def test_the_same_run_gives_the_same_pixels(sim: Simulation, tmp_path: Path):
     assert sim.log is not None
-    first, second = (still(sim.log, sim.arm, tmp_path / f"{k}.png", width=160, height=120).read_bytes() for k in range(2))
+    first, second = (still(sim.log, sim.arm, tmp_path / f"{k}.png", size=(160, 120)).read_bytes() for k in range(2))
     assert first == second
 
 
@@ -104,7 +104,7 @@ def test_the_trace_of_the_tip_is_in_the_picture(sim: Simulation):
     camera = mujoco.MjvCamera()
     mujoco.mjv_defaultFreeCamera(model, camera)
     assert sim.log is not None
-    with Renderer(model, 320, 240) as renderer:
+    with Renderer(model, (320, 240)) as renderer:
         with_trace = renderer.image(data, camera, sim.log.tip)
         without = renderer.image(data, camera)
     changed = (with_trace != without).any(axis=2)
@@ -131,10 +131,10 @@ def test_a_film_shows_what_the_gripper_carries(tmp_path: Path):
     np.testing.assert_array_equal(again.qpos, log.qpos)
     if not _can_draw():
         return
-    film = record([reached, again], arm, tmp_path / "carried.gif", width=160, height=120)
+    film = record([reached, again], arm, tmp_path / "carried.gif", size=(160, 120))
     assert seconds(film) == pytest.approx(max(3.0, (len(reached) + len(log)) * log.dt + 1.0), abs=0.1)
     at_home = replace(log, qpos=np.array([arm.qpos(q) for q in log.q]))
-    ends = [np.array(Image.open(still(run, arm, tmp_path / "end.png", width=320, height=240))) for run in (log, at_home)]
+    ends = [np.array(Image.open(still(run, arm, tmp_path / "end.png", size=(320, 240)))) for run in (log, at_home)]
     assert (np.abs(ends[0].astype(int) - ends[1]).max(axis=2) > 30).sum() > 20  # the cube, and the fingers around it
 
 
@@ -166,17 +166,18 @@ def test_nothing_to_film_is_said(tmp_path: Path):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"width": 321}, "expected even numbers"),
+        ({"size": (321, 240)}, "expected even numbers"),
         ({"quality": "best"}, "expected one of fast, full"),
-        ({"width": 8, "height": 8}, "width: expected a number in .16, 8192., got 8"),
+        ({"size": (8, 8)}, "width: expected a number in .16, 8192., got 8"),
         ({"quality": ["fast"]}, "quality: expected one of fast, full, got .*"),
         ({"speed": 0.0}, "speed: expected .*got 0"),
         ({"speed": "1"}, "speed: '1' is not a number"),
-        ({"height": 1e308}, "height: expected a number in .16, 8192., got 1e[+]308"),
-        ({"height": 0}, "height: expected a number in"),
-        ({"width": "x"}, "width: 'x' is not a number"),
-        ({"width": 100000}, "width: expected .*got 100000"),
-        ({"width": 320.5}, "width: expected a whole number .* got 320.5"),
+        ({"size": (320, 1e308)}, "height: expected a number in .16, 8192., got 1e[+]308"),
+        ({"size": (320, 0)}, "height: expected a number in"),
+        ({"size": ("x", 240)}, "width: 'x' is not a number"),
+        ({"size": (100000, 240)}, "width: expected .*got 100000"),
+        ({"size": 320}, "size: expected width and height in pixels"),
+        ({"size": (320.5, 240)}, "width: expected a whole number .* got 320.5"),
     ],
 )
 def test_a_wrong_option_is_one_sentence(sim: Simulation, tmp_path: Path, options: dict, sentence: str):
@@ -216,6 +217,19 @@ def test_the_camera_has_the_whole_arm_and_the_target_in_its_picture(arm: armctl.
     x, y = seen @ right / (depth * tan * aspect), seen @ up / (depth * tan)
     assert np.abs([x, y]).max() < 1.0
     assert max(np.ptp(x), np.ptp(y)) > 1.4  # and it is not a speck in the middle of it
+
+
+def test_the_camera_turns_until_it_sees_a_path_from_the_side(bundled: armctl.Arm):
+    data = mujoco.MjData(bundled.model)
+    data.qpos[:] = bundled.qpos(bundled.home)
+    mujoco.mj_forward(bundled.model, data)
+    azimuth = np.radians(bundled.model.vis.global_.azimuth)
+    for turn in np.radians([0.0, 30.0, -60.0]):  # of the path, from the direction in which the model's own camera looks
+        along = np.array([np.cos(azimuth + turn), np.sin(azimuth + turn), 0.0])
+        path = np.array([0.0, 0.0, 2.0]) + np.linspace(-0.2, 0.2, 50)[:, None] * along  # above everything: nothing hides it
+        camera = fitted_camera(bundled, [data], path, 4 / 3)
+        forward = axes(*np.radians([camera.azimuth, camera.elevation])).forward
+        assert abs(forward @ along) < 0.1
 
 
 def test_a_thinned_line_keeps_its_ends_and_its_shape():

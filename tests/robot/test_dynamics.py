@@ -8,11 +8,11 @@ from concurrent.futures import ThreadPoolExecutor
 import mujoco
 import numpy as np
 import pytest
-from synthetic import TIED, limb, mjcf
+from synthetic import TIED, limb, mjcf, motors
 
 import armctl
-from armctl import Arm, Report
-from armctl.robot import dynamics_kernel
+from armctl import Arm, Report, _core
+from armctl.robot.core_model import quaternions
 from armctl.robot.dynamics import Dynamics
 from armctl.robot.parity import check_parity
 
@@ -271,23 +271,22 @@ class Compiled:
 
     def __init__(self, arm: Arm, dt: float, continuous: bool):
         self.n = arm.n
-        self.model = arm.packed_dynamics.vector(dt, continuous)
-        self.work = np.zeros(arm.packed_dynamics.work_size())
+        self.dynamics = _core.Dynamics(arm.core_model.for_period(dt, continuous))
 
     def inverse_dynamics(self, q, v, a):
         tau = np.zeros(self.n)
-        dynamics_kernel.inverse_dynamics(self.model, q, v, a, self.work, tau)
+        self.dynamics.inverse_dynamics(q, v, a, tau)
         return tau
 
     def friction(self, q, v, a):
         self.inverse_dynamics(q, v, a)
         tau = np.zeros(self.n)
-        dynamics_kernel.add_friction(self.model, v, a, self.work, tau)
+        self.dynamics.add_friction(v, a, tau)
         return tau
 
     def gravity(self, q):
         tau = np.zeros(self.n)
-        dynamics_kernel.gravity(self.model, q, self.work, tau)
+        self.dynamics.gravity(q, tau)
         return tau
 
 
@@ -319,18 +318,21 @@ def test_compiled_dynamics_of_tied_joints_springs_and_implicit_integrators_are_p
 
 def test_compiled_tips_are_pinocchios_also_behind_half_turns(arm: Arm):
     q = np.concatenate([[arm.home, np.zeros(arm.n)], np.random.default_rng(15).uniform(-4, 4, (200, arm.n))])
-    positions, quats = arm.packed_dynamics.tips(q)
-    expected_positions, rotations = arm.pinocchio_model.tips(q)
+    positions, rotations = arm.fk_many(q)
+    quats = quaternions(rotations)
+    poses = [arm.fk(each) for each in q]
+    expected_positions = np.array([pose.position for pose in poses])
     assert np.abs(positions - expected_positions).max() <= 1e-13 * max(1.0, np.abs(expected_positions).max())
-    expected = np.array([armctl.Pose.from_rotation([0, 0, 0], R).quat for R in rotations])
+    assert np.abs(rotations - np.array([pose.rotation for pose in poses])).max() <= 1e-13
+    expected = np.array([pose.quat for pose in poses])
     assert np.abs(np.abs((quats * expected).sum(axis=1)) - 1).max() <= 1e-14  # q and -q at a half turn are the same
     assert (quats[:, 0] >= 0).all()
 
 
 def test_a_wrong_compiled_model_is_found_before_its_first_use(bundled: Arm):
     model = dataclasses.replace(bundled.pinocchio_model, T_last_tip=bundled.pinocchio_model.T_last_tip + 0.01)
-    with pytest.raises(armctl.ModelError, match="the compiled tip"):
-        _ = dataclasses.replace(bundled, pinocchio_model=model).packed_dynamics
+    with pytest.raises(armctl.ModelError, match="the core's tip"):
+        _ = dataclasses.replace(bundled, pinocchio_model=model).core_model
 
 
 @pytest.mark.parametrize(
@@ -346,3 +348,19 @@ def test_a_wrong_compiled_model_is_found_before_its_first_use(bundled: Arm):
 def test_wrong_arguments_of_the_dynamics_are_rejected_in_one_sentence(bundled: Arm, call, sentence):
     with pytest.raises(armctl.InputError, match=sentence):
         call(bundled)
+
+
+@pytest.mark.parametrize("tip", ["C", "flange", "tip"])
+def test_a_payload_weighs_at_its_point_also_where_a_plate_carries_it_behind_bodies_that_mujoco_lifts(load, tip: str):
+    inside = '<geom size="0.02" mass="0.1"/><site name="tip" pos="0 0.1 0"/>'
+    plate = f'<body name="plate" pos="0.01 0.04 0.03" euler="0.3 0.8 -0.4">{inside}</body>'
+    flange = f'<body gravcomp="1" name="flange" pos="0.05 -0.02 0.1" quat="0.6 0.2 -0.5 0.4">{plate}</body>'
+    bodies = limb("a b c", flange).replace('<body name="C"', '<body gravcomp="1" name="C"')
+    arm = load(bodies, motors("a b c"), tip=tip)
+    center = np.array([0.03, -0.05, 0.08])
+    heavy = arm.with_payload(0.7, center)
+    for q in arm.limits.random(arm.home, 5, np.random.default_rng(0)):
+        J = arm.jacobian(q)
+        at_center = J[:3] - np.cross(arm.fk(q).rotation @ center, J[3:], axisb=0).T
+        assert heavy.gravity(q) - arm.gravity(q) == pytest.approx(0.7 * 9.81 * at_center[2], abs=1e-12)
+        assert heavy.mass_matrix(q) - arm.mass_matrix(q) == pytest.approx(0.7 * at_center.T @ at_center, abs=1e-12)

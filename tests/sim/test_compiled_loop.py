@@ -1,28 +1,31 @@
 """The compiled loop and the Python loop are the same simulation: every controller on every plant, bit for bit."""
 
 import itertools
+import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
 import mujoco
+import numba
 import numpy as np
 import pytest
 from motions import Still, Sway
+from numba import types
 from synthetic import BENT, mjcf, serial_arm
 
 import armctl
-from armctl.control import CONTROLLERS, KernelController, controller_by_name, controller_name
+from armctl import _core
+from armctl.control import CONTROLLERS, CompiledController, controller_by_name, controller_name
 from armctl.control.interface import has_compiled_law
-from armctl.core.jit import njit
 from armctl.sim import compiled_loop
-from armctl.sim.mujoco_library import address_of, guarded_call
 
 PLANTS = {
     "nominal": armctl.Plant(),
     "heavier, with friction": armctl.Plant(payload=0.3, mass_scale=1.1, coulomb_friction=0.2, viscous_friction=0.1),
     "delayed": armctl.Plant(delay=3),
     "encoder noise": armctl.Plant(encoder_noise=1e-4, seed=3),
-    "all noise, ripple": armctl.Plant(encoder_noise=1e-4, velocity_noise=1e-3, torque_ripple=0.05, delay=1),
+    "all noise, delay": armctl.Plant(encoder_noise=1e-4, velocity_noise=1e-3, delay=1),
     "pushed": armctl.Plant(
         pushes=[armctl.Push(0.05, 0.1, force=[5, 0, 3]), armctl.Push(0.1, 0.1, force=[0, 2, 0], torque=[0.1, 0, 0])]
     ),
@@ -102,7 +105,7 @@ def test_both_loops_give_the_same_bits(rubbing, name: str, plant: str):
     assert len(logs[0]) > 100
 
 
-@pytest.mark.parametrize("plant", ["nominal", "all noise, ripple", "continuous, slow ticks"])
+@pytest.mark.parametrize("plant", ["nominal", "all noise, delay", "continuous, slow ticks"])
 def test_both_loops_give_the_same_bits_at_the_limits_of_speed_and_torque(rubbing, plant: str):
     limits = rubbing.limits
     arm = rubbing.with_limits(replace(limits, tau_max=0.3 * limits.tau_max, v_max=np.full(rubbing.n, 0.3)))
@@ -151,8 +154,8 @@ def test_controllers_get_the_same_wrench_in_both_loops(at_wall, name: str, senso
     assert np.isfinite(logs[0][1].wrench).all()
 
 
-def test_a_wrench_that_torques_tell_in_free_space_is_the_same_in_both_loops(bundled):
-    plant = armctl.Plant(free_space=True, wrench_source="torques", wrench_delay=1, pushes=PUSH)
+def test_a_wrench_that_torques_tell_is_the_same_in_both_loops(bundled):
+    plant = armctl.Plant(wrench_source="torques", wrench_delay=1, pushes=PUSH)
     controllers = (armctl.Admittance(bundled), InPython(armctl.Admittance(bundled)))
     logs = [armctl.simulate(bundled, controller, Sway(bundled), plant) for controller in controllers]
     assert same(*logs)
@@ -163,7 +166,7 @@ def test_a_rate_limit_runs_compiled_if_its_controller_does(bundled):
     logs = []
     for limited in (armctl.PDGravity(bundled), InPython(armctl.PDGravity(bundled))):
         controller = armctl.TorqueRateLimit(bundled, limited, 100.0)
-        assert has_compiled_law(controller, bundled.n) == isinstance(limited, KernelController)
+        assert has_compiled_law(controller, bundled.n) == isinstance(limited, CompiledController)
         sim = armctl.Simulation(bundled, controller)
         sim.run(Still(bundled.home, 0.1))
         logs.append(sim.run(Still(bundled.home + 0.05, 0.1)))
@@ -185,10 +188,8 @@ def slider(tmp_path: Path) -> armctl.Arm:
     return armctl.load(path)
 
 
-@pytest.mark.parametrize("events_size", [4, 4096])
-def test_contacts_are_those_of_the_python_loop(slider, monkeypatch, events_size: int):
-    """A spring presses a ball against a block; with a short list, the loop hands its contacts over at every change."""
-    monkeypatch.setattr(compiled_loop, "_EVENTS_SIZE", events_size)
+def test_contacts_are_those_of_the_python_loop(slider):
+    """A spring presses a ball against a block."""
     logs = []
     for wrap in (lambda controller: controller, InPython):
         sim = armctl.Simulation(slider, wrap(armctl.PD(slider, stiffness=50.0, damping=5.0)))
@@ -198,7 +199,7 @@ def test_contacts_are_those_of_the_python_loop(slider, monkeypatch, events_size:
 
 
 def test_a_long_run_in_several_calls_is_the_same(rubbing, monkeypatch):
-    plant = PLANTS["all noise, ripple"]
+    plant = PLANTS["all noise, delay"]
     whole = armctl.simulate(rubbing, "pid-gravity", Sway(rubbing), plant)
     monkeypatch.setattr(compiled_loop, "_MAX_TICKS", 7)
     assert same(whole, armctl.simulate(rubbing, "pid-gravity", Sway(rubbing), plant))
@@ -212,47 +213,26 @@ def test_a_run_that_diverges_ends_at_the_same_tick_for_the_same_reason(slider):
     assert "diverged" in logs[0].failure
 
 
-def test_a_torque_that_is_not_finite_ends_the_run_and_the_next_one_continues(bundled):
-    plant = armctl.Plant(encoder_noise=1e-4, pushes=armctl.Push(0.0, 1.0, force=[1, 0, 0]))
-    logs = []
-    for wrap in (lambda controller: controller, InPython):
-        controller = armctl.PD(bundled)
-        sim = armctl.Simulation(bundled, wrap(controller), plant)
-        sim.run(Still(bundled.home, 0.05))
-        stiffness = controller.stiffness
-        controller.stiffness = np.full(3, np.nan)
-        failed = sim.run(Still(bundled.home, 0.05))
-        assert "no finite torque" in failed.failure
-        controller.stiffness = stiffness
-        logs.append(sim.run(Still(bundled.home, 0.05)))
-    assert same(*logs)
+_NUMBERS = types.CPointer(types.float64)
 
 
-@njit
-def _spring(params, q, v, reference, memory, tau):
-    for i in range(tau.shape[0]):
-        tau[i] = params[0] * (reference[0, i] - q[i]) - params[1] * v[i]
+@numba.cfunc(types.void(*[_NUMBERS] * 7, types.int64))
+def _spring(parameters, q, v, reference, wrench, memory, tau, n):
+    for i in range(n):
+        tau[i] = parameters[0] * (reference[i] - q[i]) - parameters[1] * v[i]
 
 
-def _uncompiled(params, q, v, reference, memory, tau):
-    tau[:] = 0.0
-
-
-class OwnLaw(KernelController):
-    """A law of one's own with a kernel."""
+class OwnLaw(CompiledController):
+    """A law of one's own, which is a C function."""
 
     name = "own"
 
-    def __init__(self, arm: armctl.Arm, kernel=_spring):
+    def __init__(self, arm: armctl.Arm):
         super().__init__(arm.n)
-        self._kernel = kernel
+        self.stiffness = 5.0
 
-    @property
-    def kernel(self):
-        return self._kernel
-
-    def parameters(self, dt: float, continuous: bool):
-        return np.array([5.0, 1.0])
+    def make_law(self, dt: float, continuous: bool) -> _core.Law:
+        return _core.CFunctionLaw(_spring.address, n=self.n, parameters=np.array([self.stiffness, 1.0]))
 
 
 class Doubled(OwnLaw):
@@ -262,7 +242,7 @@ class Doubled(OwnLaw):
         return 2.0 * super().torque(state, setpoint)
 
 
-def test_a_kernel_of_ones_own_runs_compiled_and_an_overridden_torque_is_called(bundled):
+def test_a_c_function_runs_compiled_and_an_overridden_torque_is_called(bundled):
     logs = {
         kind: armctl.simulate(bundled, wrap(kind(bundled)), Sway(bundled))
         for kind, wrap in itertools.product((OwnLaw, Doubled), (lambda law: law, InPython))
@@ -273,18 +253,43 @@ def test_a_kernel_of_ones_own_runs_compiled_and_an_overridden_torque_is_called(b
     assert np.allclose(logs[Doubled].tau_cmd[0], 2.0 * own.tau_cmd[0])
 
 
-def test_a_kernel_that_is_not_compiled_is_refused_in_one_sentence(bundled):
-    with pytest.raises(armctl.InputError, match=r"kernel: .*numba.njit"):
-        armctl.simulate(bundled, OwnLaw(bundled, _uncompiled), Sway(bundled))
+def test_a_torque_that_is_not_finite_ends_the_run_and_the_next_one_continues(bundled):
+    plant = armctl.Plant(encoder_noise=1e-4, pushes=armctl.Push(0.0, 1.0, force=[1, 0, 0]))
+    logs = []
+    for wrap in (lambda controller: controller, InPython):
+        controller = OwnLaw(bundled)
+        sim = armctl.Simulation(bundled, wrap(controller), plant)
+        sim.run(Still(bundled.home, 0.05))
+        controller.stiffness = np.nan
+        failed = sim.run(Still(bundled.home, 0.05))
+        assert "no finite torque" in failed.failure
+        controller.stiffness = 5.0
+        logs.append(sim.run(Still(bundled.home, 0.05)))
+    assert same(*logs)
 
 
-def test_an_error_of_mujoco_does_not_end_the_process_and_keeps_the_ticks(bundled, monkeypatch):
-    assert guarded_call(address_of("mj_RungeKutta"), 0) != ""  # the order of the method is 0 here, and it must be 4
-    assert guarded_call(address_of("mj_step"), 0) == ""
+def test_an_error_of_mujoco_does_not_end_the_process_and_keeps_the_ticks(bundled):
     sim = armctl.Simulation(bundled)
     sim.run(Still(bundled.home, 0.1))
-    monkeypatch.setattr(compiled_loop, "guarded_call", lambda function, table: "the stack is full")
-    with pytest.raises(mujoco.FatalError, match="the stack is full"):
+    sim.model.opt.integrator = 99
+    with pytest.raises(mujoco.FatalError, match="integrator"):
         sim.run(Still(bundled.home, 0.1))
     assert sim.log is not None
     assert "FatalError" in sim.log.failure
+
+
+def test_a_second_thread_on_a_simulation_gets_one_sentence(rubbing):
+    """One thread runs many ticks; the other one cannot run, step or reset the same simulation in the meantime."""
+    sim = armctl.Simulation(rubbing)
+    logs = []
+    thread = threading.Thread(target=lambda: logs.append(sim.run(Still(rubbing.home, 30.0))))
+    thread.start()
+    while sim.data.time == 0.0:
+        time.sleep(1e-4)
+    for use in (lambda: sim.run(Still(rubbing.home, 0.1)), sim.step, sim.reset):
+        with pytest.raises(armctl.InputError, match="another thread runs it; give each thread a simulation of its own"):
+            use()
+    thread.join()
+    assert len(logs) == 1
+    assert logs[0].failure == ""
+    assert len(logs[0]) > 10_000

@@ -1,11 +1,13 @@
 """What a run touched, and for how long."""
 
+import mujoco
 import numpy as np
 import pytest
 from synthetic import limb, mjcf, motors
 
 import armctl
 from armctl import Log, Simulation
+from armctl.mjmodel.queries import contact_forces
 
 BLOCK = '<body name="block" pos="{} 0 0.3"><geom type="box" size="0.02 0.2 0.2"/></body>'
 REACHER = (
@@ -100,3 +102,27 @@ def test_a_loose_object_on_a_table_is_no_contact_of_the_arm(load):
     log = sim.move_j(arm.home + 0.1).log
     assert sim.data.ncon > 0
     assert log.contacts == ()
+
+
+def test_the_forces_of_contacts_hold_what_rests_on_them_on_a_slope_too(load):
+    for slope in (0.0, 0.2):
+        ground = f'<body euler="0 {slope} 0"><geom type="plane" size="1 1 0.1" friction="1 0.1 0.1"/></body>'
+        block = '<body name="block" pos="0 0 0.06"><freejoint/><geom type="box" size="0.05 0.05 0.05" mass="2"/></body>'
+        model = mujoco.MjModel.from_xml_string(mjcf(ground + block))
+        data = mujoco.MjData(model)
+        mujoco.mj_step(model, data, 1000)
+        forces = contact_forces(model, data)[:, 1]
+        assert len(forces) == 4
+        assert forces.sum(axis=0) == pytest.approx([0.0, 0.0, 2 * 9.81], abs=0.05)
+
+
+def test_a_contact_late_in_a_long_loop_of_steps_is_counted_from_its_begin(slider):
+    arm = slider(0.3)
+    sim = Simulation(arm)
+    touched = []
+    for k in range(1500):
+        sim.step([5.0 if k >= 1200 else 0.0])
+        touched += [sim.data.time] if sim.data.ncon else []
+    (contact,) = sim.log.contacts
+    assert touched[0] > 1200 * sim.dt
+    assert contact.start == pytest.approx(touched[0], abs=2 * sim.dt)

@@ -1,5 +1,6 @@
 """Grippers: found in the model, whatever moves their fingers, and what they say about what they hold."""
 
+import copy
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +9,8 @@ from arms import arm_of, at_hand
 from synthetic import limb, mjcf, motors
 
 import armctl
-from armctl.sim.gripper import Gripper
-from armctl.sim.gripper_model import find_gripper_model
+from armctl.sim.gripper.gripper import Gripper
+from armctl.sim.gripper.model import find_gripper_model, make_servos
 
 PAD = '<geom name="{0}" type="box" size="0.01 0.004 0.02" pos="0 {1} 0.06" mass="0.02" solref="0.004 1"/>'
 
@@ -204,3 +205,18 @@ def test_the_controller_knows_the_mass_of_a_tool():
     assert np.abs(log.q - log.q_ref).max() < 1e-9
     target = arm.fk(arm.home + 0.2)
     assert armctl.solve_ik(arm, target).ok
+
+
+@pytest.mark.parametrize("gear", [1.0, -5.0])
+def test_a_motor_becomes_a_servo_that_is_critically_damped_at_the_joint(tmp_path, gear: float):
+    drive = f'<motor name="grip" joint="left" gear="{gear}" ctrlrange="{-10 / abs(gear)} {10 / abs(gear)}"/>'
+    path = tmp_path / "arm.xml"
+    path.write_text(mjcf(limb("a b", TWO + '<site name="grasp" pos="0 0 0.06"/>'), motors("a b grip", grip=drive) + TOGETHER))
+    arm = armctl.load(path)
+    found = find_gripper_model(arm)
+    model = copy.copy(arm.model)
+    make_servos(model, found.actuators, found.inertia)
+    _, stiffness, damping = -model.actuator_biasprm[found.actuators[0], :3] * gear**2
+    assert found.inertia == pytest.approx([2 * (0.05 + 0.02)], rel=1e-3)
+    assert damping == pytest.approx(2 * np.sqrt(stiffness * found.inertia[0]))
+    assert stiffness == pytest.approx(min(10 / (0.1 * 0.04), found.inertia[0] * (0.2 / arm.dt) ** 2))

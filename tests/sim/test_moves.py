@@ -1,16 +1,37 @@
 """What an arm in a simulation can be told: lines, arcs, paths, and to follow."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
-from arms import arm_of
+from synthetic import BENT, serial_arm
 
 import armctl
 from armctl.motion import Arc, Line
 
 
+@pytest.fixture(scope="module")
+def seven_joints(tmp_path_factory: pytest.TempPathFactory) -> armctl.Arm:
+    return serial_arm(Path(tmp_path_factory.mktemp("seven")), BENT["redundant"])
+
+
 @pytest.fixture
-def sim() -> armctl.Simulation:
-    return armctl.Simulation(arm_of("panda"))
+def sim(seven_joints: armctl.Arm) -> armctl.Simulation:
+    return armctl.Simulation(seven_joints)
+
+
+class LooseLastJoint:
+    """Computed torque, but a weak spring at the last joint, which still swings when the others rest."""
+
+    def __init__(self, arm: armctl.Arm):
+        self._exact = armctl.ComputedTorque(arm)
+        self._inertia = float(arm.mass_matrix(arm.home)[-1, -1])
+
+    def torque(self, state, setpoint):
+        tau = self._exact.torque(state, setpoint)
+        error = setpoint.q[-1] - state.q[-1]
+        tau[-1] = self._inertia * (30.0**2 * error - 2.0 * 0.2 * 30.0 * state.v[-1])
+        return tau
 
 
 def moved(sim: armctl.Simulation, *way: float) -> armctl.Pose:
@@ -21,8 +42,8 @@ def test_move_j_brings_the_joints_to_a_position(sim):
     goal = sim.arm.home + 0.2
     assert sim.move_j(goal)
     assert np.allclose(sim.state.q, goal, atol=1e-4)
-    with pytest.raises(armctl.LimitError, match="q: joint4"):
-        sim.move_j(np.ones(7))
+    with pytest.raises(armctl.LimitError, match="q: j3"):
+        sim.move_j([0.0, 0.5, 0.5, 2.1, 0.5, 0.0, 0.0])
 
 
 def test_move_l_keeps_the_simulated_tip_on_its_line(sim):
@@ -79,3 +100,15 @@ def test_it_follows_the_target_wherever_it_is_put(sim):
     assert np.linalg.norm(sim.tip.position - sim.target) < 1e-4
     with pytest.raises(armctl.UnknownNameError, match="unknown body 'tarket'; did you mean 'target'"):
         sim.follow("tarket")
+
+
+def test_a_move_ends_only_when_all_joints_rest(seven_joints):
+    sim = armctl.Simulation(seven_joints, LooseLastJoint(seven_joints))
+    sim.reset(v=[0.0] * 6 + [1.0])
+    target = seven_joints.fk(seven_joints.home + 0.1).position  # the last joint turns about the tip, which it does not move
+    result = sim.move_to(target)
+    assert result, str(result)
+    moving = np.abs(result.log.v) > 1e-3
+    last = [int(np.flatnonzero(joint)[-1]) for joint in moving.T]
+    assert last[-1] > max(last[:-1]) + 100
+    assert np.abs(sim.state.v).max() < 1e-3

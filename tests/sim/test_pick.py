@@ -36,7 +36,7 @@ def test_a_cube_is_put_down_within_2_mm(cell: tuple[armctl.Arm, np.ndarray], pla
     grip = sim.gripper.close()
     assert grip.held == "cube", grip
     for point in (start + above, goal + above, goal):
-        sim.move_to(armctl.Pose(point, rpy=DOWN), tolerance=3e-3)
+        sim.move_to(armctl.Target.read(armctl.Pose(point, rpy=DOWN), tolerance=3e-3))
     assert sim.gripper.open()
     assert sim.move_to(armctl.Pose(goal + above, rpy=DOWN))
     assert np.linalg.norm(sim.data.body("cube").xpos - goal) < 2e-3

@@ -110,14 +110,8 @@ def test_the_same_seed_gives_the_same_bits(bundled):
     assert not np.array_equal(first.q, other.q)
 
 
-def test_ripple_swings_with_the_joint(bundled):
-    plant = armctl.Plant(torque_ripple=0.1)
-    log = armctl.simulate(bundled, Holding(bundled), Still(bundled.home, 0.5), plant, dwell=0.0)
-    assert np.allclose(log.tau, log.tau_cmd * (1 + 0.1 * np.sin(12.0 * log.q)), atol=1e-9)
-
-
 def test_a_push_moves_the_tip_while_it_lasts():
-    arm = arm_of("panda")
+    arm = arm_of("redundant")
     push = armctl.Push(0.1, 0.2, force=[0.0, 20.0, 0.0])
     log = armctl.simulate(arm, "impedance", Still(arm.home, 1.5), armctl.Plant(pushes=[push]), dwell=0.0)
     off = (log.tip - log.tip_ref)[:, 1]
@@ -127,7 +121,7 @@ def test_a_push_moves_the_tip_while_it_lasts():
 
 
 def test_a_push_is_a_wrench_at_the_tip():
-    arm = arm_of("panda")
+    arm = arm_of("redundant")
     push = armctl.Push(0.0, 1.0, force=[5.0, -3.0, 2.0], torque=[0.1, 0.2, -0.3])
     simulation = armctl.Simulation(arm, Holding(arm, -arm.jacobian(arm.home).T @ push.wrench), armctl.Plant(pushes=push))
     log = simulation.run(Still(arm.home, 0.05))
@@ -169,7 +163,6 @@ PLANT_PAIRS = [
     ({"encoder_noise": 1e-5}, {"encoder_noise": 2e-5}),
     ({"encoder_noise": 1e-5}, {"velocity_noise": 1e-5}),
     ({"encoder_noise": 1e-5}, {"encoder_noise": 1e-5, "seed": 1}),
-    ({"torque_ripple": 0.1}, {"torque_ripple": 0.2}),
     ({"pushes": armctl.Push(0, 1, force=[1, 0, 0])}, {"pushes": armctl.Push(0, 1, force=[0, 1, 0])}),
     ({"pushes": armctl.Push(0, 1, force=[1, 0, 0])}, {"pushes": armctl.Push(0, 1, torque=[1, 0, 0])}),
     ({"pushes": armctl.Push(0, 1, force=[1, 0, 0])}, {"pushes": armctl.Push(0, 2, force=[1, 0, 0])}),
@@ -224,3 +217,15 @@ def test_a_plant_that_cannot_be_is_refused(arguments, sentence):
 def test_friction_for_other_joints_is_refused(bundled):
     with pytest.raises(armctl.InputError, match="coulomb_friction: expected 1 or 3 numbers, got 2"):
         armctl.Plant(coulomb_friction=[0.1, 0.2]).model(bundled)
+
+
+def test_pushes_at_the_same_time_add_up():
+    arm = arm_of("redundant")
+    first = armctl.Push(0.0205, 0.1, force=[5.0, 0.0, 3.0])
+    second = armctl.Push(0.0505, 0.1, force=[0.0, -4.0, 1.0], torque=[0.1, 0.2, 0.0])
+    both = armctl.Push(0.0505, 0.07, force=[5.0, -4.0, 4.0], torque=[0.1, 0.2, 0.0])
+    alone = (armctl.Push(0.0205, 0.03, force=first.force), armctl.Push(0.1205, 0.03, force=second.force, torque=second.torque))
+    plants = [armctl.Plant(timestep=0.001, pushes=pushes) for pushes in ([first, second], [*alone, both])]
+    logs = [armctl.simulate(arm, "impedance", Still(arm.home, 0.2), plant, dwell=0.0) for plant in plants]
+    assert logs[0].q == pytest.approx(logs[1].q, abs=1e-12)
+    assert np.abs(logs[0].q[-1] - arm.home).max() > 1e-4

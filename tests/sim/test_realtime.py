@@ -10,11 +10,11 @@ from arms import BUNDLED, arm_of
 from synthetic import limb, mjcf, motors
 
 from armctl import InputError, Pose, UnknownNameError, load
-from armctl.sim.clock import MAX_SPEED, MIN_SPEED, RealTimeClock
-from armctl.sim.history import DURATION_S
 from armctl.sim.online_reference import OnlineReference
-from armctl.sim.realtime import UPDATE_INTERVAL_S, RealTimeSession
-from armctl.sim.status import Activity
+from armctl.sim.realtime.clock import MAX_SPEED, MIN_SPEED, RealTimeClock
+from armctl.sim.realtime.history import DURATION_S
+from armctl.sim.realtime.session import UPDATE_INTERVAL_S, RealTimeSession
+from armctl.sim.realtime.status import Activity
 from armctl.viewer.status_text import describe
 
 SOME = ["robot_arm_3dof", "panda", "ur5e", "xarm7", "so_arm100", "endless", "gantry"]
@@ -61,7 +61,7 @@ def test_what_is_out_of_reach_is_said_and_the_arm_comes_to_rest(name: str):
 
 
 def test_a_target_that_keeps_moving_is_followed():
-    session = RealTimeSession(arm_of("panda"))
+    session = RealTimeSession(arm_of("redundant"))
     go(session, 2.0)
     center, errors = session.status.target, []
     for k in range(400):
@@ -74,7 +74,7 @@ def test_a_target_that_keeps_moving_is_followed():
 
 
 def test_a_wild_target_never_breaks_the_limits_of_the_joints():
-    arm, rng = arm_of("panda"), np.random.default_rng(0)
+    arm, rng = arm_of("redundant"), np.random.default_rng(0)
     guide, dt = OnlineReference(arm, arm.dt, arm.home, acceleration_scale=0.3), arm.dt
     rows = [guide.toward(rng.uniform(arm.limits.q_min, arm.limits.q_max), 5) for _ in range(400)]
     q = np.concatenate([row.q for row in rows])
@@ -110,7 +110,7 @@ def test_switching_the_controller_and_the_payload_shows_in_the_error():
 
 
 def test_the_joints_can_be_steered_and_the_target_follows():
-    session = RealTimeSession(arm_of("panda"))
+    session = RealTimeSession(arm_of("redundant"))
     goal = session.arm.home + 0.2
     session.move_joints(goal)
     go(session, 2.0)
@@ -191,7 +191,7 @@ def test_an_arm_that_runs_away_says_so_and_reset_brings_it_back():
 
 
 def test_orientation_counts_only_where_it_is_said_to():
-    session = RealTimeSession(arm_of("panda"))
+    session = RealTimeSession(arm_of("redundant"))
     assert session.status.oriented
     assert not RealTimeSession(arm_of(BUNDLED)).status.oriented
     upside_down = Pose(session.status.target.position, rpy=[0.0, 0.0, 0.0])

@@ -247,8 +247,8 @@ def test_the_log_is_the_simulation(bundled: Arm):
     log = armctl.simulate(bundled, "pd", motion)
     assert np.array_equal(log.q[0], bundled.home)
     assert np.allclose(np.diff(log.q, axis=0) / log.dt, log.v[1:], atol=1e-9)  # MuJoCo's step is semi-implicit
-    assert np.allclose(log.tip, bundled.fk_many(log.q)[0], atol=1e-12)
-    assert np.allclose(log.tip_ref, bundled.fk_many(log.q_ref)[0], atol=1e-12)
+    assert np.array_equal(log.tip, bundled.fk_many(log.q)[0])
+    assert np.array_equal(log.tip_ref, bundled.fk_many(log.q_ref)[0])
     assert np.allclose(log.q_ref, motion.sample(log.t).q)
     with pytest.raises(ValueError, match="read-only"):
         log.q[0, 0] = 1.0
@@ -293,8 +293,7 @@ def test_a_payload_is_felt(arm: Arm):
     [
         (lambda sim: sim.move_to([0.3, 0.2]), "target: expected 3 numbers, got 2"),
         (lambda sim: sim.move_to([0.3, np.nan, 0.1]), r"target: element \[1\] is nan"),
-        (lambda sim: sim.move_to([0.3, 0.2, 0.3], tolerance=-1), "tolerance: expected a number at least 0, got -1"),
-        (lambda sim: sim.move_to([0.3, 0.2, 0.3], settle_timeout=-1), "settle_timeout: expected .*got -1"),
+        (lambda sim: sim.move_to([0.3, 0.2, 0.3], keep="z", avoid=False), "keep: an axis keeps its direction only with avoid"),
         (lambda sim: sim.apply_ctrl([1, 2], 1), "ctrl: expected 3 numbers, got 2"),
         (lambda sim: sim.apply_ctrl([1, 2, 9], 1), r"ctrl: elbow: 9 is outside \[-5, 5\]"),
         (lambda sim: sim.apply_ctrl([1, 2, 3], -1), "seconds: expected .*got -1"),
@@ -309,6 +308,22 @@ def test_a_payload_is_felt(arm: Arm):
 def test_a_wrong_call_is_one_sentence(bundled: Arm, call, sentence: str):
     with pytest.raises(armctl.ArmctlError, match=sentence):
         call(Simulation(bundled))
+
+
+@pytest.mark.parametrize("move", ["move_l", "move_path"])
+def test_an_option_that_a_move_does_not_have_is_a_type_error(bundled: Arm, move: str):
+    sim = Simulation(bundled)
+    with pytest.raises(TypeError, match=rf"^{move}\(\) got an unexpected keyword argument 'sped'$"):
+        getattr(sim, move)([[0.3, 0.2, 0.3]] if move == "move_path" else [0.3, 0.2, 0.3], sped=0.5)
+    assert sim.log is None
+
+
+@pytest.mark.parametrize(("tolerance", "reached"), [(1e-3, True), (0.0, False)])
+def test_the_tolerances_of_a_target_decide_whether_it_is_reached(bundled: Arm, tolerance: float, reached: bool):
+    target = armctl.Target.read([0.3, 0.2, 0.3], tolerance=tolerance)
+    result = Simulation(bundled, "pd").move_to(target)
+    assert result.ok == reached
+    assert ("from the target" in result.reason) != reached
 
 
 def test_simulations_do_not_touch_the_arm(bundled: Arm):

@@ -13,7 +13,7 @@ from armctl.sim.recorder import ticks_for
 PLANTS = {
     "nominal": Plant(),
     "payload and friction": Plant(payload=0.5, coulomb_friction=0.1),
-    "delay, noise and ripple": Plant(delay=2, encoder_noise=1e-4, velocity_noise=1e-3, torque_ripple=0.02),
+    "delay and noise": Plant(delay=2, encoder_noise=1e-4, velocity_noise=1e-3),
     "a push": Plant(pushes=Push(0.05, 0.1, force=[0.0, 5.0, 0.0])),
     "continuous": Plant(continuous=True),
     "another tick": Plant(timestep=1e-3),

@@ -10,9 +10,9 @@ from arms import BUNDLED
 import armctl
 from armctl import Pose
 from armctl.sim.obstacles import Obstacles
-from armctl.sim.realtime import UPDATE_INTERVAL_S, RealTimeSession
+from armctl.sim.realtime.session import UPDATE_INTERVAL_S, RealTimeSession
+from armctl.sim.realtime.status import Activity
 from armctl.sim.speed_override import SpeedOverride
-from armctl.sim.status import Activity
 from armctl.viewer.status_text import describe
 
 BESIDE = [0.42, 0.2, 0.25]

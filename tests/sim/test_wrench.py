@@ -8,6 +8,7 @@ from motions import Still
 from synthetic import BENT, limb, mjcf, motors, serial_arm
 
 import armctl
+from armctl import _core
 
 PAIR = limb("a b c") + limb("d e f").replace('pos="0.1 0 0.1"', 'pos="-0.5 0 0.1"', 1)
 WALL_FACE = 0.44  # m
@@ -72,6 +73,23 @@ def test_without_contact_the_wrench_is_the_push(six_joints):
     assert log.wrench.shape == (len(log), 6)
 
 
+CONFIGURATIONS = ([0.2, 0.4, 0.9, -0.3, 0.8, 0.4], [-1.2, -0.7, 0.6, 1.1, -0.9, -1.5], [1.6, 1.1, -1.3, -0.8, 0.3, 1.9])
+
+
+@pytest.mark.parametrize("q", CONFIGURATIONS)
+def test_a_force_at_a_point_of_the_hand_has_its_lever_about_the_tip(six_joints, q):
+    simulation = armctl.Simulation(six_joints, "computed-torque", armctl.Plant(timestep=0.001))
+    simulation.reset(q)
+    body, data = six_joints.tip_body, simulation.data
+    data.xfrc_applied[body] = np.concatenate([FORCE, MOMENT])  # at the body's center of mass
+    simulation.step()
+    lever = data.xipos[body] - six_joints.fk(q).position
+    assert np.linalg.norm(lever) > 0.02
+    measured = simulation.state.wrench
+    assert measured[:3] == pytest.approx(FORCE, abs=1e-9)
+    assert measured[3:] == pytest.approx(MOMENT + np.cross(lever, FORCE), abs=1e-3)
+
+
 def test_torques_and_motion_tell_the_wrench(six_joints):
     log, seen, _ = pushed(six_joints, wrench_source="torques")
     assert seen[-1] == pytest.approx(np.concatenate([FORCE, MOMENT]), abs=1e-3)
@@ -86,13 +104,11 @@ def test_three_joints_tell_the_force_only(at_wall):
 
 @pytest.mark.parametrize("rank", [6, 4, 0])
 def test_least_squares_are_those_of_lapack_also_at_singular_configurations(rank):
-    from armctl.sim.wrench_kernel import solve_least_squares
-
     rng = np.random.default_rng(rank)
     A = rng.normal(size=(6, rank)) @ rng.normal(size=(rank, 7))
     b = rng.normal(size=7)
     x = np.zeros(6)
-    solve_least_squares(A.copy(), b, np.zeros((6, 6)), x)
+    _core.solve_least_squares(A.copy(), b, x)
     assert x == pytest.approx(np.linalg.lstsq(A.T, b)[0], abs=1e-12)
 
 

@@ -89,6 +89,27 @@ def test_the_sobol_indices_of_a_known_function_are_right(saltelli):
     assert [each.factor for each in found.factors] == ["payload", "friction", "mass_scale"]
 
 
+def test_the_intervals_of_the_sobol_indices_are_those_of_a_plain_bootstrap(saltelli):
+    study = armctl.Study.from_dict({**saltelli.study.to_dict(), "samples": 256})
+    values = np.array([run.point["payload"] * (1.0 + 40.0 * run.point["friction"]) for run in study.runs])
+    columns = {"controller": np.array(["computed-torque"] * len(values), dtype=object), "tip_rms_m": values}
+    found = dataclasses.replace(saltelli, study=study, _columns={**saltelli.table(), "run": values, **columns}).sensitivity()
+    shares = {each.factor: each.total for each in found.factors}
+    rng = np.random.default_rng(5)
+    first, second, *mixtures = np.split(values, 5)  # A, B, and A with one column of B for each factor
+    mixed = dict(zip(study.factors, mixtures, strict=True))
+    drawn = {name: [] for name in mixed}
+    for _ in range(2000):
+        rows = rng.integers(256, size=256)
+        variance = np.concatenate([first[rows], second[rows]]).var()
+        for name, mixture in mixed.items():
+            drawn[name].append(0.5 * np.mean((first[rows] - mixture[rows]) ** 2) / variance)  # Jansen (1999)
+    for name in ("payload", "friction"):
+        low, high = np.quantile(drawn[name], [0.025, 0.975])
+        assert shares[name].high - shares[name].low == pytest.approx(high - low, rel=0.15)
+        assert shares[name].low == pytest.approx(low, abs=0.15 * (high - low))
+
+
 def test_the_sensitivity_of_a_run_study_says_when_it_is_uncertain(saltelli):
     found = saltelli.sensitivity()
     assert {each.factor for each in found.factors} == {"payload", "friction", "mass_scale"}
@@ -208,3 +229,19 @@ def test_the_command_makes_a_study_and_writes_what_it_found(toml, tmp_path, caps
 
 def test_every_figure_of_the_table_is_one_of_a_report():
     assert set(FIGURES) <= set(armctl.Report.__dataclass_fields__)
+
+
+def test_repetitions_of_a_point_count_by_their_mean(saltelli):
+    """What repetitions differ by cancels: the indices are those of one run at each point."""
+    found = []
+    for repeats in (1, 2):
+        study = armctl.Study.from_dict({**saltelli.study.to_dict(), "samples": 64, "repeats": repeats})
+        side = np.resize([1.0, -1.0] if repeats == 2 else [0.0], len(study.runs))
+        values = np.array([run.point["payload"] + 30.0 * run.point["friction"] for run in study.runs]) + 0.2 * side
+        columns = {"controller": np.array(["computed-torque"] * len(values), dtype=object), "tip_rms_m": values}
+        table = {**saltelli.table(), "run": values, **columns}
+        found.append(dataclasses.replace(saltelli, study=study, _columns=table).sensitivity().factors)
+    for one, other in zip(*found, strict=True):
+        assert one.factor == other.factor
+        assert other.total.value == pytest.approx(one.total.value, abs=1e-9)
+        assert other.first_order.value == pytest.approx(one.first_order.value, abs=1e-9)

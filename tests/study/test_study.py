@@ -1,5 +1,6 @@
 """A study makes each of its runs once, with the same bits wherever and whenever, and survives whatever ends it."""
 
+import contextlib
 import ctypes
 import json
 import os
@@ -18,7 +19,8 @@ import pytest
 
 import armctl
 from armctl.sim.mujoco_library import library
-from armctl.study.bench import Bench, run_chunk
+from armctl.study.bench import Bench, _model_digest, failed_outcome, run_chunk, versions
+from armctl.study.store import Store
 
 
 def digests(result: armctl.StudyResult) -> list[str]:
@@ -236,6 +238,15 @@ def test_runs_of_other_versions_are_kept_apart(study, tmp_path, monkeypatch):
         assert database.execute("select count(*) from runs").fetchone() == (4,)
 
 
+@pytest.mark.parametrize("array", ["body_mass", "jnt_range", "dof_damping", "geom_friction", "actuator_gainprm"])
+def test_models_that_differ_in_one_number_have_different_digests(array: str):
+    arm = armctl.load("robot_arm_3dof")
+    before = _model_digest(arm)
+    assert before == _model_digest(armctl.load("robot_arm_3dof"))
+    getattr(arm.model, array)[-1] += 1e-9
+    assert _model_digest(arm) != before
+
+
 def test_a_worker_with_another_model_or_version_refuses(study):
     for changes, reason in (
         ({"model": "another"}, "differs from that of the study"),
@@ -304,12 +315,35 @@ def test_what_does_not_fit_the_robot_is_refused_before_anything_runs(study, tmp_
     assert not list(tmp_path.iterdir())
 
 
+def test_of_many_values_to_choose_from_only_those_of_the_runs_are_checked(study, monkeypatch):
+    planned = study(factors={"payload": armctl.Choice(np.linspace(0.0, 1.0, 100_000))}, samples=4)
+    checked = []
+    monkeypatch.setattr(Bench, "check_plant", lambda bench, run: checked.append(run.point["payload"]))
+    planned._check()
+    assert sorted(checked) == sorted({run.point["payload"] for run in planned.runs})
+    assert len(checked) == 4
+
+
 def test_a_foreign_database_and_a_foreign_executor_are_refused(study, tmp_path):
     with pytest.raises(armctl.InputError, match=r"expected Executor, .* for Dask pass client.get_executor"):
         study().run(3, folder=tmp_path)
     Path(tmp_path / "trial.sqlite").write_bytes(b"no database" * 100)
     with pytest.raises(armctl.InputError, match="it is not a file of a study"):
         study().run(folder=tmp_path)
+
+
+@pytest.mark.parametrize("outcome", ["[]", "{}", "1", "x", "[" * 100_000, b"\xff", 7, None, '{"tip_rms_m": "x"}'])
+def test_a_damaged_outcome_is_refused_in_one_sentence(study, tmp_path, outcome):
+    planned = study()
+    with Store(tmp_path / "trial.sqlite", versions()) as store:
+        store.add(planned.runs[:1], [failed_outcome("lost")])
+    whole = failed_outcome("lost")
+    if isinstance(outcome, str) and outcome.startswith('{"'):
+        outcome = json.dumps(whole | json.loads(outcome))
+    with contextlib.closing(sqlite3.connect(tmp_path / "trial.sqlite")) as database, database:
+        database.execute("update runs set outcome = ?", [outcome])
+    with pytest.raises(armctl.InputError, match="it is not a file of a study"):
+        planned.result(tmp_path)
 
 
 @pytest.mark.parametrize("text", ["name = ", "name = 3", 'name = "x"', "\x00", 'name = "x"\nrobot = "y"\nfoo = 1'])

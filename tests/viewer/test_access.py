@@ -1,7 +1,6 @@
 """Who reaches the page: Host, Origin, token, session cookie, number of clients, size of messages, and no way to publish it."""
 
 import contextlib
-import http.client
 import os
 import re
 import resource
@@ -64,7 +63,19 @@ FOREIGN_ORIGINS = [
     "file://",
     "https://evil.example:443",
 ]
-FOREIGN_HOSTS = ["evil.example", "evil.example:8080", "127.0.0.1.evil.example", "192.0.2.1", "[::2]:80", "", "a b", "[::1"]
+FOREIGN_HOSTS = [
+    "evil.example",
+    "evil.example:8080",
+    "127.0.0.1.evil.example",
+    "192.0.2.1",
+    "[::2]:80",
+    "",
+    "a b",
+    "[::1",
+    "127.0.0.1%00.evil.example",
+    "127.0.0.1%25.evil.example:80",
+    "[::ffff:127.0.0.1%00.evil.example]",
+]
 
 
 @pytest.mark.parametrize("origin", [*FOREIGN_ORIGINS, None])
@@ -143,21 +154,21 @@ def test_no_message_opens_a_tunnel(page, monkeypatch: pytest.MonkeyPatch, messag
     assert opened == []
 
 
-def test_no_handler_opens_a_tunnel_even_behind_the_filter(page):
-    handlers = page.scene.server._websock_server._incoming_handlers
-    assert viser._messages.ShareUrlRequest not in handlers
-    assert viser._messages.ShareUrlDisconnect not in handlers
+def test_no_tunnel_opens_even_behind_the_filter(page, monkeypatch: pytest.MonkeyPatch):
+    """viser answers a request for a tunnel by calling these two."""
+    opened = []
+    monkeypatch.setattr("viser._viser.ViserTunnel", lambda *args: opened.append(args))
+    server = page.scene.server
+    assert server.request_share_url() is None
+    server.disconnect_share_url()
+    assert opened == []
 
 
 def test_a_version_of_viser_that_serves_in_another_way_is_refused(monkeypatch: pytest.MonkeyPatch):
     real = viser.ViserServer.__init__
-    from viser.infra import _infra
 
-    def unprotected(self, **options):
-        import websockets
-
-        vars(_infra)["websockets"] = websockets  # undoes the protection
-        real(self, **(options | {"port": 0}))
+    def unprotected(self, *address, **options):
+        real(self, "127.0.0.1", 0, **options)
 
     monkeypatch.setattr(viser.ViserServer, "__init__", unprotected)
     with pytest.raises(Exception, match="cannot protect"):
@@ -439,18 +450,30 @@ def test_the_page_closes_at_once_whatever_its_clients_do(monkeypatch: pytest.Mon
             connection.close()
 
 
-def test_too_many_connections_are_cut(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(page_server, "_MAX_CONNECTIONS", 5)
+def test_the_oldest_request_is_cut_if_there_are_too_many(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(page_server, "_MAX_REQUESTS", 5)
     with open_page() as page:
         silent = [socket.create_connection(("127.0.0.1", page.port), timeout=TIMEOUT_S) for _ in range(6)]
+        started = time.perf_counter()
         with contextlib.suppress(ConnectionResetError):
-            assert silent[-1].recv(1) == b""
+            assert silent[0].recv(1) == b""
+        assert time.perf_counter() - started < page_server._OPEN_TIMEOUT_S / 2
+        silent[-1].sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\n\r\n".encode())
+        assert silent[-1].recv(12) == b"HTTP/1.1 200"
         for connection in silent:
             connection.close()
-        until(lambda: served(page), "the page is not served again")
 
 
-def served(page) -> bool:
-    with contextlib.suppress(OSError, http.client.HTTPException):
-        return get(page).status == 200
-    return False
+def test_hundreds_of_idle_connections_lock_nobody_out(page):
+    with connected(page) as client:
+        idle = [socket.create_connection(("127.0.0.1", page.port), timeout=TIMEOUT_S) for _ in range(280)]
+        try:
+            started = time.perf_counter()
+            assert get(page).status == 200
+            with connected(page) as other:
+                follows(page, other)
+            follows(page, client)
+            assert time.perf_counter() - started < TIMEOUT_S
+        finally:
+            for connection in idle:
+                connection.close()

@@ -14,7 +14,7 @@ import viser
 from viewer_client import CAMERA, connected, control_id, follows, open_page, until
 
 from armctl import Pose
-from armctl.sim.status import Activity
+from armctl.sim.realtime.status import Activity
 from armctl.viewer import picture_panel
 from armctl.viewer.message_filter import MAX_COORDINATE_M, MessageFilter, limited_value
 

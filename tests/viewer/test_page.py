@@ -28,7 +28,7 @@ import viser  # noqa: E402
 from viewer_client import TIMEOUT_S, open_page, until  # noqa: E402
 
 from armctl.control import CONTROLLERS  # noqa: E402
-from armctl.sim.realtime import Activity  # noqa: E402
+from armctl.sim.realtime.session import Activity  # noqa: E402
 from armctl.viewer.page import Page  # noqa: E402
 
 SOFTWARE_GL = [

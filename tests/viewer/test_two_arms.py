@@ -13,7 +13,7 @@ from viewer_client import connected, open_page, until
 from armctl import ModelError
 from armctl.cli.main import _parser
 from armctl.cli.view import _load
-from armctl.sim.status import Activity
+from armctl.sim.realtime.status import Activity
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from synthetic import limb, mjcf, motors
 
 import armctl
 from armctl import Simulation
-from armctl.sim.clock import RealTimeClock
+from armctl.sim.realtime.clock import RealTimeClock
 from armctl.viewer.mesh_decimation import FINE_CELL, decimated
 from armctl.viewer.web_scene import WebScene
 

@@ -8,7 +8,7 @@ from armctl.core.validation import Array
 from armctl.envs.batch import Batch
 from armctl.envs.experts.interface import Expert, max_turns
 from armctl.envs.tasks.table import Table
-from armctl.ik.problem import packed_chain
+from armctl.ik.problem import ik_chain
 from armctl.ik.solve import solve_ik
 
 _SPEED = 0.4  # reaches per second
@@ -22,7 +22,6 @@ class CartesianExpert(Expert):
     """A policy that commands positions of the end of the tool.
 
     Attributes:
-        table: The table.
         position: (3,) m, the commanded position.
     """
 
@@ -32,7 +31,7 @@ class CartesianExpert(Expert):
     def __init__(self, batch: Batch, row: int):
         """A policy that waits for the start of an episode."""
         super().__init__(batch, row)
-        self._reach = packed_chain(self.arm).reach
+        self._reach = ik_chain(self.arm).reach
         self._max_turns = max_turns(batch, _MAX_LAG, _SPEED_SHARE)
 
     def begin(self) -> None:

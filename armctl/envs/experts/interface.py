@@ -31,16 +31,13 @@ class Expert(ABC):
     """A scripted policy of one row of a batch. A subclass is one file and one row of `EXPERTS`.
 
     Attributes:
-        batch: The batch.
         row: Which row.
-        arm: The arm.
     """
 
     def __init__(self, batch: Batch, row: int):
         """A policy that waits for the start of an episode.
 
         Args:
-            batch: The batch.
             row: Which row.
 
         Raises:
@@ -107,7 +104,6 @@ def max_turns(batch: Batch, max_lag: float, speed_share: float = 1.0) -> Array:
     so the arm leaves its path where they are large.
 
     Args:
-        batch: The batch.
         max_lag: rad (m), of a reference.
         speed_share: Of the speed limits of the joints.
     """

@@ -7,7 +7,7 @@ import numpy as np
 from armctl.collision.checkers import collision_checker
 from armctl.core.errors import InputError
 from armctl.core.validation import Array
-from armctl.envs.limits import joint_limits
+from armctl.envs.actions import target_limits
 from armctl.robot.arm import Arm
 
 _MAX_DRAWS = 20
@@ -17,8 +17,6 @@ def free_configurations(arm: Arm, count: int, spread: float) -> Array:
     """Random configurations around home at which nothing touches, always the same.
 
     Args:
-        arm: The arm.
-        count: How many.
         spread: rad (m) to both sides of home.
 
     Returns:
@@ -29,10 +27,10 @@ def free_configurations(arm: Arm, count: int, spread: float) -> Array:
     """
     rng = np.random.default_rng(0)
     checker = collision_checker(arm)
-    limits = joint_limits(arm)
+    limits = target_limits(arm)
     found = np.zeros((0, arm.n))
     for _ in range(_MAX_DRAWS):
-        drawn = np.clip(arm.home + rng.uniform(-spread, spread, (count, arm.n)), limits.low, limits.high)
+        drawn = np.clip(arm.home + rng.uniform(-spread, spread, (count, arm.n)), limits.q_min, limits.q_max)
         found = np.concatenate([found, [q for q in drawn if not checker.at(q)]])[:count]
         if len(found) == count:
             return found

@@ -9,9 +9,10 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.core.limits import Limits
 from armctl.core.validation import Array, BoolArray
+from armctl.envs.actions import target_limits
 from armctl.envs.grip import Grip
-from armctl.envs.limits import JointLimits, joint_limits
 from armctl.envs.source import ArmSource
 from armctl.robot.arm import Arm
 
@@ -52,7 +53,6 @@ class Task(ABC):
         obstacle: The name of the body to avoid; empty for none.
         uses_gripper: Whether an action has a number for the gripper.
         moves_goal: Whether the goal moves during an episode.
-        arm: The arm.
         grip: Its gripper, if the task uses or closes it. It is open at the start of an episode if an action has a number for
             it, else it is closed and braked.
         start_q: (n,) rad, around which episodes start.
@@ -89,11 +89,11 @@ class Task(ABC):
     def start(self, rng: np.random.Generator, spread: float = _START_SPREAD) -> Array:
         """(n,) rad, a configuration around the start."""
         q = self.start_q + rng.uniform(-spread, spread, self.arm.n)
-        return np.clip(q, self._limits.low, self._limits.high)
+        return np.clip(q, self._limits.q_min, self._limits.q_max)
 
     @cached_property
-    def _limits(self) -> JointLimits:
-        return joint_limits(self.arm)
+    def _limits(self) -> Limits:
+        return target_limits(self.arm)
 
     def goals_at(self, numbers: NDArray[np.int64], steps: NDArray[np.int64]) -> Array:
         """(count, 3) m, the goals of episodes with these goal numbers (count,) after these steps (count,)."""

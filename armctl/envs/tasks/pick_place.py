@@ -11,7 +11,7 @@ from armctl.envs.source import ArmSource
 from armctl.envs.tasks.interface import Episode, Task
 from armctl.envs.tasks.table import Cylinder, find_table, load_at_table
 from armctl.envs.tasks.tool import find_tool, jaw_center
-from armctl.ik.problem import packed_chain
+from armctl.ik.problem import ik_chain
 
 _WIDTH_SHARE = 0.5  # of the object, of the open gripper
 _MAX_WIDTH = 0.05  # m
@@ -34,7 +34,6 @@ class PickPlace(Task):
     open gripper.
 
     Attributes:
-        table: The table.
         height: m, of the object.
         grasp: (3,) m, in the tip's frame, beside the line along which the tool points: the middle between the jaws.
     """
@@ -62,7 +61,7 @@ class PickPlace(Task):
             hint = "load_options={'tool': 'robotiq_2f85'} mounts one"
             raise InputError(f"robot: PickPlace needs a gripper: {error!s:.250}; {hint}") from None
         tool = find_tool(alone, [self.grip.closed, self.grip.opened])
-        reach = packed_chain(alone).reach
+        reach = ik_chain(alone).reach
         width = min(_WIDTH_SHARE * self.grip.width_max, _WIDTH_OF_REACH * reach, _MAX_WIDTH)
         self.grasp = jaw_center(alone, self.grip, tool, _WIDTH_WHEN_AROUND * width)
         self.height = max(_MIN_HEIGHT, 1.5 * width)

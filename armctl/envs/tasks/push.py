@@ -11,7 +11,7 @@ from armctl.envs.source import ArmSource
 from armctl.envs.tasks.interface import Episode, Task
 from armctl.envs.tasks.table import Cylinder, find_table, load_at_table
 from armctl.envs.tasks.tool import find_tool
-from armctl.ik.problem import packed_chain
+from armctl.ik.problem import ik_chain
 from armctl.robot.arm import Arm
 
 _RADIUS = 0.04  # of the object, in reaches
@@ -35,7 +35,6 @@ class Push(Task):
     is closed and braked.
 
     Attributes:
-        table: The table.
         radius: m, of the object.
         height: m, of the object.
     """
@@ -61,7 +60,7 @@ class Push(Task):
             tool = find_tool(alone, [self.grip.closed])
         except ModelError:  # no gripper
             tool = find_tool(alone, [_home(alone)])
-        self.radius = max(_RADIUS * packed_chain(alone).reach, _SHARE_OF_TOOL * tool.radius)
+        self.radius = max(_RADIUS * ik_chain(alone).reach, _SHARE_OF_TOOL * tool.radius)
         margin = self.radius + tool.radius + BEHIND
         self.height = min(_MAX_HEIGHT, _HEIGHT_SHARE * self.radius)
         lift = _TIP_HEIGHT + self.height + _CLEARANCE

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armctl.envs.limits import joint_limits
+from armctl.envs.actions import target_limits
 from armctl.envs.source import ArmSource
 from armctl.envs.tasks.configurations import free_configurations
 from armctl.envs.tasks.interface import Episode, Task
@@ -28,8 +28,8 @@ class Reach(Task):
     def __init__(self, source: ArmSource, ticks: int):
         """The task; the ticks of a step do not matter."""
         self.arm = source.load()
-        limits = joint_limits(self.arm)
-        self.start_q = np.clip(self.arm.home, limits.low, limits.high)
+        limits = target_limits(self.arm)
+        self.start_q = np.clip(self.arm.home, limits.q_min, limits.q_max)
         self.goal_q = free_configurations(self.arm, _GOALS, _GOAL_SPREAD)
         self.goals = self.arm.fk_many(self.goal_q)[0][:, None]
 

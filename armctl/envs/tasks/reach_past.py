@@ -12,7 +12,7 @@ from armctl.core.validation import Array
 from armctl.envs.source import ArmSource
 from armctl.envs.tasks.configurations import free_configurations
 from armctl.envs.tasks.interface import Episode, Task
-from armctl.ik.problem import packed_chain
+from armctl.ik.problem import ik_chain
 from armctl.loading.scene import Scene
 from armctl.robot.arm import Arm
 
@@ -56,7 +56,7 @@ class ReachPast(Task):
         Raises:
             InputError: The robot was loaded already, or hardly any start and goal have the ball between them.
         """
-        reach = packed_chain(source.load()).reach
+        reach = ik_chain(source.load()).reach
         radius = _RADIUS * reach
         scene = _SceneWithBall().add_ball(self.obstacle, radius, [0.0, 0.0, -_AWAY * reach])
         self.arm = source.load_among(scene, self.name)

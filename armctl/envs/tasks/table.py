@@ -13,10 +13,10 @@ from armctl.collision.checkers import collision_checker
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose, rotation_from_vector
 from armctl.core.validation import Array
-from armctl.envs.limits import joint_limits
+from armctl.envs.actions import target_limits
 from armctl.envs.source import ArmSource
 from armctl.envs.tasks.tool import Tool
-from armctl.ik.problem import packed_chain
+from armctl.ik.problem import ik_chain
 from armctl.ik.solve import solve_ik
 from armctl.loading.scene import Scene
 from armctl.robot.arm import Arm
@@ -126,7 +126,6 @@ def find_table(arm: Arm, tool: Tool, *, low: float, lift: float, margin: float, 
 
     Args:
         arm: The arm alone.
-        tool: Its tool.
         low: m, height of the end of the tool above the table when it works there.
         lift: m, height of the end of the tool above the table when it moves.
         margin: m, around the area, in which the tool moves as well.
@@ -136,7 +135,7 @@ def find_table(arm: Arm, tool: Tool, *, low: float, lift: float, margin: float, 
     Raises:
         InputError: There is none.
     """
-    reach = packed_chain(arm).reach
+    reach = ik_chain(arm).reach
     data = mujoco.MjData(arm.model)
     data.qpos[:] = arm.qpos(arm.home)
     mujoco.mj_kinematics(arm.model, data)
@@ -170,13 +169,9 @@ def load_at_table(source: ArmSource, places: Iterator[_Place], cylinder: Cylinde
     """The arm at the first place where it touches neither the table nor itself, with a cylinder on the table.
 
     Args:
-        source: The robot.
         places: Candidates.
         cylinder: The object.
         name: The name of the task, for the error.
-
-    Returns:
-        The arm and the table.
 
     Raises:
         InputError: There is no such place, or the robot was loaded already.
@@ -192,7 +187,7 @@ def load_at_table(source: ArmSource, places: Iterator[_Place], cylinder: Cylinde
 
 def _corners(arm: Arm, table: Table, middle: Array | None, margin: float) -> list[Array] | None:
     """Configurations over the area, that above its center first, if there is one; None if the arm is not good there."""
-    limits = joint_limits(arm)
+    limits = target_limits(arm)
     if middle is None:
         return None
     found = [middle]
@@ -200,7 +195,7 @@ def _corners(arm: Arm, table: Table, middle: Array | None, margin: float) -> lis
         q = _solve(arm, table, np.array([x, y, height]), middle)
         if q is None or np.abs(q - middle).max() > _MAX_TURN:
             return None
-        if (q < limits.low + _MIN_MARGIN).any() or (q > limits.high - _MIN_MARGIN).any():
+        if (q < limits.q_min + _MIN_MARGIN).any() or (q > limits.q_max - _MIN_MARGIN).any():
             return None
         found.append(q)
     return found

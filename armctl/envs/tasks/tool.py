@@ -63,11 +63,7 @@ def find_tool(arm: Arm, states: Sequence[mujoco.MjData]) -> Tool:
     joint, it points along the axis to where the tool extends farther.
 
     Args:
-        arm: The arm.
         states: States of its model, after forward kinematics, such as with the gripper closed and open.
-
-    Returns:
-        The tool.
     """
     points = np.concatenate([_points(arm, data) for data in states] or [np.zeros((1, 3))])
     points = points[np.linalg.norm(points, axis=1) < _MAX_TOOL]

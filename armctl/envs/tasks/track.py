@@ -9,7 +9,7 @@ import numpy as np
 from armctl.collision.checkers import collision_checker
 from armctl.core.errors import InputError
 from armctl.core.validation import Array
-from armctl.envs.limits import joint_limits
+from armctl.envs.actions import target_limits
 from armctl.envs.source import ArmSource
 from armctl.envs.tasks.configurations import free_configurations
 from armctl.envs.tasks.interface import Episode, Task
@@ -41,22 +41,21 @@ class Track(Task):
         """The task.
 
         Args:
-            source: The robot.
             ticks: Control periods of a step.
 
         Raises:
             InputError: The arm touches something on nearly all paths.
         """
         self.arm = source.load()
-        limits = joint_limits(self.arm)
-        self.start_q = np.clip(self.arm.home, limits.low, limits.high)
+        limits = target_limits(self.arm)
+        self.start_q = np.clip(self.arm.home, limits.q_min, limits.q_max)
         checker = collision_checker(self.arm)
         rng = np.random.default_rng(1)
         step_time = ticks * self.arm.dt
         times = step_time * np.arange(math.ceil(_DURATION / step_time) + 1, dtype=float)
         paths: list[Array] = []
         for center in free_configurations(self.arm, _CENTERS, _CENTER_SPREAD):
-            q = np.clip(center + self._waves(rng, times), limits.low, limits.high)
+            q = np.clip(center + self._waves(rng, times), limits.q_min, limits.q_max)
             checked = q[np.linspace(0, len(q) - 1, _CHECKED_POINTS).astype(int)]
             if not any(checker.at(each) for each in checked):
                 paths.append(self.arm.fk_many(q)[0])
@@ -72,7 +71,7 @@ class Track(Task):
 
     def _waves(self, rng: np.random.Generator, times: Array) -> Array:
         """(T, n) rad, the sum of two sines for each joint."""
-        speed = joint_limits(self.arm).speed
+        speed = self.arm.limits.v_max
         total = np.zeros((len(times), self.arm.n))
         for frequency in _FREQUENCIES:
             rate = 2.0 * np.pi * frequency * rng.uniform(0.8, 1.2, self.arm.n)

@@ -34,14 +34,7 @@ class Blend:
         return 2 * self.radius
 
     def at(self, s: float) -> PathPoint:
-        """The place at a length.
-
-        Args:
-            s: m from its start.
-
-        Returns:
-            The place.
-        """
+        """The place at a length, m."""
         u = s / self.length
         done, speed = _ease(u)
         ahead, ahead_speed = _ease(1 - u)
@@ -58,7 +51,6 @@ class SubPath:
     """Part of a shape.
 
     Attributes:
-        shape: The shape.
         start: m, where it begins on it.
         end: m, where it ends.
     """
@@ -73,14 +65,7 @@ class SubPath:
         return self.end - self.start
 
     def at(self, s: float) -> PathPoint:
-        """The place at a length.
-
-        Args:
-            s: m from its start.
-
-        Returns:
-            The place.
-        """
+        """The place at a length, m."""
         return self.shape.at(self.start + s)
 
 
@@ -88,11 +73,7 @@ class CompositePath:
     """Shapes one after another."""
 
     def __init__(self, shapes: list[Shape]):
-        """The shapes in a row.
-
-        Args:
-            shapes: Each starts where the one before it ends.
-        """
+        """Shapes, each of which starts where the one before it ends."""
         self._shapes = [shape for shape in shapes if shape.length > _MIN_LENGTH]
         self.ends = np.cumsum([shape.length for shape in self._shapes])
 
@@ -102,14 +83,7 @@ class CompositePath:
         return float(self.ends[-1]) if len(self.ends) else 0.0
 
     def at(self, s: float) -> PathPoint:
-        """The place at a length.
-
-        Args:
-            s: m from its start.
-
-        Returns:
-            The place.
-        """
+        """The place at a length, m."""
         k = min(int(np.searchsorted(self.ends, s, side="right")), len(self.ends) - 1)
         shape = self._shapes[k]
         return shape.at(min(s - (self.ends[k] - shape.length), shape.length))

@@ -43,14 +43,7 @@ class Shape(Protocol):
         ...
 
     def at(self, s: float) -> PathPoint:
-        """The place at a length.
-
-        Args:
-            s: m from its start.
-
-        Returns:
-            The place.
-        """
+        """The place at a length, m."""
         ...
 
 
@@ -68,15 +61,7 @@ class Turn:
 
     @classmethod
     def between(cls, start: Array, end: Array) -> Turn:
-        """The shortest turn.
-
-        Args:
-            start: (3, 3).
-            end: (3, 3).
-
-        Returns:
-            The turn.
-        """
+        """The shortest turn between two orientations, each (3, 3)."""
         return cls(start, start @ rotation_vector(start.T @ end))
 
     @cached_property
@@ -85,14 +70,7 @@ class Turn:
         return TURN_RADIUS * float(np.linalg.norm(self.vector))
 
     def at(self, share: float) -> Array:
-        """The orientation after a share of it.
-
-        Args:
-            share: 0 to 1.
-
-        Returns:
-            (3, 3).
-        """
+        """The orientation (3, 3) after a share of it, 0 to 1."""
         return rotation_from_vector(share * self.vector) @ self.start if self._turns else self.start
 
     @cached_property
@@ -124,14 +102,7 @@ class Straight:
         return max(float(np.linalg.norm(self.end - self.start)), self.turn.length)
 
     def at(self, s: float) -> PathPoint:
-        """The place at a length.
-
-        Args:
-            s: m from its start.
-
-        Returns:
-            The place.
-        """
+        """The place at a length, m."""
         share = s / self._length
         return PathPoint(self.start + share * self._way, self.turn.at(share), self._twist)
 
@@ -164,21 +135,7 @@ class Circle:
 
     @classmethod
     def through(cls, start: Array, via: Array, end: Array, angle: float | None, turn: Turn) -> Circle:
-        """The arc from a point through a second to a third.
-
-        Args:
-            start: (3,) m.
-            via: (3,) m.
-            end: (3,) m.
-            angle: rad, how far to go on the circle; None stops at the third point.
-            turn: How the orientation changes along the path.
-
-        Returns:
-            The arc.
-
-        Raises:
-            InputError: The points are on one line, so no circle goes through them.
-        """
+        """The arc from a point (3,) through a second to a third, or by an angle. Raises InputError if they are on one line."""
         a = via - start
         b = end - start
         normal = np.cross(a, b)
@@ -205,14 +162,7 @@ class Circle:
         return max(self.angle * float(np.linalg.norm(self.start - self.center)), self.turn.length)
 
     def at(self, s: float) -> PathPoint:
-        """The place at a length.
-
-        Args:
-            s: m from its start.
-
-        Returns:
-            The place.
-        """
+        """The place at a length, m."""
         share = s / self._length
         cos = math.cos(share * self.angle)
         sin = math.sin(share * self.angle)

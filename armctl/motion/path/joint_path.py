@@ -16,10 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from armctl import _core
 from armctl.core.errors import PlanError
 from armctl.core.validation import Array
 from armctl.ik.solve import solve_ik
-from armctl.motion.path.geometry import PathPoint, Shape
+from armctl.motion.path.geometry import Shape
 from armctl.robot.arm import Arm
 
 _MAX_JOINT_STEP = 0.02  # rad (m), of any joint
@@ -45,32 +46,14 @@ class JointPath(NamedTuple):
     length: float
 
     def derivatives(self, s: Array) -> tuple[Array, Array, Array, Array]:
-        """Positions and three derivatives.
-
-        Args:
-            s: (T,) m.
-
-        Returns:
-            q, dq/ds, d2q/ds2 and d3q/ds3, each (T, n).
-        """
+        """q, dq/ds, d2q/ds2 and d3q/ds3, each (T, n), at lengths (T,) m."""
         return tuple(self.spline(s, order) for order in range(4))  # type: ignore[operator, return-value]
 
 
 def joint_path_along(arm: Arm, what: str, path: Shape, q_start: Array, oriented: bool) -> JointPath:
-    """The joints that keep the tip on a path.
+    """The joints that keep the tip on a path, which starts at q_start; with its orientation if `oriented`.
 
-    Args:
-        arm: The arm.
-        what: What is being planned, for the error.
-        path: The tip's path.
-        q_start: (n,) rad, with the tip at the path's start.
-        oriented: Whether the orientation is followed too.
-
-    Returns:
-        The joint path.
-
-    Raises:
-        PlanError: The path leaves the reach or the joint limits, or passes a singularity that the joints cannot.
+    Raises PlanError where it leaves the reach or the limits, or passes a singularity that the joints cannot. `what` is planned.
     """
     refusals: list[_LimitsLeft] = []
     for centering in _CENTERINGS if arm.n > _rows(oriented) else _CENTERINGS[:1]:
@@ -83,11 +66,6 @@ def joint_path_along(arm: Arm, what: str, path: Shape, q_start: Array, oriented:
 
 class _LimitsLeft(PlanError):
     """A joint would leave its limits."""
-
-
-def _packed(place: PathPoint) -> Array:
-    """A place as the kernels take it, (12,)."""
-    return np.concatenate([place.position, place.rotation.ravel()])
 
 
 def _rows(oriented: bool) -> int:
@@ -118,20 +96,18 @@ class _Tracker:
     """One walk along a path."""
 
     def __init__(self, arm: Arm, what: str, path: Shape, oriented: bool, centering: float):
-        from armctl.motion.path import tip_kernel as kernel
-
         self.arm = arm
         self.what = what
         self.path = path
         self.rows = _rows(oriented)
-        self._kernel = kernel
-        self._model = arm.packed_dynamics.vector(0.0)
+        self._follower = _core.TipFollower(
+            model=arm.core_model,
+            q_min=arm.limits.q_min,
+            q_max=arm.limits.q_max,
+            centering=centering / path.length,
+            oriented=oriented,
+        )
         self._place = lru_cache(maxsize=1)(path.at)  # two steps that follow each other meet in one place
-        self._centering = centering / path.length
-        q_min = arm.limits.q_min
-        q_max = arm.limits.q_max
-        is_bounded = np.isfinite(q_min) & np.isfinite(q_max) & (q_max > q_min)
-        self._ranges = np.where(is_bounded, [q_min, q_max - q_min], 0.0)
 
     def run(self, q: Array, fineness: float) -> tuple[Array, Array]:
         """Lengths (k,) and joint positions (k, n) along the path."""
@@ -162,32 +138,31 @@ class _Tracker:
     def distances(self, q: Array, s: Array) -> Array:
         """How far the tip is from the path, (T,) m and rad, at positions (T, n) and lengths (T,)."""
         found = np.empty(len(s))
-        self._kernel.distances(self._model, q, np.array([_packed(self.path.at(each)) for each in s]), self.rows, found)
+        for k, length in enumerate(s):
+            place = self.path.at(length)
+            found[k] = self._follower.distance(q[k], place.position, np.ascontiguousarray(place.rotation))
         return found
 
     def _step(self, q: Array, s: float, h: float, slope: Array) -> Array | None:
         """The joints a step further, or None where Newton's method does not get there."""
-        halfway = self.path.at(s + h / 2)
         end = self._place(s + h)
         moved = np.empty_like(q)
-        arrived = self._kernel.step(
-            self._model,
-            self._ranges,
-            self._centering,
+        arrived = self._follower.step(
             q,
             slope,
-            h,
-            halfway.twist[: self.rows],
-            end.twist[: self.rows],
-            _packed(end),
-            moved,
+            length=h,
+            halfway=self.path.at(s + h / 2).twist[: self.rows],
+            end=end.twist[: self.rows],
+            position=end.position,
+            rotation=np.ascontiguousarray(end.rotation),
+            moved=moved,
         )
         return moved if arrived else None
 
     def _slope(self, q: Array, s: float) -> Array:
         """How fast the joints move along the path, (n,) rad/m."""
         v = np.empty_like(q)
-        self._kernel.slope(self._model, self._ranges, self._centering, q, self._place(s).twist[: self.rows], v)
+        self._follower.slope(q, self._place(s).twist[: self.rows], v)
         return v
 
     def _require_limits(self, q: Array, s: float) -> None:

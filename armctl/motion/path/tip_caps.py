@@ -6,9 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from armctl import _core
 from armctl.core.validation import Array, number
 from armctl.motion.timing.initial_timing import Path
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
+from armctl.motion.trajectory.limit_check import limit_excess
 from armctl.motion.trajectory.piecewise import DEGREE, Pieces, basis_many
 from armctl.robot.arm import Arm
 
@@ -24,7 +26,6 @@ class TipCaps:
     """The greatest speeds of the tip along a path of the joints.
 
     Attributes:
-        arm: The arm.
         path: The path of its joints.
         linear: m/s, of its point.
         angular: rad/s, of its turning.
@@ -61,8 +62,6 @@ class TipCaps:
 
         The squared speed of the tip is interpolated at Chebyshev's points, to rounding; its extremes are those of polynomials.
         """
-        from armctl.motion.trajectory import excess_kernel as kernel
-
         joints = pieces.coefficients[:, :, : self.arm.n]
         steps = np.diff(pieces.knots)
         travel = np.einsum("mp,mpn->m", steps[:, None] ** np.arange(1, DEGREE + 1), np.abs(joints[:, 1:]))
@@ -81,18 +80,16 @@ class TipCaps:
         used = np.column_stack(
             [(twists[:, :3] ** 2).sum(axis=1) / self.linear**2, (twists[:, 3:] ** 2).sum(axis=1) / self.angular**2]
         )
-        powers = np.linalg.inv(np.vander(x, increasing=True)) @ used.reshape(len(piece), _DEGREE + 1, 2)
-        one = np.ones((len(piece), 2))
-        squared = 1 + kernel.excess(powers, np.ones(len(piece)), 0, -np.inf * one, one).max(axis=1)
+        powers = np.asarray(np.linalg.inv(np.vander(x, increasing=True)) @ used.reshape(len(piece), _DEGREE + 1, 2), np.float64)
+        one = np.ones(2)
+        squared = 1 + limit_excess(powers, np.ones(len(piece)), 0, -np.inf * one, one).max(axis=1)
         return np.sqrt(np.maximum(np.maximum.reduceat(squared, first), 0.0))
 
     def _twists(self, q: Array, v: Array) -> Array:
         """(T, 6) linear and angular speed of the tip."""
-        from armctl.motion.path import tip_kernel as kernel
-
-        found = np.empty((len(q), 6))
-        kernel.twists(self.arm.packed_dynamics.vector(0.0), q, v, found)
-        return found
+        twists = np.empty((len(q), 6))
+        _core.tip_twists_along(self.arm.core_model, np.ascontiguousarray(q), np.ascontiguousarray(v), twists)
+        return twists
 
     def kept(self, motion: JointTrajectory) -> JointTrajectory:
         """The motion, as much slower as the caps require."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
+from armctl.motion.trajectory.limit_check import limit_excess
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
@@ -26,14 +27,7 @@ class Path(Protocol):
         ...
 
     def derivatives(self, s: Array) -> tuple[Array, Array, Array, Array]:
-        """Positions and three derivatives.
-
-        Args:
-            s: (T,) lengths.
-
-        Returns:
-            q, dq/ds, d2q/ds2 and d3q/ds3, each (T, n).
-        """
+        """q, dq/ds, d2q/ds2 and d3q/ds3, each (T, n), at lengths (T,)."""
         ...
 
 
@@ -56,34 +50,21 @@ class Timing(NamedTuple):
         return self.h * np.arange(self.intervals + 1.0)
 
     def at(self, u: Array) -> tuple[Array, Array, Array, Array]:
-        """The length and three derivatives.
-
-        Args:
-            u: (T,) s, from 0 to the timing's last edge.
-
-        Returns:
-            s, s', s'' and s''', each (T,).
-        """
+        """s, s', s'' and s''', each (T,), at times (T,) s up to the timing's last edge."""
         if self.spline is None:
             return u, np.ones_like(u), np.zeros_like(u), np.zeros_like(u)
         s = self.spline(u, 0)  # type: ignore[operator]
         s1 = self.spline(u, 1)  # type: ignore[operator]
         s2 = self.spline(u, 2)  # type: ignore[operator]
         s3 = self.spline(u, 3)  # type: ignore[operator]
-        s[0], s1[0], s1[-1], s2[0], s2[-1] = np.zeros(5)
+        s[0] = 0.0  # the spline meets its ends to rounding only
+        s1[[0, -1]] = 0.0
+        s2[[0, -1]] = 0.0
         return s, s1, s2, s3
 
 
 def initial_timing(path: Path, limits: Limits) -> Timing:
-    """From rest to rest, the joints together at an even speed in between: a path by a singularity needs that.
-
-    Args:
-        path: The path.
-        limits: What the joints can do.
-
-    Returns:
-        The timing.
-    """
+    """From rest to rest, the joints together at an even speed in between: a path by a singularity needs that."""
     from scipy.interpolate import CubicSpline
 
     s = np.linspace(0.0, path.length, 4 * _INITIAL_INTERVALS + 1)
@@ -98,20 +79,12 @@ def initial_timing(path: Path, limits: Limits) -> Timing:
 
 
 def smooth_timing(t: Array, s: Array, intervals: int) -> Timing:
-    """The timing along a spline of degree five, at rest at both ends.
+    """The timing along a spline of degree five through lengths (k,) at times (k,) s, at rest at both ends.
 
     The interpolating spline overshoots where the speed changes by orders of magnitude over a short distance, for example
     where a path leaves a singularity. There the arm would run backwards, even beyond the start of the path. In that case the
     lengths become the coefficients of the spline: a B-spline with increasing coefficients increases (de Boor, "A Practical
     Guide to Splines", 2001, chapter XI).
-
-    Args:
-        t: (k,) s.
-        s: (k,) lengths.
-        intervals: How many the timing has.
-
-    Returns:
-        The timing.
     """
     from scipy.interpolate import make_interp_spline
 
@@ -126,13 +99,9 @@ def _runs_backwards(spline: BSpline, mean_speed: float) -> bool:
     """Whether a spline decreases anywhere by more than rounding."""
     from scipy.interpolate import PPoly
 
-    from armctl.motion.trajectory import excess_kernel as kernel
-
     curve = PPoly.from_spline(spline)
-    steps = np.diff(curve.x)
-    coefficients = np.ascontiguousarray(curve.c[::-1].T[:, :, None])
-    least = np.full((len(steps), 1), -_BACKWARD_TOLERANCE * mean_speed)
-    return bool((kernel.excess(coefficients, steps, 1, least, np.full_like(least, np.inf)) > 0).any())
+    least = np.array([-_BACKWARD_TOLERANCE * mean_speed])
+    return bool((limit_excess(curve.c[::-1].T[:, :, None], np.diff(curve.x), 1, least, np.array([np.inf])) > 0).any())
 
 
 def _increasing(knots: Array, t: Array, s: Array) -> BSpline:

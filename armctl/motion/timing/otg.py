@@ -114,7 +114,14 @@ class Profile:
     def pieces(self, start: JointState) -> Pieces:
         """The profile as piecewise polynomials; its end is as accurate as ruckig's."""
         first = JointState(*(np.asarray(x)[None] for x in start))
-        nodes = phase_nodes([self.phases()], first)
+        durations = []
+        jerks = []
+        for phases, phase_jerks in zip(*self.phases(), strict=True):
+            # a joint that arrives before the others stands still from then on
+            rest = self.duration - sum(phases)
+            durations.append((*phases, rest if rest > _MIN_PIECE_S else 0.0))
+            jerks.append((*phase_jerks, 0.0))
+        nodes = phase_nodes([Phases(durations, jerks)], first)
         return _pieces(PhaseNodes(*(x[:, 0] for x in nodes)))
 
 
@@ -243,16 +250,9 @@ def ending_at(pieces: Pieces, goal: JointState) -> Corrected:
 
 
 def _quintic(knots: Array, q: Array, v: Array, a: Array) -> tuple[Array, tuple[Array, ...]]:
-    """The quintic from nothing at knots[0] = 0 to a state at the last knot.
+    """The quintic from zero at knots[0] = 0 to a state (n,) at the last knot.
 
-    Args:
-        knots: (m + 1,) s.
-        q: (n,) rad.
-        v: (n,) rad/s.
-        a: (n,) rad/s^2.
-
-    Returns:
-        Its coefficients (m, 6, n), and its largest velocity, acceleration and jerk, each (n,).
+    Returns its coefficients (m, 6, n), and its largest velocity, acceleration and jerk, each (n,).
     """
     duration = float(knots[-1])
     v = v * duration
@@ -339,9 +339,10 @@ def phase_nodes(phases: list[Phases], start: JointState) -> PhaseNodes:
 
 
 def phase_polynomials(nodes: PhaseNodes) -> Array:
-    """The positions during phases as polynomials on [0, 1], (P, K, n, 4) coefficients."""
+    """The positions during phases as polynomials on [0, 1], (P K, 4, n) coefficients, constant first."""
     steps = nodes.steps
-    return np.stack([nodes.q, nodes.v * steps, nodes.a * steps**2 / 2, nodes.jerks * steps**3 / 6], axis=-1)
+    powers = [nodes.q, nodes.v * steps, nodes.a * steps**2 / 2, nodes.jerks * steps**3 / 6]
+    return np.stack(powers, axis=2).reshape(-1, len(powers), steps.shape[-1])
 
 
 def _pieces(nodes: PhaseNodes) -> Pieces:

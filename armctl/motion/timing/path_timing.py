@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from armctl import _core
 from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array, IntArray
 from armctl.motion.timing.initial_timing import Path, Timing, initial_timing, smooth_timing
+from armctl.motion.trajectory.limit_check import limit_excess
 from armctl.motion.trajectory.piecewise import DEGREE, Pieces, basis_many, hermite
-
-if TYPE_CHECKING:
-    from armctl.motion.timing import path_timing_kernel as kernel
 
 _INTERVAL_S = 0.004
 _MIN_INTERVALS = 60
@@ -61,31 +60,11 @@ class Torques(Protocol):
     """What bounds the torques of a motion."""
 
     def rows(self, s: Array, q: Array, v: Array, a: Array) -> TorqueRows:
-        """The bounds at places of a motion that is to run at another speed.
-
-        Args:
-            s: (T,) lengths along the path.
-            q: (T, n) rad.
-            v: (T, n) rad/s.
-            a: (T, n) rad/s^2.
-
-        Returns:
-            The bounds.
-        """
+        """The bounds at states (T, n) and lengths (T,) of a motion that is to run at another speed."""
         ...
 
     def overshoot(self, s: Array, q: Array, v: Array, a: Array) -> Array:
-        """How much of what the bounds leave beside holding still a motion uses.
-
-        Args:
-            s: (T,) lengths along the path.
-            q: (T, n) rad.
-            v: (T, n) rad/s.
-            a: (T, n) rad/s^2.
-
-        Returns:
-            (T,), 1 is all.
-        """
+        """The share of what the bounds leave beside holding still that states (T, n) use, (T,)."""
         ...
 
 
@@ -93,35 +72,17 @@ class Caps(Protocol):
     """What bounds the speed along a path beside the joints."""
 
     def at(self, s: Array) -> Array:
-        """The greatest speeds along the path.
-
-        Args:
-            s: (T,) lengths.
-
-        Returns:
-            (T,), infinite where there is no bound.
-        """
+        """The greatest speeds along the path at lengths (T,), infinite without a bound."""
         ...
 
     def acceleration_at(self, s: Array) -> Array:
-        """The fractions of the joints' acceleration limits.
-
-        Args:
-            s: (T,) lengths.
-
-        Returns:
-            (T,), 1 is all.
-        """
+        """The fractions of the joints' acceleration limits at lengths (T,)."""
         ...
 
     def overshoot(self, pieces: Pieces) -> Array:
-        """How much of what it bounds a motion uses in each piece.
+        """The share of its bounds that a motion uses in each piece, (m,); any number of at most 1 where it keeps them.
 
-        Args:
-            pieces: The motion of the joints and, as the last column, of the length.
-
-        Returns:
-            (m,), 1 is all: exact where it is more, any number of at most 1 elsewhere.
+        The last column of the motion is its length.
         """
         ...
 
@@ -152,11 +113,9 @@ class Fractions:
 
     def overshoot(self, pieces: Pieces) -> Array:
         """The share of the fraction that each piece uses, (m,): exact where it is more than 1."""
-        from armctl.motion.trajectory import excess_kernel as kernel
-
-        length = np.ascontiguousarray(pieces.coefficients[:, :, -1:])
+        length = pieces.coefficients[:, :, -1:]
         bound = self.at(middle_lengths(pieces))[:, None]
-        return (1 + kernel.excess(length, np.diff(pieces.knots), 1, -bound, bound) / bound)[:, 0]
+        return (1 + limit_excess(length, np.diff(pieces.knots), 1, -bound, bound) / bound)[:, 0]
 
 
 def middle_lengths(pieces: Pieces) -> Array:
@@ -165,16 +124,7 @@ def middle_lengths(pieces: Pieces) -> Array:
 
 
 def time_optimal(path: Path, limits: Limits, caps: Caps | None = None) -> Pieces:
-    """The time-optimal motion along a path, from rest to rest.
-
-    Args:
-        path: The path.
-        limits: What the joints can do; positions are the path's own affair.
-        caps: Bounds on the speed along the path; none if left out.
-
-    Returns:
-        The motion of the joints and, as the last column, of the length.
-    """
+    """The time-optimal motion along a path, from rest to rest; its last column is the length. Positions are not limited."""
     problem = _Problem(path, limits, caps)
     timing = initial_timing(path, limits)
     timed = problem.timed(problem.sampled(_Places.of(timing, timing.edges)))
@@ -186,15 +136,8 @@ def slowed_down(
 ) -> Pieces:
     """A motion, at rest at both ends, slower where the torques or fractions of its speed require it and never faster.
 
-    Args:
-        path: The motion, its length the time.
-        limits: What the joints can do.
-        knots: (m + 1,) s, where its jerk or a bound may jump.
-        torques: What bounds the torques, if they are bounded.
-        fractions: Of its own speed; 1 if left out.
-
-    Returns:
-        The slower motion of the joints and, as the last column, of the time in the faster one.
+    The length of its path is the time; at `knots` (m + 1,) s its jerk or a bound may jump. The last column of the result is the
+    time in the faster motion.
     """
     caps = Fractions(np.array([path.length]), np.ones(1), np.ones(1)) if fractions is None else fractions
     intervals = intervals_for(path.length)
@@ -202,14 +145,7 @@ def slowed_down(
 
 
 def intervals_for(duration: float) -> int:
-    """How many intervals a motion is cut into.
-
-    Args:
-        duration: s.
-
-    Returns:
-        The number.
-    """
+    """How many intervals a motion of a duration in s is cut into."""
     return max(_MIN_INTERVALS, min(_MAX_INTERVALS, math.ceil(duration / _INTERVAL_S)))
 
 
@@ -237,7 +173,6 @@ class _Places(NamedTuple):
     """The nodes that cut a motion into pieces, and where the pieces lie in the intervals of a timing.
 
     Attributes:
-        timing: The timing.
         nodes: (N,) s.
         interval: (N - 1,) of each piece.
         begin: (N - 1,) the share of the interval at which it begins.
@@ -351,23 +286,14 @@ class _Problem:
 
     def timed(self, sampled: _Sampled, slack: Array | None = None) -> _Timed:
         """The best path speed for a timing; `slack` (4, N) are factors on its bounds."""
-        from armctl.motion.timing import path_timing_kernel as kernel
-
         places, q, q1, q2, q3_after, q3_before, _, _ = sampled
         timing, _, interval, begin, end = places
         h = timing.h
-        problem = self._bounds(sampled, np.ones((4, len(q))) if slack is None else slack)
-        b_max = problem.points[:, 3]
-        c = np.full(timing.intervals + 2, 0.9 * float(b_max[b_max > 0].min()))
-        barrier = kernel.BARRIER_COLD
-        if slack is not None and self._last is not None:
-            c = 0.98 * self._last
-            barrier = kernel.BARRIER_WARM
-        while not np.isfinite(kernel.value(c, *problem, 1.0)):
-            c *= 0.8
-            if not c.any():
-                raise PlanError("limits: they differ too much in size to compute a speed along the path")
-        kernel.solve(problem, c, barrier)
+        path_timing = self._bounds(sampled, np.ones((4, len(q))) if slack is None else slack)
+        near = None if slack is None else self._last
+        c = np.empty(timing.intervals + 2) if near is None else near.copy()
+        if not path_timing.solve(c, from_near=near is not None):
+            raise PlanError("limits: they differ too much in size to compute a speed along the path")
         self._last = c
         b, slope = _squared_speed(c, h, np.append(interval, interval[-1]), np.append(begin, end[-1]))
         t = np.concatenate([[0.0], np.cumsum(_durations(c, h, places))])
@@ -393,8 +319,6 @@ class _Problem:
 
         Exact where it is more than all; any number of at most 1 elsewhere.
         """
-        from armctl.motion.trajectory import excess_kernel as kernel
-
         limits = self.limits
         steps = np.diff(pieces.knots)
         joints = np.ascontiguousarray(pieces.coefficients[:, :, :-1])
@@ -403,7 +327,7 @@ class _Problem:
             bounds = np.tile(bound, (len(steps), 1))
             if order == 2 and self._caps is not None:
                 bounds *= self._caps.acceleration_at(middle_lengths(pieces))[:, None]
-            shares.append((1 + kernel.excess(joints, steps, order, -bounds, bounds) / bounds).max(axis=1))
+            shares.append((1 + limit_excess(joints, steps, order, -bounds, bounds) / bounds).max(axis=1))
         if self._caps is not None:
             shares[0] = np.maximum(shares[0], self._caps.overshoot(pieces))
         return np.array([*shares, self._torque_overshoot(pieces)])
@@ -422,10 +346,8 @@ class _Problem:
         shares[checked] = np.maximum(shares[checked], self.torques.overshoot(q[:, -1], q[:, :-1], v[:, :-1], a[:, :-1]))
         return shares
 
-    def _bounds(self, sampled: _Sampled, slack: Array) -> kernel.Problem:
+    def _bounds(self, sampled: _Sampled, slack: Array) -> _core.PathTiming:
         """The bounds on the path speed at the nodes."""
-        from armctl.motion.timing import path_timing_kernel as kernel
-
         places = sampled.places
         q1 = np.ascontiguousarray(sampled.q1[:, :-1])
         q2 = np.ascontiguousarray(sampled.q2[:, :-1])
@@ -453,8 +375,23 @@ class _Problem:
         rows.delta[ends] = 0.0
         rows.high[ends] = _MAX_END_SPEED_CHANGE * b_max[ends, None] / places.timing.h
         rows.low[ends] = -rows.high[ends]
-        nodes = kernel.Nodes(q1, q2, q3_after, q3_before, b_max, j_max, *rows)
-        return kernel.bounds(places.timing.h, places.interval, places.begin, places.end, nodes)
+        return _core.PathTiming(
+            interval_length=places.timing.h,
+            interval=places.interval,
+            begin=places.begin,
+            end=places.end,
+            q1=q1,
+            q2=q2,
+            q3_after=q3_after,
+            q3_before=q3_before,
+            b_max=b_max,
+            j_max=j_max,
+            alpha=rows.alpha,
+            beta=rows.beta,
+            delta=rows.delta,
+            low=rows.low,
+            high=rows.high,
+        )
 
 
 def _refined(timed: _Timed, intervals: int) -> Timing:

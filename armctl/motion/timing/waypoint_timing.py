@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from armctl import _core
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
 from armctl.motion.timing.otg import (
@@ -20,7 +21,7 @@ from armctl.motion.timing.otg import (
     phase_polynomials,
     solve_pieces,
 )
-from armctl.motion.trajectory import polynomials
+from armctl.motion.trajectory.limit_check import polynomial_extremes
 from armctl.motion.trajectory.piecewise import Pieces, joined
 
 _INITIAL_TIME_FACTOR = 2.0  # relative to stopping at each waypoint, where the search starts
@@ -52,7 +53,7 @@ class WaypointSearch:
 
     def __init__(self, q: Array, limits: Limits):
         """For waypoints q (k, n), no two neighbours equal."""
-        self.q = q
+        self.q = np.ascontiguousarray(q)
         self.limits = limits
         self._solver = ProfileSolver.of(limits)
         # A joint that passes a waypoint faster than this cannot stop before its position limit.
@@ -74,22 +75,25 @@ class WaypointSearch:
 
     def fastest(self, stopping: Candidate) -> Candidate:
         """The fastest motion that the search finds inside all limits; `stopping` if none is faster."""
-        from armctl.motion.timing import waypoint_timing_kernel as kernel
-
         limits = self.limits
-        bounds = np.stack([self._v_bound, self._a_bound], axis=-1)
+        v_bound = self._v_bound.copy()
+        a_bound = self._a_bound.copy()
         for _ in range(_MAX_REPAIRS):
-            x = np.zeros_like(bounds)
-            times = _INITIAL_TIME_FACTOR * stopping.durations
-            kernel.solve(kernel.Problem(self.q, limits.v_max, limits.a_max, limits.j_max, bounds), x, times)
-            found = self._evaluate(x[..., 0], x[..., 1])
+            v = np.empty_like(self.q)
+            a = np.empty_like(self.q)
+            timing = _core.WaypointTiming(
+                q=self.q, v_max=limits.v_max, a_max=limits.a_max, j_max=limits.j_max, v_bound=v_bound, a_bound=a_bound
+            )
+            timing.solve(_INITIAL_TIME_FACTOR * stopping.durations, v, a)
+            found = self._evaluate(v, a)
             if found is None or not found.durations.sum() < stopping.durations.sum():
                 break
             leaves = found.excess > _POSITION_ROUNDING
             if not leaves.any():
                 return found
             for k, i in np.argwhere(leaves):
-                bounds[k : k + 2, i] = _REPAIR_FACTOR * np.abs(x[k : k + 2, i])
+                v_bound[k : k + 2, i] = _REPAIR_FACTOR * np.abs(v[k : k + 2, i])
+                a_bound[k : k + 2, i] = _REPAIR_FACTOR * np.abs(a[k : k + 2, i])
         return stopping
 
     def pieces(self, candidate: Candidate) -> Pieces:
@@ -111,7 +115,7 @@ class WaypointSearch:
             durations.append(profile.duration)
             phases.append(profile.phases())
         nodes = phase_nodes(phases, JointState(self.q[:-1], v[:-1], a[:-1]))
-        _, swing = polynomials.extremes(phase_polynomials(nodes))
+        swing = polynomial_extremes(phase_polynomials(nodes))[1].reshape(*nodes.q.shape, -1)
         high = swing.max(axis=(0, 3))
         low = swing.min(axis=(0, 3))
         return Candidate(v, a, np.array(durations), np.maximum(high - self.limits.q_max, self.limits.q_min - low))

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import csv
 import os
-import warnings
-import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from armctl.core import units
-from armctl.core.atomic import atomic_path
+from armctl.core.atomic import atomic_path, file_path
 from armctl.core.errors import InputError
+from armctl.core.file_reading import read_npz, reading
 from armctl.core.limits import Limits
 from armctl.core.validation import Array, shown
 from armctl.motion.trajectory.piecewise import Pieces, Samples, check_continuous, check_pieces
@@ -73,49 +72,36 @@ def save(path: str | os.PathLike[str], content: Content) -> Path:
 
 def load(path: str | os.PathLike[str]) -> Content:
     """Reads a trajectory file; raises InputError for a missing file and for any content that is not a motion."""
-    try:
-        text = str(os.fspath(path))
-    except TypeError:
-        raise InputError(f"path: {shown(path)} is not a path; give a file that save() wrote") from None
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # numpy warns about odd headers; what they hold is checked below
-            return _content(path)
-    except Exception as error:  # NumPy, zipfile and zlib raise many types for damaged files, and list them nowhere
-        why = " ".join(str(error).split()) or type(error).__name__
-        name = text if len(text) <= 160 else "..." + text[-157:]
-        raise InputError(f"{name}: it holds no trajectory ({why:.150}); give a file that save() wrote") from None
+    file = file_path("path", path)
+    with reading(file, "no trajectory that armctl wrote"):
+        return _content(read_npz(file, _MAX_BYTES))
 
 
-def _content(path: str | os.PathLike[str]) -> Content:
-    with zipfile.ZipFile(path) as archive:
-        if sum(member.file_size for member in archive.infolist()) > _MAX_BYTES:
-            raise InputError("it is too large")
-    with np.load(path, allow_pickle=False) as data:
-        if data["format"].shape != () or data["format"] != _FORMAT:
-            raise InputError(f"its format is not {_FORMAT}")
-        names = _texts(data, "joint_names")
-        joint_units = _texts(data, "units")
-        slowed = _texts(data, "slowed")
-        if not names or len(joint_units) != len(names) or len(slowed) not in (0, 3):
-            raise InputError("its parts do not fit each other")
-        limits = Limits(**{field.name: data[field.name] for field in fields(Limits)})
-        if len(limits.q_min) != len(names):
-            raise InputError("its limits do not fit its joints")
-        pieces = Pieces(_numbers(data, "knots"), _numbers(data, "coefficients"))
+def _content(data: Mapping[str, Any]) -> Content:
+    if data["format"].shape != () or data["format"] != _FORMAT:
+        raise InputError(f"its format is not {_FORMAT}")
+    names = _texts(data, "joint_names")
+    joint_units = _texts(data, "units")
+    slowed = _texts(data, "slowed")
+    if not names or len(joint_units) != len(names) or len(slowed) not in (0, 3):
+        raise InputError("its parts do not fit each other")
+    limits = Limits(**{field.name: data[field.name] for field in fields(Limits)})
+    if len(limits.q_min) != len(names):
+        raise InputError("its limits do not fit its joints")
+    pieces = Pieces(_numbers(data, "knots"), _numbers(data, "coefficients"))
     check_pieces(pieces.knots, pieces.coefficients, len(names))
     check_continuous(pieces, names)
     return Content(pieces, names, joint_units, limits, slowed)
 
 
-def _texts(data: np.lib.npyio.NpzFile, name: str) -> tuple[str, ...]:
+def _texts(data: Mapping[str, Any], name: str) -> tuple[str, ...]:
     value = data[name]
     if value.ndim != 1 or (value.dtype.kind != "U" and value.size):
         raise InputError(f"{name} is not a list of texts")
     return tuple(str(text) for text in value)
 
 
-def _numbers(data: np.lib.npyio.NpzFile, name: str) -> Array:
+def _numbers(data: Mapping[str, Any], name: str) -> Array:
     value = data[name]
     if value.dtype != np.float64:
         raise InputError(f"{name} has type {value.dtype}, not float64")

@@ -276,9 +276,6 @@ class JointTrajectory:
         Args:
             path: The file; its folder is created. A name without a suffix gets .npz.
 
-        Returns:
-            The file.
-
         Raises:
             InputError: The name has another suffix.
             ArmctlError: The file cannot be written.
@@ -290,12 +287,6 @@ class JointTrajectory:
     @staticmethod
     def load(path: str | os.PathLike[str]) -> JointTrajectory:
         """Reads a motion that `save` wrote, and checks it: shapes, finite numbers, increasing times, no jumps.
-
-        Args:
-            path: The file.
-
-        Returns:
-            The motion.
 
         Raises:
             InputError: There is no such file, or it holds no motion.
@@ -317,9 +308,6 @@ class JointTrajectory:
             path: The file; its folder is created. A name without a suffix gets .csv.
             dt: s, from sample to sample; the end is always one.
 
-        Returns:
-            The file.
-
         Raises:
             InputError: dt is not greater than 0 or gives more than ten million rows, or the name has another suffix.
             ArmctlError: The file cannot be written.
@@ -333,9 +321,6 @@ class JointTrajectory:
         Args:
             path: The file, .json or .yaml; its folder is created.
             dt: s, from point to point; the end is always one.
-
-        Returns:
-            The file.
 
         Raises:
             InputError: dt is not greater than 0 or gives more than ten million points, or the name has another suffix.
@@ -356,9 +341,6 @@ class JointTrajectory:
         Args:
             source: The file, .json or .yaml, or the message as a dict.
             arm: The arm; the order of the joints in the message is arbitrary.
-
-        Returns:
-            The motion.
 
         Raises:
             InputError: The file cannot be read, it is no such message, or it is one for other joints.

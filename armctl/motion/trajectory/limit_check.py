@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from armctl import _core
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
-from armctl.motion.trajectory import polynomials
 from armctl.motion.trajectory.piecewise import Pieces
 
 RATIO_TOLERANCE = 1e-6  # relative, of velocity, acceleration and jerk
@@ -23,7 +23,6 @@ class Peak:
 
     Attributes:
         quantity: "position", "velocity", "acceleration" or "jerk".
-        joint: The name of the joint.
         time: s, when it occurs.
         value: The value, in `unit`.
         bound: The limit that it is compared with.
@@ -150,17 +149,13 @@ def check_limits(pieces: Pieces, limits: Limits, joint_names: tuple[str, ...], u
 
 def is_inside(pieces: Pieces, limits: Limits) -> bool:
     """`check_limits(...).ok`, without the report."""
-    from armctl.motion.trajectory import excess_kernel as kernel
-
     steps = np.diff(pieces.knots)
     for order in range(len(QUANTITIES)):
         low, high = _bounds(limits, order)
         half = 0.5 * (high - low)
         is_relative = np.isfinite(half) & (half > 0)
         tolerance = POSITION_TOLERANCE if order == 0 else RATIO_TOLERANCE * np.where(is_relative, half, 1.0)
-        each_low = np.tile(low, (len(steps), 1))
-        each_high = np.tile(high, (len(steps), 1))
-        if (kernel.excess(pieces.coefficients, steps, order, each_low, each_high) > tolerance).any():
+        if (limit_excess(pieces.coefficients, steps, order, low, high) > tolerance).any():
             return False
     return True
 
@@ -176,24 +171,49 @@ def stretch_needed(pieces: Pieces, bounds: tuple[Array, Array, Array]) -> float:
 
 
 def piece_extremes(coefficients: Array, steps: Array, order: int) -> tuple[Array, Array]:
-    """Where a derivative may be extreme in each piece, and its values there.
-
-    Args:
-        coefficients: (m, d, n), of powers of the time since a piece began.
-        steps: (m,) s, the lengths of the pieces.
-        order: Which derivative; 0 is the position.
-
-    Returns:
-        Times since the piece began, s, and values, each (m, n, k).
-    """
+    """Where a derivative may be extreme in each piece, s since it began, and its values there, each (m, n, k)."""
     scale = steps[:, None] ** np.arange(coefficients.shape[1])
-    p = np.moveaxis(coefficients * scale[:, :, None], 1, 2)
-    for _ in range(order):
-        p = polynomials.derivative(p)
+    places, values = polynomial_extremes(coefficients * scale[:, :, None], order)
     with np.errstate(divide="ignore"):
         per_time = np.where(steps > 0, 1 / steps, 0.0) ** order
-    places, values = polynomials.extremes(p)
     return places * steps[:, None, None], values * per_time[:, None, None]
+
+
+def polynomial_extremes(polynomials: Array, order: int = 0) -> tuple[Array, Array]:
+    """Where derivatives of polynomials may be extreme on [0, 1], and their values there.
+
+    Args:
+        polynomials: (m, d + 1, n) coefficients, constant first.
+        order: Which derivative, at most d.
+
+    Returns:
+        Places and values, each (m, n, k): both ends and every turning point between them; the point 0 may be repeated.
+    """
+    m, count, n = polynomials.shape
+    places = np.empty((m * n, max(2, count - order)))
+    values = np.empty_like(places)
+    _core.polynomial_extremes(np.ascontiguousarray(polynomials), order, places, values)
+    return places.reshape(m, n, -1), values.reshape(m, n, -1)
+
+
+def limit_excess(coefficients: Array, steps: Array, order: int, low: Array, high: Array) -> Array:
+    """How far a derivative of piecewise polynomials leaves its bounds in each piece.
+
+    Args:
+        coefficients: (m, d + 1, n), of powers of the time since a piece began.
+        steps: (m,) s, the lengths of the pieces.
+        order: Which derivative, at most d; 0 is the position.
+        low: (m, n) or (n,) the lower bounds.
+        high: (m, n) or (n,) the upper bounds.
+
+    Returns:
+        (m, n): exact where it is greater than 0, else any number of at most 0.
+    """
+    excess = np.empty((len(coefficients), coefficients.shape[2]))
+    each_low = np.ascontiguousarray(np.broadcast_to(low, excess.shape))
+    each_high = np.ascontiguousarray(np.broadcast_to(high, excess.shape))
+    _core.limit_excess(np.ascontiguousarray(coefficients), steps, order, each_low, each_high, excess)
+    return excess
 
 
 def _bounds(limits: Limits, order: int) -> tuple[Array, Array]:

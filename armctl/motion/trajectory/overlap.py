@@ -14,14 +14,6 @@ def overlapped(first: Pieces, second: Pieces, overlap: float) -> Pieces:
     """q(t) = first(t) + second(t - begin) - c, where c is the configuration at which the first ends and the second starts.
 
     Both are at rest at c, so that the sum is continuous in position, velocity and acceleration.
-
-    Args:
-        first: A motion that ends at rest.
-        second: A motion that starts at rest where the first one ends.
-        overlap: s, from the begin of the second to the end of the first, at most the duration of each.
-
-    Returns:
-        The motion.
     """
     end = float(first.knots[-1])
     begin = end - overlap

@@ -27,7 +27,7 @@ _RAMP = 0.2  # share of the deceleration in which its slope grows, and again in 
 _CUTS = 20  # pieces of a deceleration, at least
 _MIN_PIECE_S = 2e-5  # rounding decides the jerk of a shorter piece
 _JERK_MARGIN = 1.05  # a sample next to a knot is left out later, which moves a difference by less than this
-_REST_SPEED = 1e-6  # rad/s
+REST_SPEED = 1e-6  # rad/s; a slower end of a trajectory counts as at rest
 _SHORTEST_CUT_S = 1e-9  # an earlier piece that is cut to less than this is left out
 
 
@@ -47,7 +47,7 @@ def stopped(pieces: Pieces, limits: Limits, t: float) -> Pieces:
     """
     left = float(pieces.knots[-1]) - t
     stop = _soonest_change(pieces, limits, t, 0.0)
-    ends_at_rest = np.abs(sample(pieces, pieces.knots[-1:]).v).max() < _REST_SPEED
+    ends_at_rest = np.abs(sample(pieces, pieces.knots[-1:]).v).max() < REST_SPEED
     if stop is None and not ends_at_rest:
         raise PlanError(f"stopped_at: no stop on the path keeps the limits from {t:.4g} s on; stop sooner")
     if stop is None or (ends_at_rest and stop.begin - t + stop.pieces.knots[-1] >= left):

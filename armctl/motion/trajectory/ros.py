@@ -12,6 +12,7 @@ import numpy as np
 
 from armctl.core.atomic import file_path, write_text
 from armctl.core.errors import InputError, NotInstalledError
+from armctl.core.file_reading import read_bytes, reading
 from armctl.core.validation import Array, integer, number, shown, vector
 from armctl.motion.trajectory.piecewise import Pieces, Samples, hermite, standing
 
@@ -54,27 +55,17 @@ def save(path: str | os.PathLike[str], content: Mapping[str, Any]) -> Path:
 def load(path: str | os.PathLike[str]) -> Mapping[str, Any]:
     """Reads a message from .json or .yaml; of several YAML documents, as `ros2 topic echo` prints them, the first."""
     path = file_path("path", path, ENDINGS)
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise InputError(f"{path!s:.160}: it is larger than {_MAX_BYTES // 10**6} MB")
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path!s:.160}: cannot be read: {error.strerror or error}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path!s:.160}: it is not a text in UTF-8") from None
-    try:
+    with reading(path, f"no {path.suffix[1:].upper()}"):
+        text = read_bytes(path, _MAX_BYTES).decode()
         return json.loads(text) if path.suffix == ".json" else _first_document(text)
-    except NotInstalledError:
-        raise
-    except Exception as error:  # damaged text raises whatever the parsers run into, RecursionError among them
-        raise InputError(
-            f"{path!s:.160}: it is no {path.suffix[1:].upper()} ({type(error).__name__}: {error!s:.120})"
-        ) from None
 
 
 def _first_document(text: str) -> Any:
     yaml = _yaml()
-    return next(iter(yaml.load_all(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))), None)
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    if "*" in text and any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, loader)):
+        raise InputError("it has an alias, with which a few lines can stand for billions of numbers; write the numbers")
+    return next(iter(yaml.load_all(text, loader)), None)
 
 
 def _yaml() -> Any:

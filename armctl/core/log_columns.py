@@ -1,0 +1,91 @@
+"""The arrays over time of a log, with their columns and units: the one list that `Log`, its files and the recorder use."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from armctl.core import units
+from armctl.core.validation import Array
+
+
+class Quantity(NamedTuple):
+    """An array over time.
+
+    Attributes:
+        unit: The unit of its columns, in which "joint" stands for rad or m, and "torque" for N m or N.
+        axes: The names of its columns; empty for one column per joint, or per position of the model.
+        is_optional: Whether a log may lack it.
+    """
+
+    unit: str
+    axes: tuple[str, ...] = ()
+    is_optional: bool = False
+
+    @property
+    def is_per_joint(self) -> bool:
+        """Whether it has a column per joint."""
+        return self.unit.startswith(("joint", "torque"))
+
+
+_QUATERNION = Quantity("", tuple("wxyz"))
+_POINT = Quantity("m", tuple("xyz"))
+QUANTITIES = {
+    "q": Quantity("joint"),
+    "v": Quantity("joint/s"),
+    "q_ref": Quantity("joint"),
+    "v_ref": Quantity("joint/s"),
+    "a_ref": Quantity("joint/s^2"),
+    "tau": Quantity("torque"),
+    "tau_cmd": Quantity("torque"),
+    "tip": _POINT,
+    "tip_quat": _QUATERNION,
+    "tip_ref": _POINT,
+    "tip_ref_quat": _QUATERNION,
+    "qpos": Quantity("", is_optional=True),
+    "wrench": Quantity("wrench", ("fx", "fy", "fz", "tx", "ty", "tz"), is_optional=True),
+}
+_PER_JOINT = tuple(name for name, quantity in QUANTITIES.items() if quantity.is_per_joint)
+REFERENCES = tuple(name for name in _PER_JOINT if name.endswith("_ref"))
+STATES = tuple(name for name in _PER_JOINT if name not in REFERENCES)
+
+
+class Column(NamedTuple):
+    """One column of a flat table: the array of the log and the place in it, its name and its unit."""
+
+    array: str
+    place: int
+    name: str
+    unit: str
+
+
+def widths(arrays: Mapping[str, Array]) -> dict[str, int]:
+    """The number of columns of each optional array that a log has."""
+    return {name: arrays[name].shape[1] for name, each in QUANTITIES.items() if each.is_optional and len(arrays[name])}
+
+
+def columns(joint_names: Sequence[str], joint_units: Sequence[str], optional: Mapping[str, int]) -> list[Column]:
+    """The columns of a flat table: "t", "q/joint1", ..., "tip/x", ..., "qpos/0"; `optional` as from `widths`."""
+    torque_units = units.of_torque(joint_units)
+    out = [Column("t", 0, "t", "s")]
+    for array, quantity in QUANTITIES.items():
+        if quantity.is_optional and array not in optional:
+            continue
+        axes = joint_names if quantity.is_per_joint else quantity.axes or [str(i) for i in range(optional[array])]
+        for i, axis in enumerate(axes):
+            unit = quantity.unit
+            if quantity.is_per_joint:
+                unit = unit.replace("joint", joint_units[i]).replace("torque", torque_units[i])
+            elif unit == "wrench":
+                unit = "N" if axis.startswith("f") else "N m"
+            out.append(Column(array, i, f"{array}/{axis}", unit))
+    return out
+
+
+def flat(arrays: Mapping[str, Array], layout: Sequence[Column]) -> dict[str, Array]:
+    """The arrays over time as vectors by the names of their columns."""
+    out = {}
+    for column in layout:
+        values = arrays[column.array]
+        out[column.name] = values if values.ndim == 1 else values[:, column.place]
+    return out

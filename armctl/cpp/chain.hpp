@@ -1,0 +1,105 @@
+// The chain of an arm from its base to the tip, as inverse kinematics sees it.
+//
+// Lengths are in units of the arm's reach, so that one set of constants fits an arm of three centimetres and one of three
+// metres. The chain has k joints and n unknowns; n is less than k if joints follow others.
+#pragma once
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "spans.hpp"
+#include "vectors.hpp"
+
+namespace armctl {
+
+// How the axes of some joints are related.
+enum class AxesRelation { neither = 0, meet = 1, parallel = 2 };
+
+struct Bounds {
+    double low;
+    double high;
+};
+
+struct ChainJoint {
+    Pose placement;  // in the frame of the joint before, at position zero
+    bool slides;
+    size_t unknown;                // the number of the unknown that moves it
+    double ratio;                  // its displacement divided by that unknown
+    double distance_to_point = 0;  // along its axis, to the point in which it meets others, in a chain with a closed form
+};
+
+struct Unknown {
+    Bounds bounds;
+    Bounds free_bounds;  // of a descent without bounds, which unknowns with a period do not have
+    Bounds one_turn;     // half a turn to each side for an unknown with a period, the bounds of others
+    double period;       // 2 pi if whole turns lead back to the same pose, 0 if not
+};
+
+// The structure of a chain of six hinges with a closed form. In a chain of seven, one is left out.
+struct SpecialAxes {
+    AxesRelation relation;         // of the three special axes: they meet or are parallel
+    size_t first;                  // the first of the three
+    std::array<size_t, 3> others;  // the other joints, in the order of the loop
+    AxesRelation pair_relation;    // of two neighbours among the others
+    size_t pair_first;             // 0 if these are the first two of the others, 1 if the last two
+};
+
+// All are copied.
+struct ChainArrays {
+    Matrix rotations;                        // (k + 1, 9) of each joint, and of the tip, in the frame before, row by row
+    Matrix translations;                     // (k + 1, 3) reaches
+    std::span<const std::int64_t> slides;    // (k,) whether the joint slides
+    std::span<const std::int64_t> unknowns;  // (k,) the unknown that moves it
+    Vector ratios;                           // (k,)
+    Vector low;                              // (n,) rad, or reaches for a slide joint
+    Vector high;                             // (n,)
+    Vector period;                           // (n,) 0 if whole turns lead nowhere
+    double reach;                            // m
+};
+
+// Immutable after its construction: threads share it.
+class Chain {
+public:
+    // Throws InputError if a joint follows an unknown that does not exist.
+    explicit Chain(const ChainArrays& arrays);
+
+    // The chain with its closed form's structure, and how far along each joint's axis is the point in which it meets others.
+    // Throws InputError if it names joints that do not exist.
+    Chain with_special_axes(const SpecialAxes& axes, Vector distances_to_points) const;
+
+    // The chain with some unknowns held at positions: a sweep.
+    Chain with_held(std::span<const std::int64_t> held, Vector positions) const;
+
+    // Whether the unknowns q (n,) are inside their bounds.
+    bool contains(Vector q) const;
+
+    size_t n() const { return unknowns_.size(); }
+    bool has_followers() const { return joints_.size() > unknowns_.size(); }
+    const std::vector<ChainJoint>& joints() const { return joints_; }
+    const std::vector<Unknown>& unknowns() const { return unknowns_; }
+    const Pose& tip() const { return tip_; }
+    double reach() const { return reach_; }
+    const std::optional<SpecialAxes>& special_axes() const { return special_axes_; }
+
+    // The origin of the first joint, from which the reach is measured.
+    Vec3 base() const { return joints_.front().placement.translation; }
+
+private:
+    std::vector<ChainJoint> joints_;
+    std::vector<Unknown> unknowns_;
+    Pose tip_;  // in the last joint's frame
+    double reach_;
+    std::optional<SpecialAxes> special_axes_;
+};
+
+// A column of a rotation: the frame's x, y or z axis.
+inline const Vec3& axis_of(const Rotation& rotation, int k) {
+    if (k == 0) {
+        return rotation.x;
+    }
+    return k == 1 ? rotation.y : rotation.z;
+}
+
+}  // namespace armctl

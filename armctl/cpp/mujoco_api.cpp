@@ -1,0 +1,79 @@
+#include "mujoco_api.hpp"
+
+#include <array>
+#include <cstring>
+
+#include "errors.hpp"
+
+namespace armctl {
+
+namespace {
+
+// A number of MuJoCo's struct at an offset.
+template <class Number>
+Number number_at(const void* address, size_t offset) {
+    Number number;
+    std::memcpy(static_cast<void*>(&number), static_cast<const std::byte*>(address) + offset, sizeof(Number));
+    return number;
+}
+
+// A batch of MuJoCo with one simulation and no thread of its own.
+class Batch {
+public:
+    explicit Batch(const MujocoApi& api) : delete_(api.delete_batch) {
+        std::array<char, 500> error{};
+        const MujocoApi::BatchConfig config{.threads = 1, .persistent = 0};
+        batch_ = api.make_batch(api.empty_model, 1, &config, error.data(), static_cast<int>(error.size()));
+        if (batch_ == nullptr) {
+            throw InputError("mujoco: " + std::string(error.data()));
+        }
+    }
+    Batch(const Batch&) = delete;
+    Batch& operator=(const Batch&) = delete;
+    ~Batch() { delete_(batch_); }
+
+    MujocoBatch* get() const { return batch_; }
+
+private:
+    void (*delete_)(MujocoBatch*);
+    MujocoBatch* batch_;
+};
+
+struct Call {
+    void (*function)(void*);
+    void* argument;
+};
+
+void run(const MujocoModel*, MujocoData*, int, void* argument) {
+    const Call* call = static_cast<const Call*>(argument);
+    call->function(call->argument);
+}
+
+}  // namespace
+
+Contacts::Contacts(const ContactLayout& layout, const MujocoData* data)
+    : layout_(layout),
+      first_(number_at<const std::byte*>(data, layout.array)),
+      count_(static_cast<size_t>(number_at<std::int32_t>(data, layout.count))) {}
+
+GeomPair Contacts::geoms(size_t contact) const { return number_at<GeomPair>(first_ + contact * layout_.stride, layout_.geoms); }
+
+bool Contacts::touch(std::int32_t geom) const {
+    for (size_t k = 0; k < count_; ++k) {
+        const GeomPair pair = geoms(k);
+        if (pair.first == geom || pair.second == geom) {
+            return true;
+        }
+    }
+    return false;
+}
+
+std::string guarded_call(const MujocoApi& api, void (*function)(void*), void* argument) {
+    // A batch makes one call at a time, so each thread has its own.
+    thread_local const Batch batch(api);
+    Call call{.function = function, .argument = argument};
+    const int failures = api.apply(batch.get(), nullptr, 0, run, &call, 0);
+    return failures == 0 ? std::string() : std::string(api.error(batch.get(), 0));
+}
+
+}  // namespace armctl

@@ -1,0 +1,32 @@
+// Vectors and matrices of the caller: spans that know their length. A matrix is stored row by row.
+#pragma once
+#include <cstddef>
+#include <span>
+#include <type_traits>
+
+namespace armctl {
+
+using Vector = std::span<const double>;  // is read
+using Result = std::span<double>;        // is written
+
+template <class Number>
+struct MatrixSpan {
+    Number* data = nullptr;
+    size_t rows = 0;
+    size_t columns = 0;
+
+    Number& operator()(size_t row, size_t column) const { return data[row * columns + column]; }
+    std::span<Number> row(size_t index) const { return {data + index * columns, columns}; }
+
+    // A matrix that may be written can be read.
+    operator MatrixSpan<const Number>() const
+        requires(!std::is_const_v<Number>)
+    {
+        return {data, rows, columns};
+    }
+};
+
+using Matrix = MatrixSpan<const double>;
+using MatrixResult = MatrixSpan<double>;
+
+}  // namespace armctl

@@ -1,0 +1,24 @@
+#include "vectors.hpp"
+
+namespace armctl {
+
+Quaternion quaternion(const Rotation& R) {
+    const double trace = R.x.x + R.y.y + R.z.z;
+    Quaternion quat;
+    if (trace >= R.x.x && trace >= R.y.y && trace >= R.z.z) {
+        quat = {1.0 + trace, R.y.z - R.z.y, R.z.x - R.x.z, R.x.y - R.y.x};
+    } else if (R.x.x >= R.y.y && R.x.x >= R.z.z) {
+        quat = {R.y.z - R.z.y, 1.0 + R.x.x - R.y.y - R.z.z, R.x.y + R.y.x, R.x.z + R.z.x};
+    } else if (R.y.y >= R.z.z) {
+        quat = {R.z.x - R.x.z, R.y.x + R.x.y, 1.0 + R.y.y - R.z.z - R.x.x, R.y.z + R.z.y};
+    } else {
+        quat = {R.x.y - R.y.x, R.z.x + R.x.z, R.z.y + R.y.z, 1.0 + R.z.z - R.x.x - R.y.y};
+    }
+    double scale = 1.0 / std::sqrt(quat.w * quat.w + quat.x * quat.x + quat.y * quat.y + quat.z * quat.z);
+    if (quat.w < 0.0) {
+        scale = -scale;
+    }
+    return {quat.w * scale, quat.x * scale, quat.y * scale, quat.z * scale};
+}
+
+}  // namespace armctl

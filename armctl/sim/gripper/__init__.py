@@ -1,0 +1,1 @@
+"""Grippers of simulated arms: which joints close, how they are driven, and what they hold."""

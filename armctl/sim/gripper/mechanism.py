@@ -1,0 +1,106 @@
+"""Mechanism: a gripper whose joints follow its actuators at fixed ratios, so that it can be placed without a simulation."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from armctl.core.validation import Array, IntArray
+from armctl.mjmodel.transmissions import Transmission, Transmissions
+
+
+@dataclass(frozen=True, eq=False)
+class Mechanism:
+    """What each actuator of a gripper moves.
+
+    Attributes:
+        transmissions: One for each actuator; its leading joint is the one that the actuator acts on, if it acts on one.
+    """
+
+    transmissions: tuple[Transmission, ...]
+
+    @property
+    def followers(self) -> list[int]:
+        """The joints that follow another at a fixed ratio."""
+        return [joint for transmission in self.transmissions for joint in transmission.coupled if joint != transmission.joint]
+
+    def inertia(self, model: mujoco.MjModel) -> Array:
+        """(actuators,) kg m^2 (kg): the inertia of all that each actuator moves, at the speed of its leading joint."""
+        return np.array(
+            [
+                sum(
+                    mimic.ratio**2 * float(model.dof_M0[model.jnt_dofadr[joint]])
+                    for joint, mimic in transmission.coupled.items()
+                )
+                for transmission in self.transmissions
+            ]
+        )
+
+    def placed(self, model: mujoco.MjModel, start: mujoco.MjData, ctrl: Array) -> mujoco.MjData:
+        """The gripper where servos without load hold it, within the ranges of its joints.
+
+        Args:
+            model: The model, in which the gripper's actuators are servos.
+            start: The state of all other joints.
+            ctrl: (actuators,) the controls.
+
+        Returns:
+            The state, with its positions computed; its other joints are as in `start`.
+        """
+        data = copy.copy(start)
+        for transmission, command in zip(self.transmissions, ctrl, strict=True):
+            low, high = _leader_range(model, transmission)
+            leader = float(np.clip(_leader_at(model, transmission, float(command)), low, high))
+            for joint, mimic in transmission.coupled.items():
+                data.qpos[model.jnt_qposadr[joint]] = mimic.ratio * leader + mimic.offset
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_tendon(model, data)
+        mujoco.mj_transmission(model, data)
+        return data
+
+
+def find_mechanism(model: mujoco.MjModel, dofs: IntArray, actuators: tuple[int, ...]) -> Mechanism | None:
+    """The mechanism of a gripper; None if its joints close a loop or share a pull in no fixed ratio.
+
+    Args:
+        dofs: Addresses in `MjData.qvel` of the joints behind the tip.
+    """
+    analysis = Transmissions(model)
+    found: dict[int, Transmission] = {}
+    free: list[int] = []
+    for joint in (int(model.dof_jntid[d]) for d in dofs):
+        transmission = analysis.of(joint)
+        if isinstance(transmission, str):
+            free.append(joint)
+        elif transmission.actuator not in found or joint == model.actuator_trnid[transmission.actuator, 0]:
+            found[transmission.actuator] = transmission
+    if not set(actuators) <= found.keys() or any(analysis.coupling_reason(joint) for joint in free):
+        return None
+    return Mechanism(tuple(found[actuator] for actuator in actuators))
+
+
+def _leader_at(model: mujoco.MjModel, transmission: Transmission, ctrl: float) -> float:
+    """The position of the leading joint where the servo's force gain ctrl + bias0 + bias1 length is zero."""
+    bias = model.actuator_biasprm[transmission.actuator]
+    length = -(float(model.actuator_gainprm[transmission.actuator, 0]) * ctrl + float(bias[0])) / float(bias[1])
+    offset = sum(moment * transmission.coupled[joint].offset for joint, moment in transmission.moments.items())
+    return (length - offset) / transmission.gear
+
+
+def _leader_range(model: mujoco.MjModel, transmission: Transmission) -> tuple[float, float]:
+    """The range of the leading joint in which all joints that follow it are in theirs; its own if there is none."""
+    low = -np.inf
+    high = np.inf
+    for joint, mimic in transmission.coupled.items():
+        if model.jnt_limited[joint]:
+            ends = (model.jnt_range[joint] - mimic.offset) / mimic.ratio
+            low = max(low, float(ends.min()))
+            high = min(high, float(ends.max()))
+    if low < high:
+        return low, high
+    own = model.jnt_range[transmission.joint]
+    return float(own[0]), float(own[1])

@@ -1,0 +1,127 @@
+"""PlantAttribute: what one attribute of a Plant may be, and how a text names it. `Plant` is the table of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.core.errors import InputError
+from armctl.core.validation import Array, choice, instance, integer, number, vector
+
+_FIELD_KEY = "plant attribute"
+
+
+class Kind(Enum):
+    """The kind of an attribute's values."""
+
+    NUMBER = "number"
+    WHOLE_NUMBER = "whole number"
+    PER_JOINT = "a number for all joints, or one for each"
+    POINT = "three numbers"
+    FLAG = "True or False"
+    WORD = "one of some words"
+    OTHER = "read by the plant itself"
+
+
+@dataclass(frozen=True)
+class PlantAttribute:
+    """A row of the table of a plant's attributes.
+
+    Attributes:
+        kind: The kind of its values.
+        default: Its value in the nominal plant.
+        unit: The unit, for labels; empty for none.
+        low: The least value.
+        high: The greatest value.
+        words: The words that it may be.
+        phrase: How a text names a value, such as "payload {} kg"; empty if only other attributes tell that the plant differs.
+        scale: Factor on the number in the phrase.
+        only_with: Attributes of which one must differ from its default, so that this one matters.
+        disturbs_signals: Whether it disturbs measurements or commands during a run.
+        is_factor: Whether it can be a factor of a study.
+        varies_in_episodes: Whether the episodes of an environment can draw it.
+    """
+
+    kind: Kind
+    default: Any
+    unit: str = ""
+    low: float = -math.inf
+    high: float = math.inf
+    words: tuple[str, ...] = ()
+    phrase: str = ""
+    scale: float = 1.0
+    only_with: tuple[str, ...] = ()
+    disturbs_signals: bool = False
+    is_factor: bool = True
+    varies_in_episodes: bool = False
+
+    def read(self, name: str, value: Any) -> Any:
+        """A value as a caller gave it, checked; a value that is not read here is returned as it is.
+
+        Raises:
+            InputError: It is of another kind, or outside its range.
+        """
+        if self.default is None and _is_left_out(value):
+            return None
+        match self.kind:
+            case Kind.NUMBER:
+                return number(name, value, self.low, self.high)
+            case Kind.WHOLE_NUMBER:
+                return integer(name, value, self.low, self.high)
+            case Kind.PER_JOINT:
+                return _per_joint(name, value, self.low)
+            case Kind.POINT:
+                return vector(name, value, 3)
+            case Kind.WORD:
+                return choice(name, value, self.words)
+            case Kind.FLAG:
+                instance(name, value, bool, "True or False is one")
+        return value
+
+    def differs(self, value: Any) -> bool:
+        """Whether a checked value differs from the default."""
+        if isinstance(value, tuple):
+            return bool(value)
+        return bool(np.any(value != self.default))
+
+    def describe(self, value: Any) -> str:
+        """A checked value in words."""
+        if isinstance(value, tuple):
+            return ", ".join(str(each) for each in value)
+        is_number = not isinstance(value, bool | str)
+        return self.phrase.format(number_text(self.scale * value) if is_number else value)
+
+
+def plant_attribute(kind: Kind, default: Any, **row: Any) -> Any:
+    """The field of a dataclass with a row of the table; the arguments are those of `PlantAttribute`."""
+    return field(default=default, metadata={_FIELD_KEY: PlantAttribute(kind, default, **row)})
+
+
+def attributes_of(plant_class: type) -> Mapping[str, PlantAttribute]:
+    """The table of a class whose fields are made by `plant_attribute`."""
+    return {each.name: each.metadata[_FIELD_KEY] for each in fields(plant_class)}
+
+
+def number_text(value: float | Array) -> str:
+    """Numbers in the fewest digits that identify them."""
+    texts = [f"{x:g}" if float(f"{x:g}") == x else repr(x) for x in np.ravel(value).tolist()]
+    return texts[0] if len(texts) == 1 else f"[{' '.join(texts)}]"
+
+
+def _is_left_out(value: object) -> bool:
+    return value is None
+
+
+def _per_joint(name: str, value: ArrayLike, low: float) -> Array:
+    values = vector(name, [value] if np.ndim(value) == 0 else value)  # type: ignore[list-item]
+    if not len(values):
+        raise InputError(f"{name}: expected one number, or one for each joint, got none")
+    if values.min() < low:
+        raise InputError(f"{name}: every value must be at least {low:g}, got {values.min():g}")
+    return values

@@ -1,0 +1,471 @@
+"""RealTimeSession: an arm that follows a target in real time, in its own thread, under commands of other threads."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from armctl.control import Controller, controller_by_name
+from armctl.core.errors import ModelError, UnknownNameError
+from armctl.core.log import SimulationError
+from armctl.core.pose import Pose
+from armctl.core.target import TOLERANCE, Target
+from armctl.core.validation import Array, frozen, instance, number, vector
+from armctl.ik import solve_ik
+from armctl.mjmodel.queries import contact_forces, keyframe_names
+from armctl.mjmodel.target_marker import find_target, target_pose
+from armctl.robot.arm import Arm
+from armctl.sim.gripper.gripper import Gripper
+from armctl.sim.move import AT_REST_SPEED
+from armctl.sim.obstacles import Obstacles
+from armctl.sim.plant import Plant
+from armctl.sim.realtime.clock import MAX_SPEED, MIN_SPEED, RealTimeClock
+from armctl.sim.realtime.history import History
+from armctl.sim.realtime.status import Activity, Status
+from armctl.sim.realtime.target_follower import TargetFollower
+from armctl.sim.recorder import Recorder
+from armctl.sim.stepper import Stepper
+
+UPDATE_INTERVAL_S = 0.01
+_REFERENCE_ARRIVED = 1e-6  # rad
+_MIN_SPEED_OVERRIDE = 0.01
+_JOIN_TIMEOUT_S = 1.0
+
+_log = logging.getLogger("armctl.sim")
+
+
+class RealTimeSession:
+    """An arm in real time.
+
+    Commands are queued and executed between control updates; a newer command of the same kind replaces an older one. Other
+    threads read `status` and `history` only.
+
+    Attributes:
+        history: Errors and torques of the last seconds.
+        keyframes: Names of the model's keyframes.
+        gripper_width_max: Largest width of the gripper, m; None without a gripper.
+    """
+
+    def __init__(self, arm: Arm, controller: str = "computed-torque", payload: float = 0.0):
+        """A session with the arm at home. Time stands still until `start`.
+
+        Args:
+            payload: Mass at the tip, kg.
+
+        Raises:
+            UnknownNameError: There is no such controller.
+            InputError: The payload is negative.
+        """
+        self.arm = arm
+        self.keyframes = keyframe_names(arm.model)
+        self._controller_name = controller
+        self._controller: Controller = controller_by_name(controller, arm)
+        self._payload = number("payload", payload, 0.0)
+        self._stepper = Stepper([arm], Plant(payload=self._payload))
+        self._ticks = max(1, round(UPDATE_INTERVAL_S / self._stepper.dt))
+        self._interval = self._ticks * self._stepper.dt
+        self._follower = TargetFollower(arm, self._stepper.dt, Obstacles(arm, self._stepper.data))
+        self._speed_override = 1.0
+        self._clock = RealTimeClock()
+        self.history = History(arm.n, self._interval)
+        self._gripper = self._gripper_of(self._stepper)
+        self.gripper_width_max = None if self._gripper is None else self._gripper.width_max
+        self._commands: dict[str, Callable[[], None]] = {}
+        self._commands_lock = threading.Lock()
+        self._stopping = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._paused = False
+        self._standing_by = False
+        self._elapsed = 0.0
+        self._failure = ""
+        self._restart()
+        self._status = self._observed(arm.home)
+
+    @property
+    def status(self) -> Status:
+        """The session after its last update."""
+        return self._status
+
+    def aim(self, target: Pose, *, held: bool = False) -> None:
+        """Moves the tip to a target.
+
+        Args:
+            target: T_world_tip.
+            held: Whether it still moves, for example while it is dragged. No path around obstacles is planned then.
+
+        Raises:
+            InputError: It is not a Pose.
+        """
+        instance("target", target, Pose, "give Pose(position, quat)")
+        self._command("goal", lambda: self._follower.aim(target, held))
+
+    def move_joints(self, q: Array) -> None:
+        """Moves the joints; the target follows the tip.
+
+        Args:
+            q: (n,) rad; values outside the position limits are clamped.
+
+        Raises:
+            InputError: A wrong length, or a number that is not finite.
+        """
+        q = self.arm.limits.clamp(vector("q", q, self.arm.n))
+        self._command("goal", lambda: self._follower.move_joints(q))
+
+    def set_oriented(self, oriented: bool) -> None:
+        """Chooses whether the target's orientation is part of the goal."""
+
+        def change() -> None:
+            self._follower.oriented = bool(oriented)
+            self._follower.aim(self._follower.target)
+
+        self._command("orientation", change)
+
+    def set_avoiding(self, avoiding: bool) -> None:
+        """Chooses whether the arm avoids contact with itself and the scene."""
+        self._command("avoiding", lambda: self._follower.set_avoiding(bool(avoiding)))
+
+    def set_speed_override(self, share: float) -> None:
+        """Changes the speed of the arm's motions, also during one; the limits of the joints hold throughout.
+
+        Args:
+            share: Share of the full speed, in [0.01, 1].
+
+        Raises:
+            InputError: It is outside that range.
+        """
+        share = number("share", share, _MIN_SPEED_OVERRIDE, 1.0)
+
+        def change() -> None:
+            self._follower.reference.set_speed(share)
+            self._speed_override = share
+
+        self._command("speed override", change)
+
+    def set_controller(self, name: str) -> None:
+        """Changes the controller while the arm moves.
+
+        Raises:
+            UnknownNameError: There is no such controller.
+        """
+        controller = controller_by_name(name, self.arm)
+
+        def change() -> None:
+            self._controller = controller
+            self._controller_name = name
+
+        self._command("controller", change)
+
+    def set_payload(self, payload: float) -> None:
+        """Changes the mass at the tip. The controller's model does not include it.
+
+        Args:
+            payload: Mass, kg.
+
+        Raises:
+            InputError: It is negative or not finite.
+        """
+        payload = number("payload", payload, 0.0)
+        stepper = Stepper([self.arm], Plant(payload=payload))
+
+        def change() -> None:
+            stepper.reset(self._stepper.state.q, self._stepper.state.v)
+            stepper.data.qpos[:] = self._stepper.data.qpos
+            self._stepper = stepper
+            self._payload = payload
+            self._gripper = self._gripper_of(stepper)
+            self._follower.obstacles = Obstacles(self.arm, stepper.data)
+
+        self._command("payload", change)
+
+    def grip(self, width: float) -> None:
+        """Moves the gripper; the arm holds its position meanwhile.
+
+        Args:
+            width: Width between the pads, m; clamped to the gripper's range.
+
+        Raises:
+            InputError: It is not a finite number.
+        """
+        width = number("width", width)
+
+        def move() -> None:
+            if self._gripper is not None and not self._paused:
+                self._gripper.move(min(max(width, 0.0), self._gripper.width_max))
+
+        self._command("gripper", move)
+
+    def set_speed(self, speed: float) -> None:
+        """Changes how fast simulated time passes.
+
+        Args:
+            speed: Simulated seconds per second, in [0.001, 1000].
+
+        Raises:
+            InputError: It is outside that range.
+        """
+        speed = number("speed", speed, MIN_SPEED, MAX_SPEED)
+
+        def change() -> None:
+            self._clock.speed = speed
+
+        self._command("speed", change)
+
+    def pause(self, paused: bool) -> None:
+        """Stops simulated time, or lets it continue."""
+
+        def change() -> None:
+            self._paused = bool(paused)
+
+        self._command("pause", change)
+
+    def reset(self, keyframe: str = "") -> None:
+        """Puts everything at home, at rest, with the first target. It also ends DIVERGED and FAILED.
+
+        Args:
+            keyframe: One of `keyframes`, to put everything there instead, with the target at the tip.
+
+        Raises:
+            UnknownNameError: There is no such keyframe.
+        """
+        if keyframe and keyframe not in self.keyframes:
+            raise UnknownNameError.of("keyframe", keyframe, self.keyframes)
+
+        def restart() -> None:
+            self._restart(keyframe)
+            self._status = self._observed(self._follower.reference.q)
+
+        self._command("reset", restart)
+
+    def stand_by(self, standing_by: bool) -> None:
+        """Stops the session while another one moves another arm of the same model, or lets it go on."""
+
+        def change() -> None:
+            self._standing_by = bool(standing_by)
+
+        self._command("stand by", change)
+
+    @property
+    def is_standing_by(self) -> bool:
+        """Whether the session stands for another one."""
+        return self._standing_by
+
+    def continue_from(self, qpos: Array) -> None:
+        """Goes on where another session left the model: at rest there, with the target at the tip.
+
+        Args:
+            qpos: (nq,) positions of the whole model.
+
+        Raises:
+            InputError: A wrong length, or a number that is not finite.
+        """
+        qpos = vector("qpos", qpos, self.arm.model.nq)
+
+        def change() -> None:
+            self._rest_at(qpos)
+            self._status = self._observed(self._follower.reference.q)
+
+        self._command("reset", change)
+
+    def prepare(self) -> None:
+        """Loads what the first motion needs, which takes up to some seconds."""
+        self._follower.prepare()
+
+    def start(self) -> None:
+        """Starts the session's thread."""
+        self._thread = threading.Thread(target=self._run, name="armctl session", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Ends the session's threads."""
+        self._stopping.set()
+        self._follower.close()
+        if self._thread is not None:
+            self._thread.join(timeout=_JOIN_TIMEOUT_S)
+
+    def advance(self) -> bool:
+        """Executes the queued commands and simulates one update interval.
+
+        No exception leaves this method: a failure appears in the status, and the session stands until `reset`.
+
+        Returns:
+            Whether simulated time passed; False while paused or after a failure.
+        """
+        try:
+            advanced = self._advance()
+        except _StoppedError:
+            advanced = False
+        except SimulationError:
+            advanced = False  # the stepper says why
+        except Exception as error:
+            _log.exception("the real-time session failed")
+            self._fail(error)
+            advanced = False
+        if not advanced:
+            self._refresh_status()
+        return advanced
+
+    def _advance(self) -> bool:
+        with self._commands_lock:
+            commands = self._commands
+            self._commands = {}
+        for command in commands.values():
+            command()
+        if self._paused or self._standing_by or self._failure or self._stepper.failure:
+            return False
+        reference = self._follower.advance(self._ticks, "" if self._gripper is None else self._gripper.held)
+        self._stepper.run(self._controller, reference, self._recorder())
+        self._elapsed += self._interval
+        self._status = self._observed(self._follower.reference.q)
+        return True
+
+    def _run(self) -> None:
+        try:
+            self._clock.restart()
+            while not self._stopping.is_set():
+                if self.advance():
+                    self._clock.wait(self._interval)
+                else:
+                    time.sleep(UPDATE_INTERVAL_S)
+                    self._clock.restart()
+        except BaseException as error:  # the thread ends, and the status must not say otherwise
+            _log.exception("the thread of the real-time session ended")
+            self._fail(error)
+            self._refresh_status()
+
+    def _fail(self, error: BaseException) -> None:
+        self._failure = f"{type(error).__name__}: {error}"[:200]
+
+    def _refresh_status(self) -> None:
+        """Renews what a session that stands can change."""
+        self._status = replace(
+            self._status,
+            activity=self._activity(self._status.position_error, at_rest=False, arrived=False),
+            failure=self._failure or self._stepper.failure,
+            target=self._follower.target,
+            oriented=self._follower.oriented,
+            joint_control=self._follower.joint_control,
+            avoiding=self._follower.avoiding,
+            speed_override=self._speed_override,
+            controller=self._controller_name,
+            payload=self._payload,
+            paused=self._paused,
+            speed=self._clock.speed,
+        )
+
+    def _command(self, kind: str, command: Callable[[], None]) -> None:
+        with self._commands_lock:
+            self._commands.pop(kind, None)
+            self._commands[kind] = command
+
+    def _gripper_of(self, stepper: Stepper) -> Gripper | None:
+        try:
+            return Gripper(self.arm, stepper, self._hold)
+        except ModelError:
+            return None
+
+    def _hold(self, seconds: float) -> None:
+        """Holds the arm while the gripper moves."""
+        if self._stopping.is_set():
+            raise _StoppedError
+        self._stepper.run(self._controller, self._stepper.hold_reference(seconds), self._recorder())
+        self._status = self._observed(self._stepper.q_ref)
+        if self._thread is threading.current_thread():
+            self._clock.wait(seconds)
+
+    def _recorder(self) -> Recorder:
+        """A session keeps no log, so each record is thrown away."""
+        return self._stepper.recorder()
+
+    def _restart(self, keyframe: str = "") -> None:
+        arm = self.arm
+        if self._gripper is not None:
+            self._gripper.reset()
+        stepper = self._stepper
+        self._failure = ""
+        if keyframe:
+            self._rest_at(arm.model.key_qpos[self.keyframes.index(keyframe)])
+            return
+        stepper.reset(arm.home, np.zeros(arm.n))
+        has_target = find_target(stepper.model) is not None
+        start = target_pose(stepper.model, stepper.data).position if has_target else stepper.tip_pose(arm).position
+        self._follower.stand(arm.home, solve_ik(arm, start, arm.home).q)
+
+    def _rest_at(self, qpos: Array) -> None:
+        """Puts the whole model at positions (nq,), at rest, with the target at the tip."""
+        arm = self.arm
+        stepper = self._stepper
+        q = arm.limits.clamp(qpos[arm.qpos_adr])
+        stepper.reset(q, np.zeros(arm.n))
+        stepper.data.qpos[:] = qpos
+        arm.joint_map.set_positions(stepper.data.qpos, q)
+        mujoco.mj_forward(stepper.model, stepper.data)
+        self._follower.stand(q, q)
+
+    def _observed(self, q_ref: Array) -> Status:
+        """The status now; adds a sample to the history."""
+        stepper = self._stepper
+        state = stepper.state
+        tip = stepper.tip_pose(self.arm)
+        follower = self._follower
+        goal = Target(follower.target.position, follower.target if follower.oriented else None)
+        position_error, _ = goal.distance(tip)
+        reference_error = float(np.linalg.norm(tip.position - self.arm.fk(q_ref).position))
+        actuation = self.arm.actuation
+        torques = stepper.data.qfrc_actuator[actuation.torque_adr] * actuation.torque_share
+        self.history.add(position_error, reference_error, torques / self.arm.limits.tau_max)
+        return Status(
+            activity=self._activity(
+                position_error,
+                at_rest=bool(np.abs(state.v).max() < AT_REST_SPEED),
+                arrived=bool(np.abs(q_ref - follower.joint_goal).max() < _REFERENCE_ARRIVED) and follower.reference.is_at_rest,
+            ),
+            failure=self._failure or stepper.failure,
+            position_error=position_error,
+            reach_error=follower.reach_error,
+            refusal=follower.refusal,
+            path=follower.path,
+            contacts=frozen(contact_forces(stepper.model, stepper.data)),
+            target=follower.target,
+            oriented=follower.oriented,
+            joint_control=follower.joint_control,
+            avoiding=follower.avoiding,
+            speed_override=self._speed_override,
+            q=frozen(state.q.copy()),
+            qpos=frozen(stepper.data.qpos.copy()),
+            controller=self._controller_name,
+            payload=self._payload,
+            gripper_width=None if self._gripper is None else self._gripper.width,
+            paused=self._paused,
+            elapsed=self._elapsed,
+            speed=self._clock.speed,
+            real_time_factor=self._clock.real_time_factor,
+        )
+
+    def _activity(self, position_error: float, *, at_rest: bool, arrived: bool) -> Activity:
+        if self._failure:
+            return Activity.FAILED
+        if self._stepper.failure:
+            return Activity.DIVERGED
+        if self._paused:
+            return Activity.PAUSED
+        if self._follower.is_planning:
+            return Activity.PLANNING
+        if self._follower.refusal:
+            return Activity.BLOCKED
+        if self._follower.reach_error is not None and arrived:
+            return Activity.OUT_OF_REACH
+        if position_error <= TOLERANCE and at_rest:
+            return Activity.AT_TARGET
+        if arrived and at_rest:
+            return Activity.SAGGING
+        return Activity.FOLLOWING
+
+
+class _StoppedError(Exception):
+    """The session ends while the gripper moves."""

@@ -1,0 +1,286 @@
+"""TargetFollower: the reference of an arm that follows a target without touching anything."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from armctl._core import Hit
+from armctl.core.latest_worker import LatestWorker
+from armctl.core.pose import Pose
+from armctl.core.target import Target
+from armctl.core.trajectory import TickReference, Trajectory
+from armctl.core.validation import Array, frozen
+from armctl.ik import DifferentialIk, solve_ik
+from armctl.motion.trajectory.piecewise import Pieces
+from armctl.planning.path import FreeSpace
+from armctl.robot.arm import Arm
+from armctl.sim.move import PlannedMove, plan_free
+from armctl.sim.obstacles import Obstacles
+from armctl.sim.online_reference import OnlineReference
+
+if TYPE_CHECKING:
+    from armctl.collision.checker import CollisionChecker
+
+_IK_AT_REST_SPEED = 1e-2  # rad/s: differential IK has converged
+_MIN_IMPROVEMENT_M = 0.01  # an unreachable target changes the posture only if the new one is nearer by this much
+_ACCELERATION_SCALE = 0.3  # a target moved by hand jerks; the jerk limits are scaled by its square
+_CLEARANCE_M = 1e-3  # of a reference that follows live: half of what a planned path keeps
+PATH_POINTS = 100
+
+_log = logging.getLogger("armctl.sim")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedPath:
+    """A planned motion, as it is shown.
+
+    Attributes:
+        tip: (T, 3) m, the path of the tip.
+        q_end: (n,) rad, where it ends.
+        duration: s, at full speed.
+    """
+
+    tip: Array
+    q_end: Array
+    duration: float
+
+    @classmethod
+    def of(cls, arm: Arm, trajectory: Trajectory) -> PlannedPath:
+        """The path of a motion of an arm."""
+        q = trajectory.sample(np.linspace(0.0, trajectory.duration, PATH_POINTS)).q
+        positions, _ = arm.fk_many(q)
+        return cls(frozen(positions), frozen(q[-1]), trajectory.duration)
+
+
+class TargetFollower:
+    """Moves the reference of an arm to a target that may change at any time.
+
+    While nothing is in the way it follows live: differential inverse kinematics moves the joint goal, and an online motion
+    moves the reference. Each new joint goal is taken only if the whole motion to it is proved free of contact. Where it is
+    not, the reference comes to rest at the last free joint goal. Once the target is released, a path around what is in the way
+    is planned in another thread, and followed.
+
+    Attributes:
+        reference: Where the arm should be.
+        target: T_world_tip to reach.
+        oriented: Whether the target's orientation is part of the goal.
+        joint_control: Whether joint angles were commanded, so that the target follows the tip.
+        joint_goal: (n,) rad, where the reference comes to rest.
+        reach_error: Distance from the nearest reachable point to the target, m; None while it is not known to be unreachable.
+        refusal: Why the arm does not approach its target; empty if it does.
+        path: The planned path, until the target changes; None where nothing was in the way.
+        avoiding: Whether contacts are avoided.
+    """
+
+    def __init__(self, arm: Arm, dt: float, obstacles: Obstacles):
+        """A follower that rests at home.
+
+        Args:
+            dt: s, the tick.
+            obstacles: What the arm could touch.
+        """
+        self.arm = arm
+        self.obstacles = obstacles
+        self.reference = OnlineReference(arm, dt, arm.home, acceleration_scale=_ACCELERATION_SCALE)
+        self.oriented = arm.n >= 6
+        self.avoiding = True
+        self._dt = dt
+        self._ik: DifferentialIk | None = None
+        self._worker: LatestWorker | None = None
+        self._checker: CollisionChecker | None = None
+        self._clearance = _CLEARANCE_M
+        self._hit: Hit | None = None
+        self.stand(arm.home, arm.home)
+
+    def close(self) -> None:
+        """Ends the thread that plans."""
+        if self._worker is not None:
+            self._worker.close()
+
+    def prepare(self, held: str = "") -> None:
+        """Loads what the first update needs."""
+        self._velocity(Target.read(self.target), self._dt)
+        self.obstacles.recent_checker(held)
+
+    def stand(self, q: Array, goal: Array) -> None:
+        """Rests at q, (n,) rad, and then moves the joints to a goal, (n,) rad, with the target where the tip then is."""
+        self.reference.stand(q)
+        self.joint_goal = q
+        self.move_joints(goal)
+        self.joint_control = False
+
+    def aim(self, target: Pose, held: bool = False) -> None:
+        """Takes a new target, T_world_tip. While it is held, the arm follows live and plans nothing."""
+        self.target = target
+        self.joint_control = False
+        self._begin(None, held)
+
+    def move_joints(self, q: Array) -> None:
+        """Moves the joints to q, (n,) rad, inside the limits."""
+        self.target = self.arm.fk(q)
+        self.joint_control = True
+        self._begin(q, held=False)
+
+    def set_avoiding(self, avoiding: bool) -> None:
+        """Chooses whether contacts are avoided."""
+        self.avoiding = avoiding
+        self._begin(self._wanted, self._held)
+
+    def advance(self, ticks: int, held_body: str = "") -> TickReference:
+        """The next ticks of the reference.
+
+        Args:
+            ticks: How many.
+            held_body: The body that the gripper holds; empty for none.
+        """
+        if self.reference.is_on_planned_path:
+            rows = self.reference.next(ticks)
+            self.joint_goal = self.arm.limits.clamp(self.reference.q)
+            return rows
+        self._take_answer()
+        if not (self.is_planning or self._finished):
+            self._watch(held_body)
+            self._update_joint_goal(ticks * self._dt)
+        return self.reference.next(ticks)
+
+    def _begin(self, wanted: Array | None, held: bool) -> None:
+        """Starts again towards the target, or towards joint angles (n,)."""
+        self._wanted = wanted
+        self._held = held
+        self._finished = False
+        self._is_new = True
+        self.reach_error: float | None = None
+        self.refusal = ""
+        self.path: PlannedPath | None = None
+        self._request: object = None
+        self._answer: _Answer | None = None
+        self.reference.stop()
+
+    @property
+    def is_planning(self) -> bool:
+        """Whether a path is being planned, or waits for the arm to come to rest."""
+        return self._request is not None
+
+    def _watch(self, held_body: str) -> None:
+        """Looks where everything is now, and how much clearance can be kept."""
+        if not self.avoiding:
+            self._checker = None
+            return
+        self._checker = self.obstacles.recent_checker(held_body)
+        if self._is_new:
+            pair, distance = self._checker.nearest(self.reference.q)
+            if pair >= 0 and distance <= self._clearance:
+                self._clearance = max(0.5 * distance, 0.0)
+            else:
+                self._clearance = min(_CLEARANCE_M, max(self._clearance, 0.5 * distance))
+
+    def _update_joint_goal(self, interval: float) -> None:
+        is_new = self._is_new
+        self._is_new = False
+        if self._wanted is not None:
+            self._finished = self._approach(self._wanted)
+            return
+        target = Target.read(self.target if self.oriented else self.target.position)
+        if is_new and not self._held and self._is_blocked(target):
+            self._plan(target)
+            return
+        rate = self._velocity(target, interval)
+        is_free = self._approach(self.arm.limits.clamp(self.joint_goal + interval * rate))
+        if not is_free or np.abs(rate).max() > _IK_AT_REST_SPEED:
+            return
+        self._finished = True
+        solution = solve_ik(self.arm, target, self.joint_goal)
+        position_error, _ = target.distance(self.arm.fk(self.joint_goal))
+        if solution.ok or solution.position_error < position_error - _MIN_IMPROVEMENT_M:
+            self._finished = self._approach(solution.q)
+        if not solution.ok:
+            self.reach_error = solution.position_error
+
+    def _velocity(self, target: Target, interval: float) -> Array:
+        """(n,) rad/s, by differential inverse kinematics. It is made at its first use, because its imports take long."""
+        if self._ik is None:
+            self._ik = DifferentialIk(self.arm)
+        return self._ik.step(self.joint_goal, target, interval)
+
+    def _is_blocked(self, target: Target) -> bool:
+        """Whether something is on the straight line of the joints to a reachable target."""
+        if self._checker is None:
+            return False
+        solution = solve_ik(self.arm, target, self.joint_goal)
+        return solution.ok and self._checker.line_hit(self.joint_goal, solution.q, self._clearance) is not None
+
+    def _approach(self, q: Array) -> bool:
+        """Moves towards q if the motion there is free. If it is not, plans another one, unless the target is held."""
+        self._hit = None
+        if self.reference.go_to(q, self._is_free):
+            self.joint_goal = q
+            self.refusal = ""
+            return True
+        if self._hit is None:  # no motion inside the limits leads there from this state; from rest there is one
+            return False
+        assert self._checker is not None
+        if self._held:
+            first, second = self._checker.names(self._hit.pair)
+            self.refusal = f"{first} and {second} would touch; release the target to plan around"
+        else:
+            self._plan(self._wanted)
+        return False
+
+    def _is_free(self, pieces: Pieces) -> bool:
+        if self._checker is None or pieces.knots[-1] == 0.0:
+            return True
+        self._hit = self._checker.motion_hit(pieces.knots, pieces.coefficients, self._clearance)
+        return self._hit is None
+
+    def _plan(self, goal: Target | Array | None) -> None:
+        """Plans a path from the joint goal, where the reference comes to rest, in another thread."""
+        assert self._checker is not None
+        arm = self.reference.arm
+        checker = self._checker
+        start = self.joint_goal
+        target = Target.read(self.target if self.oriented else self.target.position)
+        request = object()
+        self._request = request
+        self.refusal = ""
+
+        def plan() -> None:
+            try:
+                move = plan_free(arm, target, start, target if goal is None else goal, 1.0, FreeSpace(checker))
+            except Exception as error:
+                _log.exception("planning failed")
+                move = PlannedMove(target, refusal=f"planning failed: {error}")
+            self._answer = _Answer(request, move)
+
+        if self._worker is None:
+            self._worker = LatestWorker("armctl planning")
+        self._worker.submit(plan)
+
+    def _take_answer(self) -> None:
+        """Shows what was planned, and follows it as soon as the reference has come to rest."""
+        answer = self._answer
+        if answer is None or answer.request is not self._request:
+            return
+        trajectory = answer.move.trajectory
+        if trajectory is None:
+            self.refusal = answer.move.refusal
+            self._request = None
+            self._finished = True
+            return
+        if self.path is None:
+            self.path = PlannedPath.of(self.arm, trajectory)
+        if self.reference.is_at_rest:
+            self._request = None
+            self._finished = True
+            self.reference.follow(trajectory)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Answer:
+    """What was planned for a request."""
+
+    request: object
+    move: PlannedMove

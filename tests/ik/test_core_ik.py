@@ -1,0 +1,147 @@
+"""The chain and the error model of the compiled core agree with Pinocchio and with differences, and refuse wrong arguments."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from arms import ARMS, arm_of
+
+from armctl import Arm, InputError, _core
+from armctl._core import AxesRelation, Constraint
+from armctl.ik.lm import ROTATION_WEIGHT
+from armctl.ik.problem import ik_chain
+
+pytestmark = pytest.mark.core
+
+
+def configurations(arm: Arm, count: int) -> np.ndarray:
+    return arm.limits.random(arm.home, count, np.random.default_rng(12))
+
+
+def numbers_of(arm: Arm, q: np.ndarray) -> np.ndarray:
+    position, rotation = arm.pinocchio_model.tip(q)
+    return np.concatenate([rotation.ravel(), position])
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_the_chain_is_pinocchio(name: str):
+    arm = arm_of(name)
+    chain = ik_chain(arm)
+    pin_model = arm.pinocchio_model.pin_model
+    J = np.empty((6, arm.n))
+    origins = np.empty((chain.core.joint_count, 3))
+    axes = np.empty((chain.core.joint_count, 3))
+    tolerance = 1e-12 * max(1.0, chain.reach)
+    for q in configurations(arm, 20):
+        chain.core.error_jacobian(Constraint.POSE, q / chain.unit, J)
+        in_si = J / chain.unit * np.array([chain.reach] * 3 + [1 / ROTATION_WEIGHT] * 3)[:, None]
+        assert np.abs(in_si - arm.jacobian(q)).max() < tolerance
+        chain.core.joint_lines(q / chain.unit, origins, axes)
+        data = pin_model.createData()
+        pin.forwardKinematics(pin_model, data, arm.joint_map.positions(q))
+        frames = list(data.oMi)[1 : 1 + len(axes)]
+        assert np.abs(origins * chain.reach - [frame.translation for frame in frames]).max() < tolerance
+        assert np.abs(axes - [frame.rotation[:, 2] for frame in frames]).max() < 1e-12
+
+
+@pytest.mark.parametrize("constraint", [Constraint.POSE, Constraint.POSITION, Constraint.FREE_Y])
+def test_the_error_model_is_the_derivative_of_half_the_squared_error(constraint: Constraint):
+    arm = arm_of("ur5e")
+    model = _core.IkErrorModel(ik_chain(arm).core)
+    n = arm.n
+    H = np.empty((n, n))
+    gradient = np.empty(n)
+    J = np.empty((6, n))
+
+    def size(q: np.ndarray, target: np.ndarray) -> float:
+        return model.linearize(target, constraint, 0.0, q, H, gradient, J)
+
+    for q in configurations(arm, 5):
+        target = numbers_of(arm, arm.limits.clamp(q + 0.05))
+        step = 1e-6
+        slope = [(size(q + dq, target) ** 2 - size(q - dq, target) ** 2) / (4 * step) for dq in step * np.eye(n)]
+        size(q, target)
+        assert np.abs(gradient + slope).max() < 1e-8
+
+
+def test_the_curvature_of_a_point_is_the_derivative_of_its_gradient():
+    arm = arm_of("ur5e")
+    model = _core.IkErrorModel(ik_chain(arm).core)
+    n = arm.n
+    H = np.empty((n, n))
+    J = np.empty((6, n))
+
+    def gradient(q: np.ndarray, target: np.ndarray) -> np.ndarray:
+        out = np.empty(n)
+        model.linearize(target, Constraint.POSITION, 0.0, q, H, out, J)
+        return out
+
+    for q in configurations(arm, 5):
+        target = numbers_of(arm, arm.home)
+        step = 1e-6
+        columns = [(gradient(q - dq, target) - gradient(q + dq, target)) / (2 * step) for dq in step * np.eye(n)]
+        gradient(q, target)
+        assert np.abs(H - np.array(columns)).max() < 1e-8
+
+
+def test_a_null_step_moves_joints_inside_their_bounds_and_not_the_tip():
+    arm = arm_of("panda")
+    model = _core.IkErrorModel(ik_chain(arm).core)
+    J = np.empty((6, arm.n))
+    step = np.empty(arm.n)
+    for q in configurations(arm, 5):
+        model.linearize(numbers_of(arm, q), Constraint.POSE, 0.0, q, np.empty((arm.n, arm.n)), np.empty(arm.n), J)
+        bound = np.full(arm.n, 0.2)
+        model.null_step(Constraint.POSE, arm.home - q, -bound, bound, step)
+        assert np.abs(step).max() > 1e-3
+        assert np.abs(step).max() <= 0.2 + 1e-12
+        assert np.abs(J @ step).max() < 1e-6
+
+
+def test_arrays_of_wrong_lengths_are_refused_by_name():
+    arm = arm_of("ur5e")
+    core = ik_chain(arm).core
+    target = numbers_of(arm, arm.home)
+    q = arm.home.copy()
+    with pytest.raises(InputError, match=r"^q0: need an array of shape \(6,\), got \(5,\)$"):
+        core.search_one(target.reshape(4, 3), Constraint.POSE, 1e-5, 1e-4, q[:5].copy(), 10, 0, q)
+    with pytest.raises(InputError, match=r"^q: need a contiguous, writable array of type float64$"):
+        core.search_one(target.reshape(4, 3), Constraint.POSE, 1e-5, 1e-4, q, 10, 0, arm.home)
+    with pytest.raises(InputError, match=r"^squared_errors: need an array of shape \(1,\), got \(2,\)$"):
+        core.refine(target[None], Constraint.POSE, 1.0, q[None], 0.0, q[None].copy(), np.empty(2))
+    with pytest.raises(InputError, match=r"^held: 6 is not one of 6$"):
+        core.with_held(np.array([6]), np.zeros(1))
+    assert not core.contains(q[:5].copy())
+    assert not core.contains(np.full(6, np.nan))
+    assert not core.contains(q.astype(np.float32))
+    assert core.contains(q)
+
+
+def test_joints_that_do_not_exist_are_refused():
+    arrays = {
+        "rotations": np.tile(np.eye(3), (3, 1, 1)),
+        "translations": np.full((3, 3), 0.1),
+        "slides": np.zeros(2, np.int64),
+        "ratios": np.ones(2),
+        "low": -np.ones(2),
+        "high": np.ones(2),
+        "period": np.zeros(2),
+        "reach": 1.0,
+    }
+    with pytest.raises(InputError, match=r"^unknowns: 2 is not one of 2$"):
+        _core.Chain(unknowns=np.array([0, 2]), **arrays)
+    chain = _core.Chain(unknowns=np.array([0, 1]), **arrays)
+    with pytest.raises(InputError, match=r"^first: 2 is not one of 2$"):
+        chain.with_special_axes(
+            relation=AxesRelation.MEET,
+            first=0,
+            others=np.array([0, 1, 1]),
+            pair_relation=AxesRelation.NEITHER,
+            pair_first=0,
+            distances_to_points=np.zeros(2),
+        )
+    form = ik_chain(arm_of("ur5e")).closed_form
+    assert form is not None
+    errors = np.empty(4)
+    rows = (np.empty((4, 6)), errors, errors, np.zeros(4, int))
+    with pytest.raises(InputError, match=r"^chain: expected the chain of the closed form$"):
+        form.core.solve_all(chain, np.zeros((4, 3)), np.zeros(6), 1e-5, 1e-4, 0.0, 0.0, 1, 1, 1, *rows)

@@ -1,0 +1,122 @@
+"""The dynamics of the compiled core agree with Pinocchio, and with MuJoCo's discrete step, on every arm at random states."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import armctl
+from armctl import _core
+from armctl.robot.core_model import core_model
+from armctl.robot.dynamics import Dynamics
+
+pytestmark = pytest.mark.core
+
+TOLERANCE = 1e-9  # relative, as between Pinocchio and MuJoCo
+DT = 0.002
+
+
+def states(arm: armctl.Arm, count: int = 5):
+    rng = np.random.default_rng(11)
+    for q in arm.limits.random(arm.limits.clamp(arm.home), count, rng):
+        yield q, *(10.0 ** rng.uniform(-3, 0.5) * rng.normal(size=(2, arm.n)))
+
+
+def assert_equal(values: np.ndarray, reference: np.ndarray):
+    assert np.abs(values - reference).max() <= TOLERANCE * max(1.0, np.abs(reference).max())
+
+
+@pytest.fixture
+def reference(arm: armctl.Arm) -> Dynamics:
+    return Dynamics(arm.model, arm.pinocchio_model)
+
+
+def test_torques_in_continuous_time_are_those_of_pinocchio(arm: armctl.Arm, reference: Dynamics):
+    dynamics = _core.Dynamics(core_model(arm.model, arm.pinocchio_model))
+    tau = np.zeros(arm.n)
+    for q, v, a in states(arm):
+        dynamics.gravity(q, tau)
+        assert_equal(tau, reference.gravity(q))
+        dynamics.inverse_dynamics(q, v, a, tau)
+        assert_equal(tau, reference.inverse_dynamics(q, v, a))
+        dynamics.coriolis_product(v, a, tau)
+        squares = (
+            arm.coriolis(q, v + a) - arm.coriolis(q, v) - arm.coriolis(q, a)
+        )  # C(q, v) w of Christoffel's symbols is symmetric
+        assert_equal(tau, 0.5 * squares)
+
+
+def test_torques_of_a_step_are_those_of_pinocchio_with_implicit_forces(arm: armctl.Arm, reference: Dynamics):
+    dynamics = _core.Dynamics(core_model(arm.model, arm.pinocchio_model).for_period(DT, False))
+    tau = np.zeros(arm.n)
+    for q, v, a in states(arm):
+        dynamics.inverse_dynamics(q, v, a, tau)
+        assert_equal(tau, reference.discrete_inverse_dynamics(q, v, a, DT))
+        friction = np.zeros(arm.n)
+        dynamics.add_friction(v, a, friction)
+        assert_equal(friction, reference.discrete_friction(q, v, a, DT))
+
+
+def test_torques_of_a_continuous_motion_are_those_in_the_middle_of_the_period(arm: armctl.Arm, reference: Dynamics):
+    dynamics = _core.Dynamics(core_model(arm.model, arm.pinocchio_model).for_period(DT, True))
+    tau = np.zeros(arm.n)
+    for q, v, a in states(arm):
+        dynamics.inverse_dynamics(q, v, a, tau)
+        assert_equal(tau, reference.inverse_dynamics(q + 0.5 * DT * v, v + 0.5 * DT * a, a))
+
+
+def test_the_mass_matrix_is_that_of_pinocchio_and_its_factors_solve(arm: armctl.Arm, reference: Dynamics):
+    dynamics = _core.Dynamics(core_model(arm.model, arm.pinocchio_model))
+    M = np.zeros((arm.n, arm.n))
+    for q, v, _ in states(arm):
+        dynamics.place(q)
+        dynamics.mass_matrix(M)
+        assert_equal(M, reference.mass_matrix(q))
+        factors = M.copy()
+        _core.factorize(factors)
+        x = M @ v
+        _core.solve(factors, x)
+        assert np.allclose(x, v, rtol=0, atol=1e-14 * np.linalg.cond(M) * np.abs(v).max() * arm.n)
+        product = np.zeros(arm.n)
+        _core.multiply(factors, v, product)
+        assert_equal(product, M @ v)
+        _core.take_roots(factors)
+        assert_equal(np.tril(factors), np.linalg.cholesky(M))
+
+
+def test_the_tip_is_that_of_pinocchio(arm: armctl.Arm):
+    dynamics = _core.Dynamics(core_model(arm.model, arm.pinocchio_model))
+    J = np.zeros((6, arm.n))
+    position = np.zeros(3)
+    rotation = np.zeros((3, 3))
+    quat = np.zeros(4)
+    for q, _, _ in states(arm):
+        dynamics.place(q)
+        dynamics.locate()
+        dynamics.tip(position, rotation)
+        dynamics.tip_jacobian(J)
+        expected_position, expected_rotation = arm.pinocchio_model.tip(q)
+        assert_equal(position, expected_position)
+        assert_equal(rotation, expected_rotation)
+        assert_equal(J, arm.pinocchio_model.jacobian(q))
+        _core.quaternions(rotation[None], quat[None])
+        assert_equal(armctl.Pose(position, quat=quat).rotation, expected_rotation)
+
+
+def test_the_motion_of_the_tip_is_that_of_pinocchio(arm: armctl.Arm):
+    dynamics = _core.Dynamics(core_model(arm.model, arm.pinocchio_model))
+    pin_model = arm.pinocchio_model.pin_model
+    data = pin_model.createData()
+    T_last_tip = pin.SE3(arm.pinocchio_model.T_last_tip)
+    motion = np.zeros((3, 3))
+    for q, v, a in states(arm):
+        dynamics.tip_motion(q, v, a, motion)
+        pin.forwardKinematics(pin_model, data, q, v, a)
+        last = arm.pinocchio_model.chain_length
+        velocity = T_last_tip.actInv(data.v[last])
+        acceleration = T_last_tip.actInv(data.a[last])
+        R_world_tip = data.oMi[last].rotation @ T_last_tip.rotation
+        assert_equal(motion[0], velocity.angular)
+        assert_equal(motion[1], acceleration.angular)
+        # Pinocchio's linear part is that of the spatial acceleration.
+        linear = acceleration.linear + np.cross(velocity.angular, velocity.linear)
+        assert_equal(motion[2], linear - R_world_tip.T @ pin_model.gravity.linear)
