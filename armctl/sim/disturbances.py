@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from armctl import _core
-from armctl.core.validation import Array, IntArray
+from armctl.core.validation import Array, IntArray, vector
 from armctl.sim.plant import Plant, Push
 
 
@@ -46,6 +46,7 @@ class Disturbances:
         n = len(dof_adr)
         self._plant = plant
         self._data = data
+        self._dof_adr = dof_adr
         self._pushed_dofs = dof_adr[: pushed_arm.n]
         self._tip_force = _core.TipForce(pushed_arm)
         self._pushes: tuple[Push, ...] = tuple(plant.pushes)  # type: ignore[arg-type]  # a tuple after Plant.__post_init__
@@ -68,15 +69,23 @@ class Disturbances:
         noise = self._noise(1)[0]
         return q + noise[0], v + noise[1]
 
-    def driven(self, tau: Array, q: Array) -> Array:
-        """Applies the pushes of this moment, and returns the torque that the motors receive for a commanded torque.
+    def driven(self, tau: Array, q: Array, v: Array) -> Array:
+        """Applies the pushes and the plant's joint torque of this moment, and returns what the motors receive for a command.
 
         That is the command `delay` ticks ago, or the first command until then.
+
+        Raises:
+            InputError: The joint torque is not n numbers.
         """
+        if self._plant.joint_torque is not None:
+            added = vector("joint_torque", self._plant.joint_torque(q, v, float(self._data.time)), len(self._dof_adr))
+            self._data.qfrc_applied[self._dof_adr] = added
         if self._pushes:
             self.push[:] = self._wrenches(np.array([self._data.time]))[0]
             torque = np.zeros(len(self._pushed_dofs))
             self._tip_force.torque(q[: len(torque)].copy(), self.push, torque)
+            if self._plant.joint_torque is not None:
+                torque += self._data.qfrc_applied[self._pushed_dofs]
             self._data.qfrc_applied[self._pushed_dofs] = torque
         oldest = np.empty_like(tau)
         self.delay.delayed(tau, oldest)

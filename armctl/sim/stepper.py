@@ -274,6 +274,8 @@ class Stepper:
 
     def _runs_compiled(self, controller: Controller) -> TypeGuard[CompiledController]:
         """Whether the ticks of a controller need no Python. A compiled law can get the wrench on one tip."""
+        if self.plant.joint_torque is not None:
+            return False
         return has_compiled_law(controller, self.n) and (self._wrench_sensor.arms == 1 or not controller.needs_wrench)
 
     def step(self, controller: Controller, rows: TickRows) -> None:
@@ -373,7 +375,7 @@ class Stepper:
                     break
                 command_rows[row] = command
                 if not is_direct:
-                    driven = command if disturbances is None else disturbances.driven(command, q)
+                    driven = command if disturbances is None else disturbances.driven(command, q, v)
                     data.ctrl[self._motors] = driven / self.actuation.gear
                     self._measurement = None
                 mj_step(model, data, substeps)
