@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <ranges>
 #include <utility>
 
 #include "../errors.hpp"
@@ -27,10 +28,8 @@ constexpr double max_lever = 0.2;  // m; a hand may touch a wall this far from t
 constexpr double min_mobility_ratio = 0.1;  // of the mobility of the tip, a lower bound for that of another point
 
 HybridForce::Axes checked(const HybridForce::Axes& axes) {
-    for (const HybridForce::Axis& axis : axes) {
-        if (!std::isfinite(axis.target)) {
-            throw InputError("target: need a finite number, got " + std::to_string(axis.target));
-        }
+    if (!std::ranges::all_of(axes, [](const HybridForce::Axis& axis) { return std::isfinite(axis.target); })) {
+        throw InputError("target: need finite numbers");
     }
     return axes;
 }
@@ -68,12 +67,9 @@ void HybridForce::set_axes(const Axes& axes) {
 }
 
 bool HybridForce::in_contact() {
-    bool all = true;
-    for (size_t k = 0; k < 6; ++k) {
-        const bool is_pressing = axes_[k].is_force && axes_[k].target != 0.0;
-        all = all && !(is_pressing && axis(k).touches == 0.0);
-    }
-    return all;
+    return std::ranges::none_of(std::views::iota(size_t{0}, size_t{6}), [this](size_t k) {
+        return axes_[k].is_force && axes_[k].target != 0.0 && axis(k).touches == 0.0;
+    });
 }
 
 void HybridForce::torque(const State& state, const Setpoint& setpoint, Result tau) {
@@ -231,34 +227,30 @@ double HybridForce::contact_mobility(Vector direction, double trace) const {
     std::array<double, 9> turning_numbers{};
     const MatrixResult turning{turning_numbers.data(), 3, 3};
     std::array<double, 3> lever{};
-    std::array<double, 3> coupling{};
-    double tip = 0.0;
-    for (size_t i = 0; i < 6; ++i) {
-        for (size_t j = 0; j < 6; ++j) {
-            tip += direction[i] * mobility_(i, j) * direction[j];
-        }
-    }
     for (size_t i = 0; i < 3; ++i) {
-        for (size_t j = 0; j < 3; ++j) {
-            coupling[i] += mobility_(3 + i, j) * direction[j];
-            turning(i, j) = mobility_(3 + i, 3 + j);
+        for (size_t j = 0; j < 6; ++j) {
+            lever[i] -= mobility_(3 + i, j) * direction[j];
         }
-        turning(i, i) += 1e-9 * trace;
-        lever[i] = -coupling[i];
+        for (size_t j = 0; j < 3; ++j) {
+            turning(i, j) = mobility_(3 + i, 3 + j) + (i == j ? 1e-9 * trace : 0.0);
+        }
     }
     factorize(turning);
     solve(turning, lever);
     const double length = std::sqrt(lever[0] * lever[0] + lever[1] * lever[1] + lever[2] * lever[2]);
     const double scale = std::min(1.0, max_lever / std::max(length, 1e-12));
-    double value = tip;
-    for (size_t i = 0; i < 3; ++i) {
-        value += 2.0 * scale * lever[i] * coupling[i];
-        for (size_t j = 0; j < 3; ++j) {
-            const double inertia_part = mobility_(3 + i, 3 + j) + (i == j ? 1e-9 * trace : 0.0);
-            value += scale * scale * lever[i] * inertia_part * lever[j];
+    const auto mobility = [&](double levered) {
+        Vector6 twist{};
+        double value = 0.0;
+        for (size_t i = 0; i < 6; ++i) {
+            twist[i] = direction[i] + (i < 3 ? 0.0 : levered * lever[i - 3]);
         }
-    }
-    return std::max(value, min_mobility_ratio * tip);
+        for (size_t i = 0; i < 36; ++i) {
+            value += twist[i / 6] * mobility_(i / 6, i % 6) * twist[i % 6];
+        }
+        return value;
+    };
+    return std::max(mobility(scale), min_mobility_ratio * mobility(0.0));
 }
 
 // The acceleration of the tip minus that of the posture, and the velocity that corrects its errors.
@@ -297,13 +289,10 @@ void HybridForce::find_task(Vector v_ref, Vector a_ref) {
 // Subtracts the measured wrench on motion axes in contact: friction, and the moment of a contact beside the tip.
 void HybridForce::subtract_compensated_wrench(Vector measured, Vector6& wrench) {
     const Result filtered = filtered_wrench();
-    const bool in_contact = this->in_contact();
+    const double weight = in_contact() ? low_pass_weight(wrench_filter, dt_) : 0.0;
     Vector6 compensated{};
     for (size_t j = 0; j < 6; ++j) {
-        filtered[j] += low_pass_weight(wrench_filter, dt_) * (measured[j] - filtered[j]);
-        if (!in_contact) {
-            filtered[j] = 0.0;
-        }
+        filtered[j] = weight > 0.0 ? filtered[j] + weight * (measured[j] - filtered[j]) : 0.0;
         compensated[j] = filtered[j];
     }
     for (size_t k = 0; k < 6; ++k) {
