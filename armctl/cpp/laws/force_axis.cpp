@@ -15,8 +15,8 @@ constexpr double damping_rate = 30.0;   // 1/s, the damping of the tip in contac
 constexpr double integral_rate = 20.0;  // 1/s. Below the damping rate, the integral of a lightly damped wall is stable.
 // 1/s. While the tip sinks into a damped wall, its damping would hold back a part of the force. So a speed that lasts, and that
 // reduces the error, is damped less and less.
-constexpr double steady_speed_rate = 8.0;
-constexpr double max_relieved_ratio = 0.15;     // of the target, what the damping is relieved of
+constexpr double steady_speed_rate = 12.0;
+constexpr double max_relieved_ratio = 0.2;     // of the target, what the damping is relieved of
 constexpr double relief_rate = 30.0;           // 1/s, of the depth, a bound for the steady speed
 constexpr double max_integrated_error = 0.08;  // of the target
 // 1/s. On foam, the error of the force of a damped tip decays at stiffness / (damping_rate mass), 3 /s for 10 kg at 1e3 N/m.
