@@ -20,6 +20,8 @@ from armctl.robot.arm import Arm, check_arm
 from armctl.robot.passive_forces import set_dry_friction
 from armctl.robot.pinocchio_model import build_pinocchio_model
 
+# rad/s (m/s). Where dry friction acts fully below this speed, MuJoCo's law knows it better than filtered velocities do.
+_MIN_SHAPE_SPEED = 0.1
 _MANY_NAMES = 3  # more names are counted in a sentence
 
 
@@ -277,9 +279,9 @@ class ArmEstimate:
             model.dof_damping[arm.dof_adr] = self.viscous_friction
         mujoco.mj_setConst(model, mujoco.MjData(model))
         if self.friction != "none":
-            set_dry_friction(
-                model, arm.joint_map, self.coulomb_friction, self.coulomb_friction / self.friction_speeds.smoothing
-            )
+            speed = self.friction_speeds.smoothing
+            slope = np.where(speed > _MIN_SHAPE_SPEED, self.coulomb_friction / speed, 0.0)  # 0: by the joint's inertia
+            set_dry_friction(model, arm.joint_map, self.coulomb_friction, slope)
         return model
 
 

@@ -24,7 +24,7 @@ def is_enabled(model: mujoco.MjModel, bit: mujoco.mjtDisableBit) -> bool:
 
 
 def set_dry_friction(model: mujoco.MjModel, joint_map: JointMap, loss: Array, slope: Array) -> None:
-    """Gives joints without followers a dry friction, and the damper below it a slope, N m s/rad; in place.
+    """Gives joints without followers a dry friction, and the damper below it a slope, N m s/rad, or 0 to keep it; in place.
 
     The impedance of the constraint follows from the slope: R = (1 - d) / d / M, see `DryFriction`.
     """

@@ -74,8 +74,16 @@ def test_a_late_tip_on_the_line_has_no_path_deviation():
     log = FakeLog(x)
     log.tip[:, 1] = 0.01 * x
     planes = deviations_in_planes(log, np.zeros(3), np.array([1.0, 0, 0]), 1.0)
-    assert planes[:, 1] == pytest.approx(0.01 * np.linspace(0.0, 1.0, len(planes)))
+    assert planes[:, 1] == pytest.approx(0.01 * np.arange(0.05, 1.0, 0.1))
     assert not planes[:, [0, 2]].any()
+
+
+def test_a_deviation_at_the_start_is_between_the_ten_planes_and_in_the_dense_ones():
+    log = FakeLog(np.linspace(0.0, 1.0, 1001))
+    log.tip[:, 1] = np.where(log.tip[:, 0] < 0.02, 0.01, 0.0)
+    ends = np.zeros(3), np.array([1.0, 0, 0])
+    assert not deviations_in_planes(log, *ends, 1.0).any()
+    assert deviations_in_planes(log, *ends, 1.0, 1000)[:, 1].max() == pytest.approx(0.01)
 
 
 def test_path_velocity_by_hand():
