@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from armctl.core.units import length_text
 from armctl.core.validation import Array, BoolArray, IntArray, TextArray
+
+_FAR_M = 10.0  # more than any arm reaches: such a target was probably meant in millimetres
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -97,14 +100,9 @@ class IkBatch:
 def failure_reason(out_of_reach: bool, position_error: float, orientation_error: float, starts: int) -> str:
     """Why a best approximation with these errors, m and rad, is not a solution."""
     if out_of_reach:
-        return f"out of reach by {_length(position_error)}"
+        units = "; positions are in metres" if position_error > _FAR_M else ""
+        return f"out of reach by {length_text(position_error)}{units}"
     if orientation_error > 0:
         least = f"{orientation_error:.3g} rad off in the best of {starts} starts"
         return f"the point is reachable, but not with this orientation: {least}"
     return f"no solution within the joint limits found in {starts} starts"
-
-
-def _length(length: float) -> str:
-    if length >= 1e6:
-        return f"{length:.3g} m"
-    return f"{1e3 * length:.1f} mm" if length >= 1e-4 else f"{1e3 * length:.2g} mm"

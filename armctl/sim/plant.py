@@ -6,12 +6,14 @@ import copy
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
+from armctl.core.other_names import check_keywords
 from armctl.core.validation import Array, IntArray, instance, number, shown, vector
 from armctl.mjmodel.couplings import dofs_of_equality, dofs_of_tendon
 from armctl.mjmodel.edit import add_point_mass
@@ -158,6 +160,15 @@ class Plant:
         is_factor=False,
     )
     name: str = plant_attribute(Kind.OTHER, "", is_factor=False)
+
+    def __new__(cls, *args: object, **keywords: object) -> Self:
+        """A plant, not yet constructed.
+
+        Raises:
+            TypeError: It takes no such keyword; the message says which.
+        """
+        check_keywords(cls, keywords)
+        return super().__new__(cls)
 
     def __post_init__(self) -> None:
         for name, attribute in PLANT_ATTRIBUTES.items():
