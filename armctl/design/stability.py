@@ -14,6 +14,8 @@ from armctl.design.state_space import ComplexArray, StateSpace
 _MIN_FREQUENCY = 0.3  # rad/s; below it, arms do not move
 _GRID_POINTS = 400
 _BISECTIONS = 40
+_MIN_RESONANCE = 0.5  # magnitude of a pole; others change little between two points of the grid
+_RESONANCE_WIDTHS = np.concatenate([-np.geomspace(10.0, 0.1, 12), [0.0], np.geomspace(0.1, 10.0, 12)])
 _MAX_GAIN = 100.0  # a larger gain margin is reported as infinite
 _GAIN_STEPS = 60  # between 1 and the largest gain, geometric
 
@@ -67,7 +69,7 @@ def robustness(loop: StateSpace, dt: float) -> LoopMargins:
     if not radius < 1.0:
         reason = f"the closed loop is unstable: an eigenvalue has the magnitude {radius:.4g}"
         return LoopMargins(False, 0.0, 1.0, 0.0, inf, radius, reason)
-    frequencies = frequency_grid(dt)
+    frequencies = _with_resonances(frequency_grid(dt), loop, dt)
     transfer = loop.transfer(np.exp(1j * frequencies * dt))
     sensitivity = np.linalg.inv(np.eye(transfer.shape[1]) + transfer)
     delay_margin = inf
@@ -85,6 +87,17 @@ def robustness(loop: StateSpace, dt: float) -> LoopMargins:
         spectral_radius=radius,
         reason="",
     )
+
+
+def _with_resonances(frequencies: Array, loop: StateSpace, dt: float) -> Array:
+    """Frequencies, and those of the resonances of the open loop, which can be narrower than a grid."""
+    poles = np.linalg.eigvals(loop.A)
+    poles = poles[(np.abs(poles) > _MIN_RESONANCE) & (poles.imag > 0.0)]
+    centers = np.angle(poles) / dt
+    widths = np.maximum(np.abs(np.log(np.abs(poles))) / dt, 1e-6 * centers)
+    around = (centers[:, None] + widths[:, None] * _RESONANCE_WIDTHS).ravel()
+    inside = around[(around > frequencies[0]) & (around < frequencies[-1])]
+    return np.union1d(frequencies, inside)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -61,7 +61,7 @@ def make_arms(name: str, model: mujoco.MjModel, plans: Sequence[ArmPlan], notes:
             home_ctrl=ctrl,
             tip_body=part.plan.tip.body,
             T_body_tip=part.plan.tip.T_body_tip,
-            notes=(*notes, *part.plan.notes),
+            notes=(*notes, *part.plan.notes, *part.plan.quiet_notes),
             sources=part.sources,
         )
         for part in parts
@@ -70,7 +70,7 @@ def make_arms(name: str, model: mujoco.MjModel, plans: Sequence[ArmPlan], notes:
 
 def _parts(model: mujoco.MjModel, plan: ArmPlan, qpos: Array) -> _Parts:
     joint_map = JointMap.from_transmissions(model, plan.joints, plan.transmissions)
-    limits, sources = joint_limits(model, plan.transmissions, qpos, plan.tau_max, plan.datasheet)
+    limits, sources = joint_limits(model, plan.transmissions, qpos, plan.tau_max, plan.datasheet, plan.dc_motors)
     actuation = Actuation.from_model(model, joint_map, plan.transmissions, limits)
     home = _home(limits, qpos[actuation.qpos_adr])
     whole = qpos.copy()

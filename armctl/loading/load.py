@@ -18,6 +18,7 @@ import mujoco
 from armctl.core.errors import ArmctlWarning, InputError, ModelError
 from armctl.core.pose import Pose
 from armctl.core.validation import flag, instance, shown
+from armctl.loading.actuators import solver_notes
 from armctl.loading.build import make_arms
 from armctl.loading.catalog import Source, locate
 from armctl.loading.chain import SerialChain, all_chains
@@ -211,7 +212,7 @@ def _load_spec(source: Source, robot: _Robot, ends: Sequence[ArmEnds]) -> tuple[
     prepared = make_arm_model(source, spec, analysis, plans, robot.loose_links)
     rating = source.row.rating if source.row is not None and any(plan.datasheet is not None for plan in plans) else ""
     prepared = replace(prepared, quiet_notes=(*filter(None, [rating]), *robot.quiet_notes, *prepared.quiet_notes))
-    return _arms(source.name, prepared, [*robot.notes, *drag_notes(original), *reversed_range_notes(original)])
+    return _arms(source.name, prepared, [*robot.notes, *_model_notes(original)])
 
 
 def _load_compiled(model: mujoco.MjModel, ends: Sequence[ArmEnds]) -> tuple[Arm, ...]:
@@ -222,7 +223,12 @@ def _load_compiled(model: mujoco.MjModel, ends: Sequence[ArmEnds]) -> tuple[Arm,
         analysis = Transmissions(model)
         plans = describe_arms(source, analysis, ends)
         prepared = make_arm_model_from_compiled(analysis, plans)
-    return _arms(source.name, prepared, [*drag_notes(model), *reversed_range_notes(model)])
+    return _arms(source.name, prepared, _model_notes(model))
+
+
+def _model_notes(model: mujoco.MjModel) -> list[str]:
+    """What is doubtful in the whole model, one sentence each."""
+    return [*solver_notes(model), *drag_notes(model), *reversed_range_notes(model)]
 
 
 def _arms(name: str, prepared: PreparedModel, notes: Sequence[str]) -> tuple[Arm, ...]:

@@ -10,7 +10,7 @@ import mujoco
 
 from armctl.loading.catalog import Source
 from armctl.loading.describe import ArmPlan
-from armctl.loading.motors import make_motors, make_motors_in_model
+from armctl.loading.motors import adapt_keyframes, make_motors, make_motors_in_model
 from armctl.loading.neighbor_contacts import overlapping_neighbors, touching_links
 from armctl.mjmodel.edit import add_payload_bodies, payload_body
 from armctl.mjmodel.queries import body_name
@@ -54,7 +54,8 @@ def make_arm_model(
     notes: list[str] = []
     excluded: list[str] = []
     for plan in plans:
-        notes += make_motors(spec, analysis, plan.transmissions, plan.tau_max)
+        notes += make_motors(spec, analysis, plan.transmissions, plan.tau_max, plan.dc_motors)
+    adapt_keyframes(spec, analysis, [plan.transmissions for plan in plans])
     for plan in plans:
         for first, second in overlapping_neighbors(original, plan.joints):
             spec.add_exclude(bodyname1=first, bodyname2=second)
@@ -93,13 +94,13 @@ def make_arm_model_from_compiled(analysis: Transmissions, plans: Sequence[ArmPla
     A compiled model cannot get further elements, so there are no excluded contacts, no target and no body for payloads.
 
     Raises:
-        ModelError: An actuator has an activation state, a delay or a plugin, which a compiled model cannot lose.
+        ModelError: An actuator has an activation state, several controls or a plugin, which a compiled model cannot lose.
     """
     original = analysis.model
     model = copy.copy(original)
     notes: list[str] = []
     for plan in plans:
-        notes += make_motors_in_model(model, analysis, plan.transmissions, plan.tau_max)
+        notes += make_motors_in_model(model, analysis, plan.transmissions, plan.tau_max, plan.dc_motors)
         for first, second in overlapping_neighbors(original, plan.joints):
             notes.append(f"{first} and {second} overlap at home, and their contact brakes the joint; exclude it in the MJCF")
         if payload_body(original, plan.tip.body) is None:

@@ -15,6 +15,8 @@ from armctl.core.errors import InputError
 from armctl.core.validation import Array, IntArray, instance, number, shown, vector
 from armctl.mjmodel.couplings import dofs_of_equality, dofs_of_tendon
 from armctl.mjmodel.edit import add_point_mass
+from armctl.mjmodel.queries import actuator_name, is_on_joint
+from armctl.mjmodel.spring_joints import spring_joints
 from armctl.robot.arm import Arm
 from armctl.sim.plant_attribute import Kind, PlantAttribute, attributes_of, number_text, plant_attribute
 
@@ -279,25 +281,42 @@ def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: 
         step = _CONTINUOUS_STEP_S / max(1.0, _CONTINUOUS_STEP_S * rate)
         model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_RK4)
         model.opt.timestep /= math.ceil(model.opt.timestep / step - 1e-9)
+    _check_history(model)
+
+
+def _check_history(model: mujoco.MjModel) -> None:
+    """Refuses steps that are too short for the buffer of an actuator's delay: MuJoCo would shorten the delay."""
+    needed = model.actuator_delay / model.opt.timestep
+    for actuator in np.flatnonzero(needed > model.actuator_history[:, 0] + 1e-6).tolist():
+        raise InputError(
+            f"plant: the delay of the actuator {actuator_name(model, actuator)!r:.60} spans {math.ceil(needed[actuator])} "
+            f"steps, and its nsample is {model.actuator_history[actuator, 0]}; raise nsample in the file, or take longer steps"
+        )
 
 
 def held_dofs(*arms: Arm) -> IntArray:
     """Addresses in `MjData.qvel` of the robot's joints that belong to none of the arms: fingers, other limbs, wheels.
 
-    Free objects of the scene are not among them.
+    Free objects of the scene are not among them, nor the springs of the arms' elastic joints.
     """
     model = arms[0].model
     free = model.jnt_type[model.dof_jntid] == int(mujoco.mjtJoint.mjJNT_FREE)
     has_motor = np.zeros(model.nbody, bool)
     for arm in arms:
         has_motor[model.body_rootid[arm.tip_body]] = True
-    on_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-    for actuator in range(model.nu):
-        if model.actuator_trntype[actuator] in on_joint:
+    for actuator in range(model.nactuator):
+        if is_on_joint(model, actuator):
             has_motor[model.body_rootid[model.jnt_bodyid[model.actuator_trnid[actuator, 0]]]] = True
     of_robot = has_motor[model.body_rootid[model.dof_bodyid]]
     own = np.concatenate([arm.joint_map.dof_adr for arm in arms])
+    own = np.concatenate([own, model.jnt_dofadr[springs_of(arms)]])
     return np.setdiff1d(np.flatnonzero(of_robot & ~free), own)
+
+
+def springs_of(arms: Sequence[Arm]) -> list[int]:
+    """The joints that are springs of the arms' elastic joints."""
+    moved = {joint for arm in arms for joint in arm.joint_map.joints}
+    return [joint for joint, motor_joint in spring_joints(arms[0].model).items() if motor_joint in moved]
 
 
 def brake(model: mujoco.MjModel, dofs: IntArray) -> None:

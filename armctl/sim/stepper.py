@@ -22,12 +22,13 @@ from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array, IntArray, read_only, shown, vector
+from armctl.mjmodel.spring_joints import settle_springs
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
 from armctl.sim.compiled_loop import CompiledLoop
 from armctl.sim.disturbances import Disturbances
-from armctl.sim.plant import DIVERGED_SPEED, Brake, Plant, apply_plant, held_dofs
+from armctl.sim.plant import DIVERGED_SPEED, Brake, Plant, apply_plant, held_dofs, springs_of
 from armctl.sim.recorder import Recorder, ReferenceTips, TickRows
 from armctl.sim.wrench_sensor import WrenchSensor
 
@@ -131,6 +132,7 @@ class Stepper:
         self._reference_tips = ReferenceTips()
         self._sampled: tuple[Trajectory, tuple[float, int, bool], TickReference] | None = None
         self._held_dofs = held_dofs(*arms)
+        self._springs = springs_of(arms)
         self.set_plant(plant, arms)
         self.reset()
 
@@ -200,6 +202,7 @@ class Stepper:
         self.actuation.joint_map.set_positions(self.data.qpos, q)
         self.actuation.joint_map.set_speeds(self.data.qvel, v)
         self.data.ctrl[:] = self._home_ctrl
+        settle_springs(self.model, self.data, self._springs)
         mujoco.mj_forward(self.model, self.data)
         self.q_ref = q
         self.failure = ""
