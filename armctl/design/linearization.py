@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -16,10 +16,10 @@ from armctl.core.validation import Array, integer, number
 from armctl.design.loop import MAX_DELAY_TICKS, Loop
 from armctl.design.state_space import StateSpace, linear_controller
 from armctl.mjmodel.dc_motor import current_state, remove_bristles
-from armctl.mjmodel.spring_joints import settle_springs, spring_joints
 from armctl.robot.arm import Arm, check_arm
+from armctl.sim.drivetrain import drivetrain_of
 from armctl.sim.move import read_controller
-from armctl.sim.plant import Plant, read_plant, springs_of
+from armctl.sim.plant import Plant, read_plant
 
 _POSITION_STEP = 1e-6  # rad (m), and rad/s (m/s), of the central differences of the plant
 _TORQUE_STEP = 1e-4  # of the torque limits
@@ -42,8 +42,8 @@ def linearize(arm: Arm, controller: Controller | str, q: ArrayLike, plant: Plant
     Args:
         controller: A controller or its name. Its own memory does not change if it can be copied.
         q: (n,) rad, the configuration.
-        plant: How the simulated arm differs from the model; by default it does not. Its noise, pushes and dry friction
-            have no effect.
+        plant: How the simulated arm differs from the model; by default it does not. Its noise, pushes, dry friction, gaps and
+            the steps of encoders have no effect; jitter counts as the greatest delay.
         delay: s of delay between controller and motors besides that of the plant; a whole number of control periods.
 
     Returns:
@@ -66,7 +66,8 @@ def loop_at(arm: Arm, controller: Controller, q: Array, plant: Plant, delay: flo
     ticks = round(delay / dt)
     if abs(delay / dt - ticks) > _WHOLE_TICK_TOLERANCE:
         raise InputError(f"delay: expected a whole number of control periods of {dt:g} s, got {delay:g} s")
-    linear = _linear_arm(arm, plant, q, dt)
+    # Gaps and bristles act as dry friction does: they are left out.
+    linear = _linear_arm(arm, replace(plant, backlash=0.0, friction="coulomb"), q, dt)
     return Loop(
         robot=arm.name,
         controller=controller_name(controller),
@@ -74,7 +75,7 @@ def loop_at(arm: Arm, controller: Controller, q: Array, plant: Plant, delay: flo
         joint_names=arm.joint_names,
         q=q,
         dt=dt,
-        delay=integer("delay", plant.delay + ticks, 0, MAX_DELAY_TICKS),
+        delay=integer("delay", plant.delay + plant.jitter + ticks, 0, MAX_DELAY_TICKS),
         holding_torque=linear.holding_torque,
         _arm=linear.system,
         _push=linear.push,
@@ -129,11 +130,39 @@ def _linear_arm(arm: Arm, plant: Plant, q: Array, dt: float) -> _LinearArm:
     B[size : size + n] = np.eye(n) if past else 0.0
     push = np.zeros_like(B)
     push[:size] = jacobian[:, size : size + n]
+    links, motors = tick.sides()
     seen = np.zeros((2 * n, len(A)))
-    seen[:, : 2 * n] = np.eye(2 * n)
-    position = seen[:n].copy()
-    position[tick.spring_owners, 2 * n + np.arange(len(tick.spring_owners))] = 1.0
-    return _LinearArm(StateSpace(A, B, seen, np.zeros((2 * n, n))), push, position, tick.holding_torque)
+    seen[:, :size] = links if plant.encoder_side == "link" else motors
+    position = np.zeros((n, len(A)))
+    position[:, :size] = links[:n]
+    system, added = _sensed(StateSpace(A, B, seen, np.zeros((2 * n, n))), plant, dt)
+    push = np.vstack([push, np.zeros((added, n))])
+    position = np.hstack([position, np.zeros((n, added))])
+    return _LinearArm(system, push, position, tick.holding_torque)
+
+
+def _sensed(arm: StateSpace, plant: Plant, dt: float) -> tuple[StateSpace, int]:
+    """An arm with its sensors, and how many states they add: differenced positions, and measurements that are late."""
+    size = len(arm.A)
+    n = len(arm.C) // 2
+    is_differenced = plant.velocity == "differenced"
+    added = n * is_differenced + 2 * n * plant.sensor_delay
+    A = np.zeros((size + added, size + added))
+    A[:size, :size] = arm.A
+    output = np.zeros((2 * n, size + added))
+    output[:, :size] = arm.C
+    first = size
+    if is_differenced:
+        A[first : first + n] = output[:n]
+        output[n:] = output[:n] / dt
+        output[n:, first : first + n] -= np.eye(n) / dt
+        first += n
+    for _ in range(plant.sensor_delay):
+        A[first : first + 2 * n] = output
+        output = np.zeros_like(output)
+        output[:, first : first + 2 * n] = np.eye(2 * n)
+        first += 2 * n
+    return StateSpace(A, np.vstack([arm.B, np.zeros((added, n))]), output, arm.D), added
 
 
 class _Tick:
@@ -143,7 +172,6 @@ class _Tick:
         rest: (k,) the state at rest: positions and velocities of the joints, then of the springs, then of the motors' windings.
         past_torques: How many earlier commands act through an actuator's delay.
         holding_torque: (n,) N m.
-        spring_owners: Which joint of the arm each spring continues.
     """
 
     def __init__(self, arm: Arm, plant: Plant, q: Array, dt: float):
@@ -157,11 +185,9 @@ class _Tick:
         self._model = model
         self._data = mujoco.MjData(model)
         self._substeps = round(dt / model.opt.timestep)
-        springs = springs_of([arm])
-        self._spring_qpos = model.jnt_qposadr[springs]
-        self._spring_dofs = model.jnt_dofadr[springs]
-        before = spring_joints(model)
-        self.spring_owners = [int(np.flatnonzero(arm.qpos_adr == model.jnt_qposadr[before[joint]])[0]) for joint in springs]
+        self._train = drivetrain_of([arm], plant)
+        self._spring_qpos = model.jnt_qposadr[self._train.extra_joints]
+        self._spring_dofs = model.jnt_dofadr[self._train.extra_joints]
         owner = np.repeat(np.arange(model.nactuator), model.actuator_ctrlnum)
         self._motors = owner[arm.ctrl_adr]
         self._states = np.array(
@@ -172,9 +198,12 @@ class _Tick:
         self.past_torques = math.ceil(longest / dt - _WHOLE_TICK_TOLERANCE)
         data = self._data
         self._reset(q)
-        settle_springs(model, data, springs)
+        self._train.settle(model, data)
         mujoco.mj_forward(model, data)
-        self.holding_torque = arm.joint_map.reduced(data.qfrc_bias - data.qfrc_passive)
+        missing = data.qfrc_bias - data.qfrc_passive
+        self.holding_torque = arm.joint_map.reduced(missing)
+        if self._train.rotors:
+            self.holding_torque[self._train.owners] = missing[self._spring_dofs]
         self._at_rest()
         self.rest = self._state()
 
@@ -197,11 +226,28 @@ class _Tick:
         data.qvel[self._spring_dofs] = x[2 * n + k : 2 * (n + k)]
         data.act[self._states] = x[2 * (n + k) :]
         data.qfrc_applied[arm.dof_adr] = on_links
-        data.qfrc_applied[self._spring_dofs] = on_links[self.spring_owners]
+        if self._train.springs:
+            data.qfrc_applied[self._spring_dofs] = on_links[self._train.owners]
         data.ctrl[arm.ctrl_adr] = (self.holding_torque + commands[0]) / arm.gear
         self._set_history(commands[1:])
         mujoco.mj_step(self._model, data, self._substeps)
         return self._state()
+
+    def sides(self) -> tuple[Array, Array]:
+        """(2n, k) each: positions and velocities of the links and of the motors from the state."""
+        n = self._arm.n
+        owners = self._train.owners
+        extra = 2 * n + np.arange(len(self._spring_dofs))
+        links = np.eye(2 * n, len(self.rest))
+        motors = links.copy()
+        if self._train.springs:
+            links[owners, extra] = 1.0
+            links[n + owners, extra + len(extra)] = 1.0
+        elif self._train.rotors:
+            motors[[*owners, *(n + owners)]] = 0.0
+            motors[owners, extra] = 1.0
+            motors[n + owners, extra + len(extra)] = 1.0
+        return links, motors
 
     def _reset(self, q: Array) -> None:
         data = self._data

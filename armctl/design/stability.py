@@ -97,7 +97,7 @@ def _with_resonances(frequencies: Array, loop: StateSpace, dt: float) -> Array:
     widths = np.maximum(np.abs(np.log(np.abs(poles))) / dt, 1e-6 * centers)
     around = (centers[:, None] + widths[:, None] * _RESONANCE_WIDTHS).ravel()
     inside = around[(around > frequencies[0]) & (around < frequencies[-1])]
-    return np.union1d(frequencies, inside)
+    return np.asarray(np.union1d(frequencies, inside), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

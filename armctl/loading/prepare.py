@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -37,7 +37,12 @@ class PreparedModel:
 
 
 def make_arm_model(
-    source: Source, spec: mujoco.MjSpec, analysis: Transmissions, plans: Sequence[ArmPlan], loose_links: Collection[str] = ()
+    source: Source,
+    spec: mujoco.MjSpec,
+    analysis: Transmissions,
+    plans: Sequence[ArmPlan],
+    loose_links: Collection[str] = (),
+    edit: Callable[[mujoco.MjSpec], None] | None = None,
 ) -> PreparedModel:
     """Gives the arms torque motors, adds the target and compiles; `spec` is changed in place.
 
@@ -45,6 +50,7 @@ def make_arm_model(
         source: Where the model comes from, for errors.
         spec: The specification that `analysis.model` was compiled from.
         loose_links: Bodies of which no file says which of them may touch: those that touch at home may.
+        edit: What else changes the specification, last.
 
     Raises:
         ModelError: MuJoCo cannot compile the result.
@@ -64,6 +70,8 @@ def make_arm_model(
         notes += _exclude_touching(spec, original, plans, loose_links)
     add_target(spec)
     add_payload_bodies(spec, original, {plan.tip.body: bodies[plan.tip.body] for plan in plans})
+    if edit is not None:
+        edit(spec)
     model = source.compile(spec)
     renumbered = tuple(plan.with_tip_body(bodies[plan.tip.body].id) for plan in plans)
     return PreparedModel(model, renumbered, tuple(notes), tuple(excluded))

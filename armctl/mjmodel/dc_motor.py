@@ -14,6 +14,7 @@ _RESISTANCE, _CONSTANT, _CONTROLLER, _MAX_VOLTAGE = 0, 1, slice(4, 7), 7  # in g
 TORQUE_COMMAND = int(mujoco.mjtCtrlInput.mjINPUT_FF)  # the input of a `dcmotor` whose command is its torque
 _COGGING, _COULOMB = 0, 3  # in biasprm
 _ELECTRICAL_TIME, _HEAT_RESISTANCE, _BRISTLE_STIFFNESS, _SLEW = 0, 2, 5, slice(7, 9)  # in dynprm
+_NO_STIFFNESS = 1e-30  # of bristles; MuJoCo requires a number above 0 where there was one
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,23 @@ def set_current_controller(motor: Any, voltage: float) -> None:
     motor.dynprm = dynamics
 
 
+def set_time_constant(motor: Any, seconds: float) -> None:
+    """Sets the electrical time constant of a `dcmotor` of a specification or a model."""
+    dynamics = motor.dynprm
+    dynamics[_ELECTRICAL_TIME] = seconds
+    motor.dynprm = dynamics
+
+
+def set_friction(
+    model: mujoco.MjModel, actuator: int, stiffness: float, damping: float, coulomb: float, static: float, stribeck_speed: float
+) -> None:
+    """Sets the LuGre friction of a `dcmotor` that has some, in place; none for a Coulomb friction of 0."""
+    is_on = coulomb > 0.0
+    model.actuator_dynprm[actuator, _BRISTLE_STIFFNESS] = stiffness if is_on else _NO_STIFFNESS
+    model.actuator_dynprm[actuator, _BRISTLE_STIFFNESS + 1] = damping if is_on else 0.0
+    model.actuator_biasprm[actuator, _COULOMB : _COULOMB + 3] = (coulomb, static, stribeck_speed) if is_on else 1.0
+
+
 def current_state(model: mujoco.MjModel, actuator: int) -> int:
     """The address of a winding's current in `MjData.act`; -1 if its actuator has none."""
     if not (is_dc_motor(model, actuator) and model.actuator_dynprm[actuator, _ELECTRICAL_TIME] > 0.0):
@@ -88,10 +106,10 @@ def current_state(model: mujoco.MjModel, actuator: int) -> int:
 
 
 def remove_bristles(model: mujoco.MjModel) -> None:
-    """Switches the LuGre friction of all actuators off, in place. MuJoCo requires a stiffness above 0 where there was one."""
+    """Switches the LuGre friction of all actuators off, in place."""
     with_bristle = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_DCMOTOR
     with_bristle &= model.actuator_dynprm[:, _BRISTLE_STIFFNESS] > 0.0
-    model.actuator_dynprm[with_bristle, _BRISTLE_STIFFNESS] = 1e-30
+    model.actuator_dynprm[with_bristle, _BRISTLE_STIFFNESS] = _NO_STIFFNESS
     model.actuator_dynprm[with_bristle, _BRISTLE_STIFFNESS + 1] = 0.0
 
 

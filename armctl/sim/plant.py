@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from armctl.mjmodel.edit import add_point_mass
 from armctl.mjmodel.queries import actuator_name, is_on_joint
 from armctl.mjmodel.spring_joints import spring_joints
 from armctl.robot.arm import Arm
+from armctl.sim.drivetrain import Drivetrain, apply_drivetrain, drivetrain_of, finish_drivetrain, new_model
 from armctl.sim.plant_attribute import Kind, PlantAttribute, attributes_of, number_text, plant_attribute
 
 # Runge-Kutta is stable up to steps of 2.8 time constants of the fastest damped joint; one time constant keeps it accurate.
@@ -34,7 +34,7 @@ _BRAKED_ARRAYS = (
     "eq_active0",
 )
 # What `apply_plant` changes, besides what MuJoCo derives from it.
-_PLANT_ARRAYS = ("body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_damping")
+_PLANT_ARRAYS = ("body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_damping", "dof_dampingpoly")
 _PLANT_OPTIONS = ("disableflags", "timestep", "integrator", "tolerance")
 
 
@@ -100,7 +100,22 @@ class Plant:
         mass_scale: Factor on the masses and inertias of all moving links.
         coulomb_friction: N m of dry friction added to the model's; a number for all joints or (n,).
         viscous_friction: N m s/rad of damping added to the model's; a number for all joints or (n,).
+        friction: "coulomb" for dry friction as MuJoCo's constraint, or "lugre" for bristles that stick and slip (LuGre law);
+            either way that of the model and `coulomb_friction`.
+        stiction: Static friction over dry friction, with "lugre".
+        motor: s, the time constant with which torques follow commands: inductance over resistance of a DC motor.
+        elasticity: N m/rad, stiffness of a spring between each motor and its link; one number or (n,), 0 for rigid.
+            The motor's inertia is the model's armature, and its friction that of the joint. Logs show the links.
+        elastic_damping: Damping ratio of these springs, with the inertias on both sides.
+        rotor_inertia: kg m^2 at the joint, of each motor with a spring or a gap; 0 for the model's armature.
+        backlash: rad, the gap between each motor and its link; a number for all joints or (n,).
+        encoder_side: Where joints are measured if they are elastic: "motor" or "link".
         delay: Ticks by which commands are delayed.
+        jitter: Ticks by which commands are late at most besides the delay, at random.
+        sensor_delay: Ticks by which measured positions and velocities are late.
+        encoder_bits: Bits in which an encoder counts a turn of the joint (a metre of a slide joint); 0 for exact positions.
+        velocity: "true" for the velocity of the simulation, or "differenced" for the difference of two measured positions over
+            the tick, as in most arms.
         encoder_noise: rad, standard deviation of the noise on measured positions.
         velocity_noise: rad/s, standard deviation of the noise of a velocity sensor. By default there is none, and the velocity
             is differenced from the measured positions: its noise is that of two positions divided by the tick.
@@ -129,8 +144,32 @@ class Plant:
     viscous_friction: ArrayLike = plant_attribute(
         Kind.PER_JOINT, 0.0, unit="N m s/rad", low=0.0, phrase="viscous friction {} N m s/rad", varies_in_episodes=True
     )
+    friction: str = plant_attribute(Kind.WORD, "coulomb", words=("coulomb", "lugre"), phrase="{} friction")
+    stiction: float = plant_attribute(Kind.NUMBER, 1.5, low=1.0, high=10.0, phrase="stiction {}", only_with=("friction",))
+    motor: float = plant_attribute(Kind.NUMBER, 0.0, unit="s", low=0.0, high=1.0, phrase="motor lag {} ms", scale=1e3)
+    elasticity: ArrayLike = plant_attribute(Kind.PER_JOINT, 0.0, unit="N m/rad", low=0.0, phrase="elasticity {} N m/rad")
+    elastic_damping: float = plant_attribute(
+        Kind.NUMBER, 0.01, low=0.0, high=1.0, phrase="damping ratio {} of the springs", only_with=("elasticity",)
+    )
+    rotor_inertia: ArrayLike = plant_attribute(
+        Kind.PER_JOINT, 0.0, unit="kg m^2", low=0.0, phrase="rotors {} kg m^2", only_with=("elasticity", "backlash")
+    )
+    backlash: ArrayLike = plant_attribute(Kind.PER_JOINT, 0.0, unit="rad", low=0.0, phrase="backlash {} rad")
+    encoder_side: str = plant_attribute(Kind.WORD, "motor", words=("motor", "link"), phrase="encoders at the {}")
     delay: int = plant_attribute(
         Kind.WHOLE_NUMBER, 0, unit="ticks", low=0, phrase="delay {}", disturbs_signals=True, varies_in_episodes=True
+    )
+    jitter: int = plant_attribute(
+        Kind.WHOLE_NUMBER, 0, unit="ticks", low=0, high=1000, phrase="jitter {}", disturbs_signals=True
+    )
+    sensor_delay: int = plant_attribute(
+        Kind.WHOLE_NUMBER, 0, unit="ticks", low=0, high=1000, phrase="sensor delay {}", disturbs_signals=True
+    )
+    encoder_bits: int = plant_attribute(
+        Kind.WHOLE_NUMBER, 0, unit="bits", low=0, high=32, phrase="encoder of {} bits", disturbs_signals=True
+    )
+    velocity: str = plant_attribute(
+        Kind.WORD, "true", words=("true", "differenced"), phrase="velocity {}", disturbs_signals=True
     )
     encoder_noise: float = plant_attribute(
         Kind.NUMBER,
@@ -156,7 +195,7 @@ class Plant:
         0,
         low=0,
         phrase="seed {}",
-        only_with=("encoder_noise", "velocity_noise", "force_noise", "moment_noise"),
+        only_with=("encoder_noise", "velocity_noise", "force_noise", "moment_noise", "jitter"),
         is_factor=False,
     )
     name: str = plant_attribute(Kind.OTHER, "", is_factor=False)
@@ -194,6 +233,13 @@ class Plant:
         """Whether measurements or commands are disturbed during a run."""
         return any(attribute.disturbs_signals and self._differs(name) for name, attribute in PLANT_ATTRIBUTES.items())
 
+    def steps_in_python(self, train: Drivetrain) -> bool:
+        """Whether what is measured or commanded needs a tick loop in Python, which takes longer."""
+        names = ("jitter", "sensor_delay", "encoder_bits", "velocity")
+        return any(self._differs(name) for name in names) or bool(
+            train.rotors or (train.springs and self.encoder_side == "link")
+        )
+
     def model(self, arm: Arm) -> mujoco.MjModel:
         """The MuJoCo model of this plant.
 
@@ -201,13 +247,15 @@ class Plant:
             arm: The model of the controllers.
 
         Returns:
-            A new model. All joints of the robot outside the chain, such as a gripper's, are braked.
+            A new model. All joints of the robot outside the chain, such as a gripper's, are braked. Rotors, springs and
+            friction that the plant adds come after the arm's own bodies, joints and actuators.
 
         Raises:
-            InputError: It is no arm, or friction is given for another number of joints.
+            InputError: It is no arm, or an attribute is given for another number of joints or does not fit the arm.
+            ModelError: The arm was loaded as a compiled model, which cannot get further elements.
         """
         instance("arm", arm, Arm, "armctl.load(name) returns one")
-        model = copy.copy(arm.model)
+        model = new_model([arm], self)
         apply_plant(model, mujoco.MjData(model), self, [arm])
         brake(model, held_dofs(arm))
         return model
@@ -251,12 +299,13 @@ def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: 
     A copy of a model with meshes takes longer than a run of a second, so a model is kept for the next plant.
 
     Args:
-        model: The copy.
+        model: A copy, by `new_model` for this plant.
         data: Any state of it; it is lost.
         arms: The arms. A payload hangs at the first one's tip.
     """
     for name in (*_PLANT_ARRAYS, *_BRAKED_ARRAYS):
-        getattr(model, name)[:] = getattr(arms[0].model, name)
+        values = getattr(arms[0].model, name)
+        getattr(model, name)[: len(values)] = values
     for name in _PLANT_OPTIONS:
         setattr(model.opt, name, getattr(arms[0].model.opt, name))
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -275,12 +324,16 @@ def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: 
             names = ", ".join(arm.name for arm in arms)
             raise InputError(f"{what}: expected 1 or {len(dofs)} numbers, got {len(added)} ({names:.80})")
         column[dofs] += added
+    train = drivetrain_of(arms, plant)
+    apply_drivetrain(model, plant, arms, train)
     mujoco.mj_setConst(model, data)
     if plant.continuous:
-        rate = (model.dof_damping * model.dof_invweight0)[dofs].max()  # 1/s, of the fastest damped joint
+        damped = np.concatenate([dofs, train.motor_dof])
+        rate = (model.dof_damping * model.dof_invweight0)[damped].max()  # 1/s, of the fastest damped joint
         step = _CONTINUOUS_STEP_S / max(1.0, _CONTINUOUS_STEP_S * rate)
         model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_RK4)
         model.opt.timestep /= math.ceil(model.opt.timestep / step - 1e-9)
+    finish_drivetrain(model, plant, train)
     _check_history(model)
 
 
@@ -309,14 +362,10 @@ def held_dofs(*arms: Arm) -> IntArray:
             has_motor[model.body_rootid[model.jnt_bodyid[model.actuator_trnid[actuator, 0]]]] = True
     of_robot = has_motor[model.body_rootid[model.dof_bodyid]]
     own = np.concatenate([arm.joint_map.dof_adr for arm in arms])
-    own = np.concatenate([own, model.jnt_dofadr[springs_of(arms)]])
-    return np.setdiff1d(np.flatnonzero(of_robot & ~free), own)
-
-
-def springs_of(arms: Sequence[Arm]) -> list[int]:
-    """The joints that are springs of the arms' elastic joints."""
     moved = {joint for arm in arms for joint in arm.joint_map.joints}
-    return [joint for joint, motor_joint in spring_joints(arms[0].model).items() if motor_joint in moved]
+    springs = [joint for joint, motor_joint in spring_joints(model).items() if motor_joint in moved]
+    own = np.concatenate([own, model.jnt_dofadr[springs]])
+    return np.setdiff1d(np.flatnonzero(of_robot & ~free), own)
 
 
 def brake(model: mujoco.MjModel, dofs: IntArray) -> None:
