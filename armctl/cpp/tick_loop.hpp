@@ -86,8 +86,8 @@ public:
     const MujocoSimulation& simulation() const { return simulation_; }
 
     // Runs the ticks [first, last) with the law. `touching` are the geoms that touch in the row before.
-    TickEnd run(Law& law, const TickReference& reference, const TickRows& rows, size_t first, size_t last,
-                const Disturbances& disturbances, const TickSensor& sensor, std::vector<GeomPair> touching);
+    TickEnd run(Law& law, const TickReference& reference, const TickRows& rows, size_t first, size_t last, const Disturbances& disturbances,
+                const TickSensor& sensor, std::vector<GeomPair> touching);
 
 private:
     // What the ticks of one call use. It belongs to `run`, which MuJoCo's errors do not leave.

@@ -12,23 +12,14 @@ ComputedTorqueObserver::ComputedTorqueObserver(std::shared_ptr<const ArmModel> m
 
 ComputedTorqueObserver::ComputedTorqueObserver(std::shared_ptr<const ArmModel> model, Gains gains, double dt, bool continuous,
                                                size_t further_memory)
-    : stiffness_(checked_gain(gains.stiffness, "stiffness")),
-      damping_(checked_gain(gains.damping, "damping")),
+    : stiffness_(checked_gain(gains.stiffness, "stiffness")), damping_(checked_gain(gains.damping, "damping")),
       position_weight_(checked_gain(gains.position_weight, "position_weight")),
       velocity_weight_(checked_gain(gains.velocity_weight, "velocity_weight")),
       disturbance_weight_(checked_gain(gains.disturbance_weight, "disturbance_weight")),
-      torque_limit_(checked_limits(std::move(gains.torque_limit), model->n(), "torque_limit")),
-      dt_(checked_period(dt)),
-      position_step_(continuous ? 0.5 : 1.0),
-      dynamics_(model),
-      memory_(1 + memory_vectors * model->n() + further_memory),
-      known_(model->n()),
-      needed_(model->n()),
-      last_position_(model->n()),
-      last_velocity_(model->n()),
-      corrected_velocity_(model->n()),
-      lost_(model->n()),
-      inertia_(model->n(), model->n()) {}
+      torque_limit_(checked_limits(std::move(gains.torque_limit), model->n(), "torque_limit")), dt_(checked_period(dt)),
+      position_step_(continuous ? 0.5 : 1.0), dynamics_(model), memory_(1 + memory_vectors * model->n() + further_memory),
+      known_(model->n()), needed_(model->n()), last_position_(model->n()), last_velocity_(model->n()), corrected_velocity_(model->n()),
+      lost_(model->n()), inertia_(model->n(), model->n()) {}
 
 void ComputedTorqueObserver::torque(const State& state, const Setpoint& setpoint, Result tau) {
     observe(state);
@@ -60,9 +51,7 @@ void ComputedTorqueObserver::observe(const State& state) {
     dynamics_.inverse_dynamics(last_position_, last_velocity_, acceleration, needed_);
     const Result disturbance = this->disturbance();
     const Result last_torque = this->last_torque();
-    for (size_t i = 0; i < joints(); ++i) {
-        disturbance[i] += disturbance_weight_ * (needed_[i] - last_torque[i] - disturbance[i]);
-    }
+    for (size_t i = 0; i < joints(); ++i) { disturbance[i] += disturbance_weight_ * (needed_[i] - last_torque[i] - disturbance[i]); }
 }
 
 void ComputedTorqueObserver::control(const Setpoint& setpoint, Result tau) {
@@ -97,9 +86,7 @@ void ComputedTorqueObserver::cancel(Result tau) {
         lost_[i] = last_torque[i] - tau[i];
         is_clipped = is_clipped || std::abs(tau[i] + known_[i]) > torque_limit_[i];
     }
-    if (is_clipped) {
-        subtract_lost_acceleration();
-    }
+    if (is_clipped) { subtract_lost_acceleration(); }
 }
 
 // What the motors cut off is no disturbance.
@@ -109,15 +96,11 @@ void ComputedTorqueObserver::subtract_lost_acceleration() {
     factorize(inertia_);
     solve(inertia_, lost_);
     const Result acceleration = this->acceleration();
-    for (size_t i = 0; i < joints(); ++i) {
-        acceleration[i] += lost_[i];
-    }
+    for (size_t i = 0; i < joints(); ++i) { acceleration[i] += lost_[i]; }
 }
 
 void ComputedTorqueObserver::add_known(Result tau) const {
-    for (size_t i = 0; i < joints(); ++i) {
-        tau[i] += known_[i];
-    }
+    for (size_t i = 0; i < joints(); ++i) { tau[i] += known_[i]; }
 }
 
 }  // namespace armctl

@@ -34,8 +34,7 @@ public:
 
 protected:
     // As above, with further numbers of memory for a derived law.
-    ComputedTorqueObserver(std::shared_ptr<const ArmModel> model, Gains gains, double dt, bool continuous,
-                           size_t further_memory);
+    ComputedTorqueObserver(std::shared_ptr<const ArmModel> model, Gains gains, double dt, bool continuous, size_t further_memory);
 
     // The steps of a tick, in this order.
 
