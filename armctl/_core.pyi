@@ -1227,7 +1227,7 @@ class MujocoApi:
         delete_batch: int,
         apply: int,
         error: int,
-        empty_model: int,
+        empty_model: object,
         contact_count: int,
         contact_array: int,
         contact_stride: int,

@@ -28,7 +28,7 @@ void set(Pointer& pointer, std::uintptr_t address) {
 }
 
 std::shared_ptr<MujocoApi> make_api(std::uintptr_t step, std::uintptr_t rne_post_constraint, std::uintptr_t make_batch,
-                                    std::uintptr_t delete_batch, std::uintptr_t apply, std::uintptr_t error, std::uintptr_t empty_model,
+                                    std::uintptr_t delete_batch, std::uintptr_t apply, std::uintptr_t error, nb::handle empty_model,
                                     size_t contact_count, size_t contact_array, size_t contact_stride, size_t contact_geoms) {
     auto api = std::make_shared<MujocoApi>();
     set(api->step, step);
@@ -37,7 +37,7 @@ std::shared_ptr<MujocoApi> make_api(std::uintptr_t step, std::uintptr_t rne_post
     set(api->delete_batch, delete_batch);
     set(api->apply, apply);
     set(api->error, error);
-    set(api->empty_model, empty_model);
+    api->empty_model = mujoco_model(empty_model);
     api->contacts = {
         .count = contact_count,
         .array = contact_array,
@@ -50,7 +50,7 @@ std::shared_ptr<MujocoApi> make_api(std::uintptr_t step, std::uintptr_t rne_post
 void bind_api(nb::module_& module) {
     nb::class_<MujocoApi>(module, "MujocoApi", "MuJoCo's functions by their addresses, and where mjData keeps contacts.")
         .def(nb::new_(&make_api), nb::kw_only(), "step"_a, "rne_post_constraint"_a, "make_batch"_a, "delete_batch"_a, "apply"_a, "error"_a,
-             "empty_model"_a, "contact_count"_a, "contact_array"_a, "contact_stride"_a, "contact_geoms"_a);
+             "empty_model"_a, "contact_count"_a, "contact_array"_a, "contact_stride"_a, "contact_geoms"_a, nb::keep_alive<0, 8>());
 }
 
 void bind_delay(nb::module_& module) {
