@@ -99,13 +99,13 @@ from .render.video import record as record
 from .render.video import still as still
 from .robot.actuation import Actuation as Actuation
 from .robot.arm import Arm as Arm
+from .sim.commands import PathMoveOptions as PathMoveOptions
 from .sim.gripper.gripper import Gripper as Gripper
 from .sim.gripper.gripper import GripResult as GripResult
 from .sim.plant import Plant as Plant
 from .sim.plant import Push as Push
 from .sim.simulate import simulate as simulate
 from .sim.simulate_many import simulate_many as simulate_many
-from .sim.simulation import PathMoveOptions as PathMoveOptions
 from .sim.simulation import Simulation as Simulation
 from .sim.team import Team as Team
 from .study.factors import Choice as Choice
