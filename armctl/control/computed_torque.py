@@ -6,12 +6,13 @@ import numpy as np
 
 from armctl import _core
 from armctl.control.arm_controller import ArmController
-from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH, extra_inertia
+from armctl.control.gain_attribute import Gain, scalar_gain, word
+from armctl.control.gains import DEFAULT_BANDWIDTH, extra_inertia
 from armctl.control.integral_gains import IntegralGains, integral_gains
 from armctl.control.interface import checked_period
 from armctl.control.observer_gains import max_inertia_ratio
 from armctl.core.errors import InputError
-from armctl.core.validation import Array, choice, instance, number
+from armctl.core.validation import Array, flag
 from armctl.robot.arm import Arm
 
 FORMS = ("discrete", "textbook")
@@ -43,6 +44,12 @@ class ComputedTorque(ArmController):
         delay_margin: s, that of the loop with integral action, or two and a half control periods if they are longer.
     """
 
+    bandwidth: Gain[float] = scalar_gain()
+    damping_ratio: Gain[float] = scalar_gain()
+    form: Gain[str] = word(FORMS)
+    integral: Gain[bool] = Gain(lambda name, value, _n: flag(name, value))
+    delay_margin: Gain[float] = scalar_gain(1e-6, 10.0)
+
     def __init__(
         self,
         arm: Arm,
@@ -67,12 +74,11 @@ class ComputedTorque(ArmController):
                 or the textbook form.
         """
         super().__init__(arm)
-        self.form = choice("form", form, FORMS)
-        self.bandwidth = number("bandwidth", bandwidth, 0.0, MAX_BANDWIDTH)
-        self.damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
-        instance("integral", integral, bool, "True or False is one")
+        self.form = form
+        self.bandwidth = bandwidth
+        self.damping_ratio = damping_ratio
         self.integral = integral
-        self.delay_margin = number("delay_margin", delay_margin, 1e-6, 10.0)
+        self.delay_margin = delay_margin
         self.name = "computed-torque"
         if self.integral:
             self.name = "computed-torque-integral"

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from armctl import _core
 from armctl.control.computed_torque_observer import ComputedTorqueObserver
+from armctl.control.gain_attribute import Gain
+from armctl.control.gains import MAX_BANDWIDTH
 from armctl.control.task_space import arm_length
 from armctl.core.errors import InputError
-from armctl.core.validation import Array
+from armctl.core.validation import Array, number
 from armctl.robot.arm import Arm
 
 BODY_PARAMETERS = 10  # mass, first and second moments of the payload
@@ -21,6 +24,15 @@ PRIOR_MASS_SHARE = 0.5  # of the moving mass of the arm: standard deviation of t
 PRIOR_DELAY_PERIODS = 2.0  # standard deviation of the delay of the motors, control periods
 PRIOR_FRICTION_SHARE = 0.05  # of the torque limits: standard deviation of dry friction
 PRIOR_LENGTH_SHARE = 0.1  # of the length of the arm: the distance of the payload from the tip in the prior
+
+
+def _observer_bandwidth(name: str, value: Any, _n: int) -> float | None:
+    if value is None:
+        return None
+    bandwidth = number(name, value, 0.0, MAX_BANDWIDTH)
+    if bandwidth == 0.0:
+        raise InputError(f"{name}: expected a number above 0, got 0; the controller learns from the observer's estimate")
+    return bandwidth
 
 
 class ComputedTorqueLearning(ComputedTorqueObserver):
@@ -43,6 +55,7 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
     """
 
     name = "computed-torque-learning"
+    observer_bandwidth: Gain[float | None] = Gain(_observer_bandwidth)
 
     def __init__(
         self,
@@ -64,10 +77,6 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
             InputError: A gain is negative or not finite, or the observer's bandwidth is zero.
         """
         super().__init__(arm, bandwidth=bandwidth, damping_ratio=damping_ratio, observer_bandwidth=observer_bandwidth)
-        if self.observer_bandwidth == 0.0:
-            raise InputError(
-                "observer_bandwidth: expected a number above 0, got 0; the controller learns from the observer's estimate"
-            )
         self._prior = _prior_deviations(arm)
 
     @property

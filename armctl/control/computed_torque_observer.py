@@ -8,7 +8,7 @@ import numpy as np
 
 from armctl import _core
 from armctl.control.arm_controller import ArmController
-from armctl.control.gains import MAX_BANDWIDTH
+from armctl.control.gain_attribute import Gain, optional_gain
 from armctl.control.observer_gains import (
     ObserverGains,
     low_pass_weight,
@@ -16,7 +16,7 @@ from armctl.control.observer_gains import (
     position_weight,
     velocity_weight,
 )
-from armctl.core.validation import Array, number
+from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 
 
@@ -36,6 +36,9 @@ class ComputedTorqueObserver(ArmController):
     """
 
     name = "computed-torque-observer"
+    bandwidth: Gain[float | None] = optional_gain()
+    damping_ratio: Gain[float | None] = optional_gain()
+    observer_bandwidth: Gain[float | None] = optional_gain()
 
     def __init__(
         self,
@@ -56,9 +59,9 @@ class ComputedTorqueObserver(ArmController):
             InputError: A gain is negative or not finite.
         """
         super().__init__(arm)
-        self.bandwidth = _optional("bandwidth", bandwidth)
-        self.damping_ratio = _optional("damping_ratio", damping_ratio)
-        self.observer_bandwidth = _optional("observer_bandwidth", observer_bandwidth)
+        self.bandwidth = bandwidth
+        self.damping_ratio = damping_ratio
+        self.observer_bandwidth = observer_bandwidth
 
     @property
     def disturbance(self) -> Array:
@@ -92,7 +95,3 @@ class ComputedTorqueObserver(ArmController):
             estimate=default.estimate,
             disturbance=default.disturbance if self.observer_bandwidth is None else self.observer_bandwidth,
         )
-
-
-def _optional(name: str, value: float | None) -> float | None:
-    return None if value is None else number(name, value, 0.0, MAX_BANDWIDTH)

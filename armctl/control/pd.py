@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from numpy.typing import ArrayLike
 
 from armctl import _core
 from armctl.control.arm_controller import ArmController
+from armctl.control.gain_attribute import Gain, joint_gain
 from armctl.control.gains import MAX_BANDWIDTH, FeedbackGains, bandwidth_gains, margin_gains
 from armctl.control.interface import checked_period
-from armctl.core.validation import number
+from armctl.core.validation import Array, number
 from armctl.robot.arm import Arm
 
 
@@ -27,6 +30,8 @@ class PD(ArmController):
 
     name = "pd"
     _is_integrating = False
+    stiffness: Gain[Array] = joint_gain()
+    damping: Gain[Array] = joint_gain()
 
     def __init__(
         self,
@@ -58,6 +63,7 @@ class PD(ArmController):
             self._default = bandwidth_gains(arm, bandwidth, damping_ratio, stiffness, damping)
         self.stiffness = self._default.stiffness
         self.damping = self._default.damping
+        self._default = replace(self._default, stiffness=self.stiffness, damping=self.damping)
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
         """A law with the present gains, at the start of a run."""

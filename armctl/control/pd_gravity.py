@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from numpy.typing import ArrayLike
 
 from armctl import _core
-from armctl.control.gains import FeedbackGains, gain, max_locked_inertia
+from armctl.control.gain_attribute import Gain, joint_gain
+from armctl.control.gains import FeedbackGains, max_locked_inertia
 from armctl.control.pd import PD
 from armctl.core.validation import Array
 from armctl.robot.arm import Arm
@@ -48,6 +51,7 @@ class PIDGravity(PDGravity):
 
     name = "pid-gravity"
     _is_integrating = True
+    integral_gain: Gain[Array] = joint_gain()
 
     def __init__(
         self,
@@ -77,9 +81,9 @@ class PIDGravity(PDGravity):
         super().__init__(arm, bandwidth=bandwidth, damping_ratio=damping_ratio, stiffness=stiffness, damping=damping)
         if integral_gain is None and not self._has_default_gains:
             integral_gain = INTEGRAL_GAIN_RATIO * self.stiffness * self.damping / max_locked_inertia(arm)
-        self.integral_gain = (
-            self._default.integral_gain if integral_gain is None else gain("integral_gain", integral_gain, arm.n)
-        )
+        self.integral_gain = self._default.integral_gain if integral_gain is None else integral_gain
+        if integral_gain is None:
+            self._default = replace(self._default, integral_gain=self.integral_gain)
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
         """A law with the present gains, at the start of a run."""
