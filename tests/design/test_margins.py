@@ -111,7 +111,27 @@ def test_the_measured_sensitivity_is_the_predicted_one(arm, controller):
     assert found.ok, found.reason
     assert found.error.max() < 1e-4
     assert found.coherence.min() > 0.9999
+    assert found.nonlinear.max() < 1e-3
     assert np.abs(found.predicted).max() > 1.0
+
+
+@pytest.mark.parametrize("ratio", [1e-4, 0.03])  # friction as a share of the torque limit, below the excitation and far above
+def test_dry_friction_is_a_nonlinear_share_that_coherence_does_not_show(arm, ratio):
+    plant = armctl.Plant(timestep=0.004, coulomb_friction=ratio * arm.limits.tau_max)
+    found = armctl.frequency_response(arm, "pd-gravity", arm.home, 1, plant)
+    assert found.coherence.min() > 0.999
+    assert found.error.max() > 0.1
+    assert found.nonlinear.max() > 0.1
+    assert not found.ok
+    assert "nonlinear share" in found.reason
+
+
+def test_noise_is_no_nonlinear_share(arm):
+    noisy = armctl.Plant(timestep=0.004, encoder_noise=1e-5, seed=3)
+    found = armctl.frequency_response(arm, "computed-torque", arm.home, 1, noisy)
+    assert found.ok, found.reason
+    assert 0.5 < found.coherence.min() < 0.9999
+    assert found.nonlinear.max() < 0.1
 
 
 @pytest.mark.parametrize("make", [Filtered, Averaging])
