@@ -39,6 +39,7 @@ def tick_loop(stepper: Stepper, **changes: object) -> _core.TickLoop:
         "torque_share": np.ones(stepper.n),
         "pushed_arm": stepper._pushed_arm,
         "substeps": 1,
+        "dt": 0.002,
         "diverged_speed": 1e3,
     }
     return _core.TickLoop(mujoco_api(), stepper.model, stepper.data, **(options | changes))
