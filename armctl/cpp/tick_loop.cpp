@@ -63,6 +63,7 @@ void TickLoop::run_ticks(Run& run) {
         const double speed = read_joints(motors_, simulation_, q_, rows.v.row(row));
         std::ranges::copy(q_, q_seen_.begin());
         std::ranges::copy(rows.v.row(row), v_seen_.begin());
+        measure_velocity(run.disturbances.last_position);
         run.disturbances.noise.add(row - run.first, q_seen_, v_seen_);
         if (!(speed < options_.diverged_speed)) {
             run.end.status = TickStatus::diverged;
@@ -80,6 +81,16 @@ void TickLoop::run_ticks(Run& run) {
         read_torques(motors_, simulation_, rows.torque.row(row));
         run.end.count = row + 1;
         note_contacts(run, row);
+    }
+}
+
+// Replaces the true velocity by the difference of positions over the last tick.
+void TickLoop::measure_velocity(Result last_position) {
+    for (size_t i = 0; i < last_position.size(); ++i) {
+        if (!std::isnan(last_position[i])) {
+            v_seen_[i] = (q_[i] - last_position[i]) / options_.dt;
+        }
+        last_position[i] = q_[i];
     }
 }
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -27,10 +27,49 @@ _SWITCHED_OFF = (
 )
 
 
+class LinearArm(NamedTuple):
+    """An arm at rest at a configuration, linear in small deviations, over one control period.
+
+    The state x has the positions and velocities of the joints: x[k + 1] = A x[k] + B tau[k].
+
+    Attributes:
+        A: (2n, 2n).
+        B: (2n, n).
+        holding_torque: (n,) N m that holds the arm still; tau is the deviation from it.
+        dt: s, the control period.
+    """
+
+    A: Array
+    B: Array
+    holding_torque: Array
+    dt: float
+
+
+def linear_arm(arm: Arm, q: ArrayLike, plant: Plant | None = None) -> LinearArm:
+    """Linearizes an arm without a controller, for the design of controllers of your own.
+
+    The arm is differentiated through one control period of the simulation, in which the torque is held. Contacts, limits and
+    dry friction are left out.
+
+    Args:
+        q: (n,) rad, the configuration.
+        plant: How the simulated arm differs from the model; by default it does not.
+
+    Returns:
+        A, B, the torque that holds the arm, and the control period.
+
+    Raises:
+        InputError: An argument has a wrong type, length or value.
+        LimitError: A position outside the limits.
+    """
+    check_arm(arm)
+    return Linearizer(arm, read_plant(plant)).arm_at(arm.checked("q", q))
+
+
 def linearize(arm: Arm, controller: Controller | str, q: ArrayLike, plant: Plant | None = None, delay: float = 0.0) -> Loop:
     """Linearizes the loop of an arm and a controller that holds it at a configuration.
 
-    The arm is differentiated through one control period of the simulation. The controller can be any object with a method
+    The arm is that of `linear_arm`. The controller can be any object with a method
     `torque(state, setpoint)`: its linear model, memory included, follows from its responses to small impulses.
 
     Args:
@@ -56,69 +95,93 @@ def linearize(arm: Arm, controller: Controller | str, q: ArrayLike, plant: Plant
 
 def loop_at(arm: Arm, controller: Controller, q: Array, plant: Plant, delay: float = 0.0) -> Loop:
     """`linearize` for checked arguments."""
-    dt = arm.dt if plant.timestep is None else plant.timestep
-    ticks = round(delay / dt)
-    if abs(delay / dt - ticks) > _WHOLE_TICK_TOLERANCE:
-        raise InputError(f"delay: expected a whole number of control periods of {dt:g} s, got {delay:g} s")
-    linear = _linear_arm(arm, plant, q, dt)
-    return Loop(
-        robot=arm.name,
-        controller=controller_name(controller),
-        plant=str(plant),
-        joint_names=arm.joint_names,
-        q=q,
-        dt=dt,
-        delay=integer("delay", plant.delay + ticks, 0, MAX_DELAY_TICKS),
-        holding_torque=linear.holding_torque,
-        _arm=linear.system,
-        _law=linear_controller(arm, controller, q, dt, plant.continuous),
-        _tip_jacobian=arm.jacobian(q)[:3],
-    )
+    return Linearizer(arm, plant).loop_at(controller, q, delay)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _LinearArm:
-    """A plant around rest at a configuration, and the torque (n,) that holds it there."""
+class Linearizer:
+    """Linearizes one plant at many configurations; a copy of a model with meshes takes longer than the rest."""
 
-    system: StateSpace
-    holding_torque: Array
+    def __init__(self, arm: Arm, plant: Plant):
+        self.arm = arm
+        self.plant = plant
+        self.dt = arm.dt if plant.timestep is None else plant.timestep
+        self._model = plant.model(arm)
+        for bit in _SWITCHED_OFF:
+            self._model.opt.disableflags |= int(bit)
+        self._model.actuator_ctrllimited[:] = 0
+        self._model.actuator_forcelimited[:] = 0
+        self._model.jnt_actfrclimited[:] = 0
+        self._data = mujoco.MjData(self._model)
+        self._substeps = round(self.dt / self._model.opt.timestep)
 
+    def arm_at(self, q: Array) -> LinearArm:
+        """The arm at rest at q."""
+        arm = self.arm
+        n = arm.n
+        data = self._data
+        self._place(q)
+        mujoco.mj_forward(self._model, data)
+        holding = arm.joint_map.reduced(data.qfrc_bias - data.qfrc_passive)
+        x = np.concatenate([q, np.zeros(n), holding])
+        steps = np.concatenate([np.full(2 * n, _POSITION_STEP), _TORQUE_STEP * arm.limits.tau_max])
+        columns = []
+        for i, step in enumerate(steps):
+            change = np.zeros(3 * n)
+            change[i] = step
+            columns.append((self._after_tick(x + change) - self._after_tick(x - change)) / (2 * step))
+        jacobian = np.array(columns).T
+        return LinearArm(jacobian[:, : 2 * n], jacobian[:, 2 * n :], holding, self.dt)
 
-def _linear_arm(arm: Arm, plant: Plant, q: Array, dt: float) -> _LinearArm:
-    """One control period of the plant at rest at q: from torques (n) to positions and velocities (2n)."""
-    n = arm.n
-    model = plant.model(arm)
-    for bit in _SWITCHED_OFF:
-        model.opt.disableflags |= int(bit)
-    model.actuator_ctrllimited[:] = 0
-    model.actuator_forcelimited[:] = 0
-    model.jnt_actfrclimited[:] = 0
-    data = mujoco.MjData(model)
-    substeps = round(dt / model.opt.timestep)
+    def loop_at(self, controller: Controller, q: Array, delay: float = 0.0) -> Loop:
+        """The loop of the plant and a controller at q, with s of further delay."""
+        arm = self.arm
+        ticks = round(delay / self.dt)
+        if abs(delay / self.dt - ticks) > _WHOLE_TICK_TOLERANCE:
+            raise InputError(f"delay: expected a whole number of control periods of {self.dt:g} s, got {delay:g} s")
+        linear = self.arm_at(q)
+        return Loop(
+            robot=arm.name,
+            controller=controller_name(controller),
+            plant=str(self.plant),
+            joint_names=arm.joint_names,
+            q=q,
+            dt=self.dt,
+            delay=integer("delay", self.plant.delay + ticks, 0, MAX_DELAY_TICKS),
+            holding_torque=linear.holding_torque,
+            _arm=_measured(linear, self.plant.differences_positions),
+            _law=linear_controller(arm, controller, q, self.dt, self.plant.continuous),
+            _tip_jacobian=arm.jacobian(q)[:3],
+        )
 
-    def after_tick(x: Array) -> Array:
-        mujoco.mj_resetData(model, data)
-        data.qpos[:] = arm.home_qpos
-        arm.joint_map.set_positions(data.qpos, x[:n])
+    def _place(self, q: Array) -> None:
+        mujoco.mj_resetData(self._model, self._data)
+        self._data.qpos[:] = self.arm.home_qpos
+        self.arm.joint_map.set_positions(self._data.qpos, q)
+        self._data.ctrl[:] = self.arm.home_ctrl
+
+    def _after_tick(self, x: Array) -> Array:
+        """Positions and velocities one control period after positions, velocities and torques, (3n,)."""
+        arm = self.arm
+        n = arm.n
+        data = self._data
+        self._place(x[:n])
         arm.joint_map.set_speeds(data.qvel, x[n : 2 * n])
-        data.ctrl[:] = arm.home_ctrl
         data.ctrl[arm.ctrl_adr] = x[2 * n :] / arm.gear
-        mujoco.mj_step(model, data, substeps)
+        mujoco.mj_step(self._model, data, self._substeps)
         return np.concatenate([data.qpos[arm.qpos_adr], data.qvel[arm.dof_adr]])
 
-    mujoco.mj_resetData(model, data)
-    data.qpos[:] = arm.home_qpos
-    arm.joint_map.set_positions(data.qpos, q)
-    data.ctrl[:] = arm.home_ctrl
-    mujoco.mj_forward(model, data)
-    holding = arm.joint_map.reduced(data.qfrc_bias - data.qfrc_passive)
-    x = np.concatenate([q, np.zeros(n), holding])
-    steps = np.concatenate([np.full(2 * n, _POSITION_STEP), _TORQUE_STEP * arm.limits.tau_max])
-    columns = []
-    for i, step in enumerate(steps):
-        change = np.zeros(3 * n)
-        change[i] = step
-        columns.append((after_tick(x + change) - after_tick(x - change)) / (2 * step))
-    jacobian = np.array(columns).T
-    system = StateSpace(jacobian[:, : 2 * n], jacobian[:, 2 * n :], np.eye(2 * n), np.zeros((2 * n, n)))
-    return _LinearArm(system, holding)
+
+def _measured(linear: LinearArm, is_differenced: bool) -> StateSpace:
+    """From torques to measured positions and velocities, (2n,), which may be differences of positions over the last tick."""
+    n = len(linear.holding_torque)
+    if not is_differenced:
+        return StateSpace(linear.A, linear.B, np.eye(2 * n), np.zeros((2 * n, n)))
+    last = slice(2 * n, 3 * n)  # the positions of the last tick
+    A = np.zeros((3 * n, 3 * n))
+    A[: 2 * n, : 2 * n] = linear.A
+    A[last, :n] = np.eye(n)
+    C = np.zeros((2 * n, 3 * n))
+    C[:n, :n] = np.eye(n)
+    C[n:, :n] = np.eye(n) / linear.dt
+    C[n:, last] = -np.eye(n) / linear.dt
+    return StateSpace(A, np.vstack([linear.B, np.zeros((n, n))]), C, np.zeros((2 * n, n)))

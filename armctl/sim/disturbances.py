@@ -29,6 +29,7 @@ class Disturbances:
 
     Attributes:
         push: (6,) N and N m, the wrench of the pushes in the last tick; both loops write it.
+        last_position: (n,) rad, the true positions of the last tick, NaN at the first one; None if no velocity is differenced.
         delay: What delays the commands; both loops use it.
     """
 
@@ -53,6 +54,8 @@ class Disturbances:
         self._steps = round(dt / model.opt.timestep)
         self._timestep = float(model.opt.timestep)
         self.push = np.zeros(6)
+        # Without a velocity sensor, a law gets the difference of two positions. In a step of MuJoCo that is the velocity.
+        self.last_position = np.full(n, np.nan) if plant.differences_positions else None
         self.delay = _core.Delay(n, plant.delay)
         self.delay.restart(plant.delay)
         self._rng = np.random.default_rng(plant.seed)
@@ -61,11 +64,15 @@ class Disturbances:
         self._noise_before: tuple[Any, Array] | None = None
 
     def measured(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """The true positions, rad, and velocities, rad/s, with measurement noise.
+        """What the sensors measure at positions q, rad, and velocities v, rad/s. Call it once in a tick.
 
-        Without a velocity sensor, the velocity has the noise of a difference of two measured positions.
+        Without a velocity sensor, the velocity is the difference of two measured positions. The one at the first tick is true.
         """
         noise = self._noise(1)[0]
+        if self.last_position is not None:
+            difference = (q - self.last_position) / self._dt
+            v = np.where(np.isnan(difference), v, difference)
+            self.last_position[:] = q
         return q + noise[0], v + noise[1]
 
     def driven(self, tau: Array, q: Array) -> Array:

@@ -111,8 +111,8 @@ class Plant:
         wrench_delay: Ticks by which measured wrenches are delayed.
         pushes: External forces, each a `Push`.
         continuous: Whether the arm moves almost continuously between ticks while the torque is held, as a real arm does
-            (Runge-Kutta steps of at most 0.2 ms, less if damping is faster). Otherwise the model's integrator makes one step
-            a tick.
+            (Runge-Kutta steps of at most 0.2 ms, less if damping is faster). A velocity that is differenced from positions
+            is then half a tick late. Otherwise the model's integrator makes one step a tick, whose velocity is that difference.
         timestep: s, the tick: control period and, unless continuous, integration step; None for the model's.
         seed: The seed of the noise; every run of the same plant has the same noise.
         name: A short name for tables and files, such as "worn gears".
@@ -201,7 +201,14 @@ class Plant:
     @property
     def has_signal_disturbances(self) -> bool:
         """Whether measurements or commands are disturbed during a run."""
-        return any(attribute.disturbs_signals and self._differs(name) for name, attribute in PLANT_ATTRIBUTES.items())
+        return self.differences_positions or any(
+            attribute.disturbs_signals and self._differs(name) for name, attribute in PLANT_ATTRIBUTES.items()
+        )
+
+    @property
+    def differences_positions(self) -> bool:
+        """Whether the measured velocity is a difference of positions that differs from the true velocity."""
+        return self.continuous and self.velocity_noise is None
 
     def model(self, arm: Arm) -> mujoco.MjModel:
         """The MuJoCo model of this plant.

@@ -88,35 +88,30 @@ void bind_pd(nb::module_& module) {
                  return new PDGravity(std::move(model), pd_gains(stiffness, damping));
              }),
              "model"_a, nb::kw_only(), "stiffness"_a, "damping"_a);
-    nb::class_<PIDGravity, Law>(module, "PIDGravity", "PID with gravity compensation.")
-        .def(nb::new_([](Model model, const In& stiffness, const In& damping, const In& integral_gain, const In& torque_limit, double dt) {
-                 PIDGains gains{
-                     .feedback = pd_gains(stiffness, damping),
-                     .integral = copied(integral_gain, "integral_gain"),
-                     .torque_limit = copied(torque_limit, "torque_limit"),
-                 };
-                 return new PIDGravity(std::move(model), std::move(gains), dt);
-             }),
-             "model"_a, nb::kw_only(), "stiffness"_a, "damping"_a, "integral_gain"_a, "torque_limit"_a, "dt"_a);
 }
 
-ComputedTorque* new_computed_torque(Model model, double stiffness, double damping, double integral_gain, const In& added_inertia,
-                                    const In& torque_limit, bool textbook, double dt) {
+EstimateWeights estimate_weights(double position, double velocity) {
+    return {.position = checked_gain(position, "position_weight"), .velocity = checked_gain(velocity, "velocity_weight")};
+}
+
+ComputedTorque* new_computed_torque(Model model, double stiffness, double damping, double position_weight, double velocity_weight,
+                                    const In& added_inertia, const In& torque_limit, bool textbook, double dt, bool continuous) {
     ComputedTorque::Gains gains{
         .stiffness = stiffness,
         .damping = damping,
-        .integral = integral_gain,
         .added_inertia = copied(added_inertia, "added_inertia"),
+        .estimate = estimate_weights(position_weight, velocity_weight),
         .torque_limit = copied(torque_limit, "torque_limit"),
     };
     const auto form = textbook ? ComputedTorque::Form::textbook : ComputedTorque::Form::discrete;
-    return new ComputedTorque(std::move(model), std::move(gains), form, dt);
+    return new ComputedTorque(std::move(model), std::move(gains), form, dt, continuous);
 }
 
 void bind_computed_torque(nb::module_& module) {
-    nb::class_<ComputedTorque, Law>(module, "ComputedTorque", "Computed torque, with integral action if its gain is not 0.")
-        .def(nb::new_(&new_computed_torque), "model"_a, nb::kw_only(), "stiffness"_a, "damping"_a, "integral_gain"_a, "added_inertia"_a,
-             "torque_limit"_a, "textbook"_a, "dt"_a);
+    nb::class_<ComputedTorque, Law>(module, "ComputedTorque",
+                                    "Computed torque; with weights of an estimate, at estimated positions and velocities.")
+        .def(nb::new_(&new_computed_torque), "model"_a, nb::kw_only(), "stiffness"_a, "damping"_a, "position_weight"_a, "velocity_weight"_a,
+             "added_inertia"_a, "torque_limit"_a, "textbook"_a, "dt"_a, "continuous"_a);
 }
 
 ComputedTorqueObserver::Gains observer_gains(double stiffness, double damping, double position_weight, double velocity_weight,
@@ -124,8 +119,7 @@ ComputedTorqueObserver::Gains observer_gains(double stiffness, double damping, d
     return {
         .stiffness = stiffness,
         .damping = damping,
-        .position_weight = position_weight,
-        .velocity_weight = velocity_weight,
+        .estimate = estimate_weights(position_weight, velocity_weight),
         .disturbance_weight = disturbance_weight,
         .torque_limit = copied(torque_limit, "torque_limit"),
     };

@@ -144,7 +144,7 @@ void bind_wrench_sensor(nb::module_& module) {
 
 TickLoop* new_tick_loop(Api api, nb::handle model, nb::handle data, const IntegersIn& qpos_addresses, const IntegersIn& dof_addresses,
                         const IntegersIn& ctrl_addresses, const IntegersIn& torque_addresses, const In& gear, const In& torque_share,
-                        Model pushed_arm, size_t substeps, double diverged_speed) {
+                        Model pushed_arm, size_t substeps, double dt, double diverged_speed) {
     std::vector<Motor> motors = motors_of({.qpos = qpos_addresses, .dof = dof_addresses, .ctrl = ctrl_addresses, .gear = gear});
     const std::span<const std::int64_t> torques = torque_addresses.vector(motors.size(), "torque_addresses");
     const Vector shares = torque_share.vector(motors.size(), "torque_share");
@@ -153,7 +153,7 @@ TickLoop* new_tick_loop(Api api, nb::handle model, nb::handle data, const Intege
         motors[i].torque_share = shares[i];
     }
     return new TickLoop(std::move(api), mujoco_simulation(model, data), std::move(motors), std::move(pushed_arm),
-                        {.substeps = substeps, .diverged_speed = diverged_speed});
+                        {.substeps = substeps, .dt = dt, .diverged_speed = diverged_speed});
 }
 
 std::vector<GeomPair> geoms_of(const nb::bytes& geoms) {
@@ -180,6 +180,7 @@ struct TickArguments {
     OptionalIn noise;
     OptionalIn pushes;
     OptionalOut push;
+    OptionalOut last_position;
     WrenchSensor* sensor;
     OptionalIn times;
     OptionalIn wrench_noise;
@@ -232,6 +233,7 @@ void run_ticks(TickLoop& loop, Law& law, TickEnd& end, const TickArguments& give
         .noise = {given.noise.shaped({coming, 2, n}, "noise")},
         .pushes = given.pushes.matrix(coming, 6, "pushes"),
         .push = given.push.vector(6, "push"),
+        .last_position = given.last_position.vector(n, "last_position"),
     };
     const TickSensor sensor{
         .sensor = given.sensor,
@@ -279,7 +281,7 @@ void bind_tick_end(nb::module_& module) {
 void bind_loop(nb::module_& module) {
     nb::class_<TickLoop>(module, "TickLoop", "The tick loop of one simulation: measure, control, step, record. One thread at a time.")
         .def(nb::new_(&new_tick_loop), "api"_a, "model"_a, "data"_a, nb::kw_only(), "qpos_addresses"_a, "dof_addresses"_a,
-             "ctrl_addresses"_a, "torque_addresses"_a, "gear"_a, "torque_share"_a, "pushed_arm"_a, "substeps"_a, "diverged_speed"_a,
+             "ctrl_addresses"_a, "torque_addresses"_a, "gear"_a, "torque_share"_a, "pushed_arm"_a, "substeps"_a, "dt"_a, "diverged_speed"_a,
              nb::keep_alive<0, 3>(), nb::keep_alive<0, 4>(),
              "The loop of a mujoco.MjModel and MjData.\n\n"
              "The addresses are those of the motors' joints in qpos and qvel, of the motors in ctrl and of their torques in\n"
@@ -289,8 +291,8 @@ void bind_loop(nb::module_& module) {
             "run",
             [](TickLoop& self, Law& law, TickEnd& end, const In& q, const In& v, const In& a, const In& v_tick, const In& a_tick,
                const Out& qpos_rows, const Out& v_rows, const Out& command_rows, const Out& torque_rows, nb::handle wrench_rows,
-               size_t first, size_t last, Delay* delay, nb::handle noise, nb::handle pushes, nb::handle push, WrenchSensor* sensor,
-               nb::handle times, nb::handle wrench_noise, const nb::bytes& touching) {
+               size_t first, size_t last, Delay* delay, nb::handle noise, nb::handle pushes, nb::handle push, nb::handle last_position,
+               WrenchSensor* sensor, nb::handle times, nb::handle wrench_noise, const nb::bytes& touching) {
                 run_ticks(self, law, end,
                           {
                               .q = q,
@@ -309,6 +311,7 @@ void bind_loop(nb::module_& module) {
                               .noise = OptionalIn(noise),
                               .pushes = OptionalIn(pushes),
                               .push = OptionalOut(push),
+                              .last_position = OptionalOut(last_position),
                               .sensor = sensor,
                               .times = OptionalIn(times),
                               .wrench_noise = OptionalIn(wrench_noise),
@@ -317,13 +320,16 @@ void bind_loop(nb::module_& module) {
             },
             "law"_a, "end"_a, nb::kw_only(), "q"_a, "v"_a, "a"_a, "v_tick"_a, "a_tick"_a, "qpos_rows"_a, "v_rows"_a, "command_rows"_a,
             "torque_rows"_a, "wrench_rows"_a.none() = nb::none(), "first"_a, "last"_a, "delay"_a.none() = nb::none(),
-            "noise"_a.none() = nb::none(), "pushes"_a.none() = nb::none(), "push"_a.none() = nb::none(), "sensor"_a.none() = nb::none(),
-            "times"_a.none() = nb::none(), "wrench_noise"_a.none() = nb::none(), "touching"_a,
+            "noise"_a.none() = nb::none(), "pushes"_a.none() = nb::none(), "push"_a.none() = nb::none(),
+            "last_position"_a.none() = nb::none(), "sensor"_a.none() = nb::none(), "times"_a.none() = nb::none(),
+            "wrench_noise"_a.none() = nb::none(), "touching"_a,
             "Runs the ticks [first, last) of a reference, (ticks, n) each, and records them in the rows, (ticks, ...) each.\n\n"
             "How they ended is written into `end`: an interrupt, which raises when the call returns, would lose a result.\n"
             "Without a delay, the motors receive the command itself. Noise (last - first, 2, n), pushes (last - first, 6),\n"
             "times (last - first,) and wrench_noise (last - first, 6) begin at the first of the ticks. `push` (6,) gets the\n"
-            "last of the pushes. `touching` are the geoms that touch in the row before, as in `TickEnd.contacts`.");
+            "last of the pushes. With `last_position` (n,), NaN at the first tick, measured velocities are differences of "
+            "positions.\n"
+            "`touching` are the geoms that touch in the row before, as in `TickEnd.contacts`.");
 }
 
 }  // namespace
