@@ -14,9 +14,7 @@ namespace {
 constexpr double ROUNDING = 1.0 + 1e-12;
 
 size_t checked_index(std::int64_t index, size_t count, const char* message) {
-    if (index < 0 || static_cast<size_t>(index) >= count) {
-        throw InputError(message);
-    }
+    if (index < 0 || static_cast<size_t>(index) >= count) { throw InputError(message); }
     return static_cast<size_t>(index);
 }
 
@@ -24,12 +22,8 @@ size_t checked_index(std::int64_t index, size_t count, const char* message) {
 std::vector<size_t> checked_starts(Integers starts, size_t count, const char* message) {
     std::vector<size_t> checked;
     checked.reserve(starts.size());
-    for (const std::int64_t start : starts) {
-        checked.push_back(checked_index(start, count + 1, message));
-    }
-    if (!std::is_sorted(checked.begin(), checked.end()) || checked.front() != 0 || checked.back() != count) {
-        throw InputError(message);
-    }
+    for (const std::int64_t start : starts) { checked.push_back(checked_index(start, count + 1, message)); }
+    if (!std::is_sorted(checked.begin(), checked.end()) || checked.front() != 0 || checked.back() != count) { throw InputError(message); }
     return checked;
 }
 
@@ -45,9 +39,7 @@ CollisionModel::CollisionModel(const CollisionArrays& arrays) {
         given[p].b = checked_index(arrays.pairs(p, 1), geoms.size(), "pairs: a row of geoms does not exist");
     }
     set_pairs(std::move(given));
-    for (size_t i = 0; i < arrays.directions.rows; ++i) {
-        directions.push_back(vec3(arrays.directions.row(i)));
-    }
+    for (size_t i = 0; i < arrays.directions.rows; ++i) { directions.push_back(vec3(arrays.directions.row(i))); }
 }
 
 void CollisionModel::add_frames(const CollisionArrays& arrays) {
@@ -73,11 +65,8 @@ void CollisionModel::add_geoms(const CollisionArrays& arrays) {
     const size_t count = arrays.kinds.size();
     const size_t vertex_count = arrays.vertices.rows;
     const std::vector<size_t> starts = checked_starts(arrays.first_vertex, vertex_count, "first_vertex: no rows of vertices");
-    for (size_t i = 0; i < vertex_count; ++i) {
-        vertices.positions.push_back(vec3(arrays.vertices.row(i)));
-    }
-    vertices.first_neighbors =
-        checked_starts(arrays.first_neighbor, arrays.neighbors.size(), "first_neighbor: no rows of neighbors");
+    for (size_t i = 0; i < vertex_count; ++i) { vertices.positions.push_back(vec3(arrays.vertices.row(i))); }
+    vertices.first_neighbors = checked_starts(arrays.first_neighbor, arrays.neighbors.size(), "first_neighbor: no rows of neighbors");
     for (const std::int64_t neighbor : arrays.neighbors) {
         vertices.neighbors.push_back(checked_index(neighbor, vertex_count, "neighbors: a vertex does not exist"));
     }
@@ -93,9 +82,7 @@ void CollisionModel::add_geoms(const CollisionArrays& arrays) {
         geom.last_vertex = starts[g + 1];
         geom.semi_axes = {geom.size.x * geom.axes.x, geom.size.y * geom.axes.y, geom.size.z * geom.axes.z};
         geom.offset = dot(geom.normal(), geom.position);
-        if (geom.has_vertices() && geom.first_vertex == geom.last_vertex) {
-            throw InputError("first_vertex: a hull without vertices");
-        }
+        if (geom.has_vertices() && geom.first_vertex == geom.last_vertex) { throw InputError("first_vertex: a hull without vertices"); }
         geoms.push_back(geom);
         spheres.push_back({vec3(arrays.centers.row(g)), arrays.bounds[g] * ROUNDING});
         sphere_frames.push_back(geom.frame);
@@ -106,9 +93,7 @@ void CollisionModel::add_geoms(const CollisionArrays& arrays) {
 void CollisionModel::add_groups() {
     std::map<size_t, std::vector<size_t>> members;
     for (size_t g = 0; g < geoms.size(); ++g) {
-        if (geoms[g].frame > 0) {
-            members[geoms[g].frame].push_back(g);
-        }
+        if (geoms[g].frame > 0) { members[geoms[g].frame].push_back(g); }
     }
     for (const auto& [frame, moving] : members) {
         std::vector<BoundingSphere> inside;
@@ -132,9 +117,7 @@ void CollisionModel::set_pairs(std::vector<GeomPair> given) {
     for (size_t p = 0; p < pairs.size(); ++p) {
         pairs[p].common = common_frame(geoms[pairs[p].a].frame, geoms[pairs[p].b].frame);
         const auto [a, b] = groups_of(pairs[p]);
-        if (groups.empty() || groups.back().a != a || groups.back().b != b) {
-            groups.push_back({a, b, p, p, pairs[p].common});
-        }
+        if (groups.empty() || groups.back().a != a || groups.back().b != b) { groups.push_back({a, b, p, p, pairs[p].common}); }
         groups.back().last_pair = p + 1;
     }
 }
@@ -143,9 +126,7 @@ std::shared_ptr<const CollisionModel> CollisionModel::with_pairs(Integers keep) 
     auto fewer = std::make_shared<CollisionModel>(*this);
     std::vector<GeomPair> kept;
     for (size_t p = 0; p < pairs.size(); ++p) {
-        if (keep[p] != 0) {
-            kept.push_back(pairs[p]);
-        }
+        if (keep[p] != 0) { kept.push_back(pairs[p]); }
     }
     fewer->set_pairs(std::move(kept));
     return fewer;
@@ -165,9 +146,7 @@ size_t CollisionModel::common_frame(size_t a, size_t b) const {
 
 size_t CollisionModel::frame_of(size_t joint) const {
     for (size_t i = 1; i < frames.size(); ++i) {
-        if (frames[i].joint == joint) {
-            return i;
-        }
+        if (frames[i].joint == joint) { return i; }
     }
     throw InputError("joint: there is no such joint");
 }
@@ -186,9 +165,7 @@ std::vector<size_t> CollisionModel::joints_between(size_t pair) const {
 void CollisionModel::positions(Vector q, Result all) const {
     for (size_t i = 0; i < all.size(); ++i) {
         double position = joint_offset_[i];
-        for (size_t j = 0; j < q.size(); ++j) {
-            position += ratio(i, j) * q[j];
-        }
+        for (size_t j = 0; j < q.size(); ++j) { position += ratio(i, j) * q[j]; }
         all[i] = position;
     }
 }
@@ -196,27 +173,21 @@ void CollisionModel::positions(Vector q, Result all) const {
 void CollisionModel::speeds(Vector v, Result all) const {
     for (size_t i = 0; i < all.size(); ++i) {
         all[i] = 0.0;
-        for (size_t j = 0; j < v.size(); ++j) {
-            all[i] += ratio(i, j) * v[j];
-        }
+        for (size_t j = 0; j < v.size(); ++j) { all[i] += ratio(i, j) * v[j]; }
     }
 }
 
 void CollisionModel::bound_moves(Vector moves, Result all) const {
     for (size_t i = 0; i < all.size(); ++i) {
         all[i] = 0.0;
-        for (size_t j = 0; j < moves.size(); ++j) {
-            all[i] += std::abs(ratio(i, j)) * moves[j];
-        }
+        for (size_t j = 0; j < moves.size(); ++j) { all[i] += std::abs(ratio(i, j)) * moves[j]; }
     }
 }
 
 void CollisionModel::reduce_gradient(Vector all, Result gradient) const {
     for (size_t j = 0; j < gradient.size(); ++j) {
         gradient[j] = 0.0;
-        for (size_t i = 0; i < all.size(); ++i) {
-            gradient[j] += all[i] * ratio(i, j);
-        }
+        for (size_t i = 0; i < all.size(); ++i) { gradient[j] += all[i] * ratio(i, j); }
     }
 }
 

@@ -39,9 +39,7 @@ size_t Vertices::farthest(const Geom& hull, Vec3 direction, size_t start) const 
                 best = neighbors[edge];
             }
         }
-        if (best == current) {
-            return best;
-        }
+        if (best == current) { return best; }
     }
 }
 

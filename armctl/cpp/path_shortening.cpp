@@ -22,9 +22,7 @@ auto at(Path& path, size_t index) { return path.begin() + static_cast<std::ptrdi
 
 double length(const Path& path) {
     double total = 0.0;
-    for (size_t k = 0; k + 1 < path.size(); ++k) {
-        total += joint_distance(path[k], path[k + 1]);
-    }
+    for (size_t k = 0; k + 1 < path.size(); ++k) { total += joint_distance(path[k], path[k + 1]); }
     return total;
 }
 
@@ -39,9 +37,7 @@ Place place_on(const Path& path, double distance) {
     }
     const double share = line_length > 0.0 ? (distance - passed) / line_length : 0.0;
     Configuration q(path[line].size());
-    for (size_t i = 0; i < q.size(); ++i) {
-        q[i] = path[line][i] + share * (path[line + 1][i] - path[line][i]);
-    }
+    for (size_t i = 0; i < q.size(); ++i) { q[i] = path[line][i] + share * (path[line + 1][i] - path[line][i]); }
     return {line, q};
 }
 
@@ -50,9 +46,7 @@ Place place_on(const Path& path, double distance) {
 void drop_needless_points(FreeSpace& space, Path& path) {
     for (size_t point = 0; point + 2 < path.size(); ++point) {
         size_t farthest = path.size() - 1;
-        while (farthest > point + 1 && !space.line_is_free(path[point], path[farthest])) {
-            --farthest;
-        }
+        while (farthest > point + 1 && !space.line_is_free(path[point], path[farthest])) { --farthest; }
         path.erase(at(path, point + 1), at(path, farthest));
     }
 }
@@ -66,12 +60,8 @@ void take_shortcuts(FreeSpace& space, Path& path, Matrix places) {
         const Place begin = place_on(path, low);
         const Place end = place_on(path, high);
         ++idle;
-        if (begin.line == end.line || high - low - joint_distance(begin.q, end.q) < MIN_GAIN * total) {
-            continue;
-        }
-        if (!space.line_is_free(begin.q, end.q)) {
-            continue;
-        }
+        if (begin.line == end.line || high - low - joint_distance(begin.q, end.q) < MIN_GAIN * total) { continue; }
+        if (!space.line_is_free(begin.q, end.q)) { continue; }
         idle = 0;
         path.erase(at(path, begin.line + 1), at(path, end.line + 1));
         path.insert(at(path, begin.line + 1), {begin.q, end.q});

@@ -34,9 +34,7 @@ double dot(const SplineWeights& weights, Three c) { return weights[0] * c[0] + w
 void add(size_t k, const SplineWeights& g, double slope, double curvature, Result gradient, BandMatrix& hessian) {
     for (size_t row = 0; row < 3; ++row) {
         gradient[k + row] += slope * g[row];
-        for (size_t column = row; column < 3; ++column) {
-            hessian.at(k + row, column - row) += curvature * g[row] * g[column];
-        }
+        for (size_t column = row; column < 3; ++column) { hessian.at(k + row, column - row) += curvature * g[row] * g[column]; }
     }
 }
 
@@ -57,8 +55,7 @@ double max_slope_at(const PathNodes& nodes, size_t k) {
 
 }  // namespace
 
-PathTiming::PathTiming(double interval_length, const PathPieces& pieces, const PathNodes& nodes)
-    : h_(interval_length), intervals_(0) {
+PathTiming::PathTiming(double interval_length, const PathPieces& pieces, const PathNodes& nodes) : h_(interval_length), intervals_(0) {
     const size_t count = pieces.interval.size();
     points_.reserve(2 * count);
     for (size_t p = 0; p < 2 * count; ++p) {
@@ -98,13 +95,9 @@ void PathTiming::add_forces(const PathNodes& nodes, size_t k, double max_slope, 
         const double bound = std::min(nodes.high(k, i), -nodes.low(k, i));
         const double others = std::abs(beta) * b + std::abs(delta) * w;
         const double largest = side == 0.0 ? others : std::abs(side) * max_slope + others;
-        if (largest < bound) {
-            continue;
-        }
+        if (largest < bound) { continue; }
         ForceBound force{{}, delta, nodes.low(k, i), nodes.high(k, i)};
-        for (size_t r = 0; r < 3; ++r) {
-            force.weights[r] = side * weights.slope[r] + beta * weights.value[r];
-        }
+        for (size_t r = 0; r < 3; ++r) { force.weights[r] = side * weights.slope[r] + beta * weights.value[r]; }
         forces_.push_back(force);
     }
 }
@@ -120,16 +113,12 @@ void PathTiming::add_jerks(const PathNodes& nodes, size_t k, Vector q3, double m
     double max_curvature = infinity;  // a bound on |b''| w
     for (size_t i = 0; i < q3.size(); ++i) {
         const double side = 0.5 * std::abs(q1[i]);
-        if (side > 0.0) {
-            max_curvature = std::min(max_curvature, (j_max[i] + others(i)) / side);
-        }
+        if (side > 0.0) { max_curvature = std::min(max_curvature, (j_max[i] + others(i)) / side); }
     }
     for (size_t i = 0; i < q3.size(); ++i) {
         const double side = 0.5 * std::abs(q1[i]);
         const double largest = side == 0.0 ? others(i) : side * max_curvature + others(i);
-        if (largest < j_max[i]) {
-            continue;
-        }
+        if (largest < j_max[i]) { continue; }
         JerkBound jerk{{}, j_max[i]};
         for (size_t r = 0; r < 3; ++r) {
             jerk.weights[r] = q3[i] * weights.value[r] + 1.5 * q2[i] * weights.slope[r] + 0.5 * q1[i] * weights.curvature[r];
@@ -141,21 +130,13 @@ void PathTiming::add_jerks(const PathNodes& nodes, size_t k, Vector q3, double m
 bool PathTiming::solve(Result c, bool from_near) const {
     double smallest_bound = infinity;
     for (const Point& point : points_) {
-        if (point.b_max > 0) {
-            smallest_bound = std::min(smallest_bound, point.b_max);
-        }
+        if (point.b_max > 0) { smallest_bound = std::min(smallest_bound, point.b_max); }
     }
-    for (double& value : c) {
-        value = from_near ? start_near * value : start_constant * smallest_bound;
-    }
+    for (double& value : c) { value = from_near ? start_near * value : start_constant * smallest_bound; }
     while (!std::isfinite(cost(c, 1.0))) {
-        for (double& value : c) {
-            value *= start_factor;
-        }
+        for (double& value : c) { value *= start_factor; }
         const double largest = *std::max_element(c.begin(), c.end());
-        if (!(largest > std::numeric_limits<double>::min() && largest < infinity)) {
-            return false;
-        }
+        if (!(largest > std::numeric_limits<double>::min() && largest < infinity)) { return false; }
     }
     const double first = from_near ? barrier_from_near : barrier_from_constant;
     minimize_with_barriers(*this, c, BarrierSchedule{.first = first * duration(), .factor = barrier_factor, .centered = 1.0});
@@ -170,9 +151,7 @@ double PathTiming::cost(Vector c, double barrier) const {
         const double left = 0.5 * (c[m] + c[m + 1]);
         const double middle = (c[m] + 6 * c[m + 1] + c[m + 2]) / 8;
         const double right = 0.5 * (c[m + 1] + c[m + 2]);
-        if (left <= 0 || middle <= 0 || right <= 0) {
-            return infinity;
-        }
+        if (left <= 0 || middle <= 0 || right <= 0) { return infinity; }
         time += h_ / 6.0 * (1 / std::sqrt(left) + 4 / std::sqrt(middle) + 1 / std::sqrt(right));
     }
     double logs = 0.0;
@@ -189,13 +168,9 @@ double PathTiming::cost(Vector c, double barrier) const {
     for (const Point& point : points_) {
         const Three three = three_from(c, point.interval);
         const double b = dot(point.weights, three);
-        if (b <= 0) {
-            return infinity;
-        }
+        if (b <= 0) { return infinity; }
         if (point.b_max > 0) {
-            if (b >= point.b_max) {
-                return infinity;
-            }
+            if (b >= point.b_max) { return infinity; }
             product *= 1 - b / point.b_max;
         }
         const double w = std::sqrt(b);
@@ -204,9 +179,7 @@ double PathTiming::cost(Vector c, double barrier) const {
             const double y = dot(bound.weights, three) + bound.damping * w;
             const double above = bound.high - y;
             const double below = y - bound.low;
-            if (above <= 0 || below <= 0) {
-                return infinity;
-            }
+            if (above <= 0 || below <= 0) { return infinity; }
             const double width = bound.high - bound.low;
             multiply(above * below / (width * width));
         }
@@ -214,9 +187,7 @@ double PathTiming::cost(Vector c, double barrier) const {
             const JerkBound& bound = jerks_[jerk];
             const double y = dot(bound.weights, three) * w / bound.max;
             const double slack = 1 - y * y;
-            if (slack <= 0) {
-                return infinity;
-            }
+            if (slack <= 0) { return infinity; }
             multiply(slack);
         }
     }

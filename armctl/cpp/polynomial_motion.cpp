@@ -8,9 +8,7 @@ namespace armctl {
 
 void PolynomialMotion::set(const CollisionModel& model, Vector knots, Vector coefficients) {
     const size_t n = model.n();
-    if (knots.size() < 2) {
-        throw InputError("knots: need at least two");
-    }
+    if (knots.size() < 2) { throw InputError("knots: need at least two"); }
     const size_t pieces = knots.size() - 1;
     powers_ = n > 0 ? coefficients.size() / (pieces * n) : 2;
     joints_ = model.joints();
@@ -54,18 +52,14 @@ void PolynomialMotion::bound_ranges() {
 }
 
 size_t PolynomialMotion::piece_at(double time, size_t piece) const {
-    while (piece + 1 < pieces() && knots_[piece + 1] <= time) {
-        ++piece;
-    }
+    while (piece + 1 < pieces() && knots_[piece + 1] <= time) { ++piece; }
     return piece;
 }
 
 void PolynomialMotion::evaluate(size_t piece, double time, Result positions) const {
     for (size_t i = 0; i < joints_; ++i) {
         double value = 0.0;
-        for (size_t power = powers_; power > 0; --power) {
-            value = value * time + coefficient(piece, power - 1, i);
-        }
+        for (size_t power = powers_; power > 0; --power) { value = value * time + coefficient(piece, power - 1, i); }
         positions[i] = value;
     }
 }
@@ -90,8 +84,7 @@ void PolynomialMotion::bound_interval(size_t piece, double middle, double half, 
         const double d2 = c2 + middle * (3.0 * c3 + middle * (6.0 * c4 + middle * 10.0 * c5));
         const double d3 = c3 + middle * (4.0 * c4 + middle * 10.0 * c5);
         const double d4 = c4 + middle * 5.0 * c5;
-        delta[i] =
-            half * (std::abs(d1) + half * (std::abs(d2) + half * (std::abs(d3) + half * (std::abs(d4) + half * std::abs(c5)))));
+        delta[i] = half * (std::abs(d1) + half * (std::abs(d2) + half * (std::abs(d3) + half * (std::abs(d4) + half * std::abs(c5)))));
     }
 }
 

@@ -16,18 +16,14 @@ struct Polynomial {
 
     double operator()(double x) const {
         double value = c[degree];
-        for (size_t k = degree; k-- > 0;) {
-            value = value * x + c[k];
-        }
+        for (size_t k = degree; k-- > 0;) { value = value * x + c[k]; }
         return value;
     }
 
     Polynomial derivative() const {
         Polynomial slope;
         slope.degree = degree > 0 ? degree - 1 : 0;
-        for (size_t k = 1; k <= degree; ++k) {
-            slope.c[k - 1] = c[k] * static_cast<double>(k);
-        }
+        for (size_t k = 1; k <= degree; ++k) { slope.c[k - 1] = c[k] * static_cast<double>(k); }
         return slope;
     }
 };
@@ -50,15 +46,9 @@ Roots roots_of_quadratic(const Polynomial& p) {
 
 // Between two neighbouring turning points a polynomial is monotone and has at most one root, which bisection finds.
 Roots roots_of(const Polynomial& p) {
-    if (p.degree == 0) {
-        return {};
-    }
-    if (p.degree == 1) {
-        return {clamped(-p.c[0] / p.c[1])};
-    }
-    if (p.degree == 2) {
-        return roots_of_quadratic(p);
-    }
+    if (p.degree == 0) { return {}; }
+    if (p.degree == 1) { return {clamped(-p.c[0] / p.c[1])}; }
+    if (p.degree == 2) { return roots_of_quadratic(p); }
     Roots turns = roots_of(p.derivative());
     std::sort(turns.begin(), turns.begin() + p.degree - 1);
     Roots roots{};
@@ -80,9 +70,7 @@ size_t largest_power(const PolynomialSpan& polynomials) {
     for (size_t power = polynomials.degree; power > 0; --power) {
         for (size_t piece = 0; piece < polynomials.pieces; ++piece) {
             for (size_t joint = 0; joint < polynomials.joints; ++joint) {
-                if (polynomials(piece, power, joint) != 0.0) {
-                    return power;
-                }
+                if (polynomials(piece, power, joint) != 0.0) { return power; }
             }
         }
     }
@@ -98,12 +86,8 @@ void polynomial_extremes(const PolynomialSpan& polynomials, size_t order, Matrix
         for (size_t joint = 0; joint < polynomials.joints; ++joint) {
             Polynomial p;
             p.degree = polynomials.degree;
-            for (size_t k = 0; k <= p.degree; ++k) {
-                p.c[k] = polynomials(piece, k, joint);
-            }
-            for (size_t i = 0; i < order; ++i) {
-                p = p.derivative();
-            }
+            for (size_t k = 0; k <= p.degree; ++k) { p.c[k] = polynomials(piece, k, joint); }
+            for (size_t i = 0; i < order; ++i) { p = p.derivative(); }
             Polynomial slope = p.derivative();
             slope.degree = turning_points;
             const Roots turns = roots_of(slope);

@@ -79,8 +79,7 @@ private:
     double barrier_count() const;
     Displacement slack_of_displacement(Vector x, size_t section, size_t joint, double sign) const;
     void add_waypoint(Vector x, size_t waypoint, size_t joint, double barrier, Result gradient, BandMatrix& hessian) const;
-    void add_section(Vector x, size_t section, size_t joint, double sign, double barrier, Result gradient,
-                     BandMatrix& hessian) const;
+    void add_section(Vector x, size_t section, size_t joint, double sign, double barrier, Result gradient, BandMatrix& hessian) const;
 
     size_t waypoint_count_;
     std::vector<JointBounds> joints_;

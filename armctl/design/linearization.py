@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -32,11 +33,56 @@ _SWITCHED_OFF = (
 )
 
 
+class LinearArm(NamedTuple):
+    """An arm at rest at a configuration, linear in small deviations, over one control period.
+
+    The state x has the positions and velocities of the joints: x[k + 1] = A x[k] + B tau[k]. Those of the springs of elastic
+    joints, the currents of motors and the commands on their way through an actuator's delay follow, if there are any.
+
+    Attributes:
+        A: (k, k), k = 2n for a rigid arm with ideal motors.
+        B: (k, n).
+        holding_torque: (n,) N m that holds the arm still; tau is the deviation from it.
+        dt: s, the control period.
+        C: (2n, k), positions and velocities where they are measured.
+        push: (k, n), of torques on the links instead of tau.
+        position: (n, k), positions of the links.
+    """
+
+    A: Array
+    B: Array
+    holding_torque: Array
+    dt: float
+    C: Array
+    push: Array
+    position: Array
+
+
+def linear_arm(arm: Arm, q: ArrayLike, plant: Plant | None = None) -> LinearArm:
+    """Linearizes an arm without a controller, for the design of controllers of your own.
+
+    The arm is differentiated through one control period of the simulation, in which the torque is held: with the springs of
+    elastic joints, the windings of motors and the delays of actuators. Contacts, limits, dry friction and gaps are left out.
+
+    Args:
+        q: (n,) rad, the configuration.
+        plant: How the simulated arm differs from the model; by default it does not.
+
+    Returns:
+        A, B, the torque that holds the arm, the control period, and what is measured.
+
+    Raises:
+        InputError: An argument has a wrong type, length or value.
+        LimitError: A position outside the limits.
+    """
+    check_arm(arm)
+    return Linearizer(arm, read_plant(plant)).arm_at(arm.checked("q", q))
+
+
 def linearize(arm: Arm, controller: Controller | str, q: ArrayLike, plant: Plant | None = None, delay: float = 0.0) -> Loop:
     """Linearizes the loop of an arm and a controller that holds it at a configuration.
 
-    The arm is differentiated through one control period of the simulation: with the springs of elastic joints, the windings of
-    DC motors and the delays of actuators. The controller can be any object with a method
+    The arm is that of `linear_arm`. The controller can be any object with a method
     `torque(state, setpoint)`: its linear model, memory included, follows from its responses to small impulses.
 
     Args:
@@ -62,165 +108,123 @@ def linearize(arm: Arm, controller: Controller | str, q: ArrayLike, plant: Plant
 
 def loop_at(arm: Arm, controller: Controller, q: Array, plant: Plant, delay: float = 0.0) -> Loop:
     """`linearize` for checked arguments."""
-    dt = arm.dt if plant.timestep is None else plant.timestep
-    ticks = round(delay / dt)
-    if abs(delay / dt - ticks) > _WHOLE_TICK_TOLERANCE:
-        raise InputError(f"delay: expected a whole number of control periods of {dt:g} s, got {delay:g} s")
-    # Gaps and bristles act as dry friction does: they are left out.
-    linear = _linear_arm(arm, replace(plant, backlash=0.0, friction="coulomb"), q, dt)
-    return Loop(
-        robot=arm.name,
-        controller=controller_name(controller),
-        plant=str(plant),
-        joint_names=arm.joint_names,
-        q=q,
-        dt=dt,
-        delay=integer("delay", plant.delay + plant.jitter + ticks, 0, MAX_DELAY_TICKS),
-        holding_torque=linear.holding_torque,
-        _arm=linear.system,
-        _push=linear.push,
-        _position=linear.position,
-        _law=linear_controller(arm, controller, q, dt, plant.continuous),
-        _tip_jacobian=arm.jacobian(q)[:3],
-    )
+    return Linearizer(arm, plant).loop_at(controller, q, delay)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _LinearArm:
-    """A plant around rest at a configuration.
+class Linearizer:
+    """Linearizes one plant at many configurations; a copy of a model with meshes takes longer than the rest."""
 
-    Attributes:
-        system: One control period, from the torques (n) that the motors are given to measured positions and velocities (2n).
-        push: (k, n), what torques on the links change in its state.
-        position: (n, k), the true positions of the links.
-        holding_torque: (n,) N m that holds it there.
-    """
-
-    system: StateSpace
-    push: Array
-    position: Array
-    holding_torque: Array
-
-
-def _linear_arm(arm: Arm, plant: Plant, q: Array, dt: float) -> _LinearArm:
-    """One control period of the plant at rest at q, differentiated.
-
-    The state is that of the arm, of its springs and motors, and the torques that are on their way through an actuator's delay.
-    """
-    n = arm.n
-    tick = _Tick(arm, plant, q, dt)
-    x = tick.rest
-    size = len(x)
-    past = tick.past_torques
-    columns = []
-    for i in range(size + (2 + past) * n):
-        step = _POSITION_STEP if i < size else _TORQUE_STEP * arm.limits.tau_max[(i - size) % n]
-        change = np.zeros(size + (2 + past) * n)
-        change[i] = step
-        later = tick(x + change[:size], change[size:])
-        columns.append((later - tick(x - change[:size], -change[size:])) / (2 * step))
-    jacobian = np.array(columns).T
-    # Columns: the state, torques on the links, the commanded torque, and those of the ticks before.
-    A = np.zeros((size + past * n, size + past * n))
-    A[:size, :size] = jacobian[:, :size]
-    A[:size, size:] = jacobian[:, size + 2 * n :]
-    A[size + n :, size:-n] = np.eye(max(past - 1, 0) * n)
-    B = np.zeros((len(A), n))
-    B[:size] = jacobian[:, size + n : size + 2 * n]
-    B[size : size + n] = np.eye(n) if past else 0.0
-    push = np.zeros_like(B)
-    push[:size] = jacobian[:, size : size + n]
-    links, motors = tick.sides()
-    seen = np.zeros((2 * n, len(A)))
-    seen[:, :size] = links if plant.encoder_side == "link" else motors
-    position = np.zeros((n, len(A)))
-    position[:, :size] = links[:n]
-    system, added = _sensed(StateSpace(A, B, seen, np.zeros((2 * n, n))), plant, dt)
-    push = np.vstack([push, np.zeros((added, n))])
-    position = np.hstack([position, np.zeros((n, added))])
-    return _LinearArm(system, push, position, tick.holding_torque)
-
-
-def _sensed(arm: StateSpace, plant: Plant, dt: float) -> tuple[StateSpace, int]:
-    """An arm with its sensors, and how many states they add: differenced positions, and measurements that are late."""
-    size = len(arm.A)
-    n = len(arm.C) // 2
-    is_differenced = plant.velocity == "differenced"
-    added = n * is_differenced + 2 * n * plant.sensor_delay
-    A = np.zeros((size + added, size + added))
-    A[:size, :size] = arm.A
-    output = np.zeros((2 * n, size + added))
-    output[:, :size] = arm.C
-    first = size
-    if is_differenced:
-        A[first : first + n] = output[:n]
-        output[n:] = output[:n] / dt
-        output[n:, first : first + n] -= np.eye(n) / dt
-        first += n
-    for _ in range(plant.sensor_delay):
-        A[first : first + 2 * n] = output
-        output = np.zeros_like(output)
-        output[:, first : first + 2 * n] = np.eye(2 * n)
-        first += 2 * n
-    return StateSpace(A, np.vstack([arm.B, np.zeros((added, n))]), output, arm.D), added
-
-
-class _Tick:
-    """One control period of a plant near rest, without contacts, limits and dry friction.
-
-    Attributes:
-        rest: (k,) the state at rest: positions and velocities of the joints, then of the springs, then of the motors' windings.
-        past_torques: How many earlier commands act through an actuator's delay.
-        holding_torque: (n,) N m.
-    """
-
-    def __init__(self, arm: Arm, plant: Plant, q: Array, dt: float):
-        self._arm = arm
+    def __init__(self, arm: Arm, plant: Plant):
+        self.arm = arm
+        self.plant = plant
+        self.dt = arm.dt if plant.timestep is None else plant.timestep
+        plant = replace(plant, backlash=0.0, friction="coulomb")  # gaps and bristles are left out as dry friction is
         model = plant.model(arm)
         for bit in _SWITCHED_OFF:
             model.opt.disableflags |= int(bit)
         model.actuator_ctrllimited[:] = 0
         model.actuator_forcelimited[:] = 0
         model.jnt_actfrclimited[:] = 0
+        remove_bristles(model)
         self._model = model
         self._data = mujoco.MjData(model)
-        self._substeps = round(dt / model.opt.timestep)
+        self._substeps = round(self.dt / model.opt.timestep)
         self._train = drivetrain_of([arm], plant)
         self._spring_qpos = model.jnt_qposadr[self._train.extra_joints]
         self._spring_dofs = model.jnt_dofadr[self._train.extra_joints]
-        owner = np.repeat(np.arange(model.nactuator), model.actuator_ctrlnum)
-        self._motors = owner[arm.ctrl_adr]
-        self._states = np.array(
-            [address for i in self._motors.tolist() if (address := current_state(model, i)) >= 0], dtype=int
-        )
-        remove_bristles(model)
+        self._motors = np.repeat(np.arange(model.nactuator), model.actuator_ctrlnum)[arm.ctrl_adr]
+        currents = [current_state(model, actuator) for actuator in self._motors.tolist()]
+        self._states = np.array([address for address in currents if address >= 0], dtype=int)
         longest = float(model.actuator_delay[self._motors].max())
-        self.past_torques = math.ceil(longest / dt - _WHOLE_TICK_TOLERANCE)
-        data = self._data
-        self._reset(q)
-        self._train.settle(model, data)
-        mujoco.mj_forward(model, data)
-        missing = data.qfrc_bias - data.qfrc_passive
-        self.holding_torque = arm.joint_map.reduced(missing)
-        if self._train.rotors:
-            self.holding_torque[self._train.owners] = missing[self._spring_dofs]
-        self._at_rest()
-        self.rest = self._state()
+        self._past_torques = math.ceil(longest / self.dt - _WHOLE_TICK_TOLERANCE)
 
-    def __call__(self, x: Array, torques: Array) -> Array:
-        """The state after a control period.
+    def arm_at(self, q: Array) -> LinearArm:
+        """The arm at rest at q."""
+        n = self.arm.n
+        past = self._past_torques
+        holding = self._rest_at(q)
+        x = self._state()
+        size = len(x)
+        columns = []
+        for i in range(size + (2 + past) * n):
+            step = _POSITION_STEP if i < size else _TORQUE_STEP * self.arm.limits.tau_max[(i - size) % n]
+            change = np.zeros(size + (2 + past) * n)
+            change[i] = step
+            later = self._after_tick(x + change[:size], holding, change[size:])
+            columns.append((later - self._after_tick(x - change[:size], holding, -change[size:])) / (2 * step))
+        jacobian = np.array(columns).T
+        # Columns: the state, torques on the links, the commanded torque, and those of the ticks before.
+        A = np.zeros((size + past * n, size + past * n))
+        A[:size, :size] = jacobian[:, :size]
+        A[:size, size:] = jacobian[:, size + 2 * n :]
+        A[size + n :, size:-n] = np.eye(max(past - 1, 0) * n)
+        B = np.zeros((len(A), n))
+        B[:size] = jacobian[:, size + n : size + 2 * n]
+        B[size : size + n] = np.eye(n) if past else 0.0
+        push = np.zeros_like(B)
+        push[:size] = jacobian[:, size : size + n]
+        links, motors = self._sides(len(A))
+        measured = links if self.plant.encoder_side == "link" else motors
+        return LinearArm(A, B, holding, self.dt, measured, push, links[:n])
+
+    def loop_at(self, controller: Controller, q: Array, delay: float = 0.0) -> Loop:
+        """The loop of the plant and a controller at q, with s of further delay."""
+        arm = self.arm
+        ticks = round(delay / self.dt)
+        if abs(delay / self.dt - ticks) > _WHOLE_TICK_TOLERANCE:
+            raise InputError(f"delay: expected a whole number of control periods of {self.dt:g} s, got {delay:g} s")
+        linear = self.arm_at(q)
+        system, added = _sensed(linear, self.plant)
+        return Loop(
+            robot=arm.name,
+            controller=controller_name(controller),
+            plant=str(self.plant),
+            joint_names=arm.joint_names,
+            q=q,
+            dt=self.dt,
+            delay=integer("delay", self.plant.delay + self.plant.jitter + ticks, 0, MAX_DELAY_TICKS),
+            holding_torque=linear.holding_torque,
+            _arm=system,
+            _push=np.vstack([linear.push, np.zeros((added, arm.n))]),
+            _position=np.hstack([linear.position, np.zeros((arm.n, added))]),
+            _law=linear_controller(arm, controller, q, self.dt, self.plant.continuous),
+            _tip_jacobian=arm.jacobian(q)[:3],
+        )
+
+    def _rest_at(self, q: Array) -> Array:
+        """Puts the arm to rest at q, and returns the torque that holds it there, (n,)."""
+        data = self._data
+        self._place(q)
+        self._train.settle(self._model, data)
+        mujoco.mj_forward(self._model, data)
+        missing = data.qfrc_bias - data.qfrc_passive
+        holding = self.arm.joint_map.reduced(missing)
+        if self._train.rotors:
+            holding[self._train.owners] = missing[self._spring_dofs]
+        qpos = data.qpos.copy()
+        data.ctrl[self.arm.ctrl_adr] = holding / self.arm.gear
+        self._set_history(holding, [np.zeros(self.arm.n)] * self._past_torques)
+        for _ in range(_WINDING_STEPS if len(self._states) else 0):
+            data.qpos[:] = qpos
+            data.qvel[:] = 0.0
+            mujoco.mj_step(self._model, data)
+        data.qpos[:] = qpos
+        data.qvel[:] = 0.0
+        return holding
+
+    def _after_tick(self, x: Array, holding: Array, torques: Array) -> Array:
+        """The state a control period later.
 
         Args:
             x: (k,) the state before.
-            torques: ((2 + past_torques) n,) N m: on the links, and how much more than `holding_torque` the motors were given in
-                this tick and in those before.
+            torques: N m: on the links, and how much more than `holding` the motors were given in this tick and in those before.
         """
-        arm = self._arm
+        arm = self.arm
         data = self._data
         n = arm.n
         k = len(self._spring_dofs)
         on_links, *commands = torques.reshape(-1, n)
-        self._reset(x[:n])
+        self._place(x[:n])
         arm.joint_map.set_speeds(data.qvel, x[n : 2 * n])
         data.qpos[self._spring_qpos] = x[2 * n : 2 * n + k]
         data.qvel[self._spring_dofs] = x[2 * n + k : 2 * (n + k)]
@@ -228,17 +232,31 @@ class _Tick:
         data.qfrc_applied[arm.dof_adr] = on_links
         if self._train.springs:
             data.qfrc_applied[self._spring_dofs] = on_links[self._train.owners]
-        data.ctrl[arm.ctrl_adr] = (self.holding_torque + commands[0]) / arm.gear
-        self._set_history(commands[1:])
+        data.ctrl[arm.ctrl_adr] = (holding + commands[0]) / arm.gear
+        self._set_history(holding, commands[1:])
         mujoco.mj_step(self._model, data, self._substeps)
         return self._state()
 
-    def sides(self) -> tuple[Array, Array]:
-        """(2n, k) each: positions and velocities of the links and of the motors from the state."""
-        n = self._arm.n
+    def _place(self, q: Array) -> None:
+        data = self._data
+        mujoco.mj_resetData(self._model, data)
+        data.qpos[: len(self.arm.home_qpos)] = self.arm.home_qpos
+        self.arm.joint_map.set_positions(data.qpos, q)
+        data.ctrl[:] = self.arm.home_ctrl
+
+    def _state(self) -> Array:
+        data = self._data
+        arm = self.arm
+        joints = [data.qpos[arm.qpos_adr], data.qvel[arm.dof_adr]]
+        springs = [data.qpos[self._spring_qpos], data.qvel[self._spring_dofs]]
+        return np.concatenate([*joints, *springs, data.act[self._states]])
+
+    def _sides(self, size: int) -> tuple[Array, Array]:
+        """(2n, size) each: positions and velocities of the links and of the motors from the state."""
+        n = self.arm.n
         owners = self._train.owners
         extra = 2 * n + np.arange(len(self._spring_dofs))
-        links = np.eye(2 * n, len(self.rest))
+        links = np.eye(2 * n, size)
         motors = links.copy()
         if self._train.springs:
             links[owners, extra] = 1.0
@@ -249,34 +267,7 @@ class _Tick:
             motors[n + owners, extra + len(extra)] = 1.0
         return links, motors
 
-    def _reset(self, q: Array) -> None:
-        data = self._data
-        mujoco.mj_resetData(self._model, data)
-        data.qpos[: len(self._arm.home_qpos)] = self._arm.home_qpos
-        self._arm.joint_map.set_positions(data.qpos, q)
-        data.ctrl[:] = self._arm.home_ctrl
-
-    def _state(self) -> Array:
-        data = self._data
-        arm = self._arm
-        joints = [data.qpos[arm.qpos_adr], data.qvel[arm.dof_adr]]
-        springs = [data.qpos[self._spring_qpos], data.qvel[self._spring_dofs]]
-        return np.concatenate([*joints, *springs, data.act[self._states]])
-
-    def _at_rest(self) -> None:
-        """Finds the states of the motors while they hold still: the arm is kept where it is."""
-        data = self._data
-        qpos = data.qpos.copy()
-        data.ctrl[self._arm.ctrl_adr] = self.holding_torque / self._arm.gear
-        self._set_history([np.zeros(self._arm.n)] * self.past_torques)
-        for _ in range(_WINDING_STEPS if len(self._states) else 0):
-            data.qpos[:] = qpos
-            data.qvel[:] = 0.0
-            mujoco.mj_step(self._model, data)
-        data.qpos[:] = qpos
-        data.qvel[:] = 0.0
-
-    def _set_history(self, past: Sequence[Array]) -> None:
+    def _set_history(self, holding: Array, past: Sequence[Array]) -> None:
         """Gives delayed actuators the commands of the ticks before, the last one first."""
         model = self._model
         for i, actuator in enumerate(self._motors.tolist()):
@@ -286,5 +277,29 @@ class _Tick:
             ages = np.arange(count, 0, -1)
             ticks = (ages - 1) // self._substeps
             values = np.array([past[t][i] if t < len(past) else 0.0 for t in ticks.tolist()])
-            values = (self.holding_torque[i] + values) / self._arm.gear[i]
+            values = (holding[i] + values) / self.arm.gear[i]
             mujoco.mj_initCtrlHistory(model, self._data, actuator, self._data.time - ages * model.opt.timestep, values)
+
+
+def _sensed(arm: LinearArm, plant: Plant) -> tuple[StateSpace, int]:
+    """An arm with its sensors, and how many states they add: differenced positions, and measurements that are late."""
+    size = len(arm.A)
+    n = len(arm.C) // 2
+    is_differenced = plant.differences_positions
+    added = n * is_differenced + 2 * n * plant.sensor_delay
+    A = np.zeros((size + added, size + added))
+    A[:size, :size] = arm.A
+    output = np.zeros((2 * n, size + added))
+    output[:, :size] = arm.C
+    first = size
+    if is_differenced:
+        A[first : first + n] = output[:n]
+        output[n:] = output[:n] / arm.dt
+        output[n:, first : first + n] -= np.eye(n) / arm.dt
+        first += n
+    for _ in range(plant.sensor_delay):
+        A[first : first + 2 * n] = output
+        output = np.zeros_like(output)
+        output[:, first : first + 2 * n] = np.eye(2 * n)
+        first += 2 * n
+    return StateSpace(A, np.vstack([arm.B, np.zeros((added, n))]), output, np.zeros((2 * n, n))), added

@@ -62,26 +62,28 @@ class Loop:
 
     @property
     def A(self) -> Array:
-        """(k, k), the state: that of the arm, positions and velocities first, the memory of the controller, delayed torques."""
-        return self._system.A
+        """(k, k), the state: that of the arm, positions and velocities first, what its sensors keep, the memory of the
+        controller, the delayed torques."""
+        return self.system.A
 
     @property
     def B(self) -> Array:
         """(k, n)."""
-        return self._system.B
+        return self.system.B
 
     @property
     def C(self) -> Array:
         """(n, k)."""
-        return self._system.C
+        return self.system.C
 
     @property
     def D(self) -> Array:
         """(n, n); zero, because torque does not act on the position at the same tick."""
-        return self._system.D
+        return self.system.D
 
     @cached_property
-    def _system(self) -> StateSpace:
+    def system(self) -> StateSpace:
+        """The loop transfer function as one object: `A`, `B`, `C` and `D`."""
         n = self.n
         moving = len(self._arm.A)
         memory = moving + len(self._law.A)
@@ -104,7 +106,7 @@ class Loop:
 
     @cached_property
     def _margins(self) -> LoopMargins:
-        return loop_margins(self._system, self.dt)
+        return loop_margins(self.system, self.dt)
 
     def margins(self) -> LoopMargins:
         """Delay, gain and phase margin, and the peak sensitivity.
@@ -116,7 +118,7 @@ class Loop:
 
     def robustness(self) -> LoopMargins:
         """The margins without the gain margin, which takes longest to compute and is infinite here."""
-        return robustness(self._system, self.dt)
+        return robustness(self.system, self.dt)
 
     def delayed(self, ticks: int) -> Loop:
         """The same loop with another delay.
@@ -141,7 +143,7 @@ class Loop:
         Raises:
             InputError: A frequency is outside its bounds or not finite.
         """
-        return self._system.transfer(self._z(w))
+        return self.system.transfer(self._z(w))
 
     def sensitivity(self, w: ArrayLike) -> ComplexArray:
         """The sensitivity S = (1 + L)^-1: how much of a disturbance torque remains at the motors.

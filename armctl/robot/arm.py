@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import mujoco
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from armctl import _core
 from armctl.core.errors import InputError, LimitError
 from armctl.core.limits import Limits
+from armctl.core.other_names import with_hints
 from armctl.core.pose import Pose
 from armctl.core.tables import Table
 from armctl.core.validation import Array, IntArray, instance, matrix, number, vector
@@ -61,6 +62,21 @@ class Arm:
         sources: The source of each kind of limit, such as `{"tau_max": "forcerange"}`.
         recipe: How its model was made, for plants with further elements; None for an arm of a compiled model.
     """
+
+    if not TYPE_CHECKING:
+        __getattr__ = with_hints(
+            {
+                "inverse_kinematics": "armctl.solve_ik(arm, target)",
+                "ik": "armctl.solve_ik(arm, target)",
+                "solve_ik": "armctl.solve_ik(arm, target)",
+                "forward_kinematics": "arm.fk(q)",
+                "fkine": "arm.fk(q)",
+                "ikine": "armctl.solve_ik(arm, target)",
+                "jacob0": "arm.jacobian(q)",
+                "qlim": "arm.limits",
+                "dof": "arm.n",
+            }
+        )
 
     name: str
     model: mujoco.MjModel

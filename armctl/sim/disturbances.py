@@ -31,6 +31,7 @@ class Disturbances:
 
     Attributes:
         push: (6,) N and N m, the wrench of the pushes in the last tick; both loops write it.
+        last_position: (n,) rad, the true positions of the last tick, NaN at the first one; None if no velocity is differenced.
         delay: What delays the commands; both loops use it.
     """
 
@@ -55,7 +56,6 @@ class Disturbances:
         turn = np.where(is_slide, 1.0, 2 * np.pi)
         self._step = turn / 2**plant.encoder_bits if plant.encoder_bits else None
         self._late: deque[tuple[Array, Array]] = deque(maxlen=plant.sensor_delay + 1)
-        self._last_q: Array | None = None
         self._jitter = np.random.default_rng([plant.seed, 1])
         self._commands: deque[Array] = deque(maxlen=plant.delay + plant.jitter + 1)
         self._age = 0
@@ -65,6 +65,8 @@ class Disturbances:
         self._steps = round(dt / model.opt.timestep)
         self._timestep = float(model.opt.timestep)
         self.push = np.zeros(6)
+        # Without a velocity sensor, a law gets the difference of two positions. In a step of MuJoCo that is the velocity.
+        self.last_position = np.full(n, np.nan) if plant.differences_positions else None
         self.delay = _core.Delay(n, plant.delay)
         self.delay.restart(plant.delay)
         self._rng = np.random.default_rng(plant.seed)
@@ -73,9 +75,9 @@ class Disturbances:
         self._noise_before: tuple[Any, Array] | None = None
 
     def measured(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """What the sensors give at this tick for the recorded positions, rad, and velocities, rad/s: noisy, in steps, late.
+        """What the sensors give at this tick for positions q, rad, and velocities v, rad/s. Call it once in a tick.
 
-        Without a velocity sensor, the velocity has the noise of a difference of two measured positions.
+        Without a velocity sensor, the velocity is the difference of two measured positions. The one at the first tick is true.
         """
         train = self._train
         data = self._data
@@ -86,14 +88,17 @@ class Disturbances:
             q = data.qpos[train.motor_qpos]
             v = data.qvel[train.motor_dof]
         noise = self._noise(1)[0]
-        q = q + noise[0]
-        v = v + noise[1]
+        measured_q = q + noise[0]
         if self._step is not None:
-            q = self._step * np.round(q / self._step)
-        if self._plant.velocity == "differenced":
-            v = v if self._last_q is None else (q - self._last_q) / self._dt
-            self._last_q = q
-        self._late.append((q, v))
+            measured_q = self._step * np.round(measured_q / self._step)
+        measured_v = v + noise[1]
+        if self.last_position is not None:
+            # The noise of a velocity is that of the difference already; steps of the encoder are not.
+            seen = q if self._step is None else measured_q
+            difference = (seen - self.last_position) / self._dt + (noise[1] if self._step is None else 0.0)
+            measured_v = np.where(np.isnan(difference), measured_v, difference)
+            self.last_position[:] = seen
+        self._late.append((measured_q, measured_v))
         return self._late[0]
 
     def driven(self, tau: Array, q: Array) -> Array:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
+from armctl.core.other_names import check_keywords
 from armctl.core.validation import Array, IntArray, instance, number, shown, vector
 from armctl.mjmodel.couplings import dofs_of_equality, dofs_of_tendon
 from armctl.mjmodel.edit import add_point_mass
@@ -114,8 +116,8 @@ class Plant:
         jitter: Ticks by which commands are late at most besides the delay, at random.
         sensor_delay: Ticks by which measured positions and velocities are late.
         encoder_bits: Bits in which an encoder counts a turn of the joint (a metre of a slide joint); 0 for exact positions.
-        velocity: "true" for the velocity of the simulation, or "differenced" for the difference of two measured positions over
-            the tick, as in most arms.
+        velocity: "differenced" for the difference of two measured positions over the tick, as in most arms, or "true" for the
+            velocity of the simulation.
         encoder_noise: rad, standard deviation of the noise on measured positions.
         velocity_noise: rad/s, standard deviation of the noise of a velocity sensor. By default there is none, and the velocity
             is differenced from the measured positions: its noise is that of two positions divided by the tick.
@@ -126,8 +128,8 @@ class Plant:
         wrench_delay: Ticks by which measured wrenches are delayed.
         pushes: External forces, each a `Push`.
         continuous: Whether the arm moves almost continuously between ticks while the torque is held, as a real arm does
-            (Runge-Kutta steps of at most 0.2 ms, less if damping is faster). Otherwise the model's integrator makes one step
-            a tick.
+            (Runge-Kutta steps of at most 0.2 ms, less if damping is faster). A velocity that is differenced from positions
+            is then half a tick late. Otherwise the model's integrator makes one step a tick, whose velocity is that difference.
         timestep: s, the tick: control period and, unless continuous, integration step; None for the model's.
         seed: The seed of the noise; every run of the same plant has the same noise.
         name: A short name for tables and files, such as "worn gears".
@@ -169,7 +171,7 @@ class Plant:
         Kind.WHOLE_NUMBER, 0, unit="bits", low=0, high=32, phrase="encoder of {} bits", disturbs_signals=True
     )
     velocity: str = plant_attribute(
-        Kind.WORD, "true", words=("true", "differenced"), phrase="velocity {}", disturbs_signals=True
+        Kind.WORD, "differenced", words=("differenced", "true"), phrase="{} velocity", disturbs_signals=True
     )
     encoder_noise: float = plant_attribute(
         Kind.NUMBER,
@@ -199,6 +201,15 @@ class Plant:
         is_factor=False,
     )
     name: str = plant_attribute(Kind.OTHER, "", is_factor=False)
+
+    def __new__(cls, *args: object, **keywords: object) -> Self:
+        """A plant, not yet constructed.
+
+        Raises:
+            TypeError: It takes no such keyword; the message says which.
+        """
+        check_keywords(cls, keywords)
+        return super().__new__(cls)
 
     def __post_init__(self) -> None:
         for name, attribute in PLANT_ATTRIBUTES.items():
@@ -231,11 +242,19 @@ class Plant:
     @property
     def has_signal_disturbances(self) -> bool:
         """Whether measurements or commands are disturbed during a run."""
-        return any(attribute.disturbs_signals and self._differs(name) for name, attribute in PLANT_ATTRIBUTES.items())
+        return self.differences_positions or any(
+            attribute.disturbs_signals and self._differs(name) for name, attribute in PLANT_ATTRIBUTES.items()
+        )
+
+    @property
+    def differences_positions(self) -> bool:
+        """Whether the measured velocity is a difference of positions that differs from the true velocity."""
+        in_steps = self.continuous or self.encoder_bits > 0
+        return in_steps and self.velocity == "differenced" and self.velocity_noise is None
 
     def steps_in_python(self, train: Drivetrain) -> bool:
         """Whether what is measured or commanded needs a tick loop in Python, which takes longer."""
-        names = ("jitter", "sensor_delay", "encoder_bits", "velocity")
+        names = ("jitter", "sensor_delay", "encoder_bits")
         return any(self._differs(name) for name in names) or bool(
             train.rotors or (train.springs and self.encoder_side == "link")
         )

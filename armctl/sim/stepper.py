@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import hypot, inf  # hypot of a short list is faster than numpy's norm
 from threading import Lock
 from typing import Protocol, TypeGuard
@@ -30,6 +30,7 @@ from armctl.sim.plant import DIVERGED_SPEED, Brake, Plant, apply_plant, held_dof
 from armctl.sim.recorder import Recorder, ReferenceTips, TickRows
 from armctl.sim.wrench_sensor import WrenchSensor
 
+AT_REST_SPEED = 1e-3  # rad/s (m/s): every joint below it counts as at rest
 _MAX_KEPT_TICKS = 20_000
 _FLOAT64 = np.dtype(np.float64)
 
@@ -166,6 +167,20 @@ class Stepper:
         return self.actuation.n
 
     @property
+    def description(self) -> str:
+        """The plant in words, for the log."""
+        return str(self.plant)
+
+    @property
+    def blocked(self) -> str:
+        """Why no motion may start: the state diverged; empty if one may."""
+        return f"{self.failure}; call reset() to start again" if self.diverged else ""
+
+    def is_still(self, joints: slice) -> bool:
+        """Whether some of the joints are at rest."""
+        return bool(np.abs(self.data.qvel[self.actuation.dof_adr[joints]]).max() < AT_REST_SPEED)
+
+    @property
     def state(self) -> State:
         """The true state of all arms now."""
         q = self.data.qpos[self.actuation.qpos_adr]
@@ -251,7 +266,13 @@ class Stepper:
         still = np.zeros((max(1, round(seconds / self.dt)), self.n))
         return TickReference(self.q_ref + still, still, still, still, still)
 
-    def run(self, controller: Controller, reference: TickReference, recorder: Recorder) -> None:
+    def run(
+        self,
+        controller: Controller,
+        reference: TickReference,
+        recorder: Recorder,
+        to_rest: Callable[[], TickReference] | None = None,
+    ) -> None:
         """Runs the tick loop along a reference: measure, control, step, record.
 
         The run ends early, and `failure` says why, if the arm diverges or the controller returns a torque that is not finite.
@@ -261,6 +282,7 @@ class Stepper:
             controller: What computes the torques.
             reference: The reference of each tick; its arrays become read-only.
             recorder: Where the ticks are recorded.
+            to_rest: Not needed: a simulation waits for its next reference.
 
         Raises:
             SimulationError: An earlier run ended early, or the controller failed.

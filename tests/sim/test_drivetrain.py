@@ -15,11 +15,12 @@ JOINT = 'armature="0.1" damping="0.5"'
 SPRING = {"elasticity": 1000.0, "rotor_inertia": 0.2}
 PLANTS = [
     armctl.Plant(sensor_delay=2),
-    armctl.Plant(velocity="differenced"),
+    armctl.Plant(continuous=True, velocity="true"),
+    armctl.Plant(continuous=True, **SPRING),
     armctl.Plant(motor=0.003),
     armctl.Plant(**SPRING),
     armctl.Plant(**SPRING, encoder_side="link"),
-    armctl.Plant(**SPRING, motor=0.002, sensor_delay=1, velocity="differenced"),
+    armctl.Plant(**SPRING, motor=0.002, sensor_delay=1),
     armctl.Plant(elasticity=[0.0, 1000.0], rotor_inertia=0.2),
 ]
 
@@ -141,7 +142,7 @@ def test_differenced_velocities_are_those_of_the_measured_positions(arm):
             seen.append((state.q.copy(), state.v.copy()))
             return super().torque(state, setpoint)
 
-    armctl.simulate(arm, Watching(arm), motion(arm), armctl.Plant(velocity="differenced", encoder_bits=14, continuous=True))
+    armctl.simulate(arm, Watching(arm), motion(arm), armctl.Plant(encoder_bits=14, continuous=True))
     q, v = (np.array(column) for column in zip(*seen, strict=True))
     assert v[1:] == pytest.approx(np.diff(q, axis=0) / arm.dt, abs=1e-9)
 

@@ -18,13 +18,12 @@ namespace armctl {
 
 namespace {
 
-std::shared_ptr<CollisionModel> make_collision_model(const In& axes, const In& anchors, const IntegersIn& slides,
-                                                     const In& references, const IntegersIn& parents, const IntegersIn& joints,
-                                                     const In& ratio, const In& joint_offset, const IntegersIn& kinds,
-                                                     const IntegersIn& frames, const In& inflations, const In& positions,
-                                                     const In& rotations, const In& sizes, const In& centers, const In& bounds,
-                                                     const IntegersIn& first_vertex, const In& vertices,
-                                                     const IntegersIn& first_neighbor, const IntegersIn& neighbors,
+std::shared_ptr<CollisionModel> make_collision_model(const In& axes, const In& anchors, const IntegersIn& slides, const In& references,
+                                                     const IntegersIn& parents, const IntegersIn& joints, const In& ratio,
+                                                     const In& joint_offset, const IntegersIn& kinds, const IntegersIn& frames,
+                                                     const In& inflations, const In& positions, const In& rotations, const In& sizes,
+                                                     const In& centers, const In& bounds, const IntegersIn& first_vertex,
+                                                     const In& vertices, const IntegersIn& first_neighbor, const IntegersIn& neighbors,
                                                      const In& directions, const IntegersIn& pairs) {
     const size_t m = references.length("references");
     const size_t n = ratio.columns(m, "ratio");
@@ -57,9 +56,7 @@ std::shared_ptr<CollisionModel> make_collision_model(const In& axes, const In& a
 }
 
 size_t checked_pair(const CollisionModel& model, size_t pair) {
-    if (pair >= model.pairs.size()) {
-        throw InputError("pair: there is no such pair");
-    }
+    if (pair >= model.pairs.size()) { throw InputError("pair: there is no such pair"); }
     return pair;
 }
 
@@ -82,13 +79,9 @@ void bind_shapes(nb::module_& module) {
         "bounding_sphere",
         [](const In& points, const Out& center) {
             const Matrix rows = points.matrix(points.length("points"), 3, "points");
-            if (rows.rows == 0) {
-                throw InputError("points: need at least one");
-            }
+            if (rows.rows == 0) { throw InputError("points: need at least one"); }
             std::vector<BoundingSphere> spheres(rows.rows);
-            for (size_t i = 0; i < rows.rows; ++i) {
-                spheres[i].center = vec3(rows.row(i));
-            }
+            for (size_t i = 0; i < rows.rows; ++i) { spheres[i].center = vec3(rows.row(i)); }
             const BoundingSphere around = bounding_sphere(spheres);
             const Result numbers = center.vector(3, "center");
             numbers[0] = around.center.x;
@@ -102,10 +95,9 @@ void bind_shapes(nb::module_& module) {
 void bind_collision_model(nb::module_& module) {
     nb::class_<CollisionModel>(module, "CollisionModel",
                                "What an arm could touch: shapes, the joints that move them, and pairs. Immutable.")
-        .def(nb::new_(&make_collision_model), nb::kw_only(), "axes"_a, "anchors"_a, "slides"_a, "references"_a, "parents"_a,
-             "joints"_a, "ratio"_a, "joint_offset"_a, "kinds"_a, "frames"_a, "inflations"_a, "positions"_a, "rotations"_a,
-             "sizes"_a, "centers"_a, "bounds"_a, "first_vertex"_a, "vertices"_a, "first_neighbor"_a, "neighbors"_a,
-             "directions"_a, "pairs"_a,
+        .def(nb::new_(&make_collision_model), nb::kw_only(), "axes"_a, "anchors"_a, "slides"_a, "references"_a, "parents"_a, "joints"_a,
+             "ratio"_a, "joint_offset"_a, "kinds"_a, "frames"_a, "inflations"_a, "positions"_a, "rotations"_a, "sizes"_a, "centers"_a,
+             "bounds"_a, "first_vertex"_a, "vertices"_a, "first_neighbor"_a, "neighbors"_a, "directions"_a, "pairs"_a,
              "A model from arrays for each joint, geom, vertex and pair; armctl/cpp/collision_model.hpp explains them.")
         .def(
             "with_pairs",
@@ -126,9 +118,8 @@ void bind_collision_model(nb::module_& module) {
             },
             "pairs"_a, "Writes the rows of the geoms of each pair, (K, 2).")
         .def(
-            "joints_between",
-            [](const CollisionModel& self, size_t pair) { return self.joints_between(checked_pair(self, pair)); }, "pair"_a,
-            "The joints that move one geom of a pair relative to the other: rows of the ratio.");
+            "joints_between", [](const CollisionModel& self, size_t pair) { return self.joints_between(checked_pair(self, pair)); },
+            "pair"_a, "The joints that move one geom of a pair relative to the other: rows of the ratio.");
 }
 
 void bind_scene(nb::module_& module) {

@@ -59,9 +59,9 @@ void bind_limit_excess(nb::module_& module) {
         "Both ends of [0, 1] and the turning points of a derivative of each polynomial, and its values there.");
 }
 
-PathTiming make_path_timing(double interval_length, const IntegersIn& interval, const In& begin, const In& end, const In& q1,
-                            const In& q2, const In& q3_after, const In& q3_before, const In& b_max, const In& j_max,
-                            const In& alpha, const In& beta, const In& delta, const In& low, const In& high) {
+PathTiming make_path_timing(double interval_length, const IntegersIn& interval, const In& begin, const In& end, const In& q1, const In& q2,
+                            const In& q3_after, const In& q3_before, const In& b_max, const In& j_max, const In& alpha, const In& beta,
+                            const In& delta, const In& low, const In& high) {
     const size_t pieces = interval.length("interval");
     const size_t count = pieces + 1;
     const size_t joints = q1.length("q1", 1);
@@ -74,8 +74,7 @@ PathTiming make_path_timing(double interval_length, const IntegersIn& interval, 
     // Every interval has a piece.
     for (const std::int64_t number : places.interval) {
         if (number < 0 || static_cast<size_t>(number) >= pieces) {
-            throw InputError("interval: every number must be at least 0 and below the number of pieces, " +
-                             std::to_string(pieces));
+            throw InputError("interval: every number must be at least 0 and below the number of pieces, " + std::to_string(pieces));
         }
     }
     const PathNodes nodes{
@@ -111,13 +110,10 @@ void bind_path_timing(nb::module_& module) {
             "With from_near they hold the solution for bounds that are a little different.");
 }
 
-WaypointTiming make_waypoint_timing(const In& q, const In& v_max, const In& a_max, const In& j_max, const In& v_bound,
-                                    const In& a_bound) {
+WaypointTiming make_waypoint_timing(const In& q, const In& v_max, const In& a_max, const In& j_max, const In& v_bound, const In& a_bound) {
     const size_t waypoints = q.length("q");
     const size_t joints = v_max.length("v_max");
-    if (waypoints < 2) {
-        throw InputError("q: need at least 2 waypoints");
-    }
+    if (waypoints < 2) { throw InputError("q: need at least 2 waypoints"); }
     return WaypointTiming(q.matrix(waypoints, joints, "q"), v_max.vector(joints, "v_max"), a_max.vector(joints, "a_max"),
                           j_max.vector(joints, "j_max"), v_bound.matrix(waypoints, joints, "v_bound"),
                           a_bound.matrix(waypoints, joints, "a_bound"));
