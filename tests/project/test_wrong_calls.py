@@ -83,6 +83,10 @@ class Unprintable:
 NAMES: dict[str, tuple[Callable[[], object], str]] = {
     "a body to follow": (lambda: armctl.Simulation(arm()).follow("\ud800"), "unknown body "),
     "a tip": (lambda: armctl.load("robot_arm_3dof", tip="\ud800"), "unknown site, body or geom "),
+    "one number in allow": (
+        lambda: armctl.move_free(arm(), arm().home, arm().home, allow=np.array(1.0)),
+        "allow: expected pairs of names, got array",
+    ),
     "a body in allow": (
         lambda: armctl.move_free(arm(), arm().home, arm().home, allow=[("\ud800", "x")]),
         "unknown body or geom in allow ",
