@@ -8,6 +8,9 @@ from armctl.core.units import length_text
 from armctl.core.validation import Array, BoolArray, IntArray, TextArray
 
 _FAR_M = 10.0  # more than any arm reaches: such a target was probably meant in millimetres
+# rad, and m of an arm that reaches 1 m or more, else reaches. An unreachable target is rarely missed by so little, but a search
+# near a singular configuration ends there: rounding of 1e-16 moves the joints by its square root.
+NEAR_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -97,8 +100,11 @@ class IkBatch:
         return f"{int(self.ok.sum())} of {len(self)} solved"
 
 
-def failure_reason(out_of_reach: bool, position_error: float, orientation_error: float, starts: int) -> str:
-    """Why a best approximation with these errors, m and rad, is not a solution."""
+def failure_reason(out_of_reach: bool, position_error: float, orientation_error: float, starts: int, reach: float) -> str:
+    """Why a best approximation with these errors, m and rad, is not a solution for an arm of this reach, m."""
+    if position_error <= NEAR_ROUNDING * min(reach, 1.0) and orientation_error <= NEAR_ROUNDING:
+        errors = f"{position_error:.2g} m and {orientation_error:.2g} rad"
+        return f"reached up to {errors}, which is near rounding; give larger tolerances"
     if out_of_reach:
         units = "; positions are in metres" if position_error > _FAR_M else ""
         return f"out of reach by {length_text(position_error)}{units}"

@@ -5,9 +5,10 @@ from __future__ import annotations
 import copy
 import html
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import mujoco
 import numpy as np
@@ -28,6 +29,14 @@ from armctl.robot.joint_map import JointMap
 from armctl.robot.pinocchio_model import PinocchioModel, build_pinocchio_model
 
 _NOT_PICKLED = ("_thread_dynamics", "core_model")  # a process makes its own
+
+
+class Recipe(Protocol):
+    """How a model was made from its file."""
+
+    def model(self, edit: Callable[[mujoco.MjSpec], None]) -> mujoco.MjModel:
+        """The model made once more, after an edit of the specification. All its elements are numbered as in the arm's."""
+        ...
 
 
 class _ThreadDynamics(threading.local):
@@ -51,6 +60,7 @@ class Arm:
         home_ctrl: (nctrl,) the controls of the whole model at home; the arm's own are zero.
         notes: The assumptions made when it was loaded, one sentence each.
         sources: The source of each kind of limit, such as `{"tau_max": "forcerange"}`.
+        recipe: How its model was made, for plants with further elements; None for an arm of a compiled model.
     """
 
     if not TYPE_CHECKING:
@@ -80,6 +90,7 @@ class Arm:
     T_body_tip: Pose
     notes: tuple[str, ...]
     sources: dict[str, str]
+    recipe: Recipe | None = None
 
     @property
     def n(self) -> int:

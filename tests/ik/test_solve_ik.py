@@ -121,6 +121,31 @@ def test_an_orientation_that_five_joints_cannot_take_is_a_best_effort():
     assert result.orientation_error > 1e-3
 
 
+def test_tolerances_below_rounding_are_named_as_the_reason():
+    arm = arm_of("robot_arm_3dof")
+    tight = {"position_tolerance": 1e-12, "orientation_tolerance": 1e-12}
+    targets = [arm.fk(q) for q in positions(arm, 40)]
+    refused = [result for target in targets if not (result := solve_ik(arm, target, **tight))]
+    assert len(refused) >= 10
+    for result in refused:
+        errors = f"{result.position_error:.2g} m and {result.orientation_error:.2g} rad"
+        assert result.reason == f"reached up to {errors}, which is near rounding; give larger tolerances"
+        assert max(result.position_error, result.orientation_error) < 1e-8
+    batch = armctl.solve_ik_batch(arm, targets, **tight)
+    assert [reason for reason in batch.reason if reason] == [result.reason for result in refused]
+
+
+def test_a_target_missed_by_more_than_rounding_is_out_of_reach_for_any_tolerance():
+    arm = arm_of("robot_arm_3dof")
+    turned = arm.fk(arm.home) @ Pose([0.0, 0.0, 0.0], rpy=[1e-4, 0.0, 0.0])
+    for tolerance in (1e-12, 1e-9, 1e-6):
+        far = solve_ik(arm, [1e3, 0.0, 0.0], position_tolerance=tolerance)
+        assert far.reason.startswith("out of reach by ")
+        other = solve_ik(arm, turned, position_tolerance=tolerance, orientation_tolerance=tolerance)
+        assert not other.reason.startswith("reached up to")
+        assert not other.ok
+
+
 @every_arm
 def test_the_base_itself_is_a_target_like_any_other(name: str):
     arm = arm_of(name)
