@@ -109,6 +109,8 @@ from .sim.simulate import simulate as simulate
 from .sim.simulate_many import simulate_many as simulate_many
 from .sim.simulation import Simulation as Simulation
 from .sim.team import Team as Team
+from .stream.stream import Stream as Stream
+from .stream.stream import StreamReport as StreamReport
 from .study.factors import Choice as Choice
 from .study.factors import Normal as Normal
 from .study.factors import Range as Range

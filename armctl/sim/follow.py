@@ -12,12 +12,11 @@ from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.target import Target
 from armctl.core.validation import Array, shown
-from armctl.ik import solve_ik
 from armctl.mjmodel.queries import object_id
 from armctl.robot.arm import Arm
 from armctl.sim.move import ControlledArms
-from armctl.sim.online_reference import OnlineReference
 from armctl.sim.recorder import ticks_for
+from armctl.stream.stream import Stream
 
 _FOLLOW_INTERVAL_S = 0.02  # between two readings of a moving target
 
@@ -31,15 +30,15 @@ def follow(arms: ControlledArms, arm: Arm, target: MovingTarget, seconds: float)
     target_at = _target_function(drive.model, data, target)
     ticks_for(seconds, drive.dt)
     begin = data.time
-    online = OnlineReference(arm, drive.dt, arms.start(arm.tip), continuous=drive.continuous)
+    stream = Stream(arm, arms.start(arm.tip))
     ticks = ticks_for(_FOLLOW_INTERVAL_S, drive.dt) - 1
     targets: dict[str, Array] = {}
     with arms.recording({arm.tip: seconds}, targets) as recorder:
         while not drive.failure and data.time - begin < seconds - 1e-9:
             goal = Target.read(target_at(data.time - begin))
             targets[arm.tip] = goal.numbers
-            solution = solve_ik(arm, goal, online.q)
-            drive.run(arms.controllers[arm.tip], online.toward(solution.q, ticks), recorder)
+            stream.push_pose(stream.t, goal)
+            drive.run(arms.controllers[arm.tip], stream.reference(ticks, drive.dt, drive.continuous), recorder)
         targets[arm.tip] = Target.read(target_at(data.time - begin)).numbers
     return arms.logs[arm.tip]
 

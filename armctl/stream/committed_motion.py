@@ -10,7 +10,7 @@ from armctl.core.validation import Array
 from armctl.motion.timing.otg import JointState, ProfileSolver
 from armctl.motion.torque_limits import InverseDynamics
 from armctl.motion.trajectory.limit_check import is_inside
-from armctl.motion.trajectory.piecewise import Pieces, basis, hermite, joined, sample, standing
+from armctl.motion.trajectory.piecewise import Pieces, basis, hermite, joined, sample
 from armctl.robot.arm import Arm
 from armctl.stream.timed_targets import Knots
 
@@ -67,9 +67,9 @@ class CommittedMotion:
     def _motion(self, solver: ProfileSolver, start: JointState, now: float, knots: Knots) -> Pieces | None:
         """Through all wanted states in time if that is inside the limits, else the fastest motion that rejoins them."""
         if solver is self._solvers[0]:
-            for first in knots.joins:
-                t = np.concatenate([[0.0], knots.t[first:] - now])
-                smooth = hermite(t, *(np.vstack([x, rows[first:]]) for x, rows in zip(start, knots[1:4], strict=True)))
+            for followed in knots.joins:
+                t = np.concatenate([[0.0], knots.t[followed] - now])
+                smooth = hermite(t, *(np.vstack([x, rows[followed]]) for x, rows in zip(start, knots[1:4], strict=True)))
                 if is_inside(smooth, self._limits):
                     return self._ended([smooth], solver, knots.rest)
         return self._rejoining(solver, start, now, knots)
@@ -132,7 +132,8 @@ class CommittedMotion:
             if keep < 0:
                 continue
             rest = knots.q[keep - 1] if keep else np.asarray(start.q)
-            shorter = Knots(*(rows[:keep] for rows in knots[:4]), rest, tuple(k for k in knots.joins if k < keep))
+            joins = tuple(each for each in knots.joins if each.start < keep)
+            shorter = Knots(knots.t[:keep], knots.q[:keep], knots.v[:keep], knots.a[:keep], rest, joins)
             pieces = self._motion(solver, start, now, shorter)
             if pieces is not None and self._is_feasible(pieces) and self._hit(pieces) is None:
                 return pieces

@@ -5,14 +5,18 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.collision.checkers import collision_checker
 from armctl.core.errors import InputError, LimitError
-from armctl.core.trajectory import Setpoint
-from armctl.core.validation import Array, flag, matrix, number, vector
+from armctl.core.pose import Pose, rotation_from_vector
+from armctl.core.target import Target, TargetLike
+from armctl.core.trajectory import Setpoint, TickReference
+from armctl.core.validation import Array, flag, instance, matrix, number, vector
+from armctl.ik import DifferentialIk, solve_ik
 from armctl.motion.checks import planning_arm, start_state
 from armctl.motion.timing.otg import JointState
 from armctl.motion.trajectory.piecewise import Pieces, basis
@@ -24,6 +28,12 @@ MAX_ROWS = 1000  # of a chunk
 _MAX_AHEAD_S = 60.0  # of a target: a later one has a wrong clock
 _HISTORY_TICKS = 2000  # of past setpoints, with which late targets are compared
 _AT_LIMIT = 0.999  # share of a limit
+_TWIST_STEP_S = 0.05  # between the rows into which a velocity of the tip is turned
+_TWIST_STEPS = 4
+# A joint that turns further for a smaller step of the target changes the posture of the arm.
+_POSTURE_CHANGE = 0.5  # rad (m)
+_SMALL_STEP_M = 0.05
+_SMALL_STEP_RAD = 0.2
 
 
 @dataclass(frozen=True)
@@ -87,6 +97,8 @@ class Stream:
         self._planner = CommittedMotion(self._arm, checker)
         self._targets = TimedTargets(start.q, self._arm.limits.v_max, self._arm.limits.a_max)
         self._limits = self._arm.limits
+        self._v_limit = _AT_LIMIT * self._limits.v_max
+        self._a_limit = _AT_LIMIT * self._limits.a_max
         self._t = 0.0
         self._counts = dict.fromkeys(("targets", "late", "dropped", "clamped", "refused"), 0)
         self._ticks = 0
@@ -94,6 +106,8 @@ class Stream:
         self._past: deque[tuple[float, Array, Array]] = deque(maxlen=_HISTORY_TICKS)
         self._sums = np.zeros(4)  # of v e, v v, e e, and their number
         self._obstacle = ""
+        self._device: tuple[Pose, Pose] | None = None
+        self._previous: Array | None = None
         pieces = self._planner.stop(JointState(start.q, start.v, start.a))
         if pieces is None:
             raise LimitError("q_start: the arm cannot stop inside its limits from this start; start slower")
@@ -187,6 +201,80 @@ class Stream:
         self._targets.push_chunk(t, self._clamped(q))
         self._plan()
 
+    def push_pose(self, t: float, target: TargetLike) -> None:
+        """Takes a target of the tip: inverse kinematics makes it a target of the joints, near the last one.
+
+        The nearest point is used instead of one out of reach. Where the target moves on, but only another posture of the arm
+        reaches it, such as behind a singular configuration, the arm keeps its posture and comes as near as it can.
+
+        Args:
+            t: s, as for `push`.
+            target: T_world_tip, or (3,) m if any orientation is accepted; after `clutch`, in the frame of the device.
+
+        Raises:
+            InputError: As for `push`.
+        """
+        time = self._time("t", t)
+        goal = Target.read(target)
+        if self._device is not None and goal.pose is not None:
+            goal = Target.read(self._reanchored(goal.pose), goal.tolerance, goal.angle_tolerance)
+        last = self._targets.rest
+        q = solve_ik(self._arm, goal, last).q
+        position_error, angle = goal.distance(self._arm.fk(last))
+        if np.abs(q - last).max() > _POSTURE_CHANGE and position_error < _SMALL_STEP_M and angle < _SMALL_STEP_RAD:
+            q = self._limits.clamp(last + self._targets.interval * self._ik.step(last, goal, self._targets.interval))
+        self.push(time, q)
+
+    def push_twist(self, linear: ArrayLike, angular: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        """Takes a velocity of the tip, as a joystick gives it. The arm comes to rest if it is not renewed within 0.2 s.
+
+        Args:
+            linear: (3,) m/s, world axes.
+            angular: (3,) rad/s, world axes.
+
+        Raises:
+            InputError: A wrong length or a number that is not finite; nothing changes.
+        """
+        v = vector("linear", linear, 3)
+        w = vector("angular", angular, 3)
+        q = self.setpoint.q
+        pose = self._arm.fk(q)
+        rows = []
+        for k in range(1, _TWIST_STEPS + 1):
+            turn = rotation_from_vector(w * k * _TWIST_STEP_S)
+            goal = Pose.from_rotation(pose.position + v * k * _TWIST_STEP_S, turn @ pose.rotation)
+            q = self._limits.clamp(q + _TWIST_STEP_S * self._ik.step(q, goal, _TWIST_STEP_S))
+            rows.append(q)
+        self._targets.rest_at(q)
+        self.push_chunk(self._t + _TWIST_STEP_S * np.arange(1, _TWIST_STEPS + 1), rows)
+
+    def clutch(self, device: Pose) -> None:
+        """Takes the pose that a hand-held device has now for the pose that the tip has now, so that neither has to move.
+
+        From now on a pose that is given to `push_pose` moves the tip by as much as it differs from this one.
+
+        Args:
+            device: The device's pose, in any frame whose axes are those of the world.
+
+        Raises:
+            InputError: It is no Pose.
+        """
+        instance("device", device, Pose, "Pose([0, 0, 0]) is one")
+        self._device = (device, self._arm.fk(self.setpoint.q))
+        self._targets.rest_at(self._rest)
+
+    def _reanchored(self, pose: Pose) -> Pose:
+        assert self._device is not None
+        device, tip = self._device
+        return Pose.from_rotation(
+            tip.position + pose.position - device.position, pose.rotation @ device.rotation.T @ tip.rotation
+        )
+
+    @cached_property
+    def _ik(self) -> DifferentialIk:
+        """Made at its first use, because its imports take long."""
+        return DifferentialIk(self._arm)
+
     def stop(self) -> None:
         """Stops as soon as the limits allow, and forgets all targets."""
         pieces = self._planner.stop(self._state())
@@ -210,7 +298,27 @@ class Stream:
         point = self.setpoint
         self._past.append((self._t, point.q, point.v))
         self._ticks += 1
+        self._at_limit[0] += bool((np.abs(point.v) >= self._v_limit).any())
+        self._at_limit[1] += bool((np.abs(point.a) >= self._a_limit).any())
         return point
+
+    def reference(self, ticks: int, dt: float, continuous: bool = False) -> TickReference:
+        """Advances by some ticks, as rows for the tick loop.
+
+        Args:
+            ticks: How many.
+            dt: s, the tick.
+            continuous: Whether the arm moves almost continuously between ticks, so that its velocity is no difference of positions.
+
+        Returns:
+            The setpoints from now on.
+        """
+        points = [self.setpoint, *(self.step(dt) for _ in range(ticks))]
+        q, v, a = (np.array(each) for each in zip(*((p.q, p.v, p.a) for p in points), strict=True))
+        before = q[0] - dt * v[0] if self._previous is None else self._previous
+        v_tick = v if continuous else np.diff(np.vstack([before, q]), axis=0) / dt
+        self._previous = q[-2]
+        return TickReference(q[:-1], v[:-1], a[:-1], v_tick[:-1], np.diff(v_tick, axis=0) / dt)
 
     def _time(self, what: str, t: float) -> float:
         time = number(what, t)

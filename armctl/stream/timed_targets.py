@@ -19,8 +19,10 @@ _FORGETTING = 0.9  # of earlier errors, at each target
 _MIN_FOR_SCATTER = 4
 _JUMP_FACTOR = 6.0  # of the scatter about the fit; a target that is further off begins a new history
 _MIN_JUMP = 0.02  # rad (m): smaller steps are followed as a motion
-_PREDICTED_FRAMES = 8  # a source that is silent for longer has stopped
-_JOINED_FRAMES = (2, 3, 4, 6)  # an earlier join would copy the noise of the targets
+# After how many frames the arm may join the prediction; after one it would copy the noise of the targets.
+_JOIN_FRAMES = (2, 3, 4, 6, 8, 12, 16, 24, 32)
+_MAX_JOIN_S = 0.5  # an arm that is too slow for this comes to rest at the newest target instead
+_FOLLOWED_FRAMES = 2  # after the join; a source that is silent for longer has stopped
 _DEFAULT_INTERVAL_S = 1 / 30
 _MIN_INTERVAL_S = 0.01
 _MAX_INTERVAL_S = 0.2
@@ -35,7 +37,7 @@ class Knots(NamedTuple):
         v: (K, n) rad/s.
         a: (K, n) rad/s^2.
         rest: (n,) rad.
-        joins: Indices of the states at which the motion may join them, the best one first.
+        joins: Which states, from one index to another, a motion may follow, the best first.
     """
 
     t: Array
@@ -43,17 +45,21 @@ class Knots(NamedTuple):
     v: Array
     a: Array
     rest: Array
-    joins: tuple[int, ...]
+    joins: tuple[slice, ...]
 
 
 class TimedTargets:
-    """The history of single targets, which is extrapolated, or the rows of a chunk, which are interpolated."""
+    """The history of single targets, which is extrapolated, or the rows of a chunk, which are interpolated.
+
+    Attributes:
+        rest: (n,) rad, the newest target, where the arm rests if nothing more arrives.
+    """
 
     def __init__(self, q: Array, v_max: Array, a_max: Array):
         """No targets: an arm with these limits, each (n,), rests at q (n,)."""
         self._v_max = v_max
         self._a_max = a_max
-        self._rest = q
+        self.rest = q
         self._history: deque[tuple[float, Array]] = deque(maxlen=_FITS[-1][0] + _JUDGED_AHEAD)
         self._errors = np.zeros(len(_FITS))
         self._chunk: tuple[Array, Array] | None = None
@@ -74,7 +80,7 @@ class TimedTargets:
             self._errors[:] = 0.0
         self._judge(t, q)
         history.append((t, q))
-        self._rest = q
+        self.rest = q
 
     def push_chunk(self, t: Array, rows: Array) -> None:
         """Replaces all targets from t[0] on by rows (K, n) at the times t (K,)."""
@@ -84,20 +90,23 @@ class TimedTargets:
             rows = np.concatenate([self._chunk[1][earlier], rows])
         self._chunk = (t, rows)
         self._history.clear()
-        self._rest = rows[-1]
+        self.rest = rows[-1]
 
     def rest_at(self, q: Array) -> None:
         """Forgets all targets: the arm comes to rest, near q (n,)."""
         self._history.clear()
         self._chunk = None
-        self._rest = q
+        self.rest = q
 
     def knots(self, now: float) -> Knots:
         """The wanted states after a time, s."""
         if self._chunk is not None:
             return self._interpolated(now)
-        times = now + self.interval * np.arange(1, _PREDICTED_FRAMES + 1)
-        return Knots(times, *self._predicted(times), self._rest, _JOINED_FRAMES)
+        step = self.interval
+        frames = [k for k in _JOIN_FRAMES if k == _JOIN_FRAMES[0] or k * step <= _MAX_JOIN_S]
+        times = now + step * np.arange(1, frames[-1] + _FOLLOWED_FRAMES + 1)
+        joins = tuple(slice(k - 1, k + _FOLLOWED_FRAMES) for k in frames)
+        return Knots(times, *self._predicted(times), self.rest, joins)
 
     @property
     def interval(self) -> float:
@@ -110,8 +119,8 @@ class TimedTargets:
     def _predicted(self, times: Array) -> tuple[Array, Array, Array]:
         """Position, velocity and acceleration at times (K,), by a polynomial of least squares through the history."""
         if len(self._history) < _MIN_FOR_SLOPE:
-            at_rest = np.zeros((len(times), len(self._rest)))
-            return self._rest + at_rest, at_rest, at_rest
+            at_rest = np.zeros((len(times), len(self.rest)))
+            return self.rest + at_rest, at_rest, at_rest
         newest = self._history[-1][0]
         best = int(np.argmin(self._errors))
         c = _fit(*self._last(0), *_FITS[best])
@@ -156,8 +165,8 @@ class TimedTargets:
         first = max(int(ahead.argmax()) - 1, 0) if ahead.any() else len(t)
         self._chunk = (t[first:], q[first:])
         count = int(ahead.sum())
-        joins = tuple(k for k in (0, 1, 2, 4, 8) if k < count)
-        return Knots(t[ahead], q[ahead], v[ahead], a[ahead], self._rest, joins)
+        joins = tuple(slice(k, None) for k in (0, 1, 2, 4, 8) if k < count)
+        return Knots(t[ahead], q[ahead], v[ahead], a[ahead], self.rest, joins)
 
 
 def _fit(t: Array, q: Array, count: int, degree: int) -> Array:
