@@ -28,6 +28,7 @@ MAX_ROWS = 1000  # of a chunk
 _MAX_AHEAD_S = 60.0  # of a target: a later one has a wrong clock
 _HISTORY_TICKS = 2000  # of past setpoints, with which late targets are compared
 _AT_LIMIT = 0.999  # share of a limit
+_TICKS_PER_LIMIT_CHECK = 8  # a tick takes a third longer with a check
 _TWIST_STEP_S = 0.05  # between the rows into which a velocity of the tip is turned
 _TWIST_STEPS = 4
 # A joint that turns further for a smaller step of the target changes the posture of the arm.
@@ -102,7 +103,7 @@ class Stream:
         self._t = 0.0
         self._counts = dict.fromkeys(("targets", "late", "dropped", "clamped", "refused"), 0)
         self._ticks = 0
-        self._at_limit = [0, 0]
+        self._at_limit = np.zeros(2)
         self._past: deque[tuple[float, Array, Array]] = deque(maxlen=_HISTORY_TICKS)
         self._sums = np.zeros(4)  # of v e, v v, e e, and their number
         self._obstacle = ""
@@ -134,13 +135,13 @@ class Stream:
     def report(self) -> StreamReport:
         """What the stream did so far."""
         ve, vv, ee, count = self._sums
-        ticks = max(self._ticks, 1)
+        checks = max(self._ticks // _TICKS_PER_LIMIT_CHECK, 1)
         return StreamReport(
             lag_s=float(ve / vv) if vv > 0 else 0.0,
             rms=float(np.sqrt(ee / count)) if count else 0.0,
             **self._counts,
-            at_velocity_limit=self._at_limit[0] / ticks,
-            at_acceleration_limit=self._at_limit[1] / ticks,
+            at_velocity_limit=float(self._at_limit[0] / checks),
+            at_acceleration_limit=float(self._at_limit[1] / checks),
             obstacle=self._obstacle,
         )
 
@@ -298,8 +299,8 @@ class Stream:
         point = self.setpoint
         self._past.append((self._t, point.q, point.v))
         self._ticks += 1
-        self._at_limit[0] += bool((np.abs(point.v) >= self._v_limit).any())
-        self._at_limit[1] += bool((np.abs(point.a) >= self._a_limit).any())
+        if self._ticks % _TICKS_PER_LIMIT_CHECK == 0:
+            self._at_limit += ((np.abs(point.v) >= self._v_limit).any(), (np.abs(point.a) >= self._a_limit).any())
         return point
 
     def reference(self, ticks: int, dt: float, continuous: bool = False) -> TickReference:
@@ -308,7 +309,8 @@ class Stream:
         Args:
             ticks: How many.
             dt: s, the tick.
-            continuous: Whether the arm moves almost continuously between ticks, so that its velocity is no difference of positions.
+            continuous: Whether the arm moves almost continuously between ticks, so that its velocity is no
+                difference of positions.
 
         Returns:
             The setpoints from now on.
@@ -340,7 +342,7 @@ class Stream:
             return
         _, q, v = self._past[k]
         error = target - q
-        self._sums += (v @ error, v @ v, error @ error / len(q), 1.0)
+        self._sums += np.array([v @ error, v @ v, error @ error / len(q), 1.0])
 
     def _plan(self) -> None:
         pieces = self._planner.plan(self._state(), self._t, self._targets.knots(self._t))
@@ -360,4 +362,4 @@ class Stream:
         self._coefficients = pieces.coefficients
         self._last = len(self._knots) - 1
         self._duration = self._knots[-1]
-        self._rest = end_state(pieces).q
+        self._rest = np.asarray(end_state(pieces).q)

@@ -104,7 +104,7 @@ class TimedTargets:
             return self._interpolated(now)
         step = self.interval
         frames = [k for k in _JOIN_FRAMES if k == _JOIN_FRAMES[0] or k * step <= _MAX_JOIN_S]
-        times = now + step * np.arange(1, frames[-1] + _FOLLOWED_FRAMES + 1)
+        times: Array = now + step * np.arange(1.0, frames[-1] + _FOLLOWED_FRAMES + 1.0)
         joins = tuple(slice(k - 1, k + _FOLLOWED_FRAMES) for k in frames)
         return Knots(times, *self._predicted(times), self.rest, joins)
 
