@@ -41,6 +41,7 @@ def tick_loop(stepper: Stepper, api: _core.MujocoApi | None = None, **changes: o
         "torque_share": np.ones(stepper.n),
         "pushed_arm": stepper._pushed_arm,
         "substeps": 1,
+        "dt": 0.002,
         "diverged_speed": 1e3,
     }
     return _core.TickLoop(api or mujoco_api(), stepper.model, stepper.data, **(options | changes))

@@ -33,9 +33,7 @@ template <class Number>
 class OptionalArray {
 public:
     explicit OptionalArray(nanobind::handle argument) : is_given_(!argument.is_none()) {
-        if (is_given_) {
-            array_.acquire(argument.ptr());
-        }
+        if (is_given_) { array_.acquire(argument.ptr()); }
     }
 
     std::span<Number> shaped(std::initializer_list<size_t> shape, const char* name) const {
