@@ -11,11 +11,12 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import Protocol
 from weakref import WeakKeyDictionary
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, ModelError
 from armctl.core.validation import Array, IntArray
@@ -25,9 +26,6 @@ from armctl.mjmodel.spring_joints import settle_springs, spring_joints
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
 
-if TYPE_CHECKING:
-    from armctl.sim.plant import Plant
-
 _ROTOR_MASS = 1e-6  # kg, and kg m^2: what turns is the armature of the rotor's joint
 _STRIBECK_SPEED = 0.05  # rad/s, of harmonic drives about: Armstrong-Helouvry, Control of Machines with Friction (1991)
 _BRISTLE_DEFLECTION = 2e-4  # rad, at which a joint breaks away
@@ -36,6 +34,25 @@ _MAX_SPRING_RATE = 1.0  # of a spring's frequency times the time step; semi-impl
 
 Structure = tuple[tuple[bool, ...], bool, bool]
 _models: WeakKeyDictionary[Arm, tuple[Structure, mujoco.MjModel]] = WeakKeyDictionary()
+
+
+class DrivetrainAttributes(Protocol):
+    """The attributes of a plant that a drivetrain is made from; `Plant` explains them."""
+
+    @property
+    def elasticity(self) -> ArrayLike: ...
+    @property
+    def elastic_damping(self) -> float: ...
+    @property
+    def rotor_inertia(self) -> ArrayLike: ...
+    @property
+    def backlash(self) -> ArrayLike: ...
+    @property
+    def friction(self) -> str: ...
+    @property
+    def stiction(self) -> float: ...
+    @property
+    def motor(self) -> float: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +108,7 @@ class Drivetrain:
         data.qvel[:] = moving
 
 
-def new_model(arms: Sequence[Arm], plant: Plant) -> mujoco.MjModel:
+def new_model(arms: Sequence[Arm], plant: DrivetrainAttributes) -> mujoco.MjModel:
     """A model of a plant, without its values: a copy of the arms' model, with rotors, friction and windings if it has any.
 
     Raises:
@@ -116,14 +133,14 @@ def new_model(arms: Sequence[Arm], plant: Plant) -> mujoco.MjModel:
     return copy.copy(known[1])
 
 
-def structure_of(arms: Sequence[Arm], plant: Plant) -> Structure:
+def structure_of(arms: Sequence[Arm], plant: DrivetrainAttributes) -> Structure:
     """What a plant adds to a model: which joints get a rotor, whether there are bristles, and windings."""
     n = sum(arm.n for arm in arms)
     has_rotor = (per_joint("elasticity", plant.elasticity, n) > 0.0) | (per_joint("backlash", plant.backlash, n) > 0.0)
     return tuple(has_rotor.tolist()), plant.friction == "lugre", plant.motor > 0.0
 
 
-def drivetrain_of(arms: Sequence[Arm], plant: Plant) -> Drivetrain:
+def drivetrain_of(arms: Sequence[Arm], plant: DrivetrainAttributes) -> Drivetrain:
     """The drivetrain in the models by `new_model`: rotors come after all joints of the arms' model."""
     model = arms[0].model
     actuation = arms[0].actuation if len(arms) == 1 else Actuation.concatenated([arm.actuation for arm in arms])
@@ -151,7 +168,7 @@ def drivetrain_of(arms: Sequence[Arm], plant: Plant) -> Drivetrain:
     )
 
 
-def apply_drivetrain(model: mujoco.MjModel, plant: Plant, arms: Sequence[Arm], train: Drivetrain) -> None:
+def apply_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, arms: Sequence[Arm], train: Drivetrain) -> None:
     """Gives a model by `new_model` the rotors' inertias, the springs and gaps of a plant, in place; before `mj_setConst`.
 
     Raises:
@@ -184,7 +201,7 @@ def apply_drivetrain(model: mujoco.MjModel, plant: Plant, arms: Sequence[Arm], t
     model.tendon_solref_lim[tendons] = (2 * model.opt.timestep, 1.0)
 
 
-def finish_drivetrain(model: mujoco.MjModel, plant: Plant, train: Drivetrain) -> None:
+def finish_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, train: Drivetrain) -> None:
     """Gives a model what follows from its inertias, in place: damping of the springs, friction, windings.
 
     Raises:
