@@ -1,6 +1,5 @@
 """The public names of armctl: this file is the only list of them, for type checkers and for Python, which reads it as well."""
 
-from ._core import CFunctionLaw as CFunctionLaw
 from .analysis.comparison import compare as compare
 from .analysis.comparison import out_and_back as out_and_back
 from .analysis.diagnose import Diagnosis as Diagnosis
@@ -16,6 +15,7 @@ from .analysis.report import table as table
 from .collision.clearance import ClearanceCheck as ClearanceCheck
 from .collision.clearance import check_clearance as check_clearance
 from .control.admittance import Admittance as Admittance
+from .control.c_function_law import CFunctionLaw as CFunctionLaw
 from .control.computed_torque import ComputedTorque as ComputedTorque
 from .control.computed_torque_learning import ComputedTorqueLearning as ComputedTorqueLearning
 from .control.computed_torque_observer import ComputedTorqueObserver as ComputedTorqueObserver

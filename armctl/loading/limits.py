@@ -151,7 +151,8 @@ def joint_limits(
     if a_max is None:
         M, gravity = _inertia_and_gravity(model, transmissions, home_qpos)
         headroom = np.maximum(tau_max - np.abs(gravity), 0.1 * tau_max)
-        a_max = np.minimum(0.5 * headroom / np.abs(M).sum(axis=1), 10.0 * v_max)
+        with np.errstate(over="ignore"):  # a model may state any speed
+            a_max = np.minimum(0.5 * headroom / np.abs(M).sum(axis=1), 10.0 * v_max)
     if j_max is None:
         j_max = a_max / DEFAULT_ACCELERATION_TIME_S
     sources = {k: "default" if getattr(given, k) is None else given.source for k in ("v_max", "a_max", "j_max")}

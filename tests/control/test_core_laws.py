@@ -1,6 +1,7 @@
 """The laws of the compiled core: runs, memory, and what they refuse."""
 
 import ctypes
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -141,6 +142,63 @@ def test_a_controller_is_its_law_and_an_assigned_gain_keeps_the_memory(bundled: 
         controller.damping = np.full(bundled.n, np.nan)
     assert controller.damping is before
     assert (controller.torque(*run[20]) == torque(stiffer, *run[20])).all()
+
+
+def own_law(make: Callable[[], object], n: object = 3) -> armctl.CompiledController:
+    """A controller whose law is what a function gives."""
+
+    class Own(armctl.CompiledController):
+        def make_law(self, dt, continuous):
+            return make()
+
+    return Own(n)  # type: ignore[arg-type]
+
+
+def c_law(**arguments: object) -> armctl.CFunctionLaw:
+    address = ctypes.cast(spring_with_memory, ctypes.c_void_p).value
+    return armctl.CFunctionLaw(**({"address": address, "n": 3, "parameters": [1.0, 2.0], "memory_size": 1} | arguments))
+
+
+@pytest.mark.parametrize(
+    ("make", "what"),
+    [
+        (lambda: c_law(memory_size=-1), r"memory_size: expected a number in \[0, 1e\+06\], got -1"),
+        (lambda: c_law(memory_size=1.5), "memory_size: expected a whole number"),
+        (lambda: c_law(memory_size=10**12), "memory_size: expected a number in"),
+        (lambda: c_law(parameters=None), "parameters: None is not an array of numbers"),
+        (lambda: c_law(parameters=[[1.0]]), "parameters: expected a list of numbers"),
+        (lambda: c_law(n=10**12), "n: expected a number in"),
+        (lambda: c_law(address="x"), "address: 'x' is not a number"),
+        (lambda: c_law(needs_wrench=1), "needs_wrench: expected True or False, got 1"),
+        (lambda: c_law(needs_wrench=True), "needs_wrench: the law of Own reads the wrench; set it to True in the class"),
+        (lambda: c_law(n=4), "make_law: expected a law for 3 joints, got one for 4"),
+        (lambda: "x", "make_law: expected a law, such as armctl.CFunctionLaw, got 'x'"),
+    ],
+)
+def test_a_law_of_ones_own_that_does_not_fit_is_one_sentence(bundled: armctl.Arm, make, what: str):
+    with pytest.raises(armctl.InputError, match=what):
+        own_law(make).torque(*next(ticks(bundled, 0.002, False)))
+    with pytest.raises(armctl.InputError, match=what):
+        armctl.simulate(bundled, own_law(make), armctl.move_j(bundled, bundled.home, bundled.home))
+
+
+@pytest.mark.parametrize("n", [0, -1, 1.5, None, 10**9])
+def test_a_controller_has_at_least_one_joint(n):
+    with pytest.raises(armctl.InputError, match=r"^n: "):
+        own_law(c_law, n)
+
+
+def test_a_law_that_gets_another_memory_begins_with_zeros(bundled: armctl.Arm):
+    sizes = [2, 5]
+    controller = own_law(lambda: c_law(memory_size=sizes[0]))
+    run = list(ticks(bundled, 0.002, False))
+    for tick in run[:3]:
+        controller.torque(*tick)
+    assert list(controller.memory) == [3.0, 0.0]
+    del sizes[0]
+    controller.anything = None
+    controller.torque(*run[3])
+    assert list(controller.memory) == [1.0, 0.0, 0.0, 0.0, 0.0]
 
 
 HOSTILE_GAINS = [
