@@ -30,6 +30,9 @@ from .control.pd import PD as PD
 from .control.pd_feedforward import PDFeedforward as PDFeedforward
 from .control.pd_gravity import PDGravity as PDGravity
 from .control.rate_limit import TorqueRateLimit as TorqueRateLimit
+from .control.torque_filter import LowPass as LowPass
+from .control.torque_filter import Notch as Notch
+from .control.torque_filter import TorqueFilter as TorqueFilter
 from .core.errors import ArmctlError as ArmctlError
 from .core.errors import ArmctlWarning as ArmctlWarning
 from .core.errors import InputError as InputError

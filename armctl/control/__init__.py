@@ -16,6 +16,7 @@ from armctl.control.pd import PD
 from armctl.control.pd_feedforward import PDFeedforward
 from armctl.control.pd_gravity import PDGravity
 from armctl.control.rate_limit import TorqueRateLimit
+from armctl.control.torque_filter import LowPass, Notch, TorqueFilter
 from armctl.core.errors import UnknownNameError
 from armctl.robot.arm import Arm
 
@@ -56,10 +57,13 @@ __all__ = [
     "Controller",
     "HybridForce",
     "Impedance",
+    "LowPass",
+    "Notch",
     "OperationalSpace",
     "PDFeedforward",
     "PDGravity",
     "State",
+    "TorqueFilter",
     "TorqueRateLimit",
     "controller_by_name",
     "controller_name",

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, ModelError
 from armctl.core.validation import Array, IntArray
-from armctl.mjmodel.dc_motor import TORQUE_COMMAND, set_friction, set_time_constant
+from armctl.mjmodel.dc_motor import TORQUE_COMMAND, current_for, current_state, set_friction, set_time_constant
 from armctl.mjmodel.queries import is_on_joint, joint_name
 from armctl.mjmodel.spring_joints import settle_springs, spring_joints
 from armctl.robot.actuation import Actuation
@@ -87,16 +87,45 @@ class Drivetrain:
             result[self.owners] += values[of_joint[list(self.springs)]]
         return result
 
-    def settle(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Moves rotors, or springs of the file, to where gravity and the springs balance at rest, in place."""
+    def settle(self, model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+        """Puts springs, windings and delayed commands where they are if the motors have held the arm still, in place.
+
+        Returns:
+            (n,) N m, the torque that holds it.
+        """
         settle_springs(model, data, list(self.springs))
-        if not self.rotors:
-            return
+        moving = data.qvel.copy()
+        if self.rotors:
+            self._settle_rotors(model, data)
+        data.qvel[:] = 0.0
+        mujoco.mj_forward(model, data)
+        missing = data.qfrc_bias - data.qfrc_passive
+        holding = self.actuation.joint_map.reduced(missing)
+        if self.rotors:
+            holding[self.owners] = missing[self.motor_dof[self.owners]]
+            moving[self.motor_dof[self.owners]] = moving[self.actuation.dof_adr[self.owners]]
+        data.qvel[:] = moving
+        self.set_commands(model, data, holding[None])
+        for motor, force in zip(motors_of(model, self.actuation), holding / self.actuation.gear, strict=True):
+            address = current_state(model, motor)
+            if address >= 0:
+                data.act[address] = current_for(model, motor, force)
+        return holding
+
+    def set_commands(self, model: mujoco.MjModel, data: mujoco.MjData, torques: Array, substeps: int = 1) -> None:
+        """Gives delayed actuators the commands of the ticks before, (ticks, n) N m, the last one first; the oldest lasts."""
+        for i, motor in enumerate(motors_of(model, self.actuation)):
+            if not model.actuator_delay[motor] > 0.0:
+                continue
+            ages = np.arange(int(model.actuator_history[motor, 0]), 0, -1)
+            ticks = np.minimum((ages - 1) // substeps, len(torques) - 1)
+            values = torques[ticks, i] / self.actuation.gear[i]
+            mujoco.mj_initCtrlHistory(model, data, motor, data.time - ages * model.opt.timestep, values)
+
+    def _settle_rotors(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         links = self.actuation.qpos_adr[self.owners]
         dofs = self.actuation.dof_adr[self.owners]
         data.qpos[self.motor_qpos[self.owners]] = data.qpos[links]
-        data.qvel[self.motor_dof[self.owners]] = data.qvel[dofs]
-        moving = data.qvel.copy()
         data.qvel[:] = 0.0
         mujoco.mj_forward(model, data)
         load = data.qfrc_bias[dofs] - data.qfrc_passive[dofs]
@@ -105,7 +134,6 @@ class Drivetrain:
         gap = np.where(stiffness > 0.0, model.tendon_lengthspring[tendons, 1], model.tendon_range[tendons, 1])
         stretch = np.divide(load, stiffness, out=np.zeros_like(load), where=stiffness > 0.0) + np.sign(load) * gap
         data.qpos[self.motor_qpos[self.owners]] += stretch
-        data.qvel[:] = moving
 
 
 def new_model(arms: Sequence[Arm], plant: DrivetrainAttributes) -> mujoco.MjModel:
@@ -207,7 +235,7 @@ def finish_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, train:
     Raises:
         InputError: A spring is too stiff for the time step.
     """
-    motors = _motors(model, train.actuation)
+    motors = motors_of(model, train.actuation)
     if train.rotors:
         dofs = train.actuation.dof_adr[train.owners]
         tendons = model.ntendon - len(dofs) + np.arange(len(dofs))
@@ -250,7 +278,7 @@ def per_joint(name: str, value: object, n: int) -> Array:
     return np.broadcast_to(values, n).copy()
 
 
-def _motors(model: mujoco.MjModel, actuation: Actuation) -> list[int]:
+def motors_of(model: mujoco.MjModel, actuation: Actuation) -> list[int]:
     """The actuators of the joints."""
     owner = np.repeat(np.arange(model.nactuator), model.actuator_ctrlnum)
     return owner[actuation.ctrl_adr].tolist()
@@ -263,7 +291,7 @@ def _add_elements(spec: mujoco.MjSpec, arms: Sequence[Arm], structure: Structure
     flags = iter(has_rotor)
     targets = []
     for arm in arms:
-        for index, actuator in zip(arm.joint_map.leaders.tolist(), _motors(arm.model, arm.actuation), strict=True):
+        for index, actuator in zip(arm.joint_map.leaders.tolist(), motors_of(arm.model, arm.actuation), strict=True):
             target = joint_name(arm.model, arm.joint_map.joints[index])
             joint = spec.joint(target)
             motor = motors[actuator]
