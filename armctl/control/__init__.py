@@ -8,6 +8,7 @@ from armctl.control.computed_torque import ComputedTorque
 from armctl.control.computed_torque_learning import ComputedTorqueLearning
 from armctl.control.computed_torque_observer import ComputedTorqueObserver
 from armctl.control.computed_torque_qp import ComputedTorqueQP
+from armctl.control.elastic_feedforward import ElasticFeedforward
 from armctl.control.hybrid_force import HybridForce
 from armctl.control.impedance import Impedance
 from armctl.control.interface import CompiledController, Controller, State, controller_name
@@ -55,6 +56,7 @@ __all__ = [
     "ComputedTorqueObserver",
     "ComputedTorqueQP",
     "Controller",
+    "ElasticFeedforward",
     "HybridForce",
     "Impedance",
     "LowPass",

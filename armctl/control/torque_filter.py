@@ -107,7 +107,7 @@ class TorqueFilter(ControllerAround):
 
     Attributes:
         controller: The controller whose torques are filtered.
-        filters: The filters.
+        filters: Notches and low-passes, the first one first.
         name: The name of the controller.
         needs_wrench: Whether the controller needs the wrench.
     """
