@@ -20,6 +20,7 @@ from .control.computed_torque import ComputedTorque as ComputedTorque
 from .control.computed_torque_learning import ComputedTorqueLearning as ComputedTorqueLearning
 from .control.computed_torque_observer import ComputedTorqueObserver as ComputedTorqueObserver
 from .control.computed_torque_qp import ComputedTorqueQP as ComputedTorqueQP
+from .control.elastic_feedforward import ElasticFeedforward as ElasticFeedforward
 from .control.hybrid_force import HybridForce as HybridForce
 from .control.impedance import Impedance as Impedance
 from .control.interface import CompiledController as CompiledController
@@ -30,6 +31,9 @@ from .control.pd import PD as PD
 from .control.pd_feedforward import PDFeedforward as PDFeedforward
 from .control.pd_gravity import PDGravity as PDGravity
 from .control.rate_limit import TorqueRateLimit as TorqueRateLimit
+from .control.torque_filter import LowPass as LowPass
+from .control.torque_filter import Notch as Notch
+from .control.torque_filter import TorqueFilter as TorqueFilter
 from .core.errors import ArmctlError as ArmctlError
 from .core.errors import ArmctlWarning as ArmctlWarning
 from .core.errors import InputError as InputError
