@@ -194,7 +194,7 @@ class PlantLink:
         self._waiting.clear()
 
     def _pass(self, ticks: int) -> None:
-        """Simulates ticks. Where a row was lost, the servo goes on as before; it works one row behind, to know its difference."""
+        """Simulates ticks. Where a row is lost, the servo goes on as before; it works one row behind, to know a difference."""
         stepper = self._simulation()
         for _ in range(ticks):
             if self._fault and np.ptp(np.array(self._rows), axis=0).max() > 0.0:

@@ -244,7 +244,8 @@ class Commands:
             InputError: As for `move_to`, or the path is empty.
             SimulationError: As for `move_to`.
         """
-        if not isinstance(path, (Sequence, np.ndarray)) or isinstance(path, str):
+        is_list = isinstance(path, Sequence) or (isinstance(path, np.ndarray) and path.ndim > 0)
+        if not is_list or isinstance(path, str):
             raise InputError(f"path: {shown(path)} is not a list of lines, arcs, poses or points")
         if len(path) == 0:
             raise InputError("path: it is empty; give at least one line or arc")

@@ -18,6 +18,7 @@ from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
 from armctl.core.target import Target
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory, check_motion
+from armctl.core.units import length_text
 from armctl.core.validation import Array, shown
 from armctl.ik import solve_ik
 from armctl.motion import JointTrajectory, move_j
@@ -298,7 +299,8 @@ class ControlledArms:
         log = self._logs[tip]
         reason = move.refusal or self.drive.failure
         if not reason and not move.target.is_reached(self.tip_pose(tip)):
-            reason = f"the tip is {1e3 * position_error:.3g} mm and {orientation_error:.3g} rad from the target"
+            allowed = f"{length_text(move.target.tolerance)} and {move.target.angle_tolerance:g} rad are allowed"
+            reason = f"the tip is {length_text(position_error)} and {orientation_error:.3g} rad from the target, {allowed}"
             reason = "; ".join([reason, *map(str, log.contacts[:_MAX_CONTACTS_IN_REASON])])
         if not reason and not self._is_still(tip):
             reason = f"the arm has not come to rest within {_SETTLE_TIMEOUT_S:g} s"

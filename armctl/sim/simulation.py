@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from armctl.control import ComputedTorque, Controller, State
 from armctl.core import hooks
 from armctl.core.log import Log
+from armctl.core.other_names import with_hints
 from armctl.core.trajectory import TickReference
 from armctl.core.validation import flag, number, vector
 from armctl.loading.load import load
@@ -39,6 +40,21 @@ class Simulation(Commands):
         data: Its MjData, for reading.
         viewer: The page that shows the simulation, or None.
     """
+
+    if not TYPE_CHECKING:
+        __getattr__ = with_hints(
+            {
+                "q": "sim.state.q",
+                "v": "sim.state.v",
+                "qpos": "sim.state.q",
+                "open_gripper": "sim.gripper.open()",
+                "close_gripper": "sim.gripper.close()",
+                "grasp": "sim.gripper.grasp(force)",
+                "fk": "sim.tip, or sim.arm.fk(q)",
+                "move": "sim.move_to(target)",
+                "plan": "armctl.move_free(arm, start, goal), and sim.run",
+            }
+        )
 
     def __init__(
         self, robot: Arm | str, controller: Controller | str | None = None, plant: Plant | None = None, *, viewer: bool = False

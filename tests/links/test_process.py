@@ -105,10 +105,8 @@ def test_the_program_runs_through_the_process_and_a_busy_planner_changes_nothing
         assert result.position_error < 1e-3
         center = robot.tip.position
         log = robot.follow(lambda t: center + 0.02 * np.sin([0.0, 2 * t, t]), seconds=0.6)
-        assert log.failure in ("", "the motion came too late: the stream has ended; the arm came to rest on its path") or (
-            "too late" in log.failure
-        )
-        with pytest.raises(armctl.LinkError, match="has no gripper|ModelError"):
+        assert log.failure == "" or "too late" in log.failure  # on a busy machine
+        with pytest.raises(armctl.ModelError, match="gripper"):
             robot.gripper.open()
         process = robot._host._process
     assert process.returncode == 0

@@ -17,12 +17,19 @@ from armctl.links.link import Seen
 from armctl.sim.commands import Commands
 
 ROUNDING = 1e-3
+
+
+def at(robot: Commands, *offset: float) -> np.ndarray:
+    """(3,) m, a point beside the tip."""
+    return robot.tip.position + np.array(offset)
+
+
 MOVES: dict[str, Callable[[Commands], armctl.MoveResult]] = {
     "move_j": lambda robot: robot.move_j([0.5, 0.3, -1.0]),
     "move_to": lambda robot: robot.move_to([0.3, 0.2, 0.3]),
-    "move_l": lambda robot: robot.move_l(robot.tip.position + [0.0, -0.05, 0.0]),
-    "move_c": lambda robot: robot.move_c(robot.tip.position + [0.0, 0.03, 0.03], robot.tip.position + [0.0, 0.06, 0.0]),
-    "move_path": lambda robot: robot.move_path([robot.tip.position + [0.0, y, 0.0] for y in (0.04, 0.0)], blend=0.01),
+    "move_l": lambda robot: robot.move_l(at(robot, 0.0, -0.05, 0.0)),
+    "move_c": lambda robot: robot.move_c(at(robot, 0.0, 0.03, 0.03), at(robot, 0.0, 0.06, 0.0)),
+    "move_path": lambda robot: robot.move_path([at(robot, 0.0, y, 0.0) for y in (0.04, 0.0)], blend=0.01),
 }
 REFUSED: dict[str, Callable[[Commands], armctl.MoveResult]] = {
     "out of reach": lambda robot: robot.move_to([2.0, 0.0, 0.3]),
@@ -254,7 +261,7 @@ def test_follow_sends_no_motion_that_touches():
 
 def test_another_model_is_refused_with_the_difference():
     arm = arm_of("robot_arm_3dof")
-    longer = replace(arm, T_body_tip=armctl.Pose(arm.T_body_tip.position + [0.0, 0.0, 0.1034], arm.T_body_tip.quat))
+    longer = replace(arm, T_body_tip=armctl.Pose(arm.T_body_tip.position + np.array([0.0, 0.0, 0.1034]), arm.T_body_tip.quat))
     with pytest.raises(armctl.LinkError, match=r"is 103\.4 mm from the tip that the robot computes"):
         armctl.Robot(arm, armctl.links.PlantLink(longer))
     with pytest.raises(armctl.LinkError, match="the robot has 7 joints"):
@@ -266,7 +273,7 @@ def test_another_model_is_refused_with_the_difference():
 
 def test_the_payload_must_be_the_one_that_the_robot_is_set_to():
     arm = arm_of("robot_arm_3dof")
-    with pytest.raises(armctl.LinkError, match="set to a payload of 1.5 kg, the program says 0 kg"):
+    with pytest.raises(armctl.LinkError, match=r"set to a payload of 1\.5 kg, the program says 0 kg"):
         armctl.Robot(arm, armctl.links.PlantLink(arm, payload=1.5))
     assert armctl.Robot(arm, armctl.links.PlantLink(arm, payload=1.5), payload=1.5)
 

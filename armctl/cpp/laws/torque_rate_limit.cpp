@@ -6,13 +6,10 @@
 namespace armctl {
 
 TorqueRateLimit::TorqueRateLimit(std::shared_ptr<Law> limited, std::vector<double> max_rate, double dt)
-    : limited_(std::move(limited)),
-      max_change_(checked_limits(std::move(max_rate), limited_->joints(), "tau_rate_max")),
+    : limited_(std::move(limited)), max_change_(checked_limits(std::move(max_rate), limited_->joints(), "tau_rate_max")),
       memory_(1 + limited_->joints() + limited_->memory().size()) {
     checked_period(dt);
-    for (double& change : max_change_) {
-        change *= dt;
-    }
+    for (double& change : max_change_) { change *= dt; }
 }
 
 TorqueRateLimit::TorqueRateLimit(const TorqueRateLimit& other)
