@@ -43,9 +43,11 @@ class _Stream:
         moves: Whether the motion goes on at that tick.
         course: The motion that was sent last.
         at: Its first tick.
+        before: (3, n) rad, the rows before `next`.
         tick: The tick of the last row that was played.
     """
 
+    before: Array
     next: int = 0
     moves: bool = False
     course: Pieces | None = None
@@ -215,11 +217,13 @@ class LinkDrive:
                     self._end = self._host.read().q_ref
                 return
             if self._stream is None:
-                self._stream = _Stream()
+                self._stream = _Stream(np.repeat(course.coefficients[:1, 0], 3, axis=0))
                 recorder.segments.append(_Segment(first, first))
             stream = self._stream
             stream.course = course
             stream.at = first
+            rows = sample(course, self.dt * np.arange(ticks, dtype=np.float64)).q
+            stream.before = np.vstack([stream.before, rows])[-3:]
             stream.next = first + ticks
             duration = float(course.knots[-1])
             stream.moves = duration > ticks * self.dt + 1e-9
@@ -292,9 +296,7 @@ class LinkDrive:
     def _rows_before(self, first: Array) -> Array:
         """(3, n) rad, the rows before the first one of a motion."""
         stream = self._stream
-        if stream is None or not stream.moves or stream.course is None:
-            return np.repeat(first[None], 3, axis=0)
-        return sample(stream.course, self.dt * (stream.next - stream.at + np.arange(-3.0, 0.0))).q
+        return np.repeat(first[None], 3, axis=0) if stream is None or not stream.moves else stream.before
 
     def _course(self, reference: TickReference) -> Pieces:
         """A reference as polynomials: those of its trajectory if it has them. It ends at rest, or is refused by the player."""

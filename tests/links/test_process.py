@@ -39,15 +39,13 @@ def wait_until(condition, seconds: float = 30.0) -> None:
         time.sleep(0.01)
 
 
-def stopped_planner(record: Path, how: signal.Signals) -> tuple[np.ndarray, np.ndarray, float]:
-    """Ends a planner in the middle of a move; the rows that were sent in all, its acceleration limits, and when it ended."""
-    planner = subprocess.Popen([sys.executable, "-c", PLANNER, str(record)], stdout=subprocess.PIPE, text=True)
-    try:
+def stopped_planner(record: Path, how: signal.Signals) -> tuple[np.ndarray, np.ndarray]:
+    """Ends a planner in the middle of a move; its limits of acceleration and speed, and the rows that were sent in all."""
+    with subprocess.Popen([sys.executable, "-c", PLANNER, str(record)], stdout=subprocess.PIPE, text=True) as planner:
         assert planner.stdout is not None
         limits = np.array(planner.stdout.readline().split(), dtype=float)
         wait_until(lambda: record.stat().st_size > 40 * 4 * 8 and np.ptp(rows_of(record)[1][-2:]) > 1e-3)
         planner.send_signal(how)
-        ended = time.monotonic()
         sizes = [0]
 
         def at_rest() -> bool:
@@ -56,16 +54,14 @@ def stopped_planner(record: Path, how: signal.Signals) -> tuple[np.ndarray, np.n
             return sizes[-1] == sizes[-2]
 
         wait_until(at_rest)
-        return limits, rows_of(record)[1], ended
-    finally:
         planner.kill()
-        planner.wait()
+        return limits, rows_of(record)[1]
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "stopped"])
 def test_without_a_planner_the_arm_brakes_on_its_path_within_the_limits_of_the_plan(tmp_path: Path, how: signal.Signals):
     record = tmp_path / "rows"
-    limits, q, _ = stopped_planner(record, how)
+    limits, q = stopped_planner(record, how)
     assert np.ptp(q[-10:], axis=0).max() == 0.0
     assert q[-1][0] < GOAL[0] - 0.01  # it did not go on to its goal
     start = arm_of("robot_arm_3dof").home
@@ -144,6 +140,6 @@ def test_the_death_of_the_process_is_a_fault():
 
 def test_what_the_maker_raises_in_the_process_is_one_sentence():
     arm = arm_of("robot_arm_3dof")
-    link = armctl.links.PlantLink(arm, real_time=True, record="/nowhere/rows")
+    link = armctl.links.PlantLink(arm, real_time=True, record="/proc/no-such-folder/rows")
     with pytest.raises(armctl.LinkError, match="FileNotFoundError"):
         armctl.Robot(arm, link)
