@@ -1,5 +1,6 @@
 """The public names of armctl: this file is the only list of them, for type checkers and for Python, which reads it as well."""
 
+from . import links as links
 from .analysis.comparison import compare as compare
 from .analysis.comparison import out_and_back as out_and_back
 from .analysis.diagnose import Diagnosis as Diagnosis
@@ -38,6 +39,7 @@ from .core.errors import ArmctlError as ArmctlError
 from .core.errors import ArmctlWarning as ArmctlWarning
 from .core.errors import InputError as InputError
 from .core.errors import LimitError as LimitError
+from .core.errors import LinkError as LinkError
 from .core.errors import ModelError as ModelError
 from .core.errors import NotInstalledError as NotInstalledError
 from .core.errors import PlanError as PlanError
@@ -77,6 +79,9 @@ from .ik.reachability import reachability as reachability
 from .ik.result import IkBatch as IkBatch
 from .ik.result import IkResult as IkResult
 from .ik.solve import solve_ik as solve_ik
+from .links.dry_run import DryRun as DryRun
+from .links.envelope import Envelope as Envelope
+from .links.robot import Robot as Robot
 from .loading.chain import SerialChain as SerialChain
 from .loading.load import chains as chains
 from .loading.load import load as load

@@ -33,7 +33,7 @@ class RobotNotes:
         self._asked = 0
         self._fixtures: set[str] = set()
         self._independent: list[str] = []
-        self._processes = tempfile.NamedTemporaryFile(prefix="armctl-notes-")
+        self._processes = tempfile.NamedTemporaryFile(prefix="armctl-notes-")  # noqa: SIM115
         os.environ[NOTES_OF_PROCESSES] = self._processes.name
         os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(_HOOK), os.environ.get("PYTHONPATH")]))
         sys.path.insert(0, str(_HOOK))  # some tests give their own path to a process
