@@ -1,8 +1,8 @@
 """Input shaping: a motion that does not leave a known vibration behind.
 
 The shaped motion is a weighted sum of the motion and of later copies of it, whose vibrations cancel: N. C. Singer and
-W. P. Seering, "Preshaping command inputs to reduce system vibration" (1990). The weights are positive and sum to 1, so no limit of
-position, speed, acceleration or jerk is exceeded.
+W. P. Seering, "Preshaping command inputs to reduce system vibration" (1990). The weights are positive and sum to 1, so no limit
+of position, speed, acceleration or jerk is exceeded.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """IterativeLearning: a motion that is repeated gets better from one repetition to the next.
 
 The reference of the next repetition is the present one plus the error of the last, low-passed without lag: D. A. Bristow,
-M. Tharayil and A. G. Alleyne, "A survey of iterative learning control" (2006). That converges for any controller that follows slow
-references, and learns whatever is the same in all repetitions: friction, a payload, a wrong model, gravity.
+M. Tharayil and A. G. Alleyne, "A survey of iterative learning control" (2006). That converges for any controller that follows
+slow references, and learns whatever is the same in all repetitions: friction, a payload, a wrong model, gravity.
 """
 
 from __future__ import annotations
@@ -98,9 +98,10 @@ class IterativeLearning:
 
     def _corrected(self) -> JointTrajectory:
         q, v, a = self.motion.sample(self._times)[:3]
-        speed = np.gradient(self._correction, self._times, axis=0)
+        speed = np.array(np.gradient(self._correction, self._times, axis=0))
+        speed = np.array(speed)
         speed[[0, -1]] = 0.0
-        acceleration = np.gradient(speed, self._times, axis=0)
+        acceleration = np.array(np.gradient(speed, self._times, axis=0))
         acceleration[[0, -1]] = 0.0
         pieces = piecewise.hermite(self._times, q + self._correction, v + speed, a + acceleration)
         return JointTrajectory(*pieces, self.motion.joint_names, self._limits, units=self.motion.units)
