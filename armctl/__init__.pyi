@@ -87,6 +87,8 @@ from .loading.load import chains as chains
 from .loading.load import load as load
 from .loading.load import load_arms as load_arms
 from .loading.scene import Scene as Scene
+from .motion.input_shaping import shape_motion as shape_motion
+from .motion.iterative_learning import IterativeLearning as IterativeLearning
 from .motion.move_cartesian import Arc as Arc
 from .motion.move_cartesian import Line as Line
 from .motion.move_cartesian import PathOptions as PathOptions
