@@ -23,6 +23,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 WORK = ROOT / "build" / f"mutants-{os.getpid()}"
@@ -30,37 +31,23 @@ PYTEST = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", 
 TIMEOUT_S = 1200  # a test that hangs has found the error
 CXX = "cpp"
 # Tests of a subpackage beside tests/SUBPACKAGE: it is checked where it is used.
-MORE_TESTS = {"robot": ["tests/control/test_core_laws.py", "tests/motion/test_move_cartesian.py"]}
-DEFAULT = ["control", "robot", "ik", "motion", "collision", "design", "envs", CXX]
-COMPARISONS = {
-    ast.Lt: ast.GtE,
-    ast.LtE: ast.Gt,
-    ast.Gt: ast.LtE,
-    ast.GtE: ast.Lt,
-    ast.Eq: ast.NotEq,
-    ast.NotEq: ast.Eq,
-    ast.Is: ast.IsNot,
-    ast.IsNot: ast.Is,
-    ast.In: ast.NotIn,
-    ast.NotIn: ast.In,
+MORE_TESTS = {
+    "control": ["tests/sim/test_compiled_loop.py"],
+    "robot": ["tests/control/test_core_laws.py", "tests/motion/test_move_cartesian.py"],
 }
-OPERATORS = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.MatMult: ast.Mult, ast.Pow: ast.Mult}
+DEFAULT = ["control", "robot", "ik", "motion", "collision", "design", "envs", CXX]
+
+
+def both_ways(*pairs: tuple[Any, Any]) -> dict[Any, Any]:
+    """A table in which each of a pair leads to the other."""
+    return {one: other for pair in pairs for one, other in (pair, pair[::-1])}
+
+
+COMPARISONS = both_ways((ast.Lt, ast.GtE), (ast.LtE, ast.Gt), (ast.Eq, ast.NotEq), (ast.Is, ast.IsNot), (ast.In, ast.NotIn))
+OPERATORS = both_ways((ast.Add, ast.Sub), (ast.Mult, ast.Div)) | {ast.MatMult: ast.Mult, ast.Pow: ast.Mult}
 # Replaced in code lines of C++. A unary minus and templates do not match, for operators have blanks on both sides.
-CXX_CHANGES = [
-    (" + ", " - "),
-    (" - ", " + "),
-    (" * ", " / "),
-    (" / ", " * "),
-    (" < ", " >= "),
-    (" <= ", " > "),
-    (" > ", " <= "),
-    (" >= ", " < "),
-    (" == ", " != "),
-    (" != ", " == "),
-    (" && ", " || "),
-    (" || ", " && "),
-    (" += ", " -= "),
-]
+CXX_PAIRS = [("+", "-"), ("*", "/"), ("<", ">="), ("<=", ">"), ("==", "!="), ("&&", "||"), ("+=", "-=")]
+CXX_CHANGES = both_ways(*((f" {one} ", f" {other} ") for one, other in CXX_PAIRS))
 CXX_NUMBER = re.compile(r"(?<![\w.])\d+\.\d+(e-?\d+)?")
 CXX_SKIPPED = re.compile(r"^\s*(//|#|throw|template|using|namespace)|static_assert|InputError|operator")
 
@@ -142,7 +129,9 @@ def cxx_mutants(file: Path) -> list[Mutant]:
         if CXX_SKIPPED.search(line):
             continue
         spots = [
-            (match.start(), before, after) for before, after in CXX_CHANGES for match in re.finditer(re.escape(before), code)
+            (match.start(), before, after)
+            for before, after in CXX_CHANGES.items()
+            for match in re.finditer(re.escape(before), code)
         ]
         spots += [(match.start(), match[0], f"(1.5 * {match[0]} + 1e-3)") for match in CXX_NUMBER.finditer(code)]
         for place, before, after in spots:
@@ -221,7 +210,7 @@ def is_found(mutant: Mutant) -> bool:
 
 def main() -> int:
     """Prints the share found of each subpackage, and the errors that were not found."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("subpackages", nargs="*", default=DEFAULT)
     parser.add_argument("--count", type=int, default=200, help="errors in all (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0)
