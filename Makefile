@@ -5,9 +5,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 WORKERS ?= auto
-# TESTS: files of tests, all by default. ROBOT_MODULES: a file to which those are appended that depend on installed robots.
+# Arguments of pytest.
 TESTS ?=
-ROBOT_MODULES ?=
 BUILD_CORE := $(BIN)/python packaging/build_backend/armctl_build.py
 CXX_SOURCES := $(shell find armctl/cpp -name '*.[ch]pp')
 CORE_SOURCES := CMakeLists.txt $(CXX_SOURCES)
@@ -115,7 +114,7 @@ docs: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@echo "docs/_build/index.html is up to date"
 
 pytest: $(VENV)/dev.stamp $(VENV)/core.stamp
-	@$(BIN)/python -m pytest $(TESTS) -n $(WORKERS) --maxprocesses 8 --dist loadgroup $(if $(ROBOT_MODULES),--robot-modules=$(ROBOT_MODULES)) || { echo "tests failed, as listed above; make pytest runs them alone"; exit 1; }
+	@$(BIN)/python -m pytest $(TESTS) -n $(WORKERS) --maxprocesses 8 --dist loadgroup || { echo "tests failed, as listed above; make pytest runs them alone"; exit 1; }
 
 # uv installs the lowest versions; pip cannot.
 .lowest/stamp: pyproject.toml

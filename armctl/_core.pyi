@@ -859,22 +859,10 @@ class PDGravity(Law):
 
     def __init__(self, model: ArmModel, *, stiffness: numpy.ndarray, damping: numpy.ndarray) -> None: ...
 
-class PIDGravity(Law):
-    """PID with gravity compensation."""
-
-    def __init__(
-        self,
-        model: ArmModel,
-        *,
-        stiffness: numpy.ndarray,
-        damping: numpy.ndarray,
-        integral_gain: numpy.ndarray,
-        torque_limit: numpy.ndarray,
-        dt: float,
-    ) -> None: ...
-
 class ComputedTorque(Law):
-    """Computed torque, with integral action if its gain is not 0."""
+    """
+    Computed torque; with weights of an estimate, at estimated positions and velocities.
+    """
 
     def __init__(
         self,
@@ -882,11 +870,13 @@ class ComputedTorque(Law):
         *,
         stiffness: float,
         damping: float,
-        integral_gain: float,
+        position_weight: float,
+        velocity_weight: float,
         added_inertia: numpy.ndarray,
         torque_limit: numpy.ndarray,
         textbook: bool,
         dt: float,
+        continuous: bool,
     ) -> None: ...
 
 class ComputedTorqueObserver(Law):
@@ -1070,6 +1060,11 @@ class TorqueRateLimit(Law):
 
     def __init__(self, limited: Law, *, tau_rate_max: numpy.ndarray, dt: float) -> None: ...
 
+class TorqueFilter(Law):
+    """A law whose torques go through filters of second-order sections."""
+
+    def __init__(self, filtered: Law, *, sections: numpy.ndarray) -> None: ...
+
 class CFunctionLaw(Law):
     """
     A compiled C function as a law; armctl/cpp/laws/c_function.hpp has its signature.
@@ -1227,7 +1222,7 @@ class MujocoApi:
         delete_batch: int,
         apply: int,
         error: int,
-        empty_model: int,
+        empty_model: object,
         contact_count: int,
         contact_array: int,
         contact_stride: int,
@@ -1369,6 +1364,7 @@ class TickLoop:
         torque_share: numpy.ndarray,
         pushed_arm: ArmModel,
         substeps: int,
+        dt: float,
         diverged_speed: float,
     ) -> None:
         """
@@ -1400,6 +1396,7 @@ class TickLoop:
         noise: object | None = None,
         pushes: object | None = None,
         push: object | None = None,
+        last_position: object | None = None,
         sensor: WrenchSensor | None = None,
         times: object | None = None,
         wrench_noise: object | None = None,
@@ -1411,5 +1408,6 @@ class TickLoop:
         How they ended is written into `end`: an interrupt, which raises when the call returns, would lose a result.
         Without a delay, the motors receive the command itself. Noise (last - first, 2, n), pushes (last - first, 6),
         times (last - first,) and wrench_noise (last - first, 6) begin at the first of the ticks. `push` (6,) gets the
-        last of the pushes. `touching` are the geoms that touch in the row before, as in `TickEnd.contacts`.
+        last of the pushes. With `last_position` (n,), NaN at the first tick, measured velocities are differences of positions.
+        `touching` are the geoms that touch in the row before, as in `TickEnd.contacts`.
         """

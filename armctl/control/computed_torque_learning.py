@@ -10,7 +10,7 @@ import numpy as np
 from armctl import _core
 from armctl.control.computed_torque_observer import ComputedTorqueObserver
 from armctl.control.gain_attribute import Gain
-from armctl.control.gains import MAX_BANDWIDTH
+from armctl.control.gains import MAX_BANDWIDTH, MIN_DELAY_MARGIN_S
 from armctl.control.task_space import arm_length
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, number
@@ -52,6 +52,7 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
         bandwidth: rad/s of the feedback; None if it follows from the margins.
         damping_ratio: Of the feedback; None if it follows from the margins.
         observer_bandwidth: rad/s up to which other unknown torques are cancelled; None if it follows from the margins.
+        delay_margin: s, of the gains that follow from the margins, or two and a half control periods if they are longer.
     """
 
     name = "computed-torque-learning"
@@ -64,6 +65,7 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
         bandwidth: float | None = None,
         damping_ratio: float | None = None,
         observer_bandwidth: float | None = None,
+        delay_margin: float = MIN_DELAY_MARGIN_S,
     ):
         """A controller that learns the payload of an arm.
 
@@ -72,11 +74,19 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
             bandwidth: rad/s, the natural frequency of the error; by default it follows from the margins, like the others.
             damping_ratio: 1 is critically damped.
             observer_bandwidth: rad/s up to which torques that the payload does not explain are estimated and cancelled.
+            delay_margin: s, of the gains that are not given: give a larger one if the delay of the robot is unknown.
 
         Raises:
-            InputError: A gain is negative or not finite, or the observer's bandwidth is zero.
+            InputError: A gain is negative or not finite, the observer's bandwidth is zero, or the delay margin is outside
+                [0.001, 1] s.
         """
-        super().__init__(arm, bandwidth=bandwidth, damping_ratio=damping_ratio, observer_bandwidth=observer_bandwidth)
+        super().__init__(
+            arm,
+            bandwidth=bandwidth,
+            damping_ratio=damping_ratio,
+            observer_bandwidth=observer_bandwidth,
+            delay_margin=delay_margin,
+        )
         self._prior = _prior_deviations(arm)
 
     @property

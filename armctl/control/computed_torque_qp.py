@@ -57,11 +57,10 @@ class ComputedTorqueQP(ComputedTorque):
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
         """A law with the present gains, at the start of a run."""
         limits = self._arm.limits
-        gains = self.gains_at(dt, continuous)
         return _core.ComputedTorqueQP(
             self._model(dt, continuous),
-            stiffness=gains.kp,
-            damping=gains.kd,
+            stiffness=self.bandwidth**2,
+            damping=2 * self.damping_ratio * self.bandwidth,
             added_inertia=self.added_inertia(dt),
             q_min=limits.q_min,
             q_max=limits.q_max,

@@ -10,22 +10,15 @@ namespace armctl {
 double approach_speed(double way, double a_max, double rate) {
     const double distance = std::abs(way);
     double speed = rate * distance;
-    if (speed * rate > a_max) {
-        speed = std::sqrt(2.0 * a_max * (distance - 0.5 * a_max / (rate * rate)));
-    }
+    if (speed * rate > a_max) { speed = std::sqrt(2.0 * a_max * (distance - 0.5 * a_max / (rate * rate))); }
     return std::copysign(speed, way);
 }
 
-ActionTargets::ActionTargets(std::shared_ptr<const ArmModel> model, std::vector<ActionLimits> limits,
-                             const ActionOptions& options)
-    : limits_(std::move(limits)),
-      options_(options),
+ActionTargets::ActionTargets(std::shared_ptr<const ArmModel> model, std::vector<ActionLimits> limits, const ActionOptions& options)
+    : limits_(std::move(limits)), options_(options),
       // The tip of an arm with fewer than six joints has a position as its goal.
-      tip_target_(std::move(model), options.size == 6 ? 6 : 3, options.tip_damping),
-      ways_(limits_.size()),
-      q_(limits_.size()),
-      v_(limits_.size()),
-      a_(limits_.size()) {}
+      tip_target_(std::move(model), options.size == 6 ? 6 : 3, options.tip_damping), ways_(limits_.size()), q_(limits_.size()),
+      v_(limits_.size()), a_(limits_.size()) {}
 
 void ActionTargets::move(Vector action, Result target) {
     if (options_.mode == ActionMode::joint_delta) {
@@ -44,20 +37,15 @@ void ActionTargets::move(Vector action, Result target) {
 }
 
 void ActionTargets::move_tip(Vector action, Result target) {
-    for (size_t i = 0; i < target.size(); ++i) {
-        ways_[i] = options_.dt * static_cast<double>(options_.ticks) * limits_[i].v_max;
-    }
+    for (size_t i = 0; i < target.size(); ++i) { ways_[i] = options_.dt * static_cast<double>(options_.ticks) * limits_[i].v_max; }
     const Pose origin = options_.mode == ActionMode::cartesian_delta ? tip_target_.tip(target) : options_.T_world_home;
     const double position = options_.position_scale;
     const double rotation = options_.rotation_scale;
     Vec3 turn;
-    if (options_.size == 6) {
-        turn = {rotation * unit(action[3]), rotation * unit(action[4]), rotation * unit(action[5])};
-    }
+    if (options_.size == 6) { turn = {rotation * unit(action[3]), rotation * unit(action[4]), rotation * unit(action[5])}; }
     const Pose goal{
         .rotation = turned(turn, origin.rotation),
-        .translation =
-            origin.translation + Vec3{position * unit(action[0]), position * unit(action[1]), position * unit(action[2])},
+        .translation = origin.translation + Vec3{position * unit(action[0]), position * unit(action[1]), position * unit(action[2])},
     };
     tip_target_.follow(goal, limits_, ways_, target);
 }
@@ -82,19 +70,12 @@ Setpoint ActionTargets::advance(Vector target, Result q_ref, Result v_ref) {
 
 void ActionTargets::rehearse(Vector action, Result target, Result q_ref, Result v_ref) {
     move(action, target);
-    for (size_t tick = 0; tick < options_.ticks; ++tick) {
-        advance(target, q_ref, v_ref);
-    }
+    for (size_t tick = 0; tick < options_.ticks; ++tick) { advance(target, q_ref, v_ref); }
 }
 
 TorqueGuard::TorqueGuard(std::shared_ptr<const ArmModel> model, std::vector<ActionLimits> limits, const ActionOptions& options)
-    : dynamics_(std::move(model)),
-      limits_(std::move(limits)),
-      dt_(options.dt),
-      rate_(options.approach_rate),
-      bias_(limits_.size()),
-      a_(limits_.size()),
-      factors_(limits_.size() * limits_.size()) {}
+    : dynamics_(std::move(model)), limits_(std::move(limits)), dt_(options.dt), rate_(options.approach_rate), bias_(limits_.size()),
+      a_(limits_.size()), factors_(limits_.size() * limits_.size()) {}
 
 double TorqueGuard::guarded_acceleration(size_t i, double q, double v, double a) const {
     const ActionLimits& limits = limits_[i];
@@ -129,9 +110,7 @@ void TorqueGuard::torque(Vector action, Vector q, Vector v, Result tau) {
     }
     if (is_changed) {
         multiply(factors, a_, tau);
-        for (size_t i = 0; i < n; ++i) {
-            tau[i] += bias_[i];
-        }
+        for (size_t i = 0; i < n; ++i) { tau[i] += bias_[i]; }
     }
 }
 

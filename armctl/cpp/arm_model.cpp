@@ -45,16 +45,13 @@ bool is_linear(const Polynomial& force) { return force.quadratic == 0.0 && force
 double DryFriction::torque(double v, double a) const { return std::clamp(gain * (a + rate * v), -loss, loss); }
 
 ArmModel::ArmModel(const ArmArrays& arrays)
-    : chain_length(arrays.chain_length),
-      gravity(vec3(arrays.gravity)),
+    : chain_length(arrays.chain_length), gravity(vec3(arrays.gravity)),
       T_last_tip{Rotation::from_rows(arrays.tip_rotation), vec3(arrays.tip_translation)} {
     const size_t m = arrays.masses.size();
     if (chain_length < 1 || chain_length > m) {
         throw InputError("chain_length: need 1 to " + std::to_string(m) + " joints, got " + std::to_string(chain_length));
     }
-    for (size_t j = 0; j < m; ++j) {
-        joints.push_back(joint_of(arrays, j));
-    }
+    for (size_t j = 0; j < m; ++j) { joints.push_back(joint_of(arrays, j)); }
     for (size_t i = 0; i < arrays.armature.size(); ++i) {
         drives.push_back({
             .armature = arrays.armature[i],
@@ -67,10 +64,8 @@ ArmModel::ArmModel(const ArmArrays& arrays)
     has_lift = std::any_of(joints.begin(), joints.end(), is_lifted);
     has_springs = std::any_of(joints.begin(), joints.end(), [](const Joint& joint) { return !is_zero(joint.stiffness); });
     has_friction = std::any_of(drives.begin(), drives.end(), [](const Drive& drive) { return drive.friction.loss != 0.0; });
-    const bool is_damped =
-        std::any_of(drives.begin(), drives.end(), [](const Drive& drive) { return !is_zero(drive.damping); });
-    const bool is_all_linear =
-        std::all_of(drives.begin(), drives.end(), [](const Drive& drive) { return is_linear(drive.damping); });
+    const bool is_damped = std::any_of(drives.begin(), drives.end(), [](const Drive& drive) { return !is_zero(drive.damping); });
+    const bool is_all_linear = std::all_of(drives.begin(), drives.end(), [](const Drive& drive) { return is_linear(drive.damping); });
     has_implicit_damping = arrays.implicit_damping;
     // As in Pinocchio, Coriolis forces have no derivative where one joint follows another.
     has_implicit_coriolis = arrays.implicit_coriolis && is_plain;

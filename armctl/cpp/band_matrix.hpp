@@ -27,20 +27,14 @@ public:
             const size_t end = std::min(width_, size_ - row);
             for (size_t below = 1; below < end; ++below) {
                 const double factor = at(row, below) / at(row, 0);
-                if (factor == 0.0) {
-                    continue;
-                }
-                for (size_t offset = below; offset < end; ++offset) {
-                    at(row + below, offset - below) -= factor * at(row, offset);
-                }
+                if (factor == 0.0) { continue; }
+                for (size_t offset = below; offset < end; ++offset) { at(row + below, offset - below) -= factor * at(row, offset); }
                 x[row + below] -= factor * x[row];
             }
         }
         for (size_t row = size_; row-- > 0;) {
             double total = x[row];
-            for (size_t offset = 1; offset < std::min(width_, size_ - row); ++offset) {
-                total -= at(row, offset) * x[row + offset];
-            }
+            for (size_t offset = 1; offset < std::min(width_, size_ - row); ++offset) { total -= at(row, offset) * x[row + offset]; }
             x[row] = total / at(row, 0);
         }
     }

@@ -3,7 +3,6 @@
 #include <cmath>
 #include <limits>
 #include <numbers>
-#include <string>
 
 #include "errors.hpp"
 
@@ -24,24 +23,12 @@ Unknown make_unknown(Bounds bounds, double period) {
     };
 }
 
-// A number of the caller as an index below `count`.
-size_t checked_index(std::int64_t number, size_t count, const char* what) {
-    if (number < 0 || static_cast<size_t>(number) >= count) {
-        throw InputError(std::string(what) + ": " + std::to_string(number) + " is not one of " + std::to_string(count));
-    }
-    return static_cast<size_t>(number);
-}
-
 }  // namespace
 
 Chain::Chain(const ChainArrays& arrays) : reach_(arrays.reach) {
     const size_t k = arrays.slides.size();
-    if (k == 0 || arrays.low.size() > k) {
-        throw InputError("slides: expected at least one joint, and one for each unknown");
-    }
-    for (size_t i = 0; i < arrays.low.size(); ++i) {
-        unknowns_.push_back(make_unknown({arrays.low[i], arrays.high[i]}, arrays.period[i]));
-    }
+    if (k == 0 || arrays.low.size() > k) { throw InputError("slides: expected at least one joint, and one for each unknown"); }
+    for (size_t i = 0; i < arrays.low.size(); ++i) { unknowns_.push_back(make_unknown({arrays.low[i], arrays.high[i]}, arrays.period[i])); }
     for (size_t j = 0; j < k; ++j) {
         joints_.push_back({
             .placement = {Rotation::from_rows(arrays.rotations.row(j)), vec3(arrays.translations.row(j))},
@@ -56,22 +43,16 @@ Chain::Chain(const ChainArrays& arrays) : reach_(arrays.reach) {
 Chain Chain::with_special_axes(const SpecialAxes& axes, Vector distances_to_points) const {
     const size_t k = joints_.size();
     checked_index(static_cast<std::int64_t>(axes.first) + 2, k, "first");
-    for (const size_t other : axes.others) {
-        checked_index(static_cast<std::int64_t>(other), k, "others");
-    }
+    for (const size_t other : axes.others) { checked_index(static_cast<std::int64_t>(other), k, "others"); }
     Chain chain = *this;
     chain.special_axes_ = axes;
-    for (size_t j = 0; j < k; ++j) {
-        chain.joints_[j].distance_to_point = distances_to_points[j];
-    }
+    for (size_t j = 0; j < k; ++j) { chain.joints_[j].distance_to_point = distances_to_points[j]; }
     return chain;
 }
 
 bool Chain::contains(Vector q) const {
     for (size_t i = 0; i < unknowns_.size(); ++i) {
-        if (!(unknowns_[i].bounds.low <= q[i] && q[i] <= unknowns_[i].bounds.high) || !std::isfinite(q[i])) {
-            return false;
-        }
+        if (!(unknowns_[i].bounds.low <= q[i] && q[i] <= unknowns_[i].bounds.high) || !std::isfinite(q[i])) { return false; }
     }
     return true;
 }

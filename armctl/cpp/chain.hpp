@@ -96,9 +96,7 @@ private:
 
 // A column of a rotation: the frame's x, y or z axis.
 inline const Vec3& axis_of(const Rotation& rotation, int k) {
-    if (k == 0) {
-        return rotation.x;
-    }
+    if (k == 0) { return rotation.x; }
     return k == 1 ? rotation.y : rotation.z;
 }
 

@@ -9,8 +9,7 @@ namespace armctl {
 
 namespace {
 
-constexpr double SINGULAR =
-    1e-6;  // a factor of the Jacobian's determinant, in reaches and sines: below it, its sign means nothing
+constexpr double SINGULAR = 1e-6;       // a factor of the Jacobian's determinant, in reaches and sines: below it, its sign means nothing
 constexpr double MAX_LENGTH = 1.7e308;  // m: the errors of a result are finite
 constexpr double INF = std::numeric_limits<double>::infinity();
 
@@ -18,9 +17,7 @@ constexpr double INF = std::numeric_limits<double>::infinity();
 double volume(Vec3 a, Vec3 b, Vec3 c) { return dot(a, cross(b, c)); }
 
 int sign_code(double value) {
-    if (std::abs(value) < SINGULAR) {
-        return 0;
-    }
+    if (std::abs(value) < SINGULAR) { return 0; }
     return value > 0 ? 1 : 2;
 }
 
@@ -41,9 +38,7 @@ PoseError residual(Constraint constraint, const Pose& target, const Pose& tip) {
     const Vec3 away = tip.translation - target.translation;
     const double squared = dot(away, away);
     const double distance = squared < INF ? std::sqrt(squared) : huge_distance(away);
-    if (constraint == Constraint::position) {
-        return {distance, 0.0};
-    }
+    if (constraint == Constraint::position) { return {distance, 0.0}; }
     // The angle between two frames from the chords between their axes: exact for small angles, unlike that from the trace.
     const Vec3 x = tip.rotation.x - target.rotation.x;
     const Vec3 y = tip.rotation.y - target.rotation.y;
@@ -80,17 +75,13 @@ void ChainKinematics::place(Vector q) {
 
 Twist ChainKinematics::joint_twist(size_t j) const {
     const JointLine& line = lines_[j];
-    if (chain_->joints()[j].slides) {
-        return {line.axis, {}};
-    }
+    if (chain_->joints()[j].slides) { return {line.axis, {}}; }
     return {cross(line.axis, tip_.translation - line.origin), line.axis};
 }
 
 void ChainKinematics::find_jacobian() {
     if (!chain_->has_followers()) {
-        for (size_t j = 0; j < lines_.size(); ++j) {
-            jacobian_[j] = joint_twist(j);
-        }
+        for (size_t j = 0; j < lines_.size(); ++j) { jacobian_[j] = joint_twist(j); }
         return;
     }
     std::ranges::fill(jacobian_, Twist{});
@@ -102,14 +93,10 @@ void ChainKinematics::find_jacobian() {
     }
 }
 
-Vec3 ChainKinematics::special_point(size_t j) const {
-    return lines_[j].origin + chain_->joints()[j].distance_to_point * lines_[j].axis;
-}
+Vec3 ChainKinematics::special_point(size_t j) const { return lines_[j].origin + chain_->joints()[j].distance_to_point * lines_[j].axis; }
 
 int ChainKinematics::branch() const {
-    if (!chain_->special_axes()) {
-        return NO_BRANCH;
-    }
+    if (!chain_->special_axes()) { return NO_BRANCH; }
     const SpecialAxes& special = *chain_->special_axes();
     const auto axis = [&](size_t j) { return lines_[j].axis; };
     const auto point = [&](size_t j) { return special_point(j); };
@@ -170,31 +157,23 @@ double ChainKinematics::manipulability(bool oriented) {
     for (const Twist& twist : jacobian_) {
         const std::array<double, MOST_ROWS> column = numbers({chain_->reach() * twist.linear, twist.angular});
         for (size_t i = 0; n >= rows && i < rows; ++i) {
-            for (size_t j = 0; j <= i; ++j) {
-                A[i][j] += column[i] * column[j];
-            }
+            for (size_t j = 0; j <= i; ++j) { A[i][j] += column[i] * column[j]; }
         }
     }
     for (size_t i = 0; n < rows && i < n; ++i) {
         const std::array<double, MOST_ROWS> a = numbers({chain_->reach() * jacobian_[i].linear, jacobian_[i].angular});
         for (size_t j = 0; j <= i; ++j) {
             const std::array<double, MOST_ROWS> b = numbers({chain_->reach() * jacobian_[j].linear, jacobian_[j].angular});
-            for (size_t k = 0; k < rows; ++k) {
-                A[i][j] += a[k] * b[k];
-            }
+            for (size_t k = 0; k < rows; ++k) { A[i][j] += a[k] * b[k]; }
         }
     }
     double product = 1.0;
     for (size_t i = 0; i < size; ++i) {  // L D L^T in place
         for (size_t j = 0; j < i; ++j) {
-            for (size_t k = 0; k < j; ++k) {
-                A[i][j] -= A[i][k] * A[j][k] * A[k][k];
-            }
+            for (size_t k = 0; k < j; ++k) { A[i][j] -= A[i][k] * A[j][k] * A[k][k]; }
             A[i][j] /= std::max(A[j][j], 1e-300);
         }
-        for (size_t k = 0; k < i; ++k) {
-            A[i][i] -= A[i][k] * A[i][k] * A[k][k];
-        }
+        for (size_t k = 0; k < i; ++k) { A[i][i] -= A[i][k] * A[i][k] * A[k][k]; }
         product *= std::max(A[i][i], 0.0);
     }
     return std::sqrt(product);

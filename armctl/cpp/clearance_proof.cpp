@@ -26,17 +26,13 @@ constexpr double SETTLED_M = 1e-7;
 // Samples of the motion from which the search for its closest approach starts.
 constexpr int APPROACH_SAMPLES = 24;
 
-double min_motion(double clearance) {
-    return clearance > 0.0 ? std::min(MIN_MOTION_M, MIN_MOTION_SHARE * clearance) : MIN_MOTION_M;
-}
+double min_motion(double clearance) { return clearance > 0.0 ? std::min(MIN_MOTION_M, MIN_MOTION_SHARE * clearance) : MIN_MOTION_M; }
 
 }  // namespace
 
 ClearanceProof::ClearanceProof(std::shared_ptr<CollisionScene> scene)
-    : scene_(std::move(scene)),
-      max_open_pairs_(OPEN_PAIRS_PER_PAIR * scene_->model().pairs.size() + MIN_OPEN_PAIRS),
-      positions_(scene_->model().joints()),
-      delta_(scene_->model().joints()) {
+    : scene_(std::move(scene)), max_open_pairs_(OPEN_PAIRS_PER_PAIR * scene_->model().pairs.size() + MIN_OPEN_PAIRS),
+      positions_(scene_->model().joints()), delta_(scene_->model().joints()) {
     motion_.set_line(positions_, positions_);
 }
 
@@ -63,20 +59,12 @@ Approach ClearanceProof::closest_approach(double clearance) {
     double aim = least.distance;
     while (least.distance > clearance) {
         double bound = std::max(aim - RESOLUTION_M, 0.5 * (aim + clearance));
-        if (bound - clearance < SETTLED_M) {
-            bound = clearance;
-        }
+        if (bound - clearance < SETTLED_M) { bound = clearance; }
         const std::optional<Hit> stopped = continue_proof(bound);
-        if (!stopped) {
-            return {bound, least.distance, {least.pair, when}};
-        }
-        if (stopped->pair == scene_->no_pair()) {
-            return {-1.0, least.distance, *stopped};
-        }
+        if (!stopped) { return {bound, least.distance, {least.pair, when}}; }
+        if (stopped->pair == scene_->no_pair()) { return {-1.0, least.distance, *stopped}; }
         const PairDistance now = scene_->nearest_pair(positions_);
-        if (bound == clearance) {
-            return {-1.0, now.distance, {now.pair, stopped->time}};
-        }
+        if (bound == clearance) { return {-1.0, now.distance, {now.pair, stopped->time}}; }
         aim -= 0.5 * (aim - bound);  // a proof stops this near to its bound, or because GJK did not converge
         if (now.distance < least.distance) {
             least = now;
@@ -92,9 +80,7 @@ void ClearanceProof::begin_proof(std::optional<size_t> only_pair) {
     head_ = 0;
     intervals_.clear();
     open_pairs_.clear();
-    if (only_pair) {
-        open_pairs_.push_back({*only_pair, false});
-    }
+    if (only_pair) { open_pairs_.push_back({*only_pair, false}); }
     intervals_.push_back({.begin = motion_.begin(),
                           .end = motion_.end(),
                           .first_piece = 0,
@@ -111,20 +97,16 @@ void ClearanceProof::begin_proof(std::optional<size_t> only_pair) {
 // that stopped goes on with the same interval.
 std::optional<Hit> ClearanceProof::continue_proof(double clearance) {
     while (head_ < intervals_.size()) {
-        if (!has_room()) {
-            move_to_front();
-        }
+        if (!has_room()) { move_to_front(); }
         const Interval interval = intervals_[head_];
         const double middle = 0.5 * (interval.begin + interval.end);
         if (interval.first_piece == interval.last_piece) {
-            motion_.bound_interval(interval.first_piece, middle - motion_.knot(interval.first_piece),
-                                   0.5 * (interval.end - interval.begin), positions_, delta_);
+            motion_.bound_interval(interval.first_piece, middle - motion_.knot(interval.first_piece), 0.5 * (interval.end - interval.begin),
+                                   positions_, delta_);
         } else {
             motion_.bound_pieces(interval.first_piece, interval.last_piece, middle, positions_, delta_);
         }
-        if (!has_room()) {
-            return Hit{scene_->nearest_pair(positions_).pair, middle};
-        }
+        if (!has_room()) { return Hit{scene_->nearest_pair(positions_).pair, middle}; }
         const size_t first_open = open_pairs_.size();
         const std::optional<size_t> not_free = check_interval(interval, clearance);
         if (not_free) {
@@ -137,9 +119,7 @@ std::optional<Hit> ClearanceProof::continue_proof(double clearance) {
             return Hit{scene_->no_pair(), middle};
         }
         ++head_;
-        if (open_pairs_.size() > first_open || tilt == Tilt::open) {
-            split(interval, first_open, tilt == Tilt::open);
-        }
+        if (open_pairs_.size() > first_open || tilt == Tilt::open) { split(interval, first_open, tilt == Tilt::open); }
     }
     return std::nullopt;
 }
@@ -167,9 +147,7 @@ std::optional<size_t> ClearanceProof::check_interval(const Interval& interval, d
     scene_->place(positions_);
     std::optional<size_t> not_free;
     if (interval.has_all_pairs) {
-        for (size_t group = 0; group < scene_->model().groups.size() && !not_free; ++group) {
-            not_free = check_group(group, clearance);
-        }
+        for (size_t group = 0; group < scene_->model().groups.size() && !not_free; ++group) { not_free = check_group(group, clearance); }
         return not_free;
     }
     for (size_t i = interval.first_open; i < interval.last_open && !not_free; ++i) {
@@ -190,9 +168,7 @@ std::optional<size_t> ClearanceProof::check_group(size_t index, double clearance
     const GroupPair& group = scene_->model().groups[index];
     const double motion = scene_->relative_motion(group.a, group.b, group.common, delta_);
     const double gap = scene_->gap(group.a, group.b);
-    if (gap > clearance + motion) {
-        return std::nullopt;
-    }
+    if (gap > clearance + motion) { return std::nullopt; }
     const bool is_too_long_for_group = is_too_long(motion, gap, group.a, group.b, clearance);
     if (is_too_long_for_group && gap > clearance) {
         open_pairs_.push_back({index, true});
@@ -200,17 +176,13 @@ std::optional<size_t> ClearanceProof::check_group(size_t index, double clearance
     }
     for (size_t p = group.first_pair; p < group.last_pair; ++p) {
         if (!is_too_long_for_group) {
-            if (const std::optional<size_t> not_free = check_pair(p, clearance)) {
-                return not_free;
-            }
+            if (const std::optional<size_t> not_free = check_pair(p, clearance)) { return not_free; }
         } else if (scene_->touches(p, clearance)) {
             scene_->expect_hit(p);
             return p;
         }
     }
-    if (is_too_long_for_group) {
-        open_pairs_.push_back({index, true});
-    }
+    if (is_too_long_for_group) { open_pairs_.push_back({index, true}); }
     return std::nullopt;
 }
 
@@ -218,9 +190,7 @@ std::optional<size_t> ClearanceProof::check_pair(size_t p, double clearance) {
     const GeomPair& pair = scene_->model().pairs[p];
     const double motion = scene_->relative_motion(pair.a, pair.b, pair.common, delta_);
     const double gap = scene_->gap(pair.a, pair.b);
-    if (gap > clearance + motion) {
-        return std::nullopt;
-    }
+    if (gap > clearance + motion) { return std::nullopt; }
     if (is_too_long(motion, gap, pair.a, pair.b, clearance)) {
         // Only a contact at its middle ends the search early.
         if (gap <= clearance && scene_->touches(p, clearance)) {
@@ -232,24 +202,18 @@ std::optional<size_t> ClearanceProof::check_pair(size_t p, double clearance) {
     }
     const double enough = clearance + motion;
     const DistanceBounds bounds = scene_->distance(p, {.enough = enough + STRICTLY_M, .touching = clearance});
-    if (bounds.lower > enough) {
-        return std::nullopt;
-    }
+    if (bounds.lower > enough) { return std::nullopt; }
     if (bounds.upper <= clearance || bounds.lower <= clearance || motion < min_motion(clearance)) {
         scene_->expect_hit(p);
         return p;
     }
     if (scene_->model().geoms[pair.a].kind != ShapeKind::plane) {
         const double separating = scene_->separating_motion(p, delta_);
-        if (bounds.lower > clearance + separating) {
-            return std::nullopt;
-        }
+        if (bounds.lower > clearance + separating) { return std::nullopt; }
         if (bounds.upper > clearance + separating) {
             const double enough_along = clearance + separating + STRICTLY_M;
             const DistanceBounds exact = scene_->distance(p, {.enough = enough_along, .touching = clearance, .is_exact = true});
-            if (exact.lower > clearance + scene_->separating_motion(p, delta_)) {
-                return std::nullopt;
-            }
+            if (exact.lower > clearance + scene_->separating_motion(p, delta_)) { return std::nullopt; }
         }
     }
     open_pairs_.push_back({p, false});
@@ -260,20 +224,14 @@ std::optional<size_t> ClearanceProof::check_pair(size_t p, double clearance) {
 // j then turns the axis u on a circle of radius |a_j x u|.
 ClearanceProof::Tilt ClearanceProof::check_tilt() const {
     const double angle = scene_->tilt(*keep_);
-    if (angle > keep_->within) {
-        return Tilt::exceeds;
-    }
+    if (angle > keep_->within) { return Tilt::exceeds; }
     const Vec3 axis = scene_->frame(keep_->frame).pose.rotation * keep_->axis;
     double turn = 0.0;
     for (size_t walk = keep_->frame; walk > 0; walk = scene_->model().frames[walk].parent) {
         const MovingFrame& moving = scene_->model().frames[walk];
-        if (!moving.slides) {
-            turn += delta_[moving.joint] * norm(cross(scene_->frame(walk).axis, axis));
-        }
+        if (!moving.slides) { turn += delta_[moving.joint] * norm(cross(scene_->frame(walk).axis, axis)); }
     }
-    if (angle + turn <= keep_->within) {
-        return Tilt::keeps;
-    }
+    if (angle + turn <= keep_->within) { return Tilt::keeps; }
     return turn < MIN_TILT_RAD ? Tilt::exceeds : Tilt::open;
 }
 
@@ -284,11 +242,8 @@ void ClearanceProof::split(const Interval& interval, size_t first_open, bool til
     const bool has_knot = interval.first_piece < interval.last_piece;
     if (has_knot) {
         before = motion_.piece_at(middle, interval.first_piece);
-        const bool is_near_its_knot =
-            before > interval.first_piece && middle - motion_.knot(before) < motion_.knot(before + 1) - middle;
-        if (before == interval.last_piece || is_near_its_knot) {
-            --before;
-        }
+        const bool is_near_its_knot = before > interval.first_piece && middle - motion_.knot(before) < motion_.knot(before + 1) - middle;
+        if (before == interval.last_piece || is_near_its_knot) { --before; }
         middle = motion_.knot(before + 1);
     }
     Interval part = interval;

@@ -53,9 +53,7 @@ Vec3 turned(Vec3 axis, double cos, double sin, Vec3 a) {
 }
 
 // A point turned about a line.
-Vec3 moved(const Line& line, double cos, double sin, Vec3 a) {
-    return line.point + turned(line.axis, cos, sin, a - line.point);
-}
+Vec3 moved(const Line& line, double cos, double sin, Vec3 a) { return line.point + turned(line.axis, cos, sin, a - line.point); }
 
 // The angle about an axis from a to b; it is undetermined if one of them is on the axis.
 struct Angle {
@@ -66,9 +64,7 @@ struct Angle {
 Angle angle_between(Vec3 axis, Vec3 a, Vec3 b, double preferred) {
     const Vec3 u = across(axis, a);
     const Vec3 v = across(axis, b);
-    if (std::min(dot(u, u), dot(v, v)) < TINY * TINY) {
-        return {preferred, true};
-    }
+    if (std::min(dot(u, u), dot(v, v)) < TINY * TINY) { return {preferred, true}; }
     return {std::atan2(dot(axis, cross(u, v)), dot(u, v)), false};
 }
 
@@ -225,8 +221,7 @@ PlaneEquation::Columns PlaneEquation::columns() const {
     const Vec3 r1 = p2 - p1;
     const Vec3 r3 = p2 - p3;
     return {
-        .cos = {Column{-dot(f2, across(f1, h)), dot(h, across(f1, r1))},
-                Column{dot(f2, across(f3, u)), -dot(u, across(f3, r3))}},
+        .cos = {Column{-dot(f2, across(f1, h)), dot(h, across(f1, r1))}, Column{dot(f2, across(f3, u)), -dot(u, across(f3, r3))}},
         .sin = {Column{dot(f2, cross(f1, h)), dot(h, cross(f1, r1))}, Column{dot(f2, cross(f3, u)), dot(u, cross(f3, r3))}},
         .rest = {dot(f2, f1) * dot(f1, h) - dot(f2, f3) * dot(f3, u),
                  offset + dot(u, p3) - dot(h, p1) + dot(u, f3) * dot(f3, r3) - dot(h, f1) * dot(f1, r1)},
@@ -265,12 +260,11 @@ LoopAngles PlaneEquation::solve() const {
     for (size_t i = 0; i < found.count; ++i) {
         const double c = std::cos(found.angles[i]);
         const double s = std::sin(found.angles[i]);
-        const Column left{rest.turn - cos[one].turn * c - sin[one].turn * s,
-                          rest.height - cos[one].height * c - sin[one].height * s};
+        const Column left{rest.turn - cos[one].turn * c - sin[one].turn * s, rest.height - cos[one].height * c - sin[one].height * s};
         Roots others;
         if (is_quartic) {
-            others.angles[0] = std::atan2(determinant(cos[other], left) / det,
-                                          (left.turn * sin[other].height - left.height * sin[other].turn) / det);
+            others.angles[0] =
+                std::atan2(determinant(cos[other], left) / det, (left.turn * sin[other].height - left.height * sin[other].turn) / det);
             others.count = 1;
         } else {
             others = linear_roots(cos[other].*remaining, sin[other].*remaining, left.*remaining, slack, preferred[2 * other]);
@@ -300,16 +294,12 @@ public:
     }
 
     Vec3 of_vector(Vec3 a) const {
-        for (size_t k = 0; k < loop_.size(); ++k) {
-            a = turned(loop_[k].axis, cos_[k], -sin_[k], a);
-        }
+        for (size_t k = 0; k < loop_.size(); ++k) { a = turned(loop_[k].axis, cos_[k], -sin_[k], a); }
         return X_.rotation * a;
     }
 
     Vec3 of_point(Vec3 a) const {
-        for (size_t k = 0; k < loop_.size(); ++k) {
-            a = moved(loop_[k], cos_[k], -sin_[k], a);
-        }
+        for (size_t k = 0; k < loop_.size(); ++k) { a = moved(loop_[k], cos_[k], -sin_[k], a); }
         return X_.rotation * a + X_.translation;
     }
 
@@ -320,8 +310,7 @@ private:
     Triple sin_{};
 };
 
-SpecialAngles meeting_angles(std::span<const Line, 3> lines, const SpecialMotion& motion, const Triple& preferred,
-                             double slack) {
+SpecialAngles meeting_angles(std::span<const Line, 3> lines, const SpecialMotion& motion, const Triple& preferred, double slack) {
     const Vec3 a = lines[0].axis;
     const Vec3 b = lines[1].axis;
     const Vec3 c = lines[2].axis;
@@ -343,8 +332,7 @@ SpecialAngles meeting_angles(std::span<const Line, 3> lines, const SpecialMotion
     return special;
 }
 
-SpecialAngles parallel_angles(std::span<const Line, 3> lines, const SpecialMotion& motion, const Triple& preferred,
-                              double slack) {
+SpecialAngles parallel_angles(std::span<const Line, 3> lines, const SpecialMotion& motion, const Triple& preferred, double slack) {
     const Vec3 a = lines[0].axis;
     const Vec3 b = lines[1].axis;
     const Vec3 w = across(a, lines[1].point - lines[0].point);
@@ -370,16 +358,13 @@ std::array<Line, 3> loop_lines(const SixHinges& hinges, const Pose& X) {
     for (size_t k = 0; k < lines.size(); ++k) {
         const size_t joint = hinges.structure.first + 3 + k;
         lines[k] = hinges.lines[joint % 6];
-        if (joint >= 6) {
-            lines[k] = {X.rotation.inverse_times(lines[k].axis), X.rotation.inverse_times(lines[k].point - X.translation)};
-        }
+        if (joint >= 6) { lines[k] = {X.rotation.inverse_times(lines[k].axis), X.rotation.inverse_times(lines[k].point - X.translation)}; }
     }
     return lines;
 }
 
 // The angles of these three joints.
-LoopAngles first_three(const SixHinges& hinges, const Pose& X, const std::array<Line, 3>& loop, const Triple& preferred,
-                       double slack) {
+LoopAngles first_three(const SixHinges& hinges, const Pose& X, const std::array<Line, 3>& loop, const Triple& preferred, double slack) {
     const Line& special = hinges.lines[hinges.structure.first];
     if (hinges.structure.relation == AxesRelation::parallel) {
         return PlaneEquation{
@@ -404,9 +389,7 @@ LoopAngles first_three(const SixHinges& hinges, const Pose& X, const std::array<
                                    Line{-1.0 * loop[0].axis, loop[0].point}};
     const Triple preferred_back{preferred[2], preferred[1], preferred[0]};
     LoopAngles angles = PointEquation{back, goal, start, hinges.structure.pair_relation, slack, preferred_back}.solve();
-    for (Triple& triple : angles.angles) {
-        std::swap(triple[0], triple[2]);
-    }
+    for (Triple& triple : angles.angles) { std::swap(triple[0], triple[2]); }
     return angles;
 }
 
@@ -414,12 +397,8 @@ LoopAngles first_three(const SixHinges& hinges, const Pose& X, const std::array<
 double wound(double angle, double near, double low, double high) {
     constexpr double TURN = 2.0 * PI;
     angle += TURN * std::nearbyint((near - angle) / TURN);
-    if (angle > high) {
-        angle -= TURN * std::ceil((angle - high) / TURN);
-    }
-    if (angle < low) {
-        angle += TURN * std::ceil((low - angle) / TURN);
-    }
+    if (angle > high) { angle -= TURN * std::ceil((angle - high) / TURN); }
+    if (angle < low) { angle += TURN * std::ceil((low - angle) / TURN); }
     return angle;
 }
 
@@ -463,9 +442,7 @@ SixAngles SixHinges::solve(const Pose& X, const std::array<double, 6>& preferred
 SixHinges with_held(const HingeChain& chain, double angle) {
     SixHinges six{.lines = {}, .structure = chain.structure, .tip = chain.tip};
     if (!chain.held) {
-        for (size_t k = 0; k < six.lines.size(); ++k) {
-            six.lines[k] = chain.hinges[k].line;
-        }
+        for (size_t k = 0; k < six.lines.size(); ++k) { six.lines[k] = chain.hinges[k].line; }
         return six;
     }
     const double cos = std::cos(angle);
@@ -480,17 +457,14 @@ SixHinges with_held(const HingeChain& chain, double angle) {
         }
     }
     const Rotation& tip = chain.tip.rotation;
-    six.tip.rotation = {turned(held.axis, cos, sin, tip.x), turned(held.axis, cos, sin, tip.y),
-                        turned(held.axis, cos, sin, tip.z)};
+    six.tip.rotation = {turned(held.axis, cos, sin, tip.x), turned(held.axis, cos, sin, tip.y), turned(held.axis, cos, sin, tip.z)};
     six.tip.translation = moved(held, cos, sin, chain.tip.translation);
     return six;
 }
 
 // A sampled position of the joint that is swept: q0 first, then inside its bounds, or inside one turn if they are wider.
 double swept_angle(Bounds bounds, double q0, std::int64_t sample) {
-    if (sample == 0) {
-        return q0;
-    }
+    if (sample == 0) { return q0; }
     double low = bounds.low;
     double span = bounds.high - bounds.low;
     if (!(span <= 2.0 * PI)) {  // also if the joint has no bounds
@@ -504,8 +478,7 @@ double swept_angle(Bounds bounds, double q0, std::int64_t sample) {
 
 ClosedForm::ClosedForm(HingeChain chain) : chain_(std::move(chain)) {
     if (n() != (chain_.held ? 7u : 6u) || (chain_.held && *chain_.held >= n()) || chain_.structure.first > 3) {
-        throw InputError(
-            "axes: expected six hinges, or seven with one that is held, and the first of three in a row of the six");
+        throw InputError("axes: expected six hinges, or seven with one that is held, and the first of three in a row of the six");
     }
 }
 
@@ -527,12 +500,9 @@ bool ClosedForm::store(const std::array<double, 6>& angles, double held_angle, V
     return inside;
 }
 
-Seeds ClosedForm::find(const Pose& target, Vector q0, double slack, double margin, const Samples& samples,
-                       MatrixResult seeds) const {
+Seeds ClosedForm::find(const Pose& target, Vector q0, double slack, double margin, const Samples& samples, MatrixResult seeds) const {
     std::array<double, 6> preferred{};
-    for (size_t k = 0; k < preferred.size(); ++k) {
-        preferred[k] = q0[chain_.held && k >= *chain_.held ? k + 1 : k];
-    }
+    for (size_t k = 0; k < preferred.size(); ++k) { preferred[k] = q0[chain_.held && k >= *chain_.held ? k + 1 : k]; }
     const Vec3 p = target.translation;
     const Vec3 goal{p.x / chain_.reach, p.y / chain_.reach, p.z / chain_.reach};
     const std::int64_t most = chain_.held ? samples.most : 1;
@@ -552,12 +522,8 @@ Seeds ClosedForm::find(const Pose& target, Vector q0, double slack, double margi
         found.doubtful = found.doubtful || solved.doubtful;
         ++found.samples;
         for (size_t i = 0; i < solved.count; ++i) {
-            if (found.count == static_cast<std::int64_t>(seeds.rows)) {
-                return found;
-            }
-            if (store(solved.angles[i], angle, q0, margin, seeds.row(static_cast<size_t>(found.count)))) {
-                ++found.count;
-            }
+            if (found.count == static_cast<std::int64_t>(seeds.rows)) { return found; }
+            if (store(solved.angles[i], angle, q0, margin, seeds.row(static_cast<size_t>(found.count)))) { ++found.count; }
         }
     }
     return found;

@@ -29,12 +29,8 @@ Rotation rotation_about(Vec3 axis, double angle) {
 }  // namespace
 
 CollisionScene::CollisionScene(std::shared_ptr<const CollisionModel> model)
-    : model_(std::move(model)),
-      memory_(model_->pairs.size()),
-      last_hit_(model_->pairs.size()),
-      frames_(model_->frames.size()),
-      spheres_(model_->spheres.size()),
-      motions_(model_->spheres.size() * model_->depth),
+    : model_(std::move(model)), memory_(model_->pairs.size()), last_hit_(model_->pairs.size()), frames_(model_->frames.size()),
+      spheres_(model_->spheres.size()), motions_(model_->spheres.size() * model_->depth),
       near_gradients_(model_->pairs.size() * model_->joints()) {}
 
 void CollisionScene::forget() {
@@ -93,9 +89,7 @@ void CollisionScene::bound_motions(size_t sphere, Vector delta) {
 
 double CollisionScene::relative_motion(size_t a, size_t b, size_t common, Vector delta) {
     for (const size_t sphere : {b, a}) {
-        if (!spheres_[sphere].has_motion) {
-            bound_motions(sphere, delta);
-        }
+        if (!spheres_[sphere].has_motion) { bound_motions(sphere, delta); }
     }
     const size_t common_depth = model_->frames[common].depth;
     return motion(a, common_depth) + motion(b, common_depth);
@@ -109,17 +103,13 @@ double CollisionScene::motion_along(size_t geom, size_t common, Vec3 normal, Vec
     // Of the hinges nearer to the base than the joint in hand; the walk goes from the geom to the base.
     double turns = 0.0;
     for (size_t walk = model_->geoms[geom].frame; walk != common; walk = model_->frames[walk].parent) {
-        if (!model_->frames[walk].slides) {
-            turns += delta[model_->frames[walk].joint];
-        }
+        if (!model_->frames[walk].slides) { turns += delta[model_->frames[walk].joint]; }
     }
     double total = 0.0;
     for (size_t walk = model_->geoms[geom].frame; walk != common; walk = model_->frames[walk].parent) {
         const MovingFrame& moving = model_->frames[walk];
         const double step = delta[moving.joint];
-        if (step <= 0.0) {
-            continue;
-        }
+        if (step <= 0.0) { continue; }
         const Vec3 axis = frames_[walk].axis;
         const double along_axis = dot(axis, normal);
         if (moving.slides) {
@@ -129,8 +119,7 @@ double CollisionScene::motion_along(size_t geom, size_t common, Vec3 normal, Vec
         turns -= step;
         const Vec3 velocity = cross(axis, spheres_[geom].center - frames_[walk].anchor);
         const double reach = norm(velocity) + radius;
-        const double tangential =
-            std::abs(dot(normal, velocity)) + radius * std::sqrt(std::max(0.0, 1.0 - along_axis * along_axis));
+        const double tangential = std::abs(dot(normal, velocity)) + radius * std::sqrt(std::max(0.0, 1.0 - along_axis * along_axis));
         total += step * std::min(reach, tangential + reach * (turns + 0.5 * step));
     }
     return total;
@@ -149,13 +138,10 @@ double CollisionScene::gap(size_t a, size_t b) const {
     const double radius = model_->spheres[b].radius;
     if (a < model_->geoms.size()) {
         const Geom& first = model_->geoms[a];
-        if (first.kind == ShapeKind::plane) {
-            return dot(first.normal(), center) - first.offset - radius;
-        }
+        if (first.kind == ShapeKind::plane) { return dot(first.normal(), center) - first.offset - radius; }
         if (first.kind == ShapeKind::box && first.frame == 0) {
             const Vec3 inside = first.axes.inverse_times(center - first.position);
-            const Vec3 outside = {std::max(std::abs(inside.x) - first.size.x, 0.0),
-                                  std::max(std::abs(inside.y) - first.size.y, 0.0),
+            const Vec3 outside = {std::max(std::abs(inside.x) - first.size.x, 0.0), std::max(std::abs(inside.y) - first.size.y, 0.0),
                                   std::max(std::abs(inside.z) - first.size.z, 0.0)};
             return norm(outside) - radius;
         }
@@ -166,22 +152,16 @@ double CollisionScene::gap(size_t a, size_t b) const {
 // The direction that the last query found, or else from center to center, in the frame of the first geom.
 Vec3 CollisionScene::first_direction(size_t p) const {
     const Vec3 last = memory_[p].direction;
-    if (dot(last, last) > NO_DIRECTION_M2) {
-        return last;
-    }
+    if (dot(last, last) > NO_DIRECTION_M2) { return last; }
     const GeomPair& pair = model_->pairs[p];
     const Vec3 between = spheres_[pair.a].center - spheres_[pair.b].center;
-    if (dot(between, between) < NO_DIRECTION_M2) {
-        return {1.0, 0.0, 0.0};
-    }
+    if (dot(between, between) < NO_DIRECTION_M2) { return {1.0, 0.0, 0.0}; }
     return frames_[model_->geoms[pair.a].frame].pose.rotation.inverse_times(between);
 }
 
 // The farthest point of a geom in a direction of its frame. A search among vertices starts at `vertex`, and notes its result.
 Vec3 CollisionScene::support_point(const Geom& geom, Vec3 direction, size_t& vertex) const {
-    if (!geom.has_vertices()) {
-        return round_support_point(geom, direction);
-    }
+    if (!geom.has_vertices()) { return round_support_point(geom, direction); }
     vertex = model_->vertices.farthest(geom, direction, vertex);
     return model_->vertices.positions[vertex];
 }
@@ -228,19 +208,14 @@ DistanceBounds CollisionScene::distance(size_t p, const DistanceGoal& goal) {
         if (projection / length - inflation > bounds.lower) {
             bounds.lower = projection / length - inflation;
             memory_[p].direction = v;
-            if (bounds.lower >= goal.enough) {
-                return bounds;
-            }
+            if (bounds.lower >= goal.enough) { return bounds; }
         }
         if (simplex.size() > 0) {
             bounds.upper = std::min(bounds.upper, length - inflation);
             const bool is_between = bounds.lower > goal.touching && bounds.upper < goal.enough;
             const bool is_decided = bounds.upper <= goal.touching || (!goal.is_exact && is_between);
-            const bool has_converged =
-                square - projection <= GJK_RELATIVE_GAP * square || bounds.upper - bounds.lower < GJK_GAP_M;
-            if (is_decided || has_converged) {
-                return bounds;
-            }
+            const bool has_converged = square - projection <= GJK_RELATIVE_GAP * square || bounds.upper - bounds.lower < GJK_GAP_M;
+            if (is_decided || has_converged) { return bounds; }
         }
         if (simplex.contains(support.difference)) {  // no progress
             bounds.upper = std::min(bounds.upper, length - inflation);
@@ -257,21 +232,15 @@ DistanceBounds CollisionScene::distance(size_t p, const DistanceGoal& goal) {
 }
 
 bool CollisionScene::touches(size_t p, double clearance) {
-    if (gap(model_->pairs[p].a, model_->pairs[p].b) > clearance) {
-        return false;
-    }
+    if (gap(model_->pairs[p].a, model_->pairs[p].b) > clearance) { return false; }
     return distance(p, {.enough = clearance + STRICTLY_M, .touching = clearance}).lower <= clearance;
 }
 
 size_t CollisionScene::first_hit(Vector positions, double clearance) {
     place(positions);
-    if (last_hit_ != no_pair() && touches(last_hit_, clearance)) {
-        return last_hit_;
-    }
+    if (last_hit_ != no_pair() && touches(last_hit_, clearance)) { return last_hit_; }
     for (const GroupPair& group : model_->groups) {
-        if (gap(group.a, group.b) > clearance) {
-            continue;
-        }
+        if (gap(group.a, group.b) > clearance) { continue; }
         for (size_t p = group.first_pair; p < group.last_pair; ++p) {
             if (touches(p, clearance)) {
                 expect_hit(p);
@@ -286,9 +255,7 @@ void CollisionScene::all_hits(Vector positions, double clearance, std::span<std:
     place(positions);
     for (const GroupPair& group : model_->groups) {
         const bool is_far = gap(group.a, group.b) > clearance;
-        for (size_t p = group.first_pair; p < group.last_pair; ++p) {
-            hits[p] = !is_far && touches(p, clearance);
-        }
+        for (size_t p = group.first_pair; p < group.last_pair; ++p) { hits[p] = !is_far && touches(p, clearance); }
     }
 }
 
@@ -296,17 +263,11 @@ PairDistance CollisionScene::nearest_pair(Vector positions) {
     place(positions);
     PairDistance nearest{no_pair(), INFINITE_M};
     for (const GroupPair& group : model_->groups) {
-        if (gap(group.a, group.b) > nearest.distance) {
-            continue;
-        }
+        if (gap(group.a, group.b) > nearest.distance) { continue; }
         for (size_t p = group.first_pair; p < group.last_pair; ++p) {
-            if (gap(model_->pairs[p].a, model_->pairs[p].b) > nearest.distance) {
-                continue;
-            }
+            if (gap(model_->pairs[p].a, model_->pairs[p].b) > nearest.distance) { continue; }
             const double upper = distance(p, {.enough = nearest.distance, .touching = -INFINITE_M, .is_exact = true}).upper;
-            if (upper < nearest.distance) {
-                nearest = {p, upper};
-            }
+            if (upper < nearest.distance) { nearest = {p, upper}; }
         }
     }
     return nearest;

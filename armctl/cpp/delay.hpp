@@ -18,9 +18,7 @@ public:
 
     // Forgets all commands, and delays those to come by some ticks. Throws InputError for more than max_ticks.
     void restart(size_t ticks) {
-        if (ticks >= depth_) {
-            throw InputError("ticks: need at most " + std::to_string(depth_ - 1) + ", got " + std::to_string(ticks));
-        }
+        if (ticks >= depth_) { throw InputError("ticks: need at most " + std::to_string(depth_ - 1) + ", got " + std::to_string(ticks)); }
         ticks_ = ticks;
         given_ = 0;
     }

@@ -5,37 +5,23 @@
 namespace armctl {
 
 Dynamics::Dynamics(std::shared_ptr<const ArmModel> model)
-    : model_(std::move(model)),
-      links_(model_->joints.size()),
-      middle_position_(model_->n()),
-      middle_velocity_(model_->n()),
-      sum_(model_->n()),
-      difference_(model_->n()),
-      change_(model_->n()),
-      inertia_(model_->n() * model_->n()) {}
+    : model_(std::move(model)), links_(model_->joints.size()), middle_position_(model_->n()), middle_velocity_(model_->n()),
+      sum_(model_->n()), difference_(model_->n()), change_(model_->n()), inertia_(model_->n() * model_->n()) {}
 
 // The velocity or acceleration of a joint, from those of the arm's n.
 inline double Dynamics::joint_value(size_t joint, Vector x) const {
-    if (model_->is_plain) {
-        return x[joint];
-    }
+    if (model_->is_plain) { return x[joint]; }
     double total = 0.0;
-    for (size_t i = 0; i < x.size(); ++i) {
-        total += model_->ratio(joint, i) * x[i];
-    }
+    for (size_t i = 0; i < x.size(); ++i) { total += model_->ratio(joint, i) * x[i]; }
     return total;
 }
 
 void Dynamics::set_velocities(Vector v) {
-    for (size_t j = 0; j < links_.size(); ++j) {
-        links_[j].velocity = joint_value(j, v);
-    }
+    for (size_t j = 0; j < links_.size(); ++j) { links_[j].velocity = joint_value(j, v); }
 }
 
 void Dynamics::set_accelerations(Vector a) {
-    for (size_t j = 0; j < links_.size(); ++j) {
-        links_[j].acceleration = joint_value(j, a);
-    }
+    for (size_t j = 0; j < links_.size(); ++j) { links_[j].acceleration = joint_value(j, a); }
 }
 
 // Torques of all joints as those of the arm's n, by virtual work.
@@ -46,9 +32,7 @@ void Dynamics::torques_of_arm(Result tau) const {
             continue;
         }
         tau[i] = 0.0;
-        for (size_t j = 0; j < links_.size(); ++j) {
-            tau[i] += model_->ratio(j, i) * links_[j].torque;
-        }
+        for (size_t j = 0; j < links_.size(); ++j) { tau[i] += model_->ratio(j, i) * links_[j].torque; }
     }
 }
 
@@ -57,9 +41,7 @@ void Dynamics::place(Vector q) {
         const Joint& joint = model_->joints[j];
         Link& link = links_[j];
         link.position = joint_value(j, q);
-        if (!model_->is_plain) {
-            link.position += joint.offset;
-        }
+        if (!model_->is_plain) { link.position += joint.offset; }
         if (joint.slides) {
             link.placement = {joint.rotation, joint.translation + link.position * joint.rotation.z};
         } else {
@@ -147,9 +129,7 @@ void Dynamics::gravity(Vector q, Result tau) {
         link.acceleration = 0.0;
     }
     newton_euler();
-    if (model_->has_springs) {
-        add_springs();
-    }
+    if (model_->has_springs) { add_springs(); }
     torques_of_arm(tau);
 }
 
@@ -158,9 +138,7 @@ void Dynamics::smooth_torque(Vector v, Vector a, Result tau) {
     set_velocities(v);
     set_accelerations(a);
     newton_euler();
-    if (model_->has_springs) {
-        add_springs();
-    }
+    if (model_->has_springs) { add_springs(); }
     torques_of_arm(tau);
     for (size_t i = 0; i < tau.size(); ++i) {
         const Drive& drive = model_->drives[i];
@@ -181,17 +159,11 @@ void Dynamics::inverse_dynamics(Vector q, Vector v, Vector a, Result tau) {
     }
     place(q);
     smooth_torque(v, a, tau);
-    if (model_->step == 0.0) {
-        return;
-    }
-    for (size_t i = 0; i < tau.size(); ++i) {
-        tau[i] += model_->step_inertia(i) * a[i];
-    }
+    if (model_->step == 0.0) { return; }
+    for (size_t i = 0; i < tau.size(); ++i) { tau[i] += model_->step_inertia(i) * a[i]; }
     if (model_->has_implicit_nonlinear) {
         implicit_change(v, a, change_);
-        for (size_t i = 0; i < tau.size(); ++i) {
-            tau[i] += model_->step * change_[i];
-        }
+        for (size_t i = 0; i < tau.size(); ++i) { tau[i] += model_->step * change_[i]; }
     }
 }
 
@@ -201,18 +173,14 @@ void Dynamics::coriolis_product(Vector v, Vector w, Result tau) {
         sum_[i] = v[i] + w[i];
         difference_[i] = v[i] - w[i];
     }
-    for (Link& link : links_) {
-        link.acceleration = 0.0;
-    }
+    for (Link& link : links_) { link.acceleration = 0.0; }
     set_velocities(sum_);
     newton_euler();
     torques_of_arm(tau);
     set_velocities(difference_);
     newton_euler();
     torques_of_arm(difference_);
-    for (size_t i = 0; i < tau.size(); ++i) {
-        tau[i] = 0.25 * (tau[i] - difference_[i]);
-    }
+    for (size_t i = 0; i < tau.size(); ++i) { tau[i] = 0.25 * (tau[i] - difference_[i]); }
 }
 
 // Rate at which implicit forces other than linear damping change during a step, d(force)/dv a, at the placed positions.
@@ -220,9 +188,7 @@ void Dynamics::implicit_change(Vector v, Vector a, Result change) {
     if (model_->has_implicit_coriolis) {
         // The Coriolis torque is C(q, v) v, and C(q, v) a is symmetric in v and a, so its derivative along a is 2 C(q, v) a.
         coriolis_product(v, a, change);
-        for (double& value : change) {
-            value *= 2.0;
-        }
+        for (double& value : change) { value *= 2.0; }
     } else {
         std::fill(change.begin(), change.end(), 0.0);
     }
@@ -233,16 +199,12 @@ void Dynamics::implicit_change(Vector v, Vector a, Result change) {
 }
 
 void Dynamics::add_friction(Vector v_ref, Vector a_ref, Result tau) {
-    if (!model_->has_friction) {
-        return;
-    }
+    if (!model_->has_friction) { return; }
     const double half = model_->half_step;
     std::fill(change_.begin(), change_.end(), 0.0);
     if (half == 0.0 && model_->step != 0.0 && model_->has_implicit_forces) {
         // In a discrete step, the friction constraint acts on the acceleration before implicit forces.
-        if (model_->has_implicit_nonlinear) {
-            implicit_change(v_ref, a_ref, change_);
-        }
+        if (model_->has_implicit_nonlinear) { implicit_change(v_ref, a_ref, change_); }
         for (size_t i = 0; i < tau.size(); ++i) {
             const double damping = model_->has_implicit_damping ? model_->drives[i].damping.linear : 0.0;
             change_[i] = model_->step * (damping * a_ref[i] + change_[i]);
@@ -258,15 +220,11 @@ void Dynamics::add_friction(Vector v_ref, Vector a_ref, Result tau) {
 }
 
 void Dynamics::add_linear_damping(Vector v, Result tau) const {
-    for (size_t i = 0; i < v.size(); ++i) {
-        tau[i] += model_->drives[i].damping.linear * v[i];
-    }
+    for (size_t i = 0; i < v.size(); ++i) { tau[i] += model_->drives[i].damping.linear * v[i]; }
 }
 
 void Dynamics::add_step_inertia(MatrixResult M) const {
-    for (size_t i = 0; i < M.rows; ++i) {
-        M(i, i) += model_->step_inertia(i);
-    }
+    for (size_t i = 0; i < M.rows; ++i) { M(i, i) += model_->step_inertia(i); }
 }
 
 // A link alone, without the links behind it.
@@ -297,14 +255,10 @@ Dynamics::CompositeInertia Dynamics::in_parent(const CompositeInertia& composite
 
 void Dynamics::mass_matrix(MatrixResult M) {
     for (size_t i = 0; i < M.rows; ++i) {
-        for (size_t k = 0; k < M.columns; ++k) {
-            M(i, k) = 0.0;
-        }
+        for (size_t k = 0; k < M.columns; ++k) { M(i, k) = 0.0; }
         M(i, i) = model_->drives[i].armature;
     }
-    for (size_t j = 0; j < links_.size(); ++j) {
-        links_[j].composite = own_inertia(model_->joints[j]);
-    }
+    for (size_t j = 0; j < links_.size(); ++j) { links_[j].composite = own_inertia(model_->joints[j]); }
     for (size_t j = links_.size(); j-- > 0;) {
         add_inertia_row(j, M);
         const int parent = model_->joints[j].parent;
@@ -355,9 +309,7 @@ void Dynamics::add_coupling(size_t j, size_t other, double inertia, MatrixResult
     for (size_t i = 0; i < M.rows; ++i) {
         for (size_t k = 0; k < M.columns; ++k) {
             M(i, k) += model_->ratio(j, i) * model_->ratio(other, k) * inertia;
-            if (other != j) {
-                M(i, k) += model_->ratio(other, i) * model_->ratio(j, k) * inertia;
-            }
+            if (other != j) { M(i, k) += model_->ratio(other, i) * model_->ratio(j, k) * inertia; }
         }
     }
 }
@@ -375,9 +327,7 @@ Pose Dynamics::tip() const { return links_[model_->chain_length - 1].T_world_joi
 void Dynamics::tip_jacobian(MatrixResult J) const {
     const Vec3 p = tip().translation;
     for (size_t row = 0; row < J.rows; ++row) {
-        for (size_t i = 0; i < J.columns; ++i) {
-            J(row, i) = 0.0;
-        }
+        for (size_t i = 0; i < J.columns; ++i) { J(row, i) = 0.0; }
     }
     for (size_t j = 0; j < model_->chain_length; ++j) {
         const Pose& T = links_[j].T_world_joint;
@@ -386,9 +336,7 @@ void Dynamics::tip_jacobian(MatrixResult J) const {
         const Twist twist = slides ? Twist{z, {}} : Twist{cross(z, p - T.translation), z};
         for (size_t i = 0; i < J.columns; ++i) {
             const double ratio = model_->is_plain ? (i == j ? 1.0 : 0.0) : model_->ratio(j, i);
-            if (ratio == 0.0) {
-                continue;
-            }
+            if (ratio == 0.0) { continue; }
             J(0, i) += ratio * twist.linear.x;
             J(1, i) += ratio * twist.linear.y;
             J(2, i) += ratio * twist.linear.z;
@@ -408,9 +356,7 @@ BodyMotion Dynamics::tip_motion(Vector q, Vector v, Vector a) {
     place(middle_position_);
     set_velocities(middle_velocity_);
     set_accelerations(a);
-    for (size_t j = 0; j < model_->chain_length; ++j) {
-        move_link(j);
-    }
+    for (size_t j = 0; j < model_->chain_length; ++j) { move_link(j); }
     locate();
     const BodyMotion& last = links_[model_->chain_length - 1].motion;
     const Vec3 t = model_->T_last_tip.translation;

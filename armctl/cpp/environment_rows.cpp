@@ -10,9 +10,7 @@ namespace armctl {
 class EnvironmentRows::Use {
 public:
     Use(std::deque<Copy>& copies, size_t first, size_t last) : copies_(copies), first_(first), last_(first) {
-        while (last_ < last && !copies_[last_].is_in_use.exchange(true)) {
-            ++last_;
-        }
+        while (last_ < last && !copies_[last_].is_in_use.exchange(true)) { ++last_; }
         if (last_ < last) {
             release();
             throw InputError("environment: another thread steps it; give each thread an environment of its own");
@@ -24,9 +22,7 @@ public:
 
 private:
     void release() {
-        for (size_t row = first_; row < last_; ++row) {
-            copies_[row].is_in_use = false;
-        }
+        for (size_t row = first_; row < last_; ++row) { copies_[row].is_in_use = false; }
     }
 
     std::deque<Copy>& copies_;
@@ -37,11 +33,8 @@ private:
 // What a thread needs for its steps.
 struct EnvironmentRows::Workspace {
     explicit Workspace(const EnvironmentRows& rows)
-        : targets(rows.arm_, rows.options_.limits, rows.options_.action),
-          guard(rows.arm_, rows.options_.limits, rows.options_.action),
-          q_seen(rows.joints()),
-          v_seen(rows.joints()),
-          tau(rows.joints()) {}
+        : targets(rows.arm_, rows.options_.limits, rows.options_.action), guard(rows.arm_, rows.options_.limits, rows.options_.action),
+          q_seen(rows.joints()), v_seen(rows.joints()), tau(rows.joints()) {}
 
     ActionTargets targets;
     TorqueGuard guard;
@@ -56,12 +49,8 @@ EnvironmentRows::EnvironmentRows(std::shared_ptr<const MujocoApi> api, std::shar
     if (law.joints() != joints() || arm_->n() != joints()) {
         throw InputError("law, arm: they are not for " + std::to_string(joints()) + " joints");
     }
-    if (law.needs_wrench()) {
-        throw InputError("law: environments measure no wrench, and this law needs one");
-    }
-    for (size_t row = 0; row < arrays.q.rows; ++row) {
-        copies_.emplace_back(law.clone(), joints(), options_.max_delay);
-    }
+    if (law.needs_wrench()) { throw InputError("law: environments measure no wrench, and this law needs one"); }
+    for (size_t row = 0; row < arrays.q.rows; ++row) { copies_.emplace_back(law.clone(), joints(), options_.max_delay); }
 }
 
 void EnvironmentRows::set_simulation(size_t row, const MujocoSimulation& simulation) {
@@ -71,8 +60,7 @@ void EnvironmentRows::set_simulation(size_t row, const MujocoSimulation& simulat
             throw InputError("gripper: the model has no such actuator");
         }
     }
-    if (options_.object &&
-        (options_.object->qpos + 7 > simulation.qpos.size() || options_.object->qvel + 6 > simulation.qvel.size())) {
+    if (options_.object && (options_.object->qpos + 7 > simulation.qpos.size() || options_.object->qvel + 6 > simulation.qvel.size())) {
         throw InputError("object: the model has no such joint");
     }
     copies_[row].simulation = simulation;
@@ -88,15 +76,11 @@ void EnvironmentRows::restart(size_t row, size_t delay) {
 std::string EnvironmentRows::step(size_t first, size_t last) {
     const Use use(copies_, first, last);
     for (size_t row = first; row < last; ++row) {
-        if (copies_[row].simulation.data == nullptr) {
-            throw InputError("row " + std::to_string(row) + ": it has no simulation");
-        }
+        if (copies_[row].simulation.data == nullptr) { throw InputError("row " + std::to_string(row) + ": it has no simulation"); }
     }
     Workspace workspace(*this);
     auto work = [&] {
-        for (size_t row = first; row < last; ++row) {
-            step_row(row, workspace);
-        }
+        for (size_t row = first; row < last; ++row) { step_row(row, workspace); }
     };
     return guarded(*api_, work);
 }
@@ -108,9 +92,7 @@ void EnvironmentRows::rehearse(Vector action, Result target, Result q_ref, Resul
 void EnvironmentRows::step_row(size_t row, Workspace& work) {
     arrays_.touched[row] = 0;
     work.targets.move(arrays_.action.row(row).first(action_size()), arrays_.target.row(row));
-    for (size_t k = 0; k < options_.action.ticks; ++k) {
-        tick(row, k, work);
-    }
+    for (size_t k = 0; k < options_.action.ticks; ++k) { tick(row, k, work); }
     observe_scene(row);
     const Pose tip = work.targets.tip(arrays_.q.row(row));
     const Result numbers = arrays_.tip.row(row);
@@ -132,15 +114,11 @@ void EnvironmentRows::tick(size_t row, size_t tick, Workspace& work) {
         const Setpoint setpoint = work.targets.advance(arrays_.target.row(row), arrays_.q_ref.row(row), arrays_.v_ref.row(row));
         copy.law->torque({.q = work.q_seen, .v = work.v_seen, .wrench = {}}, setpoint, work.tau);
     }
-    if (!options_.gripper.empty()) {
-        drive_gripper(row);
-    }
+    if (!options_.gripper.empty()) { drive_gripper(row); }
     command_motors(options_.motors, copy.delay.delayed(work.tau), copy.simulation);
     api_->step(copy.simulation.model, copy.simulation.data);
     read_joints(options_.motors, copy.simulation, arrays_.q.row(row), arrays_.v.row(row));
-    if (options_.obstacle && Contacts(api_->contacts, copy.simulation.data).touch(*options_.obstacle)) {
-        ++arrays_.touched[row];
-    }
+    if (options_.obstacle && Contacts(api_->contacts, copy.simulation.data).touch(*options_.obstacle)) { ++arrays_.touched[row]; }
 }
 
 // Moves the controls of the gripper towards the last number of the action, at a limited speed.
@@ -150,8 +128,7 @@ void EnvironmentRows::drive_gripper(size_t row) {
     const double step = options_.grip_step;
     copy.grip_target = std::min(std::max(wanted, copy.grip_target - step), copy.grip_target + step);
     for (const GripperActuator& actuator : options_.gripper) {
-        copy.simulation.ctrl[actuator.ctrl] =
-            actuator.closed_ctrl + copy.grip_target * (actuator.open_ctrl - actuator.closed_ctrl);
+        copy.simulation.ctrl[actuator.ctrl] = actuator.closed_ctrl + copy.grip_target * (actuator.open_ctrl - actuator.closed_ctrl);
     }
 }
 

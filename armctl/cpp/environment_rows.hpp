@@ -64,8 +64,8 @@ struct EnvironmentArrays {
 class EnvironmentRows {
 public:
     // `arm` is the model that controllers know; each copy gets a clone of the law.
-    EnvironmentRows(std::shared_ptr<const MujocoApi> api, std::shared_ptr<const ArmModel> arm, const Law& law,
-                    EnvironmentOptions options, const EnvironmentArrays& arrays);
+    EnvironmentRows(std::shared_ptr<const MujocoApi> api, std::shared_ptr<const ArmModel> arm, const Law& law, EnvironmentOptions options,
+                    const EnvironmentArrays& arrays);
 
     size_t count() const { return copies_.size(); }
     size_t joints() const { return options_.motors.size(); }

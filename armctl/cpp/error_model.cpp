@@ -13,8 +13,7 @@ constexpr double MIN_SINE = 1e-9;  // below it a rotation's axis is lost to roun
 constexpr int ACTIVE_SET_PASSES = 3;
 constexpr double MAX_STEP = 1.0;  // rad, or reaches for a slide joint
 constexpr int MAX_NULL_PASSES = 4;
-constexpr double MIN_NULL_SHARE =
-    0.01;  // a null-space step shorter than this share of the desired one frees no joint from its bound
+constexpr double MIN_NULL_SHARE = 0.01;  // a null-space step shorter than this share of the desired one frees no joint from its bound
 constexpr double NULL_DAMPING = 1e-10;
 // A target farther away is moved to this distance on its line: beyond it, the error is so large that a step's gain is lost to
 // rounding.
@@ -47,8 +46,7 @@ Vec3 half_turn(const Goal& goal, const Rotation& tip) {
 
 }  // namespace
 
-ErrorModel::ErrorModel(const Chain& chain)
-    : n_(chain.n()), kinematics_(chain), states_(n_), normal_(n_ * n_), factor_(n_ * n_) {}
+ErrorModel::ErrorModel(const Chain& chain) : n_(chain.n()), kinematics_(chain), states_(n_), normal_(n_ * n_), factor_(n_ * n_) {}
 
 Goal ErrorModel::goal(const Pose& target, Constraint constraint) const {
     const Vec3 p = target.translation;
@@ -80,9 +78,7 @@ Vec3 ErrorModel::rotation_error(const Goal& goal) const {
         cos = dot(axis_of(tip, free), axis_of(goal.pose.rotation, free));
     }
     const double sin = norm(axis);
-    if (sin > MIN_SINE) {
-        return (std::atan2(sin, cos) / sin) * axis;
-    }
+    if (sin > MIN_SINE) { return (std::atan2(sin, cos) / sin) * axis; }
     return cos < 0.0 ? half_turn(goal, tip) : Vec3{};
 }
 
@@ -124,24 +120,16 @@ PoseError ErrorModel::linearize(const Goal& goal, Vector q, double rotation_weig
 }
 
 void ErrorModel::add_curvature(Constraint constraint) {
-    if (chain().has_followers()) {
-        return;
-    }
+    if (chain().has_followers()) { return; }
     const std::vector<Twist>& J = kinematics_.jacobian();
     for (size_t i = 0; i < n_; ++i) {
-        if (chain().joints()[i].slides) {
-            continue;
-        }
+        if (chain().joints()[i].slides) { continue; }
         const Vec3 axis = kinematics_.joints()[i].axis;
         const Vec3 bend = cross(error_.linear, axis);
-        for (size_t j = i; j < n_; ++j) {
-            normal(j, i) -= dot(bend, J[j].linear);
-        }
+        for (size_t j = i; j < n_; ++j) { normal(j, i) -= dot(bend, J[j].linear); }
         if (constraint != Constraint::position) {
             const Vec3 turn = 0.5 * cross(error_.angular, axis);
-            for (size_t j = i; j < n_; ++j) {
-                normal(j, i) -= dot(turn, J[j].angular);
-            }
+            for (size_t j = i; j < n_; ++j) { normal(j, i) -= dot(turn, J[j].angular); }
         }
     }
 }
@@ -160,9 +148,7 @@ bool ErrorModel::solve_free(double damping) {
     size_t count = 0;
     bool definite = true;
     for (size_t i = 0; i < n_; ++i) {
-        if (states_[i].at_bound) {
-            continue;
-        }
+        if (states_[i].at_bound) { continue; }
         double total = states_[i].gradient;
         double pivot = normal(i, i) + damping;
         size_t column = 0;
@@ -171,9 +157,7 @@ bool ErrorModel::solve_free(double damping) {
                 total -= hessian(i, j) * states_[j].step;
             } else if (j < i) {
                 double value = normal(i, j);
-                for (size_t k = 0; k < column; ++k) {
-                    value -= factor(count, k) * factor(column, k);
-                }
+                for (size_t k = 0; k < column; ++k) { value -= factor(count, k) * factor(column, k); }
                 factor(count, column) = value;
                 ++column;
             }
@@ -192,14 +176,10 @@ bool ErrorModel::solve_free(double damping) {
     }
     size_t row = count;
     for (size_t i = n_; i-- > 0;) {
-        if (states_[i].at_bound) {
-            continue;
-        }
+        if (states_[i].at_bound) { continue; }
         --row;
         double total = states_[row].rhs * states_[row].pivot;
-        for (size_t k = row + 1; k < count; ++k) {
-            total -= factor(k, row) * states_[k].rhs;
-        }
+        for (size_t k = row + 1; k < count; ++k) { total -= factor(k, row) * states_[k].rhs; }
         states_[row].rhs = total;
         states_[i].step = total;
     }
@@ -215,9 +195,7 @@ double ErrorModel::step(BoundsOf bounds_of, double damping, Result q) {
         state.step = 0.0;
     }
     for (int pass = 0; pass < ACTIVE_SET_PASSES; ++pass) {
-        if (!solve_free(damping)) {
-            return -1.0;
-        }
+        if (!solve_free(damping)) { return -1.0; }
         bool inside = true;
         for (size_t i = 0; i < n_; ++i) {
             State& state = states_[i];
@@ -229,14 +207,10 @@ double ErrorModel::step(BoundsOf bounds_of, double damping, Result q) {
                 inside = false;
             }
         }
-        if (inside) {
-            break;
-        }
+        if (inside) { break; }
     }
     double longest = 0.0;
-    for (const State& state : states_) {
-        longest = std::max(longest, std::abs(state.step));
-    }
+    for (const State& state : states_) { longest = std::max(longest, std::abs(state.step)); }
     const double share = std::min(1.0, MAX_STEP / std::max(longest, TINIEST));
     double moved = 0.0;
     for (size_t i = 0; i < n_; ++i) {
@@ -275,21 +249,15 @@ void ErrorModel::null_step(Constraint constraint, Vector desired, Vector low, Ve
         size_t free = 0;
         for (size_t i = 0; i < n_; ++i) {
             State& state = states_[i];
-            if (state.at_bound) {
-                continue;
-            }
+            if (state.at_bound) { continue; }
             ++free;
             const double room = std::max(0.0, state.step > 0 ? high[i] : -low[i]) / std::max(std::abs(state.step), TINIEST);
             share = std::min(share, room);
             state.at_bound = room <= MIN_NULL_SHARE;
         }
-        if (free <= rows) {
-            return;
-        }
+        if (free <= rows) { return; }
         if (share > MIN_NULL_SHARE) {
-            for (size_t i = 0; i < n_; ++i) {
-                step[i] = share * states_[i].step;
-            }
+            for (size_t i = 0; i < n_; ++i) { step[i] = share * states_[i].step; }
             return;
         }
     }
@@ -297,21 +265,16 @@ void ErrorModel::null_step(Constraint constraint, Vector desired, Vector low, Ve
 
 double ErrorModel::size() const {
     double square = dot(error_.linear, error_.linear);
-    square = square + error_.angular.x * error_.angular.x + error_.angular.y * error_.angular.y +
-             error_.angular.z * error_.angular.z;
+    square = square + error_.angular.x * error_.angular.x + error_.angular.y * error_.angular.y + error_.angular.z * error_.angular.z;
     return std::sqrt(square);
 }
 
 void ErrorModel::keep_best(Vector q) {
-    for (size_t i = 0; i < n_; ++i) {
-        states_[i].best = q[i];
-    }
+    for (size_t i = 0; i < n_; ++i) { states_[i].best = q[i]; }
 }
 
 void ErrorModel::take_best(Result q) const {
-    for (size_t i = 0; i < n_; ++i) {
-        q[i] = states_[i].best;
-    }
+    for (size_t i = 0; i < n_; ++i) { q[i] = states_[i].best; }
 }
 
 }  // namespace armctl

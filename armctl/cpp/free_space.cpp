@@ -27,11 +27,7 @@ double joint_distance(Vector first, Vector second) {
 }
 
 FreeSpace::FreeSpace(std::shared_ptr<ClearanceProof> proof, double clearance)
-    : proof_(std::move(proof)),
-      clearance_(clearance),
-      start_(proof_->scene().model().joints()),
-      end_(start_.size()),
-      axis_jacobian_(n()) {}
+    : proof_(std::move(proof)), clearance_(clearance), start_(proof_->scene().model().joints()), end_(start_.size()), axis_jacobian_(n()) {}
 
 bool FreeSpace::line_is_free(Vector start, Vector end) {
     proof_->scene().model().positions(start, start_);
@@ -43,12 +39,8 @@ bool FreeSpace::line_is_free(Vector start, Vector end) {
 bool FreeSpace::edge_is_free(Vector start, Vector end) {
     CollisionScene& scene = proof_->scene();
     scene.model().positions(end, end_);
-    if (scene.first_hit(end_, clearance_) != scene.no_pair()) {
-        return false;
-    }
-    if (keeps_axis() && scene.tilt(*proof_->kept_axis()) > kept_within()) {
-        return false;
-    }
+    if (scene.first_hit(end_, clearance_) != scene.no_pair()) { return false; }
+    if (keeps_axis() && scene.tilt(*proof_->kept_axis()) > kept_within()) { return false; }
     return line_is_free(start, end);
 }
 
@@ -60,9 +52,7 @@ bool FreeSpace::level(Result q, Vector low, Vector high) {
         scene.model().positions(q, end_);
         scene.place_frames(end_);
         const double excess = scene.tilt(keep) - LEVEL_SHARE * keep.within;
-        if (excess <= LEVEL_TOLERANCE_RAD) {
-            return true;
-        }
+        if (excess <= LEVEL_TOLERANCE_RAD) { return true; }
         const Vec3 axis = scene.frame(keep.frame).pose.rotation * keep.axis;
         find_axis_jacobian(axis);
         const Vec3 rotation = rotation_needed(axis);
@@ -85,9 +75,7 @@ void FreeSpace::find_axis_jacobian(Vec3 axis) {
         if (!moving.slides) {
             const Vec3 hinge = scene.frame(walk).axis;
             const Vec3 across = hinge - dot(hinge, axis) * axis;
-            for (size_t j = 0; j < axis_jacobian_.size(); ++j) {
-                axis_jacobian_[j] += scene.model().ratio(moving.joint, j) * across;
-            }
+            for (size_t j = 0; j < axis_jacobian_.size(); ++j) { axis_jacobian_[j] += scene.model().ratio(moving.joint, j) * across; }
         }
         walk = moving.parent;
     }
@@ -105,9 +93,7 @@ Vec3 FreeSpace::rotation_needed(Vec3 axis) const {
 // Solves (J J^T + damping) x = b by cofactors.
 Vec3 FreeSpace::solve_damped_gram(Vec3 b) const {
     Symmetric gram{LEVEL_DAMPING, LEVEL_DAMPING, LEVEL_DAMPING, 0.0, 0.0, 0.0};
-    for (const Vec3 t : axis_jacobian_) {
-        gram += {t.x * t.x, t.y * t.y, t.z * t.z, t.x * t.y, t.x * t.z, t.y * t.z};
-    }
+    for (const Vec3 t : axis_jacobian_) { gram += {t.x * t.x, t.y * t.y, t.z * t.z, t.x * t.y, t.x * t.z, t.y * t.z}; }
     const auto [xx, yy, zz, xy, xz, yz] = gram;
     const double determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - xz * yz) + xz * (xy * yz - xz * yy);
     const Symmetric adjugate{yy * zz - yz * yz, xx * zz - xz * xz, xx * yy - xy * xy,

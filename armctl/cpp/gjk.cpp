@@ -23,9 +23,7 @@ struct Barycentric {
 bool Simplex::contains(Vec3 point) const {
     for (size_t k = 0; k < size_; ++k) {
         const Vec3 offset = vertices_[k].difference - point;
-        if (dot(offset, offset) < SAME_POINT_M2) {
-            return true;
-        }
+        if (dot(offset, offset) < SAME_POINT_M2) { return true; }
     }
     return false;
 }
@@ -48,12 +46,8 @@ Vec3 Simplex::closest_on_segment() {
     const Vec3 edge = vertices_[1].difference - a;
     const double along = -dot(a, edge);
     const double square = dot(edge, edge);
-    if (along <= 0.0) {
-        return keep_vertex(0);
-    }
-    if (along >= square) {
-        return keep_vertex(1);
-    }
+    if (along <= 0.0) { return keep_vertex(0); }
+    if (along >= square) { return keep_vertex(1); }
     return a + (along / square) * edge;
 }
 
@@ -66,31 +60,19 @@ Vec3 Simplex::closest_on_triangle() {
     const Vec3 ac = c - a;
     const double d1 = -dot(ab, a);
     const double d2 = -dot(ac, a);
-    if (d1 <= 0.0 && d2 <= 0.0) {
-        return keep_vertex(0);
-    }
+    if (d1 <= 0.0 && d2 <= 0.0) { return keep_vertex(0); }
     const double d3 = -dot(ab, b);
     const double d4 = -dot(ac, b);
-    if (d3 >= 0.0 && d4 <= d3) {
-        return keep_vertex(1);
-    }
+    if (d3 >= 0.0 && d4 <= d3) { return keep_vertex(1); }
     const double vc = d1 * d4 - d3 * d2;
-    if (vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0) {
-        return keep_edge(0, 1, d1 / (d1 - d3));
-    }
+    if (vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0) { return keep_edge(0, 1, d1 / (d1 - d3)); }
     const double d5 = -dot(ab, c);
     const double d6 = -dot(ac, c);
-    if (d6 >= 0.0 && d5 <= d6) {
-        return keep_vertex(2);
-    }
+    if (d6 >= 0.0 && d5 <= d6) { return keep_vertex(2); }
     const double vb = d5 * d2 - d1 * d6;
-    if (vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0) {
-        return keep_edge(0, 2, d2 / (d2 - d6));
-    }
+    if (vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0) { return keep_edge(0, 2, d2 / (d2 - d6)); }
     const double va = d3 * d6 - d5 * d4;
-    if (va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0) {
-        return keep_edge(1, 2, (d4 - d3) / ((d4 - d3) + (d5 - d6)));
-    }
+    if (va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0) { return keep_edge(1, 2, (d4 - d3) / ((d4 - d3) + (d5 - d6))); }
     const double scale = 1.0 / (va + vb + vc);
     const double v = vb * scale;
     const double w = vc * scale;
@@ -105,18 +87,14 @@ std::optional<Vec3> Simplex::closest_on_tetrahedron() {
     bool is_inside = true;
     for (size_t opposite = 0; opposite < 4; ++opposite) {
         Simplex face;
-        for (const size_t vertex : FACES[opposite]) {
-            face.add(vertices_[vertex]);
-        }
+        for (const size_t vertex : FACES[opposite]) { face.add(vertices_[vertex]); }
         const Vec3 corner = face.vertices_[0].difference;
         const Vec3 normal = cross(face.vertices_[1].difference - corner, face.vertices_[2].difference - corner);
         const double side = dot(normal, vertices_[opposite].difference - corner);
         const double origin_side = -dot(normal, corner);
         const bool sees_origin = origin_side * side < 0.0;
         const bool is_flat = side == 0.0;
-        if (!sees_origin && !is_flat) {
-            continue;
-        }
+        if (!sees_origin && !is_flat) { continue; }
         is_inside = false;
         const Vec3 point = face.closest_on_triangle();
         const double square = dot(point, point);
@@ -126,9 +104,7 @@ std::optional<Vec3> Simplex::closest_on_tetrahedron() {
             nearest = face;
         }
     }
-    if (is_inside) {
-        return std::nullopt;
-    }
+    if (is_inside) { return std::nullopt; }
     *this = nearest;
     return closest;
 }
@@ -168,9 +144,7 @@ Vec3 Simplex::witness_on_first() const {
     }
     const std::array<double, 3> weights = {1.0 - weight.second - weight.third, weight.second, weight.third};
     Vec3 point;
-    for (size_t k = 0; k < std::min<size_t>(size_, 3); ++k) {
-        point += weights[k] * vertices_[k].on_first;
-    }
+    for (size_t k = 0; k < std::min<size_t>(size_, 3); ++k) { point += weights[k] * vertices_[k].on_first; }
     return point;
 }
 

@@ -42,9 +42,7 @@ constexpr double REFINE_MIN_MOVE = 1e-7;        // rad, or reaches: a smaller st
 
 // Whether a search goes on after so many starts, with the best squared error so far.
 bool is_promising(std::int64_t starts, bool free_solved, double squared_error) {
-    if (starts >= MAX_STARTS_WITHOUT_FREE_SOLUTION && !free_solved) {
-        return false;
-    }
+    if (starts >= MAX_STARTS_WITHOUT_FREE_SOLUTION && !free_solved) { return false; }
     return starts < MAX_STARTS_FAR || squared_error < FAR_ERROR * FAR_ERROR;
 }
 
@@ -93,9 +91,7 @@ SearchOutcome IkSolver::search(const Target& target, Vector q0, const Starts& st
     }
     const bool unwound = unwind(q0, q);
     double farthest = 0.0;
-    for (size_t i = 0; i < q.size(); ++i) {
-        farthest = std::max(farthest, std::abs(q[i] - q0[i]));
-    }
+    for (size_t i = 0; i < q.size(); ++i) { farthest = std::max(farthest, std::abs(q[i] - q0[i])); }
     outcome.jumped = began_near && farthest > JUMP_RAD;
     outcome.tip_is_known = outcome.solved && !unwound;
     return outcome;
@@ -109,9 +105,7 @@ Descent IkSolver::descend(BoundsOf bounds_of, const Goal& goal, const Tolerances
         ++descent.steps;
         const PoseError error = model_.linearize(goal, q);
         const double size = squared(error, ROTATION_WEIGHT);
-        if (descent.steps == 1) {
-            descent.first_squared_error = size;
-        }
+        if (descent.steps == 1) { descent.first_squared_error = size; }
         descent.solved = tolerances.contain(error);
         if (descent.solved || size < descent.squared_error) {
             descent.squared_error = size;
@@ -122,9 +116,7 @@ Descent IkSolver::descend(BoundsOf bounds_of, const Goal& goal, const Tolerances
             reference = size;
             stalled = 0;
         }
-        if (!descent.solved) {
-            model_.step(bounds_of, DAMPING * std::min(size, std::sqrt(size)) + MIN_DAMPING, q);
-        }
+        if (!descent.solved) { model_.step(bounds_of, DAMPING * std::min(size, std::sqrt(size)) + MIN_DAMPING, q); }
     }
     model_.take_best(q);
     return descent;
@@ -194,9 +186,7 @@ PoseError IkSolver::tip_error(const Target& target, Vector q) {
 bool IkSolver::is_beyond(const Goal& goal, double position_tolerance) const {
     for (const ChainJoint& joint : chain().joints()) {
         const Bounds& bounds = chain().unknowns()[joint.unknown].bounds;
-        if (joint.slides && !(bounds.high - bounds.low < INF)) {
-            return false;
-        }
+        if (joint.slides && !(bounds.high - bounds.low < INF)) { return false; }
     }
     return norm(goal.pose.translation - chain().base()) > 1.0 + REACH_ROUNDING + position_tolerance;
 }
@@ -219,9 +209,7 @@ bool IkSolver::unwind(Vector q0, Result q) const {
     for (size_t i = 0; i < q.size(); ++i) {
         const Unknown& unknown = chain().unknowns()[i];
         const double period = unknown.period;
-        if (!(period > 0)) {
-            continue;
-        }
+        if (!(period > 0)) { continue; }
         double turns = std::nearbyint((q0[i] - q[i]) / period);
         while (turns != 0 && !(unknown.bounds.low <= q[i] + turns * period && q[i] + turns * period <= unknown.bounds.high)) {
             turns -= turns > 0 ? 1.0 : -1.0;

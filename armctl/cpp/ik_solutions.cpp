@@ -19,12 +19,8 @@ bool is_same(const Chain& chain, Vector a, Vector b) {
     for (size_t i = 0; i < a.size(); ++i) {
         const double period = chain.unknowns()[i].period;
         double difference = std::abs(a[i] - b[i]);
-        if (difference >= SAME_SOLUTION && period > 0) {
-            difference = std::abs(difference - period * std::nearbyint(difference / period));
-        }
-        if (difference >= SAME_SOLUTION) {
-            return false;
-        }
+        if (difference >= SAME_SOLUTION && period > 0) { difference = std::abs(difference - period * std::nearbyint(difference / period)); }
+        if (difference >= SAME_SOLUTION) { return false; }
     }
     return true;
 }
@@ -39,19 +35,11 @@ bool wind_inside(const Chain& chain, Vector q0, Result q) {
         const double high = unknown.bounds.high + LIMIT_ROUNDING;
         const double period = unknown.period;
         if (period > 0) {
-            if (std::abs(q0[i] - q[i]) > 0.5 * period) {
-                q[i] += period * std::nearbyint((q0[i] - q[i]) / period);
-            }
-            if (q[i] > high) {
-                q[i] -= period * std::ceil((q[i] - high) / period);
-            }
-            if (q[i] < low) {
-                q[i] += period * std::ceil((low - q[i]) / period);
-            }
+            if (std::abs(q0[i] - q[i]) > 0.5 * period) { q[i] += period * std::nearbyint((q0[i] - q[i]) / period); }
+            if (q[i] > high) { q[i] -= period * std::ceil((q[i] - high) / period); }
+            if (q[i] < low) { q[i] += period * std::ceil((low - q[i]) / period); }
         }
-        if (!(low <= q[i] && q[i] <= high)) {
-            return false;
-        }
+        if (!(low <= q[i] && q[i] <= high)) { return false; }
         q[i] = std::min(std::max(q[i], unknown.bounds.low), unknown.bounds.high);
     }
     return true;
@@ -61,10 +49,8 @@ bool wind_inside(const Chain& chain, Vector q0, Result q) {
 class SolutionSet {
 public:
     SolutionSet(IkSolver& solver, const Target& target, MatrixResult known)
-        : solver_(solver),
-          goal_(solver.model().goal(target.pose, target.constraint)),
-          tolerances_{target.tolerances.position / solver.chain().reach(), target.tolerances.orientation},
-          known_(known) {}
+        : solver_(solver), goal_(solver.model().goal(target.pose, target.constraint)),
+          tolerances_{target.tolerances.position / solver.chain().reach(), target.tolerances.orientation}, known_(known) {}
 
     const FoundSolutions& found() const { return found_; }
 
@@ -75,9 +61,7 @@ public:
         found_.steps += descent.steps;
         // Next to a singularity convergence is slow: an answer within the tolerances is a solution all the same.
         const bool solved = descent.solved || tolerances_.contain(solver_.model().linearize(goal_, q));
-        if (!solved || found_.count == known_.rows || is_known(q)) {
-            return false;
-        }
+        if (!solved || found_.count == known_.rows || is_known(q)) { return false; }
         std::ranges::copy(q, known_.row(found_.count).begin());
         ++found_.count;
         return true;
@@ -86,9 +70,7 @@ public:
 private:
     bool is_known(Vector q) const {
         for (size_t k = 0; k < found_.count; ++k) {
-            if (is_same(solver_.chain(), q, known_.row(k))) {
-                return true;
-            }
+            if (is_same(solver_.chain(), q, known_.row(k))) { return true; }
         }
         return false;
     }
@@ -109,8 +91,7 @@ struct Kept {
 
 }  // namespace
 
-FoundSolutions find_all(IkSolver& solver, const Target& target, Vector q0, Matrix begin, const Patience& patience,
-                        MatrixResult known) {
+FoundSolutions find_all(IkSolver& solver, const Target& target, Vector q0, Matrix begin, const Patience& patience, MatrixResult known) {
     const std::vector<Unknown>& unknowns = solver.chain().unknowns();
     SolutionSet solutions(solver, target, known);
     std::vector<double> trial(q0.size());
@@ -164,13 +145,9 @@ Polished polish(IkSolver& solver, const Target& target, Vector q0, Matrix seeds,
             polished.steps += solver.descend(&Unknown::free_bounds, goal, EXACT, trial).steps;
             moved = true;
         }
-        if (!wind_inside(chain, q0, trial)) {
-            continue;
-        }
+        if (!wind_inside(chain, q0, trial)) { continue; }
         moved = moved || !std::ranges::equal(trial, seeds.row(s));
-        if (moved) {
-            error = solver.tip_error(target, trial);
-        }
+        if (moved) { error = solver.tip_error(target, trial); }
         if (!target.tolerances.contain(error)) {
             ++polished.lost;
             continue;
@@ -179,9 +156,7 @@ Polished polish(IkSolver& solver, const Target& target, Vector q0, Matrix seeds,
         for (size_t k = kept.size() - std::min(kept.size(), NEIGHBOURS); k < kept.size(); ++k) {
             is_known = is_known || is_same(chain, trial, kept_q.row(k));
         }
-        if (is_known) {
-            continue;
-        }
+        if (is_known) { continue; }
         double squared_distance = 0.0;
         for (size_t i = 0; i < n; ++i) {
             const double away = trial[i] - q0[i];
@@ -192,9 +167,7 @@ Polished polish(IkSolver& solver, const Target& target, Vector q0, Matrix seeds,
     }
     polished.count = kept.size();
     std::vector<size_t> order(kept.size());
-    for (size_t k = 0; k < order.size(); ++k) {
-        order[k] = k;
-    }
+    for (size_t k = 0; k < order.size(); ++k) { order[k] = k; }
     std::ranges::stable_sort(order, {}, [&](size_t k) { return kept[k].squared_distance; });
     for (size_t k = 0; k < order.size(); ++k) {
         const Kept& solution = kept[order[k]];
@@ -206,8 +179,8 @@ Polished polish(IkSolver& solver, const Target& target, Vector q0, Matrix seeds,
     return polished;
 }
 
-AllSolutions solve_all(const ClosedForm& closed_form, IkSolver& solver, const Target& target, Vector q0,
-                       const Inaccuracy& inaccuracy, const Samples& samples, const SolutionRows& rows) {
+AllSolutions solve_all(const ClosedForm& closed_form, IkSolver& solver, const Target& target, Vector q0, const Inaccuracy& inaccuracy,
+                       const Samples& samples, const SolutionRows& rows) {
     std::vector<double> memory(rows.q.rows * rows.q.columns);
     const MatrixResult seeds{memory.data(), rows.q.rows, rows.q.columns};
     const Seeds found = closed_form.find(target.pose, q0, inaccuracy.slack, inaccuracy.margin, samples, seeds);

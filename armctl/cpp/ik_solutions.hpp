@@ -25,8 +25,7 @@ struct FoundSolutions {
 //
 // Descends from each row of `begin` (B, n); then from random configurations, in turns inside the bounds and within one turn;
 // and with `quarters` from every solution with one joint turned by quarters. It ends when `known` is full.
-FoundSolutions find_all(IkSolver& solver, const Target& target, Vector q0, Matrix begin, const Patience& patience,
-                        MatrixResult known);
+FoundSolutions find_all(IkSolver& solver, const Target& target, Vector q0, Matrix begin, const Patience& patience, MatrixResult known);
 
 // Where `polish` writes the solutions: configurations (M, n), errors in m and rad, and branches (M,).
 struct SolutionRows {
@@ -61,7 +60,7 @@ struct AllSolutions {
 };
 
 // The solutions of a closed form, refined, the nearest to q0 first.
-AllSolutions solve_all(const ClosedForm& closed_form, IkSolver& solver, const Target& target, Vector q0,
-                       const Inaccuracy& inaccuracy, const Samples& samples, const SolutionRows& rows);
+AllSolutions solve_all(const ClosedForm& closed_form, IkSolver& solver, const Target& target, Vector q0, const Inaccuracy& inaccuracy,
+                       const Samples& samples, const SolutionRows& rows);
 
 }  // namespace armctl

@@ -40,38 +40,24 @@ void minimize_with_barriers(const Problem& problem, Result x, const BarrierSched
             std::fill(gradient.begin(), gradient.end(), 0.0);
             hessian.set_zero();
             problem.add_derivatives(x, barrier, gradient, hessian);
-            for (size_t k = 0; k < count; ++k) {
-                step[k] = -gradient[k];
-            }
+            for (size_t k = 0; k < count; ++k) { step[k] = -gradient[k]; }
             hessian.factorize_and_solve(step);
             double promise = 0.0;
-            for (size_t k = 0; k < count; ++k) {
-                promise -= gradient[k] * step[k];
-            }
-            if (!(promise > schedule.centered * barrier)) {
-                break;
-            }
+            for (size_t k = 0; k < count; ++k) { promise -= gradient[k] * step[k]; }
+            if (!(promise > schedule.centered * barrier)) { break; }
             double share = 1.0;
             double trial_cost = std::numeric_limits<double>::infinity();
             for (int halving = 0; halving < max_halvings; ++halving) {
-                for (size_t k = 0; k < count; ++k) {
-                    trial[k] = x[k] + share * step[k];
-                }
+                for (size_t k = 0; k < count; ++k) { trial[k] = x[k] + share * step[k]; }
                 trial_cost = problem.cost(trial, barrier);
-                if (trial_cost < cost - sufficient_decrease * share * promise) {
-                    break;
-                }
+                if (trial_cost < cost - sufficient_decrease * share * promise) { break; }
                 share *= 0.5;
             }
-            if (!(trial_cost < cost)) {
-                break;
-            }
+            if (!(trial_cost < cost)) { break; }
             std::copy(trial.begin(), trial.end(), x.begin());
             cost = trial_cost;
         }
-        if (problem.is_last(x, barrier)) {
-            return;
-        }
+        if (problem.is_last(x, barrier)) { return; }
         barrier *= schedule.factor;
     }
 }

@@ -29,18 +29,14 @@ double checked_gain(double value, const char* name) {
 
 std::vector<double> checked_gains(std::vector<double> values, size_t n, const char* name) {
     require_length(values, n, name);
-    for (const double value : values) {
-        checked_gain(value, name);
-    }
+    for (const double value : values) { checked_gain(value, name); }
     return values;
 }
 
 std::vector<double> checked_limits(std::vector<double> values, size_t n, const char* name) {
     require_length(values, n, name);
     for (const double value : values) {
-        if (!(value >= 0.0)) {
-            throw InputError(std::string(name) + ": need numbers of at least 0, got " + std::to_string(value));
-        }
+        if (!(value >= 0.0)) { throw InputError(std::string(name) + ": need numbers of at least 0, got " + std::to_string(value)); }
     }
     return values;
 }

@@ -33,9 +33,7 @@ BasisChange basis_change(size_t degree) {
             change[i][k] = weight;
             weight *= static_cast<double>(i + 1) / static_cast<double>(i + 1 - k);
         }
-        for (size_t i = k; i < degree; ++i) {
-            change[i][k] /= change[degree][k];
-        }
+        for (size_t i = k; i < degree; ++i) { change[i][k] /= change[degree][k]; }
         change[degree][k] = 1.0;
     }
     return change;
@@ -44,9 +42,7 @@ BasisChange basis_change(size_t degree) {
 // An upper bound on how far a polynomial leaves its bounds.
 double excess_of_hull(const Bernstein& b, size_t degree, const Bounds& bounds) {
     double most = bounds.excess(b[0]);
-    for (size_t i = 1; i <= degree; ++i) {
-        most = std::max(most, bounds.excess(b[i]));
-    }
+    for (size_t i = 1; i <= degree; ++i) { most = std::max(most, bounds.excess(b[i])); }
     return most;
 }
 
@@ -54,9 +50,7 @@ double excess_of_hull(const Bernstein& b, size_t degree, const Bounds& bounds) {
 void halve(Bernstein& b, size_t degree, Bernstein& right) {
     right[degree] = b[degree];
     for (size_t level = 1; level <= degree; ++level) {
-        for (size_t i = degree; i >= level; --i) {
-            b[i] = 0.5 * (b[i] + b[i - 1]);
-        }
+        for (size_t i = degree; i >= level; --i) { b[i] = 0.5 * (b[i] + b[i - 1]); }
         right[degree - level] = b[degree];
     }
 }
@@ -64,13 +58,9 @@ void halve(Bernstein& b, size_t degree, Bernstein& right) {
 // How far a polynomial leaves its bounds; at most 0 where it does not.
 double exact_excess(const Bernstein& b, size_t degree, const Bounds& bounds) {
     const double most = excess_of_hull(b, degree, bounds);
-    if (most <= 0.0) {
-        return most;
-    }
+    if (most <= 0.0) { return most; }
     double size = 0.0;
-    for (size_t i = 0; i <= degree; ++i) {
-        size = std::max(size, std::abs(b[i]));
-    }
+    for (size_t i = 0; i <= degree; ++i) { size = std::max(size, std::abs(b[i])); }
     double found = std::max(bounds.excess(b[0]), bounds.excess(b[degree]));
     double threshold = std::max(found, 0.0) + rounding * size;
     std::array<Bernstein, max_parts + 1> parts;
@@ -85,15 +75,11 @@ double exact_excess(const Bernstein& b, size_t degree, const Bounds& bounds) {
         threshold = std::max(found, 0.0) + rounding * size;
         const bool keeps_left = excess_of_hull(left, degree, bounds) > threshold;
         const bool keeps_right = excess_of_hull(right, degree, bounds) > threshold;
-        if (keeps_right && !keeps_left) {
-            left = right;
-        }
+        if (keeps_right && !keeps_left) { left = right; }
         count += static_cast<size_t>(keeps_left) + static_cast<size_t>(keeps_right);
     }
     // The parts that are left may exceed what has been found: the result is a bound then, and not exact.
-    for (size_t k = 0; k < count; ++k) {
-        found = std::max(found, excess_of_hull(parts[k], degree, bounds));
-    }
+    for (size_t k = 0; k < count; ++k) { found = std::max(found, excess_of_hull(parts[k], degree, bounds)); }
     return found;
 }
 
@@ -105,9 +91,7 @@ void limit_excess(const PolynomialSpan& motion, Vector steps, size_t order, Matr
     Bernstein factors{};  // of the coefficients of the derivative
     for (size_t k = 0; k <= degree; ++k) {
         factors[k] = 1.0;
-        for (size_t r = 0; r < order; ++r) {
-            factors[k] *= static_cast<double>(k + 1 + r);
-        }
+        for (size_t r = 0; r < order; ++r) { factors[k] *= static_cast<double>(k + 1 + r); }
     }
     for (size_t p = 0; p < steps.size(); ++p) {
         for (size_t i = 0; i < motion.joints; ++i) {
@@ -119,9 +103,7 @@ void limit_excess(const PolynomialSpan& motion, Vector steps, size_t order, Matr
             }
             Bernstein b{};
             for (size_t r = 0; r <= degree; ++r) {
-                for (size_t k = 0; k <= r; ++k) {
-                    b[r] += change[r][k] * powers[k];
-                }
+                for (size_t k = 0; k <= r; ++k) { b[r] += change[r][k] * powers[k]; }
             }
             excess(p, i) = exact_excess(b, degree, Bounds{low(p, i), high(p, i)});
         }

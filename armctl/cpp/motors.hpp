@@ -36,16 +36,12 @@ inline double read_joints(Motors motors, const MujocoSimulation& simulation, Res
 
 // Sets the controls of the motors to joint torques (n,) N m.
 inline void command_motors(Motors motors, Vector tau, const MujocoSimulation& simulation) {
-    for (size_t i = 0; i < motors.size(); ++i) {
-        simulation.ctrl[motors[i].ctrl] = tau[i] / motors[i].gear;
-    }
+    for (size_t i = 0; i < motors.size(); ++i) { simulation.ctrl[motors[i].ctrl] = tau[i] / motors[i].gear; }
 }
 
 // The joint torques (n,) N m of the motors in the last step.
 inline void read_torques(Motors motors, const MujocoSimulation& simulation, Result tau) {
-    for (size_t i = 0; i < motors.size(); ++i) {
-        tau[i] = simulation.qfrc_actuator[motors[i].torque] * motors[i].torque_share;
-    }
+    for (size_t i = 0; i < motors.size(); ++i) { tau[i] = simulation.qfrc_actuator[motors[i].torque] * motors[i].torque_share; }
 }
 
 // Noise on measured positions and velocities in some ticks; empty if there is none.
@@ -54,9 +50,7 @@ struct MeasurementNoise {
 
     // Adds that of a tick to positions and velocities (n,).
     void add(size_t tick, Result q, Result v) const {
-        if (numbers.empty()) {
-            return;
-        }
+        if (numbers.empty()) { return; }
         const size_t n = q.size();
         const Vector noise = numbers.subspan(2 * n * tick, 2 * n);
         for (size_t i = 0; i < n; ++i) {

@@ -25,42 +25,28 @@ void CollisionScene::find_near_pairs(Vector positions, Vector delta, double shar
         const double group_motion = relative_motion(group.a, group.b, group.common, delta);
         const double group_gap = gap(group.a, group.b);
         for (size_t p = group.first_pair; p < group.last_pair; ++p) {
-            if (share * (group_gap - clearances[p]) >= group_motion) {
-                continue;
-            }
+            if (share * (group_gap - clearances[p]) >= group_motion) { continue; }
             const GeomPair& pair = model_->pairs[p];
             const double pair_motion = relative_motion(pair.a, pair.b, pair.common, delta);
-            if (share * (gap(pair.a, pair.b) - clearances[p]) >= pair_motion) {
-                continue;
-            }
+            if (share * (gap(pair.a, pair.b) - clearances[p]) >= pair_motion) { continue; }
             const double enough = clearances[p] + pair_motion / share;
-            if (distance(p, {.enough = enough, .touching = -INFINITE_M}).lower >= enough) {
-                continue;
-            }
+            if (distance(p, {.enough = enough, .touching = -INFINITE_M}).lower >= enough) { continue; }
             const Witness nearest = witness(p);
             const Result gradient(near_gradients_.data() + near_pairs_.size() * joints, joints);
             write_distance_gradient(p, nearest, gradient);
             double approach = 0.0;
-            for (size_t j = 0; j < joints; ++j) {
-                approach += std::abs(gradient[j]) * delta[j];
-            }
-            if (share * (nearest.distance - clearances[p]) < approach) {
-                near_pairs_.push_back({p, nearest.distance});
-            }
+            for (size_t j = 0; j < joints; ++j) { approach += std::abs(gradient[j]) * delta[j]; }
+            if (share * (nearest.distance - clearances[p]) < approach) { near_pairs_.push_back({p, nearest.distance}); }
         }
     }
 }
 
-Vector CollisionScene::near_gradient(size_t index) const {
-    return {near_gradients_.data() + index * model_->joints(), model_->joints()};
-}
+Vector CollisionScene::near_gradient(size_t index) const { return {near_gradients_.data() + index * model_->joints(), model_->joints()}; }
 
 double CollisionScene::overlap_depth(Vector positions, size_t pair) {
     place_frames(positions);
     double least = INFINITE_M;
-    for (const Vec3 direction : model_->directions) {
-        least = std::min(least, depth_along(pair, direction));
-    }
+    for (const Vec3 direction : model_->directions) { least = std::min(least, depth_along(pair, direction)); }
     return least;
 }
 
@@ -95,9 +81,7 @@ CollisionScene::Witness CollisionScene::witness(size_t p) {
         return {dot(first.normal(), lowest) - first.offset, first.normal(), lowest, lowest};
     }
     std::optional<Witness> found = witness_apart(p, {});
-    if (!found) {
-        return witness_overlapping(p);
-    }
+    if (!found) { return witness_overlapping(p); }
     found->distance = found->distance - first.inflation - second.inflation;
     return *found;
 }
@@ -114,14 +98,10 @@ std::optional<CollisionScene::Witness> CollisionScene::witness_apart(size_t p, V
         const SupportPoint support = difference_support(p, v, relative);
         const double square = dot(v, v);
         const bool has_converged = simplex.size() > 0 && square - dot(v, support.difference) <= WITNESS_GAP * square;
-        if (has_converged || simplex.contains(support.difference)) {
-            break;
-        }
+        if (has_converged || simplex.contains(support.difference)) { break; }
         simplex.add(support);
         const std::optional<Vec3> closest = simplex.reduce_to_closest_point();
-        if (!closest || dot(*closest, *closest) < OVERLAP_M2) {
-            return std::nullopt;
-        }
+        if (!closest || dot(*closest, *closest) < OVERLAP_M2) { return std::nullopt; }
         v = *closest;
     }
     const double length = norm(v);
@@ -159,9 +139,7 @@ CollisionScene::Witness CollisionScene::witness_overlapping(size_t p) {
         const double along = dot(displacement, best.direction) - apart->distance;
         const bool has_converged = along > depth - DEPTH_GAP_M;
         depth = along;
-        if (has_converged) {
-            break;
-        }
+        if (has_converged) { break; }
     }
     best.distance = -depth - inflation;
     return best;
@@ -174,8 +152,7 @@ void CollisionScene::write_distance_gradient(size_t p, const Witness& witness, R
     for (const bool is_first : {true, false}) {
         const Vec3 point = is_first ? witness.on_first : witness.on_second;
         const double sign = is_first ? -1.0 : 1.0;
-        for (size_t walk = model_->geoms[is_first ? pair.a : pair.b].frame; walk != pair.common;
-             walk = model_->frames[walk].parent) {
+        for (size_t walk = model_->geoms[is_first ? pair.a : pair.b].frame; walk != pair.common; walk = model_->frames[walk].parent) {
             const MovingFrame& moving = model_->frames[walk];
             const PlacedFrame& placed = frames_[walk];
             const Vec3 velocity = moving.slides ? placed.axis : cross(placed.axis, point - placed.anchor);

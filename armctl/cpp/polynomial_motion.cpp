@@ -6,41 +6,26 @@
 
 namespace armctl {
 
-void PolynomialMotion::set(const CollisionModel& model, Vector knots, Vector coefficients) {
-    const size_t n = model.n();
-    if (knots.size() < 2) {
-        throw InputError("knots: need at least two");
-    }
-    const size_t pieces = knots.size() - 1;
-    powers_ = n > 0 ? coefficients.size() / (pieces * n) : 2;
-    joints_ = model.joints();
-    if (powers_ < 2 || powers_ > MAX_DEGREE + 1 || coefficients.size() != pieces * powers_ * n) {
-        throw InputError("coefficients: need polynomials of degree 1 to 5 for every piece and joint");
-    }
+namespace {
+
+constexpr double UNIT_KNOTS[] = {0.0, 1.0};
+
+}  // namespace
+
+void PolynomialMotion::set(Vector knots, Vector coefficients, size_t joints) {
+    if (knots.size() < 2) { throw InputError("knots: need at least two"); }
+    joints_ = joints;
+    powers_ = joints > 0 ? coefficients.size() / ((knots.size() - 1) * joints) : 2;
+    if (powers_ < 2 || powers_ > MAX_DEGREE + 1) { throw InputError("coefficients: need polynomials of degree 1 to 5"); }
     knots_.assign(knots.begin(), knots.end());
-    coefficients_.resize(pieces * powers_ * joints_);
-    for (size_t row = 0; row < pieces * powers_; ++row) {
-        const Result all(coefficients_.data() + row * joints_, joints_);
-        const Vector own = coefficients.subspan(row * n, n);
-        if (row % powers_ == 0) {  // only the constant has the offset
-            model.positions(own, all);
-        } else {
-            model.speeds(own, all);
-        }
-    }
+    coefficients_.assign(coefficients.begin(), coefficients.end());
     bound_ranges();
 }
 
 void PolynomialMotion::set_line(Vector start, Vector end) {
-    knots_.assign({0.0, 1.0});
-    powers_ = 2;
-    joints_ = start.size();
-    coefficients_.resize(2 * joints_);
-    for (size_t i = 0; i < joints_; ++i) {
-        coefficients_[i] = start[i];
-        coefficients_[joints_ + i] = end[i] - start[i];
-    }
-    bound_ranges();
+    std::vector<double> coefficients(start.begin(), start.end());
+    for (size_t i = 0; i < start.size(); ++i) { coefficients.push_back(end[i] - start[i]); }
+    set(UNIT_KNOTS, coefficients, start.size());
 }
 
 void PolynomialMotion::bound_ranges() {
@@ -54,18 +39,14 @@ void PolynomialMotion::bound_ranges() {
 }
 
 size_t PolynomialMotion::piece_at(double time, size_t piece) const {
-    while (piece + 1 < pieces() && knots_[piece + 1] <= time) {
-        ++piece;
-    }
+    while (piece + 1 < pieces() && knots_[piece + 1] <= time) { ++piece; }
     return piece;
 }
 
 void PolynomialMotion::evaluate(size_t piece, double time, Result positions) const {
     for (size_t i = 0; i < joints_; ++i) {
         double value = 0.0;
-        for (size_t power = powers_; power > 0; --power) {
-            value = value * time + coefficient(piece, power - 1, i);
-        }
+        for (size_t power = powers_; power > 0; --power) { value = value * time + coefficient(piece, power - 1, i); }
         positions[i] = value;
     }
 }
@@ -90,8 +71,7 @@ void PolynomialMotion::bound_interval(size_t piece, double middle, double half, 
         const double d2 = c2 + middle * (3.0 * c3 + middle * (6.0 * c4 + middle * 10.0 * c5));
         const double d3 = c3 + middle * (4.0 * c4 + middle * 10.0 * c5);
         const double d4 = c4 + middle * 5.0 * c5;
-        delta[i] =
-            half * (std::abs(d1) + half * (std::abs(d2) + half * (std::abs(d3) + half * (std::abs(d4) + half * std::abs(c5)))));
+        delta[i] = half * (std::abs(d1) + half * (std::abs(d2) + half * (std::abs(d3) + half * (std::abs(d4) + half * std::abs(c5)))));
     }
 }
 

@@ -23,38 +23,21 @@ constexpr size_t max_changes = 10;
 
 double dot(Vector a, Vector b) {
     double total = 0.0;
-    for (size_t i = 0; i < a.size(); ++i) {
-        total += a[i] * b[i];
-    }
+    for (size_t i = 0; i < a.size(); ++i) { total += a[i] * b[i]; }
     return total;
 }
 
 }  // namespace
 
 ActiveSetSolver::ActiveSetSolver(size_t n)
-    : n_(n),
-      factor_(n, n),
-      normals_(2 * n, n),
-      basis_(n, n),
-      triangle_(n, n),
-      low_(2 * n),
-      high_(2 * n),
-      tolerances_(2 * n),
-      start_(n),
-      point_(n),
-      coordinates_(n),
-      rates_(n),
-      active_(n) {}
+    : n_(n), factor_(n, n), normals_(2 * n, n), basis_(n, n), triangle_(n, n), low_(2 * n), high_(2 * n), tolerances_(2 * n), start_(n),
+      point_(n), coordinates_(n), rates_(n), active_(n) {}
 
 bool ActiveSetSolver::solve(const QuadraticProgram& program, Result x) {
-    if (!set_up(program) || !find_nearest()) {
-        return false;
-    }
+    if (!set_up(program) || !find_nearest()) { return false; }
     for (size_t i = n_; i-- > 0;) {  // x = L^-T y
         double rest = point_[i];
-        for (size_t k = i + 1; k < n_; ++k) {
-            rest -= factor_(k, i) * x[k];
-        }
+        for (size_t k = i + 1; k < n_; ++k) { rest -= factor_(k, i) * x[k]; }
         x[i] = rest / factor_(i, i);
     }
     return true;
@@ -63,9 +46,7 @@ bool ActiveSetSolver::solve(const QuadraticProgram& program, Result x) {
 // The least-distance form of the program; false if a lower bound is above its upper bound.
 bool ActiveSetSolver::set_up(const QuadraticProgram& program) {
     for (size_t i = 0; i < n_; ++i) {
-        for (size_t k = 0; k < n_; ++k) {
-            factor_(i, k) = program.H(i, k);
-        }
+        for (size_t k = 0; k < n_; ++k) { factor_(i, k) = program.H(i, k); }
     }
     factorize(factor_);
     take_roots(factor_);
@@ -81,16 +62,12 @@ bool ActiveSetSolver::set_up(const QuadraticProgram& program) {
     forward(0, start_);
     for (size_t row = 0; row < 2 * n_; ++row) {
         const double scale = 1.0 / std::sqrt(dot(normals_.row(row), normals_.row(row)));
-        for (double& number : normals_.row(row)) {
-            number *= scale;
-        }
+        for (double& number : normals_.row(row)) { number *= scale; }
         const double lower = program.lower[row];
         const double upper = program.upper[row];
         low_[row] = scale * lower;
         high_[row] = scale * upper;
-        if (lower - upper > contradiction * (std::abs(lower) + std::abs(upper))) {
-            return false;
-        }
+        if (lower - upper > contradiction * (std::abs(lower) + std::abs(upper))) { return false; }
     }
     return true;
 }
@@ -99,9 +76,7 @@ bool ActiveSetSolver::set_up(const QuadraticProgram& program) {
 void ActiveSetSolver::forward(size_t first, Result x) const {
     for (size_t i = first; i < x.size(); ++i) {
         double rest = x[i];
-        for (size_t k = first; k < i; ++k) {
-            rest -= factor_(i, k) * x[k];
-        }
+        for (size_t k = first; k < i; ++k) { rest -= factor_(i, k) * x[k]; }
         x[i] = rest / factor_(i, i);
     }
 }
@@ -118,9 +93,7 @@ bool ActiveSetSolver::find_nearest() {
             multiplier = 0.0;
         }
         if (!entering) {
-            if (is_exact) {
-                return true;
-            }
+            if (is_exact) { return true; }
             set_point();
             is_exact = true;
             continue;
@@ -131,9 +104,7 @@ bool ActiveSetSolver::find_nearest() {
         const double independent = project(*entering);
         const std::optional<size_t> dropped = first_zero_multiplier();
         if (!dropped && independent == 0.0) {
-            if (!(violation < contradiction * (std::sqrt(dot(point_, point_)) + std::abs(bound)))) {
-                return false;
-            }
+            if (!(violation < contradiction * (std::sqrt(dot(point_, point_)) + std::abs(bound)))) { return false; }
             tolerances_[row] = contradiction;
             entering.reset();
             continue;
@@ -161,9 +132,7 @@ void ActiveSetSolver::begin_without_constraints() {
     std::ranges::copy(start_, point_.begin());
     std::ranges::fill(tolerances_, rounding);
     for (size_t i = 0; i < n_; ++i) {
-        for (size_t k = 0; k < n_; ++k) {
-            basis_(i, k) = i == k ? 1.0 : 0.0;
-        }
+        for (size_t k = 0; k < n_; ++k) { basis_(i, k) = i == k ? 1.0 : 0.0; }
     }
 }
 
@@ -181,9 +150,7 @@ std::optional<size_t> ActiveSetSolver::first_zero_multiplier() const {
 }
 
 void ActiveSetSolver::decrease_multipliers(double step) {
-    for (size_t j = 0; j < count_; ++j) {
-        active_[j].multiplier = std::max(active_[j].multiplier - step * rates_[j], 0.0);
-    }
+    for (size_t j = 0; j < count_; ++j) { active_[j].multiplier = std::max(active_[j].multiplier - step * rates_[j], 0.0); }
 }
 
 // The constraint that the point violates most, if there is one.
@@ -192,9 +159,7 @@ std::optional<ActiveSetSolver::Entering> ActiveSetSolver::most_violated() const 
     double largest = 0.0;
     std::optional<Entering> found;
     for (size_t row = 0; row < 2 * n_; ++row) {
-        if (tolerances_[row] == infinity) {
-            continue;
-        }
+        if (tolerances_[row] == infinity) { continue; }
         const double position = dot(normals_.row(row), point_);
         const double below = low_[row] - position;
         const double above = position - high_[row];
@@ -217,9 +182,7 @@ double ActiveSetSolver::project(const Entering& entering) {
     double independent = 0.0;
     for (size_t j = 0; j < n_; ++j) {
         coordinates_[j] = entering.side * dot(basis_.row(j), normal);
-        if (j >= count_) {
-            independent += coordinates_[j] * coordinates_[j];
-        }
+        if (j >= count_) { independent += coordinates_[j] * coordinates_[j]; }
     }
     if (!(independent > dependent)) {
         independent = 0.0;
@@ -227,9 +190,7 @@ double ActiveSetSolver::project(const Entering& entering) {
     }
     for (size_t j = count_; j-- > 0;) {
         double rest = coordinates_[j];
-        for (size_t k = j + 1; k < count_; ++k) {
-            rest -= triangle_(k, j) * rates_[k];
-        }
+        for (size_t k = j + 1; k < count_; ++k) { rest -= triangle_(k, j) * rates_[k]; }
         rates_[j] = rest / triangle_(j, j);
     }
     return independent;
@@ -238,9 +199,7 @@ double ActiveSetSolver::project(const Entering& entering) {
 // Moves the point along the part of the entering normal that the active ones do not span.
 void ActiveSetSolver::move(double step) {
     for (size_t j = count_; j < n_; ++j) {
-        for (size_t k = 0; k < n_; ++k) {
-            point_[k] += step * coordinates_[j] * basis_(j, k);
-        }
+        for (size_t k = 0; k < n_; ++k) { point_[k] += step * coordinates_[j] * basis_(j, k); }
     }
 }
 
@@ -250,43 +209,31 @@ void ActiveSetSolver::set_point() {
     for (size_t j = 0; j < n_; ++j) {
         if (j < count_) {
             double rest = active_[j].bound;
-            for (size_t k = 0; k < j; ++k) {
-                rest -= triangle_(j, k) * coordinates_[k];
-            }
+            for (size_t k = 0; k < j; ++k) { rest -= triangle_(j, k) * coordinates_[k]; }
             coordinates_[j] = rest / triangle_(j, j);
         } else {
             coordinates_[j] = dot(basis_.row(j), start_);
         }
-        for (size_t k = 0; k < n_; ++k) {
-            point_[k] += coordinates_[j] * basis_(j, k);
-        }
+        for (size_t k = 0; k < n_; ++k) { point_[k] += coordinates_[j] * basis_(j, k); }
     }
 }
 
 // Adds a constraint with known coordinates to the active ones, by a Householder reflection of the other basis vectors.
 void ActiveSetSolver::add(const ActiveConstraint& constraint) {
     double square = 0.0;
-    for (size_t j = count_; j < n_; ++j) {
-        square += coordinates_[j] * coordinates_[j];
-    }
+    for (size_t j = count_; j < n_; ++j) { square += coordinates_[j] * coordinates_[j]; }
     const double length = -std::copysign(std::sqrt(square), coordinates_[count_]);
-    for (size_t j = 0; j < count_; ++j) {
-        triangle_(count_, j) = coordinates_[j];
-    }
+    for (size_t j = 0; j < count_; ++j) { triangle_(count_, j) = coordinates_[j]; }
     triangle_(count_, count_) = length;
     coordinates_[count_] -= length;
     const double scale = 1.0 / (length * coordinates_[count_]);
     std::vector<double>& product = rates_;  // which are computed again before they are read
     std::ranges::fill(product, 0.0);
     for (size_t j = count_; j < n_; ++j) {
-        for (size_t k = 0; k < n_; ++k) {
-            product[k] += coordinates_[j] * basis_(j, k);
-        }
+        for (size_t k = 0; k < n_; ++k) { product[k] += coordinates_[j] * basis_(j, k); }
     }
     for (size_t j = count_; j < n_; ++j) {
-        for (size_t k = 0; k < n_; ++k) {
-            basis_(j, k) += scale * coordinates_[j] * product[k];
-        }
+        for (size_t k = 0; k < n_; ++k) { basis_(j, k) += scale * coordinates_[j] * product[k]; }
     }
     active_[count_] = constraint;
     ++count_;
@@ -297,9 +244,7 @@ void ActiveSetSolver::drop(size_t dropped) {
     --count_;
     for (size_t j = dropped; j < count_; ++j) {
         active_[j] = active_[j + 1];
-        for (size_t k = 0; k < j + 2; ++k) {
-            triangle_(j, k) = triangle_(j + 1, k);
-        }
+        for (size_t k = 0; k < j + 2; ++k) { triangle_(j, k) = triangle_(j + 1, k); }
     }
     for (size_t j = dropped; j < count_; ++j) {
         const double length = std::sqrt(triangle_(j, j) * triangle_(j, j) + triangle_(j, j + 1) * triangle_(j, j + 1));

@@ -68,17 +68,17 @@ private:
     void drop(size_t dropped);
 
     size_t n_;
-    DenseMatrix factor_;               // (n, n) L
-    DenseMatrix normals_;              // (2n, n)
-    DenseMatrix basis_;                // (n, n) P: its first rows span the normals of the active constraints
-    DenseMatrix triangle_;             // (n, n) T: its row j gives the normal of active constraint j in the basis
-    std::vector<double> low_;          // (2n,) bounds, scaled with the normals
-    std::vector<double> high_;         // (2n,)
-    std::vector<double> tolerances_;   // (2n,) relative violation, from which a constraint enters; infinite while it is active
-    std::vector<double> start_;        // (n,) y0
-    std::vector<double> point_;        // (n,) y
-    std::vector<double> coordinates_;  // (n,) in the basis
-    std::vector<double> rates_;  // (n,) at which the multipliers decrease, per increase of that of the entering constraint
+    DenseMatrix factor_;                    // (n, n) L
+    DenseMatrix normals_;                   // (2n, n)
+    DenseMatrix basis_;                     // (n, n) P: its first rows span the normals of the active constraints
+    DenseMatrix triangle_;                  // (n, n) T: its row j gives the normal of active constraint j in the basis
+    std::vector<double> low_;               // (2n,) bounds, scaled with the normals
+    std::vector<double> high_;              // (2n,)
+    std::vector<double> tolerances_;        // (2n,) relative violation, from which a constraint enters; infinite while it is active
+    std::vector<double> start_;             // (n,) y0
+    std::vector<double> point_;             // (n,) y
+    std::vector<double> coordinates_;       // (n,) in the basis
+    std::vector<double> rates_;             // (n,) at which the multipliers decrease, per increase of that of the entering constraint
     std::vector<ActiveConstraint> active_;  // (n,), of which the first `count_` count
     size_t count_ = 0;
 };

@@ -38,9 +38,7 @@ size_t RrtConnect::Tree::nearest(Vector q) const {
         for (size_t i = 0; i < n_; ++i) {
             const double offset = own[i] - q[i];
             square += offset * offset;
-            if (square >= least) {
-                break;
-            }
+            if (square >= least) { break; }
         }
         if (square < least) {
             least = square;
@@ -51,28 +49,18 @@ size_t RrtConnect::Tree::nearest(Vector q) const {
 }
 
 RrtConnect::RrtConnect(FreeSpace space, Vector start, Matrix goals, Vector low, Vector high, size_t capacity)
-    : space_(std::move(space)),
-      low_(low.begin(), low.end()),
-      high_(high.begin(), high.end()),
-      capacity_(capacity),
+    : space_(std::move(space)), low_(low.begin(), low.end()), high_(high.begin(), high.end()), capacity_(capacity),
       step_(space_.keeps_axis() ? std::min(STEP, 2.0 * std::sqrt(space_.kept_within())) : STEP),
-      trees_{Tree(start.size()), Tree(start.size())},
-      trial_(start.size()) {
+      trees_{Tree(start.size()), Tree(start.size())}, trial_(start.size()) {
     trees_[FROM_START].add(start, std::nullopt);
-    for (size_t goal = 0; goal < goals.rows; ++goal) {
-        trees_[FROM_GOALS].add(goals.row(goal), std::nullopt);
-    }
+    for (size_t goal = 0; goal < goals.rows; ++goal) { trees_[FROM_GOALS].add(goals.row(goal), std::nullopt); }
 }
 
 size_t RrtConnect::grow(Matrix samples) {
     for (size_t taken = 0; taken < samples.rows; ++taken) {
-        if (trees_[side_].size() > trees_[1 - side_].size()) {
-            side_ = 1 - side_;
-        }
+        if (trees_[side_].size() > trees_[1 - side_].size()) { side_ = 1 - side_; }
         const std::optional<size_t> added = extend(trees_[side_], samples.row(taken));
-        if (!added) {
-            continue;
-        }
+        if (!added) { continue; }
         const Vector added_q = trees_[side_].configuration(*added);
         const std::optional<size_t> met = connect(trees_[1 - side_], added_q);
         if (met) {
@@ -92,9 +80,7 @@ std::optional<size_t> RrtConnect::extend(Tree& tree, Vector sample) {
     const double distance = joint_distance(sample, tree.configuration(near));
     const double domain = tree[near].domain;
     const bool is_full = std::max(trees_[FROM_START].size(), trees_[FROM_GOALS].size()) >= capacity_;
-    if (distance > domain || distance < SAME_CONFIGURATION_RAD || is_full) {
-        return std::nullopt;
-    }
+    if (distance > domain || distance < SAME_CONFIGURATION_RAD || is_full) { return std::nullopt; }
     const bool is_level = step_towards(tree.configuration(near), sample, std::min(1.0, step_ / distance));
     if (!is_level || !space_.edge_is_free(tree.configuration(near), trial_)) {
         tree[near].domain = std::isinf(domain) ? DOMAIN_RAD : std::max(MIN_DOMAIN_RAD, domain * (1.0 - DOMAIN_RATE));
@@ -117,34 +103,24 @@ std::optional<size_t> RrtConnect::connect(Tree& tree, Vector goal) {
             return std::nullopt;
         }
         const double remaining = joint_distance(trial_, goal);
-        if (!is_last && remaining > distance - MIN_PROGRESS * step_) {
-            return std::nullopt;
-        }
-        if (!space_.edge_is_free(tree.configuration(node), trial_)) {
-            return std::nullopt;
-        }
+        if (!is_last && remaining > distance - MIN_PROGRESS * step_) { return std::nullopt; }
+        if (!space_.edge_is_free(tree.configuration(node), trial_)) { return std::nullopt; }
         distance = remaining;
         node = tree.add(trial_, node);
-        if (is_last) {
-            return node;
-        }
+        if (is_last) { return node; }
     }
     return std::nullopt;
 }
 
 // Writes a configuration on the way to another into `trial_`, projected where an axis keeps its direction. Returns if it could.
 bool RrtConnect::step_towards(Vector start, Vector goal, double share) {
-    for (size_t i = 0; i < trial_.size(); ++i) {
-        trial_[i] = start[i] + share * (goal[i] - start[i]);
-    }
+    for (size_t i = 0; i < trial_.size(); ++i) { trial_[i] = start[i] + share * (goal[i] - start[i]); }
     return !space_.keeps_axis() || space_.level(trial_, low_, high_);
 }
 
 Path RrtConnect::path() const {
     Path path;
-    if (!meeting_) {
-        return path;
-    }
+    if (!meeting_) { return path; }
     const auto append_branch = [this, &path](Side side) {
         std::optional<size_t> node = (*meeting_)[side];
         while (node) {

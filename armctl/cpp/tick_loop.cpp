@@ -14,13 +14,9 @@ bool is_finite(Vector values) {
 }
 
 bool are_same(const Contacts& contacts, const std::vector<GeomPair>& geoms) {
-    if (contacts.count() != geoms.size()) {
-        return false;
-    }
+    if (contacts.count() != geoms.size()) { return false; }
     for (size_t k = 0; k < geoms.size(); ++k) {
-        if (contacts.geoms(k) != geoms[k]) {
-            return false;
-        }
+        if (contacts.geoms(k) != geoms[k]) { return false; }
     }
     return true;
 }
@@ -29,27 +25,16 @@ bool are_same(const Contacts& contacts, const std::vector<GeomPair>& geoms) {
 
 TickLoop::TickLoop(std::shared_ptr<const MujocoApi> api, const MujocoSimulation& simulation, std::vector<Motor> motors,
                    std::shared_ptr<const ArmModel> pushed_arm, const TickOptions& options)
-    : api_(std::move(api)),
-      simulation_(simulation),
-      motors_(std::move(motors)),
-      pushed_(std::move(pushed_arm)),
-      options_(options),
-      q_(motors_.size()),
-      q_seen_(motors_.size()),
-      v_seen_(motors_.size()),
-      tau_(motors_.size()) {
+    : api_(std::move(api)), simulation_(simulation), motors_(std::move(motors)), pushed_(std::move(pushed_arm)), options_(options),
+      q_(motors_.size()), q_seen_(motors_.size()), v_seen_(motors_.size()), tau_(motors_.size()) {
     check_addresses(motors_, simulation_);
-    if (pushed_.joints() > motors_.size()) {
-        throw InputError("pushed_arm: it has more joints than the simulation has motors");
-    }
+    if (pushed_.joints() > motors_.size()) { throw InputError("pushed_arm: it has more joints than the simulation has motors"); }
 }
 
 TickEnd TickLoop::run(Law& law, const TickReference& reference, const TickRows& rows, size_t first, size_t last,
                       const Disturbances& disturbances, const TickSensor& sensor, std::vector<GeomPair> touching) {
     const std::unique_lock lock(in_use_, std::try_to_lock);
-    if (!lock.owns_lock()) {
-        throw InputError("simulation: another thread runs it; give each thread a simulation of its own");
-    }
+    if (!lock.owns_lock()) { throw InputError("simulation: another thread runs it; give each thread a simulation of its own"); }
     Run run{
         .law = law,
         .reference = reference,
@@ -78,6 +63,7 @@ void TickLoop::run_ticks(Run& run) {
         const double speed = read_joints(motors_, simulation_, q_, rows.v.row(row));
         std::ranges::copy(q_, q_seen_.begin());
         std::ranges::copy(rows.v.row(row), v_seen_.begin());
+        measure_velocity(run.disturbances.last_position);
         run.disturbances.noise.add(row - run.first, q_seen_, v_seen_);
         if (!(speed < options_.diverged_speed)) {
             run.end.status = TickStatus::diverged;
@@ -91,20 +77,26 @@ void TickLoop::run_ticks(Run& run) {
             return;
         }
         drive(run, row);
-        for (size_t k = 0; k < options_.substeps; ++k) {
-            api_->step(simulation_.model, simulation_.data);
-        }
+        for (size_t k = 0; k < options_.substeps; ++k) { api_->step(simulation_.model, simulation_.data); }
         read_torques(motors_, simulation_, rows.torque.row(row));
         run.end.count = row + 1;
         note_contacts(run, row);
     }
 }
 
+// Replaces the true velocity by the difference of positions over the last tick.
+void TickLoop::measure_velocity(Result last_position) {
+    for (size_t i = 0; i < last_position.size(); ++i) {
+        if (!std::isnan(last_position[i])) {
+            v_seen_[i] = (q_[i] - last_position[i]) / options_.dt;
+        }
+        last_position[i] = q_[i];
+    }
+}
+
 // The wrench for the law, (6,), and the true one for its row; empty without a sensor.
 Vector TickLoop::measured_wrench(Run& run, size_t row) {
-    if (run.sensor.sensor == nullptr) {
-        return {};
-    }
+    if (run.sensor.sensor == nullptr) { return {}; }
     const size_t tick = row - run.first;
     read_torques(motors_, simulation_, tau_);
     const WrenchSignals signals{
@@ -133,9 +125,7 @@ void TickLoop::drive(const Run& run, size_t row) {
         const Vector push = disturbances.pushes.row(row - run.first);
         const Result torque = Result(tau_).first(pushed_.joints());  // the command is recorded already
         pushed_.torque(Vector(q_).first(pushed_.joints()), push, torque);
-        for (size_t i = 0; i < torque.size(); ++i) {
-            simulation_.qfrc_applied[motors_[i].dof] = torque[i];
-        }
+        for (size_t i = 0; i < torque.size(); ++i) { simulation_.qfrc_applied[motors_[i].dof] = torque[i]; }
         std::ranges::copy(push, disturbances.push.begin());
     }
 }
@@ -143,13 +133,9 @@ void TickLoop::drive(const Run& run, size_t row) {
 // Notes the geoms that touch, if they changed.
 void TickLoop::note_contacts(Run& run, size_t row) const {
     const Contacts contacts(api_->contacts, simulation_.data);
-    if (are_same(contacts, run.touching)) {
-        return;
-    }
+    if (are_same(contacts, run.touching)) { return; }
     run.touching.resize(contacts.count());
-    for (size_t k = 0; k < contacts.count(); ++k) {
-        run.touching[k] = contacts.geoms(k);
-    }
+    for (size_t k = 0; k < contacts.count(); ++k) { run.touching[k] = contacts.geoms(k); }
     run.end.contacts.push_back({row, run.touching});
 }
 

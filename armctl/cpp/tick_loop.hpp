@@ -43,6 +43,8 @@ struct Disturbances {
     MeasurementNoise noise;
     Matrix pushes;  // (ticks, 6) N and N m, on the tip; empty for none
     Result push;    // (6,) the wrench of the last tick, which the loop writes
+    // (n,) of the last tick, NaN at the first one, for measured velocities that are differences; empty if they are not.
+    Result last_position;
 };
 
 // Measures the wrench for a law that needs it. The first row is that of the first tick of the call.
@@ -72,6 +74,7 @@ struct TickEnd {
 
 struct TickOptions {
     size_t substeps = 1;          // steps of MuJoCo in a tick
+    double dt = 0.0;              // s, the tick
     double diverged_speed = 0.0;  // rad/s, norm of the velocities from which a simulation counts as diverged
 };
 
@@ -86,8 +89,8 @@ public:
     const MujocoSimulation& simulation() const { return simulation_; }
 
     // Runs the ticks [first, last) with the law. `touching` are the geoms that touch in the row before.
-    TickEnd run(Law& law, const TickReference& reference, const TickRows& rows, size_t first, size_t last,
-                const Disturbances& disturbances, const TickSensor& sensor, std::vector<GeomPair> touching);
+    TickEnd run(Law& law, const TickReference& reference, const TickRows& rows, size_t first, size_t last, const Disturbances& disturbances,
+                const TickSensor& sensor, std::vector<GeomPair> touching);
 
 private:
     // What the ticks of one call use. It belongs to `run`, which MuJoCo's errors do not leave.
@@ -105,6 +108,7 @@ private:
 
     void run_ticks(Run& run);
     Vector measured_wrench(Run& run, size_t row);
+    void measure_velocity(Result last_position);
     void drive(const Run& run, size_t row);
     void note_contacts(Run& run, size_t row) const;
 

@@ -26,13 +26,8 @@ Vec3 rotation_between(const Rotation& from, const Rotation& to) {
 
 }  // namespace
 
-TipFollower::TipFollower(const std::shared_ptr<const ArmModel>& model, Vector q_min, Vector q_max, double centering,
-                         bool oriented)
-    : dynamics_(model),
-      centering_(centering),
-      rows_(oriented ? 6 : 3),
-      jacobian_(6 * model->n()),
-      velocity_(model->n()),
+TipFollower::TipFollower(const std::shared_ptr<const ArmModel>& model, Vector q_min, Vector q_max, double centering, bool oriented)
+    : dynamics_(model), centering_(centering), rows_(oriented ? 6 : 3), jacobian_(6 * model->n()), velocity_(model->n()),
       change_(model->n()) {
     for (size_t i = 0; i < model->n(); ++i) {
         const bool is_bounded = std::isfinite(q_min[i]) && std::isfinite(q_max[i]) && q_max[i] > q_min[i];
@@ -42,9 +37,7 @@ TipFollower::TipFollower(const std::shared_ptr<const ArmModel>& model, Vector q_
 
 // 1 in the middle of the range, less near its ends.
 double TipFollower::JointRange::room(double q) const {
-    if (width == 0.0) {
-        return 1.0;
-    }
+    if (width == 0.0) { return 1.0; }
     const double share = (q - low) / width;
     return std::max(4.0 * share * (1.0 - share), min_room);
 }
@@ -65,16 +58,12 @@ void TipFollower::slope(Vector q, Vector twist, Result v) {
         dynamics_.tip_jacobian(J);
         for (size_t i = 0; i < n(); ++i) {
             const double wanted = centering_speed(i, q[i]);
-            for (size_t r = 0; r < x.size(); ++r) {
-                x[r] -= J(r, i) * wanted;
-            }
+            for (size_t r = 0; r < x.size(); ++r) { x[r] -= J(r, i) * wanted; }
         }
     }
     least_velocities(q, x, v);
     if (centering_ > 0.0) {
-        for (size_t i = 0; i < n(); ++i) {
-            v[i] += centering_speed(i, q[i]);
-        }
+        for (size_t i = 0; i < n(); ++i) { v[i] += centering_speed(i, q[i]); }
     }
 }
 
@@ -85,35 +74,23 @@ bool TipFollower::step(Vector q, Vector slope_here, double length, Vector halfwa
     for (int stage = 0; stage < 4; ++stage) {
         const bool is_inner = stage == 1 || stage == 2;
         const double weight = is_inner ? 2.0 : 1.0;
-        for (size_t i = 0; i < n(); ++i) {
-            change_[i] += length / 6.0 * weight * v[i];
-        }
-        if (stage == 3) {
-            break;
-        }
+        for (size_t i = 0; i < n(); ++i) { change_[i] += length / 6.0 * weight * v[i]; }
+        if (stage == 3) { break; }
         const bool reaches_end = stage == 2;
-        for (size_t i = 0; i < n(); ++i) {
-            moved[i] = q[i] + (reaches_end ? 1.0 : 0.5) * length * v[i];
-        }
+        for (size_t i = 0; i < n(); ++i) { moved[i] = q[i] + (reaches_end ? 1.0 : 0.5) * length * v[i]; }
         slope(moved, reaches_end ? end.twist : halfway, v);
     }
     for (size_t i = 0; i < n(); ++i) {
-        if (!(std::abs(change_[i]) <= max_change)) {
-            return false;
-        }
+        if (!(std::abs(change_[i]) <= max_change)) { return false; }
         moved[i] = q[i] + change_[i];
     }
     const Result missing = Result(twist_).first(rows_);
     for (int iteration = 0; iteration < max_newton_iterations; ++iteration) {
         dynamics_.place(moved);
         dynamics_.locate();
-        if (error(end.pose, missing) < newton_tolerance) {
-            return true;
-        }
+        if (error(end.pose, missing) < newton_tolerance) { return true; }
         least_velocities(moved, missing, v);
-        for (size_t i = 0; i < n(); ++i) {
-            moved[i] += v[i];
-        }
+        for (size_t i = 0; i < n(); ++i) { moved[i] += v[i]; }
     }
     return false;
 }
@@ -134,9 +111,7 @@ void TipFollower::least_velocities(Vector q, Result twist, Result v) {
     for (size_t r = 0; r < rows; ++r) {
         for (size_t c = 0; c <= r; ++c) {
             double total = 0.0;
-            for (size_t i = 0; i < n(); ++i) {
-                total += ranges_[i].room(q[i]) * J(r, i) * J(c, i);
-            }
+            for (size_t i = 0; i < n(); ++i) { total += ranges_[i].room(q[i]) * J(r, i) * J(c, i); }
             A(r, c) = total;
         }
         A(r, r) += damping;
@@ -145,9 +120,7 @@ void TipFollower::least_velocities(Vector q, Result twist, Result v) {
     solve({A.data, rows, rows}, twist);
     for (size_t i = 0; i < n(); ++i) {
         double total = 0.0;
-        for (size_t r = 0; r < rows; ++r) {
-            total += J(r, i) * twist[r];
-        }
+        for (size_t r = 0; r < rows; ++r) { total += J(r, i) * twist[r]; }
         v[i] = ranges_[i].room(q[i]) * total;
     }
 }
@@ -166,9 +139,7 @@ double TipFollower::error(const Pose& goal, Result twist) const {
         twist[5] = angular.z;
     }
     double squared = 0.0;
-    for (const double part : twist) {
-        squared += part * part;
-    }
+    for (const double part : twist) { squared += part * part; }
     return std::sqrt(squared);
 }
 
@@ -182,9 +153,7 @@ void tip_twists(Dynamics& dynamics, Matrix q, Matrix v, MatrixResult twists) {
         dynamics.tip_jacobian(J);
         for (size_t r = 0; r < 6; ++r) {
             double total = 0.0;
-            for (size_t i = 0; i < n; ++i) {
-                total += J(r, i) * v(k, i);
-            }
+            for (size_t i = 0; i < n; ++i) { total += J(r, i) * v(k, i); }
             twists(k, r) = total;
         }
     }

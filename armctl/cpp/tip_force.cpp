@@ -11,9 +11,7 @@ void TipForce::torque(Vector q, Vector wrench, Result tau) {
     dynamics_.tip_jacobian(J);
     for (size_t i = 0; i < tau.size(); ++i) {
         double total = 0.0;
-        for (size_t k = 0; k < 6; ++k) {
-            total += J(k, i) * wrench[k];
-        }
+        for (size_t k = 0; k < 6; ++k) { total += J(k, i) * wrench[k]; }
         tau[i] = total;
     }
 }

@@ -27,9 +27,7 @@ Twist tip_error(const Pose& goal, const Pose& tip) {
 
 Rotation turned(Vec3 turn, const Rotation& R) {
     const double angle = norm(turn);
-    if (angle < 1e-12) {
-        return R;
-    }
+    if (angle < 1e-12) { return R; }
     const Vec3 axis{turn.x / angle, turn.y / angle, turn.z / angle};
     const double cosine = std::cos(angle);
     const double sine = std::sin(angle);
@@ -42,11 +40,8 @@ Rotation turned(Vec3 turn, const Rotation& R) {
 }
 
 TipTarget::TipTarget(std::shared_ptr<const ArmModel> model, size_t components, double damping)
-    : dynamics_(std::move(model)),
-      components_(components),
-      damping_(damping),
-      start_(dynamics_.model().n()),
-      jacobian_(6 * start_.size()) {}
+    : dynamics_(std::move(model)), components_(components), damping_(damping), start_(dynamics_.model().n()), jacobian_(6 * start_.size()) {
+}
 
 Pose TipTarget::tip(Vector q) {
     dynamics_.place(q);
@@ -62,22 +57,15 @@ void TipTarget::follow(const Pose& goal, std::span<const ActionLimits> limits, V
     std::ranges::copy(target, start_.begin());
     for (int iteration = 0; iteration < MAX_ITERATIONS; ++iteration) {
         const Twist twist = tip_error(goal, tip(target));
-        std::array<double, 6> error{twist.linear.x,  twist.linear.y,  twist.linear.z,
-                                    twist.angular.x, twist.angular.y, twist.angular.z};
+        std::array<double, 6> error{twist.linear.x, twist.linear.y, twist.linear.z, twist.angular.x, twist.angular.y, twist.angular.z};
         double rest = 0.0;
-        for (size_t k = 0; k < components_; ++k) {
-            rest += error[k] * error[k];
-        }
-        if (rest < REACHED_SQUARED) {
-            return;
-        }
+        for (size_t k = 0; k < components_; ++k) { rest += error[k] * error[k]; }
+        if (rest < REACHED_SQUARED) { return; }
         dynamics_.tip_jacobian(J);
         for (size_t r = 0; r < components_; ++r) {
             for (size_t c = 0; c < components_; ++c) {
                 double total = r == c ? damping_ : 0.0;
-                for (size_t i = 0; i < n; ++i) {
-                    total += J(r, i) * J(c, i);
-                }
+                for (size_t i = 0; i < n; ++i) { total += J(r, i) * J(c, i); }
                 A(r, c) = total;
             }
         }
@@ -85,9 +73,7 @@ void TipTarget::follow(const Pose& goal, std::span<const ActionLimits> limits, V
         solve({A.data, components_, components_}, Result(error).first(components_));
         for (size_t i = 0; i < n; ++i) {
             double change = 0.0;
-            for (size_t r = 0; r < components_; ++r) {
-                change += J(r, i) * error[r];
-            }
+            for (size_t r = 0; r < components_; ++r) { change += J(r, i) * error[r]; }
             const double moved = std::min(std::max(target[i] + change, start_[i] - ways[i]), start_[i] + ways[i]);
             target[i] = std::min(std::max(moved, limits[i].q_min), limits[i].q_max);
         }

@@ -57,16 +57,12 @@ std::array<Complex, 4> polynomial_roots(Complex a3, Complex a2, Complex a1, Comp
             Complex x = roots[i];
             const Complex value = (((x + a3) * x + a2) * x + a1) * x + a0;
             Complex slope = ((4.0 * x + 3.0 * a3) * x + 2.0 * a2) * x + a1;
-            if (is_zero(slope)) {
-                slope = {1e-300, 0.0};
-            }
+            if (is_zero(slope)) { slope = {1e-300, 0.0}; }
             const Complex newton = value / slope;
             Complex others;
             for (size_t j = 0; j < roots.size(); ++j) {
                 const Complex away = x - roots[j];
-                if (j != i && !is_zero(away)) {
-                    others = others + Complex{1.0, 0.0} / away;
-                }
+                if (j != i && !is_zero(away)) { others = others + Complex{1.0, 0.0} / away; }
             }
             const Complex product = newton * others;
             const Complex repelled{1.0 - product.re, -product.im};
@@ -75,9 +71,7 @@ std::array<Complex, 4> polynomial_roots(Complex a3, Complex a2, Complex a1, Comp
             roots[i] = x;
             largest = std::max(largest, modulus(step) / std::max(modulus(x), 1e-300));
         }
-        if (largest < ROOT_TOLERANCE) {
-            break;
-        }
+        if (largest < ROOT_TOLERANCE) { break; }
     }
     return roots;
 }
@@ -86,16 +80,12 @@ std::array<Complex, 4> polynomial_roots(Complex a3, Complex a2, Complex a1, Comp
 
 Roots linear_roots(double a, double b, double d, double slack, double preferred) {
     const double radius = std::sqrt(a * a + b * b);
-    if (radius < TINY) {
-        return {.angles = {preferred, preferred}, .count = std::abs(d) <= TINY + slack ? 1u : 0u, .doubtful = true};
-    }
+    if (radius < TINY) { return {.angles = {preferred, preferred}, .count = std::abs(d) <= TINY + slack ? 1u : 0u, .doubtful = true}; }
     const double cos = d / radius;
     const double middle = std::atan2(b, a);
     const bool doubtful = std::abs(cos) > 1.0 - NEAR_DOUBLE_ROOT && std::abs(cos) <= 1.0 + std::max(slack, NEAR_DOUBLE_ROOT);
     if (std::abs(cos) > 1.0) {
-        if (std::abs(cos) > 1.0 + slack) {
-            return {.angles = {middle, middle}, .count = 0, .doubtful = doubtful};
-        }
+        if (std::abs(cos) > 1.0 + slack) { return {.angles = {middle, middle}, .count = 0, .doubtful = doubtful}; }
         const double angle = cos > 0 ? middle : middle + PI;
         return {.angles = {angle, angle}, .count = 1, .doubtful = true};
     }
@@ -118,23 +108,15 @@ Roots trigonometric_roots(const TrigonometricForm& form, double slack) {
     const double k3 = form.cos2;
     const double k4 = form.sin2;
     const double scale = std::abs(k0) + std::abs(k1) + std::abs(k2) + std::abs(k3) + std::abs(k4);
-    if (scale < TINY * TINY) {
-        return {.angles = {}, .count = 0, .doubtful = true};
-    }
-    if (std::abs(k3) + std::abs(k4) < LEAST_DEGREE * scale) {
-        return linear_roots(k1, k2, -k0, slack, 0.0);
-    }
+    if (scale < TINY * TINY) { return {.angles = {}, .count = 0, .doubtful = true}; }
+    if (std::abs(k3) + std::abs(k4) < LEAST_DEGREE * scale) { return linear_roots(k1, k2, -k0, slack, 0.0); }
     const Complex lead{0.5 * k3, -0.5 * k4};
     const std::array<Complex, 4> z = polynomial_roots(Complex{0.5 * k1, -0.5 * k2} / lead, Complex{k0, 0.0} / lead,
                                                       Complex{0.5 * k1, 0.5 * k2} / lead, Complex{0.5 * k3, 0.5 * k4} / lead);
     Roots roots;
     for (size_t i = 0; i < z.size(); ++i) {
-        if (!(std::abs(modulus(z[i]) - 1.0) < UNIT_CIRCLE_BAND)) {
-            continue;
-        }
-        for (size_t j = 0; j < i; ++j) {
-            roots.doubtful = roots.doubtful || modulus(z[i] - z[j]) < 2.0 * UNIT_CIRCLE_BAND;
-        }
+        if (!(std::abs(modulus(z[i]) - 1.0) < UNIT_CIRCLE_BAND)) { continue; }
+        for (size_t j = 0; j < i; ++j) { roots.doubtful = roots.doubtful || modulus(z[i] - z[j]) < 2.0 * UNIT_CIRCLE_BAND; }
         double angle = std::atan2(z[i].im, z[i].re);
         double best = angle;
         double least = INF;
@@ -147,9 +129,7 @@ Roots trigonometric_roots(const TrigonometricForm& form, double slack) {
                 least = std::abs(value);
                 best = angle;
             }
-            if (std::abs(slope) < TINY * scale) {
-                break;
-            }
+            if (std::abs(slope) < TINY * scale) { break; }
             angle -= value / slope;
         }
         if (least <= std::max(EXACT_ROOT, slack) * scale) {

@@ -15,9 +15,7 @@ Quaternion quaternion(const Rotation& R) {
         quat = {R.x.y - R.y.x, R.z.x + R.x.z, R.z.y + R.y.z, 1.0 + R.z.z - R.x.x - R.y.y};
     }
     double scale = 1.0 / std::sqrt(quat.w * quat.w + quat.x * quat.x + quat.y * quat.y + quat.z * quat.z);
-    if (quat.w < 0.0) {
-        scale = -scale;
-    }
+    if (quat.w < 0.0) { scale = -scale; }
     return {quat.w * scale, quat.x * scale, quat.y * scale, quat.z * scale};
 }
 

@@ -43,14 +43,10 @@ Wrench WrenchEstimate::update(double t, Vector q, Vector v, Vector tau) {
     const size_t n = last_q_.size();
     const bool follows = std::abs(t - last_t_ - dt_) <= 0.5 * dt_;
     if (follows) {
-        for (size_t i = 0; i < n; ++i) {
-            acceleration_[i] = (v[i] - last_v_[i]) / dt_;
-        }
+        for (size_t i = 0; i < n; ++i) { acceleration_[i] = (v[i] - last_v_[i]) / dt_; }
         dynamics_.inverse_dynamics(last_q_, last_v_, acceleration_, needed_);
         dynamics_.add_friction(last_v_, acceleration_, needed_);
-        for (size_t i = 0; i < n; ++i) {
-            filtered_[i] -= std::expm1(-ESTIMATE_BANDWIDTH * dt_) * (needed_[i] - tau[i] - filtered_[i]);
-        }
+        for (size_t i = 0; i < n; ++i) { filtered_[i] -= std::expm1(-ESTIMATE_BANDWIDTH * dt_) * (needed_[i] - tau[i] - filtered_[i]); }
     } else {
         std::ranges::fill(filtered_, 0.0);
     }
@@ -68,32 +64,22 @@ Wrench WrenchEstimate::update(double t, Vector q, Vector v, Vector tau) {
 
 WrenchSensor::WrenchSensor(std::shared_ptr<const MujocoApi> api, const MujocoSimulation& simulation, WrenchSite site,
                            WrenchMeasurement measurement, std::optional<WrenchEstimate> estimate)
-    : api_(std::move(api)),
-      simulation_(simulation),
-      site_(std::move(site)),
-      measurement_(measurement),
-      estimate_(std::move(estimate)),
+    : api_(std::move(api)), simulation_(simulation), site_(std::move(site)), measurement_(measurement), estimate_(std::move(estimate)),
       // Those of the delay, the newest one, and one in reserve: a rounding error may keep a sample a tick longer.
       samples_(measurement.delay + 2) {
     const size_t bodies = simulation.xpos.rows;
     const bool are_bodies = std::ranges::all_of(site_.bodies, [bodies](size_t body) { return body < bodies; });
-    if (!are_bodies || site_.root >= bodies || site_.tip >= bodies) {
-        throw InputError("site: the model has no such body");
-    }
+    if (!are_bodies || site_.root >= bodies || site_.tip >= bodies) { throw InputError("site: the model has no such body"); }
 }
 
 void WrenchSensor::reset() {
     oldest_ = 0;
     count_ = 0;
-    if (estimate_) {
-        estimate_->reset();
-    }
+    if (estimate_) { estimate_->reset(); }
 }
 
 bool WrenchSensor::is_loaded() const {
-    if (site_.is_connected || Contacts(api_->contacts, simulation_.data).count() != 0) {
-        return true;
-    }
+    if (site_.is_connected || Contacts(api_->contacts, simulation_.data).count() != 0) { return true; }
     const Matrix& applied = simulation_.xfrc_applied;
     return std::ranges::any_of(Vector(applied.data, applied.rows * applied.columns), [](double force) { return force != 0.0; });
 }
@@ -104,9 +90,7 @@ Wrench WrenchSensor::read(Vector push) const {
         api_->rne_post_constraint(simulation_.model, simulation_.data);
         wrench = external_wrench();
     }
-    if (!push.empty()) {
-        wrench += wrench_of(push);
-    }
+    if (!push.empty()) { wrench += wrench_of(push); }
     return wrench;
 }
 
@@ -135,9 +119,7 @@ void WrenchSensor::forget_oldest() {
 
 Wrench WrenchSensor::measure(const WrenchSignals& signals, Wrench& truth) {
     truth = read(signals.push);
-    if (!measurement_.is_sampled) {
-        return truth;
-    }
+    if (!measurement_.is_sampled) { return truth; }
     if (count_ == 0 || sample(count_ - 1).t != signals.t) {
         if (count_ == samples_.size()) {  // the caller's ticks are shorter than those of the sensor
             forget_oldest();
@@ -146,14 +128,10 @@ Wrench WrenchSensor::measure(const WrenchSignals& signals, Wrench& truth) {
         ++count_;
         newest.t = signals.t;
         newest.wrench = estimate_ ? estimate_->update(signals.t, signals.q, signals.v, signals.tau) : truth;
-        if (!signals.noise.empty()) {
-            newest.wrench += wrench_of(signals.noise);
-        }
+        if (!signals.noise.empty()) { newest.wrench += wrench_of(signals.noise); }
     }
     const double age = (static_cast<double>(measurement_.delay) + 0.5) * measurement_.dt;
-    while (count_ > 1 && sample(0).t < signals.t - age) {
-        forget_oldest();
-    }
+    while (count_ > 1 && sample(0).t < signals.t - age) { forget_oldest(); }
     return sample(0).wrench;
 }
 

@@ -89,8 +89,8 @@ struct WrenchSignals {
 class WrenchSensor {
 public:
     // `estimate` is empty if a flange sensor measures the wrench.
-    WrenchSensor(std::shared_ptr<const MujocoApi> api, const MujocoSimulation& simulation, WrenchSite site,
-                 WrenchMeasurement measurement, std::optional<WrenchEstimate> estimate);
+    WrenchSensor(std::shared_ptr<const MujocoApi> api, const MujocoSimulation& simulation, WrenchSite site, WrenchMeasurement measurement,
+                 std::optional<WrenchEstimate> estimate);
 
     // The number of joints of the arm.
     size_t joints() const { return site_.joints; }

@@ -69,6 +69,7 @@ class CompiledLoop:
             torque_share=np.asarray(actuation.torque_share, np.float64),
             pushed_arm=pushed_arm,
             substeps=substeps,
+            dt=substeps * self._timestep,
             diverged_speed=DIVERGED_SPEED,
         )
 
@@ -132,6 +133,7 @@ class CompiledLoop:
                 "noise": planned.noise,
                 "pushes": planned.wrenches,
                 "push": disturbances.push,
+                "last_position": disturbances.last_position,
             }
         if sensor is not None:
             times = tick_times(self._data.time, last - first, self._substeps, self._timestep)

@@ -134,7 +134,6 @@ def world() -> dict[str, object]:
         "PD": armctl.PD(arm),
         "PDFeedforward": armctl.PDFeedforward(arm),
         "PDGravity": armctl.PDGravity(arm),
-        "PIDGravity": armctl.PIDGravity(arm),
         "Plant": armctl.Plant(payload=0.1),
         "Pose": arm.fk(arm.home),
         "Push": armctl.Push(0.0, 0.1),

@@ -41,9 +41,7 @@ void bind_states(nb::module_& module) {
             const MatrixResult torques = tau.matrix(count, model->n(), "tau");
             const nb::gil_scoped_release release;
             Dynamics dynamics(model);
-            for (size_t k = 0; k < count; ++k) {
-                dynamics.gravity(positions.row(k), torques.row(k));
-            }
+            for (size_t k = 0; k < count; ++k) { dynamics.gravity(positions.row(k), torques.row(k)); }
         },
         "model"_a, "q"_a, "tau"_a, "The torques that hold the arm still at many positions: (T, n) N m.");
     module.def(
@@ -82,11 +80,11 @@ void bind_tip_follower(nb::module_& module) {
             "q"_a, "twist"_a, "v"_a, "The joint velocities (n,) that make a twist of the tip.")
         .def(
             "step",
-            [](TipFollower& self, const In& q, const In& slope, double length, const In& halfway, const In& end,
-               const In& position, const In& rotation, const Out& moved) {
+            [](TipFollower& self, const In& q, const In& slope, double length, const In& halfway, const In& end, const In& position,
+               const In& rotation, const Out& moved) {
                 const PathPoint goal = {pose_of(position, rotation), end.vector(self.rows(), "end")};
-                return self.step(q.vector(self.n(), "q"), slope.vector(self.n(), "slope"), length,
-                                 halfway.vector(self.rows(), "halfway"), goal, moved.vector(self.n(), "moved"));
+                return self.step(q.vector(self.n(), "q"), slope.vector(self.n(), "slope"), length, halfway.vector(self.rows(), "halfway"),
+                                 goal, moved.vector(self.n(), "moved"));
             },
             "q"_a, "slope"_a, "length"_a, "halfway"_a, "end"_a, "position"_a, "rotation"_a, "moved"_a,
             "Moves the joints a step along the path, with the twists half a step and a step further, to a pose there.\n\n"

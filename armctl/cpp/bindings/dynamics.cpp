@@ -15,13 +15,12 @@ namespace armctl {
 
 namespace {
 
-std::shared_ptr<ArmModel> make_model(const In& rotations, const In& translations, const IntegersIn& slides,
-                                     const IntegersIn& parents, const In& masses, const In& centers, const In& inertias,
-                                     const In& lifted_masses, const In& lifted_moments, const In& stiffness,
-                                     const In& spring_rest, const In& offsets, const In& ratio, const In& armature,
-                                     const In& damping, const In& friction_loss, const In& friction_gain,
-                                     const In& friction_rate, size_t chain_length, const In& gravity, const In& tip_rotation,
-                                     const In& tip_translation, bool implicit_damping, bool implicit_coriolis) {
+std::shared_ptr<ArmModel> make_model(const In& rotations, const In& translations, const IntegersIn& slides, const IntegersIn& parents,
+                                     const In& masses, const In& centers, const In& inertias, const In& lifted_masses,
+                                     const In& lifted_moments, const In& stiffness, const In& spring_rest, const In& offsets,
+                                     const In& ratio, const In& armature, const In& damping, const In& friction_loss,
+                                     const In& friction_gain, const In& friction_rate, size_t chain_length, const In& gravity,
+                                     const In& tip_rotation, const In& tip_translation, bool implicit_damping, bool implicit_coriolis) {
     const size_t m = masses.length("masses");
     const size_t n = armature.length("armature");
     return std::make_shared<ArmModel>(ArmArrays{
@@ -60,10 +59,10 @@ void store(Vec3 a, Result numbers) {
 
 void bind_model(nb::module_& module) {
     nb::class_<ArmModel>(module, "ArmModel", "The model of an arm: a tree of links. Immutable.")
-        .def(nb::new_(&make_model), nb::kw_only(), "rotations"_a, "translations"_a, "slides"_a, "parents"_a, "masses"_a,
-             "centers"_a, "inertias"_a, "lifted_masses"_a, "lifted_moments"_a, "stiffness"_a, "spring_rest"_a, "offsets"_a,
-             "ratio"_a, "armature"_a, "damping"_a, "friction_loss"_a, "friction_gain"_a, "friction_rate"_a, "chain_length"_a,
-             "gravity"_a, "tip_rotation"_a, "tip_translation"_a, "implicit_damping"_a, "implicit_coriolis"_a,
+        .def(nb::new_(&make_model), nb::kw_only(), "rotations"_a, "translations"_a, "slides"_a, "parents"_a, "masses"_a, "centers"_a,
+             "inertias"_a, "lifted_masses"_a, "lifted_moments"_a, "stiffness"_a, "spring_rest"_a, "offsets"_a, "ratio"_a, "armature"_a,
+             "damping"_a, "friction_loss"_a, "friction_gain"_a, "friction_rate"_a, "chain_length"_a, "gravity"_a, "tip_rotation"_a,
+             "tip_translation"_a, "implicit_damping"_a, "implicit_coriolis"_a,
              "A model from arrays for each of the m joints, and for each of the arm's n; armctl/cpp/arm_model.hpp explains "
              "them.")
         .def_prop_ro("n", &ArmModel::n, "The number of joints that the arm's motors drive.")
@@ -101,8 +100,7 @@ void bind_workspace(nb::module_& module) {
                 const size_t n = self.model().n();
                 self.add_friction(v_ref.vector(n, "v_ref"), a_ref.vector(n, "a_ref"), tau.vector(n, "tau"));
             },
-            "v_ref"_a, "a_ref"_a, "tau"_a,
-            "Adds the torque against dry friction on the reference motion, where the joints are placed.")
+            "v_ref"_a, "a_ref"_a, "tau"_a, "Adds the torque against dry friction on the reference motion, where the joints are placed.")
         .def(
             "add_linear_damping",
             [](const Dynamics& self, const In& v, const Out& tau) {
@@ -141,8 +139,8 @@ void bind_workspace(nb::module_& module) {
             },
             "position"_a, "rotation"_a, "Position (3,) m and rotation matrix (3, 3) of the tip in the world, after `locate`.")
         .def(
-            "tip_jacobian", [](const Dynamics& self, const Out& J) { self.tip_jacobian(J.matrix(6, self.model().n(), "J")); },
-            "J"_a, "The (6, n) Jacobian of the tip, linear first, world axes, after `locate`.")
+            "tip_jacobian", [](const Dynamics& self, const Out& J) { self.tip_jacobian(J.matrix(6, self.model().n(), "J")); }, "J"_a,
+            "The (6, n) Jacobian of the tip, linear first, world axes, after `locate`.")
         .def(
             "tip_motion",
             [](Dynamics& self, const In& q, const In& v, const In& a, const Out& motion) {

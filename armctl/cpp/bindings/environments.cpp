@@ -20,9 +20,7 @@ namespace {
 using Model = std::shared_ptr<const ArmModel>;
 using Api = std::shared_ptr<const MujocoApi>;
 
-Pose pose(Vector numbers) {
-    return {.rotation = Rotation::from_rows(numbers.subspan(3, 9)), .translation = vec3(numbers.first(3))};
-}
+Pose pose(Vector numbers) { return {.rotation = Rotation::from_rows(numbers.subspan(3, 9)), .translation = vec3(numbers.first(3))}; }
 
 std::vector<ActionLimits> limits_of(Matrix columns) {
     std::vector<ActionLimits> limits(columns.columns);
@@ -38,8 +36,7 @@ std::vector<ActionLimits> limits_of(Matrix columns) {
     return limits;
 }
 
-std::vector<GripperActuator> gripper_of(const IntegersIn& ctrl_addresses, const IntegersIn& length_addresses,
-                                        const In& gripper_ends) {
+std::vector<GripperActuator> gripper_of(const IntegersIn& ctrl_addresses, const IntegersIn& length_addresses, const In& gripper_ends) {
     const size_t actuators = ctrl_addresses.length("gripper_ctrl");
     const std::span<const std::int64_t> ctrl = ctrl_addresses.vector(actuators, "gripper_ctrl");
     const std::span<const std::int64_t> length = length_addresses.vector(actuators, "gripper_length");
@@ -60,9 +57,7 @@ std::vector<GripperActuator> gripper_of(const IntegersIn& ctrl_addresses, const 
 
 // The numbers of the loose object's joint in qpos and qvel.
 std::optional<LooseObject> object_of(std::optional<std::pair<size_t, size_t>> addresses) {
-    if (!addresses) {
-        return {};
-    }
+    if (!addresses) { return {}; }
     return LooseObject{.qpos = addresses->first, .qvel = addresses->second};
 }
 
@@ -95,9 +90,7 @@ public:
     HeldRows(const Api& api, const Model& arm, const Law& law, EnvironmentOptions options, const ArrayArguments& arguments) {
         const size_t n = arm->n();
         check(options.action, n);
-        if (options.motors.size() != n) {
-            throw InputError("gear: need as many motors as the arm has joints");
-        }
+        if (options.motors.size() != n) { throw InputError("gear: need as many motors as the arm has joints"); }
         const size_t width = options.action.size + (options.gripper.empty() ? 0 : 1);
         const size_t count = length(arguments.q, "q");
         const size_t ticks = options.action.ticks;
@@ -173,9 +166,7 @@ private:
     }
 
     void require_row(size_t first, size_t last) const {
-        if (first >= last || last > rows_->count()) {
-            throw InputError("row: there are " + std::to_string(rows_->count()) + " rows");
-        }
+        if (first >= last || last > rows_->count()) { throw InputError("row: there are " + std::to_string(rows_->count()) + " rows"); }
     }
 
     std::vector<Out> arrays_;
@@ -212,12 +203,11 @@ void bind_actions(nb::module_& module) {
 }
 
 HeldRows* new_rows(const Api& api, const Model& arm, const Law& law, const ActionOptions& options, const In& limits,
-                   const IntegersIn& qpos_addresses, const IntegersIn& dof_addresses, const IntegersIn& ctrl_addresses,
-                   const In& gear, const IntegersIn& gripper_ctrl, const IntegersIn& gripper_length, const In& gripper_ends,
-                   double grip_step, std::optional<std::pair<size_t, size_t>> object_addresses,
-                   std::optional<std::int32_t> obstacle, size_t max_delay, nb::handle action, nb::handle q, nb::handle v,
-                   nb::handle target, nb::handle q_ref, nb::handle v_ref, nb::handle tip, nb::handle opening, nb::handle object,
-                   nb::handle touched, nb::handle noise) {
+                   const IntegersIn& qpos_addresses, const IntegersIn& dof_addresses, const IntegersIn& ctrl_addresses, const In& gear,
+                   const IntegersIn& gripper_ctrl, const IntegersIn& gripper_length, const In& gripper_ends, double grip_step,
+                   std::optional<std::pair<size_t, size_t>> object_addresses, std::optional<std::int32_t> obstacle, size_t max_delay,
+                   nb::handle action, nb::handle q, nb::handle v, nb::handle target, nb::handle q_ref, nb::handle v_ref, nb::handle tip,
+                   nb::handle opening, nb::handle object, nb::handle touched, nb::handle noise) {
     EnvironmentOptions environment{
         .action = options,
         .limits = limits_of(limits.matrix(5, arm->n(), "limits")),
@@ -245,19 +235,17 @@ HeldRows* new_rows(const Api& api, const Model& arm, const Law& law, const Actio
 }
 
 void bind_rows(nb::module_& module) {
-    nb::class_<HeldRows>(module, "EnvironmentRows",
-                         "Several copies of an arm, each with its own simulation, controller and target.")
-        .def(nb::new_(&new_rows), "api"_a, nb::kw_only(), "arm"_a, "law"_a, "options"_a, "limits"_a, "qpos_addresses"_a,
-             "dof_addresses"_a, "ctrl_addresses"_a, "gear"_a, "gripper_ctrl"_a, "gripper_length"_a, "gripper_ends"_a,
-             "grip_step"_a, "object_addresses"_a.none(), "obstacle"_a.none(), "max_delay"_a, "action"_a, "q"_a, "v"_a,
-             "target"_a, "q_ref"_a, "v_ref"_a, "tip"_a, "opening"_a, "object"_a, "touched"_a, "noise"_a.none(),
+    nb::class_<HeldRows>(module, "EnvironmentRows", "Several copies of an arm, each with its own simulation, controller and target.")
+        .def(nb::new_(&new_rows), "api"_a, nb::kw_only(), "arm"_a, "law"_a, "options"_a, "limits"_a, "qpos_addresses"_a, "dof_addresses"_a,
+             "ctrl_addresses"_a, "gear"_a, "gripper_ctrl"_a, "gripper_length"_a, "gripper_ends"_a, "grip_step"_a,
+             "object_addresses"_a.none(), "obstacle"_a.none(), "max_delay"_a, "action"_a, "q"_a, "v"_a, "target"_a, "q_ref"_a, "v_ref"_a,
+             "tip"_a, "opening"_a, "object"_a, "touched"_a, "noise"_a.none(),
              "Copies without simulations, that work on the arrays; armctl/cpp/environment_rows.hpp explains them.\n\n"
              "`limits` (5, n) are least and greatest position, greatest speed, acceleration and torque. `gripper_ctrl` and\n"
              "`gripper_length` (actuators,) are addresses in ctrl and in actuator_length, `gripper_ends` (4, actuators) the\n"
              "controls when closed and open, and the lengths. `object_addresses` are those of the loose object in qpos and\n"
              "qvel, `obstacle` is a geom.")
-        .def("set_simulation", &HeldRows::set_simulation, "row"_a, "model"_a, "data"_a,
-             "Gives a copy its mujoco.MjModel and MjData.")
+        .def("set_simulation", &HeldRows::set_simulation, "row"_a, "model"_a, "data"_a, "Gives a copy its mujoco.MjModel and MjData.")
         .def("restart", &HeldRows::restart, "row"_a, "delay"_a,
              "Begins an episode of a copy, whose commands are delayed by some ticks; its arrays are the caller's.")
         .def("step", &HeldRows::step, "first"_a, "last"_a,

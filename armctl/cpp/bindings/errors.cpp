@@ -23,9 +23,7 @@ void bind_errors(nb::module_&) {
     nb::register_exception_translator([](const std::exception_ptr& thrown, void*) {
         try {
             std::rethrow_exception(thrown);
-        } catch (const InputError& error) {
-            set_python_error("InputError", error.what());
-        }
+        } catch (const InputError& error) { set_python_error("InputError", error.what()); }
     });
 }
 

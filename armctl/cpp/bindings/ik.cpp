@@ -35,9 +35,8 @@ struct IkAnswer {
 // From twelve numbers: the rotation row by row, and the position.
 Pose pose_of(Vector numbers) { return {Rotation::from_rows(numbers.first(9)), vec3(numbers.subspan(9))}; }
 
-std::shared_ptr<Chain> make_chain(const In& rotations, const In& translations, const IntegersIn& slides,
-                                  const IntegersIn& unknowns, const In& ratios, const In& low, const In& high, const In& period,
-                                  double reach) {
+std::shared_ptr<Chain> make_chain(const In& rotations, const In& translations, const IntegersIn& slides, const IntegersIn& unknowns,
+                                  const In& ratios, const In& low, const In& high, const In& period, double reach) {
     const size_t k = slides.length("slides");
     const size_t n = low.length("low");
     return std::make_shared<Chain>(ChainArrays{
@@ -63,8 +62,7 @@ std::shared_ptr<Chain> with_special_axes(const Chain& chain, AxesRelation relati
         .pair_relation = pair_relation,
         .pair_first = pair_first,
     };
-    return std::make_shared<Chain>(
-        chain.with_special_axes(axes, distances_to_points.vector(chain.joints().size(), "distances_to_points")));
+    return std::make_shared<Chain>(chain.with_special_axes(axes, distances_to_points.vector(chain.joints().size(), "distances_to_points")));
 }
 
 std::shared_ptr<Chain> with_held(const Chain& chain, const IntegersIn& held, const In& positions) {
@@ -72,17 +70,15 @@ std::shared_ptr<Chain> with_held(const Chain& chain, const IntegersIn& held, con
     return std::make_shared<Chain>(chain.with_held(held.vector(count, "held"), positions.vector(count, "positions")));
 }
 
-IkAnswer search_one(const Chain& chain, const In& target, Constraint constraint, double position_tolerance,
-                    double orientation_tolerance, const In& q0, std::int64_t last, std::uint64_t seed, const Out& q) {
+IkAnswer search_one(const Chain& chain, const In& target, Constraint constraint, double position_tolerance, double orientation_tolerance,
+                    const In& q0, std::int64_t last, std::uint64_t seed, const Out& q) {
     const Vector start = q0.vector(chain.n(), "q0");
     const Result result = q.vector(chain.n(), "q");
     const Target goal{pose_of(target.shaped({4, 3}, "target")), constraint, {position_tolerance, orientation_tolerance}};
     const nb::gil_scoped_release release;
     IkSolver solver(chain);
     const SearchOutcome outcome = solver.search(goal, start, {.first = 0, .last = last, .seed = seed}, result);
-    if (!outcome.tip_is_known) {
-        solver.kinematics().place(result);
-    }
+    if (!outcome.tip_is_known) { solver.kinematics().place(result); }
     const PoseError error = residual(constraint, goal.pose, solver.kinematics().metric_tip());
     return {
         .solved = outcome.solved,
@@ -95,9 +91,9 @@ IkAnswer search_one(const Chain& chain, const In& target, Constraint constraint,
     };
 }
 
-void search(const Chain& chain, const In& targets, Constraint constraint, double position_tolerance,
-            double orientation_tolerance, const In& q0, std::int64_t first, std::int64_t last, std::uint64_t seed, const Out& q,
-            const IntegersOut& solved, const IntegersOut& next_start, const IntegersOut& steps, const IntegersOut& jumped) {
+void search(const Chain& chain, const In& targets, Constraint constraint, double position_tolerance, double orientation_tolerance,
+            const In& q0, std::int64_t first, std::int64_t last, std::uint64_t seed, const Out& q, const IntegersOut& solved,
+            const IntegersOut& next_start, const IntegersOut& steps, const IntegersOut& jumped) {
     const size_t count = targets.length("targets");
     const Matrix goals = targets.matrix(count, 12, "targets");
     const Matrix starts = q0.matrix(count, chain.n(), "q0");
@@ -110,8 +106,7 @@ void search(const Chain& chain, const In& targets, Constraint constraint, double
     IkSolver solver(chain);
     for (size_t t = 0; t < count; ++t) {
         const Target target{pose_of(goals.row(t)), constraint, {position_tolerance, orientation_tolerance}};
-        const SearchOutcome outcome =
-            solver.search(target, starts.row(t), {.first = first, .last = last, .seed = seed}, results.row(t));
+        const SearchOutcome outcome = solver.search(target, starts.row(t), {.first = first, .last = last, .seed = seed}, results.row(t));
         all_solved[t] = outcome.solved ? 1 : 0;
         all_next_start[t] = outcome.next_start;
         all_steps[t] = outcome.steps;
@@ -119,8 +114,8 @@ void search(const Chain& chain, const In& targets, Constraint constraint, double
     }
 }
 
-void refine(const Chain& chain, const In& targets, Constraint constraint, double rotation_weight, const In& q0, double pull,
-            const Out& q, const Out& squared_errors) {
+void refine(const Chain& chain, const In& targets, Constraint constraint, double rotation_weight, const In& q0, double pull, const Out& q,
+            const Out& squared_errors) {
     const size_t count = targets.length("targets");
     const Matrix goals = targets.matrix(count, 12, "targets");
     const Matrix starts = q0.matrix(count, chain.n(), "q0");
@@ -156,8 +151,8 @@ SolutionRows solution_rows(size_t count, size_t n, const Out& q, const Out& posi
     };
 }
 
-Polished polish_seeds(const Chain& chain, const In& target, double position_tolerance, double orientation_tolerance,
-                      const In& q0, const In& seeds, const Out& q, const Out& position_errors, const Out& orientation_errors,
+Polished polish_seeds(const Chain& chain, const In& target, double position_tolerance, double orientation_tolerance, const In& q0,
+                      const In& seeds, const Out& q, const Out& position_errors, const Out& orientation_errors,
                       const IntegersOut& branches) {
     const Vector start = q0.vector(chain.n(), "q0");
     const size_t count = seeds.length("seeds");
@@ -238,8 +233,7 @@ void bind_chain(nb::module_& module) {
         .value("NEITHER", AxesRelation::neither)
         .value("MEET", AxesRelation::meet)
         .value("PARALLEL", AxesRelation::parallel);
-    nb::enum_<Constraint>(module, "Constraint",
-                          "Which parts of the tip's pose are constrained; FREE_X leaves the turn about x free.")
+    nb::enum_<Constraint>(module, "Constraint", "Which parts of the tip's pose are constrained; FREE_X leaves the turn about x free.")
         .value("POSE", Constraint::pose)
         .value("POSITION", Constraint::position)
         .value("FREE_X", Constraint::free_x)
@@ -266,30 +260,28 @@ void bind_chain(nb::module_& module) {
                       "The chain of an arm from its base to the tip, with k joints and n unknowns. Immutable.\n\n"
                       "Lengths are in reaches; targets and tolerances of positions are in m. Results are written into the last "
                       "arguments.")
-        .def(
-            nb::new_(&make_chain), nb::kw_only(), "rotations"_a, "translations"_a, "slides"_a, "unknowns"_a, "ratios"_a,
-            "low"_a, "high"_a, "period"_a, "reach"_a,
-            "A chain from arrays for each of the k joints, and for each of the n unknowns; armctl/cpp/chain.hpp explains them.")
+        .def(nb::new_(&make_chain), nb::kw_only(), "rotations"_a, "translations"_a, "slides"_a, "unknowns"_a, "ratios"_a, "low"_a, "high"_a,
+             "period"_a, "reach"_a,
+             "A chain from arrays for each of the k joints, and for each of the n unknowns; armctl/cpp/chain.hpp explains them.")
         .def_prop_ro(
             "joint_count", [](const Chain& self) { return self.joints().size(); }, "k.")
-        .def("with_special_axes", &with_special_axes, nb::kw_only(), "relation"_a, "first"_a, "others"_a, "pair_relation"_a,
-             "pair_first"_a, "distances_to_points"_a, "The chain with the structure of its closed form.")
+        .def("with_special_axes", &with_special_axes, nb::kw_only(), "relation"_a, "first"_a, "others"_a, "pair_relation"_a, "pair_first"_a,
+             "distances_to_points"_a, "The chain with the structure of its closed form.")
         .def("with_held", &with_held, "held"_a, "positions"_a, "The chain with some unknowns held at positions.")
         .def(
-            "contains",
-            [](const Chain& self, const In& q) { return q.is_vector(self.n()) && self.contains(q.vector(self.n(), "q")); },
+            "contains", [](const Chain& self, const In& q) { return q.is_vector(self.n()) && self.contains(q.vector(self.n(), "q")); },
             "q"_a, "Whether q is a contiguous array of n float64 inside the bounds.")
-        .def("search_one", &search_one, "target"_a, "constraint"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q0"_a,
-             "last"_a, "seed"_a, "q"_a,
+        .def("search_one", &search_one, "target"_a, "constraint"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q0"_a, "last"_a,
+             "seed"_a, "q"_a,
              "Searches from q, then from random starts, for a target (4, 3). Fills q (n,) with the best "
              "configuration met.")
-        .def("search", &search, "targets"_a, "constraint"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q0"_a,
-             "first"_a, "last"_a, "seed"_a, "q"_a, "solved"_a, "next_start"_a, "steps"_a, "jumped"_a,
+        .def("search", &search, "targets"_a, "constraint"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q0"_a, "first"_a, "last"_a,
+             "seed"_a, "q"_a, "solved"_a, "next_start"_a, "steps"_a, "jumped"_a,
              "Searches for each of the targets (N, 12). Fills q (N, n) and, (N,) each, what IkAnswer has.")
         .def("refine", &refine, "targets"_a, "constraint"_a, "rotation_weight"_a, "q0"_a, "pull"_a, "q"_a, "squared_errors"_a,
              "Moves each q (N, n) to a minimum of the squared error plus `pull` times its squared distance from q0.")
-        .def("find_all", &find_many, "target"_a, "constraint"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q0"_a,
-             "begin"_a, "patience"_a, "quarters"_a, "seed"_a, "known"_a,
+        .def("find_all", &find_many, "target"_a, "constraint"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q0"_a, "begin"_a,
+             "patience"_a, "quarters"_a, "seed"_a, "known"_a,
              "Fills `known` (M, n) with distinct solutions for a target (12,), without regard to the bounds of hinges.")
         .def("polish", &polish_seeds, "target"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q0"_a, "seeds"_a, "q"_a,
              "position_errors"_a, "orientation_errors"_a, "branches"_a,
@@ -297,8 +289,7 @@ void bind_chain(nb::module_& module) {
         .def("branches", &branches_of, "q"_a, "branches"_a, "Fills branches (N,) with the numbers of those of q (N, n).")
         .def("manipulabilities", &manipulabilities, "oriented"_a, "q"_a, "values"_a,
              "Fills values (N,) with the manipulability at each q (N, n), lengths in m.")
-        .def("joint_lines", &joint_lines, "q"_a, "origins"_a, "axes"_a,
-             "Fills origins and axes (k, 3) of the joints at q (n,).")
+        .def("joint_lines", &joint_lines, "q"_a, "origins"_a, "axes"_a, "Fills origins and axes (k, 3) of the joints at q (n,).")
         .def("error_jacobian", &error_jacobian, "constraint"_a, "q"_a, "J"_a,
              "Fills J (6, n), the Jacobian of the weighted error at q (n,): a third of a reach counts like a rad.");
 }
@@ -310,8 +301,8 @@ void bind_error_model(nb::module_& module) {
         .def(nb::init<const Chain&>(), "chain"_a, nb::keep_alive<1, 2>())
         .def(
             "linearize",
-            [](ErrorModel& self, const In& target, Constraint constraint, double position_priority, const In& q,
-               const Out& hessian, const Out& gradient, const Out& J) {
+            [](ErrorModel& self, const In& target, Constraint constraint, double position_priority, const In& q, const Out& hessian,
+               const Out& gradient, const Out& J) {
                 const size_t n = self.chain().n();
                 const MatrixResult H = hessian.matrix(n, n, "hessian");
                 const Result descent = gradient.vector(n, "gradient");
@@ -321,9 +312,7 @@ void bind_error_model(nb::module_& module) {
                 self.add_curvature(constraint);
                 for (size_t i = 0; i < n; ++i) {
                     descent[i] = self.gradient(i);
-                    for (size_t k = 0; k < n; ++k) {
-                        H(i, k) = self.hessian(i, k);
-                    }
+                    for (size_t k = 0; k < n; ++k) { H(i, k) = self.hessian(i, k); }
                 }
                 store_jacobian(self, jacobian);
                 return self.size();
@@ -341,10 +330,9 @@ void bind_error_model(nb::module_& module) {
             "The part of a desired step (n,) in the null space of the J of `linearize`, shortened to its bounds.");
 }
 
-std::shared_ptr<ClosedForm> make_closed_form(const In& axes, const In& points, const In& low, const In& high,
-                                             const In& tip_rotation, const In& tip_translation, double reach,
-                                             AxesRelation relation, size_t first, AxesRelation pair_relation, size_t pair_first,
-                                             std::optional<size_t> held) {
+std::shared_ptr<ClosedForm> make_closed_form(const In& axes, const In& points, const In& low, const In& high, const In& tip_rotation,
+                                             const In& tip_translation, double reach, AxesRelation relation, size_t first,
+                                             AxesRelation pair_relation, size_t pair_first, std::optional<size_t> held) {
     const size_t n = low.length("low");
     const Matrix directions = axes.matrix(n, 3, "axes");
     const Matrix feet = points.matrix(n, 3, "points");
@@ -352,8 +340,7 @@ std::shared_ptr<ClosedForm> make_closed_form(const In& axes, const In& points, c
     const Vector highest = high.vector(n, "high");
     HingeChain chain{
         .hinges = {},
-        .tip = {Rotation::from_rows(tip_rotation.shaped({3, 3}, "tip_rotation")),
-                vec3(tip_translation.vector(3, "tip_translation"))},
+        .tip = {Rotation::from_rows(tip_rotation.shaped({3, 3}, "tip_rotation")), vec3(tip_translation.vector(3, "tip_translation"))},
         .reach = reach,
         .structure = {.relation = relation, .first = first, .pair_relation = pair_relation, .pair_first = pair_first},
         .held = held,
@@ -370,9 +357,7 @@ AllSolutions solve_with_closed_form(const ClosedForm& closed_form, const Chain& 
                                     std::int64_t least_samples, std::int64_t most_samples, std::int64_t wanted, const Out& q,
                                     const Out& position_errors, const Out& orientation_errors, const IntegersOut& branches) {
     const size_t n = closed_form.n();
-    if (chain.n() != n || chain.has_followers()) {
-        throw InputError("chain: expected the chain of the closed form");
-    }
+    if (chain.n() != n || chain.has_followers()) { throw InputError("chain: expected the chain of the closed form"); }
     const Vector start = q0.vector(n, "q0");
     const SolutionRows rows = solution_rows(q.length("q"), n, q, position_errors, orientation_errors, branches);
     const Target goal{pose_of(target.shaped({4, 3}, "target")), Constraint::pose, {position_tolerance, orientation_tolerance}};
@@ -382,8 +367,8 @@ AllSolutions solve_with_closed_form(const ClosedForm& closed_form, const Chain& 
     return solve_all(closed_form, solver, goal, start, {.slack = slack, .margin = margin}, samples, rows);
 }
 
-void find_first(const ClosedForm& closed_form, const In& targets, double slack, double margin, std::int64_t most_samples,
-                const Out& q, const IntegersOut& found) {
+void find_first(const ClosedForm& closed_form, const In& targets, double slack, double margin, std::int64_t most_samples, const Out& q,
+                const IntegersOut& found) {
     const size_t n = closed_form.n();
     const size_t count = targets.length("targets");
     const Matrix goals = targets.matrix(count, 12, "targets");
@@ -396,9 +381,7 @@ void find_first(const ClosedForm& closed_form, const In& targets, double slack, 
     for (size_t t = 0; t < count; ++t) {
         const Seeds solved = closed_form.find(pose_of(goals.row(t)), results.row(t), slack, margin, samples, seeds);
         are_found[t] = solved.count > 0 ? 1 : 0;
-        if (solved.count > 0) {
-            std::ranges::copy(seeds.row(0), results.row(t).begin());
-        }
+        if (solved.count > 0) { std::ranges::copy(seeds.row(0), results.row(t).begin()); }
     }
 }
 
@@ -410,13 +393,12 @@ void bind_closed_form(nb::module_& module) {
         .def_ro("complete", &AllSolutions::complete, "Whether no solution can be missing.");
     nb::class_<ClosedForm>(module, "ClosedForm",
                            "The closed form of six hinges of which three in a row meet in a point or are parallel. Immutable.")
-        .def(
-            nb::new_(&make_closed_form), nb::kw_only(), "axes"_a, "points"_a, "low"_a, "high"_a, "tip_rotation"_a,
-            "tip_translation"_a, "reach"_a, "relation"_a, "first"_a, "pair_relation"_a, "pair_first"_a, "held"_a = nb::none(),
-            "From the hinges in the zero configuration, lengths in reaches; armctl/cpp/closed_form.hpp explains the arguments.")
-        .def("solve_all", &solve_with_closed_form, "chain"_a, "target"_a, "q0"_a, "position_tolerance"_a,
-             "orientation_tolerance"_a, "slack"_a, "margin"_a, "least_samples"_a, "most_samples"_a, "wanted"_a, "q"_a,
-             "position_errors"_a, "orientation_errors"_a, "branches"_a,
+        .def(nb::new_(&make_closed_form), nb::kw_only(), "axes"_a, "points"_a, "low"_a, "high"_a, "tip_rotation"_a, "tip_translation"_a,
+             "reach"_a, "relation"_a, "first"_a, "pair_relation"_a, "pair_first"_a, "held"_a = nb::none(),
+             "From the hinges in the zero configuration, lengths in reaches; armctl/cpp/closed_form.hpp explains the arguments.")
+        .def("solve_all", &solve_with_closed_form, "chain"_a, "target"_a, "q0"_a, "position_tolerance"_a, "orientation_tolerance"_a,
+             "slack"_a, "margin"_a, "least_samples"_a, "most_samples"_a, "wanted"_a, "q"_a, "position_errors"_a, "orientation_errors"_a,
+             "branches"_a,
              "Fills q (M, n), errors and branches (M,) with the solutions for a target (4, 3), refined, the nearest to q0 "
              "first.")
         .def("find_first", &find_first, "targets"_a, "slack"_a, "margin"_a, "most_samples"_a, "q"_a, "found"_a,

@@ -17,6 +17,7 @@
 #include "../laws/pd.hpp"
 #include "../laws/pd_feedforward.hpp"
 #include "../laws/pd_gravity.hpp"
+#include "../laws/torque_filter.hpp"
 #include "../laws/torque_rate_limit.hpp"
 #include "arrays.hpp"
 #include "topics.hpp"
@@ -76,8 +77,8 @@ PDGains pd_gains(const In& stiffness, const In& damping) {
 
 void bind_pd(nb::module_& module) {
     nb::class_<PD, Law>(module, "PD", "tau = stiffness (q_ref - q) + damping (v_ref - v)")
-        .def(nb::new_([](const In& stiffness, const In& damping) { return new PD(pd_gains(stiffness, damping)); }),
-             nb::kw_only(), "stiffness"_a, "damping"_a);
+        .def(nb::new_([](const In& stiffness, const In& damping) { return new PD(pd_gains(stiffness, damping)); }), nb::kw_only(),
+             "stiffness"_a, "damping"_a);
     nb::class_<PDFeedforward, Law>(module, "PDFeedforward", "PD with the torque of the reference motion.")
         .def(nb::new_([](Model model, const In& stiffness, const In& damping) {
                  return new PDFeedforward(std::move(model), pd_gains(stiffness, damping));
@@ -88,36 +89,30 @@ void bind_pd(nb::module_& module) {
                  return new PDGravity(std::move(model), pd_gains(stiffness, damping));
              }),
              "model"_a, nb::kw_only(), "stiffness"_a, "damping"_a);
-    nb::class_<PIDGravity, Law>(module, "PIDGravity", "PID with gravity compensation.")
-        .def(nb::new_([](Model model, const In& stiffness, const In& damping, const In& integral_gain, const In& torque_limit,
-                         double dt) {
-                 PIDGains gains{
-                     .feedback = pd_gains(stiffness, damping),
-                     .integral = copied(integral_gain, "integral_gain"),
-                     .torque_limit = copied(torque_limit, "torque_limit"),
-                 };
-                 return new PIDGravity(std::move(model), std::move(gains), dt);
-             }),
-             "model"_a, nb::kw_only(), "stiffness"_a, "damping"_a, "integral_gain"_a, "torque_limit"_a, "dt"_a);
 }
 
-ComputedTorque* new_computed_torque(Model model, double stiffness, double damping, double integral_gain,
-                                    const In& added_inertia, const In& torque_limit, bool textbook, double dt) {
+EstimateWeights estimate_weights(double position, double velocity) {
+    return {.position = checked_gain(position, "position_weight"), .velocity = checked_gain(velocity, "velocity_weight")};
+}
+
+ComputedTorque* new_computed_torque(Model model, double stiffness, double damping, double position_weight, double velocity_weight,
+                                    const In& added_inertia, const In& torque_limit, bool textbook, double dt, bool continuous) {
     ComputedTorque::Gains gains{
         .stiffness = stiffness,
         .damping = damping,
-        .integral = integral_gain,
         .added_inertia = copied(added_inertia, "added_inertia"),
+        .estimate = estimate_weights(position_weight, velocity_weight),
         .torque_limit = copied(torque_limit, "torque_limit"),
     };
     const auto form = textbook ? ComputedTorque::Form::textbook : ComputedTorque::Form::discrete;
-    return new ComputedTorque(std::move(model), std::move(gains), form, dt);
+    return new ComputedTorque(std::move(model), std::move(gains), form, dt, continuous);
 }
 
 void bind_computed_torque(nb::module_& module) {
-    nb::class_<ComputedTorque, Law>(module, "ComputedTorque", "Computed torque, with integral action if its gain is not 0.")
-        .def(nb::new_(&new_computed_torque), "model"_a, nb::kw_only(), "stiffness"_a, "damping"_a, "integral_gain"_a,
-             "added_inertia"_a, "torque_limit"_a, "textbook"_a, "dt"_a);
+    nb::class_<ComputedTorque, Law>(module, "ComputedTorque",
+                                    "Computed torque; with weights of an estimate, at estimated positions and velocities.")
+        .def(nb::new_(&new_computed_torque), "model"_a, nb::kw_only(), "stiffness"_a, "damping"_a, "position_weight"_a, "velocity_weight"_a,
+             "added_inertia"_a, "torque_limit"_a, "textbook"_a, "dt"_a, "continuous"_a);
 }
 
 ComputedTorqueObserver::Gains observer_gains(double stiffness, double damping, double position_weight, double velocity_weight,
@@ -125,8 +120,7 @@ ComputedTorqueObserver::Gains observer_gains(double stiffness, double damping, d
     return {
         .stiffness = stiffness,
         .damping = damping,
-        .position_weight = position_weight,
-        .velocity_weight = velocity_weight,
+        .estimate = estimate_weights(position_weight, velocity_weight),
         .disturbance_weight = disturbance_weight,
         .torque_limit = copied(torque_limit, "torque_limit"),
     };
@@ -142,41 +136,36 @@ void bind_observer(nb::module_& module) {
                      observer_gains(stiffness, damping, position_weight, velocity_weight, disturbance_weight, torque_limit), dt,
                      continuous);
              }),
-             "model"_a, nb::kw_only(), "stiffness"_a, "damping"_a, "position_weight"_a, "velocity_weight"_a,
-             "disturbance_weight"_a, "torque_limit"_a, "dt"_a, "continuous"_a)
+             "model"_a, nb::kw_only(), "stiffness"_a, "damping"_a, "position_weight"_a, "velocity_weight"_a, "disturbance_weight"_a,
+             "torque_limit"_a, "dt"_a, "continuous"_a)
         .def_prop_ro(
             "disturbance",
-            [](nb::handle_t<ComputedTorqueObserver> self) {
-                return view(nb::cast<ComputedTorqueObserver&>(self).disturbance(), self);
-            },
+            [](nb::handle_t<ComputedTorqueObserver> self) { return view(nb::cast<ComputedTorqueObserver&>(self).disturbance(), self); },
             nb::for_getter(nb::sig("def disturbance(self) -> numpy.ndarray")),
             "The estimated disturbance, (n,) N m; a part of the memory.");
     nb::class_<ComputedTorqueLearning, ComputedTorqueObserver>(
         module, "ComputedTorqueLearning", "Computed torque with an observer, which learns payload, friction and delay.")
-        .def(
-            nb::new_([](Model model, double stiffness, double damping, double position_weight, double velocity_weight,
-                        double disturbance_weight, const In& torque_limit, double filter_weight, double information_weight,
-                        double forgetting, const In& torque_precision, const In& prior_deviations, double dt, bool continuous) {
-                PayloadEstimator::Settings settings{
-                    .filter_weight = filter_weight,
-                    .information_weight = information_weight,
-                    .forgetting = forgetting,
-                    .torque_precision = copied(torque_precision, "torque_precision"),
-                    .prior_deviations = copied(prior_deviations, "prior_deviations"),
-                };
-                return new ComputedTorqueLearning(
-                    std::move(model),
-                    observer_gains(stiffness, damping, position_weight, velocity_weight, disturbance_weight, torque_limit),
-                    std::move(settings), dt, continuous);
-            }),
-            "model"_a, nb::kw_only(), "stiffness"_a, "damping"_a, "position_weight"_a, "velocity_weight"_a,
-            "disturbance_weight"_a, "torque_limit"_a, "filter_weight"_a, "information_weight"_a, "forgetting"_a,
-            "torque_precision"_a, "prior_deviations"_a, "dt"_a, "continuous"_a)
+        .def(nb::new_([](Model model, double stiffness, double damping, double position_weight, double velocity_weight,
+                         double disturbance_weight, const In& torque_limit, double filter_weight, double information_weight,
+                         double forgetting, const In& torque_precision, const In& prior_deviations, double dt, bool continuous) {
+                 PayloadEstimator::Settings settings{
+                     .filter_weight = filter_weight,
+                     .information_weight = information_weight,
+                     .forgetting = forgetting,
+                     .torque_precision = copied(torque_precision, "torque_precision"),
+                     .prior_deviations = copied(prior_deviations, "prior_deviations"),
+                 };
+                 return new ComputedTorqueLearning(
+                     std::move(model),
+                     observer_gains(stiffness, damping, position_weight, velocity_weight, disturbance_weight, torque_limit),
+                     std::move(settings), dt, continuous);
+             }),
+             "model"_a, nb::kw_only(), "stiffness"_a, "damping"_a, "position_weight"_a, "velocity_weight"_a, "disturbance_weight"_a,
+             "torque_limit"_a, "filter_weight"_a, "information_weight"_a, "forgetting"_a, "torque_precision"_a, "prior_deviations"_a,
+             "dt"_a, "continuous"_a)
         .def_prop_ro(
             "estimate",
-            [](nb::handle_t<ComputedTorqueLearning> self) {
-                return view(nb::cast<ComputedTorqueLearning&>(self).estimate(), self);
-            },
+            [](nb::handle_t<ComputedTorqueLearning> self) { return view(nb::cast<ComputedTorqueLearning&>(self).estimate(), self); },
             nb::for_getter(nb::sig("def estimate(self) -> numpy.ndarray")),
             "The ten parameters of the payload, the delay, s, and the dry friction of the joints, N m; a part of the memory.");
     module.def(
@@ -184,8 +173,7 @@ void bind_observer(nb::module_& module) {
         [](Dynamics& dynamics, const In& q, const In& v, const In& a, const Out& Y) {
             const size_t n = dynamics.model().n();
             DenseMatrix J(6, n);
-            payload_regressor(dynamics, q.vector(n, "q"), v.vector(n, "v"), a.vector(n, "a"), J,
-                              Y.matrix(n, body_parameters, "Y"));
+            payload_regressor(dynamics, q.vector(n, "q"), v.vector(n, "v"), a.vector(n, "a"), J, Y.matrix(n, body_parameters, "Y"));
         },
         "dynamics"_a, "q"_a, "v"_a, "a"_a, "Y"_a,
         "The torques per inertial parameter of a body at the tip, written into Y (n, 10): mass, first moment, second moments.");
@@ -194,11 +182,8 @@ void bind_observer(nb::module_& module) {
 // The program of a tick, which outlives the tick.
 struct TickProgram {
     explicit TickProgram(const ComputedTorqueQP::Program& program)
-        : H(copied(program.H)),
-          M(copied(program.M)),
-          lower(program.lower.begin(), program.lower.end()),
-          upper(program.upper.begin(), program.upper.end()),
-          torque(program.torque.begin(), program.torque.end()) {}
+        : H(copied(program.H)), M(copied(program.M)), lower(program.lower.begin(), program.lower.end()),
+          upper(program.upper.begin(), program.upper.end()), torque(program.torque.begin(), program.torque.end()) {}
 
     static DenseMatrix copied(Matrix matrix) {
         DenseMatrix copy(matrix.rows, matrix.columns);
@@ -213,9 +198,7 @@ struct TickProgram {
     std::vector<double> torque;
 };
 
-NumPyMatrix view(DenseMatrix& matrix, nb::handle owner) {
-    return {matrix.numbers().data(), {matrix.rows(), matrix.columns()}, owner};
-}
+NumPyMatrix view(DenseMatrix& matrix, nb::handle owner) { return {matrix.numbers().data(), {matrix.rows(), matrix.columns()}, owner}; }
 
 // A vector or matrix of the program, as an array that keeps the program.
 template <auto member>
@@ -230,15 +213,12 @@ void bind_qp(nb::module_& module) {
                      "(n, n) inertia of one control period: the torque of a deviation x is M x.")
         .def_prop_ro("lower", &program_array<&TickProgram::lower>, nb::for_getter(nb::sig("def lower(self) -> numpy.ndarray")),
                      "(2n,) bounds of x and M x.")
-        .def_prop_ro("upper", &program_array<&TickProgram::upper>, nb::for_getter(nb::sig("def upper(self) -> numpy.ndarray")),
-                     "(2n,)")
-        .def_prop_ro("torque", &program_array<&TickProgram::torque>,
-                     nb::for_getter(nb::sig("def torque(self) -> numpy.ndarray")), "(n,) N m, without limits.");
-    nb::class_<ComputedTorqueQP, Law>(module, "ComputedTorqueQP",
-                                      "Computed torque within limits of torque, velocity and position.")
-        .def(nb::new_([](Model model, double stiffness, double damping, const In& added_inertia, const In& q_min,
-                         const In& q_max, const In& v_max, const In& a_max, const In& tau_max, double length, double dt,
-                         bool continuous) {
+        .def_prop_ro("upper", &program_array<&TickProgram::upper>, nb::for_getter(nb::sig("def upper(self) -> numpy.ndarray")), "(2n,)")
+        .def_prop_ro("torque", &program_array<&TickProgram::torque>, nb::for_getter(nb::sig("def torque(self) -> numpy.ndarray")),
+                     "(n,) N m, without limits.");
+    nb::class_<ComputedTorqueQP, Law>(module, "ComputedTorqueQP", "Computed torque within limits of torque, velocity and position.")
+        .def(nb::new_([](Model model, double stiffness, double damping, const In& added_inertia, const In& q_min, const In& q_max,
+                         const In& v_max, const In& a_max, const In& tau_max, double length, double dt, bool continuous) {
                  ComputedTorqueQP::Gains gains{
                      .stiffness = stiffness,
                      .damping = damping,
@@ -253,8 +233,8 @@ void bind_qp(nb::module_& module) {
                  };
                  return new ComputedTorqueQP(std::move(model), std::move(gains), std::move(limits), length, dt, continuous);
              }),
-             "model"_a, nb::kw_only(), "stiffness"_a, "damping"_a, "added_inertia"_a, "q_min"_a, "q_max"_a, "v_max"_a,
-             "a_max"_a, "tau_max"_a, "length"_a, "dt"_a, "continuous"_a)
+             "model"_a, nb::kw_only(), "stiffness"_a, "damping"_a, "added_inertia"_a, "q_min"_a, "q_max"_a, "v_max"_a, "a_max"_a,
+             "tau_max"_a, "length"_a, "dt"_a, "continuous"_a)
         .def(
             "last_program",
             [](const ComputedTorqueQP& self) -> std::optional<TickProgram> {
@@ -294,16 +274,15 @@ void bind_task_space(nb::module_& module) {
              }),
              "model"_a, nb::kw_only(), "stiffness"_a, "damping"_a, "posture_stiffness"_a, "posture_damping"_a);
     nb::class_<Impedance, Law>(module, "Impedance", "Cartesian impedance control without inertia shaping.")
-        .def(nb::new_(
-                 [](Model model, const In& stiffness, const In& max_error, const In& posture_stiffness, double damping_ratio) {
-                     Impedance::Gains gains{
-                         .stiffness = copied(stiffness, "stiffness"),
-                         .max_error = copied(max_error, "max_error"),
-                         .posture_stiffness = copied(posture_stiffness, "posture_stiffness"),
-                         .damping_ratio = damping_ratio,
-                     };
-                     return new Impedance(std::move(model), std::move(gains));
-                 }),
+        .def(nb::new_([](Model model, const In& stiffness, const In& max_error, const In& posture_stiffness, double damping_ratio) {
+                 Impedance::Gains gains{
+                     .stiffness = copied(stiffness, "stiffness"),
+                     .max_error = copied(max_error, "max_error"),
+                     .posture_stiffness = copied(posture_stiffness, "posture_stiffness"),
+                     .damping_ratio = damping_ratio,
+                 };
+                 return new Impedance(std::move(model), std::move(gains));
+             }),
              "model"_a, nb::kw_only(), "stiffness"_a, "max_error"_a, "posture_stiffness"_a, "damping_ratio"_a)
         .def(
             "set_stiffness", [](Impedance& self, const In& stiffness) { self.set_stiffness(copied(stiffness, "stiffness")); },
@@ -329,9 +308,7 @@ HybridForce::Axes force_axes(const IntegersIn& is_force, const In& targets) {
     const std::span<const std::int64_t> flags = is_force.vector(6, "is_force");
     const Vector forces = targets.vector(6, "targets");
     HybridForce::Axes axes;
-    for (size_t k = 0; k < axes.size(); ++k) {
-        axes[k] = {.is_force = flags[k] != 0, .target = forces[k]};
-    }
+    for (size_t k = 0; k < axes.size(); ++k) { axes[k] = {.is_force = flags[k] != 0, .target = forces[k]}; }
     return axes;
 }
 
@@ -348,13 +325,11 @@ void bind_hybrid_force(nb::module_& module) {
                  };
                  return new HybridForce(std::move(model), gains, force_axes(is_force, targets), dt);
              }),
-             "model"_a, nb::kw_only(), "bandwidth"_a, "damping_ratio"_a, "in_tip_frame"_a, "approach_speed"_a,
-             "contact_force"_a, "is_force"_a, "targets"_a, "dt"_a)
+             "model"_a, nb::kw_only(), "bandwidth"_a, "damping_ratio"_a, "in_tip_frame"_a, "approach_speed"_a, "contact_force"_a,
+             "is_force"_a, "targets"_a, "dt"_a)
         .def(
             "set_axes",
-            [](HybridForce& self, const IntegersIn& is_force, const In& targets) {
-                self.set_axes(force_axes(is_force, targets));
-            },
+            [](HybridForce& self, const IntegersIn& is_force, const In& targets) { self.set_axes(force_axes(is_force, targets)); },
             "is_force"_a, "targets"_a, "Replaces the force axes. One that comes back later begins with an approach.")
         .def_prop_ro("in_contact", &HybridForce::in_contact, "Whether every force axis with a target is in contact.");
 }
@@ -365,11 +340,16 @@ void bind_others(nb::module_& module) {
                  return new TorqueRateLimit(std::move(limited), copied(tau_rate_max, "tau_rate_max"), dt);
              }),
              "limited"_a, nb::kw_only(), "tau_rate_max"_a, "dt"_a);
+    nb::class_<TorqueFilter, Law>(module, "TorqueFilter", "A law whose torques go through filters of second-order sections.")
+        .def(nb::new_([](std::shared_ptr<Law> filtered, const In& sections) {
+                 return new TorqueFilter(std::move(filtered), sections.matrix(sections.length("sections"), 6, "sections"));
+             }),
+             "filtered"_a, nb::kw_only(), "sections"_a);
     nb::class_<CFunctionLaw, Law>(module, "CFunctionLaw",
                                   "A compiled C function as a law; armctl/cpp/laws/c_function.hpp has its signature.")
         .def(nb::new_([](std::uintptr_t address, size_t n, const In& parameters, size_t memory_size, bool needs_wrench) {
-                 return new CFunctionLaw(reinterpret_cast<LawFunction>(address), n, copied(parameters, "parameters"),
-                                         memory_size, needs_wrench);
+                 return new CFunctionLaw(reinterpret_cast<LawFunction>(address), n, copied(parameters, "parameters"), memory_size,
+                                         needs_wrench);
              }),
              "address"_a, nb::kw_only(), "n"_a, "parameters"_a, "memory_size"_a = 0, "needs_wrench"_a = false,
              "A law from the address of its function, which has to exist as long as the law.");

@@ -10,9 +10,11 @@ NB_MODULE(_core, module) {
     // An extension that was built from other sources than those beside it is never used.
     const nb::module_ compiled_core = nb::module_::import_("armctl.core.compiled_core");
     const nb::object problem = compiled_core.attr("build_problem")(module.attr("__file__"), armctl::SOURCE_CHECKSUM);
-    if (nb::len(problem) > 0) {
-        throw nb::import_error(nb::str(problem).c_str());
-    }
+    if (nb::len(problem) > 0) { throw nb::import_error(nb::str(problem).c_str()); }
+#ifndef ARMCTL_SANITIZE
+    // A program that ends while threads run leaves objects behind; what nanobind prints about them helps only with bindings.
+    nb::set_leak_warnings(false);
+#endif
     module.doc() = "The compiled core of armctl. It computes; the Python modules that use it check and explain.";
     armctl::bind_arm_motion(module);
     armctl::bind_collision(module);

@@ -8,6 +8,9 @@
 
 namespace armctl {
 
+// The address of a mujoco.MjModel. What keeps it has to keep `model` alive, by nb::keep_alive.
+const MujocoModel* mujoco_model(nanobind::handle model);
+
 // The simulation of a mujoco.MjModel and a mujoco.MjData. What keeps it has to keep `data` alive, by nb::keep_alive.
 MujocoSimulation mujoco_simulation(nanobind::handle model, nanobind::handle data);
 
@@ -30,9 +33,7 @@ template <class Number>
 class OptionalArray {
 public:
     explicit OptionalArray(nanobind::handle argument) : is_given_(!argument.is_none()) {
-        if (is_given_) {
-            array_.acquire(argument.ptr());
-        }
+        if (is_given_) { array_.acquire(argument.ptr()); }
     }
 
     std::span<Number> shaped(std::initializer_list<size_t> shape, const char* name) const {

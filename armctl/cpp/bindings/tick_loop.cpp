@@ -28,9 +28,8 @@ void set(Pointer& pointer, std::uintptr_t address) {
 }
 
 std::shared_ptr<MujocoApi> make_api(std::uintptr_t step, std::uintptr_t rne_post_constraint, std::uintptr_t make_batch,
-                                    std::uintptr_t delete_batch, std::uintptr_t apply, std::uintptr_t error,
-                                    std::uintptr_t empty_model, size_t contact_count, size_t contact_array,
-                                    size_t contact_stride, size_t contact_geoms) {
+                                    std::uintptr_t delete_batch, std::uintptr_t apply, std::uintptr_t error, nb::handle empty_model,
+                                    size_t contact_count, size_t contact_array, size_t contact_stride, size_t contact_geoms) {
     auto api = std::make_shared<MujocoApi>();
     set(api->step, step);
     set(api->rne_post_constraint, rne_post_constraint);
@@ -38,7 +37,7 @@ std::shared_ptr<MujocoApi> make_api(std::uintptr_t step, std::uintptr_t rne_post
     set(api->delete_batch, delete_batch);
     set(api->apply, apply);
     set(api->error, error);
-    set(api->empty_model, empty_model);
+    api->empty_model = mujoco_model(empty_model);
     api->contacts = {
         .count = contact_count,
         .array = contact_array,
@@ -50,8 +49,8 @@ std::shared_ptr<MujocoApi> make_api(std::uintptr_t step, std::uintptr_t rne_post
 
 void bind_api(nb::module_& module) {
     nb::class_<MujocoApi>(module, "MujocoApi", "MuJoCo's functions by their addresses, and where mjData keeps contacts.")
-        .def(nb::new_(&make_api), nb::kw_only(), "step"_a, "rne_post_constraint"_a, "make_batch"_a, "delete_batch"_a, "apply"_a,
-             "error"_a, "empty_model"_a, "contact_count"_a, "contact_array"_a, "contact_stride"_a, "contact_geoms"_a);
+        .def(nb::new_(&make_api), nb::kw_only(), "step"_a, "rne_post_constraint"_a, "make_batch"_a, "delete_batch"_a, "apply"_a, "error"_a,
+             "empty_model"_a, "contact_count"_a, "contact_array"_a, "contact_stride"_a, "contact_geoms"_a, nb::keep_alive<0, 8>());
 }
 
 void bind_delay(nb::module_& module) {
@@ -88,9 +87,8 @@ void bind_tip_force(nb::module_& module) {
         "A"_a, "b"_a, "x"_a, "Adds to x (r,) the shortest vector that minimizes |A^T x - b|; A (r, n) is overwritten.");
 }
 
-WrenchSensor* new_wrench_sensor(Api api, nb::handle model, nb::handle data, Model arm, const IntegersIn& bodies, size_t root,
-                                size_t tip, const In& offset, bool is_connected, double dt, size_t delay, bool is_sampled,
-                                size_t estimated) {
+WrenchSensor* new_wrench_sensor(Api api, nb::handle model, nb::handle data, Model arm, const IntegersIn& bodies, size_t root, size_t tip,
+                                const In& offset, bool is_connected, double dt, size_t delay, bool is_sampled, size_t estimated) {
     WrenchSite site{
         .joints = arm->n(),
         .bodies = {},
@@ -99,25 +97,18 @@ WrenchSensor* new_wrench_sensor(Api api, nb::handle model, nb::handle data, Mode
         .offset = vec3(offset.vector(3, "offset")),
         .is_connected = is_connected,
     };
-    for (const std::int64_t body : bodies.vector(bodies.length("bodies"), "bodies")) {
-        site.bodies.push_back(address(body));
-    }
-    if (estimated != 0 && estimated != 3 && estimated != 6) {
-        throw InputError("estimated: need 0, 3 or 6");
-    }
+    for (const std::int64_t body : bodies.vector(bodies.length("bodies"), "bodies")) { site.bodies.push_back(address(body)); }
+    if (estimated != 0 && estimated != 3 && estimated != 6) { throw InputError("estimated: need 0, 3 or 6"); }
     std::optional<WrenchEstimate> estimate;
-    if (estimated > 0) {
-        estimate.emplace(std::move(arm), dt, estimated);
-    }
+    if (estimated > 0) { estimate.emplace(std::move(arm), dt, estimated); }
     return new WrenchSensor(std::move(api), mujoco_simulation(model, data), std::move(site),
                             {.dt = dt, .delay = delay, .is_sampled = is_sampled}, std::move(estimate));
 }
 
 void bind_wrench_sensor(nb::module_& module) {
     nb::class_<WrenchSensor>(module, "WrenchSensor", "The wrench of the environment on a tip, true or measured.")
-        .def(nb::new_(&new_wrench_sensor), "api"_a, "model"_a, "data"_a, nb::kw_only(), "arm"_a, "bodies"_a, "root"_a, "tip"_a,
-             "offset"_a, "is_connected"_a, "dt"_a, "delay"_a, "is_sampled"_a, "estimated"_a, nb::keep_alive<0, 3>(),
-             nb::keep_alive<0, 4>(),
+        .def(nb::new_(&new_wrench_sensor), "api"_a, "model"_a, "data"_a, nb::kw_only(), "arm"_a, "bodies"_a, "root"_a, "tip"_a, "offset"_a,
+             "is_connected"_a, "dt"_a, "delay"_a, "is_sampled"_a, "estimated"_a, nb::keep_alive<0, 3>(), nb::keep_alive<0, 4>(),
              "A sensor in a mujoco.MjModel and MjData; armctl/cpp/wrench_sensor.hpp explains the arguments.\n\n"
              "`estimated` numbers of the wrench follow from the torques of the motors; 0 if a flange sensor measures it.")
         .def("reset", &WrenchSensor::reset, "Forgets all measurements.")
@@ -129,8 +120,8 @@ void bind_wrench_sensor(nb::module_& module) {
             "push"_a.none(), "wrench"_a, "The true wrench now, (6,), with that of the plant's pushes.")
         .def(
             "measure",
-            [](WrenchSensor& self, const In& q, const In& v, const In& tau, double t, nb::handle noise, nb::handle push,
-               const Out& wrench, const Out& truth) {
+            [](WrenchSensor& self, const In& q, const In& v, const In& tau, double t, nb::handle noise, nb::handle push, const Out& wrench,
+               const Out& truth) {
                 const size_t n = self.joints();
                 const OptionalIn noise_array(noise);
                 const OptionalIn push_array(push);
@@ -151,9 +142,9 @@ void bind_wrench_sensor(nb::module_& module) {
             "The state and the torque of the motors in the last tick are measured, (n,) each.");
 }
 
-TickLoop* new_tick_loop(Api api, nb::handle model, nb::handle data, const IntegersIn& qpos_addresses,
-                        const IntegersIn& dof_addresses, const IntegersIn& ctrl_addresses, const IntegersIn& torque_addresses,
-                        const In& gear, const In& torque_share, Model pushed_arm, size_t substeps, double diverged_speed) {
+TickLoop* new_tick_loop(Api api, nb::handle model, nb::handle data, const IntegersIn& qpos_addresses, const IntegersIn& dof_addresses,
+                        const IntegersIn& ctrl_addresses, const IntegersIn& torque_addresses, const In& gear, const In& torque_share,
+                        Model pushed_arm, size_t substeps, double dt, double diverged_speed) {
     std::vector<Motor> motors = motors_of({.qpos = qpos_addresses, .dof = dof_addresses, .ctrl = ctrl_addresses, .gear = gear});
     const std::span<const std::int64_t> torques = torque_addresses.vector(motors.size(), "torque_addresses");
     const Vector shares = torque_share.vector(motors.size(), "torque_share");
@@ -162,7 +153,7 @@ TickLoop* new_tick_loop(Api api, nb::handle model, nb::handle data, const Intege
         motors[i].torque_share = shares[i];
     }
     return new TickLoop(std::move(api), mujoco_simulation(model, data), std::move(motors), std::move(pushed_arm),
-                        {.substeps = substeps, .diverged_speed = diverged_speed});
+                        {.substeps = substeps, .dt = dt, .diverged_speed = diverged_speed});
 }
 
 std::vector<GeomPair> geoms_of(const nb::bytes& geoms) {
@@ -189,17 +180,16 @@ struct TickArguments {
     OptionalIn noise;
     OptionalIn pushes;
     OptionalOut push;
+    OptionalOut last_position;
     WrenchSensor* sensor;
     OptionalIn times;
     OptionalIn wrench_noise;
     const nb::bytes& touching;
 };
 
-void check_ticks(const TickLoop& loop, const Law& law, const TickArguments& given, const TickRows& rows,
-                 const Disturbances& disturbances, const TickSensor& sensor) {
-    if (given.first > given.last || given.last > rows.v.rows) {
-        throw InputError("first, last: they are not rows of the reference");
-    }
+void check_ticks(const TickLoop& loop, const Law& law, const TickArguments& given, const TickRows& rows, const Disturbances& disturbances,
+                 const TickSensor& sensor) {
+    if (given.first > given.last || given.last > rows.v.rows) { throw InputError("first, last: they are not rows of the reference"); }
     if (law.joints() != loop.joints()) {
         throw InputError("law: it is one for " + std::to_string(law.joints()) + " joints, and the simulation has " +
                          std::to_string(loop.joints()));
@@ -243,6 +233,7 @@ void run_ticks(TickLoop& loop, Law& law, TickEnd& end, const TickArguments& give
         .noise = {given.noise.shaped({coming, 2, n}, "noise")},
         .pushes = given.pushes.matrix(coming, 6, "pushes"),
         .push = given.push.vector(6, "push"),
+        .last_position = given.last_position.vector(n, "last_position"),
     };
     const TickSensor sensor{
         .sensor = given.sensor,
@@ -288,21 +279,20 @@ void bind_tick_end(nb::module_& module) {
 }
 
 void bind_loop(nb::module_& module) {
-    nb::class_<TickLoop>(module, "TickLoop",
-                         "The tick loop of one simulation: measure, control, step, record. One thread at a time.")
+    nb::class_<TickLoop>(module, "TickLoop", "The tick loop of one simulation: measure, control, step, record. One thread at a time.")
         .def(nb::new_(&new_tick_loop), "api"_a, "model"_a, "data"_a, nb::kw_only(), "qpos_addresses"_a, "dof_addresses"_a,
-             "ctrl_addresses"_a, "torque_addresses"_a, "gear"_a, "torque_share"_a, "pushed_arm"_a, "substeps"_a,
-             "diverged_speed"_a, nb::keep_alive<0, 3>(), nb::keep_alive<0, 4>(),
+             "ctrl_addresses"_a, "torque_addresses"_a, "gear"_a, "torque_share"_a, "pushed_arm"_a, "substeps"_a, "dt"_a, "diverged_speed"_a,
+             nb::keep_alive<0, 3>(), nb::keep_alive<0, 4>(),
              "The loop of a mujoco.MjModel and MjData.\n\n"
              "The addresses are those of the motors' joints in qpos and qvel, of the motors in ctrl and of their torques in\n"
              "qfrc_actuator; torques are ctrl times `gear`, and qfrc_actuator times `torque_share`. Pushes act on the tip of\n"
              "`pushed_arm`.")
         .def(
             "run",
-            [](TickLoop& self, Law& law, TickEnd& end, const In& q, const In& v, const In& a, const In& v_tick,
-               const In& a_tick, const Out& qpos_rows, const Out& v_rows, const Out& command_rows, const Out& torque_rows,
-               nb::handle wrench_rows, size_t first, size_t last, Delay* delay, nb::handle noise, nb::handle pushes,
-               nb::handle push, WrenchSensor* sensor, nb::handle times, nb::handle wrench_noise, const nb::bytes& touching) {
+            [](TickLoop& self, Law& law, TickEnd& end, const In& q, const In& v, const In& a, const In& v_tick, const In& a_tick,
+               const Out& qpos_rows, const Out& v_rows, const Out& command_rows, const Out& torque_rows, nb::handle wrench_rows,
+               size_t first, size_t last, Delay* delay, nb::handle noise, nb::handle pushes, nb::handle push, nb::handle last_position,
+               WrenchSensor* sensor, nb::handle times, nb::handle wrench_noise, const nb::bytes& touching) {
                 run_ticks(self, law, end,
                           {
                               .q = q,
@@ -321,22 +311,25 @@ void bind_loop(nb::module_& module) {
                               .noise = OptionalIn(noise),
                               .pushes = OptionalIn(pushes),
                               .push = OptionalOut(push),
+                              .last_position = OptionalOut(last_position),
                               .sensor = sensor,
                               .times = OptionalIn(times),
                               .wrench_noise = OptionalIn(wrench_noise),
                               .touching = touching,
                           });
             },
-            "law"_a, "end"_a, nb::kw_only(), "q"_a, "v"_a, "a"_a, "v_tick"_a, "a_tick"_a, "qpos_rows"_a, "v_rows"_a,
-            "command_rows"_a, "torque_rows"_a, "wrench_rows"_a.none() = nb::none(), "first"_a, "last"_a,
-            "delay"_a.none() = nb::none(), "noise"_a.none() = nb::none(), "pushes"_a.none() = nb::none(),
-            "push"_a.none() = nb::none(), "sensor"_a.none() = nb::none(), "times"_a.none() = nb::none(),
+            "law"_a, "end"_a, nb::kw_only(), "q"_a, "v"_a, "a"_a, "v_tick"_a, "a_tick"_a, "qpos_rows"_a, "v_rows"_a, "command_rows"_a,
+            "torque_rows"_a, "wrench_rows"_a.none() = nb::none(), "first"_a, "last"_a, "delay"_a.none() = nb::none(),
+            "noise"_a.none() = nb::none(), "pushes"_a.none() = nb::none(), "push"_a.none() = nb::none(),
+            "last_position"_a.none() = nb::none(), "sensor"_a.none() = nb::none(), "times"_a.none() = nb::none(),
             "wrench_noise"_a.none() = nb::none(), "touching"_a,
             "Runs the ticks [first, last) of a reference, (ticks, n) each, and records them in the rows, (ticks, ...) each.\n\n"
             "How they ended is written into `end`: an interrupt, which raises when the call returns, would lose a result.\n"
             "Without a delay, the motors receive the command itself. Noise (last - first, 2, n), pushes (last - first, 6),\n"
             "times (last - first,) and wrench_noise (last - first, 6) begin at the first of the ticks. `push` (6,) gets the\n"
-            "last of the pushes. `touching` are the geoms that touch in the row before, as in `TickEnd.contacts`.");
+            "last of the pushes. With `last_position` (n,), NaN at the first tick, measured velocities are differences of "
+            "positions.\n"
+            "`touching` are the geoms that touch in the row before, as in `TickEnd.contacts`.");
 }
 
 }  // namespace

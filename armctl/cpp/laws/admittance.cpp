@@ -14,9 +14,7 @@ constexpr double wrench_filter = 20.0;
 
 std::vector<double> checked_masses(std::vector<double> masses) {
     for (const double mass : checked_gains(masses, 6, "mass")) {
-        if (mass == 0.0) {
-            throw InputError("mass: every value must be greater than 0, got 0");
-        }
+        if (mass == 0.0) { throw InputError("mass: every value must be greater than 0, got 0"); }
     }
     return masses;
 }
@@ -30,15 +28,9 @@ Admittance::Admittance(std::shared_ptr<const ArmModel> model, Gains gains, doubl
           .stiffness = checked_gains(std::move(gains.stiffness), 6, "stiffness"),
           .bandwidth = checked_gain(gains.bandwidth, "bandwidth"),
       },
-      dt_(checked_period(dt)),
-      dynamics_(model),
-      task_(model->n()),
-      memory_(size_t{3} * 6),
-      mobility_(task_rows(model->n()), task_rows(model->n())),
-      motion_(task_rows(model->n())),
-      acceleration_(model->n()),
-      v_friction_(model->n()),
-      error_rate_(model->n()) {}
+      dt_(checked_period(dt)), dynamics_(model), task_(model->n()), memory_(size_t{3} * 6),
+      mobility_(task_rows(model->n()), task_rows(model->n())), motion_(task_rows(model->n())), acceleration_(model->n()),
+      v_friction_(model->n()), error_rate_(model->n()) {}
 
 void Admittance::torque(const State& state, const Setpoint& setpoint, Result tau) {
     const size_t n = tau.size();
@@ -71,9 +63,7 @@ void Admittance::torque(const State& state, const Setpoint& setpoint, Result tau
         motion_[k] = bandwidth * bandwidth * error + 2.0 * bandwidth * error_rate - of_posture;
     }
     task_.add_joint_motion(mobility_, motion_, acceleration_);
-    for (size_t k = 0; k < rows; ++k) {
-        motion_[k] = rate()[k];
-    }
+    for (size_t k = 0; k < rows; ++k) { motion_[k] = rate()[k]; }
     task_.add_joint_motion(mobility_, motion_, v_friction_);
     for (size_t i = 0; i < n; ++i) {
         acceleration_[i] += a_ref[i];
@@ -83,9 +73,7 @@ void Admittance::torque(const State& state, const Setpoint& setpoint, Result tau
     dynamics_.add_linear_damping(error_rate_, tau);
     dynamics_.add_friction(v_friction_, a_ref, tau);
     for (size_t i = 0; i < n; ++i) {
-        for (size_t k = 0; k < rows; ++k) {
-            tau[i] -= J(k, i) * filtered_wrench()[k];
-        }
+        for (size_t k = 0; k < rows; ++k) { tau[i] -= J(k, i) * filtered_wrench()[k]; }
     }
 }
 

@@ -10,8 +10,8 @@ namespace armctl {
 
 // `reference` has the rows q, v, a, v_tick, a_tick of n numbers; `wrench` has 6 numbers, which are 0 if the law does not need
 // it. The memory is 0 at the first tick of a run. The function writes `tau`. It may neither throw nor keep state elsewhere.
-using LawFunction = void (*)(const double* parameters, const double* q, const double* v, const double* reference,
-                             const double* wrench, double* memory, double* tau, std::int64_t n);
+using LawFunction = void (*)(const double* parameters, const double* q, const double* v, const double* reference, const double* wrench,
+                             double* memory, double* tau, std::int64_t n);
 
 class CFunctionLaw final : public Law {
 public:

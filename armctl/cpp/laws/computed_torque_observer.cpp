@@ -12,23 +12,12 @@ ComputedTorqueObserver::ComputedTorqueObserver(std::shared_ptr<const ArmModel> m
 
 ComputedTorqueObserver::ComputedTorqueObserver(std::shared_ptr<const ArmModel> model, Gains gains, double dt, bool continuous,
                                                size_t further_memory)
-    : stiffness_(checked_gain(gains.stiffness, "stiffness")),
-      damping_(checked_gain(gains.damping, "damping")),
-      position_weight_(checked_gain(gains.position_weight, "position_weight")),
-      velocity_weight_(checked_gain(gains.velocity_weight, "velocity_weight")),
+    : stiffness_(checked_gain(gains.stiffness, "stiffness")), damping_(checked_gain(gains.damping, "damping")), weights_(gains.estimate),
       disturbance_weight_(checked_gain(gains.disturbance_weight, "disturbance_weight")),
-      torque_limit_(checked_limits(std::move(gains.torque_limit), model->n(), "torque_limit")),
-      dt_(checked_period(dt)),
-      position_step_(continuous ? 0.5 : 1.0),
-      dynamics_(model),
-      memory_(1 + memory_vectors * model->n() + further_memory),
-      known_(model->n()),
-      needed_(model->n()),
-      last_position_(model->n()),
-      last_velocity_(model->n()),
-      corrected_velocity_(model->n()),
-      lost_(model->n()),
-      inertia_(model->n(), model->n()) {}
+      torque_limit_(checked_limits(std::move(gains.torque_limit), model->n(), "torque_limit")), dt_(checked_period(dt)),
+      position_step_(position_step(continuous)), dynamics_(model), memory_(1 + memory_vectors * model->n() + further_memory),
+      known_(model->n()), needed_(model->n()), last_position_(model->n()), last_velocity_(model->n()), corrected_velocity_(model->n()),
+      lost_(model->n()), inertia_(model->n(), model->n()) {}
 
 void ComputedTorqueObserver::torque(const State& state, const Setpoint& setpoint, Result tau) {
     observe(state);
@@ -38,37 +27,22 @@ void ComputedTorqueObserver::torque(const State& state, const Setpoint& setpoint
 }
 
 void ComputedTorqueObserver::observe(const State& state) {
-    const Result position = this->position();
-    const Result velocity = this->velocity();
+    const MotionEstimate estimate = this->estimate();
     if (!has_begun()) {
-        for (size_t i = 0; i < joints(); ++i) {
-            position[i] = state.q[i];
-            velocity[i] = state.v[i];
-        }
+        estimate.begin(state);
         return;
     }
-    const Result acceleration = this->acceleration();
-    for (size_t i = 0; i < joints(); ++i) {
-        last_position_[i] = position[i];
-        last_velocity_[i] = velocity[i];
-        const double predicted = position[i] + dt_ * velocity[i] + position_step_ * dt_ * dt_ * acceleration[i];
-        const double error = state.q[i] - predicted;
-        position[i] = predicted + position_weight_ * error;
-        acceleration[i] += velocity_weight_ * error / (dt_ * dt_);
-        velocity[i] += dt_ * acceleration[i];
-    }
-    dynamics_.inverse_dynamics(last_position_, last_velocity_, acceleration, needed_);
+    std::ranges::copy(estimate.position, last_position_.begin());
+    std::ranges::copy(estimate.velocity, last_velocity_.begin());
+    estimate.correct(state.q, weights_, dt_, position_step_);
+    dynamics_.inverse_dynamics(last_position_, last_velocity_, estimate.acceleration, needed_);
     const Result disturbance = this->disturbance();
     const Result last_torque = this->last_torque();
-    for (size_t i = 0; i < joints(); ++i) {
-        disturbance[i] += disturbance_weight_ * (needed_[i] - last_torque[i] - disturbance[i]);
-    }
+    for (size_t i = 0; i < joints(); ++i) { disturbance[i] += disturbance_weight_ * (needed_[i] - last_torque[i] - disturbance[i]); }
 }
 
 void ComputedTorqueObserver::control(const Setpoint& setpoint, Result tau) {
-    const Result position = this->position();
-    const Result velocity = this->velocity();
-    const Result acceleration = this->acceleration();
+    const auto [position, velocity, acceleration] = estimate();
     const Vector v_ref = setpoint.v_tick;
     const Vector a_ref = setpoint.a_tick;
     const double bandwidth = std::sqrt(stiffness_);
@@ -97,9 +71,7 @@ void ComputedTorqueObserver::cancel(Result tau) {
         lost_[i] = last_torque[i] - tau[i];
         is_clipped = is_clipped || std::abs(tau[i] + known_[i]) > torque_limit_[i];
     }
-    if (is_clipped) {
-        subtract_lost_acceleration();
-    }
+    if (is_clipped) { subtract_lost_acceleration(); }
 }
 
 // What the motors cut off is no disturbance.
@@ -109,15 +81,11 @@ void ComputedTorqueObserver::subtract_lost_acceleration() {
     factorize(inertia_);
     solve(inertia_, lost_);
     const Result acceleration = this->acceleration();
-    for (size_t i = 0; i < joints(); ++i) {
-        acceleration[i] += lost_[i];
-    }
+    for (size_t i = 0; i < joints(); ++i) { acceleration[i] += lost_[i]; }
 }
 
 void ComputedTorqueObserver::add_known(Result tau) const {
-    for (size_t i = 0; i < joints(); ++i) {
-        tau[i] += known_[i];
-    }
+    for (size_t i = 0; i < joints(); ++i) { tau[i] += known_[i]; }
 }
 
 }  // namespace armctl

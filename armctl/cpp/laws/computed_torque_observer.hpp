@@ -3,6 +3,7 @@
 #include "../dense_matrix.hpp"
 #include "../dynamics.hpp"
 #include "../law.hpp"
+#include "motion_estimate.hpp"
 
 namespace armctl {
 
@@ -15,8 +16,7 @@ public:
     struct Gains {
         double stiffness = 0.0;            // 1/s^2
         double damping = 0.0;              // 1/s
-        double position_weight = 0.0;      // of the error of the predicted position, for the estimated position
-        double velocity_weight = 0.0;      // of the error of the predicted position / period, for the estimated velocity
+        EstimateWeights estimate;          // of position and velocity
         double disturbance_weight = 0.0;   // of the disturbance's low-pass in one control period
         std::vector<double> torque_limit;  // (n,) N m
     };
@@ -34,8 +34,7 @@ public:
 
 protected:
     // As above, with further numbers of memory for a derived law.
-    ComputedTorqueObserver(std::shared_ptr<const ArmModel> model, Gains gains, double dt, bool continuous,
-                           size_t further_memory);
+    ComputedTorqueObserver(std::shared_ptr<const ArmModel> model, Gains gains, double dt, bool continuous, size_t further_memory);
 
     // The steps of a tick, in this order.
 
@@ -64,19 +63,17 @@ private:
     static constexpr size_t memory_vectors = 5;
 
     Result memory_vector(size_t k) { return std::span(memory_).subspan(1 + k * joints(), joints()); }
-    Result position() { return memory_vector(2); }      // estimated
-    Result velocity() { return memory_vector(3); }      // estimated
     Result acceleration() { return memory_vector(4); }  // commanded; after the tick that which the motors then achieve
+    MotionEstimate estimate() { return {memory_vector(2), memory_vector(3), acceleration()}; }
     void subtract_lost_acceleration();
 
     double stiffness_;
     double damping_;
-    double position_weight_;
-    double velocity_weight_;
+    EstimateWeights weights_;
     double disturbance_weight_;
     std::vector<double> torque_limit_;
     double dt_;
-    double position_step_;  // change of position / (acceleration x dt^2) in one period from rest: 1 in a step of MuJoCo, or 1/2
+    double position_step_;
     Dynamics dynamics_;
 
     std::vector<double> memory_;  // whether there was a tick, then the vectors above

@@ -47,48 +47,29 @@ ComputedTorqueQP::Limits checked(ComputedTorqueQP::Limits limits, size_t n) {
 
 ComputedTorqueQP::ComputedTorqueQP(std::shared_ptr<const ArmModel> model, Gains gains, Limits limits, double length, double dt,
                                    bool continuous)
-    : stiffness_(gains.stiffness),
-      damping_(gains.damping),
-      limits_(checked(std::move(limits), model->n())),
-      length_(checked_gain(length, "length")),
-      dt_(checked_period(dt)),
-      mean_share_(continuous ? 0.5 : 0.0),
+    : stiffness_(gains.stiffness), damping_(gains.damping), limits_(checked(std::move(limits), model->n())),
+      length_(checked_gain(length, "length")), dt_(checked_period(dt)), mean_share_(continuous ? 0.5 : 0.0),
       unlimited_(model,
                  {
                      .stiffness = gains.stiffness,
                      .damping = gains.damping,
                      .added_inertia = std::move(gains.added_inertia),
+                     .estimate = {},
                      .torque_limit = limits_.tau_max,
                  },
-                 ComputedTorque::Form::discrete, dt),
-      dynamics_(at_start(*model)),
-      solver_(model->n()),
-      desired_(model->n()),
-      offset_(model->n()),
-      torque_(model->n()),
-      J_(6, model->n()),
-      H_(model->n(), model->n()),
-      M_(model->n(), model->n()),
-      factors_(model->n(), model->n()),
-      lower_(2 * model->n()),
-      upper_(2 * model->n()),
-      relaxed_H_(model->n(), model->n()),
-      relaxed_cost_(model->n()),
-      relaxed_lower_(2 * model->n()),
-      relaxed_upper_(2 * model->n()),
-      deviation_(model->n()) {}
+                 ComputedTorque::Form::discrete, dt, continuous),
+      dynamics_(at_start(*model)), solver_(model->n()), desired_(model->n()), offset_(model->n()), torque_(model->n()), J_(6, model->n()),
+      H_(model->n(), model->n()), M_(model->n(), model->n()), factors_(model->n(), model->n()), lower_(2 * model->n()),
+      upper_(2 * model->n()), relaxed_H_(model->n(), model->n()), relaxed_cost_(model->n()), relaxed_lower_(2 * model->n()),
+      relaxed_upper_(2 * model->n()), deviation_(model->n()) {}
 
 void ComputedTorqueQP::torque(const State& state, const Setpoint& setpoint, Result tau) {
     is_limited_ = make_program(state, setpoint, tau);
-    if (!is_limited_) {
-        return;
-    }
+    if (!is_limited_) { return; }
     find_deviation();
     for (size_t i = 0; i < tau.size(); ++i) {
         torque_[i] = tau[i];
-        for (size_t k = 0; k < tau.size(); ++k) {
-            tau[i] += M_(i, k) * deviation_[k];
-        }
+        for (size_t k = 0; k < tau.size(); ++k) { tau[i] += M_(i, k) * deviation_[k]; }
         const double tau_max = limits_.tau_max[i];
         if (tau[i] > tau_max) {
             tau[i] = tau_max;
@@ -99,9 +80,7 @@ void ComputedTorqueQP::torque(const State& state, const Setpoint& setpoint, Resu
 }
 
 std::optional<ComputedTorqueQP::Program> ComputedTorqueQP::last_program() const {
-    if (!is_limited_) {
-        return std::nullopt;
-    }
+    if (!is_limited_) { return std::nullopt; }
     return Program{.H = H_, .M = M_, .lower = lower_, .upper = upper_, .torque = torque_};
 }
 
@@ -113,9 +92,7 @@ bool ComputedTorqueQP::make_program(const State& state, const Setpoint& setpoint
     dynamics_.place(state.q);
     dynamics_.mass_matrix(M_);
     dynamics_.add_step_inertia(M_);
-    for (size_t i = 0; i < n; ++i) {
-        desired_[i] = unlimited_.correction()[i] + a_ref[i];
-    }
+    for (size_t i = 0; i < n; ++i) { desired_[i] = unlimited_.correction()[i] + a_ref[i]; }
     // The tip's law is that of stiffness and damping alone. With the added torques, which are of first order in the errors, the
     // offset would cancel them, by a share that is not linear.
     find_tip_offset(state, setpoint);
@@ -136,9 +113,7 @@ bool ComputedTorqueQP::make_program(const State& state, const Setpoint& setpoint
 void ComputedTorqueQP::find_tip_offset(const State& state, const Setpoint& setpoint) {
     const Vec3 wanted = tip_law(setpoint.q, setpoint.v_tick, setpoint.a_tick);
     const Vec3 missing = wanted - tip_law(state.q, state.v, desired_);
-    for (size_t i = 0; i < joints(); ++i) {
-        offset_[i] = J_(0, i) * missing.x + J_(1, i) * missing.y + J_(2, i) * missing.z;
-    }
+    for (size_t i = 0; i < joints(); ++i) { offset_[i] = J_(0, i) * missing.x + J_(1, i) * missing.y + J_(2, i) * missing.z; }
 }
 
 // Acceleration minus gravity plus damping times velocity plus stiffness times position of the tip, in the world.
@@ -165,33 +140,25 @@ Vec3 ComputedTorqueQP::tip_law(Vector q, Vector v, Vector a) {
 
 void ComputedTorqueQP::add_acceleration_of_added_torque() {
     const Vector added_torque = unlimited_.added_torque();
-    if (std::ranges::all_of(added_torque, [](double torque) { return torque == 0.0; })) {
-        return;
-    }
+    if (std::ranges::all_of(added_torque, [](double torque) { return torque == 0.0; })) { return; }
     std::ranges::copy(M_.numbers(), factors_.numbers().begin());
     factorize(factors_);
     const Result acceleration = deviation_;  // is not known yet
     std::ranges::copy(added_torque, acceleration.begin());
     solve(factors_, acceleration);
-    for (size_t i = 0; i < joints(); ++i) {
-        desired_[i] += acceleration[i];
-    }
+    for (size_t i = 0; i < joints(); ++i) { desired_[i] += acceleration[i]; }
 }
 
 // The squared deviation of the tip, with the weights above; J is overwritten.
 void ComputedTorqueQP::set_metric() {
     const size_t n = joints();
     for (size_t i = 0; i < n; ++i) {
-        for (size_t k = 3; k < 6; ++k) {
-            J_(k, i) *= rotation_weight * length_;
-        }
+        for (size_t k = 3; k < 6; ++k) { J_(k, i) *= rotation_weight * length_; }
     }
     for (size_t i = 0; i < n; ++i) {
         for (size_t j = 0; j < n; ++j) {
             double total = i == j ? (joint_weight * length_) * (joint_weight * length_) : 0.0;
-            for (size_t k = 0; k < 6; ++k) {
-                total += J_(k, i) * J_(k, j);
-            }
+            for (size_t k = 0; k < 6; ++k) { total += J_(k, i) * J_(k, j); }
             H_(i, j) = total;
         }
     }
@@ -204,18 +171,12 @@ void ComputedTorqueQP::follow_tip(double feedback, Result tau) {
     factorize(factors_);
     solve(factors_, offset_);
     double square = 0.0;
-    for (const double acceleration : offset_) {
-        square += acceleration * acceleration;
-    }
-    if (square == 0.0) {
-        return;
-    }
+    for (const double acceleration : offset_) { square += acceleration * acceleration; }
+    if (square == 0.0) { return; }
     const double share = std::min(1.0, max_tip_share * std::sqrt(feedback / square));
     for (size_t i = 0; i < n; ++i) {
         desired_[i] += share * offset_[i];
-        for (size_t k = 0; k < n; ++k) {
-            tau[i] += share * M_(i, k) * offset_[k];
-        }
+        for (size_t k = 0; k < n; ++k) { tau[i] += share * M_(i, k) * offset_[k]; }
     }
 }
 
@@ -229,9 +190,7 @@ bool ComputedTorqueQP::find_bounds(const State& state, Vector tau) {
         const double tau_max = limits_.tau_max[i];
         const double v_max = limits_.v_max[i];
         double inertial = 0.0;
-        for (size_t k = 0; k < n; ++k) {
-            inertial += M_(i, k) * desired_[k];
-        }
+        for (size_t k = 0; k < n; ++k) { inertial += M_(i, k) * desired_[k]; }
         const double bias = tau[i] - inertial;
         const double slowest = min_brake_share * tau_max;
         const double down = std::min(limits_.a_max[i], std::max(brake_share * (tau_max + bias), slowest) / M_(i, i));
@@ -248,9 +207,7 @@ bool ComputedTorqueQP::find_bounds(const State& state, Vector tau) {
         upper_[n + i] = std::min(tau_max - tau[i], unbounded);
         const double slack = tolerance * (std::abs(desired_[i]) + 1.0);
         const double load = tolerance * std::abs(tau[i]);
-        if (lower_[i] > slack || upper_[i] < -slack || lower_[n + i] > load || upper_[n + i] < -load) {
-            limited = true;
-        }
+        if (lower_[i] > slack || upper_[i] < -slack || lower_[n + i] > load || upper_[n + i] < -load) { limited = true; }
     }
     return limited;
 }
@@ -261,9 +218,7 @@ bool ComputedTorqueQP::find_bounds(const State& state, Vector tau) {
 // manipulators" (2018): the speed s after the period travels s dt / 2 + s^2 / (2 deceleration) until it stops.
 double ComputedTorqueQP::stopping_speed(double distance, double v, double deceleration) const {
     const double rest = distance - mean_share_ * v * dt_;
-    if (!(rest > 0.0)) {
-        return 0.0;
-    }
+    if (!(rest > 0.0)) { return 0.0; }
     const double half = 0.5 * deceleration * dt_;
     const double speed = std::sqrt(half * half + 2.0 * deceleration * rest) - half;
     return std::min(speed, rest / std::max((1.0 - mean_share_) * dt_, 1e-300));
@@ -273,24 +228,17 @@ double ComputedTorqueQP::stopping_speed(double distance, double v, double decele
 void ComputedTorqueQP::find_deviation() {
     std::ranges::fill(relaxed_cost_, 0.0);
     const QuadraticProgram program{.H = H_, .f = relaxed_cost_, .M = M_, .lower = lower_, .upper = upper_};
-    if (solver_.solve(program, deviation_)) {
-        return;
-    }
+    if (solver_.solve(program, deviation_)) { return; }
     relax_bounds();
-    const QuadraticProgram relaxed{
-        .H = relaxed_H_, .f = relaxed_cost_, .M = M_, .lower = relaxed_lower_, .upper = relaxed_upper_};
-    if (!solver_.solve(relaxed, deviation_)) {
-        std::ranges::fill(deviation_, 0.0);
-    }
+    const QuadraticProgram relaxed{.H = relaxed_H_, .f = relaxed_cost_, .M = M_, .lower = relaxed_lower_, .upper = relaxed_upper_};
+    if (!solver_.solve(relaxed, deviation_)) { std::ranges::fill(deviation_, 0.0); }
 }
 
 // Makes costs of the bounds of the deviation that exclude zero.
 void ComputedTorqueQP::relax_bounds() {
     const size_t n = joints();
     double trace = 0.0;
-    for (size_t i = 0; i < n; ++i) {
-        trace += H_(i, i);
-    }
+    for (size_t i = 0; i < n; ++i) { trace += H_(i, i); }
     std::ranges::copy(H_.numbers(), relaxed_H_.numbers().begin());
     std::ranges::copy(lower_, relaxed_lower_.begin());
     std::ranges::copy(upper_, relaxed_upper_.begin());

@@ -41,8 +41,7 @@ public:
 
     // The model is that of the control period dt. `length` is that of the arm, m, by which rotations of the tip and motions of
     // the joints are converted to distances.
-    ComputedTorqueQP(std::shared_ptr<const ArmModel> model, Gains gains, Limits limits, double length, double dt,
-                     bool continuous);
+    ComputedTorqueQP(std::shared_ptr<const ArmModel> model, Gains gains, Limits limits, double length, double dt, bool continuous);
 
     size_t joints() const override { return unlimited_.joints(); }
     void torque(const State& state, const Setpoint& setpoint, Result tau) override;

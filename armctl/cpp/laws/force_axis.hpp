@@ -9,13 +9,8 @@ struct AxisMemory {
     static constexpr size_t size = 7;
 
     explicit AxisMemory(std::span<double> numbers)
-        : touches(numbers[0]),
-          measured(numbers[1]),
-          commanded(numbers[2]),
-          integral(numbers[3]),
-          lost_time(numbers[4]),
-          yielding(numbers[5]),
-          steady_speed(numbers[6]) {}
+        : touches(numbers[0]), measured(numbers[1]), commanded(numbers[2]), integral(numbers[3]), lost_time(numbers[4]),
+          yielding(numbers[5]), steady_speed(numbers[6]) {}
 
     double& touches;       // 1 in contact, else 0
     double& measured;      // N, filtered
@@ -27,9 +22,9 @@ struct AxisMemory {
 };
 
 struct AxisCommand {
-    double force = 0.0;         // N
-    double acceleration = 0.0;  // m/s^2 that damps or approaches
-    double speed = 0.0;  // m/s of the approach, or that lasts in contact: joint damping and friction are compensated at it
+    double force = 0.0;           // N
+    double acceleration = 0.0;    // m/s^2 that damps or approaches
+    double speed = 0.0;           // m/s of the approach, or that lasts in contact: joint damping and friction are compensated at it
     double yielding_speed = 0.0;  // m/s in contact at which dry friction is compensated
 };
 

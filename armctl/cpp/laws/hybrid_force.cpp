@@ -12,7 +12,7 @@ namespace armctl {
 namespace {
 
 constexpr double velocity_filter = 100.0;  // rad/s; velocities that are differenced are ten times less noisy after it
-constexpr double wrench_filter = 40.0;  // rad/s. The wrench on motion axes is compensated; faster, it would resonate on a wall.
+constexpr double wrench_filter = 40.0;     // rad/s. The wrench on motion axes is compensated; faster, it would resonate on a wall.
 // Of the measured forces on motion axes. Where a tip sticks, friction is a strong damper. Compensated completely but late, it
 // would act like a mass, and the tip would swing slowly along the surface.
 constexpr double compensated_share = 0.8;
@@ -23,14 +23,12 @@ constexpr double wall_damping_rate = 330.0;
 constexpr double impact_ratio = 0.7;         // of the target, the force of such an impact
 constexpr double min_impact_ratio = 0.1;     // where dry friction is larger
 constexpr double max_approach_speed = 0.05;  // m/s
-constexpr double max_lever = 0.2;  // m; a hand may touch a wall this far from the tip, where its effective mass is larger
-constexpr double min_mobility_ratio = 0.1;  // of the mobility of the tip, a lower bound for that of another point
+constexpr double max_lever = 0.2;            // m; a hand may touch a wall this far from the tip, where its effective mass is larger
+constexpr double min_mobility_ratio = 0.1;   // of the mobility of the tip, a lower bound for that of another point
 
 HybridForce::Axes checked(const HybridForce::Axes& axes) {
     for (const HybridForce::Axis& axis : axes) {
-        if (!std::isfinite(axis.target)) {
-            throw InputError("target: need a finite number, got " + std::to_string(axis.target));
-        }
+        if (!std::isfinite(axis.target)) { throw InputError("target: need a finite number, got " + std::to_string(axis.target)); }
     }
     return axes;
 }
@@ -38,20 +36,9 @@ HybridForce::Axes checked(const HybridForce::Axes& axes) {
 }  // namespace
 
 HybridForce::HybridForce(std::shared_ptr<const ArmModel> model, Gains gains, const Axes& axes, double dt)
-    : gains_(gains),
-      axes_(checked(axes)),
-      dt_(checked_period(dt)),
-      dynamics_(model),
-      task_(model->n()),
-      memory_(1 + 6 * AxisMemory::size + 6 + model->n()),
-      rows_(task_rows(model->n())),
-      factors_(rows_, rows_),
-      mobility_(6, 6),
-      directions_(6, 6),
-      acceleration_(model->n()),
-      v_friction_(model->n()),
-      change_(model->n()),
-      rate_(model->n()) {
+    : gains_(gains), axes_(checked(axes)), dt_(checked_period(dt)), dynamics_(model), task_(model->n()),
+      memory_(1 + 6 * AxisMemory::size + 6 + model->n()), rows_(task_rows(model->n())), factors_(rows_, rows_), mobility_(6, 6),
+      directions_(6, 6), acceleration_(model->n()), v_friction_(model->n()), change_(model->n()), rate_(model->n()) {
     checked_gain(gains.bandwidth, "bandwidth");
     checked_gain(gains.damping_ratio, "damping_ratio");
     checked_gain(gains.approach_speed, "approach_speed");
@@ -61,9 +48,7 @@ HybridForce::HybridForce(std::shared_ptr<const ArmModel> model, Gains gains, con
 void HybridForce::set_axes(const Axes& axes) {
     axes_ = checked(axes);
     for (size_t k = 0; k < 6; ++k) {
-        if (!axes_[k].is_force) {
-            std::ranges::fill(std::span(memory_).subspan(1 + AxisMemory::size * k, AxisMemory::size), 0.0);
-        }
+        if (!axes_[k].is_force) { std::ranges::fill(std::span(memory_).subspan(1 + AxisMemory::size * k, AxisMemory::size), 0.0); }
     }
 }
 
@@ -111,9 +96,7 @@ void HybridForce::torque(const State& state, const Setpoint& setpoint, Result ta
     Vector6 wrench = along_force_axes(&AxisCommand::force);
     subtract_compensated_wrench(state.wrench, wrench);
     for (size_t i = 0; i < n; ++i) {
-        for (size_t k = 0; k < 6; ++k) {
-            tau[i] += task_.J()(k, i) * wrench[k];
-        }
+        for (size_t k = 0; k < 6; ++k) { tau[i] += task_.J()(k, i) * wrench[k]; }
     }
 }
 
@@ -124,9 +107,7 @@ void HybridForce::filter_velocity(Vector v) {
         has_begun() = 1.0;
         std::ranges::copy(v, filtered.begin());
     }
-    for (size_t i = 0; i < v.size(); ++i) {
-        filtered[i] += low_pass_weight(velocity_filter, dt_) * (v[i] - filtered[i]);
-    }
+    for (size_t i = 0; i < v.size(); ++i) { filtered[i] += low_pass_weight(velocity_filter, dt_) * (v[i] - filtered[i]); }
 }
 
 // The unit twists of the axes in the world, at the located joints.
@@ -144,9 +125,7 @@ void HybridForce::find_directions() {
 // The part of a twist or a wrench (6,) along axis k.
 double HybridForce::along(size_t k, Vector twist) const {
     double total = 0.0;
-    for (size_t j = 0; j < 6; ++j) {
-        total += directions_(k, j) * twist[j];
-    }
+    for (size_t j = 0; j < 6; ++j) { total += directions_(k, j) * twist[j]; }
     return total;
 }
 
@@ -155,9 +134,7 @@ HybridForce::Vector6 HybridForce::along_force_axes(double AxisCommand::* command
     Vector6 total{};
     for (size_t k = 0; k < 6; ++k) {
         if (axes_[k].is_force) {
-            for (size_t j = 0; j < 6; ++j) {
-                total[j] += directions_(k, j) * commands_[k].*command;
-            }
+            for (size_t j = 0; j < 6; ++j) { total[j] += directions_(k, j) * commands_[k].*command; }
         }
     }
     return total;
@@ -168,17 +145,11 @@ void HybridForce::command_axes(Vector wrench) {
     const double trace = task_.find_mobility(mobility_);
     Vector6 twist{};
     for (size_t k = 0; k < 6; ++k) {
-        for (size_t i = 0; i < joints(); ++i) {
-            twist[k] += J(k, i) * velocity()[i];
-        }
-        for (size_t j = 0; j < k; ++j) {
-            mobility_(j, k) = mobility_(k, j);
-        }
+        for (size_t i = 0; i < joints(); ++i) { twist[k] += J(k, i) * velocity()[i]; }
+        for (size_t j = 0; j < k; ++j) { mobility_(j, k) = mobility_(k, j); }
     }
     for (size_t k = 0; k < 6; ++k) {
-        if (!axes_[k].is_force) {
-            continue;
-        }
+        if (!axes_[k].is_force) { continue; }
         AxisTick tick = axis_tick(k, trace);
         tick.measured = -along(k, wrench);  // the tip exerts the opposite of the wrench on it
         tick.speed = along(k, twist);
@@ -199,12 +170,8 @@ AxisTick HybridForce::axis_tick(size_t k, double trace) {
     double dry_friction = 0.0;
     for (size_t i = 0; i < joints(); ++i) {
         double rate = 0.0;
-        for (size_t j = 0; j < rows_; ++j) {
-            rate += W(i, j) * unit[j];
-        }
-        for (size_t j = 0; j < rows_; ++j) {
-            mass += unit[j] * J(j, i) * rate;
-        }
+        for (size_t j = 0; j < rows_; ++j) { rate += W(i, j) * unit[j]; }
+        for (size_t j = 0; j < rows_; ++j) { mass += unit[j] * J(j, i) * rate; }
         dry_friction += std::abs(rate) * dynamics_.model().drives[i].friction.loss;
     }
     const double target = std::abs(axes_[k].target);
@@ -234,9 +201,7 @@ double HybridForce::contact_mobility(Vector direction, double trace) const {
     std::array<double, 3> coupling{};
     double tip = 0.0;
     for (size_t i = 0; i < 6; ++i) {
-        for (size_t j = 0; j < 6; ++j) {
-            tip += direction[i] * mobility_(i, j) * direction[j];
-        }
+        for (size_t j = 0; j < 6; ++j) { tip += direction[i] * mobility_(i, j) * direction[j]; }
     }
     for (size_t i = 0; i < 3; ++i) {
         for (size_t j = 0; j < 3; ++j) {
@@ -288,9 +253,7 @@ void HybridForce::find_task(Vector v_ref, Vector a_ref) {
         }
     }
     for (size_t k = 0; k < 6; ++k) {
-        for (size_t i = 0; i < joints(); ++i) {
-            motion_[k] -= J(k, i) * acceleration_[i];
-        }
+        for (size_t i = 0; i < joints(); ++i) { motion_[k] -= J(k, i) * acceleration_[i]; }
     }
 }
 
@@ -301,22 +264,16 @@ void HybridForce::subtract_compensated_wrench(Vector measured, Vector6& wrench) 
     Vector6 compensated{};
     for (size_t j = 0; j < 6; ++j) {
         filtered[j] += low_pass_weight(wrench_filter, dt_) * (measured[j] - filtered[j]);
-        if (!in_contact) {
-            filtered[j] = 0.0;
-        }
+        if (!in_contact) { filtered[j] = 0.0; }
         compensated[j] = filtered[j];
     }
     for (size_t k = 0; k < 6; ++k) {
         if (axes_[k].is_force) {
             const double part = along(k, filtered);
-            for (size_t j = 0; j < 6; ++j) {
-                compensated[j] -= part * directions_(k, j);
-            }
+            for (size_t j = 0; j < 6; ++j) { compensated[j] -= part * directions_(k, j); }
         }
     }
-    for (size_t j = 0; j < rows_; ++j) {
-        wrench[j] -= (j < 3 ? compensated_share : 1.0) * compensated[j];
-    }
+    for (size_t j = 0; j < rows_; ++j) { wrench[j] -= (j < 3 ? compensated_share : 1.0) * compensated[j]; }
 }
 
 }  // namespace armctl

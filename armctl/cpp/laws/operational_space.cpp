@@ -33,9 +33,7 @@ void OperationalSpace::torque(const State& state, const Setpoint& setpoint, Resu
         }
         force_[k] = gains_.stiffness * task_.error()[k] + gains_.damping * rate - of_posture;
     }
-    for (size_t i = 0; i < n; ++i) {
-        acceleration_[i] += a_ref[i];
-    }
+    for (size_t i = 0; i < n; ++i) { acceleration_[i] += a_ref[i]; }
     task_.add_joint_motion(mobility_, force_, acceleration_);
     dynamics_.inverse_dynamics(state.q, state.v, acceleration_, tau);
     dynamics_.add_linear_damping(error_rate_, tau);

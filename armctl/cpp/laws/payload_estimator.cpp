@@ -84,17 +84,13 @@ PayloadEstimator::PayloadEstimator(Settings settings)
 
 void PayloadEstimator::learn(Matrix Y, Vector torque, bool is_moving, Memory& memory) {
     const double misfit = filter(Y, torque, memory);
-    if (!is_moving) {
-        return;
-    }
+    if (!is_moving) { return; }
     const double mean_misfit = misfit / static_cast<double>(Y.rows);
     add_information(1.0 - forgetting_ * (1.0 + std::min(mean_misfit, max_misfit)), memory);
     factorize(factors_);
     std::ranges::copy(memory.information_vector, memory.estimate.begin());
     solve(factors_, memory.estimate);
-    for (size_t k = 0; k < memory.estimate.size(); ++k) {
-        memory.estimate[k] *= prior_deviations_[k];
-    }
+    for (size_t k = 0; k < memory.estimate.size(); ++k) { memory.estimate[k] *= prior_deviations_[k]; }
 }
 
 // Filters regressor and torque, in units of prior and noise; the sum of the squares of what the estimate does not explain.
@@ -125,15 +121,11 @@ void PayloadEstimator::add_information(double keep, Memory& memory) {
     const Result torque = memory.torques[1];
     for (size_t k = 0; k < Y.columns; ++k) {
         double total = 0.0;
-        for (size_t i = 0; i < Y.rows; ++i) {
-            total += Y(i, k) * torque[i];
-        }
+        for (size_t i = 0; i < Y.rows; ++i) { total += Y(i, k) * torque[i]; }
         memory.information_vector[k] = keep * memory.information_vector[k] + information_weight_ * total;
         for (size_t j = 0; j <= k; ++j) {
             total = 0.0;
-            for (size_t i = 0; i < Y.rows; ++i) {
-                total += Y(i, k) * Y(i, j);
-            }
+            for (size_t i = 0; i < Y.rows; ++i) { total += Y(i, k) * Y(i, j); }
             memory.information(k, j) = keep * memory.information(k, j) + information_weight_ * total;
             factors_(k, j) = memory.information(k, j);
         }

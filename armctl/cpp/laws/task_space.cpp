@@ -44,13 +44,9 @@ void TaskSpace::find_responses(Dynamics& dynamics) {
     dynamics.mass_matrix(inertia_);
     factorize(inertia_);
     for (size_t k = 0; k < 6; ++k) {
-        for (size_t i = 0; i < n_; ++i) {
-            column_[i] = J_(k, i);
-        }
+        for (size_t i = 0; i < n_; ++i) { column_[i] = J_(k, i); }
         solve(inertia_, column_);
-        for (size_t i = 0; i < n_; ++i) {
-            responses_(i, k) = column_[i];
-        }
+        for (size_t i = 0; i < n_; ++i) { responses_(i, k) = column_[i]; }
     }
 }
 
@@ -59,9 +55,7 @@ double TaskSpace::find_mobility(MatrixResult mobility) const {
     for (size_t i = 0; i < mobility.rows; ++i) {
         for (size_t k = 0; k <= i; ++k) {
             double total = 0.0;
-            for (size_t j = 0; j < n_; ++j) {
-                total += J_(i, j) * responses_(j, k);
-            }
+            for (size_t j = 0; j < n_; ++j) { total += J_(i, j) * responses_(j, k); }
             mobility(i, k) = total;
         }
         trace += mobility(i, i);
@@ -71,18 +65,14 @@ double TaskSpace::find_mobility(MatrixResult mobility) const {
 
 void TaskSpace::factorize_mobility(MatrixResult factors) const {
     const double trace = find_mobility(factors);
-    for (size_t i = 0; i < factors.rows; ++i) {
-        factors(i, i) += singularity_damping * singularity_damping * trace;
-    }
+    for (size_t i = 0; i < factors.rows; ++i) { factors(i, i) += singularity_damping * singularity_damping * trace; }
     factorize(factors);
 }
 
 void TaskSpace::add_joint_motion(Matrix factors, Result motion_of_tip, Result motion) const {
     solve(factors, motion_of_tip);
     for (size_t i = 0; i < n_; ++i) {
-        for (size_t k = 0; k < motion_of_tip.size(); ++k) {
-            motion[i] += responses_(i, k) * motion_of_tip[k];
-        }
+        for (size_t k = 0; k < motion_of_tip.size(); ++k) { motion[i] += responses_(i, k) * motion_of_tip[k]; }
     }
 }
 
