@@ -840,7 +840,8 @@ class ComputedTorqueQP(Law):
     def __init__(self, model: ArmModel, **gains) -> None: ...
     def last_program(self) -> object:
         """
-        The program of the last tick: H, M, lower, upper and the torque (n,) N m without limits, as for `solve_program` with f = 0. None if the torque was not limited.
+        H, M, lower and upper of the last tick's program, as for `solve_program` with f = 0, and the torque (n,) N m without
+        limits; None if the torque was not limited.
         """
 
 UNBOUNDED: float = 1e30

@@ -122,8 +122,8 @@ void bind_qp(nb::module_& module) {
                 return nb::make_tuple(numpy_copy(self.H(), {n, n}), numpy_copy(self.M(), {n, n}), numpy_copy(self.lower(), {2 * n}),
                                       numpy_copy(self.upper(), {2 * n}), numpy_copy(self.torque(), {n}));
             },
-            "The program of the last tick: H, M, lower, upper and the torque (n,) N m without limits, as for `solve_program` with f = 0. "
-            "None if the torque was not limited.");
+            "H, M, lower and upper of the last tick's program, as for `solve_program` with f = 0, and the torque (n,) N m without\n"
+            "limits; None if the torque was not limited.");
     module.attr("UNBOUNDED") = unbounded;
     module.def(
         "solve_program",

@@ -79,7 +79,8 @@ void bind_wrench_sensor(nb::module_& module) {
 
 std::vector<GeomPair> geoms_of(const nb::bytes& geoms) {
     const GeomPair* first = static_cast<const GeomPair*>(geoms.data());
-    return {first, first + geoms.size() / sizeof(GeomPair)};
+    const size_t count = geoms.size() / sizeof(GeomPair);
+    return {first, first + count};
 }
 
 void run_ticks(TickLoop& loop, Law& law, TickEnd& end, Delay* delay, WrenchSensor* sensor, const nb::bytes& touching,
