@@ -3,7 +3,6 @@
 #include <cmath>
 #include <limits>
 #include <numbers>
-#include <string>
 
 #include "errors.hpp"
 
@@ -22,14 +21,6 @@ Unknown make_unknown(Bounds bounds, double period) {
         .one_turn = turns ? Bounds{-PI, PI} : bounds,
         .period = period,
     };
-}
-
-// A number of the caller as an index below `count`.
-size_t checked_index(std::int64_t number, size_t count, const char* what) {
-    if (number < 0 || static_cast<size_t>(number) >= count) {
-        throw InputError(std::string(what) + ": " + std::to_string(number) + " is not one of " + std::to_string(count));
-    }
-    return static_cast<size_t>(number);
 }
 
 }  // namespace

@@ -14,9 +14,9 @@ class PolynomialMotion {
 public:
     static constexpr size_t MAX_DEGREE = 5;
 
-    // A motion of the n, whose followers follow: `coefficients` (pieces, degree + 1, n), by powers of the time since the knot
-    // of the piece, row by row; `knots` (pieces + 1,) s.
-    void set(const CollisionModel& model, Vector knots, Vector coefficients);
+    // `coefficients` (pieces, degree + 1, m), by powers of the time since the knot of the piece, row by row; `knots` (pieces + 1,)
+    // s.
+    void set(Vector knots, Vector coefficients, size_t joints);
     // The straight line of all joints, (m,), in the time from 0 to 1.
     void set_line(Vector start, Vector end);
 

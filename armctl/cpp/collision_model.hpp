@@ -4,7 +4,6 @@
 // belongs to a joint that moves. Shapes are given in the world at the reference configuration.
 #pragma once
 #include <cstdint>
-#include <memory>
 #include <vector>
 
 #include "convex.hpp"
@@ -13,7 +12,6 @@
 
 namespace armctl {
 
-using Integers = std::span<const std::int64_t>;
 using IntegerMatrix = MatrixSpan<const std::int64_t>;
 
 // All are copied.
@@ -34,17 +32,22 @@ struct CollisionArrays {
     Matrix positions;       // (G, 3) m
     Matrix rotations;       // (G, 9) row by row
     Matrix sizes;           // (G, 3) m
-    Matrix centers;         // (G, 3) m, of bounding spheres
-    Vector bounds;          // (G,) m, their radii
     Integers first_vertex;  // (G + 1,)
+    // Of each of the S bounding spheres: those of the geoms, then those of groups.
+    Matrix centers;          // (S, 3) m
+    Vector radii;            // (S,) m
+    Integers sphere_frames;  // (S,)
     // Of each of the P vertices.
     Matrix vertices;          // (P, 3) m
     Integers first_neighbor;  // (P + 1,)
     Integers neighbors;       // rows of the vertices that share an edge with it, of large hulls
     // Unit vectors, (D, 3), in which the depth of an overlap is measured first.
     Matrix directions;
-    // Of each of the K pairs.
-    IntegerMatrix pairs;  // (K, 2) rows of geoms; a plane comes first, then the geom that has fewer joints above it
+    // Of each of the K pairs, in the order of the R pairs of groups to which they belong. All geoms of a moving frame are one
+    // group, each geom that stands is its own.
+    IntegerMatrix pairs;        // (K, 2) rows of geoms; a plane comes first, then the geom that has fewer joints above it
+    IntegerMatrix group_pairs;  // (R, 2) the spheres of two groups
+    Integers last_pairs;        // (R,) behind the last pair of each
 };
 
 // A joint and the frame that it moves.
@@ -64,7 +67,7 @@ struct GeomPair {
     size_t common = 0;  // the last frame above both
 };
 
-// The pairs of two groups of geoms: all geoms of a moving frame are one group, each geom that stands is its own.
+// The pairs of two groups of geoms.
 struct GroupPair {
     size_t a = 0;  // the sphere of the group
     size_t b = 0;
@@ -78,26 +81,14 @@ class CollisionModel {
 public:
     explicit CollisionModel(const CollisionArrays& arrays);
 
-    // The same model with fewer pairs, (K,) whether each stays.
-    std::shared_ptr<const CollisionModel> with_pairs(Integers keep) const;
-
     size_t joints() const { return frames.size() - 1; }
     size_t n() const { return ratio_columns_; }
 
     // The positions of all joints that move, (m,), at q (n,).
     void positions(Vector q, Result all) const;
-    // Their speeds, (m,), at the speeds v (n,).
-    void speeds(Vector v, Result all) const;
-    // How far each of them moves at most, (m,), while each of the n moves by up to `moves`.
-    void bound_moves(Vector moves, Result all) const;
     // The derivatives by the n of what has derivatives (m,) by all joints.
     void reduce_gradient(Vector all, Result gradient) const;
     double ratio(size_t joint, size_t i) const { return ratio_[joint * ratio_columns_ + i]; }
-
-    // The frame that a joint, a row of `ratio`, moves.
-    size_t frame_of(size_t joint) const;
-    // The joints that move one geom of a pair relative to the other: rows of `ratio`.
-    std::vector<size_t> joints_between(size_t pair) const;
 
     std::vector<MovingFrame> frames;
     std::vector<Geom> geoms;
@@ -113,14 +104,12 @@ public:
 private:
     void add_frames(const CollisionArrays& arrays);
     void add_geoms(const CollisionArrays& arrays);
-    void add_groups();
-    void set_pairs(std::vector<GeomPair> given);
+    void add_pairs(const CollisionArrays& arrays);
     size_t common_frame(size_t a, size_t b) const;
 
     std::vector<double> ratio_;  // (m, n)
     size_t ratio_columns_ = 0;
     std::vector<double> joint_offset_;
-    std::vector<size_t> group_of_geom_;  // its sphere
 };
 
 }  // namespace armctl

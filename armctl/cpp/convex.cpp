@@ -1,7 +1,5 @@
 #include "convex.hpp"
 
-#include <algorithm>
-
 namespace armctl {
 
 namespace {
@@ -10,8 +8,6 @@ namespace {
 constexpr size_t LARGE_HULL_VERTICES = 24;
 // Shorter vectors have no direction.
 constexpr double MIN_LENGTH_M = 1e-12;
-// The sphere is then within 2 % of the smallest one.
-constexpr int BOUNDING_SPHERE_STEPS = 60;
 
 }  // namespace
 
@@ -57,24 +53,6 @@ Vec3 round_support_point(const Geom& geom, Vec3 direction) {
     const double length = norm(on_unit_sphere);
     const double scale = length > MIN_LENGTH_M ? 1.0 / length : 0.0;
     return geom.position + scale * (geom.semi_axes * on_unit_sphere);
-}
-
-BoundingSphere bounding_sphere(std::span<const BoundingSphere> spheres) {
-    Vec3 low = spheres[0].center;
-    Vec3 high = low;
-    for (const BoundingSphere& sphere : spheres) {
-        low = {std::min(low.x, sphere.center.x), std::min(low.y, sphere.center.y), std::min(low.z, sphere.center.z)};
-        high = {std::max(high.x, sphere.center.x), std::max(high.y, sphere.center.y), std::max(high.z, sphere.center.z)};
-    }
-    Vec3 center = 0.5 * (low + high);
-    const auto reach = [&center](const BoundingSphere& sphere) { return norm(sphere.center - center) + sphere.radius; };
-    const auto reaches_less = [&reach](const BoundingSphere& a, const BoundingSphere& b) { return reach(a) < reach(b); };
-    for (int step = 0; step < BOUNDING_SPHERE_STEPS; ++step) {
-        const Vec3 way = std::max_element(spheres.begin(), spheres.end(), reaches_less)->center - center;
-        const double steps = step + 2;
-        center += {way.x / steps, way.y / steps, way.z / steps};
-    }
-    return {center, reach(*std::max_element(spheres.begin(), spheres.end(), reaches_less))};
 }
 
 }  // namespace armctl

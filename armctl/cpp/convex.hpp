@@ -49,7 +49,4 @@ struct BoundingSphere {
     double radius = 0.0;
 };
 
-// A small sphere around spheres: M. Badoiu, K. L. Clarkson, "Smaller core-sets for balls", SODA 2003.
-BoundingSphere bounding_sphere(std::span<const BoundingSphere> spheres);
-
 }  // namespace armctl

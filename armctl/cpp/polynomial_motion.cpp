@@ -6,39 +6,26 @@
 
 namespace armctl {
 
-void PolynomialMotion::set(const CollisionModel& model, Vector knots, Vector coefficients) {
-    const size_t n = model.n();
+namespace {
+
+constexpr double UNIT_KNOTS[] = {0.0, 1.0};
+
+}  // namespace
+
+void PolynomialMotion::set(Vector knots, Vector coefficients, size_t joints) {
     if (knots.size() < 2) { throw InputError("knots: need at least two"); }
-    const size_t pieces = knots.size() - 1;
-    powers_ = n > 0 ? coefficients.size() / (pieces * n) : 2;
-    joints_ = model.joints();
-    if (powers_ < 2 || powers_ > MAX_DEGREE + 1 || coefficients.size() != pieces * powers_ * n) {
-        throw InputError("coefficients: need polynomials of degree 1 to 5 for every piece and joint");
-    }
+    joints_ = joints;
+    powers_ = joints > 0 ? coefficients.size() / ((knots.size() - 1) * joints) : 2;
+    if (powers_ < 2 || powers_ > MAX_DEGREE + 1) { throw InputError("coefficients: need polynomials of degree 1 to 5"); }
     knots_.assign(knots.begin(), knots.end());
-    coefficients_.resize(pieces * powers_ * joints_);
-    for (size_t row = 0; row < pieces * powers_; ++row) {
-        const Result all(coefficients_.data() + row * joints_, joints_);
-        const Vector own = coefficients.subspan(row * n, n);
-        if (row % powers_ == 0) {  // only the constant has the offset
-            model.positions(own, all);
-        } else {
-            model.speeds(own, all);
-        }
-    }
+    coefficients_.assign(coefficients.begin(), coefficients.end());
     bound_ranges();
 }
 
 void PolynomialMotion::set_line(Vector start, Vector end) {
-    knots_.assign({0.0, 1.0});
-    powers_ = 2;
-    joints_ = start.size();
-    coefficients_.resize(2 * joints_);
-    for (size_t i = 0; i < joints_; ++i) {
-        coefficients_[i] = start[i];
-        coefficients_[joints_ + i] = end[i] - start[i];
-    }
-    bound_ranges();
+    std::vector<double> coefficients(start.begin(), start.end());
+    for (size_t i = 0; i < start.size(); ++i) { coefficients.push_back(end[i] - start[i]); }
+    set(UNIT_KNOTS, coefficients, start.size());
 }
 
 void PolynomialMotion::bound_ranges() {

@@ -1,6 +1,7 @@
 // Vectors and matrices of the caller: spans that know their length. A matrix is stored row by row.
 #pragma once
 #include <cstddef>
+#include <cstdint>
 #include <span>
 #include <type_traits>
 
@@ -8,6 +9,7 @@ namespace armctl {
 
 using Vector = std::span<const double>;  // is read
 using Result = std::span<double>;        // is written
+using Integers = std::span<const std::int64_t>;
 
 // A column of a matrix.
 struct Column {

@@ -47,6 +47,7 @@ struct Ticks {
         if (given.has("noise")) { noise = given.shaped({coming, 2, n}, "noise"); }
         if (given.has("pushes")) { pushes = given.matrix(coming, 6, "pushes"); }
         if (given.has("push")) { push = given.writable({6}, "push"); }
+        if (given.has("last_position")) { last_position = given.writable({n}, "last_position"); }
         if (given.has("times")) { times = given.vector(coming, "times"); }
         if (given.has("wrench_noise")) { wrench_noise = given.matrix(coming, 6, "wrench_noise"); }
     }
@@ -66,9 +67,11 @@ struct Ticks {
     MatrixResult torque_rows;   // (ticks, n) N m, what the motors did
     MatrixResult wrench_rows;   // (ticks, 6) the true wrench, if it is measured
     // What disturbs the signals. The first row is that of the first tick.
-    Vector noise;         // (last - first, 2, n) on measured positions and velocities
-    Matrix pushes;        // (last - first, 6) N and N m, on the tip
-    Result push;          // (6,) the wrench of the last tick, which the loop writes
+    Vector noise;   // (last - first, 2, n) on measured positions and velocities
+    Matrix pushes;  // (last - first, 6) N and N m, on the tip
+    Result push;    // (6,) the wrench of the last tick, which the loop writes
+    // (n,) of the last tick, NaN at the first one, if measured velocities are differences of positions.
+    Result last_position;
     Vector times;         // (last - first,) s, for the sensor
     Matrix wrench_noise;  // (last - first, 6)
 
@@ -79,11 +82,11 @@ struct Ticks {
 class TickLoop {
 public:
     // `pushed_arm` is the arm on whose tip pushes act; its joints are the first ones. The motors are those of `motors_of`;
-    // `substeps` are the steps of MuJoCo in a tick, `diverged_speed`, rad/s, is the norm of the velocities from which a simulation
-    // counts as diverged.
+    // `substeps` are the steps of MuJoCo in a tick of `dt` s, `diverged_speed`, rad/s, is the norm of the velocities from which a
+    // simulation counts as diverged.
     TickLoop(std::shared_ptr<const MujocoApi> api, const MujocoSimulation& simulation, const Model& pushed_arm, const Arguments& given)
         : api_(std::move(api)), simulation_(simulation), motors_(motors_of(given)), pushed_(pushed_arm), substeps_(given.count("substeps")),
-          diverged_speed_(given.number("diverged_speed")) {
+          dt_(given.number("dt")), diverged_speed_(given.number("diverged_speed")) {
         check_addresses(motors_, simulation_);
         if (pushed_arm->n() > joints()) { throw InputError("pushed_arm: it has more joints than the simulation has motors"); }
     }
@@ -147,6 +150,7 @@ private:
             const double speed = read_joints(motors_, simulation_, q_, ticks.v_rows.row(row));
             copy(q_, q_seen_);
             copy(ticks.v_rows.row(row), v_seen_);
+            measure_velocity(ticks.last_position);
             add_noise(ticks.noise, row - ticks.first, q_seen_, v_seen_);
             if (!(speed < diverged_speed_)) {
                 run.end.status = TickStatus::diverged;
@@ -164,6 +168,14 @@ private:
             read_torques(motors_, simulation_, ticks.torque_rows.row(row));
             run.end.count = row + 1;
             note_contacts(run, row);
+        }
+    }
+
+    // Replaces the true velocity by the difference of positions over the last tick.
+    void measure_velocity(Result last_position) {
+        for (size_t i = 0; i < last_position.size(); ++i) {
+            if (!std::isnan(last_position[i])) { v_seen_[i] = (q_[i] - last_position[i]) / dt_; }
+            last_position[i] = q_[i];
         }
     }
 
@@ -216,6 +228,7 @@ private:
     Motors motors_;
     Dynamics pushed_;
     size_t substeps_;
+    double dt_;
     double diverged_speed_;
     std::mutex in_use_;
     Numbers q_ = zeros(), q_seen_ = zeros(), v_seen_ = zeros(), tau_ = zeros();

@@ -1,6 +1,7 @@
 #include "waypoint_timing.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 
@@ -151,79 +152,77 @@ Displacement farthest_displacement(double time, EndState start, EndState end, co
     };
 }
 
-WaypointTiming::WaypointTiming(Matrix q, Vector v_max, Vector a_max, Vector j_max, Matrix v_bound, Matrix a_bound)
-    : waypoint_count_(q.rows) {
-    for (size_t i = 0; i < q.columns; ++i) { joints_.push_back({v_max[i], a_max[i], j_max[i]}); }
-    for (size_t k = 0; k < q.rows; ++k) {
-        for (size_t i = 0; i < q.columns; ++i) { waypoints_.push_back({q(k, i), v_bound(k, i), a_bound(k, i)}); }
+namespace {
+
+// The problem for `minimize_with_barriers`: time plus barrier.
+class WaypointTiming {
+public:
+    explicit WaypointTiming(const Waypoints& waypoints) : waypoints_(waypoints), n_(waypoints.v_max.size()) {}
+
+    void solve(Result x) const {
+        const double first = barrier_first * total_time(x) / barrier_count();
+        minimize_with_barriers(*this, x, BarrierSchedule{.first = first, .factor = barrier_factor, .centered = centered_share});
     }
-}
 
-void WaypointTiming::solve(Result durations, MatrixResult v, MatrixResult a) const {
-    std::vector<double> x(time_row(waypoint_count_ - 1));
-    double total = 0.0;
-    for (size_t k = 0; k < durations.size(); ++k) {
-        x[time_row(k)] = durations[k];
-        total += durations[k];
+    double cost(Vector x, double barrier) const;
+    void add_derivatives(Vector x, double barrier, Result gradient, BandMatrix& hessian) const;
+    bool is_last(Vector x, double barrier) const { return barrier_count() * barrier <= barrier_last * total_time(x); }
+    size_t band_width() const { return 2 * n_ + 3; }
+
+private:
+    size_t count() const { return waypoints_.q.rows; }
+    JointBounds bounds(size_t joint) const { return {waypoints_.v_max[joint], waypoints_.a_max[joint], waypoints_.j_max[joint]}; }
+    size_t velocity_row(size_t waypoint, size_t joint) const { return waypoint * (2 * n_ + 1) + 2 * joint; }
+    size_t time_row(size_t section) const { return velocity_row(section, n_); }
+    EndState state(Vector x, size_t waypoint, size_t joint) const {
+        const size_t row = velocity_row(waypoint, joint);
+        return {x[row], x[row + 1]};
     }
-    const double first = barrier_first * total / barrier_count();
-    minimize_with_barriers(*this, Result(x), BarrierSchedule{.first = first, .factor = barrier_factor, .centered = centered_share});
-    for (size_t k = 0; k < waypoint_count_; ++k) {
-        for (size_t i = 0; i < joints_.size(); ++i) {
-            const EndState found = state(x, k, i);
-            v(k, i) = found.v;
-            a(k, i) = found.a;
-        }
+    double total_time(Vector x) const {
+        double total = 0.0;
+        for (size_t k = 0; k + 1 < count(); ++k) { total += x[time_row(k)]; }
+        return total;
     }
-    for (size_t k = 0; k < durations.size(); ++k) { durations[k] = x[time_row(k)]; }
-}
+    // Two for each joint and section, and as many for the states at waypoints.
+    double barrier_count() const { return 4.0 * static_cast<double>(count() - 1) * static_cast<double>(n_); }
 
-EndState WaypointTiming::state(Vector x, size_t waypoint, size_t joint) const {
-    const size_t row = velocity_row(waypoint, joint);
-    return {x[row], x[row + 1]};
-}
+    Displacement slack_of_displacement(Vector x, size_t section, size_t joint, double sign) const;
+    void add_waypoint(Vector x, size_t waypoint, size_t joint, double barrier, Result gradient, BandMatrix& hessian) const;
+    void add_section(Vector x, size_t section, size_t joint, double sign, double barrier, Result gradient, BandMatrix& hessian) const;
 
-double WaypointTiming::total_time(Vector x) const {
-    double total = 0.0;
-    for (size_t k = 0; k + 1 < waypoint_count_; ++k) { total += x[time_row(k)]; }
-    return total;
-}
-
-// Two for each joint and section, and as many for the states at waypoints.
-double WaypointTiming::barrier_count() const {
-    return 4.0 * static_cast<double>(waypoint_count_ - 1) * static_cast<double>(joints_.size());
-}
-
-bool WaypointTiming::is_last(Vector x, double barrier) const { return barrier_count() * barrier <= barrier_last * total_time(x); }
+    Waypoints waypoints_;
+    size_t n_;
+};
 
 // How much further a joint could go in a section, forwards (sign 1) or backwards (-1); NaN if it cannot.
 Displacement WaypointTiming::slack_of_displacement(Vector x, size_t section, size_t joint, double sign) const {
     const EndState start = state(x, section, joint);
     const EndState end = state(x, section + 1, joint);
-    const double way = sign * (at(section + 1, joint).q - at(section, joint).q);
+    const double way = sign * (waypoints_.q(section + 1, joint) - waypoints_.q(section, joint));
     Displacement slack =
-        farthest_displacement(x[time_row(section)], {sign * start.v, sign * start.a}, {sign * end.v, sign * end.a}, joints_[joint]);
+        farthest_displacement(x[time_row(section)], {sign * start.v, sign * start.a}, {sign * end.v, sign * end.a}, bounds(joint));
     slack.distance = slack.distance - way - position_margin;
     return slack;
 }
 
 double WaypointTiming::cost(Vector x, double barrier) const {
     double logs = 0.0;
-    for (size_t k = 0; k < waypoint_count_; ++k) {
-        for (size_t i = 0; i < joints_.size(); ++i) {
+    for (size_t k = 0; k < count(); ++k) {
+        for (size_t i = 0; i < n_; ++i) {
             const EndState now = state(x, k, i);
-            const JointAtWaypoint& most = at(k, i);
-            for (const double share : {most.v_max > 0.0 ? now.v / most.v_max : 0.0, most.a_max > 0.0 ? now.a / most.a_max : 0.0}) {
+            const double v_bound = waypoints_.v_bound(k, i);
+            const double a_bound = waypoints_.a_bound(k, i);
+            for (const double share : {v_bound > 0.0 ? now.v / v_bound : 0.0, a_bound > 0.0 ? now.a / a_bound : 0.0}) {
                 const double slack = 1.0 - share * share;
                 if (slack <= 0.0) { return infinity; }
                 logs += std::log(slack);
             }
             for (const double sign : {-1.0, 1.0}) {
-                const JointBounds& joint = joints_[i];
+                const JointBounds joint = bounds(i);
                 const double slack = 1.0 - (sign * now.v + now.a * now.a / (2 * joint.j_max)) / joint.v_max;
                 if (slack <= 0.0) { return infinity; }
                 logs += std::log(slack);
-                if (k + 1 < waypoint_count_) {
+                if (k + 1 < count()) {
                     const double room = slack_of_displacement(x, k, i, sign).distance;
                     if (!(room > 0.0)) { return infinity; }
                     logs += std::log(room);
@@ -237,8 +236,9 @@ double WaypointTiming::cost(Vector x, double barrier) const {
 // The barriers on the velocity and acceleration of a joint at a waypoint.
 void WaypointTiming::add_waypoint(Vector x, size_t waypoint, size_t joint, double barrier, Result gradient, BandMatrix& hessian) const {
     const EndState now = state(x, waypoint, joint);
-    const JointAtWaypoint& most = at(waypoint, joint);
-    const JointBounds& bounds = joints_[joint];
+    const double v_bound = waypoints_.v_bound(waypoint, joint);
+    const double a_bound = waypoints_.a_bound(waypoint, joint);
+    const auto [v_max, a_max, j_max] = bounds(joint);
     const size_t v_row = velocity_row(waypoint, joint);
     const size_t a_row = v_row + 1;
     const auto add_symmetric = [&](size_t row, double value, double bound) {
@@ -250,15 +250,15 @@ void WaypointTiming::add_waypoint(Vector x, size_t waypoint, size_t joint, doubl
             hessian.at(row, 0) += barrier * 2 * (bound * bound + value * value) / (slack * slack);
         }
     };
-    add_symmetric(v_row, now.v, most.v_max);
-    add_symmetric(a_row, now.a, most.a_max);
+    add_symmetric(v_row, now.v, v_bound);
+    add_symmetric(a_row, now.a, a_bound);
     for (const double sign : {-1.0, 1.0}) {
         // The velocity that is reached while the acceleration goes to zero.
-        const double slack = bounds.v_max - sign * now.v - now.a * now.a / (2 * bounds.j_max);
-        const Dependence by_v = {v_row, most.v_max > 0.0 ? -sign : 0.0};
-        const Dependence by_a = {a_row, most.a_max > 0.0 ? -now.a / bounds.j_max : 0.0};
+        const double slack = v_max - sign * now.v - now.a * now.a / (2 * j_max);
+        const Dependence by_v = {v_row, v_bound > 0.0 ? -sign : 0.0};
+        const Dependence by_a = {a_row, a_bound > 0.0 ? -now.a / j_max : 0.0};
         add_bound(std::array{by_v, by_a}, barrier, slack, gradient, hessian);
-        if (most.a_max > 0.0) { hessian.at(a_row, 0) += barrier / slack / bounds.j_max; }
+        if (a_bound > 0.0) { hessian.at(a_row, 0) += barrier / slack / j_max; }
     }
 }
 
@@ -266,31 +266,34 @@ void WaypointTiming::add_waypoint(Vector x, size_t waypoint, size_t joint, doubl
 void WaypointTiming::add_section(Vector x, size_t section, size_t joint, double sign, double barrier, Result gradient,
                                  BandMatrix& hessian) const {
     const Displacement slack = slack_of_displacement(x, section, joint, sign);
-    const JointAtWaypoint& start = at(section, joint);
-    const JointAtWaypoint& end = at(section + 1, joint);
+    const auto slope = [](double bound, double value) { return bound > 0.0 ? value : 0.0; };
     const size_t start_row = velocity_row(section, joint);
     const size_t end_row = velocity_row(section + 1, joint);
     const std::array unknowns = {
-        Dependence{start_row, start.v_max > 0.0 ? sign * slack.by_start.v : 0.0},
-        Dependence{start_row + 1, start.a_max > 0.0 ? sign * slack.by_start.a : 0.0},
+        Dependence{start_row, slope(waypoints_.v_bound(section, joint), sign * slack.by_start.v)},
+        Dependence{start_row + 1, slope(waypoints_.a_bound(section, joint), sign * slack.by_start.a)},
         Dependence{time_row(section), slack.by_time},
-        Dependence{end_row, end.v_max > 0.0 ? sign * slack.by_end.v : 0.0},
-        Dependence{end_row + 1, end.a_max > 0.0 ? sign * slack.by_end.a : 0.0},
+        Dependence{end_row, slope(waypoints_.v_bound(section + 1, joint), sign * slack.by_end.v)},
+        Dependence{end_row + 1, slope(waypoints_.a_bound(section + 1, joint), sign * slack.by_end.a)},
     };
     add_bound(unknowns, barrier, slack.distance, gradient, hessian);
 }
 
 void WaypointTiming::add_derivatives(Vector x, double barrier, Result gradient, BandMatrix& hessian) const {
-    for (size_t k = 0; k < waypoint_count_; ++k) {
-        for (size_t i = 0; i < joints_.size(); ++i) { add_waypoint(x, k, i, barrier, gradient, hessian); }
+    for (size_t k = 0; k < count(); ++k) {
+        for (size_t i = 0; i < n_; ++i) { add_waypoint(x, k, i, barrier, gradient, hessian); }
     }
-    for (size_t k = 0; k + 1 < waypoint_count_; ++k) {
+    for (size_t k = 0; k + 1 < count(); ++k) {
         gradient[time_row(k)] += 1.0;
-        for (size_t i = 0; i < joints_.size(); ++i) {
+        for (size_t i = 0; i < n_; ++i) {
             for (const double sign : {-1.0, 1.0}) { add_section(x, k, i, sign, barrier, gradient, hessian); }
         }
     }
     for (size_t row = 0; row < hessian.size(); ++row) { hessian.at(row, 0) *= 1.0 + ridge; }
 }
+
+}  // namespace
+
+void make_fastest(const Waypoints& waypoints, Result motion) { WaypointTiming(waypoints).solve(motion); }
 
 }  // namespace armctl

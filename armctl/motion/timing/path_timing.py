@@ -15,7 +15,7 @@ import numpy as np
 from armctl import _core
 from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
-from armctl.core.validation import Array, IntArray
+from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.motion.timing.initial_timing import Path, Timing, initial_timing, smooth_timing
 from armctl.motion.trajectory.limit_check import limit_excess
 from armctl.motion.trajectory.piecewise import DEGREE, Pieces, basis_many, hermite
@@ -289,10 +289,10 @@ class _Problem:
         places, q, q1, q2, q3_after, q3_before, _, _ = sampled
         timing, _, interval, begin, end = places
         h = timing.h
-        path_timing = self._bounds(sampled, np.ones((4, len(q))) if slack is None else slack)
+        bounds = self._bounds(sampled, np.ones((4, len(q))) if slack is None else slack)
         near = None if slack is None else self._last
         c = np.empty(timing.intervals + 2) if near is None else near.copy()
-        if not path_timing.solve(c, from_near=near is not None):
+        if not _core.fastest_path_speed(c, h, near is not None, **bounds):
             raise PlanError("limits: they differ too much in size to compute a speed along the path")
         self._last = c
         b, slope = _squared_speed(c, h, np.append(interval, interval[-1]), np.append(begin, end[-1]))
@@ -346,8 +346,8 @@ class _Problem:
         shares[checked] = np.maximum(shares[checked], self.torques.overshoot(q[:, -1], q[:, :-1], v[:, :-1], a[:, :-1]))
         return shares
 
-    def _bounds(self, sampled: _Sampled, slack: Array) -> _core.PathTiming:
-        """The bounds on the path speed at the nodes."""
+    def _bounds(self, sampled: _Sampled, slack: Array) -> dict[str, Array | IntArray]:
+        """The bounds on the path speed that can become active, as the compiled solver takes them."""
         places = sampled.places
         q1 = np.ascontiguousarray(sampled.q1[:, :-1])
         q2 = np.ascontiguousarray(sampled.q2[:, :-1])
@@ -375,23 +375,104 @@ class _Problem:
         rows.delta[ends] = 0.0
         rows.high[ends] = _MAX_END_SPEED_CHANGE * b_max[ends, None] / places.timing.h
         rows.low[ends] = -rows.high[ends]
-        return _core.PathTiming(
-            interval_length=places.timing.h,
-            interval=places.interval,
-            begin=places.begin,
-            end=places.end,
-            q1=q1,
-            q2=q2,
-            q3_after=q3_after,
-            q3_before=q3_before,
-            b_max=b_max,
-            j_max=j_max,
-            alpha=rows.alpha,
-            beta=rows.beta,
-            delta=rows.delta,
-            low=rows.low,
-            high=rows.high,
-        )
+        slope = _max_slope(rows, b_max)
+        points = _points(places)
+        force = _force_bounds(points, rows, b_max, slope)
+        q3 = np.stack([q3_after, q3_before], axis=1).reshape(-1, q1.shape[1])
+        jerk = _jerk_bounds(points, (q1, q2, q3), b_max, slope, j_max)
+        return {
+            "interval": points.interval,
+            "weights": points.value,
+            "b_max": np.where(points.is_first, b_max[points.node], 0.0),
+            **force,
+            **jerk,
+        }
+
+
+class _Points(NamedTuple):
+    """Both ends of each piece, where the speed is bounded.
+
+    Attributes:
+        interval: (P,) the interval.
+        node: (P,) the node.
+        is_first: (P,) whether no point before it is at the same node.
+        value: (P, 3) the weights of the interval's coefficients in b.
+        slope: (P, 3) in b'.
+        curvature: (3,) in b''.
+    """
+
+    interval: IntArray
+    node: IntArray
+    is_first: BoolArray
+    value: Array
+    slope: Array
+    curvature: Array
+
+
+def _points(places: _Places) -> _Points:
+    h = places.timing.h
+    x = np.column_stack([places.begin, places.end]).ravel()
+    is_first = np.arange(len(x)) % 2 == 0
+    is_first[-1] = True
+    return _Points(
+        interval=np.repeat(places.interval, 2).astype(np.int64),
+        node=(np.arange(len(x)) + 1) // 2,
+        is_first=is_first,
+        value=np.column_stack([0.5 * (1 - x) * (1 - x), 0.5 + x * (1 - x), 0.5 * x * x]),
+        slope=np.column_stack([(x - 1) / h, (1 - 2 * x) / h, x / h]),
+        curvature=np.array([1 / (h * h), -2 / (h * h), 1 / (h * h)]),
+    )
+
+
+def _max_slope(rows: TorqueRows, b_max: Array) -> Array:
+    """(N,) a bound on |b'| at the nodes, from the row that bounds it most."""
+    side = np.abs(0.5 * rows.alpha)
+    rest = np.maximum(rows.high, -rows.low) + np.abs(rows.beta) * b_max[:, None] + np.abs(rows.delta) * np.sqrt(b_max)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.fmin.reduce(np.where(side > 0, rest / side, np.inf), axis=1)
+
+
+def _force_bounds(points: _Points, rows: TorqueRows, b_max: Array, max_slope: Array) -> dict[str, Array | IntArray]:
+    """The rows that can become active."""
+    side = 0.5 * rows.alpha
+    others = np.abs(rows.beta) * b_max[:, None] + np.abs(rows.delta) * np.sqrt(b_max)[:, None]
+    with np.errstate(invalid="ignore"):
+        largest = np.where(side == 0, others, np.abs(side) * max_slope[:, None] + others)
+    is_active = ~(largest < np.minimum(rows.high, -rows.low))[points.node] & points.is_first[:, None]
+    point, row = np.nonzero(is_active)
+    at = (points.node[point], row)
+    return {
+        "force_end": np.cumsum(is_active.sum(axis=1)),
+        "force_weights": side[at][:, None] * points.slope[point] + rows.beta[at][:, None] * points.value[point],
+        "damping": rows.delta[at],
+        "low": rows.low[at],
+        "high": rows.high[at],
+    }
+
+
+def _jerk_bounds(
+    points: _Points, derivatives: tuple[Array, Array, Array], b_max: Array, max_slope: Array, j_max: Array
+) -> dict[str, Array | IntArray]:
+    """The joints whose jerk can become active; of the third derivatives (P, n) each point has its own."""
+    q1 = derivatives[0][points.node]
+    q2 = derivatives[1][points.node]
+    q3 = derivatives[2]
+    b = b_max[points.node, None]
+    most = j_max[points.node]
+    side = 0.5 * np.abs(q1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        others = np.sqrt(b) * (np.abs(q3) * b + 1.5 * np.abs(q2) * max_slope[points.node, None])
+        max_curvature = np.fmin.reduce(np.where(side > 0, (most + others) / side, np.inf), axis=1)  # a bound on |b''| w
+        largest = np.where(side == 0, others, side * max_curvature[:, None] + others)
+    is_active = ~(largest < most)
+    point, joint = np.nonzero(is_active)
+    at = (point, joint)
+    weights = (
+        q3[at][:, None] * points.value[point]
+        + (1.5 * q2[at])[:, None] * points.slope[point]
+        + (0.5 * q1[at])[:, None] * points.curvature
+    )
+    return {"jerk_end": np.cumsum(is_active.sum(axis=1)), "jerk_weights": weights, "j_max": most[at]}
 
 
 def _refined(timed: _Timed, intervals: int) -> Timing:
