@@ -55,7 +55,7 @@ class Hand:
             width: m.
 
         Returns:
-            The result.
+            How it ended: not ok if the fingers are more than 2 mm from it.
 
         Raises:
             InputError: A width outside the hand's range.

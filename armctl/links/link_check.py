@@ -47,7 +47,7 @@ class LinkCheck:
         """The check of a drive that held its position.
 
         Args:
-            drive: The drive.
+            drive: The drive, after it held.
             tip_difference: m.
             times: (m,) s, of the readings.
             lost: How many ticks.

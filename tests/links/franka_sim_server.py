@@ -11,8 +11,8 @@ def main() -> None:
     from franka_sim.franka_sim_server import FrankaSimServer
 
     server = FrankaSimServer(host=sys.argv[1], enforce_comm_constraints=True, enforce_motion_limits=True, enable_gripper=False)
-    threading.Timer(3.0, lambda: print("ready", flush=True)).start()
-    server.run_server()
+    threading.Timer(8.0, lambda: print("ready", flush=True)).start()
+    server.start()
 
 
 if __name__ == "__main__":
