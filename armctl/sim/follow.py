@@ -19,6 +19,7 @@ from armctl.robot.arm import Arm
 from armctl.sim.move import ControlledArms
 from armctl.sim.online_reference import OnlineReference
 from armctl.sim.recorder import ticks_for
+from armctl.stream.stream import Stream
 
 _FOLLOW_INTERVAL_S = 0.02  # between two readings of a moving target
 _GOAL_SHARES = (1.0, 0.5, 0.25, 0.12)  # of the way to a goal that are tried; shorter motions are slower
@@ -39,6 +40,7 @@ def follow(
     target_at = _target_function(drive.model, data, target)
     ticks_for(seconds, drive.dt)
     begin = data.time
+    stream = Stream(arm, arms.start(arm.tip))
     online = OnlineReference(arm, drive.dt, arms.start(arm.tip), continuous=drive.continuous)
     ticks = ticks_for(_FOLLOW_INTERVAL_S, drive.dt) - 1
     targets: dict[str, Array] = {}
@@ -46,11 +48,11 @@ def follow(
         while not drive.failure and data.time - begin < seconds - 1e-9:
             goal = Target.read(target_at(data.time - begin))
             targets[arm.tip] = goal.numbers
-            solution = solve_ik(arm, goal, online.q)
             if accepts is None:
-                drive.run(arms.controllers[arm.tip], online.toward(solution.q, ticks), recorder)
+                stream.push_pose(stream.t, goal)
+                drive.run(arms.controllers[arm.tip], stream.reference(ticks, drive.dt, drive.continuous), recorder)
             else:
-                accepted = _accepted(online, solution.q, accepts)
+                accepted = _accepted(online, solve_ik(arm, goal, online.q).q, accepts)
                 drive.run(arms.controllers[arm.tip], online.next(ticks), recorder, accepted)
         targets[arm.tip] = Target.read(target_at(data.time - begin)).numbers
     return arms.logs[arm.tip]
