@@ -65,7 +65,7 @@ class SO101:
     dt = 0.02
     rest_speed = 0.05
     settle = (5e-3, 2e-2)
-    payload = None
+    payload: float | None = None
     passes_time = False
 
     def __init__(self, arm: Arm, port: str, calibration: str | os.PathLike[str]):
@@ -86,7 +86,7 @@ class SO101:
         self.port = str(port)
         self.name = f"SO-101 at {port}"
         self.address = self.port
-        self.envelope: Envelope = envelope_of(arm.limits, f"limits of the model {arm.name}: the maker publishes none")
+        self.envelope: Envelope | None = envelope_of(arm.limits, f"limits of the model {arm.name}: the maker publishes none")
         servos = _read_calibration(Path(calibration), arm)
         self._ids = [servo.id for servo in servos]
         self._offsets = [servo.offset for servo in servos]
