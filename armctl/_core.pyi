@@ -1060,6 +1060,11 @@ class TorqueRateLimit(Law):
 
     def __init__(self, limited: Law, *, tau_rate_max: numpy.ndarray, dt: float) -> None: ...
 
+class TorqueFilter(Law):
+    """A law whose torques go through filters of second-order sections."""
+
+    def __init__(self, filtered: Law, *, sections: numpy.ndarray) -> None: ...
+
 class CFunctionLaw(Law):
     """
     A compiled C function as a law; armctl/cpp/laws/c_function.hpp has its signature.

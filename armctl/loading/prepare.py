@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import mujoco
 
+from armctl.loading.actuators import mend_solver
 from armctl.loading.catalog import Source
 from armctl.loading.describe import ArmPlan
 from armctl.loading.motors import adapt_keyframes, make_motors, make_motors_in_model
@@ -61,6 +62,7 @@ def make_arm_model(
     excluded: list[str] = []
     for plan in plans:
         notes += make_motors(spec, analysis, plan.transmissions, plan.tau_max, plan.dc_motors)
+    excluded += mend_solver(original, spec.option)
     adapt_keyframes(spec, analysis, [plan.transmissions for plan in plans])
     for plan in plans:
         for first, second in overlapping_neighbors(original, plan.joints):
@@ -115,5 +117,6 @@ def make_arm_model_from_compiled(analysis: Transmissions, plans: Sequence[ArmPla
             body = body_name(original, plan.tip.body)
             notes.append(f"gravcomp lifts {body} and would also lift a payload; pass the MjSpec for correct payloads")
     mujoco.mj_setConst(model, mujoco.MjData(model))
+    mended = mend_solver(model, model.opt)
     quiet = [] if find_target(model) else ["the model has no target marker, and a compiled model cannot get one"]
-    return PreparedModel(model, tuple(plans), tuple(notes), tuple(quiet))
+    return PreparedModel(model, tuple(plans), tuple(notes), (*mended, *quiet))

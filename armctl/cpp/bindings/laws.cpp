@@ -17,6 +17,7 @@
 #include "../laws/pd.hpp"
 #include "../laws/pd_feedforward.hpp"
 #include "../laws/pd_gravity.hpp"
+#include "../laws/torque_filter.hpp"
 #include "../laws/torque_rate_limit.hpp"
 #include "arrays.hpp"
 #include "topics.hpp"
@@ -339,6 +340,11 @@ void bind_others(nb::module_& module) {
                  return new TorqueRateLimit(std::move(limited), copied(tau_rate_max, "tau_rate_max"), dt);
              }),
              "limited"_a, nb::kw_only(), "tau_rate_max"_a, "dt"_a);
+    nb::class_<TorqueFilter, Law>(module, "TorqueFilter", "A law whose torques go through filters of second-order sections.")
+        .def(nb::new_([](std::shared_ptr<Law> filtered, const In& sections) {
+                 return new TorqueFilter(std::move(filtered), sections.matrix(sections.length("sections"), 6, "sections"));
+             }),
+             "filtered"_a, nb::kw_only(), "sections"_a);
     nb::class_<CFunctionLaw, Law>(module, "CFunctionLaw",
                                   "A compiled C function as a law; armctl/cpp/laws/c_function.hpp has its signature.")
         .def(nb::new_([](std::uintptr_t address, size_t n, const In& parameters, size_t memory_size, bool needs_wrench) {
