@@ -67,59 +67,14 @@ class ShapeKind(enum.IntEnum):
 
     PLANE = 4
 
-def bounding_sphere(points: numpy.ndarray, center: numpy.ndarray) -> float:
-    """
-    A small sphere around points (P, 3): writes its center (3,), returns its radius, m.
-    """
-
 class CollisionModel:
     """
     What an arm could touch: shapes, the joints that move them, and pairs. Immutable.
     """
 
-    def __init__(
-        self,
-        *,
-        axes: numpy.ndarray,
-        anchors: numpy.ndarray,
-        slides: numpy.ndarray,
-        references: numpy.ndarray,
-        parents: numpy.ndarray,
-        joints: numpy.ndarray,
-        ratio: numpy.ndarray,
-        joint_offset: numpy.ndarray,
-        kinds: numpy.ndarray,
-        frames: numpy.ndarray,
-        inflations: numpy.ndarray,
-        positions: numpy.ndarray,
-        rotations: numpy.ndarray,
-        sizes: numpy.ndarray,
-        centers: numpy.ndarray,
-        bounds: numpy.ndarray,
-        first_vertex: numpy.ndarray,
-        vertices: numpy.ndarray,
-        first_neighbor: numpy.ndarray,
-        neighbors: numpy.ndarray,
-        directions: numpy.ndarray,
-        pairs: numpy.ndarray,
-    ) -> None:
+    def __init__(self, **arguments) -> None:
         """
         A model from arrays for each joint, geom, vertex and pair; armctl/cpp/collision_model.hpp explains them.
-        """
-
-    def with_pairs(self, keep: numpy.ndarray) -> CollisionModel:
-        """The same model with fewer pairs, (K,) whether each stays."""
-
-    @property
-    def pair_count(self) -> int:
-        """The number of pairs."""
-
-    def pairs(self, pairs: numpy.ndarray) -> None:
-        """Writes the rows of the geoms of each pair, (K, 2)."""
-
-    def joints_between(self, pair: int) -> list[int]:
-        """
-        The joints that move one geom of a pair relative to the other: rows of the ratio.
         """
 
 class PairDistance:
@@ -167,8 +122,8 @@ class CollisionScene:
 
     def find_near_pairs(self, q: numpy.ndarray, moves: numpy.ndarray, share: float, clearances: numpy.ndarray) -> int:
         """
-        Finds the pairs that moves (n,) from q (n,) can bring nearer by more than a share of what is free, which is
-        their distance less their clearance (K,). Returns how many there are.
+        Finds the pairs that moves (m,) of all joints from q (n,) can bring nearer by more than a share of what is free, which
+        is their distance less their clearance (K,). Returns how many there are.
         """
 
     def near_pairs(self, pairs: numpy.ndarray, distances: numpy.ndarray, gradients: numpy.ndarray) -> None:
@@ -176,10 +131,9 @@ class CollisionScene:
         Writes what `find_near_pairs` found: rows (k,), distances (k,), and their derivatives (k, n).
         """
 
-    def kept_axis(self, q: numpy.ndarray, joint: int, direction: numpy.ndarray, within: float) -> KeptAxis:
+    def kept_axis(self, q: numpy.ndarray, frame: int, direction: numpy.ndarray, within: float) -> KeptAxis:
         """
-        The axis that a joint, a row of the ratio, moves and that has a direction of the world (3,) at q (n,). It may
-        tilt by an angle, rad.
+        The axis that moves with a frame and has a direction of the world (3,) at q (n,). It may tilt by an angle, rad.
         """
 
 class Hit:
@@ -223,22 +177,17 @@ class ClearanceProof:
 
     def set_motion(self, knots: numpy.ndarray, coefficients: numpy.ndarray) -> None:
         """
-        Sets the motion of the next proofs: knots (K + 1,) s, and coefficients (K, degree + 1, n) by powers of the time
-        since the knot, of degree 1 to 5.
+        Sets the motion of the next proofs: knots (K + 1,) s, and coefficients (K, degree + 1, m) of all joints by powers of the
+        time since the knot, of degree 1 to 5.
         """
 
-    def hit(self, clearance: float) -> Hit | None:
+    def hit(self, clearance: float, pair: int | None = None) -> Hit | None:
         """
-        Proves that the motion keeps more than a clearance, m: None, or where it is not known to be free.
+        Proves that the motion keeps all pairs, or one, farther apart than a clearance, m: None, or where it is not known to be free.
         """
 
     def closest_approach(self, clearance: float) -> Approach:
         """Proves it, and how near the motion comes."""
-
-    def joint_range_is_free(self, pair: int, low: numpy.ndarray, high: numpy.ndarray) -> bool:
-        """
-        Proves that a pair never touches on the straight line between two positions of all joints that move, (m,) each.
-        """
 
 class ArmModel:
     """The model of an arm: a tree of links. Immutable."""
@@ -1089,88 +1038,25 @@ def limit_excess(
     How far a derivative of each joint leaves [low, high] in each piece: exact where greater than 0, else at most 0.
     """
 
-def polynomial_extremes(coefficients: numpy.ndarray, order: int, places: numpy.ndarray, values: numpy.ndarray) -> None:
+def fastest_path_speed(coefficients: numpy.ndarray, interval_length: float, from_near: bool, **arguments) -> bool:
     """
-    Both ends of [0, 1] and the turning points of a derivative of each polynomial, and its values there.
-    """
+    Fills the coefficients of the squared path speed that takes the least time; False if none keeps the bounds.
 
-class PathTiming:
-    """
-    Bounds on the speed along a motion, and the speed that takes the least time.
+    With from_near they hold the solution for bounds that are a little different. armctl/cpp/path_timing.hpp explains
+    the bounds.
     """
 
-    def __init__(
-        self,
-        *,
-        interval_length: float,
-        interval: numpy.ndarray,
-        begin: numpy.ndarray,
-        end: numpy.ndarray,
-        q1: numpy.ndarray,
-        q2: numpy.ndarray,
-        q3_after: numpy.ndarray,
-        q3_before: numpy.ndarray,
-        b_max: numpy.ndarray,
-        j_max: numpy.ndarray,
-        alpha: numpy.ndarray,
-        beta: numpy.ndarray,
-        delta: numpy.ndarray,
-        low: numpy.ndarray,
-        high: numpy.ndarray,
-    ) -> None:
-        """
-        A motion of n joints at N nodes, and its bounds there; armctl/cpp/path_timing.hpp explains them.
-        """
-
-    def solve(self, coefficients: numpy.ndarray, from_near: bool) -> bool:
-        """
-        Fills the coefficients of the squared path speed; False if no speed is found that keeps the bounds.
-
-        With from_near they hold the solution for bounds that are a little different.
-        """
-
-class Displacement:
-    """The greatest displacement of a joint, and its derivatives."""
-
-    @property
-    def distance(self) -> float: ...
-    @property
-    def by_time(self) -> float: ...
-    @property
-    def by_start_velocity(self) -> float: ...
-    @property
-    def by_start_acceleration(self) -> float: ...
-    @property
-    def by_end_velocity(self) -> float: ...
-    @property
-    def by_end_acceleration(self) -> float: ...
+def make_fastest(motion: numpy.ndarray, **arguments) -> None:
+    """
+    Replaces a motion through K waypoints by the fastest one; armctl/cpp/waypoint_timing.hpp explains the arguments.
+    """
 
 def farthest_displacement(
     time: float, v_start: float, a_start: float, v_end: float, a_end: float, v_max: float, a_max: float, j_max: float
-) -> Displacement:
-    """How far a joint can go between two states in a time; NaN if it cannot."""
-
-class WaypointTiming:
-    """Waypoints, and the fastest motion through them."""
-
-    def __init__(
-        self,
-        *,
-        q: numpy.ndarray,
-        v_max: numpy.ndarray,
-        a_max: numpy.ndarray,
-        j_max: numpy.ndarray,
-        v_bound: numpy.ndarray,
-        a_bound: numpy.ndarray,
-    ) -> None:
-        """
-        Waypoints (K, n), limits (n,), and the greatest velocity and acceleration at each waypoint (K, n), 0 to hold it.
-        """
-
-    def solve(self, durations: numpy.ndarray, v: numpy.ndarray, a: numpy.ndarray) -> None:
-        """
-        Fills velocities and accelerations at the waypoints, and replaces durations that are long enough by the best.
-        """
+) -> tuple:
+    """
+    How far a joint can go between two states in a time, NaN if it cannot, and the derivatives by the time and the states.
+    """
 
 class RrtConnect:
     """
@@ -1201,12 +1087,6 @@ class RrtConnect:
         """
         The points from the start to a goal; empty as long as the trees have not met.
         """
-
-def shorten_path(proof: ClearanceProof, clearance: float, points: numpy.ndarray, places: numpy.ndarray) -> list[list[float]]:
-    """
-    The points of a path (p, n) without those that it does not need, and with shortcuts between places (k, 2), which are
-    shares of its length. Every line keeps more than the clearance, m.
-    """
 
 class MujocoApi:
     """
