@@ -33,8 +33,10 @@ class RobotNotes:
         self._asked = 0
         self._fixtures: set[str] = set()
         self._independent: list[str] = []
-        self._processes = tempfile.NamedTemporaryFile(prefix="armctl-notes-")  # noqa: SIM115
-        os.environ[NOTES_OF_PROCESSES] = self._processes.name
+        self._folder = tempfile.TemporaryDirectory()
+        self._processes = Path(self._folder.name) / "notes"
+        self._processes.touch()
+        os.environ[NOTES_OF_PROCESSES] = str(self._processes)
         os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(_HOOK), os.environ.get("PYTHONPATH")]))
         sys.path.insert(0, str(_HOOK))  # some tests give their own path to a process
         self._wrap(menagerie.Cache, "__init__")
@@ -54,7 +56,7 @@ class RobotNotes:
         setattr(kind, name, counted)
 
     def _count(self) -> int:
-        return self._asked + os.path.getsize(self._processes.name)
+        return self._asked + self._processes.stat().st_size
 
     @pytest.hookimpl(wrapper=True)
     def pytest_fixture_setup(self, fixturedef: pytest.FixtureDef) -> Iterator[None]:
@@ -76,3 +78,4 @@ class RobotNotes:
     def pytest_sessionfinish(self) -> None:
         with self._file.open("a", encoding="utf-8") as file:
             file.writelines(f"{test}\n" for test in self._independent)
+        self._folder.cleanup()

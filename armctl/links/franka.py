@@ -97,8 +97,8 @@ class Franka:
             self._robot.set_collision_behavior(torques, torques, forces, forces)
             if self.payload:
                 self._robot.set_load(self.payload, self._center.tolist(), self._inertia.tolist())
-        except client.FrankaException as error:
-            raise LinkError(f"{self.host}: {error}") from None
+        except _errors(client) as error:
+            raise LinkError(f"{self.host}: cannot be opened: {error}") from None
 
     def read(self) -> Seen:
         """The robot now."""
@@ -113,7 +113,7 @@ class Franka:
         client = _client()
         try:
             self._control = self._robot.start_joint_position_control(client.ControllerMode.JointImpedance)
-        except client.FrankaException as error:
+        except _errors(client) as error:
             raise LinkError(str(error)) from None
         self._is_first = True
 
@@ -122,7 +122,7 @@ class Franka:
         client = _client()
         try:
             state, period = self._control.readOnce()
-        except client.FrankaException as error:
+        except _errors(client) as error:
             self._control = None
             raise LinkError(str(error)) from None
         ticks = 1 if self._is_first else max(1, round(period.to_sec() / self.dt))
@@ -136,7 +136,7 @@ class Franka:
         command.motion_finished = last
         try:
             self._control.writeOnce(command)
-        except client.FrankaException as error:
+        except _errors(client) as error:
             self._control = None
             raise LinkError(str(error)) from None
         if last:
@@ -148,7 +148,7 @@ class Franka:
         self._control = None
         try:
             self._robot.automatic_error_recovery()
-        except client.FrankaException as error:
+        except _errors(client) as error:
             raise LinkError(f"recover: {error}") from None
 
     def hand(self, action: str, *arguments: float) -> Any:
@@ -162,7 +162,7 @@ class Franka:
             if action == "grasp":
                 return self._hand.grasp(0.0, _HAND_SPEED, arguments[0], _HAND_WIDTH_ERROR, _HAND_WIDTH_ERROR)
             state = self._hand.read_once()
-        except client.FrankaException as error:
+        except _errors(client) as error:
             raise LinkError(f"gripper: {error}") from None
         return state.width, state.max_width, state.is_grasped
 
@@ -178,7 +178,7 @@ class Franka:
         client = _client()
         try:
             return self._robot.read_once()
-        except client.FrankaException as error:
+        except _errors(client) as error:
             raise LinkError(f"{self.host}: {error}") from None
 
     def _seen(self, state: Any) -> Seen:
@@ -191,6 +191,11 @@ class Franka:
             q_ref=np.array(state.q_d),
             fault=fault,
         )
+
+
+def _errors(client: Any) -> tuple[type[Exception], ...]:
+    """What Franka's client raises: its exceptions have no common base."""
+    return (client.FrankaException, RuntimeError)
 
 
 def _client() -> Any:

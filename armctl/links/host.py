@@ -59,6 +59,20 @@ class Progress(NamedTuple):
     readings: Readings
 
 
+class Played(NamedTuple):
+    """The answer to a motion that is to be played.
+
+    Attributes:
+        first: Its first tick.
+        reason: Why it is not played; empty if it is.
+        opens: Whether it opens a stream, whose ticks begin with 0.
+    """
+
+    first: int
+    reason: str = ""
+    opens: bool = False
+
+
 class LinkHost:
     """A link with the player of its stream. `play`, `stop` and `poll` may be called by another thread than `advance`.
 
@@ -101,22 +115,23 @@ class LinkHost:
         """What a hand does or tells."""
         return self.link.hand(action, *arguments)
 
-    def play(self, pieces: Pieces, at: int | None, limits: Limits) -> tuple[int, str]:
+    def play(self, pieces: Pieces, at: int | None, limits: Limits, delay: int = 0) -> Played:
         """Plays a motion: opens a stream, or replaces what follows a tick of the open one.
 
         Args:
             pieces: A motion to rest.
             at: Its first tick in the open stream; None for the next possible one, or for a new stream.
             limits: What stops keep.
+            delay: Ticks until a motion without a tick begins, at least: the time for planning what replaces it.
 
-        Returns:
-            Its first tick, and why it is not played; empty if it is.
+        Raises:
+            LinkError: The robot reports a fault.
         """
         with self._lock:
             if self.streaming and self._player is not None:
-                return self._player.play(pieces, at)
+                return Played(*self._player.play(pieces, at, delay))
             if at is not None:
-                return at, self._fault or self._stopped or "the motion came too late: the stream has ended"
+                return Played(at, self._fault or self._stopped or "the motion came too late: the stream has ended")
         seen = self.link.read()
         if seen.fault:
             raise LinkError(seen.fault)
@@ -124,14 +139,15 @@ class LinkHost:
         gap = np.abs(seen.q_ref - start)
         joint = int(gap.argmax())
         if gap[joint] > START_TOLERANCE:
-            return 0, (
+            return Played(
+                0,
                 f"joint {joint + 1} of the robot was told {seen.q_ref[joint]:.5f} rad, but the motion starts at "
-                f"{start[joint]:.5f} rad: it moved after the motion was planned; plan again"
+                f"{start[joint]:.5f} rad: it moved after the motion was planned; plan again",
             )
         player = Player(start, self.link.dt, limits, self._lead)
-        first, reason = player.play(pieces, 0)
+        first, reason = player.play(pieces, delay)
         if reason:
-            return first, reason
+            return Played(first, reason)
         self._stopped = ""
         self._fault = ""
         self._kept = []
@@ -139,7 +155,7 @@ class LinkHost:
         with self._lock:
             self._player = player
             self.streaming = True
-        return first, ""
+        return Played(first, opens=True)
 
     def stop(self, reason: str) -> None:
         """Brakes on the path."""

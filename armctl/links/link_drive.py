@@ -25,7 +25,8 @@ from armctl.motion.trajectory.piecewise import Pieces, hermite, sample, standing
 from armctl.robot.arm import Arm
 from armctl.sim.recorder import Recorder, ReferenceTips, RunInfo
 
-_AHEAD_S = 0.04  # before its chunk of a moving reference is over, `run` returns, so that the next one can be planned
+_AHEAD_S = 0.05  # before its chunk of a moving reference is over, `run` returns, so that the next one can be planned
+_AHEAD_TICKS = 8  # at least, where ticks are slow
 _POLL_INTERVAL_S = 0.004
 _REST_WINDOW_S = 0.05  # over which rest is judged: a measured speed is noise
 _MIN_REST_WINDOW_S = 0.02
@@ -209,14 +210,17 @@ class LinkDrive:
             return
         stream = self._stream
         at = stream.next if stream is not None and stream.moves else None
+        duration = float(course.knots[-1])
+        moves = duration > ticks * self.dt + 1e-9
+        ahead = max(round(_AHEAD_S / self.dt), _AHEAD_TICKS) if moves else 0
         try:
-            first, reason = self._host.play(course, at, self._arm.limits)
+            first, reason, opens = self._host.play(course, at, self._arm.limits, ahead)
             if reason:
                 self.failure = f"not sent: {reason}" if at is None else f"{reason}; the arm came to rest on its path"
                 if at is None:
                     self._end = self._host.read().q_ref
                 return
-            if self._stream is None:
+            if opens or self._stream is None:
                 self._stream = _Stream(np.repeat(course.coefficients[:1, 0], 3, axis=0))
                 recorder.segments.append(_Segment(first, first))
             stream = self._stream
@@ -225,13 +229,12 @@ class LinkDrive:
             rows = sample(course, self.dt * np.arange(ticks, dtype=np.float64)).q
             stream.before = np.vstack([stream.before, rows])[-3:]
             stream.next = first + ticks
-            duration = float(course.knots[-1])
-            stream.moves = duration > ticks * self.dt + 1e-9
+            stream.moves = moves
             self._end = sample(course, np.array([duration])).q[0]
             if not recorder.segments:
                 recorder.segments.append(_Segment(first, first))
             recorder.segments[-1].end = stream.next
-            self._wait_for(stream.next - 1 - (round(_AHEAD_S / self.dt) if stream.moves else 0))
+            self._wait_for(stream.next - 1 - ahead)
         except LinkError as error:
             self._lose(str(error))
 

@@ -72,12 +72,13 @@ class Player:
                 self._courses.pop(0)
             return self._courses[0].row(self.tick)
 
-    def play(self, pieces: Pieces, at: int | None) -> tuple[int, str]:
+    def play(self, pieces: Pieces, at: int | None, delay: int = 0) -> tuple[int, str]:
         """Replaces what follows a tick.
 
         Args:
             pieces: A motion that ends at rest.
             at: Its first tick; None for the next possible one.
+            delay: Ticks from now to that one, at least.
 
         Returns:
             Its first tick, and why it is not played; empty if it is.
@@ -85,7 +86,7 @@ class Player:
         if np.abs(sample(pieces, pieces.knots[-1:]).v).max() > REST_SPEED:
             return 0, "the motion does not end at rest"
         with self._lock:
-            first = self.tick + self._lead if at is None else at
+            first = self.tick + max(self._lead, delay) if at is None else at
             if self._stopped_from <= first:
                 return first, "the arm was stopped"
             if first <= self.tick:

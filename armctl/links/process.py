@@ -18,7 +18,7 @@ from typing import Any
 from armctl.core.errors import ArmctlError, LinkError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
-from armctl.links.host import LinkHost, Progress
+from armctl.links.host import LinkHost, Played, Progress
 from armctl.links.link import Link, Seen
 from armctl.motion.trajectory.piecewise import Pieces
 
@@ -129,9 +129,9 @@ class RemoteHost:
         """What a hand does or tells."""
         return self._call("hand", action, *arguments)
 
-    def play(self, pieces: Pieces, at: int | None, limits: Limits) -> tuple[int, str]:
+    def play(self, pieces: Pieces, at: int | None, limits: Limits, delay: int = 0) -> Played:
         """As that of a LinkHost."""
-        return self._call("play", pieces, at, limits)
+        return self._call("play", pieces, at, limits, delay)
 
     def stop(self, reason: str) -> None:
         """Brakes on the path."""

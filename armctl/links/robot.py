@@ -216,8 +216,6 @@ class Robot(Commands):
 
     def _accepts(self, pieces: Pieces) -> bool:
         """Whether a motion to a goal of `follow` may be sent."""
-        if self._drive.tip_speed_of(pieces) > self._drive.tip_speed:
-            return False
         if self._drive.refusal(pieces):
             return False
         return self._allows_contact or not self._contact(pieces)

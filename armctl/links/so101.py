@@ -234,12 +234,12 @@ class SO101:
         for _ in range(_TRIES):
             try:
                 value, result, _ = request()
+                if result == 0:
+                    return value
             except IndexError:  # of the SDK, by an answer to another request
                 result = _sdk().COMM_RX_CORRUPT
             except OSError as error:
                 raise LinkError(f"{self.port}: {error.strerror or error}") from None
-            if result == 0:
-                return value
             self._port.is_using = False
             time.sleep(0.01)
             self._port.ser.reset_input_buffer()

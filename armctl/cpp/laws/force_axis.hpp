@@ -6,11 +6,11 @@ namespace armctl {
 
 // What a force axis keeps from tick to tick, as numbers of the memory of a law.
 struct AxisMemory {
-    static constexpr size_t size = 7;
+    static constexpr size_t size = 10;
 
     explicit AxisMemory(std::span<double> numbers)
         : touches(numbers[0]), measured(numbers[1]), commanded(numbers[2]), integral(numbers[3]), lost_time(numbers[4]),
-          yielding(numbers[5]), steady_speed(numbers[6]) {}
+          yielding(numbers[5]), steady_speed(numbers[6]), first_force(numbers[7]), depth(numbers[8]), fluidity(numbers[9]) {}
 
     double& touches;       // 1 in contact, else 0
     double& measured;      // N, filtered
@@ -19,6 +19,9 @@ struct AxisMemory {
     double& lost_time;     // s, for which there was hardly any force
     double& yielding;      // m/s
     double& steady_speed;  // m/s
+    double& first_force;   // N, at which the depth begins; 0 before
+    double& depth;         // m, travelled since
+    double& fluidity;      // m/(N s), the largest speed per force since, an upper bound for that of the wall's own damping
 };
 
 struct AxisCommand {
