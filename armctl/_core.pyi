@@ -67,59 +67,14 @@ class ShapeKind(enum.IntEnum):
 
     PLANE = 4
 
-def bounding_sphere(points: numpy.ndarray, center: numpy.ndarray) -> float:
-    """
-    A small sphere around points (P, 3): writes its center (3,), returns its radius, m.
-    """
-
 class CollisionModel:
     """
     What an arm could touch: shapes, the joints that move them, and pairs. Immutable.
     """
 
-    def __init__(
-        self,
-        *,
-        axes: numpy.ndarray,
-        anchors: numpy.ndarray,
-        slides: numpy.ndarray,
-        references: numpy.ndarray,
-        parents: numpy.ndarray,
-        joints: numpy.ndarray,
-        ratio: numpy.ndarray,
-        joint_offset: numpy.ndarray,
-        kinds: numpy.ndarray,
-        frames: numpy.ndarray,
-        inflations: numpy.ndarray,
-        positions: numpy.ndarray,
-        rotations: numpy.ndarray,
-        sizes: numpy.ndarray,
-        centers: numpy.ndarray,
-        bounds: numpy.ndarray,
-        first_vertex: numpy.ndarray,
-        vertices: numpy.ndarray,
-        first_neighbor: numpy.ndarray,
-        neighbors: numpy.ndarray,
-        directions: numpy.ndarray,
-        pairs: numpy.ndarray,
-    ) -> None:
+    def __init__(self, **arguments) -> None:
         """
         A model from arrays for each joint, geom, vertex and pair; armctl/cpp/collision_model.hpp explains them.
-        """
-
-    def with_pairs(self, keep: numpy.ndarray) -> CollisionModel:
-        """The same model with fewer pairs, (K,) whether each stays."""
-
-    @property
-    def pair_count(self) -> int:
-        """The number of pairs."""
-
-    def pairs(self, pairs: numpy.ndarray) -> None:
-        """Writes the rows of the geoms of each pair, (K, 2)."""
-
-    def joints_between(self, pair: int) -> list[int]:
-        """
-        The joints that move one geom of a pair relative to the other: rows of the ratio.
         """
 
 class PairDistance:
@@ -167,8 +122,8 @@ class CollisionScene:
 
     def find_near_pairs(self, q: numpy.ndarray, moves: numpy.ndarray, share: float, clearances: numpy.ndarray) -> int:
         """
-        Finds the pairs that moves (n,) from q (n,) can bring nearer by more than a share of what is free, which is
-        their distance less their clearance (K,). Returns how many there are.
+        Finds the pairs that moves (m,) of all joints from q (n,) can bring nearer by more than a share of what is free, which
+        is their distance less their clearance (K,). Returns how many there are.
         """
 
     def near_pairs(self, pairs: numpy.ndarray, distances: numpy.ndarray, gradients: numpy.ndarray) -> None:
@@ -176,10 +131,9 @@ class CollisionScene:
         Writes what `find_near_pairs` found: rows (k,), distances (k,), and their derivatives (k, n).
         """
 
-    def kept_axis(self, q: numpy.ndarray, joint: int, direction: numpy.ndarray, within: float) -> KeptAxis:
+    def kept_axis(self, q: numpy.ndarray, frame: int, direction: numpy.ndarray, within: float) -> KeptAxis:
         """
-        The axis that a joint, a row of the ratio, moves and that has a direction of the world (3,) at q (n,). It may
-        tilt by an angle, rad.
+        The axis that moves with a frame and has a direction of the world (3,) at q (n,). It may tilt by an angle, rad.
         """
 
 class Hit:
@@ -223,22 +177,17 @@ class ClearanceProof:
 
     def set_motion(self, knots: numpy.ndarray, coefficients: numpy.ndarray) -> None:
         """
-        Sets the motion of the next proofs: knots (K + 1,) s, and coefficients (K, degree + 1, n) by powers of the time
-        since the knot, of degree 1 to 5.
+        Sets the motion of the next proofs: knots (K + 1,) s, and coefficients (K, degree + 1, m) of all joints by powers of the
+        time since the knot, of degree 1 to 5.
         """
 
-    def hit(self, clearance: float) -> Hit | None:
+    def hit(self, clearance: float, pair: int | None = None) -> Hit | None:
         """
-        Proves that the motion keeps more than a clearance, m: None, or where it is not known to be free.
+        Proves that the motion keeps all pairs, or one, farther apart than a clearance, m: None, or where it is not known to be free.
         """
 
     def closest_approach(self, clearance: float) -> Approach:
         """Proves it, and how near the motion comes."""
-
-    def joint_range_is_free(self, pair: int, low: numpy.ndarray, high: numpy.ndarray) -> bool:
-        """
-        Proves that a pair never touches on the straight line between two positions of all joints that move, (m,) each.
-        """
 
 class ArmModel:
     """The model of an arm: a tree of links. Immutable."""
@@ -521,17 +470,7 @@ class IkAnswer:
     def branch(self) -> int:
         """The number of the branch of q."""
 
-class FoundSolutions:
-    """How many solutions were found, and the effort."""
-
-    @property
-    def count(self) -> int: ...
-    @property
-    def starts(self) -> int: ...
-    @property
-    def steps(self) -> int: ...
-
-class Polished:
+class Solutions:
     """How many seeds became solutions, and the effort."""
 
     @property
@@ -542,6 +481,14 @@ class Polished:
     def lost(self) -> int:
         """Seeds that led to no solution."""
 
+    @property
+    def samples(self) -> int:
+        """Positions of the joint that is swept; 1 for six joints."""
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the closed form may have missed some."""
+
 NO_BRANCH: int = 27
 
 class Chain:
@@ -551,41 +498,10 @@ class Chain:
     Lengths are in reaches; targets and tolerances of positions are in m. Results are written into the last arguments.
     """
 
-    def __init__(
-        self,
-        *,
-        rotations: numpy.ndarray,
-        translations: numpy.ndarray,
-        slides: numpy.ndarray,
-        unknowns: numpy.ndarray,
-        ratios: numpy.ndarray,
-        low: numpy.ndarray,
-        high: numpy.ndarray,
-        period: numpy.ndarray,
-        reach: float,
-    ) -> None:
+    def __init__(self, **arguments) -> None:
         """
         A chain from arrays for each of the k joints, and for each of the n unknowns; armctl/cpp/chain.hpp explains them.
         """
-
-    @property
-    def joint_count(self) -> int:
-        """k."""
-
-    def with_special_axes(
-        self,
-        *,
-        relation: AxesRelation,
-        first: int,
-        others: numpy.ndarray,
-        pair_relation: AxesRelation,
-        pair_first: int,
-        distances_to_points: numpy.ndarray,
-    ) -> Chain:
-        """The chain with the structure of its closed form."""
-
-    def with_held(self, held: numpy.ndarray, positions: numpy.ndarray) -> Chain:
-        """The chain with some unknowns held at positions."""
 
     def contains(self, q: numpy.ndarray) -> bool:
         """Whether q is a contiguous array of n float64 inside the bounds."""
@@ -639,21 +555,23 @@ class Chain:
         Moves each q (N, n) to a minimum of the squared error plus `pull` times its squared distance from q0.
         """
 
-    def find_all(
+    def random_starts(self, q0: numpy.ndarray, first: int, seed: int, q: numpy.ndarray) -> None:
+        """
+        Fills q (B, n) with random configurations of numbers from `first` on: odd ones inside the bounds, others in one turn.
+        """
+
+    def descend(
         self,
         target: numpy.ndarray,
         constraint: Constraint,
         position_tolerance: float,
         orientation_tolerance: float,
-        q0: numpy.ndarray,
-        begin: numpy.ndarray,
-        patience: int,
-        quarters: bool,
-        seed: int,
-        known: numpy.ndarray,
-    ) -> FoundSolutions:
+        q: numpy.ndarray,
+        solved: numpy.ndarray,
+        steps: numpy.ndarray,
+    ) -> None:
         """
-        Fills `known` (M, n) with distinct solutions for a target (12,), without regard to the bounds of hinges.
+        Descends from each q (B, n) to a solution for a target (12,), without regard to the bounds of hinges.
         """
 
     def polish(
@@ -667,7 +585,7 @@ class Chain:
         position_errors: numpy.ndarray,
         orientation_errors: numpy.ndarray,
         branches: numpy.ndarray,
-    ) -> Polished:
+    ) -> Solutions:
         """
         Refines the seeds (M, n) of a pose (12,) and keeps those that are solutions inside the bounds, nearest first.
         """
@@ -678,14 +596,6 @@ class Chain:
     def manipulabilities(self, oriented: bool, q: numpy.ndarray, values: numpy.ndarray) -> None:
         """
         Fills values (N,) with the manipulability at each q (N, n), lengths in m.
-        """
-
-    def joint_lines(self, q: numpy.ndarray, origins: numpy.ndarray, axes: numpy.ndarray) -> None:
-        """Fills origins and axes (k, 3) of the joints at q (n,)."""
-
-    def error_jacobian(self, constraint: Constraint, q: numpy.ndarray, J: numpy.ndarray) -> None:
-        """
-        Fills J (6, n), the Jacobian of the weighted error at q (n,): a third of a reach counts like a rad.
         """
 
 class IkErrorModel:
@@ -705,7 +615,8 @@ class IkErrorModel:
         J: numpy.ndarray,
     ) -> float:
         """
-        Fills the Hessian (n, n) with the curvature of the chain, J^T e (n,) and J (6, n). Returns the norm of the error.
+        Fills the Hessian (n, n) with the curvature of the chain, J^T e (n,) and J (6, n), where a third of a reach counts like a
+        rad. Returns the norm of the error.
         """
 
     def null_step(
@@ -715,87 +626,49 @@ class IkErrorModel:
         The part of a desired step (n,) in the null space of the J of `linearize`, shortened to its bounds.
         """
 
-class AllSolutions:
-    """How many solutions a closed form has, and the effort."""
-
-    @property
-    def count(self) -> int: ...
-    @property
-    def steps(self) -> int: ...
-    @property
-    def samples(self) -> int:
-        """Positions of the joint that is swept; 1 for six joints."""
-
-    @property
-    def complete(self) -> bool:
-        """Whether no solution can be missing."""
-
 class ClosedForm:
     """
     The closed form of six hinges of which three in a row meet in a point or are parallel. Immutable.
     """
 
-    def __init__(
-        self,
-        *,
-        axes: numpy.ndarray,
-        points: numpy.ndarray,
-        low: numpy.ndarray,
-        high: numpy.ndarray,
-        tip_rotation: numpy.ndarray,
-        tip_translation: numpy.ndarray,
-        reach: float,
-        relation: AxesRelation,
-        first: int,
-        pair_relation: AxesRelation,
-        pair_first: int,
-        held: int | None = None,
-    ) -> None:
+    def __init__(self, chain: Chain, held: int | None, **arguments) -> None:
         """
         From the hinges in the zero configuration, lengths in reaches; armctl/cpp/closed_form.hpp explains the arguments.
         """
 
     def solve_all(
         self,
-        chain: Chain,
         target: numpy.ndarray,
         q0: numpy.ndarray,
         position_tolerance: float,
         orientation_tolerance: float,
         slack: float,
         margin: float,
-        least_samples: int,
-        most_samples: int,
+        positions: numpy.ndarray,
+        least: int,
         wanted: int,
         q: numpy.ndarray,
         position_errors: numpy.ndarray,
         orientation_errors: numpy.ndarray,
         branches: numpy.ndarray,
-    ) -> AllSolutions:
+    ) -> Solutions:
         """
         Fills q (M, n), errors and branches (M,) with the solutions for a target (4, 3), refined, the nearest to q0 first.
         """
 
     def find_first(
-        self, targets: numpy.ndarray, slack: float, margin: float, most_samples: int, q: numpy.ndarray, found: numpy.ndarray
+        self,
+        targets: numpy.ndarray,
+        q0: numpy.ndarray,
+        slack: float,
+        margin: float,
+        positions: numpy.ndarray,
+        q: numpy.ndarray,
+        found: numpy.ndarray,
     ) -> None:
         """
-        Fills q (N, n), which holds where to begin, with a configuration for each of the targets (N, 12) that has any.
+        Fills q (N, n) with a configuration for each of the targets (N, 12) that has any.
         """
-
-class PoseError:
-    """The errors of a tip."""
-
-    @property
-    def position(self) -> float:
-        """m."""
-
-    @property
-    def orientation(self) -> float:
-        """rad."""
-
-def residual(constraint: Constraint, target: numpy.ndarray, position: numpy.ndarray, rotation: numpy.ndarray) -> PoseError:
-    """The errors of a tip for a target (12,)."""
 
 def residuals(
     constraint: Constraint,
@@ -1094,88 +967,25 @@ def limit_excess(
     How far a derivative of each joint leaves [low, high] in each piece: exact where greater than 0, else at most 0.
     """
 
-def polynomial_extremes(coefficients: numpy.ndarray, order: int, places: numpy.ndarray, values: numpy.ndarray) -> None:
+def fastest_path_speed(coefficients: numpy.ndarray, interval_length: float, from_near: bool, **arguments) -> bool:
     """
-    Both ends of [0, 1] and the turning points of a derivative of each polynomial, and its values there.
-    """
+    Fills the coefficients of the squared path speed that takes the least time; False if none keeps the bounds.
 
-class PathTiming:
-    """
-    Bounds on the speed along a motion, and the speed that takes the least time.
+    With from_near they hold the solution for bounds that are a little different. armctl/cpp/path_timing.hpp explains
+    the bounds.
     """
 
-    def __init__(
-        self,
-        *,
-        interval_length: float,
-        interval: numpy.ndarray,
-        begin: numpy.ndarray,
-        end: numpy.ndarray,
-        q1: numpy.ndarray,
-        q2: numpy.ndarray,
-        q3_after: numpy.ndarray,
-        q3_before: numpy.ndarray,
-        b_max: numpy.ndarray,
-        j_max: numpy.ndarray,
-        alpha: numpy.ndarray,
-        beta: numpy.ndarray,
-        delta: numpy.ndarray,
-        low: numpy.ndarray,
-        high: numpy.ndarray,
-    ) -> None:
-        """
-        A motion of n joints at N nodes, and its bounds there; armctl/cpp/path_timing.hpp explains them.
-        """
-
-    def solve(self, coefficients: numpy.ndarray, from_near: bool) -> bool:
-        """
-        Fills the coefficients of the squared path speed; False if no speed is found that keeps the bounds.
-
-        With from_near they hold the solution for bounds that are a little different.
-        """
-
-class Displacement:
-    """The greatest displacement of a joint, and its derivatives."""
-
-    @property
-    def distance(self) -> float: ...
-    @property
-    def by_time(self) -> float: ...
-    @property
-    def by_start_velocity(self) -> float: ...
-    @property
-    def by_start_acceleration(self) -> float: ...
-    @property
-    def by_end_velocity(self) -> float: ...
-    @property
-    def by_end_acceleration(self) -> float: ...
+def make_fastest(motion: numpy.ndarray, **arguments) -> None:
+    """
+    Replaces a motion through K waypoints by the fastest one; armctl/cpp/waypoint_timing.hpp explains the arguments.
+    """
 
 def farthest_displacement(
     time: float, v_start: float, a_start: float, v_end: float, a_end: float, v_max: float, a_max: float, j_max: float
-) -> Displacement:
-    """How far a joint can go between two states in a time; NaN if it cannot."""
-
-class WaypointTiming:
-    """Waypoints, and the fastest motion through them."""
-
-    def __init__(
-        self,
-        *,
-        q: numpy.ndarray,
-        v_max: numpy.ndarray,
-        a_max: numpy.ndarray,
-        j_max: numpy.ndarray,
-        v_bound: numpy.ndarray,
-        a_bound: numpy.ndarray,
-    ) -> None:
-        """
-        Waypoints (K, n), limits (n,), and the greatest velocity and acceleration at each waypoint (K, n), 0 to hold it.
-        """
-
-    def solve(self, durations: numpy.ndarray, v: numpy.ndarray, a: numpy.ndarray) -> None:
-        """
-        Fills velocities and accelerations at the waypoints, and replaces durations that are long enough by the best.
-        """
+) -> tuple:
+    """
+    How far a joint can go between two states in a time, NaN if it cannot, and the derivatives by the time and the states.
+    """
 
 class RrtConnect:
     """
@@ -1206,12 +1016,6 @@ class RrtConnect:
         """
         The points from the start to a goal; empty as long as the trees have not met.
         """
-
-def shorten_path(proof: ClearanceProof, clearance: float, points: numpy.ndarray, places: numpy.ndarray) -> list[list[float]]:
-    """
-    The points of a path (p, n) without those that it does not need, and with shortcuts between places (k, 2), which are
-    shares of its length. Every line keeps more than the clearance, m.
-    """
 
 class MujocoApi:
     """

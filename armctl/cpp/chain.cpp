@@ -38,31 +38,27 @@ Chain::Chain(const ChainArrays& arrays) : reach_(arrays.reach) {
         });
     }
     tip_ = {Rotation::from_rows(arrays.rotations.row(k)), vec3(arrays.translations.row(k))};
-}
-
-Chain Chain::with_special_axes(const SpecialAxes& axes, Vector distances_to_points) const {
-    const size_t k = joints_.size();
-    checked_index(static_cast<std::int64_t>(axes.first) + 2, k, "first");
-    for (const size_t other : axes.others) { checked_index(static_cast<std::int64_t>(other), k, "others"); }
-    Chain chain = *this;
-    chain.special_axes_ = axes;
-    for (size_t j = 0; j < k; ++j) { chain.joints_[j].distance_to_point = distances_to_points[j]; }
-    return chain;
+    special_axes_ = arrays.special_axes;
+    if (!special_axes_) { return; }
+    for (const size_t joint : {special_axes_->first + 2, special_axes_->others[0], special_axes_->others[1], special_axes_->others[2]}) {
+        checked_index(static_cast<std::int64_t>(joint), k, "special_axes");
+    }
+    for (size_t j = 0; j < k; ++j) { joints_[j].distance_to_point = arrays.distances_to_points[j]; }
 }
 
 bool Chain::contains(Vector q) const {
     for (size_t i = 0; i < unknowns_.size(); ++i) {
-        if (!(unknowns_[i].bounds.low <= q[i] && q[i] <= unknowns_[i].bounds.high) || !std::isfinite(q[i])) { return false; }
+        if (!unknowns_[i].bounds.contain(q[i]) || !std::isfinite(q[i])) { return false; }
     }
     return true;
 }
 
-Chain Chain::with_held(std::span<const std::int64_t> held, Vector positions) const {
-    Chain chain = *this;
-    for (size_t i = 0; i < held.size(); ++i) {
-        chain.unknowns_[checked_index(held[i], n(), "held")] = make_unknown({positions[i], positions[i]}, 0.0);
-    }
-    return chain;
+double wound(double position, double near, Bounds bounds, double period) {
+    if (!(period > 0)) { return position; }
+    position += period * std::nearbyint((near - position) / period);
+    if (position > bounds.high) { position -= period * std::ceil((position - bounds.high) / period); }
+    if (position < bounds.low) { position += period * std::ceil((bounds.low - position) / period); }
+    return position;
 }
 
 }  // namespace armctl

@@ -3,6 +3,7 @@
 // Lengths are in units of the arm's reach, so that one set of constants fits an arm of three centimetres and one of three
 // metres. The chain has k joints and n unknowns; n is less than k if joints follow others.
 #pragma once
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <optional>
@@ -20,6 +21,9 @@ enum class AxesRelation { neither = 0, meet = 1, parallel = 2 };
 struct Bounds {
     double low;
     double high;
+
+    bool contain(double position) const { return low <= position && position <= high; }
+    double clamp(double position) const { return std::min(std::max(position, low), high); }
 };
 
 struct ChainJoint {
@@ -57,20 +61,15 @@ struct ChainArrays {
     Vector high;                             // (n,)
     Vector period;                           // (n,) 0 if whole turns lead nowhere
     double reach;                            // m
+    std::optional<SpecialAxes> special_axes;
+    Vector distances_to_points;  // (k,) with special axes: along each joint's axis, to the point in which it meets others
 };
 
 // Immutable after its construction: threads share it.
 class Chain {
 public:
-    // Throws InputError if a joint follows an unknown that does not exist.
+    // Throws InputError if it names joints or unknowns that do not exist.
     explicit Chain(const ChainArrays& arrays);
-
-    // The chain with its closed form's structure, and how far along each joint's axis is the point in which it meets others.
-    // Throws InputError if it names joints that do not exist.
-    Chain with_special_axes(const SpecialAxes& axes, Vector distances_to_points) const;
-
-    // The chain with some unknowns held at positions: a sweep.
-    Chain with_held(std::span<const std::int64_t> held, Vector positions) const;
 
     // Whether the unknowns q (n,) are inside their bounds.
     bool contains(Vector q) const;
@@ -93,6 +92,9 @@ private:
     double reach_;
     std::optional<SpecialAxes> special_axes_;
 };
+
+// A position turned by whole turns of a period, if it has one, to that nearest to `near` inside bounds, if there is one.
+double wound(double position, double near, Bounds bounds, double period);
 
 // A column of a rotation: the frame's x, y or z axis.
 inline const Vec3& axis_of(const Rotation& rotation, int k) {

@@ -20,8 +20,6 @@ constexpr double NULL_DAMPING = 1e-10;
 constexpr double MAX_TARGET_REACHES = 1e3;
 constexpr double MAX_SQUARED_LENGTH = 1e140;  // m: the square of a greater length may overflow; such numbers are scaled first
 
-double clamped(double value, Bounds bounds) { return std::min(std::max(value, bounds.low), bounds.high); }
-
 // The rotation vector of half a turn from the tip to the target: about the tip's axis that moves least, or across the free
 // axis.
 Vec3 half_turn(const Goal& goal, const Rotation& tip) {
@@ -200,7 +198,7 @@ double ErrorModel::step(BoundsOf bounds_of, double damping, Result q) {
         for (size_t i = 0; i < n_; ++i) {
             State& state = states_[i];
             const double desired = q[i] + state.step;
-            const double possible = clamped(desired, unknowns[i].*bounds_of);
+            const double possible = (unknowns[i].*bounds_of).clamp(desired);
             if (!state.at_bound && possible != desired) {
                 state.at_bound = true;
                 state.step = possible - q[i];
@@ -215,7 +213,7 @@ double ErrorModel::step(BoundsOf bounds_of, double damping, Result q) {
     double moved = 0.0;
     for (size_t i = 0; i < n_; ++i) {
         const double before = q[i];
-        q[i] = clamped(before + share * states_[i].step, unknowns[i].*bounds_of);
+        q[i] = (unknowns[i].*bounds_of).clamp(before + share * states_[i].step);
         moved = std::max(moved, std::abs(q[i] - before));
     }
     return moved;

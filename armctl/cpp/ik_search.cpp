@@ -60,7 +60,7 @@ IkSolver::IkSolver(const Chain& chain) : model_(chain), trial_(chain.n()) {}
 
 SearchOutcome IkSolver::search(const Target& target, Vector q0, const Starts& starts, Result q) {
     const Goal goal = model_.goal(target.pose, target.constraint);
-    const Tolerances tolerances{target.tolerances.position / chain().reach(), target.tolerances.orientation};
+    const Tolerances tolerances = in_reaches(target.tolerances);
     const std::int64_t last = is_beyond(goal, tolerances.position) ? starts.first + 1 : starts.last;
     double best = INF;
     SearchOutcome outcome{.solved = false, .jumped = false, .tip_is_known = false, .next_start = starts.first, .steps = 0};
@@ -173,7 +173,7 @@ void IkSolver::random_start(BoundsOf bounds_of, Vector q0, std::int64_t start, s
             high = middle + PI;
         }
         const double drawn = low + ((1 + 2 * stretch) * fraction - stretch) * (high - low);
-        q[i] = std::min(std::max(drawn, low), high);
+        q[i] = Bounds{low, high}.clamp(drawn);
     }
 }
 
@@ -194,12 +194,11 @@ bool IkSolver::is_beyond(const Goal& goal, double position_tolerance) const {
 // Turns the hinges by whole turns towards the middle of their bounds, and clamps what is still outside.
 void IkSolver::turn_inside(Result q) const {
     for (size_t i = 0; i < q.size(); ++i) {
-        const Unknown& unknown = chain().unknowns()[i];
-        const auto [low, high] = unknown.bounds;
-        if (unknown.period > 0 && high - low < INF) {
-            q[i] += unknown.period * std::nearbyint((0.5 * (low + high) - q[i]) / unknown.period);
+        const auto& [bounds, free_bounds, one_turn, period] = chain().unknowns()[i];
+        if (period > 0 && bounds.high - bounds.low < INF) {
+            q[i] += period * std::nearbyint((0.5 * (bounds.low + bounds.high) - q[i]) / period);
         }
-        q[i] = std::min(std::max(q[i], low), high);
+        q[i] = bounds.clamp(q[i]);
     }
 }
 
@@ -207,14 +206,10 @@ void IkSolver::turn_inside(Result q) const {
 bool IkSolver::unwind(Vector q0, Result q) const {
     bool changed = false;
     for (size_t i = 0; i < q.size(); ++i) {
-        const Unknown& unknown = chain().unknowns()[i];
-        const double period = unknown.period;
-        if (!(period > 0)) { continue; }
-        double turns = std::nearbyint((q0[i] - q[i]) / period);
-        while (turns != 0 && !(unknown.bounds.low <= q[i] + turns * period && q[i] + turns * period <= unknown.bounds.high)) {
-            turns -= turns > 0 ? 1.0 : -1.0;
-        }
-        q[i] += turns * period;
+        const auto& [bounds, free_bounds, one_turn, period] = chain().unknowns()[i];
+        double turns = period > 0 ? std::nearbyint((q0[i] - q[i]) / period) : 0.0;
+        while (turns != 0 && !bounds.contain(q[i] + turns * period)) { turns -= turns > 0 ? 1.0 : -1.0; }
+        if (turns != 0) { q[i] += turns * period; }
         changed = changed || turns != 0;
     }
     return changed;

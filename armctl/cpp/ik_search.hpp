@@ -71,6 +71,8 @@ public:
     // The random start of a number: within half a turn of q0 and inside the bounds, `bounds` or `one_turn`, or at one.
     void random_start(BoundsOf bounds_of, Vector q0, std::int64_t start, std::uint64_t seed, Result q) const;
 
+    Tolerances in_reaches(const Tolerances& tolerances) const { return {tolerances.position / chain().reach(), tolerances.orientation}; }
+
     // The errors of the tip at q for a target in m. Places the chain.
     PoseError tip_error(const Target& target, Vector q);
 
