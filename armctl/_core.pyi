@@ -5,6 +5,7 @@ The compiled core of armctl. It computes; the Python modules that use it check a
 import enum
 
 import numpy
+from numpy.typing import NDArray
 
 def inverse_dynamics_along(model: ArmModel, q: numpy.ndarray, v: numpy.ndarray, a: numpy.ndarray, tau: numpy.ndarray) -> None:
     """Inverse dynamics without dry friction at many states: (T, n) N m."""
@@ -192,34 +193,7 @@ class ClearanceProof:
 class ArmModel:
     """The model of an arm: a tree of links. Immutable."""
 
-    def __init__(
-        self,
-        *,
-        rotations: numpy.ndarray,
-        translations: numpy.ndarray,
-        slides: numpy.ndarray,
-        parents: numpy.ndarray,
-        masses: numpy.ndarray,
-        centers: numpy.ndarray,
-        inertias: numpy.ndarray,
-        lifted_masses: numpy.ndarray,
-        lifted_moments: numpy.ndarray,
-        stiffness: numpy.ndarray,
-        spring_rest: numpy.ndarray,
-        offsets: numpy.ndarray,
-        ratio: numpy.ndarray,
-        armature: numpy.ndarray,
-        damping: numpy.ndarray,
-        friction_loss: numpy.ndarray,
-        friction_gain: numpy.ndarray,
-        friction_rate: numpy.ndarray,
-        chain_length: int,
-        gravity: numpy.ndarray,
-        tip_rotation: numpy.ndarray,
-        tip_translation: numpy.ndarray,
-        implicit_damping: bool,
-        implicit_coriolis: bool,
-    ) -> None:
+    def __init__(self, **given) -> None:
         """
         A model from arrays for each of the m joints, and for each of the arm's n; armctl/cpp/arm_model.hpp explains them.
         """
@@ -257,20 +231,12 @@ class Dynamics:
         Adds the torque against dry friction on the reference motion, where the joints are placed.
         """
 
-    def add_linear_damping(self, v: numpy.ndarray, tau: numpy.ndarray) -> None:
-        """Adds the torque of the linear damping."""
-
     def coriolis_product(self, v: numpy.ndarray, w: numpy.ndarray, tau: numpy.ndarray) -> None:
         """C(q, v) w (n,) N m, where the joints are placed."""
 
     def mass_matrix(self, M: numpy.ndarray) -> None:
         """
         The (n, n) mass matrix with armature, kg m^2, where the joints are placed.
-        """
-
-    def add_step_inertia(self, M: numpy.ndarray) -> None:
-        """
-        Adds to a mass matrix what implicit linear damping adds to the inertia in one step.
         """
 
     def locate(self) -> None:
@@ -286,6 +252,11 @@ class Dynamics:
     def tip_jacobian(self, J: numpy.ndarray) -> None:
         """
         The (6, n) Jacobian of the tip, linear first, world axes, after `locate`.
+        """
+
+    def tip_force(self, q: numpy.ndarray, wrench: numpy.ndarray, tau: numpy.ndarray) -> None:
+        """
+        J(q)^T wrench, (n,) N m, for a wrench (6,) on the tip: force first, world axes.
         """
 
     def tip_motion(self, q: numpy.ndarray, v: numpy.ndarray, a: numpy.ndarray, motion: numpy.ndarray) -> None:
@@ -311,6 +282,11 @@ def solve(factors: numpy.ndarray, x: numpy.ndarray) -> None:
 def multiply(factors: numpy.ndarray, x: numpy.ndarray, product: numpy.ndarray) -> None:
     """product = M x, (n,) each, with M as `factorize` leaves it."""
 
+def solve_least_squares(A: numpy.ndarray, b: numpy.ndarray, x: numpy.ndarray) -> None:
+    """
+    Adds to x (r,) the shortest vector that minimizes |A^T x - b|; A (r, n) is overwritten.
+    """
+
 def tips(model: ArmModel, q: numpy.ndarray, positions: numpy.ndarray, rotations: numpy.ndarray) -> None:
     """
     Positions (T, 3) m and rotation matrices (T, 3, 3) of the tip in the world at each row of q (T, n).
@@ -334,67 +310,14 @@ class ActionMode(enum.Enum):
 
     cartesian_pose = 4
 
-class ActionOptions:
-    """How actions are used; armctl/cpp/actions.hpp explains it."""
-
-    def __init__(
-        self,
-        *,
-        mode: ActionMode,
-        size: int,
-        ticks: int,
-        dt: float,
-        joint_scale: float,
-        position_scale: float,
-        rotation_scale: float,
-        approach_rate: float,
-        tip_damping: float,
-        home_tip: numpy.ndarray,
-    ) -> None: ...
-
 class EnvironmentRows:
     """
     Several copies of an arm, each with its own simulation, controller and target.
     """
 
-    def __init__(
-        self,
-        api: MujocoApi,
-        *,
-        arm: ArmModel,
-        law: Law,
-        options: ActionOptions,
-        limits: numpy.ndarray,
-        qpos_addresses: numpy.ndarray,
-        dof_addresses: numpy.ndarray,
-        ctrl_addresses: numpy.ndarray,
-        gear: numpy.ndarray,
-        gripper_ctrl: numpy.ndarray,
-        gripper_length: numpy.ndarray,
-        gripper_ends: numpy.ndarray,
-        grip_step: float,
-        object_addresses: tuple[int, int] | None,
-        obstacle: int | None,
-        max_delay: int,
-        action: object,
-        q: object,
-        v: object,
-        target: object,
-        q_ref: object,
-        v_ref: object,
-        tip: object,
-        opening: object,
-        object: object,
-        touched: object,
-        noise: object | None,
-    ) -> None:
+    def __init__(self, api: MujocoApi, arm: ArmModel, law: Law, **given) -> None:
         """
-        Copies without simulations, that work on the arrays; armctl/cpp/environment_rows.hpp explains them.
-
-        `limits` (5, n) are least and greatest position, greatest speed, acceleration and torque. `gripper_ctrl` and
-        `gripper_length` (actuators,) are addresses in ctrl and in actuator_length, `gripper_ends` (4, actuators) the
-        controls when closed and open, and the lengths. `object_addresses` are those of the loose object in qpos and
-        qvel, `obstacle` is a geom.
+        Copies without simulations, that work on the arrays; armctl/cpp/environment_rows.hpp explains the arguments.
         """
 
     def set_simulation(self, row: int, model: object, data: object) -> None:
@@ -706,7 +629,7 @@ class Law:
         """
 
     @property
-    def memory(self) -> numpy.ndarray:
+    def memory(self) -> NDArray[numpy.float64]:
         """
         What the law keeps from tick to tick; an array that shares the memory of the law.
         """
@@ -720,66 +643,51 @@ class Law:
 class PD(Law):
     """tau = stiffness (q_ref - q) + damping (v_ref - v)"""
 
-    def __init__(self, *, stiffness: numpy.ndarray, damping: numpy.ndarray) -> None: ...
+    def __init__(self, **kwargs) -> None: ...
+
+class TorqueRateLimit(Law):
+    """A law whose torques change at limited rates."""
+
+    def __init__(self, limited: Law, **gains) -> None: ...
+
+class CFunctionLaw(Law):
+    """
+    A compiled C function as a law; armctl/cpp/laws/c_function.hpp has its signature.
+    """
+
+    def __init__(
+        self, address: int, *, n: int, parameters: numpy.ndarray, memory_size: int = 0, needs_wrench: bool = False
+    ) -> None:
+        """
+        A law from the address of its function, which has to exist as long as the law.
+        """
 
 class PDFeedforward(Law):
     """PD with the torque of the reference motion."""
 
-    def __init__(self, model: ArmModel, *, stiffness: numpy.ndarray, damping: numpy.ndarray) -> None: ...
+    def __init__(self, model: ArmModel, **gains) -> None: ...
 
 class PDGravity(Law):
     """PD with gravity compensation."""
 
-    def __init__(self, model: ArmModel, *, stiffness: numpy.ndarray, damping: numpy.ndarray) -> None: ...
+    def __init__(self, model: ArmModel, **gains) -> None: ...
 
 class PIDGravity(Law):
     """PID with gravity compensation."""
 
-    def __init__(
-        self,
-        model: ArmModel,
-        *,
-        stiffness: numpy.ndarray,
-        damping: numpy.ndarray,
-        integral_gain: numpy.ndarray,
-        torque_limit: numpy.ndarray,
-        dt: float,
-    ) -> None: ...
+    def __init__(self, model: ArmModel, **gains) -> None: ...
 
 class ComputedTorque(Law):
     """Computed torque, with integral action if its gain is not 0."""
 
-    def __init__(
-        self,
-        model: ArmModel,
-        *,
-        stiffness: float,
-        damping: float,
-        integral_gain: float,
-        added_inertia: numpy.ndarray,
-        torque_limit: numpy.ndarray,
-        textbook: bool,
-        dt: float,
-    ) -> None: ...
+    def __init__(self, model: ArmModel, **gains) -> None: ...
 
 class ComputedTorqueObserver(Law):
     """Computed torque with a disturbance observer that estimates velocities."""
 
-    def __init__(
-        self,
-        model: ArmModel,
-        *,
-        stiffness: float,
-        damping: float,
-        position_weight: float,
-        velocity_weight: float,
-        disturbance_weight: float,
-        torque_limit: numpy.ndarray,
-        dt: float,
-        continuous: bool,
-    ) -> None: ...
+    def __init__(self, model: ArmModel, **gains) -> None: ...
     @property
-    def disturbance(self) -> numpy.ndarray:
+    def disturbance(self) -> NDArray[numpy.float64]:
         """The estimated disturbance, (n,) N m; a part of the memory."""
 
 class ComputedTorqueLearning(ComputedTorqueObserver):
@@ -787,26 +695,9 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
     Computed torque with an observer, which learns payload, friction and delay.
     """
 
-    def __init__(
-        self,
-        model: ArmModel,
-        *,
-        stiffness: float,
-        damping: float,
-        position_weight: float,
-        velocity_weight: float,
-        disturbance_weight: float,
-        torque_limit: numpy.ndarray,
-        filter_weight: float,
-        information_weight: float,
-        forgetting: float,
-        torque_precision: numpy.ndarray,
-        prior_deviations: numpy.ndarray,
-        dt: float,
-        continuous: bool,
-    ) -> None: ...
+    def __init__(self, model: ArmModel, **gains) -> None: ...
     @property
-    def estimate(self) -> numpy.ndarray:
+    def estimate(self) -> NDArray[numpy.float64]:
         """
         The ten parameters of the payload, the delay, s, and the dry friction of the joints, N m; a part of the memory.
         """
@@ -816,52 +707,14 @@ def payload_regressor(dynamics: Dynamics, q: numpy.ndarray, v: numpy.ndarray, a:
     The torques per inertial parameter of a body at the tip, written into Y (n, 10): mass, first moment, second moments.
     """
 
-class TickProgram:
-    """The program of a tick: minimize x H x / 2, lower <= (x, M x) <= upper."""
-
-    @property
-    def H(self) -> numpy.ndarray:
-        """(n, n)"""
-
-    @property
-    def M(self) -> numpy.ndarray:
-        """
-        (n, n) inertia of one control period: the torque of a deviation x is M x.
-        """
-
-    @property
-    def lower(self) -> numpy.ndarray:
-        """(2n,) bounds of x and M x."""
-
-    @property
-    def upper(self) -> numpy.ndarray:
-        """(2n,)"""
-
-    @property
-    def torque(self) -> numpy.ndarray:
-        """(n,) N m, without limits."""
-
 class ComputedTorqueQP(Law):
     """Computed torque within limits of torque, velocity and position."""
 
-    def __init__(
-        self,
-        model: ArmModel,
-        *,
-        stiffness: float,
-        damping: float,
-        added_inertia: numpy.ndarray,
-        q_min: numpy.ndarray,
-        q_max: numpy.ndarray,
-        v_max: numpy.ndarray,
-        a_max: numpy.ndarray,
-        tau_max: numpy.ndarray,
-        length: float,
-        dt: float,
-        continuous: bool,
-    ) -> None: ...
-    def last_program(self) -> TickProgram | None:
-        """The program of the last tick; None if the torque was not limited."""
+    def __init__(self, model: ArmModel, **gains) -> None: ...
+    def last_program(self) -> object:
+        """
+        The program of the last tick: H, M, lower, upper and the torque (n,) N m without limits, as for `solve_program` with f = 0. None if the torque was not limited.
+        """
 
 UNBOUNDED: float = 1e30
 
@@ -875,40 +728,21 @@ def solve_program(
 class OperationalSpace(Law):
     """Operational space control with a posture in the null space."""
 
-    def __init__(
-        self, model: ArmModel, *, stiffness: float, damping: float, posture_stiffness: float, posture_damping: float
-    ) -> None: ...
+    def __init__(self, model: ArmModel, **gains) -> None: ...
 
 class Impedance(Law):
     """Cartesian impedance control without inertia shaping."""
 
-    def __init__(
-        self,
-        model: ArmModel,
-        *,
-        stiffness: numpy.ndarray,
-        max_error: numpy.ndarray,
-        posture_stiffness: numpy.ndarray,
-        damping_ratio: float,
-    ) -> None: ...
-    def set_stiffness(self, stiffness: numpy.ndarray) -> None:
+    def __init__(self, model: ArmModel, **gains) -> None: ...
+    def set_stiffness(self, **kwargs) -> None:
         """Replaces the stiffness of the tip, (6,) N/m and N m/rad."""
 
 class Admittance(Law):
     """Admittance control: a position loop follows a compliant reference."""
 
-    def __init__(
-        self,
-        model: ArmModel,
-        *,
-        mass: numpy.ndarray,
-        damping: numpy.ndarray,
-        stiffness: numpy.ndarray,
-        bandwidth: float,
-        dt: float,
-    ) -> None: ...
+    def __init__(self, model: ArmModel, **gains) -> None: ...
     @property
-    def offset(self) -> numpy.ndarray:
+    def offset(self) -> NDArray[numpy.float64]:
         """
         The displacement of the reference, (6,) m and rad; a part of the memory.
         """
@@ -916,44 +750,15 @@ class Admittance(Law):
 class HybridForce(Law):
     """Hybrid force/motion control with contact transition."""
 
-    def __init__(
-        self,
-        model: ArmModel,
-        *,
-        bandwidth: float,
-        damping_ratio: float,
-        in_tip_frame: bool,
-        approach_speed: float,
-        contact_force: float,
-        is_force: numpy.ndarray,
-        targets: numpy.ndarray,
-        dt: float,
-    ) -> None: ...
-    def set_axes(self, is_force: numpy.ndarray, targets: numpy.ndarray) -> None:
+    def __init__(self, model: ArmModel, **gains) -> None: ...
+    def set_axes(self, **kwargs) -> None:
         """
-        Replaces the force axes. One that comes back later begins with an approach.
+        Replaces the force axes, `is_force` and `targets` (6,). One that comes back later begins with an approach.
         """
 
     @property
     def in_contact(self) -> bool:
         """Whether every force axis with a target is in contact."""
-
-class TorqueRateLimit(Law):
-    """A law whose torques change at limited rates."""
-
-    def __init__(self, limited: Law, *, tau_rate_max: numpy.ndarray, dt: float) -> None: ...
-
-class CFunctionLaw(Law):
-    """
-    A compiled C function as a law; armctl/cpp/laws/c_function.hpp has its signature.
-    """
-
-    def __init__(
-        self, address: int, *, n: int, parameters: numpy.ndarray, memory_size: int = 0, needs_wrench: bool = False
-    ) -> None:
-        """
-        A law from the address of its function, which has to exist as long as the law.
-        """
 
 def limit_excess(
     coefficients: numpy.ndarray,
@@ -1022,21 +827,7 @@ class MujocoApi:
     MuJoCo's functions by their addresses, and where mjData keeps contacts.
     """
 
-    def __init__(
-        self,
-        *,
-        step: int,
-        rne_post_constraint: int,
-        make_batch: int,
-        delete_batch: int,
-        apply: int,
-        error: int,
-        empty_model: int,
-        contact_count: int,
-        contact_array: int,
-        contact_stride: int,
-        contact_geoms: int,
-    ) -> None: ...
+    def __init__(self, **kwargs) -> None: ...
 
 class Delay:
     """Commands that reach the motors some ticks after they were given."""
@@ -1050,48 +841,18 @@ class Delay:
         Takes the command of this tick, (n,) N m, and gives that of some ticks ago.
         """
 
-class TipForce:
-    """Joint torques of forces on the tip."""
-
-    def __init__(self, model: ArmModel) -> None: ...
-    def torque(self, q: numpy.ndarray, wrench: numpy.ndarray, tau: numpy.ndarray) -> None:
-        """J(q)^T wrench, (n,) N m, for a wrench (6,): force first, world axes."""
-
-def solve_least_squares(A: numpy.ndarray, b: numpy.ndarray, x: numpy.ndarray) -> None:
-    """
-    Adds to x (r,) the shortest vector that minimizes |A^T x - b|; A (r, n) is overwritten.
-    """
-
 class WrenchSensor:
     """The wrench of the environment on a tip, true or measured."""
 
-    def __init__(
-        self,
-        api: MujocoApi,
-        model: object,
-        data: object,
-        *,
-        arm: ArmModel,
-        bodies: numpy.ndarray,
-        root: int,
-        tip: int,
-        offset: numpy.ndarray,
-        is_connected: bool,
-        dt: float,
-        delay: int,
-        is_sampled: bool,
-        estimated: int,
-    ) -> None:
+    def __init__(self, api: MujocoApi, model: object, data: object, arm: ArmModel, **given) -> None:
         """
         A sensor in a mujoco.MjModel and MjData; armctl/cpp/wrench_sensor.hpp explains the arguments.
-
-        `estimated` numbers of the wrench follow from the torques of the motors; 0 if a flange sensor measures it.
         """
 
     def reset(self) -> None:
         """Forgets all measurements."""
 
-    def read(self, push: object | None, wrench: numpy.ndarray) -> None:
+    def read(self, push: numpy.ndarray | None, wrench: numpy.ndarray) -> None:
         """The true wrench now, (6,), with that of the plant's pushes."""
 
     def measure(
@@ -1100,8 +861,8 @@ class WrenchSensor:
         v: numpy.ndarray,
         tau: numpy.ndarray,
         t: float,
-        noise: object | None,
-        push: object | None,
+        noise: numpy.ndarray | None,
+        push: numpy.ndarray | None,
         wrench: numpy.ndarray,
         truth: numpy.ndarray,
     ) -> None:
@@ -1159,61 +920,15 @@ class TickLoop:
     The tick loop of one simulation: measure, control, step, record. One thread at a time.
     """
 
-    def __init__(
-        self,
-        api: MujocoApi,
-        model: object,
-        data: object,
-        *,
-        qpos_addresses: numpy.ndarray,
-        dof_addresses: numpy.ndarray,
-        ctrl_addresses: numpy.ndarray,
-        torque_addresses: numpy.ndarray,
-        gear: numpy.ndarray,
-        torque_share: numpy.ndarray,
-        pushed_arm: ArmModel,
-        substeps: int,
-        diverged_speed: float,
-    ) -> None:
+    def __init__(self, api: MujocoApi, model: object, data: object, pushed_arm: ArmModel, **given) -> None:
         """
-        The loop of a mujoco.MjModel and MjData.
-
-        The addresses are those of the motors' joints in qpos and qvel, of the motors in ctrl and of their torques in
-        qfrc_actuator; torques are ctrl times `gear`, and qfrc_actuator times `torque_share`. Pushes act on the tip of
-        `pushed_arm`.
+        The loop of a mujoco.MjModel and MjData; armctl/cpp/tick_loop.hpp explains the arguments.
         """
 
-    def run(
-        self,
-        law: Law,
-        end: TickEnd,
-        *,
-        q: numpy.ndarray,
-        v: numpy.ndarray,
-        a: numpy.ndarray,
-        v_tick: numpy.ndarray,
-        a_tick: numpy.ndarray,
-        qpos_rows: numpy.ndarray,
-        v_rows: numpy.ndarray,
-        command_rows: numpy.ndarray,
-        torque_rows: numpy.ndarray,
-        wrench_rows: object | None = None,
-        first: int,
-        last: int,
-        delay: Delay | None = None,
-        noise: object | None = None,
-        pushes: object | None = None,
-        push: object | None = None,
-        sensor: WrenchSensor | None = None,
-        times: object | None = None,
-        wrench_noise: object | None = None,
-        touching: bytes,
-    ) -> None:
+    def run(self, law: Law, end: TickEnd, delay: Delay | None, sensor: WrenchSensor | None, touching: bytes, **ticks) -> None:
         """
-        Runs the ticks [first, last) of a reference, (ticks, n) each, and records them in the rows, (ticks, ...) each.
+        Runs the ticks [first, last) of a reference and records them; `Ticks` in armctl/cpp/tick_loop.hpp explains the arrays.
 
         How they ended is written into `end`: an interrupt, which raises when the call returns, would lose a result.
-        Without a delay, the motors receive the command itself. Noise (last - first, 2, n), pushes (last - first, 6),
-        times (last - first,) and wrench_noise (last - first, 6) begin at the first of the ticks. `push` (6,) gets the
-        last of the pushes. `touching` are the geoms that touch in the row before, as in `TickEnd.contacts`.
+        `touching` are the geoms that touch in the row before, as in `TickEnd.contacts`.
         """

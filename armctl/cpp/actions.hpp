@@ -1,42 +1,50 @@
 // What the numbers of a policy's action do: they move joint targets, which a reference approaches, or they are torques.
 #pragma once
-#include <cstdint>
-#include <memory>
-#include <vector>
-
 #include "dynamics.hpp"
 #include "law.hpp"
-#include "spans.hpp"
-#include "tip_target.hpp"
 
 namespace armctl {
 
 enum class ActionMode : std::uint8_t { torque, joint_delta, joint_target, cartesian_delta, cartesian_pose };
 
+// Limits of a joint that an action commands.
+struct ActionLimits {
+    double q_min = 0.0;    // rad
+    double q_max = 0.0;    // rad
+    double v_max = 0.0;    // rad/s
+    double a_max = 0.0;    // rad/s^2
+    double tau_max = 0.0;  // N m
+
+    // The signed speed from which a joint stops within a way, sqrt(2 a s), exponential at a rate, 1/s, near the end.
+    double approach_speed(double way, double rate) const;
+};
+
 // Numbers of an action are in [-1, 1].
 struct ActionOptions {
-    ActionMode mode = ActionMode::torque;
-    size_t size = 0;              // numbers of an action
-    size_t ticks = 0;             // of a step
-    double dt = 0.0;              // s, the control period
-    double joint_scale = 0.0;     // s: a full action moves a joint's target as far as full speed does in this time
-    double position_scale = 0.0;  // m, of a full cartesian action
-    double rotation_scale = 0.0;  // rad, of a full cartesian action
-    double approach_rate = 0.0;   // 1/s, at which a reference approaches its target near the end
-    double tip_damping = 0.0;     // of the inverse Jacobian, squared
-    Pose T_world_home;            // the tip at home, where cartesian poses begin
+    // The members by name. `mode` is an ActionMode, `limits` (5, n) are those of ActionLimits, `home_tip` (12,) is translation and
+    // rotation matrix.
+    ActionOptions(const Arguments& given, size_t n);
+
+    ActionMode mode;
+    std::vector<ActionLimits> limits;
+    size_t size;            // numbers of an action
+    size_t ticks;           // of a step
+    double dt;              // s, the control period
+    double joint_scale;     // s: a full action moves a joint's target as far as full speed does in this time
+    double position_scale;  // m, of a full cartesian action
+    double rotation_scale;  // rad, of a full cartesian action
+    double approach_rate;   // 1/s, at which a reference approaches its target near the end
+    double tip_damping;     // of the inverse Jacobian, squared
+    Pose T_world_home;      // the tip at home, where cartesian poses begin
 };
 
 // A number of an action within [-1, 1]; 0 if it is not a number.
-inline double unit(double value) { return value == value ? std::min(std::max(value, -1.0), 1.0) : 0.0; }
-
-// The signed speed from which a joint stops within a way, sqrt(2 a s), exponential near the end.
-double approach_speed(double way, double a_max, double rate);
+inline double unit(double value) { return value == value ? clipped(value, 1.0) : 0.0; }
 
 // Joint targets that actions move, and the reference that approaches them.
 class ActionTargets {
 public:
-    ActionTargets(std::shared_ptr<const ArmModel> model, std::vector<ActionLimits> limits, const ActionOptions& options);
+    ActionTargets(const Model& model, const ActionOptions& options) : options_(options), dynamics_(model) {}
 
     // Moves targets (n,) by an action.
     void move(Vector action, Result target);
@@ -45,29 +53,29 @@ public:
     // overshoot. Returns the setpoint of this tick, which is valid until the next call.
     Setpoint advance(Vector target, Result q_ref, Result v_ref);
 
-    // Moves target and reference as in one step: the motion of an arm that follows its reference.
-    void rehearse(Vector action, Result target, Result q_ref, Result v_ref);
-
     // The pose of the tip at joint positions (n,).
-    Pose tip(Vector q) { return tip_target_.tip(q); }
+    Pose tip(Vector q) {
+        dynamics_.locate(q);
+        return dynamics_.tip();
+    }
 
 private:
     void move_tip(Vector action, Result target);
+    void follow(const Pose& goal, Result target);
+    Numbers zeros() const { return Numbers(options_.limits.size()); }
 
-    std::vector<ActionLimits> limits_;
-    ActionOptions options_;
-    TipTarget tip_target_;
-    // Scratch memory, (n,) each.
-    std::vector<double> ways_;
-    std::vector<double> q_;
-    std::vector<double> v_;
-    std::vector<double> a_;
+    const ActionOptions& options_;
+    Dynamics dynamics_;
+    // The tip of an arm with fewer than six joints has a position as its goal.
+    size_t components_ = options_.size == 6 ? 6 : 3;
+    DenseMatrix square_{components_, components_};
+    Numbers start_ = zeros(), q_ = zeros(), v_ = zeros(), a_ = zeros();
 };
 
 // Torques of actions, where a torque that would drive a joint too fast or into a stop is replaced by one that brakes it.
 class TorqueGuard {
 public:
-    TorqueGuard(std::shared_ptr<const ArmModel> model, std::vector<ActionLimits> limits, const ActionOptions& options);
+    TorqueGuard(const Model& model, const ActionOptions& options) : options_(options), dynamics_(model) {}
 
     // The torque (n,) N m of an action in a state.
     void torque(Vector action, Vector q, Vector v, Result tau);
@@ -75,14 +83,11 @@ public:
 private:
     double guarded_acceleration(size_t i, double q, double v, double a) const;
 
+    const ActionOptions& options_;
     Dynamics dynamics_;
-    std::vector<ActionLimits> limits_;
-    double dt_;
-    double rate_;
-    // Scratch memory.
-    std::vector<double> bias_;     // (n,)
-    std::vector<double> a_;        // (n,)
-    std::vector<double> factors_;  // (n, n)
+    size_t n_ = options_.limits.size();
+    Numbers bias_ = Numbers(n_), a_ = Numbers(n_);
+    DenseMatrix factors_{n_, n_};
 };
 
 }  // namespace armctl

@@ -1,49 +1,20 @@
 // The model of an arm: a tree of links whose joints each turn about, or slide along, their own z axis.
 #pragma once
-#include <cstdint>
-#include <vector>
+#include <memory>
 
-#include "spans.hpp"
+#include "arguments.hpp"
 #include "vectors.hpp"
 
 namespace armctl {
-
-// One value for each of the m joints, and for each of the n that the arm's motors drive. All are copied.
-struct ArmArrays {
-    // Of each joint.
-    Matrix rotations;                       // (m, 9) of the joint's frame in its parent's frame, at position zero, row by row
-    Matrix translations;                    // (m, 3) m
-    std::span<const std::int64_t> slides;   // (m,) whether it slides
-    std::span<const std::int64_t> parents;  // (m,) -1 for the base
-    Vector masses;                          // (m,) kg
-    Matrix centers;                         // (m, 3) m, of mass
-    Matrix inertias;                        // (m, 6) kg m^2, xx yy zz xy xz yz about the center of mass
-    Vector lifted_masses;                   // (m,) kg, of what gravity compensation lifts
-    Matrix lifted_moments;                  // (m, 3) kg m
-    Matrix stiffness;                       // (m, 3) linear, quadratic and cubic stiffness of the spring
-    Vector spring_rest;                     // (m,) rad
-    Vector offsets;                         // (m,) rad: joint positions are ratio q + offset
-    Matrix ratio;                           // (m, n)
-    // Of each of the n.
-    Vector armature;       // (n,) kg m^2
-    Matrix damping;        // (n, 3) linear, quadratic and cubic
-    Vector friction_loss;  // (n,) N m
-    Vector friction_gain;  // (n,) kg m^2
-    Vector friction_rate;  // (n,) 1/s
-    // Of the arm.
-    size_t chain_length = 0;  // joints from the base to the tip; they come first
-    Vector gravity;           // (3,) m/s^2
-    Vector tip_rotation;      // (9,) of the tip in the last joint's frame, row by row
-    Vector tip_translation;   // (3,) m
-    bool implicit_damping = false;
-    bool implicit_coriolis = false;
-};
 
 // A force with a linear, a quadratic and a cubic term.
 struct Polynomial {
     double linear = 0.0;
     double quadratic = 0.0;
     double cubic = 0.0;
+
+    bool is_linear() const { return quadratic == 0.0 && cubic == 0.0; }
+    bool is_zero() const { return linear == 0.0 && is_linear(); }
 
     // Force of a damper per velocity: d0 + d1 |v| + d2 v^2.
     double damping(double v) const {
@@ -75,7 +46,7 @@ struct DryFriction {
     double gain = 0.0;
     double rate = 0.0;
 
-    double torque(double v, double a) const;
+    double torque(double v, double a) const { return std::clamp(gain * (a + rate * v), -loss, loss); }
 };
 
 // What acts on one of the arm's n.
@@ -87,7 +58,14 @@ struct Drive {
 
 // Immutable after its construction: threads share it.
 struct ArmModel {
-    explicit ArmModel(const ArmArrays& arrays);
+    // Of each of the m joints: `rotations` (m, 3, 3) and `translations` (m, 3) in the parent's frame at position zero, `slides`,
+    // `parents` (-1 for the base), `masses`, `centers` (m, 3) of mass, `inertias` (m, 6) xx yy zz xy xz yz about the center of mass,
+    // `lifted_masses` and `lifted_moments` (m, 3) of what gravity compensation lifts, `stiffness` (m, 3) and `spring_rest` of a
+    // spring. Joint positions are `ratio` (m, n) q + `offsets`. Of each of the n that the motors drive: `armature`, `damping` (n,
+    // 3), `friction_loss`, `friction_gain`, `friction_rate`. Of the arm: `chain_length`, the joints from the base to the tip, which
+    // come first; `gravity`, `tip_rotation` and `tip_translation` in the last joint's frame, `implicit_damping` and
+    // `implicit_coriolis` of a step. Units are SI.
+    explicit ArmModel(const Arguments& given);
 
     // The model for a control period of dt. If the arm moves continuously, forces are those in the middle of the period; if
     // not, the period is one step of MuJoCo. dt = 0 is continuous time.
@@ -100,7 +78,7 @@ struct ArmModel {
 
     std::vector<Joint> joints;
     std::vector<Drive> drives;
-    std::vector<double> ratios;  // (m, n)
+    Numbers ratios;  // (m, n)
     size_t chain_length = 0;
     Vec3 gravity;
     Pose T_last_tip;
@@ -117,5 +95,7 @@ struct ArmModel {
     double step = 0.0;       // s, of implicit forces; 0 for continuous time
     double half_step = 0.0;  // s, from the start of the period to the instant at which a continuous model is evaluated
 };
+
+using Model = std::shared_ptr<const ArmModel>;
 
 }  // namespace armctl

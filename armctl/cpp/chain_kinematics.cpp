@@ -28,10 +28,6 @@ double huge_distance(Vec3 away) {
     return std::min(largest * norm(share), MAX_LENGTH);
 }
 
-std::array<double, 6> numbers(const Twist& twist) {
-    return {twist.linear.x, twist.linear.y, twist.linear.z, twist.angular.x, twist.angular.y, twist.angular.z};
-}
-
 }  // namespace
 
 PoseError residual(Constraint constraint, const Pose& target, const Pose& tip) {

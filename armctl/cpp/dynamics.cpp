@@ -1,19 +1,15 @@
 #include "dynamics.hpp"
 
-#include "factorization.hpp"
-
 namespace armctl {
 
-Dynamics::Dynamics(std::shared_ptr<const ArmModel> model)
+Dynamics::Dynamics(Model model)
     : model_(std::move(model)), links_(model_->joints.size()), middle_position_(model_->n()), middle_velocity_(model_->n()),
-      sum_(model_->n()), difference_(model_->n()), change_(model_->n()), inertia_(model_->n() * model_->n()) {}
+      sum_(model_->n()), difference_(model_->n()), change_(model_->n()), inertia_(model_->n(), model_->n()), J_(6, model_->n()) {}
 
 // The velocity or acceleration of a joint, from those of the arm's n.
 inline double Dynamics::joint_value(size_t joint, Vector x) const {
     if (model_->is_plain) { return x[joint]; }
-    double total = 0.0;
-    for (size_t i = 0; i < x.size(); ++i) { total += model_->ratio(joint, i) * x[i]; }
-    return total;
+    return dot(Vector(model_->ratios).subspan(joint * x.size(), x.size()), x);
 }
 
 void Dynamics::set_velocities(Vector v) {
@@ -209,10 +205,9 @@ void Dynamics::add_friction(Vector v_ref, Vector a_ref, Result tau) {
             const double damping = model_->has_implicit_damping ? model_->drives[i].damping.linear : 0.0;
             change_[i] = model_->step * (damping * a_ref[i] + change_[i]);
         }
-        const MatrixResult M{inertia_.data(), tau.size(), tau.size()};
-        mass_matrix(M);
-        factorize(M);
-        solve({inertia_.data(), tau.size(), tau.size()}, change_);
+        mass_matrix(inertia_);
+        factorize(inertia_);
+        solve(inertia_, change_);
     }
     for (size_t i = 0; i < tau.size(); ++i) {
         tau[i] += model_->drives[i].friction.torque(v_ref[i] + half * a_ref[i], a_ref[i] + change_[i]);
@@ -324,27 +319,26 @@ void Dynamics::locate() {
 
 Pose Dynamics::tip() const { return links_[model_->chain_length - 1].T_world_joint * model_->T_last_tip; }
 
-void Dynamics::tip_jacobian(MatrixResult J) const {
+Matrix Dynamics::tip_jacobian() {
     const Vec3 p = tip().translation;
-    for (size_t row = 0; row < J.rows; ++row) {
-        for (size_t i = 0; i < J.columns; ++i) { J(row, i) = 0.0; }
-    }
+    std::ranges::fill(J_.numbers(), 0.0);
     for (size_t j = 0; j < model_->chain_length; ++j) {
         const Pose& T = links_[j].T_world_joint;
         const Vec3 z = T.rotation.z;
-        const bool slides = model_->joints[j].slides;
-        const Twist twist = slides ? Twist{z, {}} : Twist{cross(z, p - T.translation), z};
-        for (size_t i = 0; i < J.columns; ++i) {
+        const std::array<double, 6> twist = numbers(model_->joints[j].slides ? Twist{z, {}} : Twist{cross(z, p - T.translation), z});
+        for (size_t i = 0; i < J_.columns(); ++i) {
             const double ratio = model_->is_plain ? (i == j ? 1.0 : 0.0) : model_->ratio(j, i);
             if (ratio == 0.0) { continue; }
-            J(0, i) += ratio * twist.linear.x;
-            J(1, i) += ratio * twist.linear.y;
-            J(2, i) += ratio * twist.linear.z;
-            J(3, i) += ratio * twist.angular.x;
-            J(4, i) += ratio * twist.angular.y;
-            J(5, i) += ratio * twist.angular.z;
+            for (size_t row = 0; row < 6; ++row) { J_(row, i) += ratio * twist[row]; }
         }
     }
+    return J_;
+}
+
+void Dynamics::tip_force(Vector q, Vector wrench, Result tau) {
+    locate(q);
+    tip_jacobian();
+    for (size_t i = 0; i < tau.size(); ++i) { tau[i] = dot(J_.column(i), wrench); }
 }
 
 BodyMotion Dynamics::tip_motion(Vector q, Vector v, Vector a) {

@@ -4,12 +4,7 @@
 //
 // Sources: Featherstone, Rigid Body Dynamics Algorithms (2008): recursive Newton-Euler (5.3), composite rigid bodies (6.2).
 #pragma once
-#include <memory>
-#include <vector>
-
 #include "arm_model.hpp"
-#include "spans.hpp"
-#include "vectors.hpp"
 
 namespace armctl {
 
@@ -25,7 +20,7 @@ struct BodyMotion {
 // Some functions evaluate the arm where an earlier one has placed it: `place`, `gravity`, `inverse_dynamics` or `tip_motion`.
 class Dynamics {
 public:
-    explicit Dynamics(std::shared_ptr<const ArmModel> model);
+    explicit Dynamics(Model model);
 
     const ArmModel& model() const { return *model_; }
 
@@ -54,17 +49,21 @@ public:
     // Adds to a mass matrix what linear damping that is implicit in velocity adds to the inertia in one step.
     void add_step_inertia(MatrixResult M) const;
 
-    // Finds the frames of all joints in the world, where the joints are placed.
+    // Finds the frames of all joints in the world, where the joints are placed, or at q (n,).
     void locate();
-
-    // The frame of a joint in the world, after `locate`.
-    const Pose& T_world_joint(size_t joint) const { return links_[joint].T_world_joint; }
+    void locate(Vector q) {
+        place(q);
+        locate();
+    }
 
     // The pose of the tip in the world, after `locate`.
     Pose tip() const;
 
-    // The (6, n) Jacobian of the tip, linear first, world axes, after `locate`.
-    void tip_jacobian(MatrixResult J) const;
+    // The (6, n) Jacobian of the tip, linear first, world axes, after `locate`; valid until the next call.
+    Matrix tip_jacobian();
+
+    // J(q)^T wrench, (n,) N m: what a wrench (6,) on the tip does to the joints. Places and locates the joints.
+    void tip_force(Vector q, Vector wrench, Result tau);
 
     // The motion of the tip in its own axes; in the middle of the control period where the arm moves continuously. Places and
     // locates the joints.
@@ -107,15 +106,11 @@ private:
     static CompositeInertia own_inertia(const Joint& joint);
     static CompositeInertia in_parent(const CompositeInertia& inertia, const Pose& placement);
 
-    std::shared_ptr<const ArmModel> model_;
+    Model model_;
     std::vector<Link> links_;
     // Scratch memory, (n,) each and (n, n).
-    std::vector<double> middle_position_;
-    std::vector<double> middle_velocity_;
-    std::vector<double> sum_;
-    std::vector<double> difference_;
-    std::vector<double> change_;
-    std::vector<double> inertia_;
+    Numbers middle_position_, middle_velocity_, sum_, difference_, change_;
+    DenseMatrix inertia_, J_;
 };
 
 }  // namespace armctl

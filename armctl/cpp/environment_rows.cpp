@@ -1,10 +1,30 @@
 #include "environment_rows.hpp"
 
-#include <algorithm>
-
-#include "errors.hpp"
-
 namespace armctl {
+
+namespace {
+
+std::vector<GripperActuator> gripper_of(const Arguments& given) {
+    const size_t count = given.length("gripper_ctrl");
+    const std::span<const std::int64_t> ctrl = given.integers(count, "gripper_ctrl");
+    const std::span<const std::int64_t> length = given.integers(count, "gripper_length");
+    const Matrix ends = given.matrix(4, count, "gripper_ends");
+    std::vector<GripperActuator> gripper;
+    for (size_t k = 0; k < count; ++k) {
+        gripper.push_back({address(ctrl[k]), address(length[k]), ends(0, k), ends(1, k), ends(2, k), ends(3, k)});
+    }
+    return gripper;
+}
+
+}  // namespace
+
+EnvironmentArrays::EnvironmentArrays(const Arguments& given, size_t n, size_t ticks, size_t action_size)
+    : count(given.length("q")), action(given.matrix(count, action_size, "action")), q(given.writable_matrix(count, n, "q")),
+      v(given.writable_matrix(count, n, "v")), target(given.writable_matrix(count, n, "target")),
+      q_ref(given.writable_matrix(count, n, "q_ref")), v_ref(given.writable_matrix(count, n, "v_ref")),
+      tip(given.writable_matrix(count, 12, "tip")), opening(given.writable({count}, "opening")),
+      object(given.writable_matrix(count, 13, "object")), touched(given.writable_integers(count, "touched")),
+      noise(given.has("noise") ? given.shaped({count, ticks, 2, n}, "noise") : Vector()) {}
 
 // Takes some copies for one thread, and gives them back at the end.
 class EnvironmentRows::Use {
@@ -33,40 +53,50 @@ private:
 // What a thread needs for its steps.
 struct EnvironmentRows::Workspace {
     explicit Workspace(const EnvironmentRows& rows)
-        : targets(rows.arm_, rows.options_.limits, rows.options_.action), guard(rows.arm_, rows.options_.limits, rows.options_.action),
-          q_seen(rows.joints()), v_seen(rows.joints()), tau(rows.joints()) {}
+        : targets(rows.arm_, rows.options_), guard(rows.arm_, rows.options_), q_seen(rows.joints()), v_seen(q_seen), tau(q_seen) {}
 
     ActionTargets targets;
     TorqueGuard guard;
-    std::vector<double> q_seen;
-    std::vector<double> v_seen;
-    std::vector<double> tau;
+    Numbers q_seen;
+    Numbers v_seen;
+    Numbers tau;
 };
 
-EnvironmentRows::EnvironmentRows(std::shared_ptr<const MujocoApi> api, std::shared_ptr<const ArmModel> arm, const Law& law,
-                                 EnvironmentOptions options, const EnvironmentArrays& arrays)
-    : api_(std::move(api)), arm_(std::move(arm)), options_(std::move(options)), arrays_(arrays) {
+EnvironmentRows::EnvironmentRows(std::shared_ptr<const MujocoApi> api, Model arm, const Law& law, const Arguments& given)
+    : api_(std::move(api)), arm_(std::move(arm)), motors_(motors_of(given)), options_(given, arm_->n()), gripper_(gripper_of(given)),
+      grip_step_(given.number("grip_step")), arrays_(given, arm_->n(), options_.ticks, options_.size + (gripper_.empty() ? 0 : 1)) {
     if (law.joints() != joints() || arm_->n() != joints()) {
         throw InputError("law, arm: they are not for " + std::to_string(joints()) + " joints");
     }
     if (law.needs_wrench()) { throw InputError("law: environments measure no wrench, and this law needs one"); }
-    for (size_t row = 0; row < arrays.q.rows; ++row) { copies_.emplace_back(law.clone(), joints(), options_.max_delay); }
+    if (given.has("object_addresses")) {
+        const std::span<const std::int64_t> addresses = given.integers(2, "object_addresses");
+        object_ = {address(addresses[0]), address(addresses[1])};
+    }
+    if (given.has("obstacle")) { obstacle_ = static_cast<std::int32_t>(given.integer("obstacle")); }
+    for (size_t row = 0; row < arrays_.count; ++row) { copies_.emplace_back(law.clone(), given.count("max_delay")); }
+}
+
+void EnvironmentRows::require_rows(size_t first, size_t last) const {
+    if (first >= last || last > arrays_.count) { throw InputError("row: there are " + std::to_string(arrays_.count) + " rows"); }
 }
 
 void EnvironmentRows::set_simulation(size_t row, const MujocoSimulation& simulation) {
-    check_addresses(options_.motors, simulation);
-    for (const GripperActuator& actuator : options_.gripper) {
+    require_rows(row, row + 1);
+    check_addresses(motors_, simulation);
+    for (const GripperActuator& actuator : gripper_) {
         if (actuator.ctrl >= simulation.ctrl.size() || actuator.length >= simulation.actuator_length.size()) {
             throw InputError("gripper: the model has no such actuator");
         }
     }
-    if (options_.object && (options_.object->qpos + 7 > simulation.qpos.size() || options_.object->qvel + 6 > simulation.qvel.size())) {
+    if (object_ && ((*object_)[0] + 7 > simulation.qpos.size() || (*object_)[1] + 6 > simulation.qvel.size())) {
         throw InputError("object: the model has no such joint");
     }
     copies_[row].simulation = simulation;
 }
 
 void EnvironmentRows::restart(size_t row, size_t delay) {
+    require_rows(row, row + 1);
     Copy& copy = copies_[row];
     copy.law->reset();
     copy.delay.restart(delay);
@@ -74,6 +104,7 @@ void EnvironmentRows::restart(size_t row, size_t delay) {
 }
 
 std::string EnvironmentRows::step(size_t first, size_t last) {
+    require_rows(first, last);
     const Use use(copies_, first, last);
     for (size_t row = first; row < last; ++row) {
         if (copies_[row].simulation.data == nullptr) { throw InputError("row " + std::to_string(row) + ": it has no simulation"); }
@@ -86,48 +117,46 @@ std::string EnvironmentRows::step(size_t first, size_t last) {
 }
 
 void EnvironmentRows::rehearse(Vector action, Result target, Result q_ref, Result v_ref) const {
-    ActionTargets(arm_, options_.limits, options_.action).rehearse(action, target, q_ref, v_ref);
+    ActionTargets targets(arm_, options_);
+    targets.move(action, target);
+    for (size_t tick = 0; tick < options_.ticks; ++tick) { targets.advance(target, q_ref, v_ref); }
 }
 
 void EnvironmentRows::step_row(size_t row, Workspace& work) {
     arrays_.touched[row] = 0;
-    work.targets.move(arrays_.action.row(row).first(action_size()), arrays_.target.row(row));
-    for (size_t k = 0; k < options_.action.ticks; ++k) { tick(row, k, work); }
+    work.targets.move(arrays_.action.row(row), arrays_.target.row(row));
+    for (size_t k = 0; k < options_.ticks; ++k) { tick(row, k, work); }
     observe_scene(row);
     const Pose tip = work.targets.tip(arrays_.q.row(row));
-    const Result numbers = arrays_.tip.row(row);
-    numbers[0] = tip.translation.x;
-    numbers[1] = tip.translation.y;
-    numbers[2] = tip.translation.z;
-    tip.rotation.to_rows(numbers.subspan(3));
+    tip.translation.store(arrays_.tip.row(row));
+    tip.rotation.to_rows(arrays_.tip.row(row).subspan(3));
 }
 
 // Measure, control, step.
 void EnvironmentRows::tick(size_t row, size_t tick, Workspace& work) {
     Copy& copy = copies_[row];
-    std::ranges::copy(arrays_.q.row(row), work.q_seen.begin());
-    std::ranges::copy(arrays_.v.row(row), work.v_seen.begin());
-    MeasurementNoise{arrays_.noise}.add(row * options_.action.ticks + tick, work.q_seen, work.v_seen);
-    if (options_.action.mode == ActionMode::torque) {
+    armctl::copy(arrays_.q.row(row), work.q_seen);
+    armctl::copy(arrays_.v.row(row), work.v_seen);
+    add_noise(arrays_.noise, row * options_.ticks + tick, work.q_seen, work.v_seen);
+    if (options_.mode == ActionMode::torque) {
         work.guard.torque(arrays_.action.row(row), work.q_seen, work.v_seen, work.tau);
     } else {
         const Setpoint setpoint = work.targets.advance(arrays_.target.row(row), arrays_.q_ref.row(row), arrays_.v_ref.row(row));
         copy.law->torque({.q = work.q_seen, .v = work.v_seen, .wrench = {}}, setpoint, work.tau);
     }
-    if (!options_.gripper.empty()) { drive_gripper(row); }
-    command_motors(options_.motors, copy.delay.delayed(work.tau), copy.simulation);
+    if (!gripper_.empty()) { drive_gripper(row); }
+    command_motors(motors_, copy.delay.delayed(work.tau), copy.simulation);
     api_->step(copy.simulation.model, copy.simulation.data);
-    read_joints(options_.motors, copy.simulation, arrays_.q.row(row), arrays_.v.row(row));
-    if (options_.obstacle && Contacts(api_->contacts, copy.simulation.data).touch(*options_.obstacle)) { ++arrays_.touched[row]; }
+    read_joints(motors_, copy.simulation, arrays_.q.row(row), arrays_.v.row(row));
+    if (obstacle_ && Contacts(api_->contacts, copy.simulation.data).touch(*obstacle_)) { ++arrays_.touched[row]; }
 }
 
 // Moves the controls of the gripper towards the last number of the action, at a limited speed.
 void EnvironmentRows::drive_gripper(size_t row) {
     Copy& copy = copies_[row];
     const double wanted = 0.5 * (1.0 + unit(arrays_.action.row(row)[action_size()]));
-    const double step = options_.grip_step;
-    copy.grip_target = std::min(std::max(wanted, copy.grip_target - step), copy.grip_target + step);
-    for (const GripperActuator& actuator : options_.gripper) {
+    copy.grip_target = std::min(std::max(wanted, copy.grip_target - grip_step_), copy.grip_target + grip_step_);
+    for (const GripperActuator& actuator : gripper_) {
         copy.simulation.ctrl[actuator.ctrl] = actuator.closed_ctrl + copy.grip_target * (actuator.open_ctrl - actuator.closed_ctrl);
     }
 }
@@ -135,18 +164,17 @@ void EnvironmentRows::drive_gripper(size_t row) {
 // Reads the gripper's opening and the loose object.
 void EnvironmentRows::observe_scene(size_t row) {
     const MujocoSimulation& simulation = copies_[row].simulation;
-    if (!options_.gripper.empty()) {
+    if (!gripper_.empty()) {
         double share = 0.0;
-        for (const GripperActuator& actuator : options_.gripper) {
+        for (const GripperActuator& actuator : gripper_) {
             const double length = simulation.actuator_length[actuator.length];
             share += (length - actuator.closed_length) / (actuator.open_length - actuator.closed_length);
         }
-        arrays_.opening[row] = share / static_cast<double>(options_.gripper.size());
+        arrays_.opening[row] = share / static_cast<double>(gripper_.size());
     }
-    if (options_.object) {
-        const Result object = arrays_.object.row(row);
-        std::ranges::copy(simulation.qpos.subspan(options_.object->qpos, 7), object.begin());
-        std::ranges::copy(simulation.qvel.subspan(options_.object->qvel, 6), object.begin() + 7);
+    if (object_) {
+        copy(simulation.qpos.subspan((*object_)[0], 7), arrays_.object.row(row));
+        copy(simulation.qvel.subspan((*object_)[1], 6), arrays_.object.row(row).subspan(7));
     }
 }
 

@@ -1,53 +1,29 @@
 // Several copies of an arm, each with its own simulation, controller and target: the steps of a batch of environments.
 #pragma once
 #include <atomic>
-#include <cstdint>
 #include <deque>
-#include <memory>
 #include <optional>
-#include <string>
-#include <vector>
 
 #include "actions.hpp"
-#include "arm_model.hpp"
-#include "delay.hpp"
-#include "law.hpp"
 #include "motors.hpp"
-#include "mujoco_api.hpp"
-#include "spans.hpp"
 
 namespace armctl {
 
 // An actuator of the gripper, at whose ends the gripper is closed and open.
 struct GripperActuator {
-    size_t ctrl = 0;
-    size_t length = 0;  // in actuator_length
-    double closed_ctrl = 0.0;
-    double open_ctrl = 0.0;
-    double closed_length = 0.0;
-    double open_length = 0.0;
-};
-
-// A body that moves freely, in qpos and qvel.
-struct LooseObject {
-    size_t qpos = 0;
-    size_t qvel = 0;
-};
-
-// What all copies have in common.
-struct EnvironmentOptions {
-    ActionOptions action;
-    std::vector<ActionLimits> limits;
-    std::vector<Motor> motors;
-    std::vector<GripperActuator> gripper;  // empty if the actions do not move it
-    double grip_step = 0.0;                // of the way from closed to open, in a tick
-    std::optional<LooseObject> object;
-    std::optional<std::int32_t> obstacle;  // its geom
-    size_t max_delay = 0;                  // ticks
+    size_t ctrl;
+    size_t length;  // in actuator_length
+    double closed_ctrl;
+    double open_ctrl;
+    double closed_length;
+    double open_length;
 };
 
 // The numbers of all copies, which belong to the caller. A step writes all but the action and the noise.
 struct EnvironmentArrays {
+    EnvironmentArrays(const Arguments& given, size_t n, size_t ticks, size_t action_size);
+
+    size_t count;
     Matrix action;                    // (count, size), and the gripper's number
     MatrixResult q;                   // (count, n) rad
     MatrixResult v;                   // (count, n) rad/s
@@ -63,13 +39,15 @@ struct EnvironmentArrays {
 
 class EnvironmentRows {
 public:
-    // `arm` is the model that controllers know; each copy gets a clone of the law.
-    EnvironmentRows(std::shared_ptr<const MujocoApi> api, std::shared_ptr<const ArmModel> arm, const Law& law, EnvironmentOptions options,
-                    const EnvironmentArrays& arrays);
+    // `arm` is the model that controllers know; each copy gets a clone of the law. The arguments are those of `motors_of`,
+    // ActionOptions and EnvironmentArrays, and: `gripper_ctrl` and `gripper_length`, addresses in ctrl and actuator_length of the
+    // gripper's actuators, if actions move them; `gripper_ends` (4, actuators), controls when closed and open, and lengths;
+    // `grip_step`, the share of the way from closed to open in a tick; `object_addresses` (2,) of the loose object in qpos and qvel,
+    // if there is one; `obstacle`, a geom, if there is one; `max_delay`, ticks.
+    EnvironmentRows(std::shared_ptr<const MujocoApi> api, Model arm, const Law& law, const Arguments& given);
 
-    size_t count() const { return copies_.size(); }
-    size_t joints() const { return options_.motors.size(); }
-    size_t action_size() const { return options_.action.size; }
+    size_t joints() const { return motors_.size(); }
+    size_t action_size() const { return options_.size; }
 
     // Gives a copy its simulation. A step of a copy without one throws InputError.
     void set_simulation(size_t row, const MujocoSimulation& simulation);
@@ -88,7 +66,7 @@ public:
 
 private:
     struct Copy {
-        Copy(std::unique_ptr<Law> own_law, size_t n, size_t max_delay) : law(std::move(own_law)), delay(n, max_delay) {}
+        Copy(std::unique_ptr<Law> own_law, size_t max_delay) : law(std::move(own_law)), delay(law->joints(), max_delay) {}
 
         std::unique_ptr<Law> law;
         Delay delay;
@@ -99,15 +77,21 @@ private:
     class Use;
     struct Workspace;
 
+    void require_rows(size_t first, size_t last) const;
     void step_row(size_t row, Workspace& work);
     void tick(size_t row, size_t tick, Workspace& work);
     void drive_gripper(size_t row);
     void observe_scene(size_t row);
 
     std::shared_ptr<const MujocoApi> api_;
-    std::shared_ptr<const ArmModel> arm_;
-    EnvironmentOptions options_;
+    Model arm_;
+    Motors motors_;
+    ActionOptions options_;
+    std::vector<GripperActuator> gripper_;  // empty if the actions do not move it
+    double grip_step_;
     EnvironmentArrays arrays_;
+    std::optional<std::array<size_t, 2>> object_;
+    std::optional<std::int32_t> obstacle_;
     std::deque<Copy> copies_;
 };
 

@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <string>
 
-#include "spans.hpp"
+#include "arguments.hpp"
 
 namespace armctl {
 
@@ -23,6 +23,9 @@ struct ContactLayout {
 
 // MuJoCo's functions, with the signatures of mujoco.h and mjbatch.h.
 struct MujocoApi {
+    // The addresses of the members, and the `ContactLayout` as contact_count and so on.
+    explicit MujocoApi(const Arguments& given);
+
     using Step = void (*)(const MujocoModel*, MujocoData*);
     using BatchFunction = void (*)(const MujocoModel*, MujocoData*, int simulation, void* argument);
 

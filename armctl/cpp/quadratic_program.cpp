@@ -1,10 +1,7 @@
 #include "quadratic_program.hpp"
 
-#include <algorithm>
 #include <cmath>
 #include <limits>
-
-#include "factorization.hpp"
 
 namespace armctl {
 
@@ -20,12 +17,6 @@ constexpr double dependent = 1e-20;
 constexpr double negligible_rate = 1e-12;  // what rounding leaves of a rate that is zero; normals have unit length
 // Changes of the active set per constraint. In exact arithmetic, the method ends by itself; random programs needed at most 3.
 constexpr size_t max_changes = 10;
-
-double dot(Vector a, Vector b) {
-    double total = 0.0;
-    for (size_t i = 0; i < a.size(); ++i) { total += a[i] * b[i]; }
-    return total;
-}
 
 }  // namespace
 

@@ -15,9 +15,8 @@
 // parallel.
 #pragma once
 #include <optional>
-#include <vector>
 
-#include "dense_matrix.hpp"
+#include "linear_algebra.hpp"
 
 namespace armctl {
 

@@ -1,53 +1,55 @@
 #include "tick_loop.hpp"
 
-#include <algorithm>
-#include <cmath>
-
-#include "errors.hpp"
-
 namespace armctl {
 
-namespace {
-
-bool is_finite(Vector values) {
-    return std::ranges::all_of(values, [](double value) { return std::isfinite(value); });
+Ticks::Ticks(const Arguments& given, size_t n, size_t nq) : first(given.count("first")), last(given.count("last")) {
+    const size_t ticks = given.length("v_rows");
+    const size_t coming = last - first;
+    q = given.matrix(ticks, n, "q");
+    v = given.matrix(ticks, n, "v");
+    a = given.matrix(ticks, n, "a");
+    v_tick = given.matrix(ticks, n, "v_tick");
+    a_tick = given.matrix(ticks, n, "a_tick");
+    qpos_rows = given.writable_matrix(ticks, nq, "qpos_rows");
+    v_rows = given.writable_matrix(ticks, n, "v_rows");
+    command_rows = given.writable_matrix(ticks, n, "command_rows");
+    torque_rows = given.writable_matrix(ticks, n, "torque_rows");
+    if (first > last || last > ticks) { throw InputError("first, last: they are not rows of the reference"); }
+    if (given.has("wrench_rows")) { wrench_rows = given.writable_matrix(ticks, 6, "wrench_rows"); }
+    if (given.has("noise")) { noise = given.shaped({coming, 2, n}, "noise"); }
+    if (given.has("pushes")) { pushes = given.matrix(coming, 6, "pushes"); }
+    if (given.has("push")) { push = given.writable({6}, "push"); }
+    if (given.has("times")) { times = given.vector(coming, "times"); }
+    if (given.has("wrench_noise")) { wrench_noise = given.matrix(coming, 6, "wrench_noise"); }
 }
 
-bool are_same(const Contacts& contacts, const std::vector<GeomPair>& geoms) {
-    if (contacts.count() != geoms.size()) { return false; }
-    for (size_t k = 0; k < geoms.size(); ++k) {
-        if (contacts.geoms(k) != geoms[k]) { return false; }
+void TickLoop::check(const Ticks& ticks, const Law& law, const Delay* delay, const WrenchSensor* sensor) const {
+    if (law.joints() != joints()) {
+        throw InputError("law: it is one for " + std::to_string(law.joints()) + " joints, and the simulation has " +
+                         std::to_string(joints()));
     }
-    return true;
+    if (delay != nullptr && delay->joints() != joints()) { throw InputError("delay: it is one for another number of joints"); }
+    if (ticks.pushes.rows > 0 && (delay == nullptr || ticks.push.empty())) {
+        throw InputError("pushes: they need a delay, and `push`, where the last one is noted");
+    }
+    const bool is_sensed = sensor != nullptr && !ticks.times.empty() && ticks.wrench_rows.rows > 0;
+    if (ticks.first < ticks.last && (law.needs_wrench() || sensor != nullptr) && !is_sensed) {
+        throw InputError("sensor: a law that needs the wrench needs a sensor, the times of the ticks, and wrench_rows");
+    }
+    if (sensor != nullptr && sensor->joints() != joints()) { throw InputError("sensor: it is one for another number of joints"); }
 }
 
-}  // namespace
-
-TickLoop::TickLoop(std::shared_ptr<const MujocoApi> api, const MujocoSimulation& simulation, std::vector<Motor> motors,
-                   std::shared_ptr<const ArmModel> pushed_arm, const TickOptions& options)
-    : api_(std::move(api)), simulation_(simulation), motors_(std::move(motors)), pushed_(std::move(pushed_arm)), options_(options),
-      q_(motors_.size()), q_seen_(motors_.size()), v_seen_(motors_.size()), tau_(motors_.size()) {
-    check_addresses(motors_, simulation_);
-    if (pushed_.joints() > motors_.size()) { throw InputError("pushed_arm: it has more joints than the simulation has motors"); }
-}
-
-TickEnd TickLoop::run(Law& law, const TickReference& reference, const TickRows& rows, size_t first, size_t last,
-                      const Disturbances& disturbances, const TickSensor& sensor, std::vector<GeomPair> touching) {
+TickEnd TickLoop::run(const Ticks& ticks, Law& law, Delay* delay, WrenchSensor* sensor, std::vector<GeomPair> touching) {
     const std::unique_lock lock(in_use_, std::try_to_lock);
     if (!lock.owns_lock()) { throw InputError("simulation: another thread runs it; give each thread a simulation of its own"); }
     Run run{
+        .ticks = ticks,
         .law = law,
-        .reference = reference,
-        .rows = rows,
-        .first = first,
-        .last = last,
-        .disturbances = disturbances,
+        .delay = delay,
         .sensor = sensor,
         .touching = std::move(touching),
-        .end = {},
+        .end = {.row = ticks.first, .count = ticks.first},
     };
-    run.end.row = first;
-    run.end.count = first;
     auto work = [this, &run] { run_ticks(run); };
     run.end.error = guarded(*api_, work);
     run.end.q_seen = q_seen_;
@@ -56,73 +58,70 @@ TickEnd TickLoop::run(Law& law, const TickReference& reference, const TickRows& 
 }
 
 void TickLoop::run_ticks(Run& run) {
-    const TickRows& rows = run.rows;
-    for (size_t row = run.first; row < run.last; ++row) {
+    const Ticks& ticks = run.ticks;
+    for (size_t row = ticks.first; row < ticks.last; ++row) {
         run.end.row = row;
-        std::ranges::copy(simulation_.qpos, rows.qpos.row(row).begin());
-        const double speed = read_joints(motors_, simulation_, q_, rows.v.row(row));
-        std::ranges::copy(q_, q_seen_.begin());
-        std::ranges::copy(rows.v.row(row), v_seen_.begin());
-        run.disturbances.noise.add(row - run.first, q_seen_, v_seen_);
-        if (!(speed < options_.diverged_speed)) {
+        copy(simulation_.qpos, ticks.qpos_rows.row(row));
+        const double speed = read_joints(motors_, simulation_, q_, ticks.v_rows.row(row));
+        copy(q_, q_seen_);
+        copy(ticks.v_rows.row(row), v_seen_);
+        add_noise(ticks.noise, row - ticks.first, q_seen_, v_seen_);
+        if (!(speed < diverged_speed_)) {
             run.end.status = TickStatus::diverged;
             return;
         }
         const State state{.q = q_seen_, .v = v_seen_, .wrench = measured_wrench(run, row)};
-        run.law.torque(state, run.reference.setpoint(row), tau_);
-        std::ranges::copy(tau_, rows.command.row(row).begin());
-        if (!is_finite(tau_)) {
+        run.law.torque(state, ticks.setpoint(row), tau_);
+        copy(tau_, ticks.command_rows.row(row));
+        if (!std::ranges::all_of(tau_, [](double torque) { return std::isfinite(torque); })) {
             run.end.status = TickStatus::not_finite;
             return;
         }
         drive(run, row);
-        for (size_t k = 0; k < options_.substeps; ++k) { api_->step(simulation_.model, simulation_.data); }
-        read_torques(motors_, simulation_, rows.torque.row(row));
+        for (size_t k = 0; k < substeps_; ++k) { api_->step(simulation_.model, simulation_.data); }
+        read_torques(motors_, simulation_, ticks.torque_rows.row(row));
         run.end.count = row + 1;
         note_contacts(run, row);
     }
 }
 
 // The wrench for the law, (6,), and the true one for its row; empty without a sensor.
-Vector TickLoop::measured_wrench(Run& run, size_t row) {
-    if (run.sensor.sensor == nullptr) { return {}; }
-    const size_t tick = row - run.first;
+Vector TickLoop::measured_wrench(const Run& run, size_t row) {
+    if (run.sensor == nullptr) { return {}; }
+    const Ticks& ticks = run.ticks;
+    const size_t tick = row - ticks.first;
     read_torques(motors_, simulation_, tau_);
     const WrenchSignals signals{
-        .t = run.sensor.times[tick],
+        .t = ticks.times[tick],
         .q = q_seen_,
         .v = v_seen_,
         .tau = tau_,
-        .noise = run.sensor.noise.rows > 0 ? run.sensor.noise.row(tick) : Vector(),
-        .push = run.disturbances.push,
+        .noise = ticks.wrench_noise.rows > 0 ? ticks.wrench_noise.row(tick) : Vector(),
+        .push = ticks.push,
     };
     Wrench truth;
-    run.sensor.sensor->measure(signals, truth).store(wrench_);
-    truth.store(run.rows.wrench.row(row));
+    run.sensor->measure(signals, truth).store(wrench_);
+    truth.store(ticks.wrench_rows.row(row));
     return wrench_;
 }
 
 // Sets the controls of the motors from the commanded torque, and the forces of pushes.
 void TickLoop::drive(const Run& run, size_t row) {
-    const Disturbances& disturbances = run.disturbances;
-    if (disturbances.delay == nullptr) {
-        command_motors(motors_, tau_, simulation_);
-        return;
-    }
-    command_motors(motors_, disturbances.delay->delayed(tau_), simulation_);
-    if (disturbances.pushes.rows > 0) {
-        const Vector push = disturbances.pushes.row(row - run.first);
-        const Result torque = Result(tau_).first(pushed_.joints());  // the command is recorded already
-        pushed_.torque(Vector(q_).first(pushed_.joints()), push, torque);
-        for (size_t i = 0; i < torque.size(); ++i) { simulation_.qfrc_applied[motors_[i].dof] = torque[i]; }
-        std::ranges::copy(push, disturbances.push.begin());
-    }
+    command_motors(motors_, run.delay == nullptr ? Vector(tau_) : run.delay->delayed(tau_), simulation_);
+    if (run.delay == nullptr || run.ticks.pushes.rows == 0) { return; }
+    const Vector push = run.ticks.pushes.row(row - run.ticks.first);
+    const Result torque = Result(tau_).first(pushed_.model().n());  // the command is recorded already
+    pushed_.tip_force(Vector(q_).first(torque.size()), push, torque);
+    for (size_t i = 0; i < torque.size(); ++i) { simulation_.qfrc_applied[motors_[i].dof] = torque[i]; }
+    copy(push, run.ticks.push);
 }
 
 // Notes the geoms that touch, if they changed.
 void TickLoop::note_contacts(Run& run, size_t row) const {
     const Contacts contacts(api_->contacts, simulation_.data);
-    if (are_same(contacts, run.touching)) { return; }
+    bool is_same = contacts.count() == run.touching.size();
+    for (size_t k = 0; is_same && k < contacts.count(); ++k) { is_same = contacts.geoms(k) == run.touching[k]; }
+    if (is_same) { return; }
     run.touching.resize(contacts.count());
     for (size_t k = 0; k < contacts.count(); ++k) { run.touching[k] = contacts.geoms(k); }
     run.end.contacts.push_back({row, run.touching});

@@ -4,13 +4,7 @@
 // least-norm solution based scheme for avoiding joint limits", IEEE Trans. Robotics and Automation 11(2), 1995) by Runge and
 // Kutta's fourth-order rule, and Newton's method brings the tip back onto the path at each step.
 #pragma once
-#include <array>
-#include <memory>
-#include <vector>
-
 #include "dynamics.hpp"
-#include "spans.hpp"
-#include "vectors.hpp"
 
 namespace armctl {
 
@@ -25,12 +19,12 @@ class TipFollower {
 public:
     // The ranges of the joints, (n,) each; a joint without bounds has infinite ones. Where a path leaves joints free, they go
     // to the middle of their ranges at the rate `centering`. An oriented path prescribes the tip's orientation too.
-    TipFollower(const std::shared_ptr<const ArmModel>& model, Vector q_min, Vector q_max, double centering, bool oriented);
+    TipFollower(const Model& model, Vector q_min, Vector q_max, double centering, bool oriented);
 
     size_t n() const { return ranges_.size(); }
 
     // How many numbers a twist has: 6, or 3 where only the point is followed.
-    size_t rows() const { return rows_; }
+    size_t rows() const { return square_.rows(); }
 
     // The joint velocities (n,) that make a twist of the tip at q (n,).
     void slope(Vector q, Vector twist, Result v);
@@ -58,13 +52,9 @@ private:
     Dynamics dynamics_;
     std::vector<JointRange> ranges_;
     double centering_;
-    size_t rows_;
-    // Scratch memory: the tip's Jacobian (6, n), its weighted square, a twist, and changes of the joints (n,).
-    std::vector<double> jacobian_;
-    std::array<double, 36> square_;
-    std::array<double, 6> twist_;
-    std::vector<double> velocity_;
-    std::vector<double> change_;
+    DenseMatrix square_;  // of the tip's Jacobian, weighted
+    std::array<double, 6> twist_{};
+    Numbers velocity_, change_;  // (n,)
 };
 
 // The twists (T, 6) of the tip, linear first, world axes, at positions and velocities (T, n).

@@ -19,4 +19,11 @@ Quaternion quaternion(const Rotation& R) {
     return {quat.w * scale, quat.x * scale, quat.y * scale, quat.z * scale};
 }
 
+Vec3 rotation_vector(const Rotation& from, const Rotation& to) {
+    const Quaternion turn = quaternion({to * from.row_x(), to * from.row_y(), to * from.row_z()});  // of to from^T
+    const double sine = std::sqrt(turn.x * turn.x + turn.y * turn.y + turn.z * turn.z);
+    const double scale = sine > 0.0 ? 2.0 * std::atan2(sine, turn.w) / sine : 2.0;
+    return {scale * turn.x, scale * turn.y, scale * turn.z};
+}
+
 }  // namespace armctl

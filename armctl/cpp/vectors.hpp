@@ -3,6 +3,7 @@
 // Additions run from left to right, as written in the formulas. Together with -ffp-contract=off this gives the same bits on
 // every compiler.
 #pragma once
+#include <array>
 #include <cmath>
 
 #include "spans.hpp"
@@ -13,6 +14,12 @@ struct Vec3 {
     double x = 0.0;
     double y = 0.0;
     double z = 0.0;
+
+    void store(Result numbers) const {
+        numbers[0] = x;
+        numbers[1] = y;
+        numbers[2] = z;
+    }
 };
 
 inline Vec3 operator+(Vec3 a, Vec3 b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
@@ -55,21 +62,15 @@ struct Rotation {
     // From the nine numbers of a rotation matrix, row by row.
     static Rotation from_rows(Vector m) { return {{m[0], m[3], m[6]}, {m[1], m[4], m[7]}, {m[2], m[5], m[8]}}; }
 
-    void to_rows(Result m) const {
-        m[0] = x.x;
-        m[1] = y.x;
-        m[2] = z.x;
-        m[3] = x.y;
-        m[4] = y.y;
-        m[5] = z.y;
-        m[6] = x.z;
-        m[7] = y.z;
-        m[8] = z.z;
-    }
-
     Vec3 row_x() const { return {x.x, y.x, z.x}; }
     Vec3 row_y() const { return {x.y, y.y, z.y}; }
     Vec3 row_z() const { return {x.z, y.z, z.z}; }
+
+    void to_rows(Result m) const {
+        row_x().store(m);
+        row_y().store(m.subspan(3));
+        row_z().store(m.subspan(6));
+    }
 
     // A vector of this frame, in the frame around it: R a.
     Vec3 operator*(Vec3 a) const { return {dot(row_x(), a), dot(row_y(), a), dot(row_z(), a)}; }
@@ -118,6 +119,10 @@ struct Twist {
     Vec3 angular;
 };
 
+inline std::array<double, 6> numbers(const Twist& twist) {
+    return {twist.linear.x, twist.linear.y, twist.linear.z, twist.angular.x, twist.angular.y, twist.angular.z};
+}
+
 struct Quaternion {
     double w = 1.0;
     double x = 0.0;
@@ -127,5 +132,8 @@ struct Quaternion {
 
 // The unit quaternion, w >= 0, of a rotation by Shepperd's method: the largest component is found first.
 Quaternion quaternion(const Rotation& R);
+
+// The rotation vector, rad, of at most half a turn, in the axes around them, that turns one orientation to another.
+Vec3 rotation_vector(const Rotation& from, const Rotation& to);
 
 }  // namespace armctl

@@ -47,7 +47,7 @@ class Disturbances:
         self._plant = plant
         self._data = data
         self._pushed_dofs = dof_adr[: pushed_arm.n]
-        self._tip_force = _core.TipForce(pushed_arm)
+        self._dynamics = _core.Dynamics(pushed_arm)
         self._pushes: tuple[Push, ...] = tuple(plant.pushes)  # type: ignore[arg-type]  # a tuple after Plant.__post_init__
         self._dt = dt
         self._steps = round(dt / model.opt.timestep)
@@ -76,7 +76,7 @@ class Disturbances:
         if self._pushes:
             self.push[:] = self._wrenches(np.array([self._data.time]))[0]
             torque = np.zeros(len(self._pushed_dofs))
-            self._tip_force.torque(q[: len(torque)].copy(), self.push, torque)
+            self._dynamics.tip_force(q[: len(torque)].copy(), self.push, torque)
             self._data.qfrc_applied[self._pushed_dofs] = torque
         oldest = np.empty_like(tau)
         self.delay.delayed(tau, oldest)

@@ -8,26 +8,38 @@
 namespace armctl {
 
 // tau = ID(q, v, a_ref + stiffness (q_ref - q) + damping (v_ref - v) + integral of the error)
+//
+// The textbook form inverts the differential equation, with a model of continuous time. The other form inverts the motion over
+// one control period, with the model of that period and a reference that is differenced on the tick grid.
 class ComputedTorque final : public Law {
 public:
-    struct Gains {
-        double stiffness = 0.0;             // 1/s^2
-        double damping = 0.0;               // 1/s
-        double integral = 0.0;              // 1/s^3; 0 without integral action
-        std::vector<double> added_inertia;  // (n,) kg m^2, with which the feedback of joints of negligible inertia acts
-        std::vector<double> torque_limit;   // (n,) N m, at which a joint stops to integrate
-    };
+    ComputedTorque(const Model& model, const Arguments& gains)
+        : Law(model->n(), model->n()), stiffness_(gains.gain("stiffness")), damping_(gains.gain("damping")),
+          gain_per_tick_(gains.gain("integral_gain") * gains.gain("dt")), added_inertia_(gains.gains(model->n(), "added_inertia")),
+          torque_limit_(gains.limits(model->n(), "torque_limit")), textbook_(gains.flag("textbook")), dynamics_(model) {}
 
-    // Whether the law inverts the motion over one control period, with a reference that is differenced on the tick grid, or the
-    // differential equation.
-    enum class Form { discrete, textbook };
+    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+        const Vector v_ref = textbook_ ? setpoint.v : setpoint.v_tick;
+        const Vector a_ref = textbook_ ? setpoint.a : setpoint.a_tick;
+        const Result integral = memory();
+        for (size_t i = 0; i < tau.size(); ++i) {
+            error_rate_[i] = v_ref[i] - state.v[i];
+            correction_[i] = stiffness_ * (setpoint.q[i] - state.q[i]) + damping_ * error_rate_[i];
+            acceleration_[i] = a_ref[i] + correction_[i] + integral[i];
+            added_torque_[i] = added_inertia_[i] * correction_[i];
+        }
+        dynamics_.inverse_dynamics(state.q, state.v, acceleration_, tau);
+        // Damping is compensated at the velocity of the reference: the arm's own damping then helps the feedback. Compensated at
+        // the measured velocity, large damping would be a large positive feedback.
+        dynamics_.add_linear_damping(error_rate_, added_torque_);
+        for (size_t i = 0; i < tau.size(); ++i) { tau[i] += added_torque_[i]; }
+        dynamics_.add_friction(v_ref, a_ref, tau);
+        if (gain_per_tick_ == 0.0) { return; }
+        for (size_t i = 0; i < tau.size(); ++i) {
+            integrate(gain_per_tick_ * (setpoint.q[i] - state.q[i]), tau[i], torque_limit_[i], integral[i]);
+        }
+    }
 
-    // The model is that of the control period dt for the discrete form, and that of continuous time for the textbook form.
-    ComputedTorque(std::shared_ptr<const ArmModel> model, Gains gains, Form form, double dt);
-
-    size_t joints() const override { return added_inertia_.size(); }
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override;
-    std::span<double> memory() override { return integral_; }
     std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
     // Of the last tick, (n,): the acceleration of the feedback without integral action, and the torque of the added inertia and
@@ -36,23 +48,14 @@ public:
     Vector added_torque() const { return added_torque_; }
 
 private:
-    void integrate(const State& state, const Setpoint& setpoint, Vector tau);
-
-    double stiffness_;
-    double damping_;
-    double gain_per_tick_;  // 1/s^2, integral gain x control period
-    std::vector<double> added_inertia_;
-    std::vector<double> torque_limit_;
-    Form form_;
+    double stiffness_;       // 1/s^2
+    double damping_;         // 1/s
+    double gain_per_tick_;   // 1/s^2, integral gain x control period; 0 without integral action
+    Numbers added_inertia_;  // (n,) kg m^2, with which the feedback of joints of negligible inertia acts
+    Numbers torque_limit_;   // (n,) N m, at which a joint stops to integrate
+    bool textbook_;
     Dynamics dynamics_;
-
-    std::vector<double> integral_;  // (n,) rad/s^2
-
-    // Scratch memory, (n,) each.
-    std::vector<double> correction_;
-    std::vector<double> acceleration_;
-    std::vector<double> error_rate_;
-    std::vector<double> added_torque_;
+    Numbers correction_ = zeros(), acceleration_ = zeros(), error_rate_ = zeros(), added_torque_ = zeros();
 };
 
 }  // namespace armctl
