@@ -23,27 +23,43 @@ Unknown make_unknown(Bounds bounds, double period) {
     };
 }
 
+AxesRelation relation_of(const Arguments& arguments, const char* name) {
+    return static_cast<AxesRelation>(checked_index(arguments.integer(name), 3, name));
+}
+
 }  // namespace
 
-Chain::Chain(const ChainArrays& arrays) : reach_(arrays.reach) {
-    const size_t k = arrays.slides.size();
-    if (k == 0 || arrays.low.size() > k) { throw InputError("slides: expected at least one joint, and one for each unknown"); }
-    for (size_t i = 0; i < arrays.low.size(); ++i) { unknowns_.push_back(make_unknown({arrays.low[i], arrays.high[i]}, arrays.period[i])); }
+Chain::Chain(const Arguments& arguments) : reach_(arguments.number("reach")) {
+    const size_t k = arguments.length("slides");
+    const size_t n = arguments.length("low");
+    if (k == 0 || n > k) { throw InputError("slides: expected at least one joint, and one for each unknown"); }
+    const Vector low = arguments.vector(n, "low");
+    const Vector high = arguments.vector(n, "high");
+    const Vector period = arguments.vector(n, "period");
+    for (size_t i = 0; i < n; ++i) { unknowns_.push_back(make_unknown({low[i], high[i]}, period[i])); }
+    const Integers slides = arguments.integers(k, "slides");
+    const Integers unknowns = arguments.integers(k, "unknowns");
+    const Vector ratios = arguments.vector(k, "ratios");
+    // Of each joint, and of the tip, in the frame before.
+    const Matrix rotations{arguments.shaped({k + 1, 3, 3}, "rotations").data(), k + 1, 9};
+    const Matrix translations = arguments.matrix(k + 1, 3, "translations");
+    const auto placement = [&](size_t j) { return Pose{Rotation::from_rows(rotations.row(j)), vec3(translations.row(j))}; };
     for (size_t j = 0; j < k; ++j) {
-        joints_.push_back({
-            .placement = {Rotation::from_rows(arrays.rotations.row(j)), vec3(arrays.translations.row(j))},
-            .slides = arrays.slides[j] != 0,
-            .unknown = checked_index(arrays.unknowns[j], unknowns_.size(), "unknowns"),
-            .ratio = arrays.ratios[j],
-        });
+        joints_.push_back({placement(j), slides[j] != 0, checked_index(unknowns[j], n, "unknowns"), ratios[j]});
     }
-    tip_ = {Rotation::from_rows(arrays.rotations.row(k)), vec3(arrays.translations.row(k))};
-    special_axes_ = arrays.special_axes;
-    if (!special_axes_) { return; }
-    for (const size_t joint : {special_axes_->first + 2, special_axes_->others[0], special_axes_->others[1], special_axes_->others[2]}) {
-        checked_index(static_cast<std::int64_t>(joint), k, "special_axes");
-    }
-    for (size_t j = 0; j < k; ++j) { joints_[j].distance_to_point = arrays.distances_to_points[j]; }
+    tip_ = placement(k);
+    if (!arguments.has("relation")) { return; }
+    const auto joint = [k](std::int64_t number) { return checked_index(number, k, "others"); };
+    const Integers others = arguments.integers(3, "others");
+    special_axes_ = SpecialAxes{
+        .relation = relation_of(arguments, "relation"),
+        .first = checked_index(arguments.integer("first") + 2, k, "first") - 2,
+        .others = {joint(others[0]), joint(others[1]), joint(others[2])},
+        .pair_relation = relation_of(arguments, "pair_relation"),
+        .pair_first = arguments.count("pair_first"),
+    };
+    const Vector distances = arguments.vector(k, "distances_to_points");
+    for (size_t j = 0; j < k; ++j) { joints_[j].distance_to_point = distances[j]; }
 }
 
 bool Chain::contains(Vector q) const {

@@ -10,7 +10,7 @@
 #include <span>
 #include <vector>
 
-#include "spans.hpp"
+#include "arguments.hpp"
 #include "vectors.hpp"
 
 namespace armctl {
@@ -50,26 +50,11 @@ struct SpecialAxes {
     size_t pair_first;             // 0 if these are the first two of the others, 1 if the last two
 };
 
-// All are copied.
-struct ChainArrays {
-    Matrix rotations;                        // (k + 1, 9) of each joint, and of the tip, in the frame before, row by row
-    Matrix translations;                     // (k + 1, 3) reaches
-    std::span<const std::int64_t> slides;    // (k,) whether the joint slides
-    std::span<const std::int64_t> unknowns;  // (k,) the unknown that moves it
-    Vector ratios;                           // (k,)
-    Vector low;                              // (n,) rad, or reaches for a slide joint
-    Vector high;                             // (n,)
-    Vector period;                           // (n,) 0 if whole turns lead nowhere
-    double reach;                            // m
-    std::optional<SpecialAxes> special_axes;
-    Vector distances_to_points;  // (k,) with special axes: along each joint's axis, to the point in which it meets others
-};
-
 // Immutable after its construction: threads share it.
 class Chain {
 public:
-    // Throws InputError if it names joints or unknowns that do not exist.
-    explicit Chain(const ChainArrays& arrays);
+    // From arrays that are named as here, for each of the k joints and each of the n unknowns; lengths in reaches, `reach` in m.
+    explicit Chain(const Arguments& arguments);
 
     // Whether the unknowns q (n,) are inside their bounds.
     bool contains(Vector q) const;

@@ -397,14 +397,17 @@ SixHinges with_held(const SpecialAxes& special, const ZeroConfiguration& zero, d
 
 }  // namespace
 
-ClosedForm::ClosedForm(std::shared_ptr<const Chain> chain, ZeroConfiguration zero) : chain_(std::move(chain)), zero_(std::move(zero)) {
+ClosedForm::ClosedForm(std::shared_ptr<const Chain> chain, const Arguments& arguments) : chain_(std::move(chain)) {
+    if (arguments.has("held")) { zero_.held = arguments.count("held"); }
     const size_t n = zero_.held ? 7 : 6;
-    if (!chain_->special_axes() || chain_->n() != n || zero_.lines.size() != n || zero_.held.value_or(0) >= n) {
+    if (!chain_->special_axes() || chain_->n() != n || zero_.held.value_or(0) >= n) {
         throw InputError("axes: expected special axes of six hinges, or of seven with one that is held");
     }
-    if (with_held(*chain_->special_axes(), zero_, 0.0).first > 3) {
-        throw InputError("first: expected the first of three in a row of the six");
-    }
+    const Matrix axes = arguments.matrix(n, 3, "axes");
+    const Matrix points = arguments.matrix(n, 3, "points");
+    for (size_t k = 0; k < n; ++k) { zero_.lines.push_back({vec3(axes.row(k)), vec3(points.row(k))}); }
+    zero_.tip = {Rotation::from_rows(arguments.shaped({3, 3}, "tip_rotation")), vec3(arguments.vector(3, "tip_translation"))};
+    checked_index(static_cast<std::int64_t>(with_held(*chain_->special_axes(), zero_, 0.0).first), 4, "first");
 }
 
 // Writes a configuration with the hinges turned inside their bounds; returns whether it is inside.

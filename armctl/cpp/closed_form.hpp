@@ -31,7 +31,7 @@ struct Line {
 
 // The hinges and the tip of a chain in the zero configuration, lengths in reaches.
 struct ZeroConfiguration {
-    std::vector<Line> lines;  // where special axes meet, their point is the common one
+    std::vector<Line> lines;
     Pose tip;
     std::optional<size_t> held;  // the joint that is swept, of seven
 };
@@ -54,8 +54,9 @@ struct Seeds {
 // Immutable after its construction: threads share it.
 class ClosedForm {
 public:
-    // Throws InputError unless the chain has special axes and six hinges, or seven of which one is held.
-    ClosedForm(std::shared_ptr<const Chain> chain, ZeroConfiguration zero);
+    // Of a chain with special axes and six hinges, or seven of which one is `held`. Their `axes` and `points` (n, 3) and the tip are
+    // those of the zero configuration; where special axes meet, the common point is that of each.
+    ClosedForm(std::shared_ptr<const Chain> chain, const Arguments& arguments);
 
     const Chain& chain() const { return *chain_; }
 

@@ -8,86 +8,109 @@ namespace armctl {
 
 namespace {
 
-// Rows where the lists of each element start, and the end of the last one.
-std::vector<size_t> checked_starts(Integers starts, size_t count, const char* what) {
-    std::vector<size_t> checked;
-    for (const std::int64_t start : starts) { checked.push_back(checked_index(start, count + 1, what)); }
-    if (!std::is_sorted(checked.begin(), checked.end()) || checked.front() != 0 || checked.back() != count) {
-        throw InputError(std::string(what) + ": not in order");
+// Rows where the lists of `elements` start, and behind them the `end` of the last one.
+std::vector<size_t> checked_starts(const Arguments& arguments, const char* name, size_t elements, size_t end) {
+    std::vector<size_t> starts;
+    for (const std::int64_t start : arguments.integers(elements + 1, name)) { starts.push_back(checked_index(start, end + 1, name)); }
+    if (!std::is_sorted(starts.begin(), starts.end()) || starts.front() != 0 || starts.back() != end) {
+        throw InputError(std::string(name) + ": not in order");
     }
-    return checked;
+    return starts;
 }
 
 }  // namespace
 
-CollisionModel::CollisionModel(const CollisionArrays& arrays) {
-    add_frames(arrays);
-    add_geoms(arrays);
-    add_pairs(arrays);
-    for (size_t i = 0; i < arrays.directions.rows; ++i) { directions.push_back(vec3(arrays.directions.row(i))); }
+CollisionModel::CollisionModel(const Arguments& arguments)
+    : ratio_(arguments.length("references"), arguments.count("n")), joint_offset_(ratio_.rows()) {
+    const size_t m = ratio_.rows();
+    ratio_.set(arguments.matrix(m, n(), "ratio"));
+    copy(arguments.vector(m, "joint_offset"), joint_offset_);
+    add_frames(arguments);
+    add_vertices(arguments);
+    add_geoms(arguments);
+    add_spheres(arguments);
+    add_pairs(arguments);
+    const Matrix given = arguments.matrix(arguments.length("directions"), 3, "directions");
+    for (size_t i = 0; i < given.rows; ++i) { directions.push_back(vec3(given.row(i))); }
 }
 
-void CollisionModel::add_frames(const CollisionArrays& arrays) {
-    const size_t m = arrays.references.size();
+void CollisionModel::add_frames(const Arguments& arguments) {
+    const size_t m = ratio_.rows();
+    const Matrix axes = arguments.matrix(m, 3, "axes");
+    const Matrix anchors = arguments.matrix(m, 3, "anchors");
+    const Integers slides = arguments.integers(m, "slides");
+    const Vector references = arguments.vector(m, "references");
+    const Integers parents = arguments.integers(m, "parents");
+    const Integers rows = arguments.integers(m, "joints");  // of the ratio
     frames.resize(m + 1);
     for (size_t i = 0; i < m; ++i) {
         MovingFrame& frame = frames[i + 1];
-        frame.axis = vec3(arrays.axes.row(i));
-        frame.anchor = vec3(arrays.anchors.row(i));
-        frame.slides = arrays.slides[i] != 0;
-        frame.reference = arrays.references[i];
-        frame.parent = checked_index(arrays.parents[i], i + 1, "parents");
-        frame.joint = checked_index(arrays.joints[i], m, "joints");
+        frame = {vec3(axes.row(i)), vec3(anchors.row(i)), slides[i] != 0, references[i]};
+        frame.parent = checked_index(parents[i], i + 1, "parents");
+        frame.joint = checked_index(rows[i], m, "joints");
         frame.depth = 1 + frames[frame.parent].depth;
         depth = std::max(depth, 1 + frame.depth);
     }
-    ratio_.assign(arrays.ratio.data, arrays.ratio.data + arrays.ratio.rows * arrays.ratio.columns);
-    ratio_columns_ = arrays.ratio.columns;
-    joint_offset_.assign(arrays.joint_offset.begin(), arrays.joint_offset.end());
 }
 
-void CollisionModel::add_geoms(const CollisionArrays& arrays) {
-    const size_t count = arrays.kinds.size();
-    const size_t vertex_count = arrays.vertices.rows;
-    const std::vector<size_t> starts = checked_starts(arrays.first_vertex, vertex_count, "first_vertex");
-    for (size_t i = 0; i < vertex_count; ++i) { vertices.positions.push_back(vec3(arrays.vertices.row(i))); }
-    vertices.first_neighbors = checked_starts(arrays.first_neighbor, arrays.neighbors.size(), "first_neighbor");
-    for (const std::int64_t neighbor : arrays.neighbors) {
-        vertices.neighbors.push_back(checked_index(neighbor, vertex_count, "neighbors"));
-    }
+void CollisionModel::add_vertices(const Arguments& arguments) {
+    const Matrix positions = arguments.matrix(arguments.length("vertices"), 3, "vertices");
+    for (size_t i = 0; i < positions.rows; ++i) { vertices.positions.push_back(vec3(positions.row(i))); }
+    // The vertices that share an edge with each, of large hulls.
+    const Integers neighbors = arguments.integers(arguments.length("neighbors"), "neighbors");
+    vertices.first_neighbors = checked_starts(arguments, "first_neighbor", positions.rows, neighbors.size());
+    for (const std::int64_t neighbor : neighbors) { vertices.neighbors.push_back(checked_index(neighbor, positions.rows, "neighbors")); }
+}
+
+void CollisionModel::add_geoms(const Arguments& arguments) {
+    const size_t count = arguments.length("kinds");
+    const std::vector<size_t> starts = checked_starts(arguments, "first_vertex", count, vertices.positions.size());
+    const Integers kinds = arguments.integers(count, "kinds");
+    const Integers rows = arguments.integers(count, "frames");
+    const Vector inflations = arguments.vector(count, "inflations");  // radii of spheres and capsules
+    const Matrix positions = arguments.matrix(count, 3, "positions");
+    const Matrix rotations{arguments.shaped({count, 3, 3}, "rotations").data(), count, 9};
+    const Matrix sizes = arguments.matrix(count, 3, "sizes");
     for (size_t g = 0; g < count; ++g) {
-        Geom geom;
-        geom.kind = static_cast<ShapeKind>(checked_index(arrays.kinds[g], 5, "kinds"));
-        geom.frame = checked_index(arrays.frames[g], frames.size(), "frames");
-        geom.inflation = arrays.inflations[g];
-        geom.position = vec3(arrays.positions.row(g));
-        geom.axes = Rotation::from_rows(arrays.rotations.row(g));
-        geom.size = vec3(arrays.sizes.row(g));
-        geom.first_vertex = starts[g];
-        geom.last_vertex = starts[g + 1];
+        Geom geom{static_cast<ShapeKind>(checked_index(kinds[g], 5, "kinds")), checked_index(rows[g], frames.size(), "frames"),
+                  inflations[g], vec3(positions.row(g)), Rotation::from_rows(rotations.row(g)), vec3(sizes.row(g)), starts[g], starts[g + 1]};
         geom.semi_axes = {geom.size.x * geom.axes.x, geom.size.y * geom.axes.y, geom.size.z * geom.axes.z};
         geom.offset = dot(geom.normal(), geom.position);
         if (geom.has_vertices() && geom.first_vertex == geom.last_vertex) { throw InputError("first_vertex: a hull without vertices"); }
         geoms.push_back(geom);
     }
-    if (arrays.radii.size() < count) { throw InputError("radii: need a sphere for each geom"); }
-    for (size_t i = 0; i < arrays.radii.size(); ++i) {
-        spheres.push_back({vec3(arrays.centers.row(i)), arrays.radii[i]});
-        sphere_frames.push_back(checked_index(arrays.sphere_frames[i], frames.size(), "sphere_frames"));
+}
+
+void CollisionModel::add_spheres(const Arguments& arguments) {
+    const size_t count = arguments.length("radii");
+    if (count < geoms.size()) { throw InputError("radii: need a sphere for each geom"); }
+    const Vector radii = arguments.vector(count, "radii");
+    const Matrix centers = arguments.matrix(count, 3, "centers");
+    const Integers rows = arguments.integers(count, "sphere_frames");
+    for (size_t i = 0; i < count; ++i) {
+        spheres.push_back({vec3(centers.row(i)), radii[i]});
+        sphere_frames.push_back(checked_index(rows[i], frames.size(), "sphere_frames"));
     }
 }
 
-void CollisionModel::add_pairs(const CollisionArrays& arrays) {
-    for (size_t p = 0; p < arrays.pairs.rows; ++p) {
-        const size_t a = checked_index(arrays.pairs(p, 0), geoms.size(), "pairs");
-        const size_t b = checked_index(arrays.pairs(p, 1), geoms.size(), "pairs");
+void CollisionModel::add_pairs(const Arguments& arguments) {
+    const size_t K = arguments.length("first_geoms");
+    const Integers first_geoms = arguments.integers(K, "first_geoms");
+    const Integers second_geoms = arguments.integers(K, "second_geoms");
+    for (size_t p = 0; p < K; ++p) {
+        const size_t a = checked_index(first_geoms[p], geoms.size(), "first_geoms");
+        const size_t b = checked_index(second_geoms[p], geoms.size(), "second_geoms");
         pairs.push_back({a, b, common_frame(geoms[a].frame, geoms[b].frame)});
     }
+    const size_t R = arguments.length("last_pairs");
+    const Integers first_spheres = arguments.integers(R, "first_spheres");
+    const Integers second_spheres = arguments.integers(R, "second_spheres");
+    const Integers last_pairs = arguments.integers(R, "last_pairs");  // behind the last one of each
     size_t first = 0;
-    for (size_t r = 0; r < arrays.group_pairs.rows; ++r) {
-        const size_t a = checked_index(arrays.group_pairs(r, 0), spheres.size(), "group_pairs");
-        const size_t b = checked_index(arrays.group_pairs(r, 1), spheres.size(), "group_pairs");
-        const size_t last = checked_index(arrays.last_pairs[r], pairs.size() + 1, "last_pairs");
+    for (size_t r = 0; r < R; ++r) {
+        const size_t a = checked_index(first_spheres[r], spheres.size(), "first_spheres");
+        const size_t b = checked_index(second_spheres[r], spheres.size(), "second_spheres");
+        const size_t last = checked_index(last_pairs[r], K + 1, "last_pairs");
         groups.push_back({a, b, first, last, common_frame(sphere_frames[a], sphere_frames[b])});
         first = last;
     }

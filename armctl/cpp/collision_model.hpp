@@ -7,48 +7,10 @@
 #include <vector>
 
 #include "convex.hpp"
-#include "spans.hpp"
+#include "arguments.hpp"
 #include "vectors.hpp"
 
 namespace armctl {
-
-using IntegerMatrix = MatrixSpan<const std::int64_t>;
-
-// All are copied.
-struct CollisionArrays {
-    // Of each of the m joints that move, parents before children.
-    Matrix axes;          // (m, 3)
-    Matrix anchors;       // (m, 3) m, a point on the axis
-    Integers slides;      // (m,) whether it slides
-    Vector references;    // (m,) rad, its position at the reference configuration
-    Integers parents;     // (m,) frames; the joint of row i moves frame i + 1
-    Integers joints;      // (m,) its row in `ratio`
-    Matrix ratio;         // (m, n): joint positions are ratio q + offset
-    Vector joint_offset;  // (m,) rad
-    // Of each of the G geoms.
-    Integers kinds;         // (G,) ShapeKind
-    Integers frames;        // (G,)
-    Vector inflations;      // (G,) m, radii of spheres and capsules
-    Matrix positions;       // (G, 3) m
-    Matrix rotations;       // (G, 9) row by row
-    Matrix sizes;           // (G, 3) m
-    Integers first_vertex;  // (G + 1,)
-    // Of each of the S bounding spheres: those of the geoms, then those of groups.
-    Matrix centers;          // (S, 3) m
-    Vector radii;            // (S,) m
-    Integers sphere_frames;  // (S,)
-    // Of each of the P vertices.
-    Matrix vertices;          // (P, 3) m
-    Integers first_neighbor;  // (P + 1,)
-    Integers neighbors;       // rows of the vertices that share an edge with it, of large hulls
-    // Unit vectors, (D, 3), in which the depth of an overlap is measured first.
-    Matrix directions;
-    // Of each of the K pairs, in the order of the R pairs of groups to which they belong. All geoms of a moving frame are one
-    // group, each geom that stands is its own.
-    IntegerMatrix pairs;        // (K, 2) rows of geoms; a plane comes first, then the geom that has fewer joints above it
-    IntegerMatrix group_pairs;  // (R, 2) the spheres of two groups
-    Integers last_pairs;        // (R,) behind the last pair of each
-};
 
 // A joint and the frame that it moves.
 struct MovingFrame {
@@ -79,16 +41,21 @@ struct GroupPair {
 // Immutable after its construction: threads share it.
 class CollisionModel {
 public:
-    explicit CollisionModel(const CollisionArrays& arrays);
+    // From arrays for each of the m joints that move, parents before children, which are hinges or slides with an axis and an
+    // anchor on it and a reference position, and move the frame of their own number + 1; for each of the G geoms and P vertices;
+    // for each of the S bounding spheres, of the geoms and of groups; and for the K pairs, in the order of the R pairs of groups to
+    // which they belong. All geoms of a moving frame are one group, each geom that stands is its own. In a pair, a plane comes
+    // first, else the geom that has fewer joints above it. The positions of all joints are `ratio` (m, n) q + `joint_offset`.
+    explicit CollisionModel(const Arguments& arguments);
 
     size_t joints() const { return frames.size() - 1; }
-    size_t n() const { return ratio_columns_; }
+    size_t n() const { return ratio_.columns(); }
 
     // The positions of all joints that move, (m,), at q (n,).
     void positions(Vector q, Result all) const;
     // The derivatives by the n of what has derivatives (m,) by all joints.
     void reduce_gradient(Vector all, Result gradient) const;
-    double ratio(size_t joint, size_t i) const { return ratio_[joint * ratio_columns_ + i]; }
+    double ratio(size_t joint, size_t i) const { return ratio_(joint, i); }
 
     std::vector<MovingFrame> frames;
     std::vector<Geom> geoms;
@@ -102,14 +69,15 @@ public:
     std::vector<Vec3> directions;  // in which the depth of an overlap is measured first
 
 private:
-    void add_frames(const CollisionArrays& arrays);
-    void add_geoms(const CollisionArrays& arrays);
-    void add_pairs(const CollisionArrays& arrays);
+    void add_frames(const Arguments& arguments);
+    void add_vertices(const Arguments& arguments);
+    void add_geoms(const Arguments& arguments);
+    void add_spheres(const Arguments& arguments);
+    void add_pairs(const Arguments& arguments);
     size_t common_frame(size_t a, size_t b) const;
 
-    std::vector<double> ratio_;  // (m, n)
-    size_t ratio_columns_ = 0;
-    std::vector<double> joint_offset_;
+    DenseMatrix ratio_;
+    Numbers joint_offset_;
 };
 
 }  // namespace armctl

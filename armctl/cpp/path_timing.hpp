@@ -13,12 +13,14 @@
 // optimization approach", IEEE Trans. Automatic Control 54(10), 2009.
 #pragma once
 
-#include "spans.hpp"
+#include "arguments.hpp"
 
 namespace armctl {
 
 // The bounds at P points, each of which lies in an interval; the weights are those of its three coefficients.
 struct SpeedBounds {
+    explicit SpeedBounds(const Arguments& arguments);
+
     Integers interval;     // (P,)
     Matrix weights;        // (P, 3) of c in b
     Vector b_max;          // (P,) 0 where another point bounds b

@@ -11,7 +11,7 @@
 // chapter 3.
 #pragma once
 
-#include "spans.hpp"
+#include "arguments.hpp"
 
 namespace armctl {
 
@@ -39,6 +39,8 @@ Displacement farthest_displacement(double time, EndState start, EndState end, co
 // Waypoints q (K, n), the limits of the n joints, and the greatest velocity and acceleration of each joint at each waypoint,
 // (K, n): 0 holds it at 0.
 struct Waypoints {
+    explicit Waypoints(const Arguments& arguments);
+
     Matrix q;
     Vector v_max;
     Vector a_max;

@@ -282,8 +282,8 @@ def _make_chain(arm: Arm) -> IkChain:
                 pair_first=closed_form.pair_first,
                 distances_to_points=np.einsum("kj,kj->k", closed_form.points - hinges.points, hinges.axes),
             )
-            zero = hinges._replace(tip_rotation=hinges.tip_rotation[None], points=closed_form.points)
-            closed_form_core = _core.ClosedForm(core, closed_form.held, **zero._asdict())
+            zero = hinges._replace(points=closed_form.points)._asdict()
+            closed_form_core = _core.ClosedForm(core, held=closed_form.held, **zero)
     return IkChain(
         arrays=arrays,
         core=core,

@@ -130,9 +130,9 @@ def test_joints_that_do_not_exist_are_refused():
         "pair_first": 0,
         "distances_to_points": np.zeros(2),
     }
-    with pytest.raises(InputError, match=r"^special_axes: 2 is not one of 2$"):
+    with pytest.raises(InputError, match=r"^first: 2 is not one of 2$"):
         _core.Chain(unknowns=np.array([0, 1]), **arrays, **special)
     chain = _core.Chain(unknowns=np.array([0, 1]), **arrays)
     lines = {"axes": np.zeros((2, 3)), "points": np.zeros((2, 3))}
     with pytest.raises(InputError, match=r"^axes: expected special axes of six hinges, or of seven with one that is held$"):
-        _core.ClosedForm(chain, None, tip_rotation=np.eye(3)[None], tip_translation=np.zeros(3), **lines)
+        _core.ClosedForm(chain, tip_rotation=np.eye(3), tip_translation=np.zeros(3), **lines)

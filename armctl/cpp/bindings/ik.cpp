@@ -2,11 +2,10 @@
 //
 // Calls have their own scratch memory and run without the GIL.
 #include <nanobind/nanobind.h>
-#include <nanobind/stl/optional.h>
 #include <nanobind/stl/shared_ptr.h>
 
+#include "arguments.hpp"
 #include "ik_solutions.hpp"
-#include "named_arrays.hpp"
 #include "topics.hpp"
 
 namespace nb = nanobind;
@@ -29,38 +28,6 @@ Pose pose_of(Vector numbers) { return {Rotation::from_rows(numbers.first(9)), ve
 
 Target target_of(const In& numbers, Constraint constraint, double position_tolerance, double orientation_tolerance) {
     return {pose_of(numbers.vector(12, "target")), constraint, {position_tolerance, orientation_tolerance}};
-}
-
-std::shared_ptr<Chain> make_chain(const nb::kwargs& arguments) {
-    NamedArrays arrays(arguments);
-    const Integers slides = arrays.integers("slides");
-    const size_t k = slides.size();
-    const Vector low = arrays.vector("low");
-    ChainArrays chain{
-        .rotations = arrays.rotations("rotations", k + 1),
-        .translations = arrays.matrix("translations", k + 1, 3),
-        .slides = slides,
-        .unknowns = arrays.integers("unknowns", k),
-        .ratios = arrays.vector("ratios", k),
-        .low = low,
-        .high = arrays.vector("high", low.size()),
-        .period = arrays.vector("period", low.size()),
-        .reach = arrays.value<double>("reach"),
-        .special_axes = {},
-        .distances_to_points = {},
-    };
-    if (arrays.has("relation")) {
-        const Integers others = arrays.integers("others", 3);
-        chain.special_axes = SpecialAxes{
-            .relation = arrays.value<AxesRelation>("relation"),
-            .first = arrays.value<size_t>("first"),
-            .others = {static_cast<size_t>(others[0]), static_cast<size_t>(others[1]), static_cast<size_t>(others[2])},
-            .pair_relation = arrays.value<AxesRelation>("pair_relation"),
-            .pair_first = arrays.value<size_t>("pair_first"),
-        };
-        chain.distances_to_points = arrays.vector("distances_to_points", k);
-    }
-    return std::make_shared<Chain>(chain);
 }
 
 bool contains(const Chain& chain, const In& q) { return q.is_vector(chain.n()) && chain.contains(q.vector(chain.n(), "q")); }
@@ -173,7 +140,7 @@ void manipulabilities(const Chain& chain, bool oriented, const In& q, const Out&
 }
 
 void bind_chain(nb::module_& module) {
-    nb::enum_<AxesRelation>(module, "AxesRelation", "How the axes of some joints are related.")
+    nb::enum_<AxesRelation>(module, "AxesRelation", nb::is_arithmetic(), "How the axes of some joints are related.")
         .value("NEITHER", AxesRelation::neither)
         .value("MEET", AxesRelation::meet)
         .value("PARALLEL", AxesRelation::parallel);
@@ -204,7 +171,7 @@ void bind_chain(nb::module_& module) {
                       "The chain of an arm from its base to the tip, with k joints and n unknowns. Immutable.\n\n"
                       "Lengths are in reaches; targets and tolerances of positions are in m. Results are written into the last "
                       "arguments.")
-        .def(nb::new_(&make_chain), "arguments"_a,
+        .def(nb::new_([](const nb::kwargs& arguments) { return std::make_shared<Chain>(KeywordArguments(arguments)); }), "arguments"_a,
              "A chain from arrays for each of the k joints, and for each of the n unknowns; armctl/cpp/chain.hpp explains them.")
         .def("contains", &contains, "q"_a, "Whether q is a contiguous array of n float64 inside the bounds.")
         .def("search_one", &search_one, "target"_a, "constraint"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q0"_a, "last"_a,
@@ -250,14 +217,8 @@ void null_step(ErrorModel& model, Constraint constraint, const In& desired, cons
     model.null_step(constraint, desired.vector(n, "desired"), low.vector(n, "low"), high.vector(n, "high"), step.vector(n, "step"));
 }
 
-std::shared_ptr<ClosedForm> make_closed_form(std::shared_ptr<const Chain> chain, std::optional<size_t> held, const nb::kwargs& arguments) {
-    NamedArrays arrays(arguments);
-    const Matrix axes = arrays.matrix("axes", chain->n(), 3);
-    const Matrix points = arrays.matrix("points", chain->n(), 3);
-    const Pose tip{Rotation::from_rows(arrays.rotations("tip_rotation", 1).row(0)), vec3(arrays.vector("tip_translation", 3))};
-    ZeroConfiguration zero{.lines = {}, .tip = tip, .held = held};
-    for (size_t k = 0; k < axes.rows; ++k) { zero.lines.push_back({vec3(axes.row(k)), vec3(points.row(k))}); }
-    return std::make_shared<ClosedForm>(std::move(chain), std::move(zero));
+std::shared_ptr<ClosedForm> make_closed_form(std::shared_ptr<const Chain> chain, const nb::kwargs& arguments) {
+    return std::make_shared<ClosedForm>(std::move(chain), KeywordArguments(arguments));
 }
 
 Solutions solve_with_closed_form(const ClosedForm& closed_form, const In& target, const In& q0, double position_tolerance,
@@ -318,7 +279,7 @@ void bind_ik(nb::module_& module) {
              "The part of a desired step (n,) in the null space of the J of `linearize`, shortened to its bounds.");
     nb::class_<ClosedForm>(module, "ClosedForm",
                            "The closed form of six hinges of which three in a row meet in a point or are parallel. Immutable.")
-        .def(nb::new_(&make_closed_form), "chain"_a, "held"_a.none(), "arguments"_a,
+        .def(nb::new_(&make_closed_form), "chain"_a, "arguments"_a,
              "From the hinges in the zero configuration, lengths in reaches; armctl/cpp/closed_form.hpp explains the arguments.")
         .def("solve_all", &solve_with_closed_form, "target"_a, "q0"_a, "position_tolerance"_a, "orientation_tolerance"_a, "slack"_a,
              "margin"_a, "positions"_a, "least"_a, "wanted"_a, "q"_a, "position_errors"_a, "orientation_errors"_a, "branches"_a, Release(),
