@@ -338,7 +338,7 @@ class EnvironmentRows:
         Moves target and reference, (n,) each, as a step does; the arms stay where they are.
         """
 
-class AxesRelation(enum.Enum):
+class AxesRelation(enum.IntEnum):
     """How the axes of some joints are related."""
 
     NEITHER = 0
@@ -554,7 +554,7 @@ class ClosedForm:
     The closed form of six hinges of which three in a row meet in a point or are parallel. Immutable.
     """
 
-    def __init__(self, chain: Chain, held: int | None, **arguments) -> None:
+    def __init__(self, chain: Chain, **arguments) -> None:
         """
         From the hinges in the zero configuration, lengths in reaches; armctl/cpp/closed_form.hpp explains the arguments.
         """

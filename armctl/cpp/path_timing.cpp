@@ -186,23 +186,6 @@ void PathTiming::add_duration(Vector c, Result gradient, BandMatrix& hessian) co
 
 }  // namespace
 
-SpeedBounds::SpeedBounds(const Arguments& arguments) {
-    const size_t P = arguments.length("interval");
-    const size_t F = arguments.length("damping");
-    const size_t J = arguments.length("j_max");
-    interval = arguments.integers(P, "interval");
-    weights = arguments.matrix(P, 3, "weights");
-    b_max = arguments.vector(P, "b_max");
-    force_end = arguments.integers(P, "force_end");
-    force_weights = arguments.matrix(F, 3, "force_weights");
-    damping = arguments.vector(F, "damping");
-    low = arguments.vector(F, "low");
-    high = arguments.vector(F, "high");
-    jerk_end = arguments.integers(P, "jerk_end");
-    jerk_weights = arguments.matrix(J, 3, "jerk_weights");
-    j_max = arguments.vector(J, "j_max");
-}
-
 bool fastest_path_speed(double interval_length, const SpeedBounds& bounds, bool from_near, Result c) {
     if (c.size() < 3) { throw InputError("coefficients: need at least 3, of one interval"); }
     return PathTiming(interval_length, bounds, c.size() - 2).solve(from_near, c);

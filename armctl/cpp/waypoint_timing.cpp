@@ -5,7 +5,6 @@
 #include <cmath>
 #include <limits>
 
-#include "errors.hpp"
 #include "interior_point.hpp"
 
 namespace armctl {
@@ -158,7 +157,7 @@ namespace {
 // The problem for `minimize_with_barriers`: time plus barrier.
 class WaypointTiming {
 public:
-    explicit WaypointTiming(const Waypoints& waypoints) : waypoints_(waypoints), n_(waypoints.v_max.size()) {}
+    explicit WaypointTiming(const Waypoints& waypoints) : waypoints_(waypoints), n_(waypoints.n) {}
 
     void solve(Result x) const {
         const double first = barrier_first * total_time(x) / barrier_count();
@@ -294,18 +293,6 @@ void WaypointTiming::add_derivatives(Vector x, double barrier, Result gradient, 
 }
 
 }  // namespace
-
-Waypoints::Waypoints(const Arguments& arguments) {
-    const size_t K = arguments.length("q");
-    const size_t n = arguments.length("v_max");
-    if (K < 2) { throw InputError("q: need at least 2 waypoints"); }
-    q = arguments.matrix(K, n, "q");
-    v_max = arguments.vector(n, "v_max");
-    a_max = arguments.vector(n, "a_max");
-    j_max = arguments.vector(n, "j_max");
-    v_bound = arguments.matrix(K, n, "v_bound");
-    a_bound = arguments.matrix(K, n, "a_bound");
-}
 
 void make_fastest(const Waypoints& waypoints, Result motion) { WaypointTiming(waypoints).solve(motion); }
 

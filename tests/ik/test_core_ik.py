@@ -120,7 +120,7 @@ def test_joints_that_do_not_exist_are_refused():
     }
     with pytest.raises(InputError, match=r"^unknowns: 2 is not one of 2$"):
         _core.Chain(unknowns=np.array([0, 2]), **arrays)
-    with pytest.raises(InputError, match=r"^unknowns: missing$"):
+    with pytest.raises(InputError, match=r"^unknowns: this argument is missing$"):
         _core.Chain(**arrays)
     special = {
         "relation": AxesRelation.MEET,

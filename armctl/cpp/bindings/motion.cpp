@@ -32,15 +32,18 @@ void find_limit_excess(const In& coefficients, const In& steps, size_t order, co
 }
 
 bool find_path_speed(const Out& coefficients, double interval_length, bool from_near, const nb::kwargs& arguments) {
-    const SpeedBounds bounds{KeywordArguments(arguments)};
+    const KeywordArguments given(arguments);
+    const SpeedBounds bounds(given);
     const Result c = coefficients.vector(coefficients.length("coefficients"), "coefficients");
     const nb::gil_scoped_release release;
     return fastest_path_speed(interval_length, bounds, from_near, c);
 }
 
 void make_motion_fastest(const Out& motion, const nb::kwargs& arguments) {
-    const Waypoints waypoints{KeywordArguments(arguments)};
-    const Result unknowns = motion.vector(waypoints.q.rows * (2 * waypoints.q.columns + 1) - 1, "motion");
+    const KeywordArguments given(arguments);
+    const Waypoints waypoints(given);
+    if (waypoints.K < 2) { throw InputError("q: need at least 2 waypoints"); }
+    const Result unknowns = motion.vector(waypoints.K * (2 * waypoints.n + 1) - 1, "motion");
     const nb::gil_scoped_release release;
     make_fastest(waypoints, unknowns);
 }
