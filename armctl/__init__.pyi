@@ -1,6 +1,5 @@
 """The public names of armctl: this file is the only list of them, for type checkers and for Python, which reads it as well."""
 
-from ._core import CFunctionLaw as CFunctionLaw
 from .analysis.comparison import compare as compare
 from .analysis.comparison import out_and_back as out_and_back
 from .analysis.diagnose import Diagnosis as Diagnosis
@@ -16,6 +15,7 @@ from .analysis.report import table as table
 from .collision.clearance import ClearanceCheck as ClearanceCheck
 from .collision.clearance import check_clearance as check_clearance
 from .control.admittance import Admittance as Admittance
+from .control.c_function_law import CFunctionLaw as CFunctionLaw
 from .control.computed_torque import ComputedTorque as ComputedTorque
 from .control.computed_torque_learning import ComputedTorqueLearning as ComputedTorqueLearning
 from .control.computed_torque_observer import ComputedTorqueObserver as ComputedTorqueObserver
@@ -29,7 +29,6 @@ from .control.operational_space import OperationalSpace as OperationalSpace
 from .control.pd import PD as PD
 from .control.pd_feedforward import PDFeedforward as PDFeedforward
 from .control.pd_gravity import PDGravity as PDGravity
-from .control.pd_gravity import PIDGravity as PIDGravity
 from .control.rate_limit import TorqueRateLimit as TorqueRateLimit
 from .core.errors import ArmctlError as ArmctlError
 from .core.errors import ArmctlWarning as ArmctlWarning
@@ -55,6 +54,8 @@ from .design.excitation import excitation as excitation
 from .design.frequency_response import FrequencyResponse as FrequencyResponse
 from .design.frequency_response import frequency_response as frequency_response
 from .design.identify import identify as identify
+from .design.linearization import LinearArm as LinearArm
+from .design.linearization import linear_arm as linear_arm
 from .design.linearization import linearize as linearize
 from .design.loop import Loop as Loop
 from .design.margins import Margins as Margins
@@ -99,13 +100,13 @@ from .render.video import record as record
 from .render.video import still as still
 from .robot.actuation import Actuation as Actuation
 from .robot.arm import Arm as Arm
+from .sim.commands import PathMoveOptions as PathMoveOptions
 from .sim.gripper.gripper import Gripper as Gripper
 from .sim.gripper.gripper import GripResult as GripResult
 from .sim.plant import Plant as Plant
 from .sim.plant import Push as Push
 from .sim.simulate import simulate as simulate
 from .sim.simulate_many import simulate_many as simulate_many
-from .sim.simulation import PathMoveOptions as PathMoveOptions
 from .sim.simulation import Simulation as Simulation
 from .sim.team import Team as Team
 from .study.factors import Choice as Choice

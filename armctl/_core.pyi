@@ -672,13 +672,10 @@ class PDGravity(Law):
 
     def __init__(self, model: ArmModel, **gains) -> None: ...
 
-class PIDGravity(Law):
-    """PID with gravity compensation."""
-
-    def __init__(self, model: ArmModel, **gains) -> None: ...
-
 class ComputedTorque(Law):
-    """Computed torque, with integral action if its gain is not 0."""
+    """
+    Computed torque; with weights of an estimate, at estimated positions and velocities.
+    """
 
     def __init__(self, model: ArmModel, **gains) -> None: ...
 
@@ -713,7 +710,8 @@ class ComputedTorqueQP(Law):
     def __init__(self, model: ArmModel, **gains) -> None: ...
     def last_program(self) -> object:
         """
-        The program of the last tick: H, M, lower, upper and the torque (n,) N m without limits, as for `solve_program` with f = 0. None if the torque was not limited.
+        H, M, lower and upper of the last tick's program, as for `solve_program` with f = 0, and the torque (n,) N m without
+        limits; None if the torque was not limited.
         """
 
 UNBOUNDED: float = 1e30
@@ -827,7 +825,7 @@ class MujocoApi:
     MuJoCo's functions by their addresses, and where mjData keeps contacts.
     """
 
-    def __init__(self, **kwargs) -> None: ...
+    def __init__(self, empty_model: object, **given) -> None: ...
 
 class Delay:
     """Commands that reach the motors some ticks after they were given."""

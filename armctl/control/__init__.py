@@ -14,7 +14,7 @@ from armctl.control.interface import CompiledController, Controller, State, cont
 from armctl.control.operational_space import OperationalSpace
 from armctl.control.pd import PD
 from armctl.control.pd_feedforward import PDFeedforward
-from armctl.control.pd_gravity import PDGravity, PIDGravity
+from armctl.control.pd_gravity import PDGravity
 from armctl.control.rate_limit import TorqueRateLimit
 from armctl.core.errors import UnknownNameError
 from armctl.robot.arm import Arm
@@ -23,11 +23,9 @@ CONTROLLERS: dict[str, Callable[[Arm], Controller]] = {
     "pd": PD,
     "pd-feedforward": PDFeedforward,
     "pd-gravity": PDGravity,
-    "pid-gravity": PIDGravity,
     "computed-torque": ComputedTorque,
     "computed-torque-textbook": partial(ComputedTorque, form="textbook"),
     "computed-torque-observer": ComputedTorqueObserver,
-    "computed-torque-integral": partial(ComputedTorque, integral=True),
     "computed-torque-learning": ComputedTorqueLearning,
     "qp": ComputedTorqueQP,
     "operational-space": OperationalSpace,
@@ -61,7 +59,6 @@ __all__ = [
     "OperationalSpace",
     "PDFeedforward",
     "PDGravity",
-    "PIDGravity",
     "State",
     "TorqueRateLimit",
     "controller_by_name",

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
 
 from armctl import _core
 from armctl.control.arm_controller import ArmController
-from armctl.control.gains import MAX_BANDWIDTH
+from armctl.control.gain_attribute import Gain, optional_gain, scalar_gain, word
 from armctl.control.task_space import task_rows
 from armctl.core.errors import InputError, UnknownNameError
-from armctl.core.validation import Array, IntArray, choice, number, shown
+from armctl.core.validation import Array, IntArray, number, shown
 from armctl.robot.arm import Arm
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -43,6 +44,11 @@ class HybridForce(ArmController):
 
     name = "hybrid-force"
     needs_wrench = True
+    frame: Gain[str] = word(FRAMES)
+    bandwidth: Gain[float] = scalar_gain()
+    damping_ratio: Gain[float] = scalar_gain()
+    approach_speed: Gain[float | None] = optional_gain(1e-6, 10.0)
+    contact_force: Gain[float | None] = optional_gain(1e-6, math.inf)
 
     def __init__(
         self,
@@ -74,11 +80,11 @@ class HybridForce(ArmController):
             UnknownNameError: There is no such axis or frame.
         """
         super().__init__(arm)
-        self.frame = choice("frame", frame, FRAMES)
-        self.bandwidth = number("bandwidth", bandwidth, 0.0, MAX_BANDWIDTH)
-        self.damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
-        self.approach_speed = None if approach_speed is None else number("approach_speed", approach_speed, 1e-6, 10.0)
-        self.contact_force = None if contact_force is None else number("contact_force", contact_force, 1e-6)
+        self.frame = frame
+        self.bandwidth = bandwidth
+        self.damping_ratio = damping_ratio
+        self.approach_speed = approach_speed
+        self.contact_force = contact_force
         self.force = force
 
     @property

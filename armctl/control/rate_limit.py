@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl import _core
-from armctl.control.gains import gain
+from armctl.control.gain_attribute import Gain, joint_gain
 from armctl.control.interface import (
     CompiledController,
     Controller,
@@ -24,6 +24,12 @@ from armctl.core.validation import Array, instance, shown, vector
 from armctl.robot.arm import Arm, check_arm
 
 
+def _with_torque(name: str, controller: Controller, _n: int) -> Controller:
+    if not callable(getattr(controller, "torque", None)):
+        raise InputError(f"{name}: {shown(controller)} has no method torque; armctl.PD(arm) is one")
+    return controller
+
+
 class TorqueRateLimit(CompiledController):
     """A controller with limited torque rates, as the interfaces of many arms require.
 
@@ -35,6 +41,9 @@ class TorqueRateLimit(CompiledController):
         name: The name of the controller.
         needs_wrench: Whether the controller needs the wrench.
     """
+
+    controller: Gain[Controller] = Gain(_with_torque)
+    tau_rate_max: Gain[Array] = joint_gain()
 
     def __init__(self, arm: Arm, controller: Controller, tau_rate_max: ArrayLike):
         """A controller with limited torque rates.
@@ -48,14 +57,16 @@ class TorqueRateLimit(CompiledController):
         """
         check_arm(arm)
         super().__init__(arm.n)
-        if not callable(getattr(controller, "torque", None)):
-            raise InputError(f"controller: {shown(controller)} has no method torque; armctl.PD(arm) is one")
         self.controller = controller
-        self.tau_rate_max = gain("tau_rate_max", tau_rate_max, arm.n)
+        self.tau_rate_max = tau_rate_max
         self.name = controller_name(controller)
-        self.needs_wrench = bool(getattr(controller, "needs_wrench", False))
         self._limited: _core.Law | None = None
         self._last_torque: Array | None = None  # of a controller without compiled law
+
+    @property
+    def needs_wrench(self) -> bool:  # type: ignore[override]
+        """Whether the controller needs the wrench."""
+        return bool(getattr(self.controller, "needs_wrench", False))
 
     @property
     def is_compiled(self) -> bool:

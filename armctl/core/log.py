@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from armctl.core.errors import ArmctlError, InputError
 from armctl.core.file_reading import reading
 from armctl.core.log_columns import QUANTITIES, REFERENCES, STATES
 from armctl.core.log_csv import Columns, Units, read_recording
+from armctl.core.other_names import with_hints
 from armctl.core.validation import Array, frozen, instance, number, shown
 
 RECORDED = "recorded"  # the unknown controller in the recording of a real robot
@@ -103,6 +104,18 @@ class Log:
     units: tuple[str, ...] = ()
     contacts: tuple[Contact, ...] = ()
     wrench: Array = field(default_factory=lambda: np.zeros((0, 6)))
+
+    if not TYPE_CHECKING:
+        __getattr__ = with_hints(
+            {
+                "to_dataframe": "pandas.DataFrame(log.to_dict())",
+                "to_pandas": "pandas.DataFrame(log.to_dict())",
+                "to_csv": "log.save('run.csv')",
+                "plot": "armctl.Report.from_log(log).plot()",
+                "qpos": "log.q",
+                "qvel": "log.v",
+            }
+        )
 
     def __post_init__(self) -> None:
         for name, values in (("joint_names", self.joint_names), ("units", self.units)):

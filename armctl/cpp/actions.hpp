@@ -1,6 +1,7 @@
 // What the numbers of a policy's action do: they move joint targets, which a reference approaches, or they are torques.
 #pragma once
 #include "dynamics.hpp"
+#include "errors.hpp"
 #include "law.hpp"
 
 namespace armctl {
@@ -16,14 +17,33 @@ struct ActionLimits {
     double tau_max = 0.0;  // N m
 
     // The signed speed from which a joint stops within a way, sqrt(2 a s), exponential at a rate, 1/s, near the end.
-    double approach_speed(double way, double rate) const;
+    double approach_speed(double way, double rate) const {
+        const double distance = std::abs(way);
+        double speed = rate * distance;
+        if (speed * rate > a_max) { speed = std::sqrt(2.0 * a_max * (distance - 0.5 * a_max / (rate * rate))); }
+        return std::copysign(speed, way);
+    }
 };
 
 // Numbers of an action are in [-1, 1].
 struct ActionOptions {
     // The members by name. `mode` is an ActionMode, `limits` (5, n) are those of ActionLimits, `home_tip` (12,) is translation and
     // rotation matrix.
-    ActionOptions(const Arguments& given, size_t n);
+    ActionOptions(const Arguments& given, size_t n)
+        : mode(static_cast<ActionMode>(given.integer("mode"))), size(given.count("size")), ticks(given.count("ticks")),
+          dt(given.number("dt")), joint_scale(given.number("joint_scale")), position_scale(given.number("position_scale")),
+          rotation_scale(given.number("rotation_scale")), approach_rate(given.number("approach_rate")),
+          tip_damping(given.number("tip_damping")) {
+        const Vector home = given.vector(12, "home_tip");
+        T_world_home = {.rotation = Rotation::from_rows(home.subspan(3)), .translation = vec3(home)};
+        const Matrix rows = given.matrix(5, n, "limits");
+        for (size_t i = 0; i < n; ++i) { limits.push_back({rows(0, i), rows(1, i), rows(2, i), rows(3, i), rows(4, i)}); }
+        const bool is_cartesian = mode == ActionMode::cartesian_delta || mode == ActionMode::cartesian_pose;
+        const bool has_right_size = is_cartesian ? size == 3 || size == 6 : size == n;
+        if (!has_right_size || ticks == 0 || !(dt > 0.0)) {
+            throw InputError("action: need a number for each joint, or 3 or 6 for the tip; a positive dt; and at least one tick");
+        }
+    }
 
     ActionMode mode;
     std::vector<ActionLimits> limits;
@@ -41,17 +61,43 @@ struct ActionOptions {
 // A number of an action within [-1, 1]; 0 if it is not a number.
 inline double unit(double value) { return value == value ? clipped(value, 1.0) : 0.0; }
 
+inline double bounded(double value, double low, double high) { return std::min(std::max(value, low), high); }
+
 // Joint targets that actions move, and the reference that approaches them.
 class ActionTargets {
 public:
     ActionTargets(const Model& model, const ActionOptions& options) : options_(options), dynamics_(model) {}
 
     // Moves targets (n,) by an action.
-    void move(Vector action, Result target);
+    void move(Vector action, Result target) {
+        for (size_t i = 0; i < target.size(); ++i) {
+            const ActionLimits& limits = options_.limits[i];
+            if (options_.mode == ActionMode::joint_delta) {
+                target[i] = bounded(target[i] + options_.joint_scale * limits.v_max * unit(action[i]), limits.q_min, limits.q_max);
+            } else if (options_.mode == ActionMode::joint_target) {
+                target[i] = limits.q_min + 0.5 * (1.0 + unit(action[i])) * (limits.q_max - limits.q_min);
+            }
+        }
+        if (options_.mode == ActionMode::cartesian_delta || options_.mode == ActionMode::cartesian_pose) { move_tip(action, target); }
+    }
 
     // Moves the reference (n,) one tick towards the target, within speed and acceleration, so that it stops there without
     // overshoot. Returns the setpoint of this tick, which is valid until the next call.
-    Setpoint advance(Vector target, Result q_ref, Result v_ref);
+    Setpoint advance(Vector target, Result q_ref, Result v_ref) {
+        const double dt = options_.dt;
+        for (size_t i = 0; i < target.size(); ++i) {
+            const ActionLimits& limits = options_.limits[i];
+            const double speed = clipped(limits.approach_speed(target[i] - q_ref[i], options_.approach_rate), limits.v_max);
+            const double change = limits.a_max * dt;
+            const double after = bounded(speed, v_ref[i] - change, v_ref[i] + change);
+            q_[i] = q_ref[i];
+            v_[i] = v_ref[i];
+            a_[i] = (after - v_ref[i]) / dt;
+            v_ref[i] = after;
+            q_ref[i] += dt * after;
+        }
+        return {.q = q_, .v = v_, .a = a_, .v_tick = v_, .a_tick = a_};
+    }
 
     // The pose of the tip at joint positions (n,).
     Pose tip(Vector q) {
@@ -60,8 +106,67 @@ public:
     }
 
 private:
-    void move_tip(Vector action, Result target);
-    void follow(const Pose& goal, Result target);
+    static constexpr int max_iterations = 4;
+    // Square of the error in m and rad: a full action is more than a thousand times its root.
+    static constexpr double reached_squared = 1e-10;
+
+    // The twist from a tip to a goal: the difference of positions, and the sine of the angle times the axis.
+    static Twist tip_error(const Pose& goal, const Pose& tip) {
+        Twist error{.linear = goal.translation - tip.translation, .angular = {}};
+        error.angular += 0.5 * cross(tip.rotation.x, goal.rotation.x);
+        error.angular += 0.5 * cross(tip.rotation.y, goal.rotation.y);
+        error.angular += 0.5 * cross(tip.rotation.z, goal.rotation.z);
+        return error;
+    }
+
+    // exp(turn) R: an orientation after a rotation by a rotation vector, rad, in the frame around it. Rodrigues' formula.
+    static Rotation turned(Vec3 turn, const Rotation& R) {
+        const double angle = norm(turn);
+        if (angle < 1e-12) { return R; }
+        const Vec3 axis{turn.x / angle, turn.y / angle, turn.z / angle};
+        const double cosine = std::cos(angle);
+        const double sine = std::sin(angle);
+        const double rest = 1.0 - cosine;
+        const auto turned_axis = [&](Vec3 column) {
+            return cosine * column + sine * cross(axis, column) + (dot(axis, column) * rest) * axis;
+        };
+        return {turned_axis(R.x), turned_axis(R.y), turned_axis(R.z)};
+    }
+
+    void move_tip(Vector action, Result target) {
+        const Pose origin = options_.mode == ActionMode::cartesian_delta ? tip(target) : options_.T_world_home;
+        const auto scaled = [action](double scale, size_t k) {
+            return Vec3{scale * unit(action[k]), scale * unit(action[k + 1]), scale * unit(action[k + 2])};
+        };
+        const Vec3 turn = options_.size == 6 ? scaled(options_.rotation_scale, 3) : Vec3();
+        follow({turned(turn, origin.rotation), origin.translation + scaled(options_.position_scale, 0)}, target);
+    }
+
+    // Moves targets (n,) by damped least squares until their tip is at a goal, each joint within its limits and at most as far from
+    // where it starts as it can move in a step.
+    //
+    // Nakamura, Hanafusa, "Inverse kinematic solutions with singularity robustness for robot manipulator control" (1986).
+    void follow(const Pose& goal, Result target) {
+        copy(target, start_);
+        for (int iteration = 0; iteration < max_iterations; ++iteration) {
+            std::array<double, 6> twist = numbers(tip_error(goal, tip(target)));
+            const Result error = Result(twist).first(components_);
+            if (dot(error, error) < reached_squared) { return; }
+            const Matrix J = dynamics_.tip_jacobian();
+            for (size_t r = 0; r < components_; ++r) {
+                for (size_t c = 0; c < components_; ++c) { square_(r, c) = dot(J.row(r), J.row(c), r == c ? options_.tip_damping : 0.0); }
+            }
+            factorize(square_);
+            solve(square_, error);
+            for (size_t i = 0; i < target.size(); ++i) {
+                const ActionLimits& limits = options_.limits[i];
+                const double way = options_.dt * static_cast<double>(options_.ticks) * limits.v_max;
+                const double moved = bounded(target[i] + dot(J.column(i), error), start_[i] - way, start_[i] + way);
+                target[i] = bounded(moved, limits.q_min, limits.q_max);
+            }
+        }
+    }
+
     Numbers zeros() const { return Numbers(options_.limits.size()); }
 
     const ActionOptions& options_;
@@ -78,10 +183,37 @@ public:
     TorqueGuard(const Model& model, const ActionOptions& options) : options_(options), dynamics_(model) {}
 
     // The torque (n,) N m of an action in a state.
-    void torque(Vector action, Vector q, Vector v, Result tau);
+    void torque(Vector action, Vector q, Vector v, Result tau) {
+        // The torques that keep the velocity, and the factors of the inertia of a step.
+        std::ranges::fill(a_, 0.0);
+        dynamics_.inverse_dynamics(q, v, a_, bias_);
+        dynamics_.mass_matrix(factors_);
+        dynamics_.add_step_inertia(factors_);
+        factorize(factors_);
+        for (size_t i = 0; i < n_; ++i) {
+            tau[i] = options_.limits[i].tau_max * unit(action[i]);
+            a_[i] = tau[i] - bias_[i];
+        }
+        solve(factors_, a_);
+        bool is_changed = false;
+        for (size_t i = 0; i < n_; ++i) {
+            const double guarded = guarded_acceleration(i, q[i], v[i], a_[i]);
+            is_changed = is_changed || guarded != a_[i];
+            a_[i] = guarded;
+        }
+        if (!is_changed) { return; }
+        multiply(factors_, a_, tau);
+        for (size_t i = 0; i < n_; ++i) { tau[i] += bias_[i]; }
+    }
 
 private:
-    double guarded_acceleration(size_t i, double q, double v, double a) const;
+    double guarded_acceleration(size_t i, double q, double v, double a) const {
+        const ActionLimits& limits = options_.limits[i];
+        const double upper = std::min(limits.approach_speed(limits.q_max - q, options_.approach_rate), limits.v_max);
+        const double lower = std::max(limits.approach_speed(limits.q_min - q, options_.approach_rate), -limits.v_max);
+        const double brake = 2.0 * limits.a_max;
+        return bounded(a, std::min((lower - v) / options_.dt, brake), std::max((upper - v) / options_.dt, -brake));
+    }
 
     const ActionOptions& options_;
     Dynamics dynamics_;

@@ -12,24 +12,16 @@
 
 namespace armctl {
 
-// Intervals and open pairs that wait, at most: beyond that a motion counts as not free.
-constexpr size_t MAX_INTERVALS = 8192;
+constexpr size_t MAX_INTERVALS = 8192;  // intervals and open pairs that wait, at most: beyond that a motion counts as not free
 constexpr size_t OPEN_PAIRS_PER_PAIR = 400;
 constexpr size_t MIN_OPEN_PAIRS = 4096;
-// An interval in which no point moves farther is not split again: the pair then counts as not free.
-constexpr double MIN_MOTION_M = 1e-4;
-// Of the clearance, where that is less: a line may end where something is hardly farther away.
-constexpr double MIN_MOTION_SHARE = 0.25;
-// Of the size of the moving geom: while the motion is larger, a distance would not settle the pair.
-constexpr double COARSE_MOTION = 0.8;
-// An interval in which the axis turns by less is not split again: it then counts as tilted.
-constexpr double MIN_TILT_RAD = 1e-4;
-// Of the closest approach: between the proved bound and a distance that is attained.
-constexpr double RESOLUTION_M = 2e-4;
-// A bound that is so near to the clearance is taken for it.
-constexpr double SETTLED_M = 1e-7;
-// Samples of the motion from which the search for its closest approach starts.
-constexpr int APPROACH_SAMPLES = 24;
+constexpr double MIN_MOTION_M = 1e-4;  // an interval in which no point moves farther is not split again: the pair then counts as not free
+constexpr double MIN_MOTION_SHARE = 0.25;  // of the clearance, where that is less: a line may end where something is hardly farther away
+constexpr double COARSE_MOTION = 0.8;  // of the size of the moving geom: while the motion is larger, a distance would not settle the pair
+constexpr double MIN_TILT_RAD = 1e-4;  // an interval in which the axis turns by less is not split again: it then counts as tilted
+constexpr double RESOLUTION_M = 2e-4;  // of the closest approach: between the proved bound and a distance that is attained
+constexpr double SETTLED_M = 1e-7;     // A bound that is so near to the clearance is taken for it
+constexpr int APPROACH_SAMPLES = 24;   // samples of the motion from which the search for its closest approach starts
 constexpr double UNIT_KNOTS[] = {0.0, 1.0};
 
 // A motion of all joints by polynomials of time, of degree 1 to 5.

@@ -16,24 +16,17 @@
 
 namespace armctl {
 
-// GJK stops where its bounds are so near to each other, relatively or in m.
-constexpr double GJK_RELATIVE_GAP = 1e-9;
+constexpr double GJK_RELATIVE_GAP = 1e-9;  // GJK stops where its bounds are so near to each other, relatively or in m
 constexpr double GJK_GAP_M = 1e-7;
-// The square of the length of a vector without a direction, m^2.
-constexpr double NO_DIRECTION_M2 = 1e-20;
-// An upper bound for points and hulls without a radius that overlap, m.
-constexpr double OVERLAP_M = -1e-12;
-// Relative: the direction of a distance is less accurate than the distance.
-constexpr double WITNESS_GAP = 1e-10;
-// Between geoms that are displaced until they are apart.
-constexpr double PARTED_M = 1e-3;
+constexpr double NO_DIRECTION_M2 = 1e-20;  // the square of the length of a vector without a direction, m^2
+constexpr double OVERLAP_M = -1e-12;       // an upper bound for points and hulls without a radius that overlap, m
+constexpr double WITNESS_GAP = 1e-10;      // relative: the direction of a distance is less accurate than the distance
+constexpr double PARTED_M = 1e-3;          // between geoms that are displaced until they are apart
 constexpr int MAX_DEPTH_STEPS = 20;
 constexpr double DEPTH_GAP_M = 1e-9;
 
-// More than any distance.
-constexpr double INFINITE_M = 1e300;
-// A distance is strictly above a clearance if it is greater by this.
-constexpr double STRICTLY_M = 1e-9;
+constexpr double INFINITE_M = 1e300;  // more than any distance
+constexpr double STRICTLY_M = 1e-9;   // A distance is strictly above a clearance if it is greater by this
 
 // An upper bound at or below zero means overlap.
 struct DistanceBounds {

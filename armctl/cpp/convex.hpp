@@ -8,10 +8,8 @@
 
 namespace armctl {
 
-// Larger hulls are searched by hill climbing.
-constexpr size_t LARGE_HULL_VERTICES = 24;
-// Shorter vectors have no direction.
-constexpr double MIN_LENGTH_M = 1e-12;
+constexpr size_t LARGE_HULL_VERTICES = 24;  // larger hulls are searched by hill climbing
+constexpr double MIN_LENGTH_M = 1e-12;      // shorter vectors have no direction
 
 enum class ShapeKind : std::int64_t { hull, box, cylinder, ellipsoid, plane };
 

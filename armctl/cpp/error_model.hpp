@@ -6,20 +6,9 @@
 #include <vector>
 
 #include "chain_kinematics.hpp"
+#include "linear_algebra.hpp"
 
 namespace armctl {
-
-constexpr double PI = std::numbers::pi;
-constexpr double MIN_SINE = 1e-9;  // below it a rotation's axis is lost to rounding
-constexpr int ACTIVE_SET_PASSES = 3;
-constexpr double MAX_STEP = 1.0;  // rad, or reaches for a slide joint
-constexpr int MAX_NULL_PASSES = 4;
-constexpr double MIN_NULL_SHARE = 0.01;  // a null-space step shorter than this share of the desired one frees no joint from its bound
-constexpr double NULL_DAMPING = 1e-10;
-// A target farther away is moved to this distance on its line: beyond it, the error is so large that a step's gain is lost to
-// rounding.
-constexpr double MAX_TARGET_REACHES = 1e3;
-constexpr double MAX_SQUARED_LENGTH = 1e140;  // m: the square of a greater length may overflow; such numbers are scaled first
 
 inline constexpr double ROTATION_WEIGHT = 1.0 / 3.0;  // reaches per rad: an error of 3 rad counts like an error of one reach
 inline constexpr double MIN_DAMPING = 1e-12;
@@ -39,33 +28,11 @@ inline double squared(PoseError error, double rotation_weight) {
 // The bounds of a step: `bounds` or `free_bounds`.
 using BoundsOf = Bounds Unknown::*;
 
-// The rotation vector of half a turn from the tip to the target: about the tip's axis that moves least, or across the free
-// axis.
-inline Vec3 half_turn(const Goal& goal, const Rotation& tip) {
-    int column = (free_axis(goal.constraint) + 1) % 3;
-    Vec3 axis;
-    if (goal.constraint == Constraint::pose) {
-        double largest = -2.0;
-        for (int k = 0; k < 3; ++k) {
-            const double cos = dot(axis_of(tip, k), axis_of(goal.pose.rotation, k));
-            if (cos > largest) {
-                column = k;
-                largest = cos;
-            }
-        }
-        // The middle between the two directions of that axis is on the axis of rotation.
-        axis = axis_of(tip, column) + axis_of(goal.pose.rotation, column);
-    } else {
-        axis = axis_of(tip, column);
-    }
-    return (PI / norm(axis)) * axis;
-}
-
 // Half the squared error around a configuration: its gradient and its Hessian, by Gauss-Newton or with the curvature of the
 // chain. It has scratch memory: one object for each thread.
 class ErrorModel {
 public:
-    explicit ErrorModel(const Chain& chain) : n_(chain.n()), kinematics_(chain), states_(n_), normal_(n_ * n_), factor_(n_ * n_) {}
+    explicit ErrorModel(const Chain& chain) : n_(chain.n()), kinematics_(chain), states_(n_) {}
 
     const Chain& chain() const { return kinematics_.chain(); }
     ChainKinematics& kinematics() { return kinematics_; }
@@ -95,7 +62,7 @@ public:
         error_.linear = goal.pose.translation - tip.translation;
         error_.angular = is_oriented ? rotation_error(goal) : Vec3{};
         const PoseError error{norm(error_.linear), norm(error_.angular)};
-        const double weight = rotation_weight / (1.0 + position_priority * std::min(1.0, error.position));
+        const double weight = is_oriented ? rotation_weight / (1.0 + position_priority * std::min(1.0, error.position)) : 0.0;
         error_.angular = weight * error_.angular;
         std::vector<Twist>& J = kinematics_.jacobian();
         for (size_t i = 0; i < n_; ++i) {
@@ -104,23 +71,10 @@ public:
                 const Vec3& axis = axis_of(tip.rotation, free_axis(goal.constraint));
                 J[i].angular -= dot(axis, J[i].angular) * axis;
             }
-            double gradient = dot(J[i].linear, error_.linear);
-            if (is_oriented) {
-                const Vec3 angular = weight * J[i].angular;
-                J[i].angular = angular;
-                gradient = gradient + angular.x * error_.angular.x + angular.y * error_.angular.y + angular.z * error_.angular.z;
-            }
-            states_[i].gradient = gradient;
-            for (size_t j = 0; j <= i; ++j) {
-                double total = dot(J[i].linear, J[j].linear);
-                if (is_oriented) {
-                    const Vec3 a = J[i].angular;
-                    const Vec3 b = J[j].angular;
-                    total = total + a.x * b.x + a.y * b.y + a.z * b.z;
-                }
-                normal(i, j) = total;
-            }
+            J[i].angular = weight * J[i].angular;
+            states_[i].gradient = dot(J[i], error_);
         }
+        set_normal();
         return error;
     }
 
@@ -135,10 +89,10 @@ public:
             if (chain().joints()[i].slides) { continue; }
             const Vec3 axis = kinematics_.joints()[i].axis;
             const Vec3 bend = cross(error_.linear, axis);
-            for (size_t j = i; j < n_; ++j) { normal(j, i) -= dot(bend, J[j].linear); }
+            for (size_t j = i; j < n_; ++j) { normal_(j, i) -= dot(bend, J[j].linear); }
             if (constraint != Constraint::position) {
                 const Vec3 turn = 0.5 * cross(error_.angular, axis);
-                for (size_t j = i; j < n_; ++j) { normal(j, i) -= dot(turn, J[j].angular); }
+                for (size_t j = i; j < n_; ++j) { normal_(j, i) -= dot(turn, J[j].angular); }
             }
         }
     }
@@ -147,7 +101,7 @@ public:
     void add_pull(double weight, Vector from, Vector q) {
         for (size_t i = 0; i < n_; ++i) {
             states_[i].gradient += weight * (from[i] - q[i]);
-            normal(i, i) += weight;
+            normal_(i, i) += weight;
         }
     }
 
@@ -168,7 +122,7 @@ public:
             for (size_t i = 0; i < n_; ++i) {
                 State& state = states_[i];
                 const double desired = q[i] + state.step;
-                const double possible = (unknowns[i].*bounds_of).clamp(desired);
+                const double possible = clamped(desired, unknowns[i].*bounds_of);
                 if (!state.at_bound && possible != desired) {
                     state.at_bound = true;
                     state.step = possible - q[i];
@@ -183,7 +137,7 @@ public:
         double moved = 0.0;
         for (size_t i = 0; i < n_; ++i) {
             const double before = q[i];
-            q[i] = (unknowns[i].*bounds_of).clamp(before + share * states_[i].step);
+            q[i] = clamped(before + share * states_[i].step, unknowns[i].*bounds_of);
             moved = std::max(moved, std::abs(q[i] - before));
         }
         return moved;
@@ -193,22 +147,10 @@ public:
     //
     // With the tiny damping only that part of the desired step is left that changes no error.
     void null_step(Constraint constraint, Vector desired, Vector low, Vector high, Result step) {
-        const bool is_oriented = constraint != Constraint::position;
-        const size_t rows = is_oriented ? 6 : 3;
-        const std::vector<Twist>& J = kinematics_.jacobian();
-        for (size_t i = 0; i < n_; ++i) {
-            states_[i].at_bound = false;
-            step[i] = 0.0;
-            for (size_t j = 0; j <= i; ++j) {
-                double total = dot(J[i].linear, J[j].linear);
-                if (is_oriented) {
-                    const Vec3 a = J[i].angular;
-                    const Vec3 b = J[j].angular;
-                    total = total + a.x * b.x + a.y * b.y + a.z * b.z;
-                }
-                normal(i, j) = total;
-            }
-        }
+        const size_t rows = constraint == Constraint::position ? 3 : 6;
+        set_normal();
+        std::ranges::fill(step, 0.0);
+        for (State& state : states_) { state.at_bound = false; }
         for (int pass = 0; pass < MAX_NULL_PASSES; ++pass) {
             for (size_t i = 0; i < n_; ++i) {
                 states_[i].gradient = NULL_DAMPING * desired[i];
@@ -234,14 +176,10 @@ public:
     }
 
     // The norm of the weighted error.
-    double size() const {
-        double square = dot(error_.linear, error_.linear);
-        square = square + error_.angular.x * error_.angular.x + error_.angular.y * error_.angular.y + error_.angular.z * error_.angular.z;
-        return std::sqrt(square);
-    }
+    double size() const { return std::sqrt(dot(error_, error_)); }
 
     double gradient(size_t i) const { return states_[i].gradient; }
-    double hessian(size_t i, size_t j) const { return i < j ? normal_[j * n_ + i] : normal_[i * n_ + j]; }
+    double hessian(size_t i, size_t j) const { return i < j ? normal_(j, i) : normal_(i, j); }
 
     // Remembers a configuration, and takes it back.
     void keep_best(Vector q) {
@@ -253,6 +191,42 @@ public:
     }
 
 private:
+    static constexpr double MIN_SINE = 1e-9;  // below it a rotation's axis is lost to rounding
+    static constexpr int ACTIVE_SET_PASSES = 3;
+    static constexpr double MAX_STEP = 1.0;  // rad, or reaches for a slide joint
+    static constexpr int MAX_NULL_PASSES = 4;
+    // A null-space step shorter than this share of the desired one frees no joint from its bound.
+    static constexpr double MIN_NULL_SHARE = 0.01;
+    static constexpr double NULL_DAMPING = 1e-10;
+    // A target farther away is moved to this distance on its line: beyond it, the error is so large that a step's gain is lost to
+    // rounding.
+    static constexpr double MAX_TARGET_REACHES = 1e3;
+    static constexpr double MAX_SQUARED_LENGTH = 1e140;  // m: the square of a greater length may overflow; such numbers are scaled first
+
+    static double clamped(double value, Bounds bounds) { return std::min(std::max(value, bounds.low), bounds.high); }
+
+    // The rotation vector of half a turn from the tip to the target: about the tip's axis that moves least, or across the free
+    // axis.
+    static Vec3 half_turn(const Goal& goal, const Rotation& tip) {
+        int column = (free_axis(goal.constraint) + 1) % 3;
+        Vec3 axis;
+        if (goal.constraint == Constraint::pose) {
+            double largest = -2.0;
+            for (int k = 0; k < 3; ++k) {
+                const double cos = dot(axis_of(tip, k), axis_of(goal.pose.rotation, k));
+                if (cos > largest) {
+                    column = k;
+                    largest = cos;
+                }
+            }
+            // The middle between the two directions of that axis is on the axis of rotation.
+            axis = axis_of(tip, column) + axis_of(goal.pose.rotation, column);
+        } else {
+            axis = axis_of(tip, column);
+        }
+        return (std::numbers::pi / norm(axis)) * axis;
+    }
+
     struct State {
         double gradient;
         double step;
@@ -261,6 +235,14 @@ private:
         double pivot;  // inverse diagonal of its factor, packed
         bool at_bound;
     };
+
+    // J^T J
+    void set_normal() {
+        const std::vector<Twist>& J = kinematics_.jacobian();
+        for (size_t i = 0; i < n_; ++i) {
+            for (size_t j = 0; j <= i; ++j) { normal_(i, j) = dot(J[i], J[j]); }
+        }
+    }
 
     // The rotation vector from the tip to the goal; with a free axis the shortest one that aligns the two axes.
     Vec3 rotation_error(const Goal& goal) const {
@@ -293,22 +275,22 @@ private:
         for (size_t i = 0; i < n_; ++i) {
             if (states_[i].at_bound) { continue; }
             double total = states_[i].gradient;
-            double pivot = normal(i, i) + damping;
+            double pivot = normal_(i, i) + damping;
             size_t column = 0;
             for (size_t j = 0; j < n_; ++j) {
                 if (states_[j].at_bound) {
                     total -= hessian(i, j) * states_[j].step;
                 } else if (j < i) {
-                    double value = normal(i, j);
-                    for (size_t k = 0; k < column; ++k) { value -= factor(count, k) * factor(column, k); }
-                    factor(count, column) = value;
+                    double value = normal_(i, j);
+                    for (size_t k = 0; k < column; ++k) { value -= factor_(count, k) * factor_(column, k); }
+                    factor_(count, column) = value;
                     ++column;
                 }
             }
             for (size_t k = 0; k < count; ++k) {
-                const double value = factor(count, k);
+                const double value = factor_(count, k);
                 const double scaled = value * states_[k].pivot;
-                factor(count, k) = scaled;
+                factor_(count, k) = scaled;
                 pivot -= scaled * value;
                 total -= scaled * states_[k].rhs;
             }
@@ -322,22 +304,19 @@ private:
             if (states_[i].at_bound) { continue; }
             --row;
             double total = states_[row].rhs * states_[row].pivot;
-            for (size_t k = row + 1; k < count; ++k) { total -= factor(k, row) * states_[k].rhs; }
+            for (size_t k = row + 1; k < count; ++k) { total -= factor_(k, row) * states_[k].rhs; }
             states_[row].rhs = total;
             states_[i].step = total;
         }
         return definite;
     }
 
-    double& normal(size_t i, size_t j) { return normal_[i * n_ + j]; }
-    double& factor(size_t i, size_t j) { return factor_[i * n_ + j]; }
-
     size_t n_;
     ChainKinematics kinematics_;
     Twist error_;                 // weighted
     std::vector<State> states_;   // (n,)
-    std::vector<double> normal_;  // (n, n), the lower triangle of the Hessian
-    std::vector<double> factor_;  // (n, n), the packed factor L of L D L^T
+    DenseMatrix normal_{n_, n_};  // the lower triangle of the Hessian
+    DenseMatrix factor_{n_, n_};  // the packed factor L of L D L^T
 };
 
 }  // namespace armctl

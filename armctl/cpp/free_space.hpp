@@ -10,13 +10,11 @@
 
 namespace armctl {
 
-// Of the permitted tilt, which nodes keep: the lines between them need the rest.
-constexpr double LEVEL_SHARE = 0.5;
+constexpr double LEVEL_SHARE = 0.5;  // of the permitted tilt, which nodes keep: the lines between them need the rest
 constexpr double LEVEL_TOLERANCE_RAD = 1e-6;
 constexpr int LEVEL_STEPS = 8;
 constexpr double LEVEL_DAMPING = 1e-6;
-// The square of a sine: the axis is upside down.
-constexpr double UPSIDE_DOWN = 1e-16;
+constexpr double UPSIDE_DOWN = 1e-16;  // the square of a sine: the axis is upside down
 
 using Configuration = std::vector<double>;  // (n,) rad
 using Path = std::vector<Configuration>;

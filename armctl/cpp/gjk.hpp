@@ -12,14 +12,11 @@
 
 namespace armctl {
 
-// The square of a distance, m^2: nearer points are the same.
-constexpr double SAME_POINT_M2 = 1e-22;
-// Relative: the vertices of a triangle of less area are on a line.
-constexpr double FLAT_TRIANGLE = 1e-12;
+constexpr double SAME_POINT_M2 = 1e-22;  // the square of a distance, m^2: nearer points are the same
+constexpr double FLAT_TRIANGLE = 1e-12;  // relative: the vertices of a triangle of less area are on a line
 
 constexpr int MAX_GJK_STEPS = 60;
-// The square of a distance between hulls that overlap, m^2.
-constexpr double OVERLAP_M2 = 1e-18;
+constexpr double OVERLAP_M2 = 1e-18;  // the square of a distance between hulls that overlap, m^2
 
 // A support point of the difference of two shapes.
 struct SupportPoint {

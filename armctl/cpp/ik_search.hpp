@@ -218,10 +218,10 @@ public:
             const Unknown& unknown = chain().unknowns()[i];
             auto [low, high] = unknown.*bounds_of;
             const bool is_endless = high - low == INF;
-            if (high - low > 2 * PI && (unknown.period > 0.0 || is_endless)) {
-                const double middle = std::min(std::max(q0[i], low + PI), high - PI);
-                low = middle - PI;
-                high = middle + PI;
+            if (high - low > 2 * std::numbers::pi && (unknown.period > 0.0 || is_endless)) {
+                const double middle = std::min(std::max(q0[i], low + std::numbers::pi), high - std::numbers::pi);
+                low = middle - std::numbers::pi;
+                high = middle + std::numbers::pi;
             }
             const double drawn = low + ((1 + 2 * stretch) * fraction - stretch) * (high - low);
             q[i] = Bounds{low, high}.clamp(drawn);

@@ -80,11 +80,4 @@ inline double clipped(double value, double bound) { return std::min(std::max(val
 // The weight of a new sample in a low-pass of first order, of a rate in 1/s.
 inline double low_pass_weight(double rate, double dt) { return -std::expm1(-rate * dt); }
 
-// Anti-windup by conditional integration: an integral does not change while its motor is at its limit and the error has the same
-// sign (Astrom and Hagglund, Advanced PID Control, 2006, 3.5).
-inline void integrate(double change, double tau, double torque_limit, double& integral) {
-    const bool winds_up = std::abs(tau) >= torque_limit && change * tau > 0.0;
-    if (!winds_up) { integral += change; }
-}
-
 }  // namespace armctl

@@ -53,16 +53,6 @@ namespace {
 
 constexpr int max_sweeps = 30;  // both iterations converge in about 6
 
-void turn(double& x, double& y, double cosine, double sine) {
-    const double before = x;
-    x = cosine * before - sine * y;
-    y = sine * before + cosine * y;
-}
-
-void turn_rows(MatrixResult A, size_t i, size_t k, double cosine, double sine) {
-    for (size_t j = 0; j < A.columns; ++j) { turn(A(i, j), A(k, j), cosine, sine); }
-}
-
 void turn_columns(MatrixResult A, size_t i, size_t k, double cosine, double sine) {
     for (size_t j = 0; j < A.rows; ++j) { turn(A(j, i), A(j, k), cosine, sine); }
 }

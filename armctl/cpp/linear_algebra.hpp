@@ -48,6 +48,33 @@ inline void set_identity(MatrixResult M) {
     }
 }
 
+// A plane rotation of two numbers.
+inline void turn(double& x, double& y, double cosine, double sine) {
+    const double before = x;
+    x = cosine * before - sine * y;
+    y = sine * before + cosine * y;
+}
+
+inline void turn_rows(MatrixResult A, size_t i, size_t k, double cosine, double sine) {
+    for (size_t j = 0; j < A.columns; ++j) { turn(A(i, j), A(k, j), cosine, sine); }
+}
+
+// Replaces x by the solution of L solution = x, with a lower triangle L.
+inline void forward_substitute(Matrix L, Result x) {
+    for (size_t i = 0; i < x.size(); ++i) {
+        for (size_t k = 0; k < i; ++k) { x[i] -= L(i, k) * x[k]; }
+        x[i] /= L(i, i);
+    }
+}
+
+// Replaces x by the solution of L^T solution = x.
+inline void backward_substitute(Matrix L, Result x) {
+    for (size_t i = x.size(); i-- > 0;) {
+        for (size_t k = i + 1; k < x.size(); ++k) { x[i] -= L(k, i) * x[k]; }
+        x[i] /= L(i, i);
+    }
+}
+
 // Symmetric positive definite matrices, of which the lower triangle counts, as L D L^T in place.
 //
 // Source: Golub and Van Loan, Matrix Computations (2013), 4.1.2. There is one division per row, and no root. The lower triangle

@@ -55,20 +55,19 @@ void set(Pointer& pointer, const Arguments& given, const char* name) {
 
 }  // namespace
 
-MujocoApi::MujocoApi(const Arguments& given)
-    : contacts{
-          .count = given.count("contact_count"),
-          .array = given.count("contact_array"),
-          .stride = given.count("contact_stride"),
-          .geoms = given.count("contact_geoms"),
-      } {
+MujocoApi::MujocoApi(const MujocoModel* empty, const Arguments& given)
+    : empty_model(empty), contacts{
+                              .count = given.count("contact_count"),
+                              .array = given.count("contact_array"),
+                              .stride = given.count("contact_stride"),
+                              .geoms = given.count("contact_geoms"),
+                          } {
     set(step, given, "step");
     set(rne_post_constraint, given, "rne_post_constraint");
     set(make_batch, given, "make_batch");
     set(delete_batch, given, "delete_batch");
     set(apply, given, "apply");
     set(error, given, "error");
-    set(empty_model, given, "empty_model");
 }
 
 Contacts::Contacts(const ContactLayout& layout, const MujocoData* data)

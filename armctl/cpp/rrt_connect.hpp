@@ -16,17 +16,12 @@
 
 namespace armctl {
 
-// The longest edge of a tree, rad (m).
-constexpr double STEP = 1.0;
-// A node whose extension failed takes samples from this distance only, rad.
-constexpr double DOMAIN_RAD = 4.0;
-// Smaller domains starve a tree of few nodes.
-constexpr double MIN_DOMAIN_RAD = 1.0;
-// By which a domain shrinks with each failure and grows with each success.
-constexpr double DOMAIN_RATE = 1e-4;
+constexpr double STEP = 1.0;            // the longest edge of a tree, rad (m)
+constexpr double DOMAIN_RAD = 4.0;      // A node whose extension failed takes samples from this distance only, rad
+constexpr double MIN_DOMAIN_RAD = 1.0;  // smaller domains starve a tree of few nodes
+constexpr double DOMAIN_RATE = 1e-4;    // by which a domain shrinks with each failure and grows with each success
 constexpr double SAME_CONFIGURATION_RAD = 1e-10;
-// Of a step, towards a target: with less, the projection on the kept axis leads away from it.
-constexpr double MIN_PROGRESS = 0.2;
+constexpr double MIN_PROGRESS = 0.2;  // of a step, towards a target: with less, the projection on the kept axis leads away from it
 constexpr double ROUNDING = 1e-9;
 
 class RrtConnect {

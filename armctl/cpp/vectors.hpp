@@ -119,6 +119,10 @@ struct Twist {
     Vec3 angular;
 };
 
+inline double dot(const Twist& a, const Twist& b) {
+    return dot(a.linear, b.linear) + a.angular.x * b.angular.x + a.angular.y * b.angular.y + a.angular.z * b.angular.z;
+}
+
 inline std::array<double, 6> numbers(const Twist& twist) {
     return {twist.linear.x, twist.linear.y, twist.linear.z, twist.angular.x, twist.angular.y, twist.angular.z};
 }
@@ -131,9 +135,29 @@ struct Quaternion {
 };
 
 // The unit quaternion, w >= 0, of a rotation by Shepperd's method: the largest component is found first.
-Quaternion quaternion(const Rotation& R);
+inline Quaternion quaternion(const Rotation& R) {
+    const double trace = R.x.x + R.y.y + R.z.z;
+    Quaternion quat;
+    if (trace >= R.x.x && trace >= R.y.y && trace >= R.z.z) {
+        quat = {1.0 + trace, R.y.z - R.z.y, R.z.x - R.x.z, R.x.y - R.y.x};
+    } else if (R.x.x >= R.y.y && R.x.x >= R.z.z) {
+        quat = {R.y.z - R.z.y, 1.0 + R.x.x - R.y.y - R.z.z, R.x.y + R.y.x, R.x.z + R.z.x};
+    } else if (R.y.y >= R.z.z) {
+        quat = {R.z.x - R.x.z, R.y.x + R.x.y, 1.0 + R.y.y - R.z.z - R.x.x, R.y.z + R.z.y};
+    } else {
+        quat = {R.x.y - R.y.x, R.z.x + R.x.z, R.z.y + R.y.z, 1.0 + R.z.z - R.x.x - R.y.y};
+    }
+    double scale = 1.0 / std::sqrt(quat.w * quat.w + quat.x * quat.x + quat.y * quat.y + quat.z * quat.z);
+    if (quat.w < 0.0) { scale = -scale; }
+    return {quat.w * scale, quat.x * scale, quat.y * scale, quat.z * scale};
+}
 
 // The rotation vector, rad, of at most half a turn, in the axes around them, that turns one orientation to another.
-Vec3 rotation_vector(const Rotation& from, const Rotation& to);
+inline Vec3 rotation_vector(const Rotation& from, const Rotation& to) {
+    const Quaternion turn = quaternion({to * from.row_x(), to * from.row_y(), to * from.row_z()});  // of to from^T
+    const double sine = std::sqrt(turn.x * turn.x + turn.y * turn.y + turn.z * turn.z);
+    const double scale = sine > 0.0 ? 2.0 * std::atan2(sine, turn.w) / sine : 2.0;
+    return {scale * turn.x, scale * turn.y, scale * turn.z};
+}
 
 }  // namespace armctl

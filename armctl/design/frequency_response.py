@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control import Controller, State, controller_name
 from armctl.core.errors import InputError
+from armctl.core.log import Log
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, IntArray, integer
 from armctl.design.linearization import loop_at
@@ -32,7 +34,14 @@ _MAX_FREQUENCY_SHARE = 0.8  # of the Nyquist frequency
 # measurements have noise, it has to be larger.
 _AMPLITUDE = 2e-4
 _AMPLITUDE_WITH_NOISE = 0.02
+# A second measurement is this many times larger. It shows dry friction, which is linear as long as it holds a joint: it is
+# larger than that of the joint, too.
+_LARGER = 2.0
+_FRICTION_RATIO = 2.0
 _MIN_COHERENCE = 0.5
+_MAX_NONLINEAR_SHARE = 0.1
+_SIGNIFICANT_VARIANCES = 9.0  # squares of what is smaller than three standard deviations of the noise do not count
+_DETECTION_EVERY = 3  # of this many odd lines one is not excited
 _SEED = 0  # of the phases
 
 
@@ -41,11 +50,15 @@ class FrequencyResponse:
     """The sensitivity of one joint, measured and predicted. True if the measurement can be trusted.
 
     Attributes:
-        ok: Whether the run was complete, no motor was saturated and the coherence is at least 0.5 at every frequency.
+        ok: Whether both runs were complete, no motor was saturated, the coherence is at least 0.5 and the nonlinear share at
+            most 0.1 at every frequency.
         frequency: (k,) rad/s.
         measured: (k,) complex, the sensitivity S_ii from the simulation.
         predicted: (k,) complex, from the linear loop.
-        coherence: (k,) in [0, 1], the share of the measured torque that follows from the excitation.
+        coherence: (k,) in [0, 1], the share of the measured torque that repeats with the excitation. Noise lowers it. Dry
+            friction does not: it distorts each period alike.
+        nonlinear: (k,) the part of the measured torque that no linear loop explains, relative to it: what appears at
+            frequencies that are not excited, and what changes with the size of the excitation.
         reason: The reason if it is not ok; empty if it is.
     """
 
@@ -55,6 +68,7 @@ class FrequencyResponse:
     measured: ComplexArray
     predicted: ComplexArray
     coherence: Array
+    nonlinear: Array
     reason: str
 
     def __bool__(self) -> bool:
@@ -72,7 +86,7 @@ class FrequencyResponse:
             f"{self.joint}: |S| at most {np.abs(self.measured).max():.3f} measured, "
             f"{np.abs(self.predicted).max():.3f} predicted; "
             f"relative difference {np.median(self.error):.1e} median, {self.error.max():.1e} maximum; "
-            f"coherence at least {self.coherence.min():.4f}"
+            f"coherence at least {self.coherence.min():.4f}, nonlinear share at most {self.nonlinear.max():.1e}"
         )
 
 
@@ -107,9 +121,11 @@ def frequency_response(
 ) -> FrequencyResponse:
     """Measures the sensitivity of one joint in simulation, and predicts it from the linear loop.
 
-    The controller holds the arm at q while a multisine disturbs the torque of the joint: periods of 2 s, first until the
-    transient has decayed (at most 40 s), then six that are measured. Its size is 0.02 % of the torque limit, or 2 % if the
-    plant has noise. See Pintelon and Schoukens, System Identification: A Frequency Domain Approach (2012), chapter 2.
+    The controller holds the arm at q while a multisine of odd harmonics and random phases disturbs the torque of the joint:
+    periods of 2 s, first until the transient has decayed (at most 40 s), then six that are measured. Its size is 0.02 % of the
+    torque limit, or 2 % if the plant has noise. A second run with a larger excitation, and the harmonics that are not excited,
+    show what is not linear. See Pintelon and Schoukens, System Identification: A Frequency Domain Approach (2012), chapters 2
+    and 4.
 
     Args:
         q: (n,) rad, the configuration.
@@ -117,7 +133,7 @@ def frequency_response(
         plant: How the simulated arm differs from the model; by default it does not.
 
     Returns:
-        Measurement, prediction and coherence at 60 frequencies or fewer.
+        Measurement, prediction, coherence and nonlinear share at 60 frequencies or fewer.
 
     Raises:
         InputError: An argument has a wrong type, length or value.
@@ -134,32 +150,95 @@ def frequency_response(
     loop = loop_at(arm, law, q, plant)
     ticks = round(_PERIOD_S / loop.dt)
     lines = _lines(ticks)
-    amplitude = _AMPLITUDE_WITH_NOISE if plant.encoder_noise or plant.velocity_noise else _AMPLITUDE
-    signal = _multisine(ticks, lines, amplitude * arm.limits.tau_max[index])
-    excited = Excited(law, loop.holding_torque, index, signal)
-    settling = _settling_periods(loop.margins().spectral_radius, ticks)
-    periods = settling + _MEASURED_PERIODS
-    log = simulate(arm, excited, standstill(arm, q, periods * ticks * loop.dt), plant, dwell=0.0)
     frequency = np.asarray(2 * np.pi * lines / (ticks * loop.dt), dtype=np.float64)
     predicted = loop.sensitivity(frequency)[:, index, index]
-    if log.failure or len(excited.commands) < periods * ticks:
-        nothing = np.full(len(lines), np.nan)
-        reason = log.failure or "the run was too short"
-        return FrequencyResponse(False, arm.joint_names[index], frequency, nothing.astype(complex), predicted, nothing, reason)
-    total = np.array(excited.commands[: periods * ticks]).reshape(periods, ticks) + signal
-    spectrum = np.fft.fft(total[settling:], axis=1)[:, lines]
+    share = _AMPLITUDE_WITH_NOISE if plant.encoder_noise or plant.velocity_noise else _AMPLITUDE
+    small = share * float(arm.limits.tau_max[index])
+    friction = float(plant.model(arm).dof_frictionloss[arm.dof_adr[index]])
+    settling = _settling_periods(loop.margins().spectral_radius, ticks)
+    count = (settling + _MEASURED_PERIODS) * ticks
+    motion = standstill(arm, q, count * loop.dt)
+    runs = []
+    for amplitude in (small, max(_LARGER * small, _FRICTION_RATIO * friction)):
+        signal = _multisine(ticks, lines, amplitude)
+        excited = Excited(law, loop.holding_torque, index, signal)
+        log = simulate(arm, excited, motion, plant, dwell=0.0)
+        reason = _failure(log, count)
+        if reason:
+            nothing = np.full(len(lines), np.nan)
+            unknown = nothing.astype(complex)
+            return FrequencyResponse(False, arm.joint_names[index], frequency, unknown, predicted, nothing, nothing, reason)
+        total = np.array(excited.commands[:count]).reshape(-1, ticks)[settling:] + signal
+        runs.append(_response(total, signal, lines))
+    run, larger = runs
+    change = _above_noise(np.abs(run.response - larger.response) ** 2, run.variance + larger.variance)
+    nonlinear = np.sqrt(change + np.maximum(run.distortion, larger.distortion)) / np.abs(run.response)
+    reason = _doubt(frequency, run.coherence, nonlinear)
+    return FrequencyResponse(
+        not reason, arm.joint_names[index], frequency, run.response, predicted, run.coherence, nonlinear, reason
+    )
+
+
+class _Response(NamedTuple):
+    """The response to one multisine, each (k,), relative to the excitation.
+
+    Attributes:
+        response: Complex, the mean of all periods.
+        variance: Of that mean, by noise.
+        coherence: In [0, 1].
+        distortion: The square of what appears at neighbouring lines that are not excited, without noise.
+    """
+
+    response: ComplexArray
+    variance: Array
+    coherence: Array
+    distortion: Array
+
+
+def _response(total: Array, signal: Array, lines: IntArray) -> _Response:
+    """The response from the measured torque of whole periods, (periods, ticks) N m."""
+    spectrum = np.fft.fft(total, axis=1)
+    mean = spectrum.mean(axis=0)
+    power = (np.abs(spectrum) ** 2).mean(axis=0)
+    variance = np.maximum(power - np.abs(mean) ** 2, 0.0) / (len(total) - 1)
+    distortion = _above_noise(np.abs(mean) ** 2, variance)
+    highest = int(lines[-1]) + 1
+    odd = np.setdiff1d(np.arange(1, highest, 2), lines)
+    closest = odd[np.abs(lines[:, None] - odd).argmin(axis=1)]
+    around = distortion[closest] + 0.5 * (distortion[lines - 1] + distortion[lines + 1])
     excitation = np.fft.fft(signal)[lines]
-    measured = spectrum.mean(axis=0) / excitation
-    coherence = np.abs(spectrum.mean(axis=0)) ** 2 / (np.abs(spectrum) ** 2).mean(axis=0)
-    reason = ""
+    size = np.abs(excitation) ** 2
+    coherence = np.abs(mean[lines]) ** 2 / power[lines]
+    return _Response(mean[lines] / excitation, variance[lines] / size, coherence, around / size)
+
+
+def _above_noise(square: Array, variance: Array) -> Array:
+    """The part of squared sizes that the noise does not explain."""
+    return np.where(square > _SIGNIFICANT_VARIANCES * variance, square - variance, 0.0)
+
+
+def _failure(log: Log, ticks: int) -> str:
+    """Why a run measured nothing; empty if it did."""
+    if log.failure or len(log) < ticks:
+        return log.failure or "the run was too short"
     if (np.abs(log.tau_cmd) > log.tau_max).any():
-        reason = "a motor reached its torque limit"
-    elif log.contacts:
-        reason = f"the arm touched {log.contacts[0].other:.80}"
-    elif coherence.min() < _MIN_COHERENCE:
-        worst = int(coherence.argmin())
-        reason = f"the coherence is {coherence[worst]:.2f} at {frequency[worst] / (2 * np.pi):.3g} Hz"
-    return FrequencyResponse(not reason, arm.joint_names[index], frequency, measured, predicted, coherence, reason)
+        return "a motor reached its torque limit"
+    return f"the arm touched {log.contacts[0].other:.80}" if log.contacts else ""
+
+
+def _doubt(frequency: Array, coherence: Array, nonlinear: Array) -> str:
+    """What speaks against a measurement; empty if nothing does."""
+    hertz = frequency / (2 * np.pi)
+    worst = int(coherence.argmin())
+    if coherence[worst] < _MIN_COHERENCE:
+        return f"the coherence is {coherence[worst]:.2f} at {hertz[worst]:.3g} Hz"
+    worst = int(nonlinear.argmax())
+    if nonlinear[worst] > _MAX_NONLINEAR_SHARE:
+        return (
+            f"the nonlinear share is {nonlinear[worst]:.2g} at {hertz[worst]:.3g} Hz, above {_MAX_NONLINEAR_SHARE:g}: "
+            "dry friction or a large motion, for which no linear loop stands"
+        )
+    return ""
 
 
 def _joint_index(arm: Arm, joint: int | str) -> int:
@@ -176,9 +255,11 @@ def _settling_periods(spectral_radius: float, ticks: int) -> int:
 
 
 def _lines(ticks: int) -> IntArray:
-    """The excited lines of the spectrum: geometric, whole multiples of 1 / period."""
-    highest = _MAX_FREQUENCY_SHARE * ticks / 2
-    return np.unique(np.round(np.geomspace(_MIN_FREQUENCY_HZ * _PERIOD_S, highest, _LINES)).astype(np.int64))
+    """The excited lines of the spectrum: about geometric, odd multiples of 1 / period, with odd ones left out between them."""
+    odd = np.arange(3, int(_MAX_FREQUENCY_SHARE * ticks / 2) + 1, 2)
+    odd = odd[np.arange(len(odd)) % _DETECTION_EVERY < _DETECTION_EVERY - 1]
+    wanted = np.geomspace(_MIN_FREQUENCY_HZ * _PERIOD_S, odd[-1], _LINES)
+    return np.unique(odd[np.abs(wanted[:, None] - odd).argmin(axis=1)])
 
 
 def _multisine(ticks: int, lines: IntArray, amplitude: float) -> Array:

@@ -13,7 +13,10 @@ from armctl.design.state_space import ComplexArray, StateSpace
 
 _MIN_FREQUENCY = 0.3  # rad/s; below it, arms do not move
 _GRID_POINTS = 400
+_COARSE_POINTS = 80  # of `coarse_robustness`
 _BISECTIONS = 40
+_MIN_RESONANCE = 0.5  # magnitude of a pole; others change little between two points of the grid
+_RESONANCE_WIDTHS = np.concatenate([-np.geomspace(10.0, 0.1, 12), [0.0], np.geomspace(0.1, 10.0, 12)])
 _MAX_GAIN = 100.0  # a larger gain margin is reported as infinite
 _GAIN_STEPS = 60  # between 1 and the largest gain, geometric
 
@@ -67,12 +70,43 @@ def robustness(loop: StateSpace, dt: float) -> LoopMargins:
     if not radius < 1.0:
         reason = f"the closed loop is unstable: an eigenvalue has the magnitude {radius:.4g}"
         return LoopMargins(False, 0.0, 1.0, 0.0, inf, radius, reason)
-    frequencies = frequency_grid(dt)
+    frequencies = _with_resonances(frequency_grid(dt), loop, dt)
     transfer = loop.transfer(np.exp(1j * frequencies * dt))
-    sensitivity = np.linalg.inv(np.eye(transfer.shape[1]) + transfer)
+    crossings = _unit_crossings(loop, dt, frequencies, transfer)
+    return _stable_margins(crossings, transfer, radius)
+
+
+def coarse_robustness(loop: StateSpace, dt: float) -> LoopMargins:
+    """As `robustness` in a fifth of the time, at fewer frequencies and accurate to 1 %: for searches."""
+    radius = _spectral_radius(loop, 1.0)
+    if not radius < 1.0:
+        return LoopMargins(False, 0.0, 1.0, 0.0, inf, radius, "unstable")
+    frequencies = frequency_grid(dt, _COARSE_POINTS)
+    transfer = loop.transfer(np.exp(1j * frequencies * dt))
+    return _stable_margins(interpolated_crossings(frequencies, transfer), transfer, radius)
+
+
+def interpolated_crossings(frequencies: Array, transfer: ComplexArray) -> list[_Crossing]:
+    """Where eigenvalues of a loop transfer function (k, n, n) at frequencies (k,), rad/s, cross the unit circle, from their
+    neighbours on the grid. Those of one magnitude rank are taken for one eigenvalue.
+    """
+    eigenvalues = np.linalg.eigvals(transfer)
+    order = np.abs(eigenvalues).argsort(axis=1)
+    logarithms = np.log(np.take_along_axis(eigenvalues, order, axis=1))
+    size = logarithms.real
+    intervals, ranks = np.nonzero((size[1:] > 0.0) != (size[:-1] > 0.0))
+    before = logarithms[intervals, ranks]
+    after = logarithms[intervals + 1, ranks]
+    share = before.real / (before.real - after.real)
+    turn = (after.imag - before.imag + pi) % (2 * pi) - pi
+    w = frequencies[intervals] * (frequencies[intervals + 1] / frequencies[intervals]) ** share
+    return [_Crossing(float(f), complex(e)) for f, e in zip(w, np.exp(1j * (before.imag + share * turn)), strict=True)]
+
+
+def _stable_margins(crossings: list[_Crossing], transfer: ComplexArray, radius: float) -> LoopMargins:
     delay_margin = inf
     phase_margin = inf
-    for crossing in _unit_crossings(loop, dt, frequencies, transfer):
+    for crossing in crossings:
         lag = (np.angle(crossing.eigenvalue) + pi) % (2 * pi)
         delay_margin = min(delay_margin, lag / crossing.frequency)
         phase_margin = min(phase_margin, lag, 2 * pi - lag)
@@ -81,10 +115,27 @@ def robustness(loop: StateSpace, dt: float) -> LoopMargins:
         delay_margin=float(delay_margin),
         gain_margin=inf,
         phase_margin=float(phase_margin),
-        peak_sensitivity=float(np.abs(np.diagonal(sensitivity, axis1=1, axis2=2)).max()),
+        peak_sensitivity=peak_sensitivity(transfer),
         spectral_radius=radius,
         reason="",
     )
+
+
+def _with_resonances(frequencies: Array, loop: StateSpace, dt: float) -> Array:
+    """Frequencies, and those of the resonances of the open loop, which can be narrower than a grid."""
+    poles = np.linalg.eigvals(loop.A)
+    poles = poles[(np.abs(poles) > _MIN_RESONANCE) & (poles.imag > 0.0)]
+    centers = np.angle(poles) / dt
+    widths = np.maximum(np.abs(np.log(np.abs(poles))) / dt, 1e-6 * centers)
+    around = (centers[:, None] + widths[:, None] * _RESONANCE_WIDTHS).ravel()
+    inside = around[(around > frequencies[0]) & (around < frequencies[-1])]
+    return np.asarray(np.union1d(frequencies, inside), dtype=np.float64)
+
+
+def peak_sensitivity(transfer: ComplexArray) -> float:
+    """Ms of a loop transfer function (k, n, n)."""
+    sensitivity = np.linalg.inv(np.eye(transfer.shape[1]) + transfer)
+    return float(np.abs(np.diagonal(sensitivity, axis1=1, axis2=2)).max())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

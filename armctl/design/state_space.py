@@ -10,7 +10,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.control import Controller, State, controller_name
+from armctl.control import CompiledController, Controller, State, controller_name
+from armctl.control.interface import has_compiled_law
 from armctl.core.errors import InputError, ModelError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array
@@ -86,6 +87,8 @@ _Run = Callable[[Array], Array]
 
 def _runs(arm: Arm, controller: Controller, q: Array, dt: float, continuous: bool) -> _Run:
     """A function that returns the torques (T, n) for deviations (T, 2n) of the measured state, each time from a fresh start."""
+    if has_compiled_law(controller, arm.n) and not controller.needs_wrench:
+        return _compiled_runs(controller, q, dt, continuous)
     n = arm.n
     rest = np.zeros(n)
     setpoint = Setpoint(q, rest, rest, rest, rest)
@@ -118,6 +121,26 @@ def _runs(arm: Arm, controller: Controller, q: Array, dt: float, continuous: boo
             "copied; reset the memory if state.t is not one state.dt later than in the previous call"
         )
     return lambda deviations: torques(copy.deepcopy(original, dict(shared)), deviations)
+
+
+def _compiled_runs(controller: CompiledController, q: Array, dt: float, continuous: bool) -> _Run:
+    """As `_runs`, for a controller whose law is its whole law."""
+    n = controller.n
+    law = controller.make_law(dt, continuous)
+    reference = np.zeros((5, n))
+    reference[0] = q
+    no_wrench = np.zeros(0)
+
+    def torques(deviations: Array) -> Array:
+        positions = q + deviations[:, :n]
+        velocities = deviations[:, n:].copy()
+        rows = np.empty((len(deviations), n))
+        law.reset()
+        for position, velocity, tau in zip(positions, velocities, rows, strict=True):
+            law.torque(position, velocity, reference, no_wrench, tau)
+        return rows
+
+    return torques
 
 
 def _impulse_responses(run: _Run, sizes: Array, horizon: int) -> Array:

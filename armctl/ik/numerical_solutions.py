@@ -219,7 +219,7 @@ class _Search:
         period = self._problem.chain.period
         difference = np.abs(q[:, None] - known)
         difference = np.abs(difference - period * np.round(difference / np.where(period > 0, period, np.inf)))
-        return (difference < SAME_SOLUTION).all(axis=2).any(axis=1)
+        return np.asarray(np.any(np.all(difference < SAME_SOLUTION, axis=2), axis=1))
 
 
 def _inside_limits(problem: Problem, q: Array) -> Array:

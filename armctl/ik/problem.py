@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from weakref import finalize
 
 import numpy as np
@@ -47,7 +47,7 @@ class IkChain:
         branch_names: (28,) what the branches are called that the core numbers.
     """
 
-    arrays: dict[str, Array | IntArray | float]
+    arrays: dict[str, Any]
     core: _core.Chain
     reach: float
     base: Array
@@ -255,7 +255,7 @@ def _make_chain(arm: Arm) -> IkChain:
     low = limits.q_min / unit
     high = limits.q_max / unit
     period = np.where(slides | moves_several_joints, 0.0, 2 * np.pi)
-    arrays = {
+    arrays: dict[str, Any] = {
         "rotations": rotations,
         "translations": translations,
         "slides": body.is_slide.astype(np.int64),

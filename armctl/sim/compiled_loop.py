@@ -69,6 +69,7 @@ class CompiledLoop:
             torque_share=np.asarray(actuation.torque_share, np.float64),
             pushed_arm=pushed_arm,
             substeps=substeps,
+            dt=substeps * self._timestep,
             diverged_speed=DIVERGED_SPEED,
         )
 
@@ -131,6 +132,7 @@ class CompiledLoop:
                 "noise": planned.noise,
                 "pushes": planned.wrenches,
                 "push": disturbances.push,
+                "last_position": disturbances.last_position,
             }
         compiled_sensor = None
         if sensor is not None:

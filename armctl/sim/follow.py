@@ -26,20 +26,20 @@ MovingTarget = str | Callable[[float], Pose | ArrayLike]
 
 def follow(arms: ControlledArms, arm: Arm, target: MovingTarget, seconds: float) -> Log:
     """Follows a body, or a function of the time, and reads it 50 times a second. Arguments as for `Simulation.follow`."""
-    stepper = arms.stepper
-    data = stepper.data
-    target_at = _target_function(stepper.model, data, target)
-    ticks_for(seconds, stepper.dt)
+    drive = arms.drive
+    data = drive.data
+    target_at = _target_function(drive.model, data, target)
+    ticks_for(seconds, drive.dt)
     begin = data.time
-    online = OnlineReference(arm, stepper.dt, arms.start(arm.tip), continuous=stepper.continuous)
-    ticks = ticks_for(_FOLLOW_INTERVAL_S, stepper.dt) - 1
+    online = OnlineReference(arm, drive.dt, arms.start(arm.tip), continuous=drive.continuous)
+    ticks = ticks_for(_FOLLOW_INTERVAL_S, drive.dt) - 1
     targets: dict[str, Array] = {}
     with arms.recording({arm.tip: seconds}, targets) as recorder:
-        while not stepper.failure and data.time - begin < seconds - 1e-9:
+        while not drive.failure and data.time - begin < seconds - 1e-9:
             goal = Target.read(target_at(data.time - begin))
             targets[arm.tip] = goal.numbers
             solution = solve_ik(arm, goal, online.q)
-            stepper.run(arms.controllers[arm.tip], online.toward(solution.q, ticks), recorder)
+            drive.run(arms.controllers[arm.tip], online.toward(solution.q, ticks), recorder)
         targets[arm.tip] = Target.read(target_at(data.time - begin)).numbers
     return arms.logs[arm.tip]
 

@@ -99,7 +99,7 @@ def test_limits_that_exclude_each_other_are_violated_least(six):
     assert np.abs(log.q[-1] - log.q_ref[-1]).max() < 1e-2
 
 
-VIOLATION_WEIGHT = 1e4  # as in armctl/cpp/laws/computed_torque_qp.cpp
+VIOLATION_WEIGHT = 1e4  # as in armctl/cpp/laws/computed_torque_qp.hpp
 
 
 def daqp_solution(H, f, M, lower, upper):

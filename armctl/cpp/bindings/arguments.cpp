@@ -63,9 +63,11 @@ Struct* pointer(nb::handle object) {
 
 }  // namespace
 
+const MujocoModel* mujoco_model(nb::handle model) { return pointer<const MujocoModel>(model); }
+
 MujocoSimulation mujoco_simulation(nb::handle model, nb::handle data) {
     return {
-        .model = pointer<const MujocoModel>(model),
+        .model = mujoco_model(model),
         .data = pointer<MujocoData>(data),
         .qpos = numbers(data, "qpos"),
         .qvel = numbers(data, "qvel"),

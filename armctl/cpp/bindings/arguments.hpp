@@ -35,6 +35,9 @@ private:
     nanobind::kwargs given_;
 };
 
+// The address of a mujoco.MjModel. What keeps it has to keep `model` alive, by nb::keep_alive.
+const MujocoModel* mujoco_model(nanobind::handle model);
+
 // The simulation of a mujoco.MjModel and a mujoco.MjData. What keeps it has to keep `data` alive, by nb::keep_alive.
 MujocoSimulation mujoco_simulation(nanobind::handle model, nanobind::handle data);
 

@@ -23,6 +23,12 @@ void bind_model(nb::module_& module) {
              "The model for a control period, s: one step of MuJoCo, or a continuous motion. dt = 0 is continuous time.");
 }
 
+// An array (n,) with a number for each joint.
+template <class Array>
+auto joints(const Dynamics& dynamics, const Array& array, const char* name) {
+    return array.vector(dynamics.model().n(), name);
+}
+
 // Calls that take less time than to release and to take the GIL keep it.
 void bind_workspace(nb::module_& module) {
     nb::class_<Dynamics>(module, "Dynamics",
@@ -30,35 +36,27 @@ void bind_workspace(nb::module_& module) {
                          "Results are written into the last argument.")
         .def(nb::init<Model>(), "model"_a)
         .def(
-            "place", [](Dynamics& self, const In& q) { self.place(q.vector(self.model().n(), "q")); }, "q"_a,
-            "Places the joints at q (n,) rad.")
+            "place", [](Dynamics& self, const In& q) { self.place(joints(self, q, "q")); }, "q"_a, "Places the joints at q (n,) rad.")
         .def(
-            "gravity",
-            [](Dynamics& self, const In& q, const Out& tau) {
-                const size_t n = self.model().n();
-                self.gravity(q.vector(n, "q"), tau.vector(n, "tau"));
-            },
+            "gravity", [](Dynamics& self, const In& q, const Out& tau) { self.gravity(joints(self, q, "q"), joints(self, tau, "tau")); },
             "q"_a, "tau"_a, "The torque that holds the arm at rest, (n,) N m. Places the joints.")
         .def(
             "inverse_dynamics",
             [](Dynamics& self, const In& q, const In& v, const In& a, const Out& tau) {
-                const size_t n = self.model().n();
-                self.inverse_dynamics(q.vector(n, "q"), v.vector(n, "v"), a.vector(n, "a"), tau.vector(n, "tau"));
+                self.inverse_dynamics(joints(self, q, "q"), joints(self, v, "v"), joints(self, a, "a"), joints(self, tau, "tau"));
             },
             "q"_a, "v"_a, "a"_a, "tau"_a,
             "The torque that changes the velocity by a dt over the period, (n,) N m, without dry friction. Places the joints.")
         .def(
             "add_friction",
             [](Dynamics& self, const In& v_ref, const In& a_ref, const Out& tau) {
-                const size_t n = self.model().n();
-                self.add_friction(v_ref.vector(n, "v_ref"), a_ref.vector(n, "a_ref"), tau.vector(n, "tau"));
+                self.add_friction(joints(self, v_ref, "v_ref"), joints(self, a_ref, "a_ref"), joints(self, tau, "tau"));
             },
             "v_ref"_a, "a_ref"_a, "tau"_a, "Adds the torque against dry friction on the reference motion, where the joints are placed.")
         .def(
             "coriolis_product",
             [](Dynamics& self, const In& v, const In& w, const Out& tau) {
-                const size_t n = self.model().n();
-                self.coriolis_product(v.vector(n, "v"), w.vector(n, "w"), tau.vector(n, "tau"));
+                self.coriolis_product(joints(self, v, "v"), joints(self, w, "w"), joints(self, tau, "tau"));
             },
             "v"_a, "w"_a, "tau"_a, "C(q, v) w (n,) N m, where the joints are placed.")
         .def(
@@ -83,16 +81,14 @@ void bind_workspace(nb::module_& module) {
         .def(
             "tip_force",
             [](Dynamics& self, const In& q, const In& wrench, const Out& tau) {
-                const size_t n = self.model().n();
-                self.tip_force(q.vector(n, "q"), wrench.vector(6, "wrench"), tau.vector(n, "tau"));
+                self.tip_force(joints(self, q, "q"), wrench.vector(6, "wrench"), joints(self, tau, "tau"));
             },
             "q"_a, "wrench"_a, "tau"_a, "J(q)^T wrench, (n,) N m, for a wrench (6,) on the tip: force first, world axes.")
         .def(
             "tip_motion",
             [](Dynamics& self, const In& q, const In& v, const In& a, const Out& motion) {
-                const size_t n = self.model().n();
                 const MatrixResult rows = motion.matrix(3, 3, "motion");
-                const BodyMotion tip = self.tip_motion(q.vector(n, "q"), v.vector(n, "v"), a.vector(n, "a"));
+                const BodyMotion tip = self.tip_motion(joints(self, q, "q"), joints(self, v, "v"), joints(self, a, "a"));
                 tip.omega.store(rows.row(0));
                 tip.alpha.store(rows.row(1));
                 tip.linear.store(rows.row(2));

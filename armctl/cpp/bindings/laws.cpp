@@ -86,7 +86,7 @@ void bind_without_model(nb::module_& module) {
 }
 
 void bind_computed_torque(nb::module_& module) {
-    bind<ComputedTorque>(module, "ComputedTorque", "Computed torque, with integral action if its gain is not 0.");
+    bind<ComputedTorque>(module, "ComputedTorque", "Computed torque; with weights of an estimate, at estimated positions and velocities.");
     bind<ComputedTorqueObserver>(module, "ComputedTorqueObserver", "Computed torque with a disturbance observer that estimates velocities.")
         .def_prop_ro(
             "disturbance",
@@ -122,8 +122,8 @@ void bind_qp(nb::module_& module) {
                 return nb::make_tuple(numpy_copy(self.H(), {n, n}), numpy_copy(self.M(), {n, n}), numpy_copy(self.lower(), {2 * n}),
                                       numpy_copy(self.upper(), {2 * n}), numpy_copy(self.torque(), {n}));
             },
-            "The program of the last tick: H, M, lower, upper and the torque (n,) N m without limits, as for `solve_program` with f = 0. "
-            "None if the torque was not limited.");
+            "H, M, lower and upper of the last tick's program, as for `solve_program` with f = 0, and the torque (n,) N m without\n"
+            "limits; None if the torque was not limited.");
     module.attr("UNBOUNDED") = unbounded;
     module.def(
         "solve_program",
@@ -166,7 +166,6 @@ void bind_laws(nb::module_& module) {
     bind_without_model(module);
     bind<PDFeedforward>(module, "PDFeedforward", "PD with the torque of the reference motion.");
     bind<PDGravity>(module, "PDGravity", "PD with gravity compensation.");
-    bind<PIDGravity>(module, "PIDGravity", "PID with gravity compensation.");
     bind_computed_torque(module);
     bind_qp(module);
     bind_task_space(module);

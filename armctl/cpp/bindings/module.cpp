@@ -28,6 +28,10 @@ NB_MODULE(_core, module) {
     const nb::module_ compiled_core = nb::module_::import_("armctl.core.compiled_core");
     const nb::object problem = compiled_core.attr("build_problem")(module.attr("__file__"), armctl::SOURCE_CHECKSUM);
     if (nb::len(problem) > 0) { throw nb::import_error(nb::str(problem).c_str()); }
+#ifndef ARMCTL_SANITIZE
+    // A program that ends while threads run leaves objects behind; what nanobind prints about them helps only with bindings.
+    nb::set_leak_warnings(false);
+#endif
     module.doc() = "The compiled core of armctl. It computes; the Python modules that use it check and explain.";
     nb::register_exception_translator(translate);
     armctl::bind_arm_motion(module);

@@ -21,7 +21,10 @@ using Api = std::shared_ptr<const MujocoApi>;
 
 void bind_api(nb::module_& module) {
     nb::class_<MujocoApi>(module, "MujocoApi", "MuJoCo's functions by their addresses, and where mjData keeps contacts.")
-        .def(nb::new_([](const nb::kwargs& given) { return new MujocoApi(KeywordArguments(given)); }));
+        .def(nb::new_([](nb::handle empty_model, const nb::kwargs& given) {
+                 return new MujocoApi(mujoco_model(empty_model), KeywordArguments(given));
+             }),
+             "empty_model"_a, "given"_a, nb::keep_alive<0, 2>());
 }
 
 void bind_delay(nb::module_& module) {
@@ -79,7 +82,8 @@ void bind_wrench_sensor(nb::module_& module) {
 
 std::vector<GeomPair> geoms_of(const nb::bytes& geoms) {
     const GeomPair* first = static_cast<const GeomPair*>(geoms.data());
-    return {first, first + geoms.size() / sizeof(GeomPair)};
+    const size_t count = geoms.size() / sizeof(GeomPair);
+    return {first, first + count};
 }
 
 void run_ticks(TickLoop& loop, Law& law, TickEnd& end, Delay* delay, WrenchSensor* sensor, const nb::bytes& touching,

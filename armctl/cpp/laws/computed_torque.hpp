@@ -1,31 +1,29 @@
-// Computed torque: the model's inverse dynamics turn every joint into a unit mass, which a PD or PID law controls.
+// Computed torque: the model's inverse dynamics turn every joint into a unit mass, which a PD law controls.
 //
 // Source: Siciliano, Sciavicco, Villani, Oriolo, Robotics: Modelling, Planning and Control (2009), 8.5.2.
 #pragma once
 #include "../dynamics.hpp"
-#include "../law.hpp"
+#include "motion_estimate.hpp"
 
 namespace armctl {
 
-// tau = ID(q, v, a_ref + stiffness (q_ref - q) + damping (v_ref - v) + integral of the error)
+// tau = ID(q, v, a_ref + stiffness (q_ref - q) + damping (v_ref - v)), at measured or estimated q and v
 //
 // The textbook form inverts the differential equation, with a model of continuous time. The other form inverts the motion over
 // one control period, with the model of that period and a reference that is differenced on the tick grid.
 class ComputedTorque final : public Law {
 public:
-    ComputedTorque(const Model& model, const Arguments& gains)
-        : Law(model->n(), model->n()), stiffness_(gains.gain("stiffness")), damping_(gains.gain("damping")),
-          gain_per_tick_(gains.gain("integral_gain") * gains.gain("dt")), added_inertia_(gains.gains(model->n(), "added_inertia")),
-          torque_limit_(gains.limits(model->n(), "torque_limit")), textbook_(gains.flag("textbook")), dynamics_(model) {}
+    // The gains are the members below and those of EstimateWeights; without weights, q and v are the measured ones.
+    ComputedTorque(const Model& model, const Arguments& gains) : ComputedTorque(model, gains, EstimateWeights(gains)) {}
 
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+    void torque(const State& measured, const Setpoint& setpoint, Result tau) override {
+        const State state = estimated(measured);
         const Vector v_ref = textbook_ ? setpoint.v : setpoint.v_tick;
         const Vector a_ref = textbook_ ? setpoint.a : setpoint.a_tick;
-        const Result integral = memory();
         for (size_t i = 0; i < tau.size(); ++i) {
             error_rate_[i] = v_ref[i] - state.v[i];
             correction_[i] = stiffness_ * (setpoint.q[i] - state.q[i]) + damping_ * error_rate_[i];
-            acceleration_[i] = a_ref[i] + correction_[i] + integral[i];
+            acceleration_[i] = a_ref[i] + correction_[i];
             added_torque_[i] = added_inertia_[i] * correction_[i];
         }
         dynamics_.inverse_dynamics(state.q, state.v, acceleration_, tau);
@@ -34,28 +32,64 @@ public:
         dynamics_.add_linear_damping(error_rate_, added_torque_);
         for (size_t i = 0; i < tau.size(); ++i) { tau[i] += added_torque_[i]; }
         dynamics_.add_friction(v_ref, a_ref, tau);
-        if (gain_per_tick_ == 0.0) { return; }
-        for (size_t i = 0; i < tau.size(); ++i) {
-            integrate(gain_per_tick_ * (setpoint.q[i] - state.q[i]), tau[i], torque_limit_[i], integral[i]);
-        }
+        if (is_estimated()) { predict(tau); }
     }
 
     std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
-    // Of the last tick, (n,): the acceleration of the feedback without integral action, and the torque of the added inertia and
-    // of the damping, which inverse dynamics does not contain.
+    // Of the last tick, (n,): the acceleration of the feedback, and the torque of the added inertia and of the damping, which
+    // inverse dynamics does not contain.
     Vector correction() const { return correction_; }
     Vector added_torque() const { return added_torque_; }
 
 private:
+    // The memory: whether there was a tick, then the estimate.
+    ComputedTorque(const Model& model, const Arguments& gains, const EstimateWeights& weights)
+        : Law(model->n(), weights.position > 0.0 && weights.dt > 0.0 ? 1 + 3 * model->n() : 0), stiffness_(gains.gain("stiffness")),
+          damping_(gains.gain("damping")), added_inertia_(gains.gains(joints(), "added_inertia")), weights_(weights),
+          torque_limit_(gains.limits(joints(), "torque_limit")), textbook_(gains.flag("textbook")), dynamics_(model) {}
+
+    bool is_estimated() { return !memory().empty(); }
+    MotionEstimate estimate() {
+        const size_t n = joints();
+        return {memory(1, n), memory(1 + n, n), memory(1 + 2 * n, n)};
+    }
+
+    // The state with estimated position and velocity.
+    State estimated(const State& state) {
+        if (!is_estimated()) { return state; }
+        if (memory()[0] == 0.0) {
+            estimate().begin(state);
+            memory()[0] = 1.0;
+        } else {
+            estimate().correct(state.q, weights_);
+        }
+        return {.q = estimate().position, .v = estimate().velocity, .wrench = state.wrench};
+    }
+
+    // The acceleration of the coming period: the commanded one, and that of added torques and of what the motors cut off.
+    void predict(Vector tau) {
+        const Result acceleration = estimate().acceleration;
+        for (size_t i = 0; i < tau.size(); ++i) {
+            further_acceleration_[i] = added_torque_[i] + clipped(tau[i], torque_limit_[i]) - tau[i];
+        }
+        dynamics_.mass_matrix(inertia_);
+        dynamics_.add_step_inertia(inertia_);
+        factorize(inertia_);
+        solve(inertia_, further_acceleration_);
+        for (size_t i = 0; i < tau.size(); ++i) { acceleration[i] = acceleration_[i] + further_acceleration_[i]; }
+    }
+
     double stiffness_;       // 1/s^2
     double damping_;         // 1/s
-    double gain_per_tick_;   // 1/s^2, integral gain x control period; 0 without integral action
     Numbers added_inertia_;  // (n,) kg m^2, with which the feedback of joints of negligible inertia acts
-    Numbers torque_limit_;   // (n,) N m, at which a joint stops to integrate
+    EstimateWeights weights_;
+    Numbers torque_limit_;  // (n,) N m, of the motors, for the estimate
     bool textbook_;
     Dynamics dynamics_;
     Numbers correction_ = zeros(), acceleration_ = zeros(), error_rate_ = zeros(), added_torque_ = zeros();
+    Numbers further_acceleration_ = zeros();
+    DenseMatrix inertia_{joints(), joints()};
 };
 
 }  // namespace armctl

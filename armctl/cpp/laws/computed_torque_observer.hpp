@@ -1,7 +1,7 @@
 // Computed torque with a disturbance observer that estimates velocities.
 #pragma once
 #include "../dynamics.hpp"
-#include "../law.hpp"
+#include "motion_estimate.hpp"
 
 namespace armctl {
 
@@ -28,34 +28,23 @@ public:
 protected:
     // As above, with further numbers of memory for a derived law.
     ComputedTorqueObserver(const Model& model, const Arguments& gains, size_t further_memory)
-        : Law(model->n(), memory_size(model->n()) + further_memory), dynamics_(model), dt_(gains.gain("dt")),
-          stiffness_(gains.gain("stiffness")), damping_(gains.gain("damping")), position_weight_(gains.gain("position_weight")),
-          velocity_weight_(gains.gain("velocity_weight")), disturbance_weight_(gains.gain("disturbance_weight")),
-          torque_limit_(gains.limits(model->n(), "torque_limit")), position_step_(gains.flag("continuous") ? 0.5 : 1.0) {}
+        : Law(model->n(), memory_size(model->n()) + further_memory), dynamics_(model), weights_(gains), stiffness_(gains.gain("stiffness")),
+          damping_(gains.gain("damping")), disturbance_weight_(gains.gain("disturbance_weight")),
+          torque_limit_(gains.limits(model->n(), "torque_limit")) {}
 
     // The steps of a tick, in this order.
 
     // Estimates position, velocity and disturbance, and finds the torque that the motion since the last tick needs. The
     // velocity is measured at the first tick only, because it is noisy where it is differenced from positions.
     void observe(const State& state) {
-        const Result position = this->position();
-        const Result velocity = this->velocity();
-        const Result acceleration = this->acceleration();
         if (!has_begun()) {
-            copy(state.q, position);
-            copy(state.v, velocity);
+            motion().begin(state);
             return;
         }
-        copy(position, last_position_);
-        copy(velocity, last_velocity_);
-        for (size_t i = 0; i < joints(); ++i) {
-            const double predicted = position[i] + dt_ * velocity[i] + position_step_ * dt_ * dt_ * acceleration[i];
-            const double error = state.q[i] - predicted;
-            position[i] = predicted + position_weight_ * error;
-            acceleration[i] += velocity_weight_ * error / (dt_ * dt_);
-            velocity[i] += dt_ * acceleration[i];
-        }
-        dynamics_.inverse_dynamics(last_position_, last_velocity_, acceleration, needed_);
+        copy(motion().position, last_position_);
+        copy(motion().velocity, last_velocity_);
+        motion().correct(state.q, weights_);
+        dynamics_.inverse_dynamics(last_position_, last_velocity_, motion().acceleration, needed_);
         for (size_t i = 0; i < joints(); ++i) {
             disturbance()[i] += disturbance_weight_ * (needed_[i] - last_torque()[i] - disturbance()[i]);
         }
@@ -63,16 +52,17 @@ protected:
 
     // The torque of model and feedback at the estimated motion. Dry friction becomes the known torque.
     void control(const Setpoint& setpoint, Result tau) {
+        const auto [position, velocity, acceleration] = motion();
         const Vector v_ref = setpoint.v_tick;
         const Vector a_ref = setpoint.a_tick;
         const double bandwidth = std::sqrt(stiffness_);
         for (size_t i = 0; i < joints(); ++i) {
-            const double error = setpoint.q[i] - position()[i];
-            acceleration()[i] = a_ref[i] + stiffness_ * error + damping_ * (v_ref[i] - velocity()[i]);
-            corrected_velocity_[i] = v_ref[i] + bandwidth * error - velocity()[i];
+            const double error = setpoint.q[i] - position[i];
+            acceleration[i] = a_ref[i] + stiffness_ * error + damping_ * (v_ref[i] - velocity[i]);
+            corrected_velocity_[i] = v_ref[i] + bandwidth * error - velocity[i];
             known_[i] = 0.0;
         }
-        dynamics_.inverse_dynamics(position(), velocity(), acceleration(), tau);
+        dynamics_.inverse_dynamics(position, velocity, acceleration, tau);
         // Damping is compensated at the velocity v_ref + bandwidth x error: the arm's own damping then helps the feedback, and the
         // error of a joint that hardly anything but damping resists decays as fast as those of the others. Compensated at the
         // estimated velocity, which is late, large damping would be a large positive feedback.
@@ -97,7 +87,7 @@ protected:
         dynamics_.add_step_inertia(inertia_);
         factorize(inertia_);
         solve(inertia_, lost_);
-        for (size_t i = 0; i < joints(); ++i) { acceleration()[i] += lost_[i]; }
+        for (size_t i = 0; i < joints(); ++i) { motion().acceleration[i] += lost_[i]; }
     }
 
     bool has_begun() { return memory()[0] != 0.0; }
@@ -105,7 +95,7 @@ protected:
     Result further_memory() { return memory().subspan(memory_size(joints())); }
 
     Dynamics dynamics_;
-    double dt_;
+    EstimateWeights weights_;
     Numbers needed_ = zeros();  // N m, that the model needs for the motion since the last tick
     Numbers known_ = zeros();   // N m, that is known besides the observer's model, such as dry friction
 
@@ -113,17 +103,13 @@ private:
     // Whether there was a tick, and five vectors.
     static size_t memory_size(size_t n) { return 1 + 5 * n; }
     Result vector_of_memory(size_t k) { return memory(1 + k * joints(), joints()); }
-    Result position() { return vector_of_memory(2); }      // estimated
-    Result velocity() { return vector_of_memory(3); }      // estimated
-    Result acceleration() { return vector_of_memory(4); }  // commanded; after the tick that which the motors then achieve
+    // Estimated; after the tick, the acceleration is that which the motors then achieve.
+    MotionEstimate motion() { return {vector_of_memory(2), vector_of_memory(3), vector_of_memory(4)}; }
 
     double stiffness_;           // 1/s^2
     double damping_;             // 1/s
-    double position_weight_;     // of the error of the predicted position, for the estimated position
-    double velocity_weight_;     // of the error of the predicted position / period, for the estimated velocity
     double disturbance_weight_;  // of the disturbance's low-pass in one control period
     Numbers torque_limit_;       // (n,) N m
-    double position_step_;       // change of position / (acceleration x dt^2) in one period from rest: 1 in a step of MuJoCo, or 1/2
     Numbers last_position_ = zeros(), last_velocity_ = zeros(), corrected_velocity_ = zeros();
     Numbers lost_ = zeros();  // torque that the motors cut off
     DenseMatrix inertia_{joints(), joints()};

@@ -1,4 +1,4 @@
-// PD and PID laws: a spring and a damper at every joint, with or without a model.
+// PD laws: a spring and a damper at every joint, with or without a model.
 #pragma once
 #include "../dynamics.hpp"
 #include "../law.hpp"
@@ -61,34 +61,6 @@ public:
 
 private:
     PD pd_;
-    Dynamics dynamics_;
-    Numbers gravity_ = zeros();
-};
-
-// As PDGravity, plus the integral of integral_gain (q_ref - q).
-class PIDGravity final : public Law {
-public:
-    PIDGravity(const Model& model, const Arguments& gains)
-        : Law(model->n(), model->n()), pd_(gains, model->n()), integral_gain_(gains.gains(model->n(), "integral_gain")),
-          torque_limit_(gains.limits(model->n(), "torque_limit")), dt_(gains.gain("dt")), dynamics_(model) {}
-
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
-        const Result integral = memory();
-        dynamics_.gravity(state.q, gravity_);
-        pd_.torque(state, setpoint, tau);
-        for (size_t i = 0; i < tau.size(); ++i) {
-            tau[i] += gravity_[i] + integral[i];
-            integrate(integral_gain_[i] * dt_ * (setpoint.q[i] - state.q[i]), tau[i], torque_limit_[i], integral[i]);
-        }
-    }
-
-    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
-
-private:
-    PD pd_;
-    Numbers integral_gain_;  // (n,) N m/(rad s)
-    Numbers torque_limit_;   // (n,) N m, at which a joint stops to integrate
-    double dt_;
     Dynamics dynamics_;
     Numbers gravity_ = zeros();
 };
