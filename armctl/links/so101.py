@@ -267,7 +267,10 @@ def _read_calibration(path: Path, arm: Arm) -> list[_Servo]:
     for name, model_range in zip(_JOINTS, ranges.tolist(), strict=True):
         try:
             row = rows[name]
-            id_, offset, low, high = (int(row[key]) for key in ("id", "homing_offset", "range_min", "range_max"))
+            number = int(row["id"])
+            offset = int(row["homing_offset"])
+            low = int(row["range_min"])
+            high = int(row["range_max"])
         except (KeyError, TypeError, ValueError):
             raise InputError(
                 f"calibration: {path} has no row {name!r} with id, homing_offset, range_min and range_max"
@@ -278,7 +281,7 @@ def _read_calibration(path: Path, arm: Arm) -> list[_Servo]:
                 f"calibration: {name} travels {travel:.2f} rad, the joint of the model {arm.name:.60} {model_range:.2f} rad; "
                 "calibrate again, and move each joint through its whole range"
             )
-        servos.append(_Servo(id_, offset, 0.5 * (low + high), high - low))
+        servos.append(_Servo(number, offset, 0.5 * (low + high), high - low))
     return servos
 
 
