@@ -10,16 +10,16 @@ import mujoco
 from armctl.core.validation import Array
 
 # Where mjs_setToDCMotor puts the numbers: MuJoCo 4.0, "DC motor technical note".
-# Places in gainprm.
+# In gainprm:
 _RESISTANCE = 0
 _CONSTANT = 1
 _CONTROLLER = slice(4, 7)
 _MAX_VOLTAGE = 7
 TORQUE_COMMAND = int(mujoco.mjtCtrlInput.mjINPUT_FF)  # the input of a `dcmotor` whose command is its torque
-# Places in biasprm.
+# In biasprm:
 _COGGING = 0
 _COULOMB = 3
-# Places in dynprm.
+# In dynprm:
 _ELECTRICAL_TIME = 0
 _HEAT_RESISTANCE = 2
 _BRISTLE_STIFFNESS = 5
