@@ -338,7 +338,7 @@ class EnvironmentRows:
         Moves target and reference, (n,) each, as a step does; the arms stay where they are.
         """
 
-class AxesRelation(enum.Enum):
+class AxesRelation(enum.IntEnum):
     """How the axes of some joints are related."""
 
     NEITHER = 0
@@ -393,17 +393,7 @@ class IkAnswer:
     def branch(self) -> int:
         """The number of the branch of q."""
 
-class FoundSolutions:
-    """How many solutions were found, and the effort."""
-
-    @property
-    def count(self) -> int: ...
-    @property
-    def starts(self) -> int: ...
-    @property
-    def steps(self) -> int: ...
-
-class Polished:
+class Solutions:
     """How many seeds became solutions, and the effort."""
 
     @property
@@ -414,6 +404,14 @@ class Polished:
     def lost(self) -> int:
         """Seeds that led to no solution."""
 
+    @property
+    def samples(self) -> int:
+        """Positions of the joint that is swept; 1 for six joints."""
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the closed form may have missed some."""
+
 NO_BRANCH: int = 27
 
 class Chain:
@@ -423,41 +421,10 @@ class Chain:
     Lengths are in reaches; targets and tolerances of positions are in m. Results are written into the last arguments.
     """
 
-    def __init__(
-        self,
-        *,
-        rotations: numpy.ndarray,
-        translations: numpy.ndarray,
-        slides: numpy.ndarray,
-        unknowns: numpy.ndarray,
-        ratios: numpy.ndarray,
-        low: numpy.ndarray,
-        high: numpy.ndarray,
-        period: numpy.ndarray,
-        reach: float,
-    ) -> None:
+    def __init__(self, **arguments) -> None:
         """
         A chain from arrays for each of the k joints, and for each of the n unknowns; armctl/cpp/chain.hpp explains them.
         """
-
-    @property
-    def joint_count(self) -> int:
-        """k."""
-
-    def with_special_axes(
-        self,
-        *,
-        relation: AxesRelation,
-        first: int,
-        others: numpy.ndarray,
-        pair_relation: AxesRelation,
-        pair_first: int,
-        distances_to_points: numpy.ndarray,
-    ) -> Chain:
-        """The chain with the structure of its closed form."""
-
-    def with_held(self, held: numpy.ndarray, positions: numpy.ndarray) -> Chain:
-        """The chain with some unknowns held at positions."""
 
     def contains(self, q: numpy.ndarray) -> bool:
         """Whether q is a contiguous array of n float64 inside the bounds."""
@@ -511,21 +478,23 @@ class Chain:
         Moves each q (N, n) to a minimum of the squared error plus `pull` times its squared distance from q0.
         """
 
-    def find_all(
+    def random_starts(self, q0: numpy.ndarray, first: int, seed: int, q: numpy.ndarray) -> None:
+        """
+        Fills q (B, n) with random configurations of numbers from `first` on: odd ones inside the bounds, others in one turn.
+        """
+
+    def descend(
         self,
         target: numpy.ndarray,
         constraint: Constraint,
         position_tolerance: float,
         orientation_tolerance: float,
-        q0: numpy.ndarray,
-        begin: numpy.ndarray,
-        patience: int,
-        quarters: bool,
-        seed: int,
-        known: numpy.ndarray,
-    ) -> FoundSolutions:
+        q: numpy.ndarray,
+        solved: numpy.ndarray,
+        steps: numpy.ndarray,
+    ) -> None:
         """
-        Fills `known` (M, n) with distinct solutions for a target (12,), without regard to the bounds of hinges.
+        Descends from each q (B, n) to a solution for a target (12,), without regard to the bounds of hinges.
         """
 
     def polish(
@@ -539,7 +508,7 @@ class Chain:
         position_errors: numpy.ndarray,
         orientation_errors: numpy.ndarray,
         branches: numpy.ndarray,
-    ) -> Polished:
+    ) -> Solutions:
         """
         Refines the seeds (M, n) of a pose (12,) and keeps those that are solutions inside the bounds, nearest first.
         """
@@ -550,14 +519,6 @@ class Chain:
     def manipulabilities(self, oriented: bool, q: numpy.ndarray, values: numpy.ndarray) -> None:
         """
         Fills values (N,) with the manipulability at each q (N, n), lengths in m.
-        """
-
-    def joint_lines(self, q: numpy.ndarray, origins: numpy.ndarray, axes: numpy.ndarray) -> None:
-        """Fills origins and axes (k, 3) of the joints at q (n,)."""
-
-    def error_jacobian(self, constraint: Constraint, q: numpy.ndarray, J: numpy.ndarray) -> None:
-        """
-        Fills J (6, n), the Jacobian of the weighted error at q (n,): a third of a reach counts like a rad.
         """
 
 class IkErrorModel:
@@ -577,7 +538,8 @@ class IkErrorModel:
         J: numpy.ndarray,
     ) -> float:
         """
-        Fills the Hessian (n, n) with the curvature of the chain, J^T e (n,) and J (6, n). Returns the norm of the error.
+        Fills the Hessian (n, n) with the curvature of the chain, J^T e (n,) and J (6, n), where a third of a reach counts like a
+        rad. Returns the norm of the error.
         """
 
     def null_step(
@@ -587,87 +549,49 @@ class IkErrorModel:
         The part of a desired step (n,) in the null space of the J of `linearize`, shortened to its bounds.
         """
 
-class AllSolutions:
-    """How many solutions a closed form has, and the effort."""
-
-    @property
-    def count(self) -> int: ...
-    @property
-    def steps(self) -> int: ...
-    @property
-    def samples(self) -> int:
-        """Positions of the joint that is swept; 1 for six joints."""
-
-    @property
-    def complete(self) -> bool:
-        """Whether no solution can be missing."""
-
 class ClosedForm:
     """
     The closed form of six hinges of which three in a row meet in a point or are parallel. Immutable.
     """
 
-    def __init__(
-        self,
-        *,
-        axes: numpy.ndarray,
-        points: numpy.ndarray,
-        low: numpy.ndarray,
-        high: numpy.ndarray,
-        tip_rotation: numpy.ndarray,
-        tip_translation: numpy.ndarray,
-        reach: float,
-        relation: AxesRelation,
-        first: int,
-        pair_relation: AxesRelation,
-        pair_first: int,
-        held: int | None = None,
-    ) -> None:
+    def __init__(self, chain: Chain, **arguments) -> None:
         """
         From the hinges in the zero configuration, lengths in reaches; armctl/cpp/closed_form.hpp explains the arguments.
         """
 
     def solve_all(
         self,
-        chain: Chain,
         target: numpy.ndarray,
         q0: numpy.ndarray,
         position_tolerance: float,
         orientation_tolerance: float,
         slack: float,
         margin: float,
-        least_samples: int,
-        most_samples: int,
+        positions: numpy.ndarray,
+        least: int,
         wanted: int,
         q: numpy.ndarray,
         position_errors: numpy.ndarray,
         orientation_errors: numpy.ndarray,
         branches: numpy.ndarray,
-    ) -> AllSolutions:
+    ) -> Solutions:
         """
         Fills q (M, n), errors and branches (M,) with the solutions for a target (4, 3), refined, the nearest to q0 first.
         """
 
     def find_first(
-        self, targets: numpy.ndarray, slack: float, margin: float, most_samples: int, q: numpy.ndarray, found: numpy.ndarray
+        self,
+        targets: numpy.ndarray,
+        q0: numpy.ndarray,
+        slack: float,
+        margin: float,
+        positions: numpy.ndarray,
+        q: numpy.ndarray,
+        found: numpy.ndarray,
     ) -> None:
         """
-        Fills q (N, n), which holds where to begin, with a configuration for each of the targets (N, 12) that has any.
+        Fills q (N, n) with a configuration for each of the targets (N, 12) that has any.
         """
-
-class PoseError:
-    """The errors of a tip."""
-
-    @property
-    def position(self) -> float:
-        """m."""
-
-    @property
-    def orientation(self) -> float:
-        """rad."""
-
-def residual(constraint: Constraint, target: numpy.ndarray, position: numpy.ndarray, rotation: numpy.ndarray) -> PoseError:
-    """The errors of a tip for a target (12,)."""
 
 def residuals(
     constraint: Constraint,
