@@ -7,9 +7,7 @@ import armctl
 arm = armctl.load("robot_arm_3dof")
 springs = {"elasticity": 500.0, "rotor_inertia": 0.2}  # N m/rad between each motor and its link, kg m^2
 plant = armctl.Plant(**springs, timestep=0.001)
-target = arm.home.copy()
-target[1:] += 0.3
-motion = armctl.move_j(arm, arm.home, target, speed=0.5)
+motion = armctl.move_j(arm, arm.home, arm.home + np.array([0.0, 0.3, 0.3]), speed=0.5)
 
 for law in (armctl.PDGravity(arm), armctl.ComputedTorque(arm), armctl.ElasticFeedforward(arm, **springs)):
     loop = armctl.linearize(arm, law, motion(motion.duration).q, plant)

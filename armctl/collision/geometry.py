@@ -145,8 +145,8 @@ class Geometry:
 
     def joints_between(self, pair: int) -> list[int]:
         """The joints that move one geom of a pair relative to the other: rows of the joint map."""
-        first, second = (self.frames.above(self.shapes[geom].frame) for geom in self.pairs[pair])
-        return [int(self.frames.joints[frame - 1]) for frame in first ^ second]
+        above = [self.frames.above(self.shapes[geom].frame) for geom in self.pairs[pair]]
+        return [int(self.frames.joints[frame - 1]) for frame in above[0] ^ above[1]]
 
     def pair_geoms(self, pair: int) -> tuple[int, int]:
         """The model's geoms of a pair."""

@@ -16,7 +16,7 @@ from armctl.control.interface import Clock, State, explains_wrong_arguments
 from armctl.control.pd import PD
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Setpoint
-from armctl.core.validation import Array, instance, vector
+from armctl.core.validation import Array, flag, instance, vector
 from armctl.robot.arm import Arm
 from armctl.robot.passive_forces import DryFriction, PassiveForces
 
@@ -68,7 +68,7 @@ class ElasticFeedforward(PD):
         armature = arm.pinocchio_model.pin_model.armature
         self._model_inertia = np.array(armature)
         self.rotor_inertia = armature if rotor_inertia is None else rotor_inertia
-        self.friction = friction
+        self.friction = flag("friction", friction)
         self._passive = PassiveForces(arm.model, arm.joint_map)
         self._loss = DryFriction.of(arm.model, arm.joint_map).loss
         self._reference_clock = Clock()

@@ -10,10 +10,20 @@ import mujoco
 from armctl.core.validation import Array
 
 # Where mjs_setToDCMotor puts the numbers: MuJoCo 4.0, "DC motor technical note".
-_RESISTANCE, _CONSTANT, _CONTROLLER, _MAX_VOLTAGE = 0, 1, slice(4, 7), 7  # in gainprm
+# In gainprm:
+_RESISTANCE = 0
+_CONSTANT = 1
+_CONTROLLER = slice(4, 7)
+_MAX_VOLTAGE = 7
 TORQUE_COMMAND = int(mujoco.mjtCtrlInput.mjINPUT_FF)  # the input of a `dcmotor` whose command is its torque
-_COGGING, _COULOMB = 0, 3  # in biasprm
-_ELECTRICAL_TIME, _HEAT_RESISTANCE, _BRISTLE_STIFFNESS, _SLEW = 0, 2, 5, slice(7, 9)  # in dynprm
+# In biasprm:
+_COGGING = 0
+_COULOMB = 3
+# In dynprm:
+_ELECTRICAL_TIME = 0
+_HEAT_RESISTANCE = 2
+_BRISTLE_STIFFNESS = 5
+_SLEW = slice(7, 9)
 _NO_STIFFNESS = 1e-30  # of bristles; MuJoCo requires a number above 0 where there was one
 
 

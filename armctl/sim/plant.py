@@ -358,11 +358,12 @@ def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: 
 
 def _check_history(model: mujoco.MjModel) -> None:
     """Refuses steps that are too short for the buffer of an actuator's delay: MuJoCo would shorten the delay."""
-    needed = model.actuator_delay / model.opt.timestep
-    for actuator in np.flatnonzero(needed > model.actuator_history[:, 0] + 1e-6).tolist():
+    step = model.opt.timestep
+    for actuator in np.flatnonzero(model.actuator_delay > (model.actuator_history[:, 0] + 1e-6) * step).tolist():
+        needed = math.ceil(model.actuator_delay[actuator] / step - 1e-6)
         raise InputError(
-            f"plant: the delay of the actuator {actuator_name(model, actuator)!r:.60} spans {math.ceil(needed[actuator])} "
-            f"steps, and its nsample is {model.actuator_history[actuator, 0]}; raise nsample in the file, or take longer steps"
+            f"plant: the delay of the actuator {actuator_name(model, actuator)!r:.60} spans {needed} steps, and "
+            f"its nsample is {model.actuator_history[actuator, 0]}; raise nsample in the file, or take longer steps"
         )
 
 

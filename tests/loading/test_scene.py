@@ -186,8 +186,9 @@ def test_a_file_that_is_no_scene_says_why(bundled: armctl.Arm, tmp_path: Path, w
         armctl.load(bundled.name, scene=tmp_path / "nowhere.xml")
 
 
-FLOOR = '<geom name="floor" type="plane" size="3 3 0.1" pos="0 0 {height}"/>'
-HALL = f'<mujoco model="hall"><worldbody>{FLOOR}</worldbody></mujoco>'
+HALL = (
+    '<mujoco model="hall"><worldbody><geom name="floor" type="plane" size="3 3 0.1" pos="0 0 {height}"/></worldbody></mujoco>'
+)
 TURRET = """<mujoco><compiler angle="radian"/><worldbody><body name="base"><geom type="box" size="0.1 0.1 0.02" mass="1"/>
 <body name="turret"><joint name="pan" axis="0 0 1" range="-2 2" damping="1"/><geom type="sphere" size="0.08" pos="0.2 0 0.06"/>
 <body name="arm" pos="0 0 0.1"><joint name="lift" axis="0 1 0" range="-1 0.6" damping="1"/>

@@ -55,8 +55,8 @@ private:
     static constexpr double approach_rate = 40.0;  // 1/s, the bandwidth of the speed in an approach; stable with a delay of 4 ms
     static constexpr double damping_rate = 30.0;   // 1/s, the damping of the tip in contact divided by its mass
     static constexpr double integral_rate = 20.0;  // 1/s. Below the damping rate, the integral of a lightly damped wall is stable.
-    // 1/s. Into a damped wall the tip moves steadily, and its damping and that of the joints would hold back a part of the force:
-    // 2 N of 20 N for a light arm that sinks 10 mm. So a speed that lasts, and that reduces the error, is damped less and less.
+    // 1/s. Into a damped wall the tip moves steadily, and its damping and that of the joints would hold back a part of the force: 2 N
+    // of 20 N for a light arm that sinks 10 mm. So a speed that lasts, and that reduces the error, is damped less and less.
     static constexpr double steady_speed_rate = 12.0;
     // Of the target, a bound for what the damping is relieved of. On a soft wall the force rises slowly; it prevents windup.
     static constexpr double max_relieved_ratio = 0.4;
@@ -66,7 +66,7 @@ private:
     // 10 kg at 1e3 N/m. The tip gets as much more speed as makes it decay at this rate on a wall of the estimated stiffness.
     static constexpr double force_rate = 20.0;
     static constexpr double max_sinking_speed = 0.25;  // m/s
-    static constexpr double first_ratio = 0.25;  // of the contact threshold: the force, and its rise, from which stiffness is estimated
+    static constexpr double first_ratio = 0.25;  // of the contact threshold: the force, and its rise, from which the stiffness is estimated
     static constexpr double rise_time = 0.02;    // s, time constant of the commanded force after the first contact
     // Friction is compensated at this share of the speed that a frictionless mass would have. With all of it, the force loop that
     // is closed over the friction is unstable on walls ten times stiffer than MuJoCo's default with a delay of 4 ms.
@@ -79,9 +79,8 @@ private:
 
     // Follows the tip in the wall from the first force on.
     void update_wall(const AxisTick& tick, double sign, double pressing) {
-        const double first = first_ratio * tick.threshold;
         const double speed = sign * tick.speed;
-        if (pressing < first || tick.target == 0.0) {
+        if (pressing < first_ratio * tick.threshold || tick.target == 0.0) {
             first_force = 0.0;
             depth = 0.0;
             fluidity = 0.0;

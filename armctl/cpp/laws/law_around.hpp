@@ -20,7 +20,7 @@ protected:
     LawAround(const LawAround& other) : Law(other), inner_(other.inner_->clone()), own_(other.own_) {}
     LawAround& operator=(const LawAround&) = delete;
 
-    Result own_memory() { return memory().first(own_); }
+    Result own_memory() { return memory(0, own_); }
 
     void inner_torque(const State& state, const Setpoint& setpoint, Result tau) {
         copy(inner_memory(), inner_->memory());

@@ -34,7 +34,7 @@ class TorqueFilter final : public LawAround {
 public:
     // `sections` has rows of b0, b1, b2, a0 = 1, a1, a2, as in SciPy.
     TorqueFilter(const std::shared_ptr<Law>& filtered, const Arguments& gains)
-        : LawAround(filtered, 1 + (2 * gains.length("sections") * filtered->joints())) {
+        : LawAround(filtered, 1 + 2 * gains.length("sections") * filtered->joints()) {
         const Matrix sections = gains.matrix(gains.length("sections"), 6, "sections");
         for (size_t k = 0; k < sections.rows; ++k) {
             const Vector row = sections.row(k);
