@@ -15,7 +15,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PIP_NO_INPUT := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test core stubs sanitize lint format types docs pytest lowest examples fuzz soak mutants bench outputs pictures clean
+.PHONY: help demo test core stubs sanitize lint format types docs pytest lowest examples franka-sim fuzz soak mutants bench outputs pictures clean
 
 help:
 	@echo "make demo      the bundled arm moves to the green target and prints a report"
@@ -30,6 +30,7 @@ help:
 	@echo "make pytest    tests and examples"
 	@echo "make lowest    tests and examples with the lowest versions that pyproject.toml allows, in .lowest"
 	@echo "make examples  only the examples"
+	@echo "make franka-sim  random motions on a simulator of Franka's controller that enforces its limits"
 	@echo "make fuzz      random calls, files and messages, and 10 000 motions of every kind for each arm: hours;"
 	@echo "               ten minutes in all: make fuzz SEED=1 MINUTES=10"
 	@echo "make soak      one hour of continuous use; memory must stay constant: make soak MINUTES=60"
@@ -129,6 +130,14 @@ lowest: .lowest/stamp
 examples: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/python -m pytest tests/project/test_examples.py -n $(WORKERS) --maxprocesses 8
 
+# A simulator of Franka's controller that enforces its limits; it needs older packages than armctl, so an environment of its own.
+.franka-sim/stamp:
+	@$(PYTHON) -m venv .franka-sim && .franka-sim/bin/pip install --quiet franka-sim==1.1.7
+	@touch $@
+
+franka-sim: $(VENV)/dev.stamp $(VENV)/core.stamp .franka-sim/stamp
+	@$(BIN)/pip install --quiet --editable '.[franka]' && $(BIN)/python -m pytest tests/links/test_franka_sim.py -n 0 -rP
+
 # With MINUTES the tests take this time together. Without it they take ten minutes, and the motions go on until all are made.
 fuzz: SEED ?= 0
 fuzz: MOTIONS ?= $(if $(filter undefined,$(origin MINUTES)),10000,5)
@@ -154,5 +163,5 @@ pictures: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/python docs/pictures/make.py
 
 clean:
-	rm -rf armctl/_core*.so $(VENV) .lowest build dist docs/_build run out .pytest_cache .ruff_cache .import_linter_cache .hypothesis MUJOCO_LOG.TXT
+	rm -rf armctl/_core*.so $(VENV) .lowest .franka-sim build dist docs/_build run out .pytest_cache .ruff_cache .import_linter_cache .hypothesis MUJOCO_LOG.TXT
 	find armctl tests -name __pycache__ -type d -prune -exec rm -rf {} +

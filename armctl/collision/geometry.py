@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -131,7 +131,7 @@ class Geometry:
     geom_ids: IntArray
     shapes: Sequence[Shape]
     frames: Frames
-    arrays: dict[str, Array | IntArray]
+    arrays: dict[str, Any]
     core: CollisionModel
     pairs: IntArray
 
@@ -145,8 +145,8 @@ class Geometry:
 
     def joints_between(self, pair: int) -> list[int]:
         """The joints that move one geom of a pair relative to the other: rows of the joint map."""
-        first, second = (self.frames.above(self.shapes[geom].frame) for geom in self.pairs[pair])
-        return [int(self.frames.joints[frame - 1]) for frame in first ^ second]
+        above = [self.frames.above(self.shapes[geom].frame) for geom in self.pairs[pair]]
+        return [int(self.frames.joints[frame - 1]) for frame in above[0] ^ above[1]]
 
     def pair_geoms(self, pair: int) -> tuple[int, int]:
         """The model's geoms of a pair."""
@@ -216,24 +216,31 @@ def build_geometry(model: mujoco.MjModel, joint_map: JointMap, qpos: Array, held
     return _geometry(frozen(geom_ids), shapes, frames, arrays, rows[np.lexsort((second, first))])
 
 
-def _geometry(
-    geom_ids: IntArray, shapes: Sequence[Shape], frames: Frames, arrays: dict[str, Array | IntArray], pairs: IntArray
-) -> Geometry:
+def _geometry(geom_ids: IntArray, shapes: Sequence[Shape], frames: Frames, arrays: dict[str, Any], pairs: IntArray) -> Geometry:
     """The geometry with pairs that are in the order of their groups."""
     groups = _group_spheres(arrays, pairs)
     last = np.flatnonzero((groups != np.roll(groups, -1, axis=0)).any(axis=1) | (np.arange(len(pairs)) == len(pairs) - 1))
-    core = CollisionModel(**arrays, pairs=np.ascontiguousarray(pairs, np.int64), group_pairs=groups[last], last_pairs=last + 1)
+    first_geoms, second_geoms = np.ascontiguousarray(pairs.T, np.int64)
+    first_spheres, second_spheres = np.ascontiguousarray(groups[last].T)
+    core = CollisionModel(
+        **arrays,
+        first_geoms=first_geoms,
+        second_geoms=second_geoms,
+        first_spheres=first_spheres,
+        second_spheres=second_spheres,
+        last_pairs=last + 1,
+    )
     return Geometry(geom_ids, shapes, frames, arrays, core, frozen(pairs))
 
 
-def _group_spheres(arrays: dict[str, Array | IntArray], pairs: IntArray) -> IntArray:
+def _group_spheres(arrays: dict[str, Any], pairs: IntArray) -> IntArray:
     """(K, 2) the bounding spheres of the groups of pairs of geoms."""
     frames = arrays["frames"]
     group = np.where(frames > 0, len(frames) + np.searchsorted(np.unique(frames[frames > 0]), frames), np.arange(len(frames)))
     return group[pairs].reshape(-1, 2).astype(np.int64)
 
 
-def _arrays(frames: Frames, shapes: Sequence[Shape], joint_map: JointMap) -> dict[str, Array | IntArray]:
+def _arrays(frames: Frames, shapes: Sequence[Shape], joint_map: JointMap) -> dict[str, Any]:
     """What the core takes, without the pairs."""
     first_vertex = np.cumsum([0, *(len(shape.vertices) for shape in shapes)])
     counts = [shape.edges.counts for shape in shapes]
@@ -250,6 +257,7 @@ def _arrays(frames: Frames, shapes: Sequence[Shape], joint_map: JointMap) -> dic
         "references": frames.references,
         "parents": frames.parents,
         "joints": frames.joints,
+        "n": joint_map.ratio.shape[1],
         "ratio": joint_map.ratio,
         "joint_offset": joint_map.offset,
         "kinds": np.array([int(shape.kind) for shape in shapes], np.int64),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Generic, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, overload
 
 import numpy as np
 
@@ -31,18 +31,14 @@ class Gain(Generic[_Checked]):
         """Notes the name of the attribute."""
         self._name = name
 
-    @overload
-    def __get__(self, controller: None, owner: type) -> Self: ...
-    @overload
-    def __get__(self, controller: CompiledController, owner: type) -> _Checked: ...
-    def __get__(self, controller: CompiledController | None, owner: type) -> Self | _Checked:
-        """The checked value."""
-        if controller is None:
-            return self
-        try:
-            return controller.__dict__[self._name]
-        except KeyError:
-            raise AttributeError(f"{owner.__name__!r} object has no attribute {self._name!r} yet") from None
+    # A value is read from the controller itself, since a descriptor without `__get__` does not come before it.
+    if TYPE_CHECKING:
+
+        @overload
+        def __get__(self, controller: None, owner: type) -> Self: ...
+        @overload
+        def __get__(self, controller: CompiledController, owner: type) -> _Checked: ...
+        def __get__(self, controller: CompiledController | None, owner: type) -> Self | _Checked: ...
 
     def __set__(self, controller: CompiledController, value: object) -> None:
         """Checks and takes a value; a wrong one raises InputError."""

@@ -307,9 +307,6 @@ def bandwidth_gains(
         stiffness: (n,) or one number for all joints, N m/rad (Kp), instead of bandwidth^2 x inertia.
         damping: (n,) or one number for all joints, N m s/rad (Kd), instead of 2 x damping_ratio x sqrt(stiffness x inertia).
 
-    Returns:
-        The gains.
-
     Raises:
         InputError: A gain is negative, not finite or of the wrong length.
     """

@@ -105,7 +105,7 @@ class HybridForce(ArmController):
             targets[name] = number(f"force along {name}", target)
         self._force = targets
         if isinstance(self._law, _core.HybridForce):
-            self._law.set_axes(*self._axes())  # an axis that comes back later begins with an approach
+            self._law.set_axes(**self._axes())  # an axis that comes back later begins with an approach
 
     @property
     def in_contact(self) -> bool:
@@ -116,7 +116,6 @@ class HybridForce(ArmController):
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
         """A law with the present gains, at the start of a run."""
-        is_force, targets = self._axes()
         return _core.HybridForce(
             self._model(dt, continuous),
             bandwidth=self.bandwidth,
@@ -124,12 +123,11 @@ class HybridForce(ArmController):
             in_tip_frame=self.frame == "tip",
             approach_speed=self.approach_speed or 0.0,
             contact_force=self.contact_force or 0.0,
-            is_force=is_force,
-            targets=targets,
             dt=dt,
+            **self._axes(),
         )
 
-    def _axes(self) -> tuple[IntArray, Array]:
+    def _axes(self) -> dict[str, Array | IntArray]:
         """Of each axis whether it is a force axis, (6,), and its target, (6,) N and N m."""
         is_force = np.array([name in self._force for name in AXES], dtype=np.int64)
-        return is_force, np.array([self._force.get(name, 0.0) for name in AXES])
+        return {"is_force": is_force, "targets": np.array([self._force.get(name, 0.0) for name in AXES])}

@@ -108,7 +108,7 @@ class Impedance(ArmController):
         """
         law = super().begin(state)
         if callable(self._stiffness) and isinstance(law, _core.Impedance):
-            law.set_stiffness(gain("stiffness", self._stiffness(state.t), POSE_SIZE))
+            law.set_stiffness(stiffness=gain("stiffness", self._stiffness(state.t), POSE_SIZE))
         return law
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:

@@ -3,7 +3,7 @@
 The observer has three stages. The commanded acceleration predicts position and velocity of each joint; the measured position
 corrects both (two equal poles). The inverse dynamics of the estimated motion minus the commanded torque is a disturbance, after
 Ohnishi, Shibata, Murakami, "Motion control for advanced mechatronics" (1996). A low-pass of first order smoothes it. The law is
-in `armctl/cpp/laws/computed_torque_observer.cpp`.
+in `armctl/cpp/laws/computed_torque_observer.hpp`.
 
 An estimated velocity has much less noise than the difference of two measured positions, and it is late by less than that
 difference behind a low-pass of the same noise; see Friedland, Control System Design (1986), chapter 8.

@@ -47,7 +47,28 @@ void run(const MujocoModel*, MujocoData*, int, void* argument) {
     call->function(call->argument);
 }
 
+// A function, or a struct, from its address.
+template <class Pointer>
+void set(Pointer& pointer, const Arguments& given, const char* name) {
+    pointer = reinterpret_cast<Pointer>(given.integer(name));  // NOLINT(performance-no-int-to-ptr): Python has it as a number
+}
+
 }  // namespace
+
+MujocoApi::MujocoApi(const MujocoModel* empty, const Arguments& given)
+    : empty_model(empty), contacts{
+                              .count = given.count("contact_count"),
+                              .array = given.count("contact_array"),
+                              .stride = given.count("contact_stride"),
+                              .geoms = given.count("contact_geoms"),
+                          } {
+    set(step, given, "step");
+    set(rne_post_constraint, given, "rne_post_constraint");
+    set(make_batch, given, "make_batch");
+    set(delete_batch, given, "delete_batch");
+    set(apply, given, "apply");
+    set(error, given, "error");
+}
 
 Contacts::Contacts(const ContactLayout& layout, const MujocoData* data)
     : layout_(layout), first_(number_at<const std::byte*>(data, layout.array)),

@@ -13,23 +13,29 @@
 // optimization approach", IEEE Trans. Automatic Control 54(10), 2009.
 #pragma once
 
-#include "spans.hpp"
+#include "arguments.hpp"
 
 namespace armctl {
 
 // The bounds at P points, each of which lies in an interval; the weights are those of its three coefficients.
 struct SpeedBounds {
-    Integers interval;     // (P,)
-    Matrix weights;        // (P, 3) of c in b
-    Vector b_max;          // (P,) 0 where another point bounds b
-    Integers force_end;    // (P,) behind the last of its F force bounds: low <= weights . c + damping w <= high
-    Matrix force_weights;  // (F, 3)
-    Vector damping;        // (F,)
-    Vector low;            // (F,)
-    Vector high;           // (F,)
-    Integers jerk_end;     // (P,) behind the last of its J jerk bounds: |weights . c| w <= j_max
-    Matrix jerk_weights;   // (J, 3)
-    Vector j_max;          // (J,)
+    explicit SpeedBounds(const Arguments& a) : arguments(a) {}
+
+    const Arguments& arguments;
+    size_t P = arguments.length("interval");
+    Integers interval = arguments.integers(P, "interval");
+    Matrix weights = arguments.matrix(P, 3, "weights");       // of c in b
+    Vector b_max = arguments.vector(P, "b_max");              // 0 where another point bounds b
+    Integers force_end = arguments.integers(P, "force_end");  // behind the last of its force bounds
+    size_t F = arguments.length("damping");                   // low <= weights . c + damping w <= high
+    Matrix force_weights = arguments.matrix(F, 3, "force_weights");
+    Vector damping = arguments.vector(F, "damping");
+    Vector low = arguments.vector(F, "low");
+    Vector high = arguments.vector(F, "high");
+    Integers jerk_end = arguments.integers(P, "jerk_end");  // behind the last of its jerk bounds
+    size_t J = arguments.length("j_max");                   // |weights . c| w <= j_max
+    Matrix jerk_weights = arguments.matrix(J, 3, "jerk_weights");
+    Vector j_max = arguments.vector(J, "j_max");
 };
 
 // Fills the coefficients of b for the least time; false if no path speed is found that keeps the bounds.

@@ -157,7 +157,7 @@ namespace {
 // The problem for `minimize_with_barriers`: time plus barrier.
 class WaypointTiming {
 public:
-    explicit WaypointTiming(const Waypoints& waypoints) : waypoints_(waypoints), n_(waypoints.v_max.size()) {}
+    explicit WaypointTiming(const Waypoints& waypoints) : waypoints_(waypoints), n_(waypoints.n) {}
 
     void solve(Result x) const {
         const double first = barrier_first * total_time(x) / barrier_count();

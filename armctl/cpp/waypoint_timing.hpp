@@ -11,7 +11,7 @@
 // chapter 3.
 #pragma once
 
-#include "spans.hpp"
+#include "arguments.hpp"
 
 namespace armctl {
 
@@ -39,12 +39,17 @@ Displacement farthest_displacement(double time, EndState start, EndState end, co
 // Waypoints q (K, n), the limits of the n joints, and the greatest velocity and acceleration of each joint at each waypoint,
 // (K, n): 0 holds it at 0.
 struct Waypoints {
-    Matrix q;
-    Vector v_max;
-    Vector a_max;
-    Vector j_max;
-    Matrix v_bound;
-    Matrix a_bound;
+    explicit Waypoints(const Arguments& a) : arguments(a) {}
+
+    const Arguments& arguments;
+    size_t K = arguments.length("q");
+    size_t n = arguments.length("v_max");
+    Matrix q = arguments.matrix(K, n, "q");
+    Vector v_max = arguments.vector(n, "v_max");
+    Vector a_max = arguments.vector(n, "a_max");
+    Vector j_max = arguments.vector(n, "j_max");
+    Matrix v_bound = arguments.matrix(K, n, "v_bound");
+    Matrix a_bound = arguments.matrix(K, n, "a_bound");
 };
 
 // Replaces a motion by the fastest one. It goes from waypoint to waypoint: velocity and acceleration of each joint, then the

@@ -46,7 +46,7 @@ class Franka:
     """
 
     dt = 1e-3
-    envelope = FR3
+    envelope: Envelope | None = FR3
     rest_speed = 5e-3
     settle = (5e-4, 5e-3)
     passes_time = False

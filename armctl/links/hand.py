@@ -10,7 +10,7 @@ from armctl.core.validation import number
 from armctl.sim.gripper.gripper import GripResult
 
 _DEFAULT_FORCE = 10.0  # N
-_WIDTH_TOLERANCE = 1e-3  # m
+_WIDTH_TOLERANCE = 2e-3  # m
 # A hand may report a grasp where it closed on nothing: fingers that are nearer to each other hold nothing that counts.
 _THINNEST_OBJECT_M = 3e-3
 
@@ -55,7 +55,7 @@ class Hand:
             width: m.
 
         Returns:
-            The result.
+            How it ended: not ok if the fingers are more than 2 mm from it.
 
         Raises:
             InputError: A width outside the hand's range.

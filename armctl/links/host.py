@@ -77,7 +77,7 @@ class LinkHost:
     """A link with the player of its stream. `play`, `stop` and `poll` may be called by another thread than `advance`.
 
     Attributes:
-        link: The link.
+        link: Open after `open`.
         streaming: Whether a stream is open.
     """
 

@@ -182,7 +182,7 @@ class LinkDrive:
 
     def run(
         self,
-        controller: Controller,
+        controller: Controller | None,
         reference: TickReference,
         recorder: Recorder,
         to_rest: Pieces | None = None,
@@ -237,6 +237,13 @@ class LinkDrive:
             self._wait_for(stream.next - 1 - ahead)
         except LinkError as error:
             self._lose(str(error))
+
+    def hold(self, seconds: float) -> Array:
+        """Streams the present position for a while; the times of the readings, s."""
+        recorder = _LinkRecorder(self)
+        self.run(None, self.hold_reference(seconds), recorder)
+        self._recorder = None
+        return np.concatenate([part.t for segment in recorder.segments for part in segment.readings] or [np.zeros(0)])
 
     def come_to_rest(self, *, stop: bool) -> None:
         """Waits until the arm rests.

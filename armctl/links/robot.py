@@ -25,8 +25,9 @@ from armctl.links.envelope import envelope_of
 from armctl.links.hand import Hand
 from armctl.links.host import LinkHost
 from armctl.links.link import Link
+from armctl.links.link_check import LinkCheck
 from armctl.links.link_drive import LinkDrive
-from armctl.links.model_check import model_refusal
+from armctl.links.model_check import model_refusal, tip_difference
 from armctl.links.process import RemoteHost
 from armctl.loading.load import load
 from armctl.mjmodel.target_marker import TARGET
@@ -147,6 +148,26 @@ class Robot(Commands):
             LinkError: The robot cannot be recovered by a program, and what to do.
         """
         self._drive.recover()
+
+    def check(self, seconds: float = 10.0) -> LinkCheck:
+        """Holds the position for a while, and measures how regularly rows are sent.
+
+        Args:
+            seconds: s.
+
+        Returns:
+            The check: ok if no more than one tick in a hundred was lost.
+
+        Raises:
+            InputError: The time is not above 0.
+            LinkError: The robot reported a fault before.
+        """
+        seconds = number("seconds", seconds, self.dt)
+        T_base_tip = self._host.tip()
+        difference = np.nan if T_base_tip is None else tip_difference(self.arm, self._host.read().q, T_base_tip)
+        lost = self._drive.lost
+        times = self._drive.hold(seconds)
+        return LinkCheck.of(self._drive, difference, times, self._drive.lost - lost)
 
     def close(self) -> None:
         """Brakes if something moves, and disconnects. Leaving a `with` block does the same."""

@@ -65,7 +65,7 @@ class SO101:
     dt = 0.02
     rest_speed = 0.05
     settle = (5e-3, 2e-2)
-    payload = None
+    payload: float | None = None
     passes_time = False
 
     def __init__(self, arm: Arm, port: str, calibration: str | os.PathLike[str]):
@@ -86,7 +86,7 @@ class SO101:
         self.port = str(port)
         self.name = f"SO-101 at {port}"
         self.address = self.port
-        self.envelope: Envelope = envelope_of(arm.limits, f"limits of the model {arm.name}: the maker publishes none")
+        self.envelope: Envelope | None = envelope_of(arm.limits, f"limits of the model {arm.name}: the maker publishes none")
         servos = _read_calibration(Path(calibration), arm)
         self._ids = [servo.id for servo in servos]
         self._offsets = [servo.offset for servo in servos]
@@ -267,18 +267,20 @@ def _read_calibration(path: Path, arm: Arm) -> list[_Servo]:
     for name, model_range in zip(_JOINTS, ranges.tolist(), strict=True):
         try:
             row = rows[name]
-            id_, offset, low, high = (int(row[key]) for key in ("id", "homing_offset", "range_min", "range_max"))
+            low = int(row["range_min"])
+            high = int(row["range_max"])
+            servo = _Servo(int(row["id"]), int(row["homing_offset"]), 0.5 * (low + high), high - low)
         except (KeyError, TypeError, ValueError):
             raise InputError(
                 f"calibration: {path} has no row {name!r} with id, homing_offset, range_min and range_max"
             ) from None
-        travel = (high - low) * 2.0 * np.pi / _COUNTS
-        if high - low < _FULL_TURN_COUNTS and abs(travel - model_range) > _TRAVEL_TOLERANCE * model_range:
+        travel = servo.travel * 2.0 * np.pi / _COUNTS
+        if servo.travel < _FULL_TURN_COUNTS and abs(travel - model_range) > _TRAVEL_TOLERANCE * model_range:
             raise InputError(
                 f"calibration: {name} travels {travel:.2f} rad, the joint of the model {arm.name:.60} {model_range:.2f} rad; "
                 "calibrate again, and move each joint through its whole range"
             )
-        servos.append(_Servo(id_, offset, 0.5 * (low + high), high - low))
+        servos.append(servo)
     return servos
 
 

@@ -59,7 +59,7 @@ class Disturbances:
         self._jitter = np.random.default_rng([plant.seed, 1])
         self._commands: deque[Array] = deque(maxlen=plant.delay + plant.jitter + 1)
         self._age = 0
-        self._tip_force = _core.TipForce(pushed_arm)
+        self._dynamics = _core.Dynamics(pushed_arm)
         self._pushes: tuple[Push, ...] = tuple(plant.pushes)  # type: ignore[arg-type]  # a tuple after Plant.__post_init__
         self._dt = dt
         self._steps = round(dt / model.opt.timestep)
@@ -109,7 +109,7 @@ class Disturbances:
         if self._pushes:
             self.push[:] = self._wrenches(np.array([self._data.time]))[0]
             torque = np.zeros(len(self._pushed_dofs))
-            self._tip_force.torque(q[: len(torque)].copy(), self.push, torque)
+            self._dynamics.tip_force(q[: len(torque)].copy(), self.push, torque)
             self._data.qfrc_applied[self._pushed_dofs] = torque
         if self._plant.jitter:
             self._commands.append(tau.copy())

@@ -93,6 +93,7 @@ class Stepper:
     Attributes:
         actuation: The driven joints of all arms.
         plant: How the simulated arms differ from their models.
+        description: The plant in words, for the log.
         dt: s, the tick: the control period.
         continuous: Whether the arm moves almost continuously between ticks.
         q_ref: (n,) rad, the last reference.
@@ -137,6 +138,7 @@ class Stepper:
             self._structure = structure
         apply_plant(self.model, self.data, plant, arms)
         self.plant = plant
+        self.description = str(plant)
         self._steps_in_python = plant.steps_in_python(self._train)
         self._brake = Brake(self.model, self._held_dofs)
         self._released = np.zeros(0, dtype=np.int64)
@@ -166,11 +168,6 @@ class Stepper:
     def n(self) -> int:
         """The number of driven joints of all arms."""
         return self.actuation.n
-
-    @property
-    def description(self) -> str:
-        """The plant in words, for the log."""
-        return str(self.plant)
 
     @property
     def blocked(self) -> str:

@@ -316,7 +316,9 @@ class Stream:
             The setpoints from now on.
         """
         points = [self.setpoint, *(self.step(dt) for _ in range(ticks))]
-        q, v, a = (np.array(each) for each in zip(*((p.q, p.v, p.a) for p in points), strict=True))
+        q = np.array([point.q for point in points])
+        v = np.array([point.v for point in points])
+        a = np.array([point.a for point in points])
         before = q[0] - dt * v[0] if self._previous is None else self._previous
         v_tick = v if continuous else np.diff(np.vstack([before, q]), axis=0) / dt
         self._previous = q[-2]

@@ -34,7 +34,7 @@ def assert_within(limits: armctl.Limits, rows: np.ndarray) -> None:
 
 
 @given(seed=st.integers(0, 40), share=st.floats(0.0, 1.0))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 def test_a_stop_at_any_time_stays_on_the_path_and_within_the_limits(seed: int, share: float):
     arm, trajectory = planned(seed)
     player = Player(trajectory(0.0).q, DT, arm.limits, LEAD)
@@ -52,7 +52,7 @@ def test_a_stop_at_any_time_stays_on_the_path_and_within_the_limits(seed: int, s
 
 
 @given(seed=st.integers(0, 40), when=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=6), late=st.integers(0, 40))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 def test_new_goals_in_time_or_late_leave_the_arm_at_rest_within_the_limits(seed: int, when: list[float], late: int):
     arm = arm_of("robot_arm_3dof")
     rng = np.random.default_rng(seed)

@@ -143,3 +143,14 @@ def test_what_the_maker_raises_in_the_process_is_one_sentence():
     link = armctl.links.PlantLink(arm, real_time=True, record="/proc/no-such-folder/rows")
     with pytest.raises(armctl.LinkError, match="FileNotFoundError"):
         armctl.Robot(arm, link)
+
+
+def test_the_command_line_checks_a_robot(capsys):
+    from armctl.cli.main import main
+
+    status = main(["robot", "check", "here", "--link", "plant", "--seconds", "0.3"])
+    said = capsys.readouterr().out
+    assert "tip of the model 0.000 mm from that of the robot" in said
+    assert "ticks lost" in said
+    assert (status == 0) == said.endswith(": ok\n")
+    assert main(["robot", "check", "/dev/null", "--link", "so101", "--model", "robot_arm_3dof"]) == 2

@@ -107,7 +107,7 @@ def test_arrays_of_wrong_shapes_are_refused_by_name():
         fastest(np.ones(12))
     with pytest.raises(armctl.InputError, match="a_bound: need an array of shape"):
         fastest(slow_motion(), a_bound=np.ones((12, 6)))
-    with pytest.raises(armctl.InputError, match="q: missing"):
+    with pytest.raises(armctl.InputError, match="q: this argument is missing"):
         _core.make_fastest(slow_motion(), v_max=np.ones(7))
     one = np.ones((1, 1))
     with pytest.raises(armctl.InputError, match="coefficients: need polynomials of a degree from 3 to 15"):

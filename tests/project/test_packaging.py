@@ -64,7 +64,13 @@ def test_a_wheel_holds_the_package_the_core_the_models_and_the_license_and_nothi
     modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "armctl").rglob("*.py")}
     models = {f"armctl/models/{path.name}" for path in (ROOT / "models").iterdir()}
     extension = f"armctl/_core{sysconfig.get_config_var('EXT_SUFFIX')}"
-    assert names == modules | models | {"armctl/__init__.pyi", "armctl/_core.pyi", "armctl/py.typed", extension}
+    assert names == modules | models | {
+        "armctl/__init__.pyi",
+        "armctl/_core.pyi",
+        "armctl/links/__init__.pyi",
+        "armctl/py.typed",
+        extension,
+    }
     assert "armctl/models/robot_arm_3dof.xml" in names
     assert any(name.endswith(".dist-info/licenses/LICENSE") for name in zipfile.ZipFile(wheel).namelist())
 

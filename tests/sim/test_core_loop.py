@@ -75,10 +75,10 @@ def run(loop: _core.TickLoop, arm: armctl.Arm, ticks: int = 10, **changes: objec
         "torque_rows": rows.tau,
         "first": 0,
         "last": ticks,
-        "touching": b"",
     }
+    delay, sensor = changes.pop("delay", None), changes.pop("sensor", None)
     end = _core.TickEnd(0)
-    loop.run(law, end, **(options | changes))
+    loop.run(law, end, delay, sensor, b"", **(options | changes))
     return end
 
 

@@ -5,9 +5,9 @@
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/shared_ptr.h>
 
+#include "arguments.hpp"
 #include "clearance_proof.hpp"
 #include "collision_scene.hpp"
-#include "named_arrays.hpp"
 #include "topics.hpp"
 
 namespace nb = nanobind;
@@ -18,50 +18,6 @@ namespace armctl {
 namespace {
 
 using Release = nb::call_guard<nb::gil_scoped_release>;
-
-IntegerMatrix rows_of(NamedArrays& arrays, const char* name) {
-    const IntegersIn& array = arrays.whole_numbers(name);
-    return array.matrix(array.length(name), 2, name);
-}
-
-std::shared_ptr<CollisionModel> make_collision_model(const nb::kwargs& arguments) {
-    NamedArrays arrays(arguments);
-    const Vector references = arrays.vector("references");
-    const size_t m = references.size();
-    const size_t n = arrays.numbers("ratio").columns(m, "ratio");
-    const Integers kinds = arrays.integers("kinds");
-    const size_t G = kinds.size();
-    const Vector radii = arrays.vector("radii");
-    const Matrix vertices = arrays.matrix("vertices", 3);
-    const IntegerMatrix group_pairs = rows_of(arrays, "group_pairs");
-    return std::make_shared<CollisionModel>(CollisionArrays{
-        .axes = arrays.matrix("axes", m, 3),
-        .anchors = arrays.matrix("anchors", m, 3),
-        .slides = arrays.integers("slides", m),
-        .references = references,
-        .parents = arrays.integers("parents", m),
-        .joints = arrays.integers("joints", m),
-        .ratio = arrays.matrix("ratio", m, n),
-        .joint_offset = arrays.vector("joint_offset", m),
-        .kinds = kinds,
-        .frames = arrays.integers("frames", G),
-        .inflations = arrays.vector("inflations", G),
-        .positions = arrays.matrix("positions", G, 3),
-        .rotations = arrays.rotations("rotations", G),
-        .sizes = arrays.matrix("sizes", G, 3),
-        .first_vertex = arrays.integers("first_vertex", G + 1),
-        .centers = arrays.matrix("centers", radii.size(), 3),
-        .radii = radii,
-        .sphere_frames = arrays.integers("sphere_frames", radii.size()),
-        .vertices = vertices,
-        .first_neighbor = arrays.integers("first_neighbor", vertices.rows + 1),
-        .neighbors = arrays.integers("neighbors"),
-        .directions = arrays.matrix("directions", 3),
-        .pairs = rows_of(arrays, "pairs"),
-        .group_pairs = group_pairs,
-        .last_pairs = arrays.integers("last_pairs", group_pairs.rows),
-    });
-}
 
 size_t checked_pair(const CollisionModel& model, size_t pair) {
     return checked_index(static_cast<std::int64_t>(pair), model.pairs.size(), "pair");
@@ -116,8 +72,8 @@ void bind_scene(nb::module_& module) {
         .value("PLANE", ShapeKind::plane);
     nb::class_<CollisionModel>(module, "CollisionModel",
                                "What an arm could touch: shapes, the joints that move them, and pairs. Immutable.")
-        .def(nb::new_(&make_collision_model), "arguments"_a,
-             "A model from arrays for each joint, geom, vertex and pair; armctl/cpp/collision_model.hpp explains them.");
+        .def(nb::new_([](const nb::kwargs& arguments) { return std::make_shared<CollisionModel>(KeywordArguments(arguments)); }),
+             "arguments"_a, "A model from arrays for each joint, geom, vertex and pair; armctl/cpp/collision_model.hpp explains them.");
     nb::class_<PairDistance>(module, "PairDistance", "A pair and its distance.")
         .def_ro("pair", &PairDistance::pair, "Its row, or the number of pairs where there is none.")
         .def_ro("distance", &PairDistance::distance, "m");

@@ -1,8 +1,8 @@
 // Timing of motions, and how far they leave their limits.
 #include <nanobind/nanobind.h>
 
+#include "arguments.hpp"
 #include "limit_excess.hpp"
-#include "named_arrays.hpp"
 #include "path_timing.hpp"
 #include "topics.hpp"
 #include "waypoint_timing.hpp"
@@ -32,43 +32,18 @@ void find_limit_excess(const In& coefficients, const In& steps, size_t order, co
 }
 
 bool find_path_speed(const Out& coefficients, double interval_length, bool from_near, const nb::kwargs& arguments) {
-    NamedArrays arrays(arguments);
-    const Integers interval = arrays.integers("interval");
-    const Vector damping = arrays.vector("damping");
-    const Vector j_max = arrays.vector("j_max");
-    const SpeedBounds bounds{
-        .interval = interval,
-        .weights = arrays.matrix("weights", interval.size(), 3),
-        .b_max = arrays.vector("b_max", interval.size()),
-        .force_end = arrays.integers("force_end", interval.size()),
-        .force_weights = arrays.matrix("force_weights", damping.size(), 3),
-        .damping = damping,
-        .low = arrays.vector("low", damping.size()),
-        .high = arrays.vector("high", damping.size()),
-        .jerk_end = arrays.integers("jerk_end", interval.size()),
-        .jerk_weights = arrays.matrix("jerk_weights", j_max.size(), 3),
-        .j_max = j_max,
-    };
+    const KeywordArguments given(arguments);
+    const SpeedBounds bounds(given);
     const Result c = coefficients.vector(coefficients.length("coefficients"), "coefficients");
     const nb::gil_scoped_release release;
     return fastest_path_speed(interval_length, bounds, from_near, c);
 }
 
 void make_motion_fastest(const Out& motion, const nb::kwargs& arguments) {
-    NamedArrays arrays(arguments);
-    const Vector v_max = arrays.vector("v_max");
-    const size_t n = v_max.size();
-    const Matrix q = arrays.matrix("q", n);
-    if (q.rows < 2) { throw InputError("q: need at least 2 waypoints"); }
-    const Waypoints waypoints{
-        .q = q,
-        .v_max = v_max,
-        .a_max = arrays.vector("a_max", n),
-        .j_max = arrays.vector("j_max", n),
-        .v_bound = arrays.matrix("v_bound", q.rows, n),
-        .a_bound = arrays.matrix("a_bound", q.rows, n),
-    };
-    const Result unknowns = motion.vector(q.rows * (2 * n + 1) - 1, "motion");
+    const KeywordArguments given(arguments);
+    const Waypoints waypoints(given);
+    if (waypoints.K < 2) { throw InputError("q: need at least 2 waypoints"); }
+    const Result unknowns = motion.vector(waypoints.K * (2 * waypoints.n + 1) - 1, "motion");
     const nb::gil_scoped_release release;
     make_fastest(waypoints, unknowns);
 }

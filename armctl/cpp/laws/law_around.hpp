@@ -8,34 +8,31 @@ namespace armctl {
 // inner law, which gets it in each tick.
 class LawAround : public Law {
 public:
-    size_t joints() const override { return inner_->joints(); }
-    bool needs_wrench() const override { return inner_->needs_wrench(); }
-    std::span<double> memory() override { return memory_; }
     void set_memory(Vector numbers) override {
-        std::ranges::copy(numbers, memory_.begin());
+        Law::set_memory(numbers);
         inner_->set_memory(inner_memory());
     }
 
 protected:
     // `own` numbers of memory come before those of the inner law.
-    LawAround(std::shared_ptr<Law> inner, size_t own) : inner_(std::move(inner)), own_(own), memory_(own + inner_->memory().size()) {}
-    LawAround(const LawAround& other) : Law(other), inner_(other.inner_->clone()), own_(other.own_), memory_(other.memory_) {}
+    LawAround(std::shared_ptr<Law> inner, size_t own)
+        : Law(inner->joints(), own + inner->memory().size(), inner->needs_wrench()), inner_(std::move(inner)), own_(own) {}
+    LawAround(const LawAround& other) : Law(other), inner_(other.inner_->clone()), own_(other.own_) {}
     LawAround& operator=(const LawAround&) = delete;
 
-    Result own_memory() { return std::span(memory_).first(own_); }
+    Result own_memory() { return memory(0, own_); }
 
     void inner_torque(const State& state, const Setpoint& setpoint, Result tau) {
-        std::ranges::copy(inner_memory(), inner_->memory().begin());
+        copy(inner_memory(), inner_->memory());
         inner_->torque(state, setpoint, tau);
-        std::ranges::copy(inner_->memory(), inner_memory().begin());
+        copy(inner_->memory(), inner_memory());
     }
 
 private:
-    Result inner_memory() { return std::span(memory_).subspan(own_); }
+    Result inner_memory() { return memory().subspan(own_); }
 
     std::shared_ptr<Law> inner_;
     size_t own_;
-    std::vector<double> memory_;
 };
 
 }  // namespace armctl

@@ -8,8 +8,16 @@ namespace armctl {
 
 // How much the error of the predicted position corrects the estimate.
 struct EstimateWeights {
-    double position = 0.0;
-    double velocity = 0.0;  // of the error / period
+    explicit EstimateWeights(const Arguments& gains)
+        : position(gains.gain("position_weight")), velocity(gains.gain("velocity_weight")), dt(gains.gain("dt")),
+          position_step(gains.flag("continuous") ? 0.5 : 1.0) {}
+
+    double position;
+    double velocity;  // of the error / period
+    double dt;        // s, the period
+    // Change of position / (acceleration x dt^2) in a period from rest: 1 if the period is a step of MuJoCo, whose last velocity
+    // moves the joint; 1/2 if the arm moves continuously.
+    double position_step;
 };
 
 // (n,) each; a part of a law's memory.
@@ -19,14 +27,15 @@ struct MotionEstimate {
     Result acceleration;  // commanded at the last tick; after `correct` the mean one since then
 
     void begin(const State& state) const {
-        std::ranges::copy(state.q, position.begin());
-        std::ranges::copy(state.v, velocity.begin());
+        copy(state.q, position);
+        copy(state.v, velocity);
     }
 
-    // One period dt later. `position_step` is the change of position / (acceleration x dt^2) in a period from rest.
-    void correct(Vector measured, EstimateWeights weights, double dt, double position_step) const {
+    // One period later.
+    void correct(Vector measured, const EstimateWeights& weights) const {
+        const double dt = weights.dt;
         for (size_t i = 0; i < position.size(); ++i) {
-            const double predicted = position[i] + dt * velocity[i] + position_step * dt * dt * acceleration[i];
+            const double predicted = position[i] + dt * velocity[i] + weights.position_step * dt * dt * acceleration[i];
             const double error = measured[i] - predicted;
             position[i] = predicted + weights.position * error;
             acceleration[i] += weights.velocity * error / (dt * dt);
@@ -34,8 +43,5 @@ struct MotionEstimate {
         }
     }
 };
-
-// 1 if the period is a step of MuJoCo, whose last velocity moves the joint; 1/2 if the arm moves continuously.
-inline double position_step(bool continuous) { return continuous ? 0.5 : 1.0; }
 
 }  // namespace armctl

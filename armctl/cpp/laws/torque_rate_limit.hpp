@@ -1,4 +1,4 @@
-// Limits of how fast the torques of another law change.
+// A law whose torques change at limited rates, such as those of a robot's interface.
 #pragma once
 #include "law_around.hpp"
 
@@ -7,14 +7,33 @@ namespace armctl {
 // The first torque of a run is not limited.
 class TorqueRateLimit final : public LawAround {
 public:
-    // `max_rate` (n,) N m/s.
-    TorqueRateLimit(std::shared_ptr<Law> limited, std::vector<double> max_rate, double dt);
+    TorqueRateLimit(const std::shared_ptr<Law>& limited, const Arguments& gains)
+        : LawAround(limited, 1 + limited->joints()), max_change_(gains.limits(joints(), "tau_rate_max")) {
+        const double dt = gains.gain("dt");
+        for (double& change : max_change_) { change *= dt; }
+    }
 
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override;
+    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+        inner_torque(state, setpoint, tau);
+        double& has_last_torque = own_memory()[0];
+        const Result last = own_memory().subspan(1);
+        for (size_t i = 0; i < tau.size(); ++i) {
+            if (has_last_torque != 0.0) {
+                if (tau[i] > last[i] + max_change_[i]) {
+                    tau[i] = last[i] + max_change_[i];
+                } else if (tau[i] < last[i] - max_change_[i]) {
+                    tau[i] = last[i] - max_change_[i];
+                }
+            }
+            last[i] = tau[i];
+        }
+        has_last_torque = 1.0;
+    }
+
     std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
 private:
-    std::vector<double> max_change_;  // (n,) N m, in one control period
+    Numbers max_change_;  // (n,) N m, in one control period
 };
 
 }  // namespace armctl
