@@ -48,7 +48,7 @@ def shape_motion(motion: JointTrajectory, frequency: float, damping_ratio: float
         raise InputError("motion: it does not start and end at rest; shape the whole motion from rest to rest")
     decay = math.exp(-math.pi * damping_ratio / math.sqrt(1 - damping_ratio**2))  # in half a period
     weights = binomial * decay ** np.arange(len(binomial))
-    delays = math.pi / frequency * np.arange(len(binomial))
+    delays = np.linspace(0.0, (len(binomial) - 1) * math.pi / frequency, len(binomial))
     pieces = _weighted(motion.pieces, weights / weights.sum(), delays)
     return JointTrajectory(*pieces, motion.joint_names, motion.limits, slowed=motion.slowed, units=motion.units)
 

@@ -359,7 +359,8 @@ def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: 
 def _check_history(model: mujoco.MjModel) -> None:
     """Refuses steps that are too short for the buffer of an actuator's delay: MuJoCo would shorten the delay."""
     step = model.opt.timestep
-    for actuator in np.flatnonzero(model.actuator_delay > (model.actuator_history[:, 0] + 1e-6) * step).tolist():
+    is_short = (model.actuator_delay > 0.0) & (model.actuator_delay > (model.actuator_history[:, 0] + 1e-6) * step)
+    for actuator in np.flatnonzero(is_short).tolist():
         needed = math.ceil(model.actuator_delay[actuator] / step - 1e-6)
         raise InputError(
             f"plant: the delay of the actuator {actuator_name(model, actuator)!r:.60} spans {needed} steps, and "
