@@ -64,7 +64,7 @@ class Log:
         q_ref: (T, n) rad; NaN in an open-loop run, as are v_ref, a_ref and the reference's tip.
         v_ref: (T, n) rad/s.
         a_ref: (T, n) rad/s^2.
-        tau: (T, n) N m, the torque of the motors.
+        tau: (T, n) N m, the torque of the motors; NaN from a robot that does not measure it.
         tau_cmd: (T, n) N m, the torque that the controller commanded, before the torque limits.
         tip: (T, 3) m.
         tip_quat: (T, 4) wxyz.
@@ -303,7 +303,8 @@ def _check_arrays(arrays: Mapping[str, Array], n: int, dt: float) -> None:
         if column.dtype != np.float64 or column.shape != shape or len(nq) != 1:
             raise InputError(f"{name}: expected float64 of shape {shape}, got {column.dtype} of shape {column.shape}")
     for name in ("t", *STATES, "tip", "tip_quat", "qpos"):
-        unknown = name.startswith("tip") and np.isnan(arrays[name]).all()  # a recording does not contain the tip
+        # A recording does not contain the tip, and a robot without torque sensors no torque.
+        unknown = name.startswith(("tip", "tau")) and np.isnan(arrays[name]).all()
         if not np.isfinite(arrays[name]).all() and not unknown:
             raise InputError(f"{name}: a number is not finite")
     for name in ("t", "q", "v", "tip", "qpos"):

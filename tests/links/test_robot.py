@@ -316,6 +316,24 @@ def test_a_log_of_a_robot_is_a_log_like_any_other(tmp_path):
     assert again.q_ref == pytest.approx(log.q_ref, nan_ok=True)
 
 
+class WithoutTorqueSensors(armctl.links.PlantLink):
+    """A robot that does not measure its torques, as servos on a bus."""
+
+    def _seen(self) -> Seen:
+        seen = super()._seen()
+        return seen._replace(tau=np.full_like(seen.tau, np.nan))
+
+
+def test_a_log_without_torques_is_saved_and_not_identified(tmp_path):
+    arm = arm_of("robot_arm_3dof")
+    robot = armctl.Robot(arm, WithoutTorqueSensors(arm), speed=0.1)
+    log = robot.move_j([0.6, 0.3, -1.0]).log
+    for name in ("log.npz", "log.csv"):
+        assert np.isnan(armctl.Log.load(log.save(tmp_path / name)).tau).all()
+    with pytest.raises(armctl.InputError, match="measured no torque"):
+        armctl.identify(arm, log)
+
+
 def test_a_dry_run_plans_and_checks_and_sends_nothing(capsys):
     arm = arm_of("robot_arm_3dof")
     link = armctl.links.PlantLink(arm)
