@@ -140,9 +140,10 @@ franka-sim: $(VENV)/dev.stamp $(VENV)/core.stamp .franka-sim/stamp
 
 # With MINUTES the tests take this time together. Without it they take ten minutes, and the motions go on until all are made.
 fuzz: SEED ?= 0
+fuzz: FIRST ?= 0
 fuzz: MOTIONS ?= $(if $(filter undefined,$(origin MINUTES)),10000,5)
 fuzz: $(VENV)/dev.stamp $(VENV)/core.stamp
-	@$(BIN)/python -m pytest tests/fuzz -rP -n $(WORKERS) --maxprocesses 8 --fuzz-seed $(SEED) --fuzz-minutes $(or $(MINUTES),10) --fuzz-motions $(MOTIONS)
+	@$(BIN)/python -m pytest tests/fuzz -rP -n $(WORKERS) --maxprocesses 8 --fuzz-seed $(SEED) --fuzz-first $(FIRST) --fuzz-minutes $(or $(MINUTES),10) --fuzz-motions $(MOTIONS)
 
 soak: MINUTES ?= 60
 soak: $(VENV)/dev.stamp $(VENV)/core.stamp

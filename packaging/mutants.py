@@ -4,7 +4,7 @@
 
 Each error is one changed operator or number, or a comparison or condition that is turned round. Named constants of modules are
 left alone, since most of them tune a search. The error is made in a copy of the repository under build/, and the tests of its
-subpackage run there until one fails; for C++, those of the compiled core. An error that no test finds is printed: a test is
+subpackage run there until one fails; for C++, those of all that use it. An error that no test finds is printed: a test is
 missing, or it changes nothing that can be observed.
 """
 
@@ -35,6 +35,7 @@ MORE_TESTS = {
     "control": ["tests/sim/test_compiled_loop.py"],
     "robot": ["tests/control/test_core_laws.py", "tests/motion/test_move_cartesian.py"],
 }
+CXX_TESTS = [f"tests/{folder}" for folder in ("robot", "control", "collision", "ik", "motion", "sim", "planning", "envs")]
 DEFAULT = ["control", "robot", "ik", "motion", "collision", "design", "envs", CXX]
 
 
@@ -157,7 +158,7 @@ def tests_of(mutant: Mutant) -> list[str]:
     """Arguments of pytest: the tests of the file first, then the others of its subpackage."""
     subpackage = mutant.file.parts[1]
     if subpackage == CXX:
-        return ["tests", "-m", "core"]
+        return CXX_TESTS
     folder = WORK / "tests" / subpackage
     own = [str(path.relative_to(WORK)) for path in sorted(folder.glob(f"test_*{mutant.file.stem.split('_')[0]}*.py"))]
     rest = [str(path.relative_to(WORK)) for path in sorted(folder.glob("test_*.py"))]

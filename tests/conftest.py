@@ -66,6 +66,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--fuzz-minutes", type=float, default=0.0, help="time for all fuzz tests together (default: a fixed number of cases)"
     )
+    group.addoption("--fuzz-first", type=int, default=0, help="number of the first case, to go on after an earlier run")
     group.addoption(
         "--fuzz-motions", type=int, default=5, help="least number of motions of every kind for each arm (default: %(default)s)"
     )
