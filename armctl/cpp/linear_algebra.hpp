@@ -59,10 +59,10 @@ inline void turn_rows(MatrixResult A, size_t i, size_t k, double cosine, double 
     for (size_t j = 0; j < A.columns; ++j) { turn(A(i, j), A(k, j), cosine, sine); }
 }
 
-// Replaces x by the solution of L solution = x, with a lower triangle L.
-inline void forward_substitute(Matrix L, Result x) {
-    for (size_t i = 0; i < x.size(); ++i) {
-        for (size_t k = 0; k < i; ++k) { x[i] -= L(i, k) * x[k]; }
+// Replaces x, whose numbers before `first` are zero, by the solution of L solution = x, with a lower triangle L.
+inline void forward_substitute(Matrix L, Result x, size_t first = 0) {
+    for (size_t i = first; i < x.size(); ++i) {
+        for (size_t k = first; k < i; ++k) { x[i] -= L(i, k) * x[k]; }
         x[i] /= L(i, i);
     }
 }

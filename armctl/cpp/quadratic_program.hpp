@@ -81,7 +81,7 @@ private:
             std::ranges::fill(normals_.row(i), 0.0);
             normals_(i, i) = 1.0;
             copy(program.M.row(i), normals_.row(n_ + i));
-            forward_substitute(factor_, normals_.row(i));
+            forward_substitute(factor_, normals_.row(i), i);
             forward_substitute(factor_, normals_.row(n_ + i));
         }
         forward_substitute(factor_, start_);
