@@ -145,7 +145,8 @@ class Geometry:
 
     def joints_between(self, pair: int) -> list[int]:
         """The joints that move one geom of a pair relative to the other: rows of the joint map."""
-        first, second = (self.frames.above(self.shapes[geom].frame) for geom in self.pairs[pair])
+        first = self.frames.above(self.shapes[self.pairs[pair, 0]].frame)
+        second = self.frames.above(self.shapes[self.pairs[pair, 1]].frame)
         return [int(self.frames.joints[frame - 1]) for frame in first ^ second]
 
     def pair_geoms(self, pair: int) -> tuple[int, int]:
@@ -216,9 +217,7 @@ def build_geometry(model: mujoco.MjModel, joint_map: JointMap, qpos: Array, held
     return _geometry(frozen(geom_ids), shapes, frames, arrays, rows[np.lexsort((second, first))])
 
 
-def _geometry(
-    geom_ids: IntArray, shapes: Sequence[Shape], frames: Frames, arrays: dict[str, Any], pairs: IntArray
-) -> Geometry:
+def _geometry(geom_ids: IntArray, shapes: Sequence[Shape], frames: Frames, arrays: dict[str, Any], pairs: IntArray) -> Geometry:
     """The geometry with pairs that are in the order of their groups."""
     groups = _group_spheres(arrays, pairs)
     last = np.flatnonzero((groups != np.roll(groups, -1, axis=0)).any(axis=1) | (np.arange(len(pairs)) == len(pairs) - 1))
