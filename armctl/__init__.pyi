@@ -1,5 +1,6 @@
 """The public names of armctl: this file is the only list of them, for type checkers and for Python, which reads it as well."""
 
+from . import links as links
 from .analysis.comparison import compare as compare
 from .analysis.comparison import out_and_back as out_and_back
 from .analysis.diagnose import Diagnosis as Diagnosis
@@ -20,6 +21,7 @@ from .control.computed_torque import ComputedTorque as ComputedTorque
 from .control.computed_torque_learning import ComputedTorqueLearning as ComputedTorqueLearning
 from .control.computed_torque_observer import ComputedTorqueObserver as ComputedTorqueObserver
 from .control.computed_torque_qp import ComputedTorqueQP as ComputedTorqueQP
+from .control.elastic_feedforward import ElasticFeedforward as ElasticFeedforward
 from .control.hybrid_force import HybridForce as HybridForce
 from .control.impedance import Impedance as Impedance
 from .control.interface import CompiledController as CompiledController
@@ -30,10 +32,14 @@ from .control.pd import PD as PD
 from .control.pd_feedforward import PDFeedforward as PDFeedforward
 from .control.pd_gravity import PDGravity as PDGravity
 from .control.rate_limit import TorqueRateLimit as TorqueRateLimit
+from .control.torque_filter import LowPass as LowPass
+from .control.torque_filter import Notch as Notch
+from .control.torque_filter import TorqueFilter as TorqueFilter
 from .core.errors import ArmctlError as ArmctlError
 from .core.errors import ArmctlWarning as ArmctlWarning
 from .core.errors import InputError as InputError
 from .core.errors import LimitError as LimitError
+from .core.errors import LinkError as LinkError
 from .core.errors import ModelError as ModelError
 from .core.errors import NotInstalledError as NotInstalledError
 from .core.errors import PlanError as PlanError
@@ -73,11 +79,16 @@ from .ik.reachability import reachability as reachability
 from .ik.result import IkBatch as IkBatch
 from .ik.result import IkResult as IkResult
 from .ik.solve import solve_ik as solve_ik
+from .links.dry_run import DryRun as DryRun
+from .links.envelope import Envelope as Envelope
+from .links.robot import Robot as Robot
 from .loading.chain import SerialChain as SerialChain
 from .loading.load import chains as chains
 from .loading.load import load as load
 from .loading.load import load_arms as load_arms
 from .loading.scene import Scene as Scene
+from .motion.input_shaping import shape_motion as shape_motion
+from .motion.iterative_learning import IterativeLearning as IterativeLearning
 from .motion.move_cartesian import Arc as Arc
 from .motion.move_cartesian import Line as Line
 from .motion.move_cartesian import PathOptions as PathOptions
@@ -109,6 +120,8 @@ from .sim.simulate import simulate as simulate
 from .sim.simulate_many import simulate_many as simulate_many
 from .sim.simulation import Simulation as Simulation
 from .sim.team import Team as Team
+from .stream.stream import Stream as Stream
+from .stream.stream import StreamReport as StreamReport
 from .study.factors import Choice as Choice
 from .study.factors import Normal as Normal
 from .study.factors import Range as Range

@@ -649,7 +649,12 @@ class PD(Law):
 class TorqueRateLimit(Law):
     """A law whose torques change at limited rates."""
 
-    def __init__(self, limited: Law, **gains) -> None: ...
+    def __init__(self, of: Law, **gains) -> None: ...
+
+class TorqueFilter(Law):
+    """A law whose torques go through filters of second-order sections."""
+
+    def __init__(self, of: Law, **gains) -> None: ...
 
 class CFunctionLaw(Law):
     """
@@ -666,24 +671,24 @@ class CFunctionLaw(Law):
 class PDFeedforward(Law):
     """PD with the torque of the reference motion."""
 
-    def __init__(self, model: ArmModel, **gains) -> None: ...
+    def __init__(self, of: ArmModel, **gains) -> None: ...
 
 class PDGravity(Law):
     """PD with gravity compensation."""
 
-    def __init__(self, model: ArmModel, **gains) -> None: ...
+    def __init__(self, of: ArmModel, **gains) -> None: ...
 
 class ComputedTorque(Law):
     """
     Computed torque; with weights of an estimate, at estimated positions and velocities.
     """
 
-    def __init__(self, model: ArmModel, **gains) -> None: ...
+    def __init__(self, of: ArmModel, **gains) -> None: ...
 
 class ComputedTorqueObserver(Law):
     """Computed torque with a disturbance observer that estimates velocities."""
 
-    def __init__(self, model: ArmModel, **gains) -> None: ...
+    def __init__(self, of: ArmModel, **gains) -> None: ...
     @property
     def disturbance(self) -> NDArray[numpy.float64]:
         """The estimated disturbance, (n,) N m; a part of the memory."""
@@ -693,7 +698,7 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
     Computed torque with an observer, which learns payload, friction and delay.
     """
 
-    def __init__(self, model: ArmModel, **gains) -> None: ...
+    def __init__(self, of: ArmModel, **gains) -> None: ...
     @property
     def estimate(self) -> NDArray[numpy.float64]:
         """
@@ -708,7 +713,7 @@ def payload_regressor(dynamics: Dynamics, q: numpy.ndarray, v: numpy.ndarray, a:
 class ComputedTorqueQP(Law):
     """Computed torque within limits of torque, velocity and position."""
 
-    def __init__(self, model: ArmModel, **gains) -> None: ...
+    def __init__(self, of: ArmModel, **gains) -> None: ...
     def last_program(self) -> object:
         """
         H, M, lower and upper of the last tick's program, as for `solve_program` with f = 0, and the torque (n,) N m without
@@ -727,19 +732,19 @@ def solve_program(
 class OperationalSpace(Law):
     """Operational space control with a posture in the null space."""
 
-    def __init__(self, model: ArmModel, **gains) -> None: ...
+    def __init__(self, of: ArmModel, **gains) -> None: ...
 
 class Impedance(Law):
     """Cartesian impedance control without inertia shaping."""
 
-    def __init__(self, model: ArmModel, **gains) -> None: ...
+    def __init__(self, of: ArmModel, **gains) -> None: ...
     def set_stiffness(self, **kwargs) -> None:
         """Replaces the stiffness of the tip, (6,) N/m and N m/rad."""
 
 class Admittance(Law):
     """Admittance control: a position loop follows a compliant reference."""
 
-    def __init__(self, model: ArmModel, **gains) -> None: ...
+    def __init__(self, of: ArmModel, **gains) -> None: ...
     @property
     def offset(self) -> NDArray[numpy.float64]:
         """
@@ -749,7 +754,7 @@ class Admittance(Law):
 class HybridForce(Law):
     """Hybrid force/motion control with contact transition."""
 
-    def __init__(self, model: ArmModel, **gains) -> None: ...
+    def __init__(self, of: ArmModel, **gains) -> None: ...
     def set_axes(self, **kwargs) -> None:
         """
         Replaces the force axes, `is_force` and `targets` (6,). One that comes back later begins with an approach.

@@ -32,4 +32,6 @@ def grows(arm: armctl.Arm, controller: str, loop: Loop, ticks: int, plant: armct
     if deviation.max() > 1e4 * DEVIATION:
         return True
     quarter = len(deviation) // 4
+    if deviation[-quarter:].max() < 1e-6 * DEVIATION:  # what is left is rounding
+        return False
     return deviation[-quarter:].max() > deviation[quarter : 2 * quarter].max()

@@ -39,7 +39,6 @@ _ADVICE = {
     "elastic joints move": "judge a controller by `armctl margins`, which includes the spring",
     "(springyield)": "remove springyield, or keep the motion inside it",
     "are late, but": "armctl.Plant(sensor_delay=...) simulates and linearizes it",
-    "wrong accelerations with sparse": 'write <option jacobian="dense"/>',
     "drag (": 'set density="0" viscosity="0" in <option>',
 }
 

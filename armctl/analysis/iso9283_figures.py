@@ -9,7 +9,9 @@ import numpy as np
 from armctl.core.log import Log
 from armctl.core.validation import Array
 
-PLANES = 50  # normal to the commanded path, evenly spaced
+# Normal to the commanded path, in the middle of equal sections: 5 %, 15 %, ... 95 % of it. Start and stop are outside.
+PLANES = 10
+PLANES_OF_WHOLE = 1000  # so many that the figures depend no longer on where they are
 _END_SHARE = 0.25  # of the path at each end, where the speed is not evaluated (8.6.1)
 
 
@@ -125,22 +127,24 @@ def posing_time(log: Log, band: float) -> float:
     return 0.0 if len(outside) == 0 else float((outside[-1] + 1) * log.dt)
 
 
-def deviations_in_planes(log: Log, start: Array, end: Array, duration: float) -> Array:
-    """(PLANES, 3) m, where a path attains the planes normal to the commanded line, minus the line (8.1, 8.2).
+def deviations_in_planes(log: Log, start: Array, end: Array, duration: float, count: int = PLANES) -> Array:
+    """(count, 3) m, where a path attains the planes normal to the commanded line, minus the line (8.1, 8.2).
 
     Args:
         log: The run; its first `duration` seconds are the motion.
         start: (3,) m, where the line starts.
         end: (3,) m, where it ends.
         duration: s.
+        count: The number of planes, in the middle of equal sections of the line.
     """
-    line = (end - start) / np.linalg.norm(end - start)
+    length = np.linalg.norm(end - start)
+    line = (end - start) / length
     offsets = log.tip[log.t <= duration] - start
     along = offsets @ line
     across = offsets - along[:, None] * line
     # The tip may move back by a rounding error; interpolation needs increasing distances.
     increasing = np.concatenate([[True], along[1:] > np.maximum.accumulate(along)[:-1]])
-    planes = np.linspace(along[increasing][0], along[increasing][-1], PLANES)
+    planes = (np.arange(count) + 0.5) / count * length
     return np.column_stack([np.interp(planes, along[increasing], across[increasing, axis]) for axis in range(3)])
 
 

@@ -49,6 +49,8 @@ class Report:
         saturated_fraction: Fraction of the ticks at which a commanded torque exceeded its limit.
         chatter_nm: Root mean square difference of a torque from the mean of its two neighbours in time, while the reference
             rests, so that the torque of the motion is left out; NaN if it never rests.
+        residual_vibration_m: The largest distance of the tip from its mean position while the reference rests; NaN if it never
+            rests.
         contacts: What the arm touched, and for how long.
         duration_s: Simulated time.
         real_time_factor: Simulated time divided by computing time.
@@ -81,6 +83,7 @@ class Report:
     log: Log
     delay_margin_s: float = math.nan
     peak_sensitivity: float = math.nan
+    residual_vibration_m: float = math.nan
 
     def __bool__(self) -> bool:
         return self.ok
@@ -140,6 +143,9 @@ class Report:
             peak_torque_ratio=float(np.abs(log.tau / log.tau_max).max()),
             saturated_fraction=float((np.abs(log.tau_cmd) > log.tau_max * (1 + 1e-9)).any(axis=1).mean()),
             chatter_nm=_chatter(log),
+            residual_vibration_m=_max(np.linalg.norm(log.tip[~moving] - log.tip[~moving].mean(axis=0), axis=1))
+            if (~moving).any()
+            else math.nan,
             contacts=log.contacts,
             duration_s=len(log) * log.dt,
             real_time_factor=log.real_time_factor,

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from armctl.core.atomic import file_path, write_text
 from armctl.core.errors import InputError
@@ -16,6 +17,7 @@ from armctl.core.validation import Array, shown, vector
 from armctl.design.identified_model import consistent_model, edited_spec, urdf_text
 from armctl.design.regressor import FrictionShape
 from armctl.robot.arm import Arm, check_arm
+from armctl.robot.passive_forces import set_dry_friction
 from armctl.robot.pinocchio_model import build_pinocchio_model
 
 _MANY_NAMES = 3  # more names are counted in a sentence
@@ -75,7 +77,7 @@ class ArmEstimate:
         viscous_friction: (n,) N m s/rad.
         viscous_error: (n,) standard errors.
         coulomb_friction: (n,) N m.
-        coulomb_error: (n,) standard errors.
+        coulomb_error: (n,) standard errors; as large as the prior uncertainty if no joint speed shows the full friction.
         breakaway: (n,) N m above Coulomb friction at low speed; 0 unless friction is "stribeck".
         friction_speeds: Dry friction is proportional to v / smoothing, clipped to [-1, 1]; breakaway decays as
             exp(-(v / stribeck)^2).
@@ -143,16 +145,45 @@ class ArmEstimate:
             InputError: v has another shape.
         """
         v = vector("v", v, self.arm.n)
+        return self.viscous_friction * v + self._dry_friction(v)
+
+    def _dry_friction(self, v: Array) -> Array:
         speeds = self.friction_speeds
         breakaway = self.breakaway * np.exp(-((v / speeds.stribeck) ** 2))
-        return self.viscous_friction * v + (self.coulomb_friction + breakaway) * np.clip(v / speeds.smoothing, -1.0, 1.0)
+        return (self.coulomb_friction + breakaway) * np.clip(v / speeds.smoothing, -1.0, 1.0)
+
+    def torque(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
+        """The torque of a motion with the identified inertia, rotor inertia and all friction; no torque offset.
+
+        Args:
+            q: rad, (n,), or (T, n) for many states.
+            v: rad/s, in the same shape.
+            a: rad/s^2, in the same shape.
+
+        Returns:
+            N m, in the same shape.
+
+        Raises:
+            InputError: A wrong shape, a number that is not finite, or as for `applied_to`.
+        """
+        shape = np.shape(q)
+        if len(shape) not in (1, 2) or not (shape == np.shape(v) == np.shape(a)):
+            raise InputError(f"q, v, a: need three arrays of one shape, got {shape}, {np.shape(v)} and {np.shape(a)}")
+        known = self.applied_to(self.arm)
+        states = [
+            [vector(name, row, self.arm.n) for row in np.atleast_2d(value)]
+            for name, value in zip("qva", (q, v, a), strict=True)
+        ]
+        torques = [known.inverse_dynamics(*state) + self._dry_friction(state[1]) for state in zip(*states, strict=True)]
+        return np.reshape(torques, shape)
 
     def applied_to(self, arm: Arm) -> Arm:
         """The arm with the identified inertia, rotor inertia and friction, for a controller.
 
-        `inverse_dynamics` of the result contains the identified viscous friction. Its Coulomb friction is MuJoCo's
-        `frictionloss`, which `inverse_dynamics` leaves out by definition and controllers compensate. Breakaway friction and
-        torque offsets have no place in a MuJoCo model and are left out; `friction_torque` contains breakaway friction.
+        `inverse_dynamics` of the result contains the identified viscous friction, and leaves out Coulomb friction: that is
+        MuJoCo's `frictionloss` of the result, which controllers compensate. Use `torque` for the torque of a motion with all
+        friction. Breakaway friction and torque offsets have no place in a MuJoCo model and are left out; `torque` contains
+        breakaway friction.
 
         Args:
             arm: The arm that the recording is of.
@@ -244,8 +275,11 @@ class ArmEstimate:
         model.dof_armature[arm.dof_adr] = self.rotor_inertia
         if self.friction != "none":
             model.dof_damping[arm.dof_adr] = self.viscous_friction
-            model.dof_frictionloss[arm.dof_adr] = self.coulomb_friction
         mujoco.mj_setConst(model, mujoco.MjData(model))
+        if self.friction != "none":
+            set_dry_friction(
+                model, arm.joint_map, self.coulomb_friction, self.coulomb_friction / self.friction_speeds.smoothing
+            )
         return model
 
 

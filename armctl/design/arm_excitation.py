@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from armctl.collision.checkers import collision_checker
 from armctl.collision.clearance import clearance_of
-from armctl.core.errors import LimitError, PlanError
+from armctl.core.errors import ArmctlWarning, LimitError, PlanError
 from armctl.core.validation import Array
 from armctl.design.regressor import ArmRegressor, FrictionShape, pivoted_qr
 from armctl.motion import JointTrajectory, check_torque, move_through
 from armctl.robot.arm import Arm
 
+if TYPE_CHECKING:
+    from armctl.collision.checker import CollisionChecker
+
 _SECONDS_PER_CONFIGURATION = 0.75  # at first; then by the durations of the motions
 _MIN_CONFIGURATIONS = 3
 _TRIES = 200
 _CANDIDATES = 20  # safe motions, of which the best is taken
-_SIZES = (1.0, 0.8, 0.6, 0.4)  # of the range around home, in turn: wide sets touch something more often
-_MAX_DISTANCE = 1.5  # rad (m) from home
+_SIZES = (1.0, 0.8, 0.6, 0.4)  # of the range around the start, in turn: wide sets touch something more often
+_MAX_DISTANCE = 1.5  # rad (m) from the start
+_MAX_OTHER_STARTS = 5
 _LIMIT_MARGIN = 0.05  # of a joint's range
 _TORQUE_SHARE = 0.9  # of the limits; the controller needs the rest
 _CLEARANCE_M = 0.005  # for the error of the controller
@@ -58,19 +64,67 @@ class _Score(NamedTuple):
     condition: float
 
 
-def arm_excitation(arm: Arm, seconds: float, speed: float, seed: int) -> Excitation:
-    """The most informative of several safe motions through random configurations, from home to home."""
+def arm_excitation(arm: Arm, seconds: float, speed: float, seed: int, start: Array | None = None) -> Excitation:
+    """The most informative of several safe motions through random configurations, from `start` back to it.
+
+    Without `start` it begins at home, or else, with a warning, at the first of several other configurations with such a motion.
+    """
     score_of = _Scorer(arm)
     checker = collision_checker(arm)
     checker.require_provable()
+    if start is not None:
+        return _from(start, arm, checker, score_of, seconds, speed, seed)
+    home = arm.limits.clamp(arm.home)
+    try:
+        return _from(home, arm, checker, score_of, seconds, speed, seed)
+    except PlanError as error:
+        from_home = error
+    for other in _other_starts(arm, checker, np.random.default_rng(seed)):
+        try:
+            motion = _from(other, arm, checker, score_of, seconds, speed, seed)
+        except PlanError:
+            continue
+        at = ", ".join(f"{position:.3g}" for position in other)
+        warnings.warn(
+            f"{arm.name:.80}: the motion starts at q = [{at}], as none from home is safe; move there first",
+            ArmctlWarning,
+            stacklevel=3,
+        )
+        return motion
+    raise from_home
+
+
+def _other_starts(arm: Arm, checker: CollisionChecker, rng: np.random.Generator) -> Iterator[Array]:
+    """Configurations that are clear of everything, those close to home first."""
+    found = 0
+    for attempt in range(_TRIES):
+        q = _waypoints(arm, arm.limits.clamp(arm.home), 1, (attempt + 1) / _TRIES, rng)[1]
+        if not checker.at(q, _CLEARANCE_M):
+            found += 1
+            yield q
+        if found == _MAX_OTHER_STARTS:
+            return
+
+
+def _from(
+    start: Array, arm: Arm, checker: CollisionChecker, score_of: _Scorer, seconds: float, speed: float, seed: int
+) -> Excitation:
+    """The best motion from a configuration back to it.
+
+    Raises:
+        PlanError: None is safe.
+    """
     rng = np.random.default_rng(seed)
+    near = checker.at(start, _CLEARANCE_M)
+    if near:
+        raise PlanError(f"{arm.name:.80}: no motion from q = {np.round(start, 3)} is safe: {near:.200} within 5 mm")
     count = max(_MIN_CONFIGURATIONS, round(seconds / _SECONDS_PER_CONFIGURATION))
     best: Excitation | None = None
     least = np.inf
     found = 0
     reason = "every path that was tried touches something"
     for attempt in range(_TRIES):
-        waypoints = _waypoints(arm, count, _SIZES[attempt % len(_SIZES)], rng)
+        waypoints = _waypoints(arm, start, count, _SIZES[attempt % len(_SIZES)], rng)
         if checker.along(np.linspace(waypoints[:-1], waypoints[1:], _PATH_SAMPLES).reshape(-1, arm.n)):
             continue
         try:
@@ -102,7 +156,7 @@ def arm_excitation(arm: Arm, seconds: float, speed: float, seed: int) -> Excitat
         if found == _CANDIDATES:
             break
     if best is None:
-        raise PlanError(f"{arm.name:.80}: no motion from home excites all parameters safely: {reason:.200}")
+        raise PlanError(f"{arm.name:.80}: no motion from q = {np.round(start, 3)} excites all parameters safely: {reason:.200}")
     return best
 
 
@@ -123,15 +177,14 @@ def excitation_along(
     )
 
 
-def _waypoints(arm: Arm, count: int, size: float, rng: np.random.Generator) -> Array:
-    """Random configurations around home, which is the first and the last; (count + 2, n)."""
+def _waypoints(arm: Arm, start: Array, count: int, size: float, rng: np.random.Generator) -> Array:
+    """Random configurations around a start, which is the first and the last; (count + 2, n)."""
     limits = arm.limits
-    home = limits.clamp(arm.home)
-    low = np.clip(limits.q_min, home - _MAX_DISTANCE, home)
-    high = np.clip(limits.q_max, home, home + _MAX_DISTANCE)
+    low = np.clip(limits.q_min, start - _MAX_DISTANCE, start)
+    high = np.clip(limits.q_max, start, start + _MAX_DISTANCE)
     margin = _LIMIT_MARGIN * (high - low)
-    between = home + size * (rng.uniform(low + margin, high - margin, (count, arm.n)) - home)
-    return np.vstack([home, between, home])
+    between = start + size * (rng.uniform(low + margin, high - margin, (count, arm.n)) - start)
+    return np.vstack([start, between, start])
 
 
 class _Scorer:

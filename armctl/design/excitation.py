@@ -6,9 +6,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from armctl.collision.checkers import collision_checker
-from armctl.core.errors import LimitError, PlanError
+from armctl.core.errors import InputError, LimitError, PlanError
 from armctl.core.limits import check_speed
 from armctl.core.validation import Array, choice, instance, number
 from armctl.design.arm_excitation import Excitation, arm_excitation, excitation_along
@@ -47,7 +48,14 @@ class _Set(NamedTuple):
 
 
 def excitation(
-    arm: Arm, payload: float = 1.0, *, seconds: float = 5.0, for_: str = "payload", speed: float | None = None, seed: int = 0
+    arm: Arm,
+    payload: float = 1.0,
+    *,
+    seconds: float = 5.0,
+    for_: str = "payload",
+    speed: float | None = None,
+    seed: int = 0,
+    start: ArrayLike | None = None,
 ) -> Excitation:
     """A motion for identification: from home, so that every joint moves and is loaded differently, and back.
 
@@ -63,6 +71,8 @@ def excitation(
         speed: Fraction of the full speed, in (0, 1]; for the arm the largest that the motion may have. By default 0.6 for a
             payload and 0.9 for the arm.
         seed: Seed of the configurations.
+        start: (n,) rad, the first and last configuration of a motion for the arm. By default it is home. If no motion from
+            home is safe, armctl warns and takes another one, `motion(0.0).q`.
 
     Returns:
         The motion, at rest at both ends, with its condition number.
@@ -70,7 +80,8 @@ def excitation(
     Raises:
         InputError: It is not an arm, or another argument is out of its bounds.
         ModelError: For the arm: a joint follows another one, or no clearance can be proved in this scene.
-        PlanError: There is no such motion from home.
+        LimitError: The start is outside the limits.
+        PlanError: There is no such motion.
     """
     check_arm(arm)
     payload = number("payload", payload, 0.0, _MAX_PAYLOAD_KG)
@@ -79,8 +90,10 @@ def excitation(
     speed = check_speed(_SPEEDS[for_] if speed is None else speed)
     instance("seed", seed, (int, np.integer), "give an integer")
     number("seed", seed, 0)
+    if start is not None and for_ != "arm":
+        raise InputError("start: a motion for a payload starts at home; leave it out, or use for_='arm'")
     if for_ == "arm":
-        return arm_excitation(arm, seconds, speed, int(seed))
+        return arm_excitation(arm, seconds, speed, int(seed), None if start is None else arm.checked("start", start))
     motion = _payload_excitation(arm, payload, speed, int(seed))
     return excitation_along(motion, excites="payload", condition_number=_condition_number(arm, motion))
 

@@ -78,6 +78,7 @@ def edited_spec(arm: Arm, model: mujoco.MjModel, given: str | os.PathLike[str] |
         joint.armature = float(model.dof_armature[dof])
         joint.damping = np.concatenate([[model.dof_damping[dof]], np.ravel(joint.damping)[1:]])
         joint.frictionloss = float(model.dof_frictionloss[dof])
+        joint.solimp_friction = model.dof_solimp[dof]
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
     return spec
 

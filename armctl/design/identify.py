@@ -165,7 +165,12 @@ def _judged(fit: ParameterFit, friction: str) -> ArmEstimate:
 def _base_parameters(fit: ParameterFit) -> _Base:
     """Base parameters by QR with pivoting of the regressor of random states, its columns in units of the prior."""
     regressor = fit.regressor
-    rows = regressor.rows(*regressor.random_states(), fit.shape) / _typical_torque(fit)[:, None]
+    states = regressor.random_states()
+    rows = regressor.rows(*states, fit.shape)
+    if regressor.layout.has_friction:
+        joints = np.arange(regressor.layout.n)
+        rows[:, joints, regressor.layout.coulomb.start + joints] = fit.friction_effect(states[1])
+    rows /= _typical_torque(fit)[:, None]
     W = rows.reshape(-1, regressor.layout.size) * regressor.prior
     R, order, count = pivoted_qr(W)
     dependent = np.linalg.solve(R[:count, :count], R[:count, count:])
@@ -264,10 +269,10 @@ def _reason(fit: ParameterFit, unexcited: tuple[str, ...], condition: float, val
     if still.any():
         names = tuple(name for name, is_still in zip(arm.joint_names, still, strict=True) if is_still)
         return f"these joints do not move: {counted(names)}; follow armctl.excitation(arm, for_='arm')"
-    if unexcited:
-        return f"the motion does not excite {counted(unexcited)}; follow armctl.excitation(arm, for_='arm')"
     if condition > _MAX_CONDITION:
         return f"the condition number is {condition:.3g}, above {_MAX_CONDITION:g}; record a richer motion"
+    if unexcited:
+        return f"the motion does not excite {counted(unexcited)}; follow armctl.excitation(arm, for_='arm')"
     return f"validation failed: {validation.reason}" if not validation else ""
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -18,14 +17,13 @@ from armctl.design.loop import MAX_DELAY_TICKS, Loop
 from armctl.design.state_space import StateSpace, linear_controller
 from armctl.mjmodel.dc_motor import current_state, remove_bristles
 from armctl.robot.arm import Arm, check_arm
-from armctl.sim.drivetrain import drivetrain_of
+from armctl.sim.drivetrain import drivetrain_of, motors_of
 from armctl.sim.move import read_controller
 from armctl.sim.plant import Plant, read_plant
 
 _POSITION_STEP = 1e-6  # rad (m), and rad/s (m/s), of the central differences of the plant
 _TORQUE_STEP = 1e-4  # of the torque limits
 _WHOLE_TICK_TOLERANCE = 1e-6
-_WINDING_STEPS = 2000  # until the current of a motor that holds still is constant
 _SWITCHED_OFF = (
     mujoco.mjtDisableBit.mjDSBL_CONTACT,
     mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS,
@@ -132,10 +130,10 @@ class Linearizer:
         self._train = drivetrain_of([arm], plant)
         self._spring_qpos = model.jnt_qposadr[self._train.extra_joints]
         self._spring_dofs = model.jnt_dofadr[self._train.extra_joints]
-        self._motors = np.repeat(np.arange(model.nactuator), model.actuator_ctrlnum)[arm.ctrl_adr]
-        currents = [current_state(model, actuator) for actuator in self._motors.tolist()]
+        motors = motors_of(model, arm.actuation)
+        currents = [current_state(model, motor) for motor in motors]
         self._states = np.array([address for address in currents if address >= 0], dtype=int)
-        longest = float(model.actuator_delay[self._motors].max())
+        longest = float(model.actuator_delay[motors].max())
         self._past_torques = math.ceil(longest / self.dt - _WHOLE_TICK_TOLERANCE)
 
     def arm_at(self, q: Array) -> LinearArm:
@@ -193,24 +191,8 @@ class Linearizer:
 
     def _rest_at(self, q: Array) -> Array:
         """Puts the arm to rest at q, and returns the torque that holds it there, (n,)."""
-        data = self._data
         self._place(q)
-        self._train.settle(self._model, data)
-        mujoco.mj_forward(self._model, data)
-        missing = data.qfrc_bias - data.qfrc_passive
-        holding = self.arm.joint_map.reduced(missing)
-        if self._train.rotors:
-            holding[self._train.owners] = missing[self._spring_dofs]
-        qpos = data.qpos.copy()
-        data.ctrl[self.arm.ctrl_adr] = holding / self.arm.gear
-        self._set_history(holding, [np.zeros(self.arm.n)] * self._past_torques)
-        for _ in range(_WINDING_STEPS if len(self._states) else 0):
-            data.qpos[:] = qpos
-            data.qvel[:] = 0.0
-            mujoco.mj_step(self._model, data)
-        data.qpos[:] = qpos
-        data.qvel[:] = 0.0
-        return holding
+        return self._train.settle(self._model, self._data)
 
     def _after_tick(self, x: Array, holding: Array, torques: Array) -> Array:
         """The state a control period later.
@@ -223,7 +205,8 @@ class Linearizer:
         data = self._data
         n = arm.n
         k = len(self._spring_dofs)
-        on_links, *commands = torques.reshape(-1, n)
+        on_links, *added = torques.reshape(-1, n)
+        commands = holding + np.vstack([*added, np.zeros(n)])
         self._place(x[:n])
         arm.joint_map.set_speeds(data.qvel, x[n : 2 * n])
         data.qpos[self._spring_qpos] = x[2 * n : 2 * n + k]
@@ -232,8 +215,8 @@ class Linearizer:
         data.qfrc_applied[arm.dof_adr] = on_links
         if self._train.springs:
             data.qfrc_applied[self._spring_dofs] = on_links[self._train.owners]
-        data.ctrl[arm.ctrl_adr] = (holding + commands[0]) / arm.gear
-        self._set_history(holding, commands[1:])
+        data.ctrl[arm.ctrl_adr] = commands[0] / arm.gear
+        self._train.set_commands(self._model, data, commands[1:], self._substeps)
         mujoco.mj_step(self._model, data, self._substeps)
         return self._state()
 
@@ -266,19 +249,6 @@ class Linearizer:
             motors[owners, extra] = 1.0
             motors[n + owners, extra + len(extra)] = 1.0
         return links, motors
-
-    def _set_history(self, holding: Array, past: Sequence[Array]) -> None:
-        """Gives delayed actuators the commands of the ticks before, the last one first."""
-        model = self._model
-        for i, actuator in enumerate(self._motors.tolist()):
-            if not model.actuator_delay[actuator] > 0.0:
-                continue
-            count = int(model.actuator_history[actuator, 0])
-            ages = np.arange(count, 0, -1)
-            ticks = (ages - 1) // self._substeps
-            values = np.array([past[t][i] if t < len(past) else 0.0 for t in ticks.tolist()])
-            values = (holding[i] + values) / self.arm.gear[i]
-            mujoco.mj_initCtrlHistory(model, self._data, actuator, self._data.time - ages * model.opt.timestep, values)
 
 
 def _sensed(arm: LinearArm, plant: Plant) -> tuple[StateSpace, int]:

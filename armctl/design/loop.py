@@ -120,6 +120,18 @@ class Loop:
         """The margins without the gain margin, which takes longest to compute and is infinite here."""
         return robustness(self.system, self.dt)
 
+    def modes(self) -> Array:
+        """The vibrations of the closed loop.
+
+        Returns:
+            (k, 2) frequency, rad/s, with its damping, and damping ratio of each; the least damped one first.
+        """
+        poles = np.linalg.eigvals(self.A - self.B @ self.C)
+        poles = poles[poles.imag > 0.0]
+        rates = np.log(poles) / self.dt
+        modes = np.column_stack([rates.imag, -rates.real / np.abs(rates)])
+        return modes[modes[:, 1].argsort()]
+
     def delayed(self, ticks: int) -> Loop:
         """The same loop with another delay.
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from armctl.core.log import RECORDED, Log
 from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.design.pseudo_inertia import PARAMETERS, from_log_cholesky, is_consistent, regularized, to_log_cholesky
 from armctl.design.regressor import ArmRegressor, FrictionShape
+from armctl.robot.dynamics import Dynamics
 from armctl.robot.passive_forces import DryFriction
 
 _REGRESSOR_SAMPLES_PER_PERIOD = 8  # of the cut-off: products of positions and velocities have higher frequencies
@@ -22,7 +24,12 @@ _MAX_DELAY_S = 0.05
 _ROUNDS = 3  # delay, shape of the friction and noise depend on each other
 _SHAPE_SPEEDS = np.geomspace(0.003, 1.0, 11)  # rad/s, candidates for the smoothing of Coulomb friction
 _VELOCITY_NOISE = 2e-3  # rad/s (m/s), RMS in the velocity that dry friction follows
-_LAW_FACTORS = np.geomspace(0.5, 2.0, 5)  # around MuJoCo's smoothing: the inertia that it depends on may be wrong
+_LAW_ERROR = 0.2  # standard deviation of the logarithm of the slope in MuJoCo's law: it follows from the joint's inertia
+_SHAPE_ERROR = 1.0  # the same of an arm whose law is not known
+_LAW_SLOPES = (0.8, 1.0, 1.25)  # relative to the model: first candidates
+_LAW_FRICTIONS = np.concatenate([np.geomspace(1e-3, 0.1, 7), np.linspace(0.2, 1.0, 9)])  # of the largest torque of the damper
+_MIN_FRICTION_SHARE = 1e-6  # of the typical torque: a lower bound in MuJoCo's law
+_LAW_STEPS = np.geomspace(1.5, 1.005, 12)  # factors of a search for slope and bound
 _BISECTIONS = 5  # of the interval between two candidates
 _SLIDING_SPEEDS = np.concatenate([[0.0], np.geomspace(0.01, 1.0, 9)])  # rad/s, candidates for the least speed of a row
 _MIN_SLIDING_SHARE = 0.25  # of the rows
@@ -39,6 +46,7 @@ _LOG_SIZE_PRIOR = 1.0
 _MAX_CORRELATED_ROWS = 30
 _SIGNIFICANT_ERRORS = 4.0  # standard errors; the choice of a shape makes more of noise than one fit does
 _CONTINUOUS = "continuous"  # in the description of a plant whose motion is finer than the tick
+_MAX_DROPPED_ERROR = 0.5  # of the prior's standard deviation: what the data do not show at all absorbs no noise
 _DROPPED_PRIOR = 1e-4  # factor on the standard deviation of the prior
 
 
@@ -52,6 +60,8 @@ class Rows:
         tau: (K, n) N m, measured.
         model: (K, n) N m, by the model.
         W: (K, n, p), the regressor.
+        start: (K, n) N m, by the arm's own model, dry friction included.
+        by_shape: (K, n) N m, the derivative of the torques by the logarithm of the slope of dry friction.
         used: (K, n), 1 for a torque that the fit uses, 0 close to a reversal of a joint, where dry friction is uncertain.
     """
 
@@ -60,6 +70,8 @@ class Rows:
     tau: Array
     model: Array
     W: Array
+    start: Array
+    by_shape: Array
     used: Array
 
     def __len__(self) -> int:
@@ -67,7 +79,7 @@ class Rows:
 
     def part(self, rows: slice) -> Rows:
         """Some of the rows."""
-        return Rows(self.t[rows], self.v[rows], self.tau[rows], self.model[rows], self.W[rows], self.used[rows])
+        return Rows(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
 
 class _Speeds(NamedTuple):
@@ -86,6 +98,7 @@ class ParameterFit:
         noise: (n,) N m, RMS of the residuals of the fit.
         torque_noise: (n,) N m, RMS of the white noise in the filtered torques.
         inflation: (n,) factors by which correlated residuals increase the variance of an estimate.
+        prior: (p,) standard deviations before any data; those of parameters that are not kept are small.
         kept: (p,) False for dry friction and offsets that stay at the model's values.
         delay: s, by which torques were recorded later than positions.
         cutoff: Hz.
@@ -112,19 +125,24 @@ class ParameterFit:
         self.shape = FrictionShape(np.full(n, _SHAPE_SPEEDS[4]), np.full(n, _STRIBECK_SPEEDS[3]))
         self._sliding = np.zeros(n)
         is_simulated = log.controller != RECORDED and _CONTINUOUS not in log.plant
-        self._law = DryFriction.of(regressor.arm.model, regressor.arm.joint_map) if is_simulated else None
-        speeds = _speeds_of_torques(self._law, log, v, a)
+        is_law_known = is_simulated and regressor.layout.has_friction
+        self._law = DryFriction.of(regressor.arm.model, regressor.arm.joint_map) if is_law_known else None
+        self._slope = np.zeros(n) if self._law is None else self._law.slope  # N m s/rad
+        self._bound = np.zeros(n)  # N m, of the damper with this slope
+        self._scale = regressor.torque_scale()
+        self._follow_law(regressor.start[regressor.layout.coulomb])
+        speeds = _speeds_of_torques(self._law, regressor.dynamics, log, q, v, a)
         start = speeds.start[:: self._stride]
         self._v_end = speeds.end[:: self._stride]
         self._v_dry = speeds.dry
+        self.x = regressor.start.copy()
         self._raw = regressor.rows(self._q, start, self._a, self.shape)
         self._set_friction()
         self._model = regressor.model_torques(self._q, start, self._a)
         self._model += regressor.dynamics.damping * (self._v_end - start)
         self.delay = 0.0
-        self.x = regressor.start.copy()
+        self.prior = regressor.prior.copy()
         self.kept = np.ones(regressor.layout.size, bool)
-        self._scale = regressor.torque_scale()
         self.noise = 0.02 * self._scale
         self.inflation = np.ones(n)
         for _ in range(_ROUNDS):
@@ -144,12 +162,45 @@ class ParameterFit:
         self.x = self._solution(self.training)
         self._set_noise()
         self.inflation = self._inflation()
+        self._follow_law(self.x[self.regressor.layout.coulomb])
+
+    def _follow_law(self, coulomb: Array) -> None:
+        """Takes the speeds of dry friction from MuJoCo's law, if it is known, for a Coulomb friction."""
+        if self._law is not None:
+            self._bound = np.maximum(coulomb, _MIN_FRICTION_SHARE * self._scale)
+            self.shape = self.shape._replace(smoothing=self._bound / self._slope)
 
     def _set_friction(self) -> None:
-        """Writes friction into the regressor, dry friction through the filter that the positions have passed."""
-        dry = self.regressor.dry_friction(self._v_dry, self.shape)
-        columns = low_pass(dry.reshape(len(dry), -1), self.cutoff, self._dt).reshape(dry.shape)
-        self.regressor.set_friction(self._raw, self._v_end, columns[:: self._stride])
+        """Writes friction into the regressor, dry friction through the filter that the positions have passed.
+
+        By MuJoCo's law, dry friction is clip(slope v, +-bound). Its derivative by the bound is the sign where v is fast enough,
+        and 0 below: slower motions do not show the bound. The rest of the friction does not depend on it.
+        """
+        v = self._v_dry
+        dry = self.regressor.dry_friction(v, self.shape)
+        is_damper = np.abs(v) < self.shape.smoothing
+        self._by_shape = np.zeros_like(v)
+        self._rest = np.zeros_like(v)
+        if self._law is not None:
+            self._by_shape = self._slope * v * is_damper
+            self._rest = self._by_shape
+            dry[:, :, 0] *= ~is_damper
+        elif self.regressor.layout.has_friction:
+            self._by_shape = -dry[:, :, 0] * self.x[self.regressor.layout.coulomb] * is_damper
+        columns = self._filtered(dry.reshape(len(dry), -1)).reshape(-1, *dry.shape[1:])
+        self.regressor.set_friction(self._raw, self._v_end, columns)
+
+    def _filtered(self, columns: Array) -> Array:
+        """Columns (T, k) that depend on velocities through the filter that the positions have passed."""
+        return low_pass(columns, self.cutoff, self._dt)[:: self._stride]
+
+    def friction_effect(self, v: Array) -> Array:
+        """(T, n): the change of dry friction if Coulomb friction is larger by its prior's deviation, relative to that."""
+        if self._law is None:
+            return self.regressor.dry_friction(v, self.shape)[:, :, 0]
+        more = self._bound + self.regressor.prior[self.regressor.layout.coulomb]
+        torque = self._slope * v
+        return (np.clip(torque, -more, more) - np.clip(torque, -self._bound, self._bound)) / (more - self._bound)
 
     @property
     def training(self) -> Rows:
@@ -168,16 +219,25 @@ class ParameterFit:
 
     def start_predicted(self, rows: Rows) -> Array:
         """(K, n) N m, by the arm's own model, dry friction included."""
-        return rows.model + rows.W @ (self.regressor.start - self.regressor.model_values)
+        return rows.start
 
     def weighted(self, rows: Rows) -> Array:
         """(K n, p): the regressor in units of the noise of independent rows, for each standard deviation of the prior."""
-        return (rows.W * self._weights(rows)[:, :, None]).reshape(-1, rows.W.shape[2]) * self.regressor.prior
+        return (rows.W * self._weights(rows)[:, :, None]).reshape(-1, rows.W.shape[2]) * self.prior
 
     def covariance(self) -> Array:
-        """(p, p), in units of the prior's standard deviations."""
-        W = self.weighted(self.training)
-        return np.asarray(np.linalg.inv(W.T @ W + np.eye(W.shape[1])), dtype=np.float64)
+        """(p, p), in units of the standard deviations of the regressor's prior, of parameters that are not kept, too.
+
+        It takes into account that the speed is uncertain at which dry friction reaches its full value.
+        """
+        rows = self.training
+        K, n, p = rows.W.shape
+        weights = self._weights(rows)
+        shape_error = _SHAPE_ERROR if self._law is None else _LAW_ERROR
+        by_shape = np.zeros((K, n, n))
+        by_shape[:, np.arange(n), np.arange(n)] = shape_error * weights * rows.by_shape
+        W = np.concatenate([rows.W * weights[:, :, None] * self.regressor.prior, by_shape], axis=2).reshape(K * n, p + n)
+        return np.asarray(np.linalg.inv(W.T @ W + np.eye(p + n))[:p, :p], dtype=np.float64)
 
     def _weights(self, rows: Rows) -> Array:
         return rows.used / (self.noise * np.sqrt(self.inflation))
@@ -189,8 +249,9 @@ class ParameterFit:
         errors = regressor.prior * np.sqrt(np.diag(self.covariance()))
         for part in (layout.coulomb, layout.stribeck, layout.offset):
             small = np.abs(self.x[part] - regressor.start[part]) < _SIGNIFICANT_ERRORS * errors[part]
+            small &= errors[part] < _MAX_DROPPED_ERROR * regressor.prior[part]
             self.kept[part] = ~small
-            regressor.prior[part] = np.where(small, _DROPPED_PRIOR * regressor.prior[part], regressor.prior[part])
+            self.prior[part] = np.where(small, _DROPPED_PRIOR * regressor.prior[part], regressor.prior[part])
 
     def _count_used(self) -> int:
         return round((1 - self._holdout) * len(self.rows))
@@ -213,14 +274,33 @@ class ParameterFit:
         times = self._t[:: self._stride][:K]
         delayed = low_pass(self._tau, self.cutoff, self._dt)
         tau = np.column_stack([np.interp(times + self.delay, self._t, column) for column in delayed.T])
-        together = np.concatenate([self._raw.reshape(K, n * p), self._model, self._v], axis=1)
+        start, by_shape, rest = (self._filtered(column) for column in (self._start_friction(), self._by_shape, self._rest))
+        together = np.concatenate([self._raw.reshape(K, n * p), self._model, self._v, start, by_shape, rest], axis=1)
         filtered = low_pass(together, self.cutoff, dt)
         trimmed = int(_TRIMMED_PERIODS / self.cutoff / dt) + 1
         rows = slice(trimmed, K - trimmed, max(1, round(_REGRESSOR_SAMPLES_PER_PERIOD / _ROWS_PER_PERIOD)))
         W = filtered[:, : n * p].reshape(K, n, p)
-        model = filtered[:, n * p : n * p + n]
+        model, v, start, by_shape, rest = np.split(filtered[:, n * p :], 5, axis=1)
         used = np.column_stack([self._slides(j, speed) for j, speed in enumerate(self._sliding)])
-        return Rows(times[rows], filtered[rows, n * p + n :], tau[rows], model[rows], W[rows], used[rows].astype(np.float64))
+        return Rows(
+            t=times[rows],
+            v=v[rows],
+            tau=tau[rows],
+            model=(model + rest)[rows],
+            W=W[rows],
+            start=(model + start)[rows],
+            by_shape=by_shape[rows],
+            used=used[rows].astype(np.float64),
+        )
+
+    def _start_friction(self) -> Array:
+        """(T, n) N m, dry friction by the arm's own model."""
+        if not self.regressor.layout.has_friction:
+            return np.zeros_like(self._v_dry)
+        friction = self.regressor.start[self.regressor.layout.coulomb]
+        if self._law is not None:
+            return np.clip(self._law.slope * self._v_dry, -friction, friction)
+        return friction * self.regressor.dry_friction(self._v_dry, self.shape)[:, :, 0]
 
     def _slides(self, j: int, speed: float) -> BoolArray:
         """(T,) whether a joint is faster than a speed, and stays so for as long as the filter looks."""
@@ -259,14 +339,70 @@ class ParameterFit:
         without = self.x - self.regressor.model_values
         for part in (layout.viscous, layout.coulomb, layout.stribeck, layout.offset):
             without[part] = 0.0
-        rest = rows.tau - rows.model - rows.W @ without
         kept = self._kept_samples()
+        rest = rows.tau - rows.model - rows.W @ without
+        if self._law is not None:
+            self._improve_law(rest + low_pass(self._filtered(self._rest), self.cutoff, self._dt * self._stride)[kept], kept)
+        else:
+            self._improve_speeds(rest, kept)
+        columns = self._dry_columns(self._v_dry, self.shape)[kept]
+        for j in range(layout.n):
+            A = np.column_stack([columns[:, j, 0], rows.v[:, j], np.ones(len(rows))])
+            self._sliding[j] = self._sliding_speed(A, rest[:, j], [self._slides(j, s)[kept] for s in _SLIDING_SPEEDS])
+        self._set_friction()
+        self.rows = self._filtered_rows()
+
+    def _improve_law(self, torques: Array, kept: IntArray) -> None:
+        """Slope and bound of MuJoCo's law from the torques of friction, for each joint."""
+        assert self._law is not None
+        layout = self.regressor.layout
+        by_model = self._law.slope
+        bound_by_model = self.regressor.start[layout.coulomb]
+        damping_by_model = self.regressor.start[layout.viscous]
+        # Below the bound, dry friction and damping are hardly distinguished. A model that has both is right about their order.
+        bound_error = np.where(bound_by_model > 0, bound_by_model, self.regressor.prior[layout.coulomb])
+        damping_error = np.where(damping_by_model > 0, damping_by_model, self.regressor.prior[layout.viscous])
+        least = _MIN_FRICTION_SHARE * self._scale
+        v = self.training.v
+        weights = self.noise * np.sqrt(self.inflation)
+        joints = range(layout.n)
+
+        def costs(slope: Array, bound: Array) -> Array:
+            damper = self._filtered(np.clip(slope * self._v_dry, -bound, bound))
+            left = (torques - low_pass(damper, self.cutoff, self._dt * self._stride)[kept]) / weights
+            prior = (np.log(slope / by_model) / _LAW_ERROR) ** 2 + ((bound - bound_by_model) / bound_error) ** 2
+            return prior + np.array([_cost_of_damping(v[:, j] / weights[j], damping_error[j], left[:, j]) for j in joints])
+
+        def improved(best: tuple[Array, Array, Array], slope: Array, bound: Array) -> tuple[Array, Array, Array]:
+            cost = costs(slope, bound)
+            is_better = cost < best[2]
+            return tuple(np.where(is_better, new, old) for new, old in zip((slope, bound, cost), best, strict=True))
+
+        start = np.maximum(bound_by_model, least)
+        by_start = costs(by_model, start)
+        best = improved((by_model, start, by_start), self._slope, np.maximum(self._bound, least))
+        largest = np.abs(self._v_dry).max(axis=0)
+        for factor, share in itertools.product(_LAW_SLOPES, _LAW_FRICTIONS):
+            slope = factor * by_model
+            best = improved(best, slope, np.maximum(share * slope * largest, least))
+        for step in _LAW_STEPS:
+            for on_slope, on_bound in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+                best = improved(best, best[0] * step**on_slope, np.maximum(best[1] * step**on_bound, least))
+        is_certain = best[2] < by_start - _SIGNIFICANT_ERRORS**2
+        self._slope = np.where(is_certain, best[0], by_model)
+        self._bound = np.where(is_certain, best[1], start)
+        self.shape = self.shape._replace(smoothing=self._bound / self._slope)
+
+    def _improve_speeds(self, rest: Array, kept: IntArray) -> None:
+        """The speeds of the friction of an arm whose law is not known."""
+        rows = self.training
+        layout = self.regressor.layout
 
         def costs(shape: FrictionShape) -> Array:
             columns = self._dry_columns(self._v_dry, shape)[kept]
             return np.array([_cost(columns[:, j], rows.v[:, j], rest[:, j]) for j in range(layout.n)])
 
-        candidates = self._smoothing_candidates()
+        candidates = np.repeat(_SHAPE_SPEEDS[:, None], layout.n, axis=1)
         step = np.log(candidates[1] / candidates[0])
         smoothing = _best_of(candidates, lambda s: costs(self.shape._replace(smoothing=s)))
         self.shape = self.shape._replace(smoothing=smoothing)
@@ -279,12 +415,6 @@ class ParameterFit:
             candidates = smoothing * np.exp([-step, np.zeros(layout.n), step])
             smoothing = _best_of(candidates, lambda s: costs(self.shape._replace(smoothing=s)))
         self.shape = self.shape._replace(smoothing=smoothing)
-        columns = self._dry_columns(self._v_dry, self.shape)[kept]
-        for j in range(layout.n):
-            A = np.column_stack([columns[:, j, 0], rows.v[:, j], np.ones(len(rows))])
-            self._sliding[j] = self._sliding_speed(A, rest[:, j], [self._slides(j, s)[kept] for s in _SLIDING_SPEEDS])
-        self._set_friction()
-        self.rows = self._filtered_rows()
 
     def _kept_samples(self) -> IntArray:
         """The samples of the velocities that belong to the rows of the fit."""
@@ -297,13 +427,6 @@ class ParameterFit:
         dry = self.regressor.dry_friction(speeds, shape)
         once = low_pass(dry.reshape(len(dry), -1), self.cutoff, self._dt)[:: self._stride]
         return low_pass(once, self.cutoff, self._dt * self._stride).reshape(-1, *dry.shape[1:])
-
-    def _smoothing_candidates(self) -> Array:
-        """(k, n) rad/s: for a simulation around that of MuJoCo's law, which is proportional to the friction so far."""
-        if self._law is None:
-            return np.repeat(_SHAPE_SPEEDS[:, None], self.regressor.layout.n, axis=1)
-        by_law = self.x[self.regressor.layout.coulomb] / (self._law.gain * self._law.rate)
-        return _LAW_FACTORS[:, None] * np.maximum(by_law, _SHAPE_SPEEDS[0])
 
     def _sliding_speed(self, A: Array, torques: Array, slides: list[BoolArray]) -> float:
         """The least speed of the rows with which Coulomb friction has the smallest standard error.
@@ -324,13 +447,14 @@ class ParameterFit:
 
     def _targets(self, rows: Rows) -> Array:
         """(K n,) what the start leaves of the torques, in units of the noise."""
-        return (self._weights(rows) * (rows.tau - self.start_predicted(rows))).ravel()
+        predicted = rows.model + rows.W @ (self.regressor.start - self.regressor.model_values)
+        return (self._weights(rows) * (rows.tau - predicted)).ravel()
 
     def _linear_solution(self, rows: Rows) -> Array:
         """Least squares with the prior, without bounds."""
         W = self.weighted(rows)
         dx = np.linalg.solve(W.T @ W + np.eye(W.shape[1]), W.T @ self._targets(rows))
-        return self.regressor.start + self.regressor.prior * dx
+        return self.regressor.start + self.prior * dx
 
     def _solution(self, rows: Rows) -> Array:
         """Least squares with the prior; friction and rotor inertias at least 0; physically consistent links on request."""
@@ -347,7 +471,7 @@ class ParameterFit:
         if all_consistent and (linear[positive] >= 0).all():
             return linear
         start = self.regressor.start
-        prior = self.regressor.prior
+        prior = self.prior
         R: Any = np.linalg.qr(np.column_stack([self.weighted(rows), self._targets(rows)]), mode="r")
         A = R[:, :-1]
         b = R[:, -1]
@@ -401,7 +525,7 @@ class ParameterFit:
         return out
 
 
-def _speeds_of_torques(law: DryFriction | None, log: Log, v: Array, a: Array) -> _Speeds:
+def _speeds_of_torques(law: DryFriction | None, dynamics: Dynamics, log: Log, q: Array, v: Array, a: Array) -> _Speeds:
     """The speeds at which each kind of torque acts, from filtered velocities and accelerations.
 
     MuJoCo's step takes Coriolis torques at the velocity of the step before, damping at the end of the step, and dry friction at
@@ -413,7 +537,9 @@ def _speeds_of_torques(law: DryFriction | None, log: Log, v: Array, a: Array) ->
     if law is None:
         return _Speeds(v, v, dry)
     half_step = 0.5 * log.dt * a
-    return _Speeds(v - half_step, v + half_step, dry - half_step + a / law.rate)
+    start = v - half_step
+    explicit = np.array([dynamics.explicit_acceleration(*row, log.dt) for row in zip(q, start, a, strict=True)])
+    return _Speeds(start, v + half_step, dry - half_step + explicit / law.rate)
 
 
 def _best_of(candidates: Array, costs: Callable[[Array], Array]) -> Array:
@@ -426,3 +552,11 @@ def _cost(friction: Array, v: Array, torques: Array) -> float:
     """The squared residual of torques that columns of dry friction, viscous friction and an offset explain."""
     A = np.column_stack([friction, v, np.ones(len(v))])
     return float(((torques - A @ np.linalg.lstsq(A, torques)[0]) ** 2).sum())
+
+
+def _cost_of_damping(v: Array, error: float, torques: Array) -> float:
+    """The squared residual of torques that damping, with a standard deviation before any data, and an offset explain."""
+    v = v - v.mean()
+    torques = torques - torques.mean()
+    damping = float(v @ torques) / (float(v @ v) + error**-2)
+    return float(torques @ torques) - damping * float(v @ torques)

@@ -28,7 +28,7 @@ ATTRIBUTES = {
         "tausmooth"
     ),
 }
-_MENDED_SOLVER = "4.0.0"  # the version whose Newton solver has a wrong Hessian for sparse Jacobians
+_WRONG_SOLVER = "4.0.0"  # the version whose Newton solver has a wrong Hessian for sparse Jacobians
 _MIN_SPARSE_DOFS = 60  # from which `jacobian="auto"` means sparse
 _MAX_INCLUDED_FILES = 100
 _JOINT_SENSORS = (
@@ -94,18 +94,24 @@ def actuator_notes(
     return warned, quiet
 
 
-def solver_notes(model: mujoco.MjModel) -> list[str]:
-    """One sentence if this version of MuJoCo solves the constraints of the model wrongly; or none."""
+def mend_solver(model: mujoco.MjModel, option: mujoco.MjOption) -> list[str]:
+    """Makes the Jacobians dense, in place, if this version of MuJoCo solves constraints wrongly with sparse ones.
+
+    Args:
+        model: The model, from which "auto" follows.
+        option: The options to change, of the model or of its specification.
+
+    Returns:
+        One sentence if it was so, or none.
+    """
     is_sparse = model.opt.jacobian == mujoco.mjtJacobian.mjJAC_SPARSE or (
         model.opt.jacobian == mujoco.mjtJacobian.mjJAC_AUTO and model.nv >= _MIN_SPARSE_DOFS
     )
     uses_newton = model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
-    if mujoco.__version__ != _MENDED_SOLVER or not (is_sparse and uses_newton):
+    if mujoco.__version__ != _WRONG_SOLVER or not (is_sparse and uses_newton):
         return []
-    return [
-        "MuJoCo 4.0.0 computes wrong accelerations with sparse Jacobians and the Newton solver; "
-        'write <option jacobian="dense"/>, or install mujoco 4.0.1 or later'
-    ]
+    option.jacobian = int(mujoco.mjtJacobian.mjJAC_DENSE)
+    return ["MuJoCo 4.0.0 computes wrong accelerations with sparse Jacobians, so they are dense; 4.0.1 takes less time"]
 
 
 def _sensor_notes(model: mujoco.MjModel, joints: Iterable[int], actuators: Iterable[int]) -> Iterator[str]:

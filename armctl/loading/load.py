@@ -19,7 +19,6 @@ import mujoco
 from armctl.core.errors import ArmctlWarning, InputError, ModelError
 from armctl.core.pose import Pose
 from armctl.core.validation import flag, instance, shown
-from armctl.loading.actuators import solver_notes
 from armctl.loading.build import make_arms
 from armctl.loading.catalog import Source, locate
 from armctl.loading.chain import SerialChain, all_chains
@@ -76,24 +75,26 @@ class _Recipe:
     """The arguments of `load` or `load_arms`, from which its model is made.
 
     Attributes:
-        robot: As for `load`; None in a process that got the arm of a specification, which does not go along.
+        robot: As for `load`.
         ends: Where each arm begins and ends.
         hold_base: As for `load`.
         tool: As for `load`.
         scene: As for `load`.
         srdf: As for `load`.
+        is_complete: False in another process for the arm of a specification, which does not go along.
     """
 
-    robot: str | os.PathLike[str] | mujoco.MjSpec | None
+    robot: str | os.PathLike[str] | mujoco.MjSpec
     ends: tuple[ArmEnds, ...]
     hold_base: bool
     tool: str | os.PathLike[str] | mujoco.MjSpec | None
     scene: Scene | str | os.PathLike[str] | None
     srdf: str | os.PathLike[str] | None
+    is_complete: bool = True
 
     def __getstate__(self) -> dict[str, Any]:
         is_text = not isinstance(self.robot, mujoco.MjSpec) and not isinstance(self.tool, mujoco.MjSpec)
-        return self.__dict__ if is_text else self.__dict__ | {"robot": None, "tool": None}
+        return self.__dict__ if is_text else self.__dict__ | {"robot": "", "tool": None, "is_complete": False}
 
     def model(self, edit: Callable[[mujoco.MjSpec], None]) -> mujoco.MjModel:
         """The model of the arms, made once more after an edit of the specification.
@@ -105,7 +106,7 @@ class _Recipe:
 
     def prepared(self, edit: Callable[[mujoco.MjSpec], None] | None = None) -> tuple[str, PreparedModel, list[str]]:
         """The name of the robot, its model with torque motors, and what is doubtful, one sentence each."""
-        if self.robot is None:
+        if not self.is_complete:
             raise ModelError("an arm of an MjSpec gets no further elements in another process; load it from a file")
         source = locate(self.robot)
         robot = _read(source, self.hold_base, self.srdf)
@@ -273,7 +274,7 @@ def _load_compiled(model: mujoco.MjModel, ends: Sequence[ArmEnds]) -> tuple[Arm,
 
 def _model_notes(model: mujoco.MjModel) -> list[str]:
     """What is doubtful in the whole model, one sentence each."""
-    return [*solver_notes(model), *drag_notes(model), *reversed_range_notes(model)]
+    return [*drag_notes(model), *reversed_range_notes(model)]
 
 
 def _arms(name: str, prepared: PreparedModel, notes: Sequence[str], recipe: _Recipe | None) -> tuple[Arm, ...]:

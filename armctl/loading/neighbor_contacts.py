@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Collection
 
 import mujoco
+import numpy as np
 
 from armctl.loading.home import home_qpos
-from armctl.mjmodel.queries import Joints, last_joint_above
+from armctl.mjmodel.queries import Joints, is_below, last_joint_above
+
+_RANDOM_CONFIGURATIONS = 20
 
 
 def overlapping_neighbors(model: mujoco.MjModel, joints: Joints) -> list[tuple[str, str]]:
@@ -20,9 +23,41 @@ def overlapping_neighbors(model: mujoco.MjModel, joints: Joints) -> list[tuple[s
     pairs = []
     for first, second in touching:
         names = (model.body(first).name, model.body(second).name)
-        if first > 0 and all(names) and abs(above[first] - above[second]) == 1:
+        is_pair = first > 0 and all(names) and abs(above[first] - above[second]) == 1
+        if is_pair and not _stands_alone(model, *sorted((first, second), key=above.__getitem__)):
             pairs.append(names)
     return pairs
+
+
+def unavoidable_contacts(model: mujoco.MjModel, joints: Joints) -> list[tuple[str, str]]:
+    """The pairs of a fixed body, such as a floor, and a link that overlap at home and wherever the arm is.
+
+    Found by random configurations: a floor that cuts into a shoulder which turns about its vertical axis.
+    """
+    above = last_joint_above(model, joints)
+    pairs = set()
+    for pair in _touching_bodies(model, joints):
+        body, link = sorted(pair, key=above.__getitem__)
+        if above[body] < 0 <= above[link] and all(_body_names(model, body, link)) and _stands_alone(model, body, link):
+            pairs.add(pair)
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)
+    for _ in range(_RANDOM_CONFIGURATIONS if pairs else 0):
+        data.qpos[:] = home_qpos(model, joints)
+        for joint in joints:
+            low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.pi, np.pi)
+            data.qpos[model.jnt_qposadr[joint]] = rng.uniform(low, high)
+        pairs &= _touching(model, data)
+    return [_body_names(model, *sorted(pair, key=above.__getitem__)) for pair in sorted(pairs)]
+
+
+def _stands_alone(model: mujoco.MjModel, body: int, link: int) -> bool:
+    """Whether a body is fixed, and not a part of the robot that carries a link."""
+    return model.body_weldid[body] == 0 and (body == 0 or not is_below(model, link, body))
+
+
+def _body_names(model: mujoco.MjModel, first: int, second: int) -> tuple[str, str]:
+    return model.body(first).name, model.body(second).name
 
 
 def touching_links(model: mujoco.MjModel, joints: Joints, links: Collection[str]) -> list[tuple[str, str]]:
@@ -35,10 +70,15 @@ def _touching_bodies(model: mujoco.MjModel, joints: Joints) -> list[tuple[int, i
     """The pairs of bodies that touch each other while some joints are at home."""
     data = mujoco.MjData(model)
     data.qpos[:] = home_qpos(model, joints)
-    mujoco.mj_forward(model, data)
+    return sorted(_touching(model, data))
+
+
+def _touching(model: mujoco.MjModel, data: mujoco.MjData) -> set[tuple[int, int]]:
+    """The pairs of bodies that touch each other in a state."""
+    mujoco.mj_fwdPosition(model, data)
     found = set()
     for contact in data.contact:
         if contact.dist < 0:
             first, second = sorted(int(model.geom_bodyid[g]) for g in contact.geom)
             found.add((first, second))
-    return sorted(found)
+    return found

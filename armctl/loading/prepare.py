@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import mujoco
 
+from armctl.loading.actuators import mend_solver
 from armctl.loading.catalog import Source
 from armctl.loading.describe import ArmPlan
 from armctl.loading.motors import adapt_keyframes, make_motors, make_motors_in_model
-from armctl.loading.neighbor_contacts import overlapping_neighbors, touching_links
+from armctl.loading.neighbor_contacts import overlapping_neighbors, touching_links, unavoidable_contacts
 from armctl.mjmodel.edit import add_payload_bodies, payload_body
 from armctl.mjmodel.queries import body_name
 from armctl.mjmodel.target_marker import add_target, find_target
@@ -61,11 +62,17 @@ def make_arm_model(
     excluded: list[str] = []
     for plan in plans:
         notes += make_motors(spec, analysis, plan.transmissions, plan.tau_max, plan.dc_motors)
+    excluded += mend_solver(original, spec.option)
     adapt_keyframes(spec, analysis, [plan.transmissions for plan in plans])
     for plan in plans:
-        for first, second in overlapping_neighbors(original, plan.joints):
+        neighbors = overlapping_neighbors(original, plan.joints)
+        for first, second in neighbors:
             spec.add_exclude(bodyname1=first, bodyname2=second)
             excluded.append(f"contact of {first} with {second} left out: neighbours that overlap at home")
+        for first, second in unavoidable_contacts(original, plan.joints):
+            if (first, second) not in neighbors:
+                spec.add_exclude(bodyname1=first, bodyname2=second)
+            notes.append(f"{first} overlaps with {second} wherever the arm is; their contact is left out")
     if loose_links:
         notes += _exclude_touching(spec, original, plans, loose_links)
     add_target(spec)
@@ -115,5 +122,6 @@ def make_arm_model_from_compiled(analysis: Transmissions, plans: Sequence[ArmPla
             body = body_name(original, plan.tip.body)
             notes.append(f"gravcomp lifts {body} and would also lift a payload; pass the MjSpec for correct payloads")
     mujoco.mj_setConst(model, mujoco.MjData(model))
+    mended = mend_solver(model, model.opt)
     quiet = [] if find_target(model) else ["the model has no target marker, and a compiled model cannot get one"]
-    return PreparedModel(model, tuple(plans), tuple(notes), tuple(quiet))
+    return PreparedModel(model, tuple(plans), tuple(notes), (*mended, *quiet))

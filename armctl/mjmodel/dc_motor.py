@@ -105,6 +105,11 @@ def current_state(model: mujoco.MjModel, actuator: int) -> int:
     return int(model.actuator_actadr[actuator] + model.actuator_actnum[actuator] - 1)  # after temperature and bristle
 
 
+def current_for(model: mujoco.MjModel, actuator: int, torque: float) -> float:
+    """The current, A, with which a `dcmotor` gives a torque."""
+    return torque / float(model.actuator_gainprm[actuator, _CONSTANT])
+
+
 def remove_bristles(model: mujoco.MjModel) -> None:
     """Switches the LuGre friction of all actuators off, in place."""
     with_bristle = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_DCMOTOR

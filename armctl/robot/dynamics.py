@@ -175,19 +175,23 @@ class Dynamics:
         return self._dry_friction.torque(v, a)
 
     def discrete_friction(self, q: Array, v: Array, a: Array, dt: float) -> Array:
-        """The torque that overcomes dry friction in MuJoCo's discrete step; (n,) N m.
-
-        The friction constraint acts on the acceleration before forces that are implicit in velocity, so this undoes them first.
-        """
+        """The torque that overcomes dry friction in MuJoCo's discrete step; (n,) N m."""
         if not self.has_friction:
             return np.zeros_like(self.friction_loss)
-        if dt and self._implicit_in_velocity:
-            step = self._step if dt == self._step.dt else self._new_step_model(dt)
-            implicit = step.damping_armature * a
-            if self._implicit_nonlinear:
-                implicit = implicit + dt * self._implicit_nonlinear_change(q, v, a)
-            a = a + self._solve_mass_matrix(q, implicit)
-        return self._dry_friction.torque(v, a)
+        return self._dry_friction.torque(v, self.explicit_acceleration(q, v, a, dt))
+
+    def explicit_acceleration(self, q: Array, v: Array, a: Array, dt: float) -> Array:
+        """The acceleration before forces that are implicit in velocity, on which dry friction acts; (n,) rad/s^2.
+
+        Where damping is large and inertia small, it is many times the acceleration of the step.
+        """
+        if not (dt and self._implicit_in_velocity):
+            return a
+        step = self._step if dt == self._step.dt else self._new_step_model(dt)
+        implicit = step.damping_armature * a
+        if self._implicit_nonlinear:
+            implicit = implicit + dt * self._implicit_nonlinear_change(q, v, a)
+        return a + self._solve_mass_matrix(q, implicit)
 
     def _new_step_model(self, dt: float) -> _StepModel:
         """Makes the model for dt and keeps it for the next call."""

@@ -23,6 +23,19 @@ def is_enabled(model: mujoco.MjModel, bit: mujoco.mjtDisableBit) -> bool:
     return not model.opt.disableflags & int(bit)
 
 
+def set_dry_friction(model: mujoco.MjModel, joint_map: JointMap, loss: Array, slope: Array) -> None:
+    """Gives joints without followers a dry friction, and the damper below it a slope, N m s/rad; in place.
+
+    The impedance of the constraint follows from the slope: R = (1 - d) / d / M, see `DryFriction`.
+    """
+    dofs = joint_map.dof_adr[joint_map.leaders]
+    model.dof_frictionloss[dofs] = loss
+    law = DryFriction.of(model, joint_map)
+    ratio = slope / law.rate * np.maximum(model.dof_invweight0[dofs], MIN_INVERSE_INERTIA)
+    known = slope > 0
+    model.dof_solimp[dofs[known], 0] = (ratio / (1 + ratio))[known]
+
+
 class PassiveForces:
     """Joint springs and viscous damping, both with MuJoCo's higher-order terms.
 
@@ -105,6 +118,11 @@ class DryFriction:
         rate = np.where(solref[:, 0] > 0, 2 / (impedance_max * time_constant), -solref[:, 1] / impedance_max)
         regularization = (1 - impedance) / impedance * np.maximum(model.dof_invweight0[dofs], MIN_INVERSE_INERTIA)
         return cls(loss, 1 / regularization, rate)
+
+    @property
+    def slope(self) -> Array:
+        """(n,) N m s/rad, of the damper."""
+        return self.gain * self.rate
 
     def torque(self, v: Array, a: Array) -> Array:
         """(n,) N m; a is the acceleration before implicit damping acts."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Protocol
 
 import mujoco
@@ -11,6 +10,7 @@ from armctl.control import Controller, State
 from armctl.core.pose import Pose
 from armctl.core.trajectory import TickReference, Trajectory
 from armctl.core.validation import Array
+from armctl.motion.trajectory.piecewise import Pieces
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
 from armctl.sim.recorder import Recorder
@@ -24,8 +24,6 @@ class Drive(Protocol):
         model: The MuJoCo model of the scene.
         data: The scene now; for a robot, a mirror of what it measures.
         dt: s, the tick.
-        continuous: Whether the arm moves almost continuously between ticks.
-        q_ref: (n,) rad, the last reference, where the next motion starts.
         failure: Why the last run ended early, in words; empty if it did not.
     """
 
@@ -33,13 +31,21 @@ class Drive(Protocol):
     model: mujoco.MjModel
     data: mujoco.MjData
     dt: float
-    continuous: bool
-    q_ref: Array
     failure: str
 
     @property
     def n(self) -> int:
         """The number of driven joints."""
+        ...
+
+    @property
+    def q_ref(self) -> Array:
+        """(n,) rad, the last reference, where the next motion starts."""
+        ...
+
+    @property
+    def continuous(self) -> bool:
+        """Whether the arm moves almost continuously between ticks."""
         ...
 
     @property
@@ -82,7 +88,7 @@ class Drive(Protocol):
         controller: Controller,
         reference: TickReference,
         recorder: Recorder,
-        to_rest: Callable[[], TickReference] | None = None,
+        to_rest: Pieces | None = None,
     ) -> None:
         """Runs along a reference; `failure` says why if the run ends early.
 
@@ -90,6 +96,15 @@ class Drive(Protocol):
             controller: What computes the torques; a robot uses its own.
             reference: The reference of each tick.
             recorder: Where the ticks are recorded.
-            to_rest: The reference that follows if nothing else comes in time, up to rest. A simulation waits and needs none.
+            to_rest: The motion from the first row on, up to rest, where the reference is its beginning. A robot follows it if
+                nothing else comes in time; a simulation waits.
+        """
+        ...
+
+    def come_to_rest(self, *, stop: bool) -> None:
+        """Called where a run ends: waits until a robot rests. A simulation stands between two runs.
+
+        Args:
+            stop: Whether the rest of the motion is left out: the arm brakes on its path.
         """
         ...

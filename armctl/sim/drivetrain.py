@@ -11,22 +11,20 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import Protocol
 from weakref import WeakKeyDictionary
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, ModelError
 from armctl.core.validation import Array, IntArray
-from armctl.mjmodel.dc_motor import TORQUE_COMMAND, set_friction, set_time_constant
+from armctl.mjmodel.dc_motor import TORQUE_COMMAND, current_for, current_state, set_friction, set_time_constant
 from armctl.mjmodel.queries import is_on_joint, joint_name
 from armctl.mjmodel.spring_joints import settle_springs, spring_joints
 from armctl.robot.actuation import Actuation
 from armctl.robot.arm import Arm
-
-if TYPE_CHECKING:
-    from armctl.sim.plant import Plant
 
 _ROTOR_MASS = 1e-6  # kg, and kg m^2: what turns is the armature of the rotor's joint
 _STRIBECK_SPEED = 0.05  # rad/s, of harmonic drives about: Armstrong-Helouvry, Control of Machines with Friction (1991)
@@ -36,6 +34,25 @@ _MAX_SPRING_RATE = 1.0  # of a spring's frequency times the time step; semi-impl
 
 Structure = tuple[tuple[bool, ...], bool, bool]
 _models: WeakKeyDictionary[Arm, tuple[Structure, mujoco.MjModel]] = WeakKeyDictionary()
+
+
+class DrivetrainAttributes(Protocol):
+    """The attributes of a plant that a drivetrain is made from; `Plant` explains them."""
+
+    @property
+    def elasticity(self) -> ArrayLike: ...
+    @property
+    def elastic_damping(self) -> float: ...
+    @property
+    def rotor_inertia(self) -> ArrayLike: ...
+    @property
+    def backlash(self) -> ArrayLike: ...
+    @property
+    def friction(self) -> str: ...
+    @property
+    def stiction(self) -> float: ...
+    @property
+    def motor(self) -> float: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,16 +87,45 @@ class Drivetrain:
             result[self.owners] += values[of_joint[list(self.springs)]]
         return result
 
-    def settle(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Moves rotors, or springs of the file, to where gravity and the springs balance at rest, in place."""
+    def settle(self, model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+        """Puts springs, windings and delayed commands where they are if the motors have held the arm still, in place.
+
+        Returns:
+            (n,) N m, the torque that holds it.
+        """
         settle_springs(model, data, list(self.springs))
-        if not self.rotors:
-            return
+        moving = data.qvel.copy()
+        if self.rotors:
+            self._settle_rotors(model, data)
+        data.qvel[:] = 0.0
+        mujoco.mj_forward(model, data)
+        missing = data.qfrc_bias - data.qfrc_passive
+        holding = self.actuation.joint_map.reduced(missing)
+        if self.rotors:
+            holding[self.owners] = missing[self.motor_dof[self.owners]]
+            moving[self.motor_dof[self.owners]] = moving[self.actuation.dof_adr[self.owners]]
+        data.qvel[:] = moving
+        self.set_commands(model, data, holding[None])
+        for motor, force in zip(motors_of(model, self.actuation), holding / self.actuation.gear, strict=True):
+            address = current_state(model, motor)
+            if address >= 0:
+                data.act[address] = current_for(model, motor, force)
+        return holding
+
+    def set_commands(self, model: mujoco.MjModel, data: mujoco.MjData, torques: Array, substeps: int = 1) -> None:
+        """Gives delayed actuators the commands of the ticks before, (ticks, n) N m, the last one first; the oldest lasts."""
+        for i, motor in enumerate(motors_of(model, self.actuation)):
+            if not model.actuator_delay[motor] > 0.0:
+                continue
+            ages = np.arange(int(model.actuator_history[motor, 0]), 0, -1)
+            ticks = np.minimum((ages - 1) // substeps, len(torques) - 1)
+            values = torques[ticks, i] / self.actuation.gear[i]
+            mujoco.mj_initCtrlHistory(model, data, motor, data.time - ages * model.opt.timestep, values)
+
+    def _settle_rotors(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         links = self.actuation.qpos_adr[self.owners]
         dofs = self.actuation.dof_adr[self.owners]
         data.qpos[self.motor_qpos[self.owners]] = data.qpos[links]
-        data.qvel[self.motor_dof[self.owners]] = data.qvel[dofs]
-        moving = data.qvel.copy()
         data.qvel[:] = 0.0
         mujoco.mj_forward(model, data)
         load = data.qfrc_bias[dofs] - data.qfrc_passive[dofs]
@@ -88,10 +134,9 @@ class Drivetrain:
         gap = np.where(stiffness > 0.0, model.tendon_lengthspring[tendons, 1], model.tendon_range[tendons, 1])
         stretch = np.divide(load, stiffness, out=np.zeros_like(load), where=stiffness > 0.0) + np.sign(load) * gap
         data.qpos[self.motor_qpos[self.owners]] += stretch
-        data.qvel[:] = moving
 
 
-def new_model(arms: Sequence[Arm], plant: Plant) -> mujoco.MjModel:
+def new_model(arms: Sequence[Arm], plant: DrivetrainAttributes) -> mujoco.MjModel:
     """A model of a plant, without its values: a copy of the arms' model, with rotors, friction and windings if it has any.
 
     Raises:
@@ -116,14 +161,14 @@ def new_model(arms: Sequence[Arm], plant: Plant) -> mujoco.MjModel:
     return copy.copy(known[1])
 
 
-def structure_of(arms: Sequence[Arm], plant: Plant) -> Structure:
+def structure_of(arms: Sequence[Arm], plant: DrivetrainAttributes) -> Structure:
     """What a plant adds to a model: which joints get a rotor, whether there are bristles, and windings."""
     n = sum(arm.n for arm in arms)
     has_rotor = (per_joint("elasticity", plant.elasticity, n) > 0.0) | (per_joint("backlash", plant.backlash, n) > 0.0)
     return tuple(has_rotor.tolist()), plant.friction == "lugre", plant.motor > 0.0
 
 
-def drivetrain_of(arms: Sequence[Arm], plant: Plant) -> Drivetrain:
+def drivetrain_of(arms: Sequence[Arm], plant: DrivetrainAttributes) -> Drivetrain:
     """The drivetrain in the models by `new_model`: rotors come after all joints of the arms' model."""
     model = arms[0].model
     actuation = arms[0].actuation if len(arms) == 1 else Actuation.concatenated([arm.actuation for arm in arms])
@@ -151,7 +196,7 @@ def drivetrain_of(arms: Sequence[Arm], plant: Plant) -> Drivetrain:
     )
 
 
-def apply_drivetrain(model: mujoco.MjModel, plant: Plant, arms: Sequence[Arm], train: Drivetrain) -> None:
+def apply_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, arms: Sequence[Arm], train: Drivetrain) -> None:
     """Gives a model by `new_model` the rotors' inertias, the springs and gaps of a plant, in place; before `mj_setConst`.
 
     Raises:
@@ -184,13 +229,13 @@ def apply_drivetrain(model: mujoco.MjModel, plant: Plant, arms: Sequence[Arm], t
     model.tendon_solref_lim[tendons] = (2 * model.opt.timestep, 1.0)
 
 
-def finish_drivetrain(model: mujoco.MjModel, plant: Plant, train: Drivetrain) -> None:
+def finish_drivetrain(model: mujoco.MjModel, plant: DrivetrainAttributes, train: Drivetrain) -> None:
     """Gives a model what follows from its inertias, in place: damping of the springs, friction, windings.
 
     Raises:
         InputError: A spring is too stiff for the time step.
     """
-    motors = _motors(model, train.actuation)
+    motors = motors_of(model, train.actuation)
     if train.rotors:
         dofs = train.actuation.dof_adr[train.owners]
         tendons = model.ntendon - len(dofs) + np.arange(len(dofs))
@@ -233,7 +278,7 @@ def per_joint(name: str, value: object, n: int) -> Array:
     return np.broadcast_to(values, n).copy()
 
 
-def _motors(model: mujoco.MjModel, actuation: Actuation) -> list[int]:
+def motors_of(model: mujoco.MjModel, actuation: Actuation) -> list[int]:
     """The actuators of the joints."""
     owner = np.repeat(np.arange(model.nactuator), model.actuator_ctrlnum)
     return owner[actuation.ctrl_adr].tolist()
@@ -246,7 +291,7 @@ def _add_elements(spec: mujoco.MjSpec, arms: Sequence[Arm], structure: Structure
     flags = iter(has_rotor)
     targets = []
     for arm in arms:
-        for index, actuator in zip(arm.joint_map.leaders.tolist(), _motors(arm.model, arm.actuation), strict=True):
+        for index, actuator in zip(arm.joint_map.leaders.tolist(), motors_of(arm.model, arm.actuation), strict=True):
             target = joint_name(arm.model, arm.joint_map.joints[index])
             joint = spec.joint(target)
             motor = motors[actuator]

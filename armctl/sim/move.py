@@ -218,7 +218,9 @@ class ControlledArms:
         targets = {} if targets is None else targets
         try:
             yield recorder
+            self.drive.come_to_rest(stop=False)
         except BaseException as error:
+            self.drive.come_to_rest(stop=True)
             self._keep_logs(recorder, durations, targets, started, error, controller)
             raise
         self._keep_logs(recorder, durations, targets, started, None, controller)

@@ -146,7 +146,7 @@ class Plant:
     viscous_friction: ArrayLike = plant_attribute(
         Kind.PER_JOINT, 0.0, unit="N m s/rad", low=0.0, phrase="viscous friction {} N m s/rad", varies_in_episodes=True
     )
-    friction: str = plant_attribute(Kind.WORD, "coulomb", words=("coulomb", "lugre"), phrase="{} friction")
+    friction: str = plant_attribute(Kind.WORD, "coulomb", words=("coulomb", "lugre"), phrase="{} friction", is_factor=False)
     stiction: float = plant_attribute(Kind.NUMBER, 1.5, low=1.0, high=10.0, phrase="stiction {}", only_with=("friction",))
     motor: float = plant_attribute(Kind.NUMBER, 0.0, unit="s", low=0.0, high=1.0, phrase="motor lag {} ms", scale=1e3)
     elasticity: ArrayLike = plant_attribute(Kind.PER_JOINT, 0.0, unit="N m/rad", low=0.0, phrase="elasticity {} N m/rad")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import hypot, inf  # hypot of a short list is faster than numpy's norm
 from threading import Lock
 from typing import Protocol, TypeGuard
@@ -22,6 +22,7 @@ from armctl.core.pose import Pose
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array, IntArray, read_only, shown, vector
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
+from armctl.motion.trajectory.piecewise import Pieces
 from armctl.robot.arm import Arm
 from armctl.sim.compiled_loop import CompiledLoop
 from armctl.sim.disturbances import Disturbances
@@ -271,7 +272,7 @@ class Stepper:
         controller: Controller,
         reference: TickReference,
         recorder: Recorder,
-        to_rest: Callable[[], TickReference] | None = None,
+        to_rest: Pieces | None = None,
     ) -> None:
         """Runs the tick loop along a reference: measure, control, step, record.
 
@@ -301,6 +302,9 @@ class Stepper:
             self._observer.after_ticks(self.data, (last - first) * self.dt)
             if self.failure:
                 return
+
+    def come_to_rest(self, *, stop: bool) -> None:
+        """Nothing: a simulation stands between two runs."""
 
     def _runs_compiled(self, controller: Controller) -> TypeGuard[CompiledController]:
         """Whether the ticks of a controller need no Python. A compiled law can get the wrench on one tip."""

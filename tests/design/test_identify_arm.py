@@ -308,3 +308,99 @@ def test_the_identified_friction_is_a_stribeck_curve(planar):
     assert curve.friction_torque(0.5 * shape.smoothing) == pytest.approx(
         sticking + curve.viscous_friction * 0.5 * shape.smoothing, rel=1e-2
     )
+
+
+@pytest.fixture(scope="module")
+def light(tmp_path_factory):
+    """An arm like "planar" with 1 N m of dry friction. Its last joint is so light that MuJoCo's acts fully at 40 rad/s."""
+    arm = serial_arm(tmp_path_factory.mktemp("light"), BENT["planar"])
+    model = copy.copy(arm.model)
+    model.dof_frictionloss[arm.dof_adr] = 1.0
+    model.dof_damping[arm.dof_adr] = 0.5
+    model.dof_solimp[arm.dof_adr[-1], 0] = 0.5
+    last = model.jnt_bodyid[arm.joint_map.joints[-1]]
+    model.body_mass[last] = 0.05
+    model.body_inertia[last] = 2e-4
+    model.body_ipos[last] = [0.0, 0.0, 0.02]
+    model.dof_armature[arm.dof_adr] = [0.1, 0.1, 0.0]
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    body = build_pinocchio_model(
+        model, arm.pinocchio_model.chain_length, arm.joint_map, arm.home_qpos, arm.tip_body, arm.T_body_tip
+    )
+    return replace(arm, model=model, pinocchio_model=body)
+
+
+@pytest.fixture(scope="module")
+def rubbing(light):
+    """The light arm with 1.6 N m of friction instead of 1, and what is identified."""
+    real = changed(light, coulomb=0.6)
+    return real, armctl.identify(light, recorded(real, armctl.excitation(light, for_="arm"), noise=0.2))
+
+
+def test_friction_that_no_motion_shows_fully_has_a_large_standard_error(rubbing):
+    real, found = rubbing
+    assert found.ok, found.reason
+    off = np.abs(found.coulomb_friction - real.model.dof_frictionloss[real.dof_adr])
+    assert off[-1] > 0.3
+    assert found.coulomb_error[-1] > 0.5 * off[-1]
+    assert (off[:-1] < 0.03).all()
+    assert (off[:-1] < 5 * found.coulomb_error[:-1] + 0.01).all()
+    damping = real.model.dof_damping[real.dof_adr]
+    assert found.viscous_friction == pytest.approx(damping, abs=0.05)
+
+
+def test_an_arm_with_friction_that_acts_slowly_tracks_better_with_the_identified_model(light, rubbing):
+    real, found = rubbing
+    assert tracking_error(real, found.applied_to(light)) < 0.1 * tracking_error(real, light)
+
+
+def test_the_torque_of_a_motion_contains_all_friction(planar, motions):
+    arm, real, found = planar
+    states = motions["planar"].sample(np.linspace(0.5, 4.5, 40))
+    torques = found.torque(states.q, states.v, states.a)
+    sliding = np.abs(states.v) > 0.1
+    expected = real.model.dof_frictionloss[real.dof_adr] * np.sign(states.v)
+    expected += [real.inverse_dynamics(*row) for row in zip(states.q, states.v, states.a, strict=True)]
+    assert torques[sliding] == pytest.approx(expected[sliding], abs=0.05)
+    assert found.torque(states.q[3], states.v[3], states.a[3]) == pytest.approx(torques[3])
+    without = found.applied_to(arm).inverse_dynamics(states.q[3], states.v[3], states.a[3])
+    assert found.torque(states.q[3], states.v[3], states.a[3]) - without == pytest.approx(
+        found.friction_torque(states.v[3]) - found.viscous_friction * states.v[3]
+    )
+    with pytest.raises(armctl.InputError, match="three arrays of one shape"):
+        found.torque(states.q, states.v[0], states.a)
+
+
+def test_an_excitation_starts_elsewhere_if_home_is_too_close_to_something(bundled):
+    tip = bundled.fk(bundled.home).position
+    shapes = [
+        geom for geom in range(bundled.model.ngeom) if bundled.model.geom_bodyid[geom] and bundled.model.geom_contype[geom]
+    ]
+    scene = armctl.Scene().add_ball("ball", 0.02, at=tip + np.array([0.0, 0.0, 0.2]))
+    arm = armctl.load("robot_arm_3dof", scene=scene)
+    data = mujoco.MjData(arm.model)
+    data.qpos[:] = arm.home_qpos
+    ball = arm.model.geom("ball").id
+    body = arm.model.geom_bodyid[ball]
+    for _ in range(10):  # until the closest link is 2 mm away
+        mujoco.mj_kinematics(arm.model, data)
+        closest = min(mujoco.mj_geomDistance(arm.model, data, geom, ball, 1.0, None) for geom in shapes)
+        arm.model.body_pos[body, 2] -= closest - 0.002
+    with pytest.warns(armctl.ArmctlWarning, match="as none from home is safe; move there first"):
+        motion = armctl.excitation(arm, for_="arm")
+    start = motion(0.0).q
+    assert np.abs(start - arm.home).max() > 0.01
+    assert motion(motion.duration).q == pytest.approx(start)
+    assert armctl.check_clearance(arm, motion, 0.004).ok
+    with pytest.raises(armctl.PlanError, match=r"touches .* within 5 mm"):
+        armctl.excitation(arm, for_="arm", start=arm.home)
+
+
+def test_an_excitation_for_the_arm_starts_where_it_is_told_to(arms):
+    arm = arms["planar"]
+    start = arm.home + np.array([0.2, -0.1, 0.1])
+    motion = armctl.excitation(arm, for_="arm", start=start)
+    assert motion(0.0).q == pytest.approx(start)
+    assert motion(motion.duration).q == pytest.approx(start)
+    with pytest.raises(armctl.InputError, match="starts at home"):
+        armctl.excitation(arm, start=start)

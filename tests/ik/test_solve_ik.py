@@ -290,6 +290,41 @@ def test_contacts_between_links_that_always_touch_do_not_count(tmp_path):
     assert "touches floor" in blocked.reason
 
 
+def test_one_start_of_a_batch_is_that_of_all_its_targets():
+    arm = arm_of("robot_arm_3dof")
+    points = arm.fk_many(positions(arm, 20))[0]
+    start = arm.limits.clamp(arm.home + 0.4)
+    batch = solve_ik_batch(arm, points, q0=start)
+    assert batch.q.tobytes() == solve_ik_batch(arm, points, q0=np.tile(start, (20, 1))).q.tobytes()
+    assert batch.q.tobytes() != solve_ik_batch(arm, points).q.tobytes()
+    assert all(np.array_equal(solve_ik(arm, point, start).q, q) for point, q in zip(points, batch.q, strict=True))
+
+
+@pytest.mark.parametrize(("turned", "ok"), [(0.9e-4, True), (1.1e-4, False)])
+def test_the_default_tolerance_of_the_orientation_is_a_tenth_of_a_milliradian(turned: float, ok: bool):
+    arm = arm_of("robot_arm_3dof")  # its tip cannot turn about its own axis at a point
+    target = arm.fk(arm.home) @ Pose([0.0, 0.0, 0.0], rpy=[0.0, 0.0, turned])
+    for result in (solve_ik(arm, target), solve_ik_batch(arm, [target])[0], armctl.solve_ik_all(arm, target)[0]):
+        assert result.ok == ok
+        assert result.orientation_error == pytest.approx(turned, rel=0.05)
+
+
+@pytest.mark.parametrize(("away", "ok"), [(0.9e-5, True), (1.1e-5, False)])
+def test_the_default_tolerance_of_the_position_is_a_hundredth_of_a_millimetre(away: float, ok: bool):
+    arm = arm_of("planar")
+    target = arm.fk(arm.home).position + away * out_of_plane(arm)
+    for result in (solve_ik(arm, target), solve_ik_batch(arm, target[None])[0], armctl.solve_ik_all(arm, target)[0]):
+        assert result.ok == ok
+        assert result.position_error == pytest.approx(away, rel=0.05)
+
+
+def out_of_plane(arm: Arm) -> np.ndarray:
+    """(3,) the direction in which the tip cannot move."""
+    axes, stretch, _ = np.linalg.svd(arm.jacobian(arm.home)[:3])
+    assert stretch[-1] < 1e-9
+    return axes[:, -1]
+
+
 def test_a_batch_is_many_single_calls():
     arm = arm_of("robot_arm_3dof")
     points = np.concatenate([arm.fk_many(positions(arm, 600))[0], [[3.0, 0.0, 0.0]]])

@@ -1,5 +1,6 @@
 """Scenes: what stands and lies around a robot, known to the simulation and to inverse kinematics."""
 
+import warnings
 from pathlib import Path
 
 import mujoco
@@ -183,3 +184,36 @@ def test_a_file_that_is_no_scene_says_why(bundled: armctl.Arm, tmp_path: Path, w
         armctl.load(bundled.name, scene=path)
     with pytest.raises(armctl.ModelError, match=r"scene: .*nowhere\.xml: no such file"):
         armctl.load(bundled.name, scene=tmp_path / "nowhere.xml")
+
+
+HALL = '<mujoco model="hall"><worldbody><geom name="floor" type="plane" size="3 3 0.1" pos="0 0 {height}"/></worldbody></mujoco>'
+TURRET = """<mujoco><compiler angle="radian"/><worldbody><body name="base"><geom type="box" size="0.1 0.1 0.02" mass="1"/>
+<body name="turret"><joint name="pan" axis="0 0 1" range="-2 2" damping="1"/><geom type="sphere" size="0.08" pos="0.2 0 0.06"/>
+<body name="arm" pos="0 0 0.1"><joint name="lift" axis="0 1 0" range="-1 0.6" damping="1"/>
+<geom type="capsule" fromto="0 0 0 0.5 0 0" size="0.03"/></body></body></body></worldbody>
+<actuator><motor joint="pan" ctrlrange="-50 50"/><motor joint="lift" ctrlrange="-50 50"/></actuator></mujoco>"""
+
+
+def in_hall(tmp_path, scene):
+    path = tmp_path / "turret.xml"
+    path.write_text(TURRET)
+    return armctl.load(path, scene=scene)
+
+
+def test_a_floor_that_a_link_cuts_wherever_the_arm_is_gives_a_warning_and_no_force(tmp_path):
+    scene = tmp_path / "hall.xml"
+    scene.write_text(HALL.format(height=0))
+    with pytest.warns(armctl.ArmctlWarning, match="world overlaps with turret wherever the arm is; their contact is left out"):
+        arm = in_hall(tmp_path, scene)
+    down = armctl.move_j(arm, arm.home, [0.5, 0.5])
+    log = armctl.simulate(arm, "computed-torque", down)
+    assert {contact.body for contact in log.contacts} == {"arm"}  # the other link still meets the floor
+
+
+def test_a_box_that_only_some_configurations_cut_keeps_its_contact(tmp_path):
+    scene = armctl.Scene().add_box("box", [0.1, 0.1, 0.1], at=[0.2, 0.0, 0.05])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        arm = in_hall(tmp_path, scene)
+    log = armctl.simulate(arm, "pd", armctl.move_j(arm, [0, 0], [0, 0]))
+    assert "turret" in {contact.body for contact in log.contacts}

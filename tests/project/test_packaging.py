@@ -20,7 +20,10 @@ import armctl
 from armctl.loading.catalog import bundled_models
 
 ROOT = Path(__file__).parents[2]
+BUILD = ROOT / "build" / "core" / str(sysconfig.get_config_var("SOABI"))
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "ARMCTL_COMPILE_AT_ONCE")}
+
+pytestmark = pytest.mark.xdist_group("build of the core")  # several tests use its folder
 
 
 def run(*command: str | Path, cwd: Path) -> str:
@@ -38,7 +41,8 @@ def call_backend(hook: str, folder: Path) -> None:
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     pip = (sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "--no-index")
-    run(*pip, "--wheel-dir", folder, ROOT, cwd=folder)
+    # `make core` has compiled the same sources with the same options into this folder; again that would take two minutes.
+    run(*pip, f"--config-settings=build-dir={BUILD}", "--wheel-dir", folder, ROOT, cwd=folder)
     return next(folder.glob("mujoco_armctl-*.whl"))
 
 

@@ -14,6 +14,7 @@
 #include "../laws/impedance.hpp"
 #include "../laws/operational_space.hpp"
 #include "../laws/pd.hpp"
+#include "../laws/torque_filter.hpp"
 #include "../laws/torque_rate_limit.hpp"
 #include "arguments.hpp"
 #include "topics.hpp"
@@ -59,22 +60,20 @@ void bind_law(nb::module_& module) {
         .def("clone", &Law::clone, "The same law and gains with memory of its own, at the start of a run.");
 }
 
-// The class of a law. Its keyword arguments have the names of its members.
-template <class ConcreteLaw, class Base = Law>
+// The class of a law with a model, or around another law. Its keyword arguments have the names of its members.
+template <class ConcreteLaw, class Base = Law, class Of = Model>
 nb::class_<ConcreteLaw, Base> bind(nb::module_& module, const char* name, const char* doc) {
-    const auto make = [](const Model& model, const nb::kwargs& gains) { return new ConcreteLaw(model, KeywordArguments(gains)); };
-    return nb::class_<ConcreteLaw, Base>(module, name, doc).def(nb::new_(make), "model"_a, "gains"_a);
+    const auto make = [](const Of& of, const nb::kwargs& gains) { return new ConcreteLaw(of, KeywordArguments(gains)); };
+    return nb::class_<ConcreteLaw, Base>(module, name, doc).def(nb::new_(make), "of"_a, "gains"_a);
 }
 
 void bind_without_model(nb::module_& module) {
     nb::class_<PD, Law>(module, "PD", "tau = stiffness (q_ref - q) + damping (v_ref - v)").def(nb::new_([](const nb::kwargs& gains) {
         return new PD(KeywordArguments(gains));
     }));
-    nb::class_<TorqueRateLimit, Law>(module, "TorqueRateLimit", "A law whose torques change at limited rates.")
-        .def(nb::new_([](std::shared_ptr<Law> limited, const nb::kwargs& gains) {
-                 return new TorqueRateLimit(std::move(limited), KeywordArguments(gains));
-             }),
-             "limited"_a, "gains"_a);
+    bind<TorqueRateLimit, Law, std::shared_ptr<Law>>(module, "TorqueRateLimit", "A law whose torques change at limited rates.");
+    bind<TorqueFilter, Law, std::shared_ptr<Law>>(module, "TorqueFilter",
+                                                  "A law whose torques go through filters of second-order sections.");
     nb::class_<CFunctionLaw, Law>(module, "CFunctionLaw",
                                   "A compiled C function as a law; armctl/cpp/laws/c_function.hpp has its signature.")
         .def(nb::new_([](std::uintptr_t address, size_t n, const In& parameters, size_t memory_size, bool needs_wrench) {

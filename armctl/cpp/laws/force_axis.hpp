@@ -24,11 +24,11 @@ struct AxisTick {
 
 // A force axis with what it keeps from tick to tick, which are numbers of the memory of a law.
 struct ForceAxis {
-    static constexpr size_t memory_size = 7;
+    static constexpr size_t memory_size = 10;
 
     explicit ForceAxis(Result memory)
         : touches(memory[0]), measured(memory[1]), commanded(memory[2]), integral(memory[3]), lost_time(memory[4]), yielding(memory[5]),
-          steady_speed(memory[6]) {}
+          steady_speed(memory[6]), first_force(memory[7]), depth(memory[8]), fluidity(memory[9]) {}
 
     double& touches;       // 1 in contact, else 0
     double& measured;      // N, filtered
@@ -37,13 +37,17 @@ struct ForceAxis {
     double& lost_time;     // s, for which there was hardly any force
     double& yielding;      // m/s
     double& steady_speed;  // m/s
+    double& first_force;   // N, at which the depth begins; 0 before
+    double& depth;         // m, travelled since
+    double& fluidity;      // m/(N s), the largest speed per force since, an upper bound for that of the wall's own damping
 
     AxisCommand command(const AxisTick& tick) {
         measured += low_pass_weight(force_filter, tick.dt) * (tick.measured - measured);
         const double sign = std::copysign(1.0, tick.target);
         const double pressing = sign * measured;
+        update_wall(tick, sign, pressing);
         update_contact(tick, pressing);
-        return touches == 0.0 ? approach(tick, sign, pressing) : press(tick);
+        return touches == 0.0 ? approach(tick, sign, pressing) : press(tick, pressing);
     }
 
 private:
@@ -51,12 +55,19 @@ private:
     static constexpr double approach_rate = 40.0;  // 1/s, the bandwidth of the speed in an approach; stable with a delay of 4 ms
     static constexpr double damping_rate = 30.0;   // 1/s, the damping of the tip in contact divided by its mass
     static constexpr double integral_rate = 20.0;  // 1/s. Below the damping rate, the integral of a lightly damped wall is stable.
-    // 1/s. Into a soft wall the tip moves steadily, and its damping and that of the joints would hold back a part of the force: 2 N
+    // 1/s. Into a damped wall the tip moves steadily, and its damping and that of the joints would hold back a part of the force: 2 N
     // of 20 N for a light arm that sinks 10 mm. So a speed that lasts, and that reduces the error, is damped less and less.
-    static constexpr double steady_speed_rate = 8.0;
-    // Of the target, a bound for what the damping is relieved of, too. On a soft wall the force rises slowly; it prevents windup.
-    static constexpr double max_integrated_error = 0.08;
-    static constexpr double rise_time = 0.02;  // s, time constant of the commanded force after the first contact
+    static constexpr double steady_speed_rate = 12.0;
+    // Of the target, a bound for what the damping is relieved of. On a soft wall the force rises slowly; it prevents windup.
+    static constexpr double max_relieved_ratio = 0.4;
+    static constexpr double relief_rate = 30.0;           // 1/s, of the depth, a bound for the steady speed
+    static constexpr double max_integrated_error = 0.08;  // of the target
+    // 1/s. On an elastic wall, the error of the force of a damped tip decays at stiffness / (damping_rate mass): 3 /s for an arm of
+    // 10 kg at 1e3 N/m. The tip gets as much more speed as makes it decay at this rate on a wall of the estimated stiffness.
+    static constexpr double force_rate = 20.0;
+    static constexpr double max_sinking_speed = 0.25;  // m/s
+    static constexpr double first_ratio = 0.25;  // of the contact threshold: the force, and its rise, from which the stiffness is estimated
+    static constexpr double rise_time = 0.02;    // s, time constant of the commanded force after the first contact
     // Friction is compensated at this share of the speed that a frictionless mass would have. With all of it, the force loop that
     // is closed over the friction is unstable on walls ten times stiffer than MuJoCo's default with a delay of 4 ms.
     static constexpr double yielding_ratio = 0.1;
@@ -65,6 +76,30 @@ private:
     static constexpr double detection_gain = 2.0;
     static constexpr double lost_ratio = 0.2;      // of the contact threshold; below it for max_lost_time the contact is lost
     static constexpr double max_lost_time = 0.01;  // s
+
+    // Follows the tip in the wall from the first force on.
+    void update_wall(const AxisTick& tick, double sign, double pressing) {
+        const double speed = sign * tick.speed;
+        if (pressing < first_ratio * tick.threshold || tick.target == 0.0) {
+            first_force = 0.0;
+            depth = 0.0;
+            fluidity = 0.0;
+            return;
+        }
+        if (first_force == 0.0) { first_force = pressing; }
+        depth += tick.dt * speed;
+        fluidity = std::max(fluidity, speed / pressing);
+    }
+
+    // The speed beyond that of a damped tip with which an error of the force decays at `force_rate`. The wall's stiffness is that of
+    // the way since the first force. A wall's own damping makes it seem stiffer, and is added besides: both keep the speed low.
+    double sinking_speed(const AxisTick& tick, double error, double pressing) const {
+        const double rise = pressing - first_force;
+        if (first_force == 0.0 || depth <= 0.0 || fluidity == 0.0 || rise < first_ratio * tick.threshold) { return 0.0; }
+        const double resistance = 1.0 / fluidity + rise / depth / force_rate;
+        const double speed = (1.0 / resistance - 1.0 / (damping_rate * tick.mass)) * error;
+        return speed * error > 0.0 ? clipped(speed, max_sinking_speed) : 0.0;
+    }
 
     // Notes the first contact, and its loss.
     void update_contact(const AxisTick& tick, double pressing) {
@@ -88,27 +123,31 @@ private:
     }
 
     AxisCommand approach(const AxisTick& tick, double sign, double pressing) {
-        const double error = sign * tick.approach_speed - tick.speed;
+        const double sinking = sinking_speed(tick, tick.target - measured, pressing);
+        const double speed = sign * std::max(tick.approach_speed, sign * sinking);
+        const double error = speed - tick.speed;
         integral += tick.dt * error;
         return {
             .force = detection_gain * sign * std::max(pressing, 0.0),
             // Both poles at half the rate.
             .acceleration = approach_rate * (error + 0.25 * approach_rate * integral),
-            .speed = sign * tick.approach_speed,
+            .speed = speed,
         };
     }
 
-    AxisCommand press(const AxisTick& tick) {
+    AxisCommand press(const AxisTick& tick, double pressing) {
         commanded += low_pass_weight(1.0 / rise_time, tick.dt) * (tick.target - commanded);
         const double error = commanded - measured;
         const double damping = damping_rate * tick.mass;
         const double bound = max_integrated_error * std::abs(tick.target);
-        const double reducing = error * tick.speed > 0.0 ? tick.speed : 0.0;
+        const double sinking = sinking_speed(tick, error, pressing);
+        const double faster = tick.speed - sinking;
+        const double reducing = error * faster > 0.0 ? faster : 0.0;
         steady_speed += low_pass_weight(steady_speed_rate, tick.dt) * (reducing - steady_speed);
-        // Up to the speed, so that the damping never pushes, and up to a part of the target, so that a tip that slides or yields
-        // stays slow.
-        steady_speed = clipped(steady_speed, std::min(std::abs(tick.speed), bound / damping));
-        const double damped_speed = tick.speed - steady_speed;
+        // Up to a part of the target, so that a tip that slides or yields stays slow; and hardly on a stiff wall, where it would chatter.
+        const double most = std::min(max_relieved_ratio * std::abs(tick.target) / damping, relief_rate * std::max(depth, 0.0));
+        steady_speed = clipped(steady_speed, most);
+        const double damped_speed = faster - steady_speed;
         // The damping explains a part of the error. If that were integrated, the force would overshoot.
         integral += integral_rate * tick.dt * clipped(error - damping * damped_speed, bound);
         const double free_speed = error / damping;  // of a mass without friction under this error of the force
@@ -116,7 +155,7 @@ private:
         return {
             .force = commanded + integral,
             .acceleration = -damping_rate * damped_speed,
-            .speed = steady_speed,
+            .speed = steady_speed + sinking,
             .yielding_speed = yielding,
         };
     }
