@@ -184,7 +184,8 @@ class ClearanceProof:
 
     def hit(self, clearance: float, pair: int | None = None) -> Hit | None:
         """
-        Proves that the motion keeps all pairs, or one, farther apart than a clearance, m: None, or where it is not known to be free.
+        Proves that the motion keeps all pairs, or one, farther apart than a clearance, m: None, or
+        where it is not known to be free.
         """
 
     def closest_approach(self, clearance: float) -> Approach:
@@ -538,8 +539,8 @@ class IkErrorModel:
         J: numpy.ndarray,
     ) -> float:
         """
-        Fills the Hessian (n, n) with the curvature of the chain, J^T e (n,) and J (6, n), where a third of a reach counts like a
-        rad. Returns the norm of the error.
+        Fills the Hessian (n, n) with the curvature of the chain, J^T e (n,) and J (6, n), where a third of a reach
+        counts like a rad. Returns the norm of the error.
         """
 
     def null_step(

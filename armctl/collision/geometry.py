@@ -145,8 +145,9 @@ class Geometry:
 
     def joints_between(self, pair: int) -> list[int]:
         """The joints that move one geom of a pair relative to the other: rows of the joint map."""
-        above = [self.frames.above(self.shapes[geom].frame) for geom in self.pairs[pair]]
-        return [int(self.frames.joints[frame - 1]) for frame in above[0] ^ above[1]]
+        first = self.frames.above(self.shapes[self.pairs[pair, 0]].frame)
+        second = self.frames.above(self.shapes[self.pairs[pair, 1]].frame)
+        return [int(self.frames.joints[frame - 1]) for frame in first ^ second]
 
     def pair_geoms(self, pair: int) -> tuple[int, int]:
         """The model's geoms of a pair."""

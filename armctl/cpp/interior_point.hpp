@@ -11,6 +11,9 @@
 
 namespace armctl {
 
+constexpr double INFINITE = std::numeric_limits<double>::infinity();
+constexpr double NOT_A_NUMBER = std::numeric_limits<double>::quiet_NaN();
+
 // A symmetric matrix whose elements are zero away from its diagonal.
 class BandMatrix {
 public:
@@ -83,7 +86,7 @@ void minimize_with_barriers(const Problem& problem, Result x, const BarrierSched
             for (size_t k = 0; k < count; ++k) { promise -= gradient[k] * step[k]; }
             if (!(promise > schedule.centered * barrier)) { break; }
             double share = 1.0;
-            double trial_cost = std::numeric_limits<double>::infinity();
+            double trial_cost = INFINITE;
             for (int halving = 0; halving < max_halvings; ++halving) {
                 for (size_t k = 0; k < count; ++k) { trial[k] = x[k] + share * step[k]; }
                 trial_cost = problem.cost(trial, barrier);

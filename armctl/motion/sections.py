@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import PlanError
 from armctl.core.validation import Array, IntArray, number
-from armctl.motion.timing.path_timing import Fractions, TorqueRows, slowed_down
+from armctl.motion.timing.path_timing import Fractions, slowed_down
+from armctl.motion.timing.speed_bounds import TorqueRows
 from armctl.motion.torque_limits import InverseDynamics, MotionPath, TorqueBounds, sample_times
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory, Slowdown
 from armctl.motion.trajectory.piecewise import Pieces, joints_of, sample, standing, time_scaled

@@ -16,7 +16,8 @@ from armctl import _core
 from armctl.core.errors import PlanError
 from armctl.core.trajectory import Trajectory, check_motion
 from armctl.core.validation import Array
-from armctl.motion.timing.path_timing import TorqueRows, slowed_down
+from armctl.motion.timing.path_timing import slowed_down
+from armctl.motion.timing.speed_bounds import TorqueRows
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory, Slowdown
 from armctl.motion.trajectory.piecewise import Pieces, joints_of
 from armctl.robot.arm import Arm, check_arm

@@ -139,8 +139,8 @@ void bind_proof(nb::module_& module) {
              "Sets the motion of the next proofs: knots (K + 1,) s, and coefficients (K, degree + 1, m) of all joints by powers of the\n"
              "time since the knot, of degree 1 to 5.")
         .def("hit", &find_hit, "clearance"_a, "pair"_a = nb::none(), Release(),
-             "Proves that the motion keeps all pairs, or one, farther apart than a clearance, m: None, or where it is not known to be "
-             "free.")
+             "Proves that the motion keeps all pairs, or one, farther apart than a clearance, m: None, or\n"
+             "where it is not known to be free.")
         .def("closest_approach", &ClearanceProof::closest_approach, "clearance"_a, Release(), "Proves it, and how near the motion comes.");
 }
 

@@ -273,8 +273,8 @@ void bind_ik(nb::module_& module) {
                            "Half the squared error around a configuration, with scratch memory: use an object in one thread at a time.")
         .def(nb::init<const Chain&>(), "chain"_a, nb::keep_alive<1, 2>())
         .def("linearize", &linearize, "target"_a, "constraint"_a, "position_priority"_a, "q"_a, "hessian"_a, "gradient"_a, "J"_a,
-             "Fills the Hessian (n, n) with the curvature of the chain, J^T e (n,) and J (6, n), where a third of a reach counts like a\n"
-             "rad. Returns the norm of the error.")
+             "Fills the Hessian (n, n) with the curvature of the chain, J^T e (n,) and J (6, n), where a third of a reach\n"
+             "counts like a rad. Returns the norm of the error.")
         .def("null_step", &null_step, "constraint"_a, "desired"_a, "low"_a, "high"_a, "step"_a,
              "The part of a desired step (n,) in the null space of the J of `linearize`, shortened to its bounds.");
     nb::class_<ClosedForm>(module, "ClosedForm",

@@ -15,8 +15,9 @@ import numpy as np
 from armctl import _core
 from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
-from armctl.core.validation import Array, BoolArray, IntArray
+from armctl.core.validation import Array, IntArray
 from armctl.motion.timing.initial_timing import Path, Timing, initial_timing, smooth_timing
+from armctl.motion.timing.speed_bounds import TorqueRows, points_of, speed_bounds
 from armctl.motion.trajectory.limit_check import limit_excess
 from armctl.motion.trajectory.piecewise import DEGREE, Pieces, basis_many, hermite
 
@@ -36,24 +37,6 @@ _MIN_DIP = 1e-2  # of the smaller squared speed at the ends of an interval
 # Torques vary between grid nodes. Above this share of a limit they are also checked between the nodes.
 _TORQUE_SHARE_CHECKED_BETWEEN_NODES = 0.8
 _MAX_END_SPEED_CHANGE = 0.02  # relative, of the squared path speed in the first and in the last interval
-
-
-class TorqueRows(NamedTuple):
-    """Bounds of the form low <= alpha b'/2 + beta b + delta sqrt(b) <= high, each (T, r).
-
-    Attributes:
-        alpha: Of the change of the squared path speed.
-        beta: Of the squared path speed.
-        delta: Of the path speed.
-        low: Less than 0.
-        high: Greater than 0.
-    """
-
-    alpha: Array
-    beta: Array
-    delta: Array
-    low: Array
-    high: Array
 
 
 class Torques(Protocol):
@@ -375,104 +358,10 @@ class _Problem:
         rows.delta[ends] = 0.0
         rows.high[ends] = _MAX_END_SPEED_CHANGE * b_max[ends, None] / places.timing.h
         rows.low[ends] = -rows.high[ends]
-        slope = _max_slope(rows, b_max)
-        points = _points(places)
-        force = _force_bounds(points, rows, b_max, slope)
-        q3 = np.stack([q3_after, q3_before], axis=1).reshape(-1, q1.shape[1])
-        jerk = _jerk_bounds(points, (q1, q2, q3), b_max, slope, j_max)
-        return {
-            "interval": points.interval,
-            "weights": points.value,
-            "b_max": np.where(points.is_first, b_max[points.node], 0.0),
-            **force,
-            **jerk,
-        }
-
-
-class _Points(NamedTuple):
-    """Both ends of each piece, where the speed is bounded.
-
-    Attributes:
-        interval: (P,) the interval.
-        node: (P,) the node.
-        is_first: (P,) whether no point before it is at the same node.
-        value: (P, 3) the weights of the interval's coefficients in b.
-        slope: (P, 3) in b'.
-        curvature: (3,) in b''.
-    """
-
-    interval: IntArray
-    node: IntArray
-    is_first: BoolArray
-    value: Array
-    slope: Array
-    curvature: Array
-
-
-def _points(places: _Places) -> _Points:
-    h = places.timing.h
-    x = np.column_stack([places.begin, places.end]).ravel()
-    is_first = np.arange(len(x)) % 2 == 0
-    is_first[-1] = True
-    return _Points(
-        interval=np.repeat(places.interval, 2).astype(np.int64),
-        node=(np.arange(len(x)) + 1) // 2,
-        is_first=is_first,
-        value=np.column_stack([0.5 * (1 - x) * (1 - x), 0.5 + x * (1 - x), 0.5 * x * x]),
-        slope=np.column_stack([(x - 1) / h, (1 - 2 * x) / h, x / h]),
-        curvature=np.array([1 / (h * h), -2 / (h * h), 1 / (h * h)]),
-    )
-
-
-def _max_slope(rows: TorqueRows, b_max: Array) -> Array:
-    """(N,) a bound on |b'| at the nodes, from the row that bounds it most."""
-    side = np.abs(0.5 * rows.alpha)
-    rest = np.maximum(rows.high, -rows.low) + np.abs(rows.beta) * b_max[:, None] + np.abs(rows.delta) * np.sqrt(b_max)[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.fmin.reduce(np.where(side > 0, rest / side, np.inf), axis=1)
-
-
-def _force_bounds(points: _Points, rows: TorqueRows, b_max: Array, max_slope: Array) -> dict[str, Array | IntArray]:
-    """The rows that can become active."""
-    side = 0.5 * rows.alpha
-    others = np.abs(rows.beta) * b_max[:, None] + np.abs(rows.delta) * np.sqrt(b_max)[:, None]
-    with np.errstate(invalid="ignore"):
-        largest = np.where(side == 0, others, np.abs(side) * max_slope[:, None] + others)
-    is_active = ~(largest < np.minimum(rows.high, -rows.low))[points.node] & points.is_first[:, None]
-    point, row = np.nonzero(is_active)
-    at = (points.node[point], row)
-    return {
-        "force_end": np.cumsum(is_active.sum(axis=1)),
-        "force_weights": side[at][:, None] * points.slope[point] + rows.beta[at][:, None] * points.value[point],
-        "damping": rows.delta[at],
-        "low": rows.low[at],
-        "high": rows.high[at],
-    }
-
-
-def _jerk_bounds(
-    points: _Points, derivatives: tuple[Array, Array, Array], b_max: Array, max_slope: Array, j_max: Array
-) -> dict[str, Array | IntArray]:
-    """The joints whose jerk can become active; of the third derivatives (P, n) each point has its own."""
-    q1 = derivatives[0][points.node]
-    q2 = derivatives[1][points.node]
-    q3 = derivatives[2]
-    b = b_max[points.node, None]
-    most = j_max[points.node]
-    side = 0.5 * np.abs(q1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        others = np.sqrt(b) * (np.abs(q3) * b + 1.5 * np.abs(q2) * max_slope[points.node, None])
-        max_curvature = np.fmin.reduce(np.where(side > 0, (most + others) / side, np.inf), axis=1)  # a bound on |b''| w
-        largest = np.where(side == 0, others, side * max_curvature[:, None] + others)
-    is_active = ~(largest < most)
-    point, joint = np.nonzero(is_active)
-    at = (point, joint)
-    weights = (
-        q3[at][:, None] * points.value[point]
-        + (1.5 * q2[at])[:, None] * points.slope[point]
-        + (0.5 * q1[at])[:, None] * points.curvature
-    )
-    return {"jerk_end": np.cumsum(is_active.sum(axis=1)), "jerk_weights": weights, "j_max": most[at]}
+        derivatives = (q1, q2, np.stack([q3_after, q3_before], axis=1).reshape(-1, q1.shape[1]))
+        return speed_bounds(
+            points_of(places.timing.h, places.interval, places.begin, places.end), rows, derivatives, b_max, j_max
+        )
 
 
 def _refined(timed: _Timed, intervals: int) -> Timing:
