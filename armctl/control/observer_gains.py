@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import expm1, log
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -31,6 +32,8 @@ _NOISE_ACCELERATION = 23.0
 # Payloads that multiply the inertia more than this are left out: the lower gains that they need track worse with all others.
 MAX_INERTIA_RATIO = 4.0
 PAYLOAD_LEVER_M = 0.05  # beside the tip, where a payload multiplies the small inertia of a light wrist
+
+_inertia_ratios: WeakKeyDictionary[Arm, float] = WeakKeyDictionary()  # computed once per arm
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +103,9 @@ def max_inertia_ratio(arm: Arm) -> float:
     multiplies the inertia by 1 + its mass / effective mass of the tip (Khatib, "A unified approach for motion and force control
     of robot manipulators", 1987).
     """
-    return min(1 + max_held_payload(arm) / min_effective_mass(arm, 0.0), MAX_INERTIA_RATIO)
+    if arm not in _inertia_ratios:
+        _inertia_ratios[arm] = min(1 + max_held_payload(arm) / min_effective_mass(arm, 0.0), MAX_INERTIA_RATIO)
+    return _inertia_ratios[arm]
 
 
 def max_unknown_payload(arm: Arm) -> float:
