@@ -1,6 +1,6 @@
 """Delay margin and peak sensitivity of default gains at many configurations that neither their design nor `margins` uses.
 
-    python benchmarks/default_margins.py [--robots panda,fr3] [--poses 500]
+    python benchmarks/default_margins.py [--robots panda,fr3] [--poses 150]
 
 A cell has the least delay margin, ms, and the largest Ms. "declared": `armctl info` names the controller as an exception.
 """
@@ -19,7 +19,7 @@ from armctl.control import controller_by_name
 from armctl.control.margin_exceptions import margin_exceptions
 from armctl.design.linearization import Linearizer
 
-ROBOTS = "robot_arm_3dof,panda,fr3,ur5e,xarm7,iiwa14,kinova_gen3,trs_so_arm100"
+ROBOTS = "robot_arm_3dof,panda,fr3,ur5e,iiwa14,kinova_gen3"
 LAWS = ("pd-gravity", "computed-torque", "computed-torque-observer", "operational-space", "impedance")
 SEED = 777
 
@@ -27,7 +27,7 @@ SEED = 777
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--robots", default=ROBOTS)
-    parser.add_argument("--poses", type=int, default=500)
+    parser.add_argument("--poses", type=int, default=150)
     parser.add_argument("--timestep", type=float, default=0.001)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "default_margins.md")
     args = parser.parse_args()

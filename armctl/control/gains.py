@@ -319,7 +319,7 @@ def bandwidth_gains(
         damping: (n,) or one number for all joints, N m s/rad (Kd), instead of 2 x damping_ratio x sqrt(stiffness x inertia).
 
     Returns:
-        The gains.
+        Stiffness and damping of each joint.
 
     Raises:
         InputError: A gain is negative, not finite or of the wrong length.

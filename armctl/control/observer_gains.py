@@ -29,7 +29,8 @@ _MAX_ESTIMATE = 9.0
 _MIN_ESTIMATE_PER_FEEDBACK = 5.0
 # rad/s^2. Noise is a share of the motors' torque: where they accelerate the arm less than this, the estimate is the slowest.
 _NOISE_ACCELERATION = 23.0
-# Slower gains leave a larger share to the damping of the joints, which costs some delay margin: the exponent of the ratio to 5 ms.
+# Slower gains leave a larger share to the damping of the joints, which costs some delay margin. The exponent of the ratio to
+# 5 ms.
 _LONG_DELAY_RESERVE = 0.05
 # Payloads that multiply the inertia more than this are left out: the lower gains that they need track worse with all others.
 MAX_INERTIA_RATIO = 4.0

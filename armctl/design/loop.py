@@ -68,8 +68,10 @@ class Loop:
 
     @property
     def A(self) -> Array:
-        """(k, k), the state: positions, velocities, the positions of the last tick if measured velocities are differences,
-        the memory of the controller, the delayed torques."""
+        """(k, k), the state: positions, velocities, the memory of the controller, the delayed torques.
+
+        If measured velocities are differences of positions, the positions of the last tick follow the velocities.
+        """
         return self.system.A
 
     @property
@@ -143,7 +145,11 @@ class Loop:
         return self._arm.transfer(z) * z[:, None, None] ** -self.delay
 
     def with_law(self, law: StateSpace) -> Loop:
-        """The same arm with another linear controller."""
+        """The same arm with another linear controller.
+
+        Args:
+            law: From measured positions and velocities (2n) to torques (n).
+        """
         return replace(self, _law=law)
 
     def delayed(self, ticks: int) -> Loop:
