@@ -120,7 +120,8 @@ def _extreme_configurations(arm: Arm, dynamics: Dynamics, sampled: Array, rng: n
     root = _damping_scale(free, np.diagonal(mass, axis1=1, axis2=2)) ** 0.5
 
     def rates(q: Array) -> Array:
-        return np.linalg.eigvalsh(dynamics.mass_matrix(q) / np.outer(root, root))  # their inverses
+        inverses = np.linalg.eigvalsh(dynamics.mass_matrix(q) / np.outer(root, root))
+        return np.asarray(inverses, dtype=np.float64)
 
     values = np.array([rates(q) for q in sampled])
     found = []

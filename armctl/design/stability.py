@@ -154,6 +154,7 @@ def _unit_crossings(loop: StateSpace, dt: float, frequencies: Array, transfer: C
     at_low = sizes[intervals, ranks]
     at_high = sizes[intervals + 1, ranks]
     rows = np.arange(len(ranks))
+    middle = low
     for _ in range(_SECANT_STEPS):  # regula falsi of the Illinois kind (Dowell, Jarratt, BIT 11, 1971)
         middle = low + (high - low) * at_low / (at_low - at_high)
         values = np.sort(np.abs(np.linalg.eigvals(loop.transfer(np.exp(1j * np.exp(middle) * dt)))), axis=1)

@@ -373,6 +373,8 @@ class _Design:
                 box[:, 1] = np.maximum(box[:, 1], 0.0)
                 ends = left[active][is_usable]
                 step = np.zeros(family.size)
+                new_left = left
+                new_cost = cost
                 # The bounds are curved: further tries keep away from those that the first one violated.
                 for _ in range(_TRIES):
                     found = linprog(slope, A_ub=rows, b_ub=ends, bounds=box)
