@@ -33,7 +33,7 @@ _DELAY_RESERVE = 1.04
 _DESIGN_SENSITIVITY = 1.6
 # Where the arm moves continuously, a velocity that is differenced from positions is half a period late. The lag of a step of
 # MuJoCo, for which the delay is required, is part of it.
-_DIFFERENCE_DELAY = 0.25
+_DIFFERENCE_DELAY = 0.35
 # Stiffness / gravity stiffness below which an arm under PD would fall over, with a reserve for configurations between samples.
 _MIN_GRAVITY_RATIO = 1.25
 _GRAVITY_STEP = 1e-5  # rad (m), of the central differences of gravity torques
@@ -120,7 +120,8 @@ def _extreme_configurations(arm: Arm, dynamics: Dynamics, sampled: Array, rng: n
     root = _damping_scale(free, np.diagonal(mass, axis1=1, axis2=2)) ** 0.5
 
     def rates(q: Array) -> Array:
-        return np.linalg.eigvalsh(dynamics.mass_matrix(q) / np.outer(root, root))  # their inverses
+        inverses = np.linalg.eigvalsh(dynamics.mass_matrix(q) / np.outer(root, root))
+        return np.asarray(inverses, dtype=np.float64)
 
     values = np.array([rates(q) for q in sampled])
     found = []
@@ -267,8 +268,8 @@ def extra_inertia(arm: Arm, bandwidth: float, damping_ratio: float, dt: float) -
     """Inertia, (n,) kg m^2, that the feedback of computed torque may add to joints of negligible inertia.
 
     Feedback in proportion to a negligible inertia would yield to any friction or payload. The inertia that the joint's motor
-    accelerates at 1000 rad/s^2 is enough. With an added inertia E, the loop gain grows by the eigenvalues of 1 + M^-1 E; they
-    are bounded by the delay margin in all sampled configurations.
+    accelerates at 1000 rad/s^2 is enough. With an added inertia E, the loop gain grows by the eigenvalues of 1 + M^-1 E; the
+    delay margin bounds the largest one, which a search over all configurations finds.
 
     Args:
         bandwidth: rad/s, of the feedback of the unit masses.
@@ -287,8 +288,19 @@ def _extra_inertia(arm: Arm, bandwidth: float, damping_ratio: float, dt: float) 
     rate = max(2 * damping_ratio * bandwidth, 1e-12)
     max_growth = max(0.0, max_damping_rate(bandwidth**2 / rate, dt) / rate - 1.0)
     extra = np.clip(arm.limits.tau_max / MAX_MOTOR_ACCELERATION - smallest, 0.0, max_growth * smallest)
+    if not extra.any():
+        return extra
     root = np.sqrt(extra)
-    growth = float(np.linalg.eigvalsh(root[:, None] * sampled_inertia(arm).mobility * root).max())
+    dynamics = Dynamics(arm.model, arm.pinocchio_model)
+
+    def largest(q: Array) -> float:
+        return float(np.linalg.eigvalsh(root[:, None] * np.linalg.inv(dynamics.mass_matrix(q)) * root)[-1])
+
+    sampled = sampled_inertia(arm)
+    growths = np.linalg.eigvalsh(root[:, None] * sampled.mobility * root)[:, -1]
+    starts = list(sampled.configurations[np.argsort(-growths)[:_SEARCH_STARTS]])
+    rng = np.random.default_rng(_DESIGN_SEED)
+    growth = largest(smallest_configuration(arm.limits, lambda q: -largest(q), starts, _SEARCH_STEPS, rng))
     return extra * min(1.0, max_growth / max(growth, 1e-12))
 
 
@@ -306,6 +318,9 @@ def bandwidth_gains(
         damping_ratio: 1 is critically damped.
         stiffness: (n,) or one number for all joints, N m/rad (Kp), instead of bandwidth^2 x inertia.
         damping: (n,) or one number for all joints, N m s/rad (Kd), instead of 2 x damping_ratio x sqrt(stiffness x inertia).
+
+    Returns:
+        Stiffness and damping of each joint.
 
     Raises:
         InputError: A gain is negative, not finite or of the wrong length.

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import expm1, log
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -28,9 +29,14 @@ _MAX_ESTIMATE = 9.0
 _MIN_ESTIMATE_PER_FEEDBACK = 5.0
 # rad/s^2. Noise is a share of the motors' torque: where they accelerate the arm less than this, the estimate is the slowest.
 _NOISE_ACCELERATION = 23.0
+# Slower gains leave a larger share to the damping of the joints, which costs some delay margin. The exponent of the ratio to
+# 5 ms.
+_LONG_DELAY_RESERVE = 0.05
 # Payloads that multiply the inertia more than this are left out: the lower gains that they need track worse with all others.
 MAX_INERTIA_RATIO = 4.0
 PAYLOAD_LEVER_M = 0.05  # beside the tip, where a payload multiplies the small inertia of a light wrist
+
+_inertia_ratios: WeakKeyDictionary[Arm, float] = WeakKeyDictionary()  # computed once per arm
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +72,7 @@ def observer_gains(arm: Arm, dt: float, delay_margin: float = MIN_DELAY_MARGIN_S
     """
     estimate = _estimate(arm)
     ratio = max_inertia_ratio(arm)
-    delay = required_delay(dt, delay_margin)
+    delay = required_delay(dt, delay_margin) * max(1.0, delay_margin / MIN_DELAY_MARGIN_S) ** _LONG_DELAY_RESERVE
     disturbance = 0.717 - 0.243 / ratio - 0.156 / estimate
     feedback = 0.57 - 0.194 * log(ratio) - 0.384 / estimate
     return ObserverGains(
@@ -100,7 +106,9 @@ def max_inertia_ratio(arm: Arm) -> float:
     multiplies the inertia by 1 + its mass / effective mass of the tip (Khatib, "A unified approach for motion and force control
     of robot manipulators", 1987).
     """
-    return min(1 + max_held_payload(arm) / min_effective_mass(arm, 0.0), MAX_INERTIA_RATIO)
+    if arm not in _inertia_ratios:
+        _inertia_ratios[arm] = min(1 + max_held_payload(arm) / min_effective_mass(arm, 0.0), MAX_INERTIA_RATIO)
+    return _inertia_ratios[arm]
 
 
 def max_unknown_payload(arm: Arm) -> float:

@@ -14,7 +14,15 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.plotting import COLORS, finish_figure
 from armctl.core.validation import Array, integer, vector
-from armctl.design.stability import LoopMargins, frequency_grid, loop_margins, robustness
+from armctl.design.stability import (
+    CoarseMargins,
+    LoopMargins,
+    coarse_grid,
+    coarse_margins,
+    frequency_grid,
+    loop_margins,
+    robustness,
+)
 from armctl.design.state_space import ComplexArray, StateSpace
 
 if TYPE_CHECKING:
@@ -132,6 +140,30 @@ class Loop:
         modes = np.column_stack([rates.imag, -rates.real / np.abs(rates)])
         return modes[modes[:, 1].argsort()]
 
+    def coarse_margins(self, plant: ComplexArray | None = None) -> CoarseMargins:
+        """The margins of single eigenvalues and joints, accurate to 1 % in a fraction of the time.
+
+        Args:
+            plant: `coarse_plant` of this arm, if it is known.
+        """
+        frequencies = coarse_grid(self.dt)
+        z = np.exp(1j * frequencies * self.dt)
+        transfer = -self._law.transfer(z) @ (self.coarse_plant() if plant is None else plant)
+        return coarse_margins(self.system, frequencies, transfer)
+
+    def coarse_plant(self) -> ComplexArray:
+        """The transfer function of arm and delay from torques to measured positions and velocities, on `coarse_grid`."""
+        z = np.exp(1j * coarse_grid(self.dt) * self.dt)
+        return self._arm.transfer(z) * z[:, None, None] ** -self.delay
+
+    def with_law(self, law: StateSpace) -> Loop:
+        """The same arm with another linear controller.
+
+        Args:
+            law: From measured positions and velocities (2n) to torques (n).
+        """
+        return replace(self, _law=law)
+
     def delayed(self, ticks: int) -> Loop:
         """The same loop with another delay.
 
@@ -183,6 +215,21 @@ class Loop:
         Raises:
             InputError: A frequency is outside its bounds or not finite.
         """
+        displacement = self._tip_jacobian @ self.joint_compliance(w) @ self._tip_jacobian.T
+        return np.asarray(np.linalg.svd(displacement, compute_uv=False)[:, 0], dtype=np.float64)
+
+    def joint_compliance(self, w: ArrayLike) -> ComplexArray:
+        """The dynamic compliance of the joints: their displacements per disturbance torque.
+
+        Args:
+            w: (k,) frequencies, rad/s, above 0 and up to pi / dt.
+
+        Returns:
+            (k, n, n) complex, rad/(N m).
+
+        Raises:
+            InputError: A frequency is outside its bounds or not finite.
+        """
         z = self._z(w)
         n = self.n
         outputs = np.vstack([self._arm.C, self._position])
@@ -191,8 +238,7 @@ class Loop:
         law = self._law.transfer(z) * z[:, None, None] ** -self.delay
         seen = np.linalg.solve(np.eye(2 * n) - arm[:, : 2 * n, :n] @ law, arm[:, : 2 * n, n:])
         closed = arm[:, 2 * n :, n:] + arm[:, 2 * n :, :n] @ law @ seen
-        displacement = self._tip_jacobian @ closed @ self._tip_jacobian.T
-        return np.asarray(np.linalg.svd(displacement, compute_uv=False)[:, 0], dtype=np.float64)
+        return np.asarray(closed, dtype=np.complex128)
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Path | None:
         """Draws the Nyquist curves of the joints, their sensitivities and the compliance of the tip.

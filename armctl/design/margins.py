@@ -14,7 +14,7 @@ from armctl.core.errors import InputError
 from armctl.core.validation import Array, frozen, integer, matrix, shown
 from armctl.design.linearization import Linearizer
 from armctl.design.loop import Loop
-from armctl.design.stability import LoopMargins, coarse_robustness
+from armctl.design.stability import CoarseMargins, LoopMargins
 from armctl.robot.arm import Arm, check_arm
 from armctl.robot.configuration_search import smallest_configuration
 from armctl.sim.move import read_controller
@@ -22,7 +22,7 @@ from armctl.sim.plant import NOMINAL, Plant, read_plant
 
 _MAX_POSES = 10_000
 _SEED = 20_000  # of the random configurations: the same for every controller, and not those that gains are designed for
-SEARCH_STEPS = 60  # of the search for the worst configuration
+SEARCH_STEPS = 40  # of the search for the worst configuration
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,32 +122,36 @@ def margins(
     law = read_controller(controller, arm)
     if not isinstance(plants, Sequence):
         raise InputError(f"plants: expected a list of plants, such as [armctl.Plant(payload=1.0)], got {shown(plants)}")
-    judged = [Linearizer(arm, read_plant(plant)) for plant in (plants or (NOMINAL,))]
-    cases = [(linearizer, q) for linearizer in judged for q in configurations(arm, poses)]
+    linearizers = [Linearizer(arm, read_plant(plant)) for plant in (plants or (NOMINAL,))]
+    loops = judged_loops(linearizers, law, poses)
+    return _worst(arm, law, loops, [loop.margins() for loop in loops])
+
+
+def judged_loops(linearizers: Sequence[Linearizer], law: Controller, poses: int | ArrayLike) -> list[Loop]:
+    """The loops of a controller at `configurations`, and the worst ones that searches find if those are not given."""
+    cases = [(linearizer, q) for linearizer in linearizers for q in configurations(linearizer.arm, poses)]
     loops = [linearizer.loop_at(law, q) for linearizer, q in cases]
-    found = [loop.margins() for loop in loops]
     if not _dimensions(poses):
+        found = [loop.coarse_margins() for loop in loops]
         for score in (_delay_margin, _negative_sensitivity):
-            linearizer, q = cases[int(np.argmin([score(each) for each in found[: len(cases)]]))]
+            linearizer, q = cases[int(np.argmin([score(each) for each in found]))]
             loops.append(_worst_loop(linearizer, law, q, score))
-            found.append(loops[-1].margins())
-    return _worst(arm, law, loops, found)
+    return loops
 
 
-def _delay_margin(margins: LoopMargins) -> float:
-    return margins.delay_margin
+def _delay_margin(margins: CoarseMargins) -> float:
+    return float(margins.delay.min())
 
 
-def _negative_sensitivity(margins: LoopMargins) -> float:
-    return -margins.peak_sensitivity
+def _negative_sensitivity(margins: CoarseMargins) -> float:
+    return -float(margins.peak_sensitivity.max())
 
 
-def _worst_loop(linearizer: Linearizer, law: Controller, start: Array, score: Callable[[LoopMargins], float]) -> Loop:
+def _worst_loop(linearizer: Linearizer, law: Controller, start: Array, score: Callable[[CoarseMargins], float]) -> Loop:
     """The loop with the smallest score that a search from a configuration finds."""
 
     def coarse(q: Array) -> float:
-        loop = linearizer.loop_at(law, q)
-        return score(coarse_robustness(loop.system, loop.dt))
+        return score(linearizer.loop_at(law, q).coarse_margins())
 
     rng = np.random.default_rng(_SEED)
     q = smallest_configuration(linearizer.arm.limits, coarse, [start], SEARCH_STEPS, rng)

@@ -10,7 +10,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from armctl.control import CompiledController, Controller, State, controller_name
+from armctl import _core
+from armctl.control import Controller, State, controller_name
 from armctl.control.interface import has_compiled_law
 from armctl.core.errors import InputError, ModelError
 from armctl.core.trajectory import Setpoint
@@ -68,7 +69,13 @@ def linear_controller(arm: Arm, controller: Controller, q: Array, dt: float, con
     responses to an impulse in each measured signal, after Ho and Kalman (1966) in the balanced form of Kung (1978). At last the
     model is compared with the controller on a random signal.
     """
-    run = _runs(arm, controller, q, dt, continuous)
+    if has_compiled_law(controller, arm.n) and not controller.needs_wrench:
+        law = controller.make_law(dt, continuous)
+        run = _compiled_runs(law, q)
+        if not law.memory.size:
+            return _static(run, arm.n)
+    else:
+        run = _runs(arm, controller, q, dt, continuous)
     error = np.inf
     for horizon, scale in product(_HORIZONS_TICKS, _IMPULSE_SCALES):
         sizes = scale * np.repeat([_POSITION_IMPULSE, _VELOCITY_IMPULSE], arm.n)
@@ -82,13 +89,19 @@ def linear_controller(arm: Arm, controller: Controller, q: Array, dt: float, con
     )
 
 
+def _static(run: _Run, n: int) -> StateSpace:
+    """The model of a law without memory."""
+    sizes = np.repeat([_POSITION_IMPULSE, _VELOCITY_IMPULSE], n)
+    difference = run(np.diag(sizes)) - run(-np.diag(sizes))
+    nothing = np.zeros((0, 0))
+    return StateSpace(nothing, np.zeros((0, 2 * n)), np.zeros((n, 0)), (difference / (2 * sizes[:, None])).T)
+
+
 _Run = Callable[[Array], Array]
 
 
 def _runs(arm: Arm, controller: Controller, q: Array, dt: float, continuous: bool) -> _Run:
     """A function that returns the torques (T, n) for deviations (T, 2n) of the measured state, each time from a fresh start."""
-    if has_compiled_law(controller, arm.n) and not controller.needs_wrench:
-        return _compiled_runs(controller, q, dt, continuous)
     n = arm.n
     rest = np.zeros(n)
     setpoint = Setpoint(q, rest, rest, rest, rest)
@@ -123,10 +136,9 @@ def _runs(arm: Arm, controller: Controller, q: Array, dt: float, continuous: boo
     return lambda deviations: torques(copy.deepcopy(original, dict(shared)), deviations)
 
 
-def _compiled_runs(controller: CompiledController, q: Array, dt: float, continuous: bool) -> _Run:
-    """As `_runs`, for a controller whose law is its whole law."""
-    n = controller.n
-    law = controller.make_law(dt, continuous)
+def _compiled_runs(law: _core.Law, q: Array) -> _Run:
+    """As `_runs`, for a compiled law."""
+    n = law.n
     reference = np.zeros((5, n))
     reference[0] = q
     no_wrench = np.zeros(0)

@@ -10,6 +10,7 @@ from armctl.core.limits import Limits
 from armctl.core.validation import Array
 
 _FIRST_STEP = 0.2  # of the range of each joint, and at most of a turn
+_DISTANCE_FROM_LIMITS = 0.01  # of the range: controllers that respect limits act differently there
 _GROWTH = 1.5  # of the step after a success, and to the power of -1/4 after a failure: Rechenberg's rule of 1/5 of successes
 
 
@@ -27,6 +28,8 @@ def smallest_configuration(
         steps: Evaluations per start, besides that of the start.
     """
     width = np.minimum(limits.q_max - limits.q_min, 2 * np.pi)
+    low = limits.q_min + _DISTANCE_FROM_LIMITS * width
+    high = limits.q_max - _DISTANCE_FROM_LIMITS * width
     best = starts[0]
     least = np.inf
     for start in starts:
@@ -34,7 +37,7 @@ def smallest_configuration(
         value = score(q)
         step = _FIRST_STEP
         for _ in range(steps):
-            child = np.clip(q + step * width * rng.standard_normal(len(q)), limits.q_min, limits.q_max)
+            child = np.clip(q + step * width * rng.standard_normal(len(q)), low, high)
             childs = score(child)
             if childs < value:
                 q = child

@@ -24,6 +24,8 @@ from armctl.sim.plant_attribute import Kind, PlantAttribute, attributes_of, numb
 
 # Runge-Kutta is stable up to steps of 2.8 time constants of the fastest damped joint; one time constant keeps it accurate.
 _CONTINUOUS_STEP_S = 2e-4
+# Noise of the encoder in comparisons: absolute encoders of robot joints resolve 17 to 20 bits, 5e-5 to 6e-6 rad.
+ENCODER_NOISE_RAD = 1e-5
 # Armature of a braked joint: forces of the arm then move it by less than the rounding error.
 _BRAKE_INERTIA = 1e8  # kg m^2 (kg for a slide joint)
 DIVERGED_SPEED = 1e4  # rad/s (m/s), of all joints together; above it a run counts as diverged
@@ -430,3 +432,4 @@ def _hashable(value: object) -> object:
 
 
 NOMINAL = Plant()
+WITH_ENCODER = Plant(encoder_noise=ENCODER_NOISE_RAD, name="encoder")

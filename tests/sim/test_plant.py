@@ -229,3 +229,26 @@ def test_pushes_at_the_same_time_add_up():
     logs = [armctl.simulate(arm, "impedance", Still(arm.home, 0.2), plant, dwell=0.0) for plant in plants]
     assert logs[0].q == pytest.approx(logs[1].q, abs=1e-12)
     assert np.abs(logs[0].q[-1] - arm.home).max() > 1e-4
+
+
+def test_without_a_velocity_sensor_a_continuous_plant_has_differences_of_positions(bundled):
+    seen = []
+
+    class Watching(armctl.PD):
+        def torque(self, state, setpoint):
+            seen.append((state.q.copy(), state.v.copy()))
+            return super().torque(state, setpoint)
+
+    motion = armctl.move_j(bundled, bundled.home, bundled.home + 0.3)
+    plant = armctl.Plant(timestep=0.002, continuous=True)
+    log = armctl.simulate(bundled, Watching(bundled), motion, plant)
+    q, v = (np.array(column) for column in zip(*seen, strict=True))
+    assert np.allclose(v[1:], np.diff(q, axis=0) / 0.002, rtol=0, atol=1e-9)
+    assert np.abs(v - log.v).max() > 1e-3
+    compiled = armctl.simulate(bundled, "pd", motion, plant)
+    assert np.array_equal(compiled.q, log.q)
+    seen.clear()
+    log = armctl.simulate(
+        bundled, Watching(bundled), motion, armctl.Plant(timestep=0.002, continuous=True, velocity_noise=1e-12)
+    )
+    assert np.allclose([v for _, v in seen], log.v, rtol=0, atol=1e-9)
