@@ -90,6 +90,14 @@ class _Speeds(NamedTuple):
     dry: Array
 
 
+class _LawFit(NamedTuple):
+    """MuJoCo's law of dry friction, each (n,): slope N m s/rad, bound N m, and the cost of the fit."""
+
+    slope: Array
+    bound: Array
+    cost: Array
+
+
 class ParameterFit:
     """A fit to the first rows of a recording; the others are held out.
 
@@ -373,24 +381,24 @@ class ParameterFit:
             prior = (np.log(slope / by_model) / _LAW_ERROR) ** 2 + ((bound - bound_by_model) / bound_error) ** 2
             return prior + np.array([_cost_of_damping(v[:, j] / weights[j], damping_error[j], left[:, j]) for j in joints])
 
-        def improved(best: tuple[Array, Array, Array], slope: Array, bound: Array) -> tuple[Array, Array, Array]:
+        def improved(best: _LawFit, slope: Array, bound: Array) -> _LawFit:
             cost = costs(slope, bound)
-            is_better = cost < best[2]
-            return tuple(np.where(is_better, new, old) for new, old in zip((slope, bound, cost), best, strict=True))
+            better = cost < best.cost
+            return _LawFit(*(np.where(better, new, old) for new, old in zip((slope, bound, cost), best, strict=True)))
 
         start = np.maximum(bound_by_model, least)
         by_start = costs(by_model, start)
-        best = improved((by_model, start, by_start), self._slope, np.maximum(self._bound, least))
+        best = improved(_LawFit(by_model, start, by_start), self._slope, np.maximum(self._bound, least))
         largest = np.abs(self._v_dry).max(axis=0)
         for factor, share in itertools.product(_LAW_SLOPES, _LAW_FRICTIONS):
             slope = factor * by_model
             best = improved(best, slope, np.maximum(share * slope * largest, least))
         for step in _LAW_STEPS:
             for on_slope, on_bound in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-                best = improved(best, best[0] * step**on_slope, np.maximum(best[1] * step**on_bound, least))
-        is_certain = best[2] < by_start - _SIGNIFICANT_ERRORS**2
-        self._slope = np.where(is_certain, best[0], by_model)
-        self._bound = np.where(is_certain, best[1], start)
+                best = improved(best, best.slope * step**on_slope, np.maximum(best.bound * step**on_bound, least))
+        is_certain = best.cost < by_start - _SIGNIFICANT_ERRORS**2
+        self._slope = np.where(is_certain, best.slope, by_model)
+        self._bound = np.where(is_certain, best.bound, start)
         self.shape = self.shape._replace(smoothing=self._bound / self._slope)
 
     def _improve_speeds(self, rest: Array, kept: IntArray) -> None:

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from armctl import _core
-from armctl.core.validation import Array
+from armctl.core.validation import Array, vector
 from armctl.sim.drivetrain import Drivetrain
 from armctl.sim.plant import Plant, Push
 
@@ -60,6 +60,7 @@ class Disturbances:
         self._commands: deque[Array] = deque(maxlen=plant.delay + plant.jitter + 1)
         self._age = 0
         self._dynamics = _core.Dynamics(pushed_arm)
+        self._dof_adr = train.actuation.dof_adr
         self._pushes: tuple[Push, ...] = tuple(plant.pushes)  # type: ignore[arg-type]  # a tuple after Plant.__post_init__
         self._dt = dt
         self._steps = round(dt / model.opt.timestep)
@@ -101,15 +102,23 @@ class Disturbances:
         self._late.append((measured_q, measured_v))
         return self._late[0]
 
-    def driven(self, tau: Array, q: Array) -> Array:
-        """Applies the pushes of this moment, and returns the torque that the motors receive for a commanded torque.
+    def driven(self, tau: Array, q: Array, v: Array) -> Array:
+        """Applies the pushes and the plant's joint torque of this moment, and returns what the motors receive for a command.
 
         That is the command `delay` ticks ago, at random up to `jitter` ticks older, or the first command until then.
+
+        Raises:
+            InputError: The joint torque is not n numbers.
         """
+        if self._plant.joint_torque is not None:
+            added = vector("joint_torque", self._plant.joint_torque(q, v, float(self._data.time)), len(self._dof_adr))
+            self._data.qfrc_applied[self._dof_adr] = added
         if self._pushes:
             self.push[:] = self._wrenches(np.array([self._data.time]))[0]
             torque = np.zeros(len(self._pushed_dofs))
             self._dynamics.tip_force(q[: len(torque)].copy(), self.push, torque)
+            if self._plant.joint_torque is not None:
+                torque += self._data.qfrc_applied[self._pushed_dofs]
             self._data.qfrc_applied[self._pushed_dofs] = torque
         if self._plant.jitter:
             self._commands.append(tau.copy())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -129,6 +129,10 @@ class Plant:
         moment_noise: N m, standard deviation of the noise on measured moments.
         wrench_delay: Ticks by which measured wrenches are delayed.
         pushes: External forces, each a `Push`.
+        joint_torque: A function of the true positions q (n,) rad, velocities v (n,) rad/s and the time t, s, that returns an
+            additional torque on the joints, (n,) N m, such as a friction of your own. It is called once a tick, and its torque
+            is held for the tick; a run with it makes its ticks in Python. It acts on this plant only. No linear loop contains
+            it: `margins` and `linearize` leave it out.
         continuous: Whether the arm moves almost continuously between ticks while the torque is held, as a real arm does
             (Runge-Kutta steps of at most 0.2 ms, less if damping is faster). A velocity that is differenced from positions
             is then half a tick late. Otherwise the model's integrator makes one step a tick, whose velocity is that difference.
@@ -192,6 +196,9 @@ class Plant:
     moment_noise: float = plant_attribute(Kind.NUMBER, 0.0, unit="N m", low=0.0, phrase="moment noise {} N m")
     wrench_delay: int = plant_attribute(Kind.WHOLE_NUMBER, 0, unit="ticks", low=0, phrase="wrench delay {}")
     pushes: Push | Sequence[Push] = plant_attribute(Kind.OTHER, (), phrase="{}", disturbs_signals=True, is_factor=False)
+    joint_torque: Callable[[Array, Array, float], ArrayLike] | None = plant_attribute(
+        Kind.OTHER, None, phrase="joint torque by {}", disturbs_signals=True, is_factor=False
+    )
     continuous: bool = plant_attribute(Kind.FLAG, False, phrase="continuous")
     timestep: float | None = plant_attribute(Kind.NUMBER, None, unit="s", low=1e-6, high=0.1, phrase="tick {} ms", scale=1e3)
     seed: int = plant_attribute(
@@ -217,6 +224,8 @@ class Plant:
         for name, attribute in PLANT_ATTRIBUTES.items():
             object.__setattr__(self, name, attribute.read(name, getattr(self, name)))
         object.__setattr__(self, "pushes", _pushes(self.pushes))
+        if self.joint_torque is not None and not callable(self.joint_torque):
+            raise InputError(f"joint_torque: expected a function of q, v and t, got {shown(self.joint_torque)}")
         instance("name", self.name, str, "'worn gears' is one")
 
     def __str__(self) -> str:

@@ -94,6 +94,8 @@ class PlantAttribute:
         """A checked value in words."""
         if isinstance(value, tuple):
             return ", ".join(str(each) for each in value)
+        if callable(value):
+            return self.phrase.format(getattr(value, "__name__", type(value).__name__))
         is_number = not isinstance(value, bool | str)
         return self.phrase.format(number_text(self.scale * value) if is_number else value)
 

@@ -305,7 +305,7 @@ class Stepper:
 
     def _runs_compiled(self, controller: Controller) -> TypeGuard[CompiledController]:
         """Whether the ticks of a controller need no Python. A compiled law can get the wrench on one tip."""
-        if self._steps_in_python:
+        if self._steps_in_python or self.plant.joint_torque is not None:
             return False
         return has_compiled_law(controller, self.n) and (self._wrench_sensor.arms == 1 or not controller.needs_wrench)
 
@@ -406,7 +406,7 @@ class Stepper:
                     break
                 command_rows[row] = command
                 if not is_direct:
-                    driven = command if disturbances is None else disturbances.driven(command, q)
+                    driven = command if disturbances is None else disturbances.driven(command, q, v)
                     data.ctrl[self._motors] = driven / self.actuation.gear
                     self._measurement = None
                 mj_step(model, data, substeps)

@@ -63,6 +63,33 @@ def test_damping_does_not_delay_a_tip_that_sinks_deep_into_a_wall(tmp_path):
     check_targets(log, force)
 
 
+def with_spring(arm: armctl.Arm, stiffness: float, damping_ratio: float) -> armctl.Arm:
+    """The arm at a wall that is a spring with a damper, N/m; MuJoCo adds a virtual mass that is small at this impedance."""
+    impedance = 0.3
+    model = arm.model
+    wall = model.geom("wall").id
+    mobility = model.body_invweight0[arm.tip_body, 0]
+    rate = stiffness * mobility * (1 - impedance) / impedance**2
+    model.geom_solimp[wall] = [impedance, impedance, 0.001, 0.5, 2]
+    model.geom_solref[wall] = [-rate * impedance**2, -2 * damping_ratio * np.sqrt(rate) * impedance]
+    return arm
+
+
+@pytest.mark.parametrize(("shape", "damping_ratio"), [("six joints", 1.0), ("six joints", 0.3), ("redundant", 1.0)])
+def test_the_force_on_foam_settles_in_a_third_of_a_second(tmp_path, shape, damping_ratio):
+    arm = with_spring(arm_at_wall(tmp_path, shape), 1000.0, damping_ratio)
+    noise = {"force_noise": 0.3, "moment_noise": 0.01, "encoder_noise": 1e-5, "seed": 5}
+    log, force = pressed(arm, armctl.Plant(timestep=0.001, delay=4, **noise), seconds=2.5)
+    first = int(np.argmax(force > 0.02 * FORCE))
+    depth = np.ptp(log.tip[first:, 2])
+    assert force[-1] / depth == pytest.approx(1000.0, rel=0.1)
+    outside = np.flatnonzero(np.abs(force - FORCE) > 0.05 * FORCE)[-1]
+    assert (outside - first) * log.dt < 0.33
+    assert force.max() < 1.1 * FORCE
+    late = np.convolve(force[first + 1500 :] - FORCE, np.ones(50) / 50, "valid")
+    assert np.abs(late).max() < 0.1
+
+
 @pytest.mark.parametrize("gap", [0.0, 0.002])
 def test_the_position_of_the_wall_need_not_be_known(tmp_path, gap):
     arm = arm_at_wall(tmp_path, "redundant", gap=gap)

@@ -252,3 +252,57 @@ def test_without_a_velocity_sensor_a_continuous_plant_has_differences_of_positio
         bundled, Watching(bundled), motion, armctl.Plant(timestep=0.002, continuous=True, velocity_noise=1e-12)
     )
     assert np.allclose([v for _, v in seen], log.v, rtol=0, atol=1e-9)
+
+
+def test_a_joint_torque_of_the_plant_acts_like_the_friction_that_it_describes(bundled):
+    """Viscous friction as a function of the user, held for a tick, and as an attribute; the difference is of first order."""
+    motion = armctl.move_j(bundled, bundled.home, bundled.home + 0.4)
+
+    def positions(**plant):
+        return armctl.simulate(bundled, "pd", motion, armctl.Plant(timestep=0.0005, **plant)).q
+
+    without = positions()
+    attribute = positions(viscous_friction=0.5)
+    function = positions(joint_torque=lambda q, v, t: -0.5 * v)
+    assert np.abs(attribute - without).max() > 5e-4
+    assert np.abs(function - attribute).max() < 0.02 * np.abs(attribute - without).max()
+
+
+def test_a_joint_torque_gets_true_states_and_acts_on_its_plant_only(bundled):
+    seen = []
+
+    def watching(q, v, t):
+        seen.append((q.copy(), v.copy(), t))
+        return np.zeros(3)
+
+    noisy = armctl.Plant(joint_torque=watching, encoder_noise=1e-4)
+    motion = armctl.move_j(bundled, bundled.home, bundled.home + 0.2)
+    log = armctl.simulate(bundled, "computed-torque", motion, noisy)
+    assert np.array([t for _, _, t in seen]) == pytest.approx(log.t)
+    assert np.array_equal([q for q, _, _ in seen], log.q)
+    assert np.array_equal([v for _, v, _ in seen], log.v)
+    count = len(seen)
+    plain = armctl.simulate(bundled, "computed-torque", motion, armctl.Plant(encoder_noise=1e-4))
+    assert len(seen) == count
+    assert np.array_equal(plain.q, log.q)  # no torque, no difference: the loops in Python and C++ give the same bits
+    assert str(noisy).startswith("encoder noise 0.0001 rad, joint torque by watching")
+
+
+def test_a_joint_torque_adds_to_pushes(bundled):
+    push = armctl.Push(0.0, 1.0, force=[0.0, 0.0, 5.0])
+    motion = armctl.move_j(bundled, bundled.home, bundled.home + 0.1)
+    tips = []
+    for sign in (0.0, -1.0):
+        pushed = armctl.Plant(pushes=push, joint_torque=lambda q, v, t, sign=sign: sign * (bundled.jacobian(q)[2] * 5.0))
+        tips.append(armctl.simulate(bundled, "computed-torque", motion, pushed))
+    assert np.abs(tips[0].tip - tips[0].tip_ref).max() > 1e-4
+    assert np.abs(tips[1].tip - tips[1].tip_ref).max() < 1e-10
+
+
+@pytest.mark.parametrize("bad", [lambda q, v, t: [1.0, 2.0], lambda q, v, t: None, lambda q, v, t: np.full(3, np.nan)])
+def test_a_joint_torque_of_a_wrong_form_is_one_sentence(bundled, bad):
+    motion = armctl.move_j(bundled, bundled.home, bundled.home + 0.1)
+    with pytest.raises(armctl.InputError, match="joint_torque: "):
+        armctl.simulate(bundled, "pd", motion, armctl.Plant(joint_torque=bad))
+    with pytest.raises(armctl.InputError, match="joint_torque: expected a function of q, v and t, got 3"):
+        armctl.Plant(joint_torque=3)

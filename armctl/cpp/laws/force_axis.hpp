@@ -55,19 +55,19 @@ private:
     static constexpr double approach_rate = 40.0;  // 1/s, the bandwidth of the speed in an approach; stable with a delay of 4 ms
     static constexpr double damping_rate = 30.0;   // 1/s, the damping of the tip in contact divided by its mass
     static constexpr double integral_rate = 20.0;  // 1/s. Below the damping rate, the integral of a lightly damped wall is stable.
-    // 1/s. Into a damped wall the tip moves steadily, and its damping and that of the joints would hold back a part of the force: 2 N
-    // of 20 N for a light arm that sinks 10 mm. So a speed that lasts, and that reduces the error, is damped less and less.
+    // 1/s. While the tip sinks into a damped wall, its damping would hold back a part of the force. So a speed that lasts, and that
+    // reduces the error, is damped less and less.
     static constexpr double steady_speed_rate = 12.0;
-    // Of the target, a bound for what the damping is relieved of. On a soft wall the force rises slowly; it prevents windup.
-    static constexpr double max_relieved_ratio = 0.4;
+    static constexpr double max_relieved_ratio = 0.2;     // of the target, what the damping is relieved of
     static constexpr double relief_rate = 30.0;           // 1/s, of the depth, a bound for the steady speed
     static constexpr double max_integrated_error = 0.08;  // of the target
-    // 1/s. On an elastic wall, the error of the force of a damped tip decays at stiffness / (damping_rate mass): 3 /s for an arm of
-    // 10 kg at 1e3 N/m. The tip gets as much more speed as makes it decay at this rate on a wall of the estimated stiffness.
+    // 1/s. On foam, the error of the force of a damped tip decays at stiffness / (damping_rate mass), 3 /s for 10 kg at 1e3 N/m.
+    // With more speed, it decays at this rate on a wall of the estimated stiffness.
     static constexpr double force_rate = 20.0;
+    static constexpr double min_stiffness = 1000.0;    // N/m; a tip that falls into a hole takes it for a soft wall
     static constexpr double max_sinking_speed = 0.25;  // m/s
-    static constexpr double first_ratio = 0.25;  // of the contact threshold: the force, and its rise, from which the stiffness is estimated
-    static constexpr double rise_time = 0.02;    // s, time constant of the commanded force after the first contact
+    static constexpr double first_ratio = 0.25;        // of the contact threshold, the force from which the stiffness is estimated
+    static constexpr double rise_time = 0.02;          // s, time constant of the commanded force after the first contact
     // Friction is compensated at this share of the speed that a frictionless mass would have. With all of it, the force loop that
     // is closed over the friction is unstable on walls ten times stiffer than MuJoCo's default with a delay of 4 ms.
     static constexpr double yielding_ratio = 0.1;
@@ -79,24 +79,24 @@ private:
 
     // Follows the tip in the wall from the first force on.
     void update_wall(const AxisTick& tick, double sign, double pressing) {
-        const double speed = sign * tick.speed;
         if (pressing < first_ratio * tick.threshold || tick.target == 0.0) {
             first_force = 0.0;
             depth = 0.0;
             fluidity = 0.0;
             return;
         }
+        const double speed = sign * tick.speed;
         if (first_force == 0.0) { first_force = pressing; }
         depth += tick.dt * speed;
         fluidity = std::max(fluidity, speed / pressing);
     }
 
-    // The speed beyond that of a damped tip with which an error of the force decays at `force_rate`. The wall's stiffness is that of
-    // the way since the first force. A wall's own damping makes it seem stiffer, and is added besides: both keep the speed low.
+    // The speed beyond that of a damped tip with which an error of the force decays at `force_rate`, by the stiffness of the way so
+    // far. A wall's own damping makes it seem stiffer, and is added besides: both keep the speed low.
     double sinking_speed(const AxisTick& tick, double error, double pressing) const {
         const double rise = pressing - first_force;
         if (first_force == 0.0 || depth <= 0.0 || fluidity == 0.0 || rise < first_ratio * tick.threshold) { return 0.0; }
-        const double resistance = 1.0 / fluidity + rise / depth / force_rate;
+        const double resistance = 1.0 / fluidity + std::max(rise / depth, min_stiffness) / force_rate;
         const double speed = (1.0 / resistance - 1.0 / (damping_rate * tick.mass)) * error;
         return speed * error > 0.0 ? clipped(speed, max_sinking_speed) : 0.0;
     }
@@ -123,8 +123,7 @@ private:
     }
 
     AxisCommand approach(const AxisTick& tick, double sign, double pressing) {
-        const double sinking = sinking_speed(tick, tick.target - measured, pressing);
-        const double speed = sign * std::max(tick.approach_speed, sign * sinking);
+        const double speed = sign * tick.approach_speed;
         const double error = speed - tick.speed;
         integral += tick.dt * error;
         return {
@@ -144,7 +143,7 @@ private:
         const double faster = tick.speed - sinking;
         const double reducing = error * faster > 0.0 ? faster : 0.0;
         steady_speed += low_pass_weight(steady_speed_rate, tick.dt) * (reducing - steady_speed);
-        // Up to a part of the target, so that a tip that slides or yields stays slow; and hardly on a stiff wall, where it would chatter.
+        // A tip that slides or yields stays slow, and one on a stiff wall does not chatter.
         const double most = std::min(max_relieved_ratio * std::abs(tick.target) / damping, relief_rate * std::max(depth, 0.0));
         steady_speed = clipped(steady_speed, most);
         const double damped_speed = faster - steady_speed;
