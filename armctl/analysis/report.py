@@ -49,13 +49,13 @@ class Report:
         saturated_fraction: Fraction of the ticks at which a commanded torque exceeded its limit.
         chatter_nm: Root mean square difference of a torque from the mean of its two neighbours in time, while the reference
             rests, so that the torque of the motion is left out; NaN if it never rests.
-        residual_vibration_m: The largest distance of the tip from its mean position while the reference rests; NaN if it never
-            rests.
         contacts: What the arm touched, and for how long.
         duration_s: Simulated time.
         real_time_factor: Simulated time divided by computing time.
         delay_margin_s: The smallest delay margin of the controller on the plant; NaN unless `compare` computed margins.
         peak_sensitivity: Its largest Ms; NaN as for the delay margin.
+        residual_vibration_m: The largest distance of the tip from its mean position while the reference rests; NaN if it never
+            rests.
     """
 
     ok: bool

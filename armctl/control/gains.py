@@ -319,9 +319,6 @@ def bandwidth_gains(
         stiffness: (n,) or one number for all joints, N m/rad (Kp), instead of bandwidth^2 x inertia.
         damping: (n,) or one number for all joints, N m s/rad (Kd), instead of 2 x damping_ratio x sqrt(stiffness x inertia).
 
-    Returns:
-        Stiffness and damping of each joint.
-
     Raises:
         InputError: A gain is negative, not finite or of the wrong length.
     """

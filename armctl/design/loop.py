@@ -70,8 +70,11 @@ class Loop:
 
     @property
     def A(self) -> Array:
-        """(k, k), the state: that of the arm, positions and velocities first, what its sensors keep, the memory of the
-        controller, the delayed torques."""
+        """(k, k), the matrix of the state.
+
+        The state is that of the arm, positions and velocities first, what its sensors keep, the memory of the controller, and
+        the delayed torques.
+        """
         return self.system.A
 
     @property

@@ -130,16 +130,36 @@ class DryRun:
         return 1, self.read()
 
     def send(self, q: Array, last: bool) -> None:
-        """Nothing is sent: the robot is thought to be there."""
+        """Nothing is sent: the robot is thought to be there.
+
+        Args:
+            q: (n,) rad.
+            last: Whether the stream ends.
+        """
         assert self._seen is not None
         self._seen = self._seen._replace(q=q, q_ref=q)
 
     def recover(self) -> None:
-        """A dry run clears no fault."""
+        """A dry run clears no fault.
+
+        Raises:
+            LinkError: Always.
+        """
         raise LinkError("recover: a dry run clears no fault; make a Robot with the link itself")
 
     def hand(self, action: str, *arguments: float) -> Any:
-        """The hand is read, and does not move."""
+        """The hand is read, and does not move.
+
+        Args:
+            action: "read"; `Hand` lists the others.
+            *arguments: Of the action.
+
+        Returns:
+            What the hand tells.
+
+        Raises:
+            LinkError: The action would move the hand.
+        """
         if action != "read":
             raise LinkError("gripper: a dry run does not move the hand")
         return self.link.hand(action)

@@ -58,7 +58,14 @@ class Envelope:
         )
 
     def speed_limits(self, q: Array) -> tuple[Array, Array]:
-        """The lowest and the highest velocities at positions (T, n) rad, each (T, n) rad/s."""
+        """The velocities that are allowed at positions.
+
+        Args:
+            q: (T, n) rad.
+
+        Returns:
+            The lowest and the highest ones, each (T, n) rad/s.
+        """
         highest = np.broadcast_to(self.limits.v_max, q.shape)
         lowest = -highest
         if self.speed_offset is not None and self.stopping_acceleration is not None:
