@@ -5,9 +5,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 WORKERS ?= auto
-# TESTS: files of tests, all by default. ROBOT_MODULES: a file to which those are appended that depend on installed robots.
+# Arguments of pytest.
 TESTS ?=
-ROBOT_MODULES ?=
 BUILD_CORE := $(BIN)/python packaging/build_backend/armctl_build.py
 CXX_SOURCES := $(shell find armctl/cpp -name '*.[ch]pp')
 CORE_SOURCES := CMakeLists.txt $(CXX_SOURCES)
@@ -16,7 +15,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PIP_NO_INPUT := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test core stubs sanitize lint format types docs pytest lowest examples fuzz soak bench outputs pictures clean
+.PHONY: help demo test core stubs sanitize lint format types docs pytest lowest examples franka-sim fuzz soak mutants bench outputs pictures clean
 
 help:
 	@echo "make demo      the bundled arm moves to the green target and prints a report"
@@ -31,9 +30,11 @@ help:
 	@echo "make pytest    tests and examples"
 	@echo "make lowest    tests and examples with the lowest versions that pyproject.toml allows, in .lowest"
 	@echo "make examples  only the examples"
+	@echo "make franka-sim  random motions on a simulator of Franka's controller that enforces its limits"
 	@echo "make fuzz      random calls, files and messages, and 10 000 motions of every kind for each arm: hours;"
 	@echo "               ten minutes in all: make fuzz SEED=1 MINUTES=10"
 	@echo "make soak      one hour of continuous use; memory must stay constant: make soak MINUTES=60"
+	@echo "make mutants   seed errors in the code, one at a time, and print the share that the tests find: make mutants COUNT=200"
 	@echo "make bench     the benchmarks, one table each"
 	@echo "make outputs   write the printed outputs in README and docs again"
 	@echo "make pictures  draw the pictures of README and docs again"
@@ -114,7 +115,7 @@ docs: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@echo "docs/_build/index.html is up to date"
 
 pytest: $(VENV)/dev.stamp $(VENV)/core.stamp
-	@$(BIN)/python -m pytest $(TESTS) -n $(WORKERS) --maxprocesses 8 --dist loadgroup $(if $(ROBOT_MODULES),--robot-modules=$(ROBOT_MODULES)) || { echo "tests failed, as listed above; make pytest runs them alone"; exit 1; }
+	@$(BIN)/python -m pytest $(TESTS) -n $(WORKERS) --maxprocesses 8 --dist loadgroup || { echo "tests failed, as listed above; make pytest runs them alone"; exit 1; }
 
 # uv installs the lowest versions; pip cannot.
 .lowest/stamp: pyproject.toml
@@ -129,15 +130,29 @@ lowest: .lowest/stamp
 examples: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/python -m pytest tests/project/test_examples.py -n $(WORKERS) --maxprocesses 8
 
+# A simulator of Franka's controller that enforces its limits; it needs older packages than armctl, so an environment of its own.
+.franka-sim/stamp:
+	@$(PYTHON) -m venv .franka-sim && .franka-sim/bin/pip install --quiet franka-sim==1.1.7
+	@touch $@
+
+franka-sim: $(VENV)/dev.stamp $(VENV)/core.stamp .franka-sim/stamp
+	@$(BIN)/pip install --quiet --editable '.[franka]' && $(BIN)/python -m pytest tests/links/test_franka_sim.py -n 0 -rP
+
 # With MINUTES the tests take this time together. Without it they take ten minutes, and the motions go on until all are made.
 fuzz: SEED ?= 0
+fuzz: FIRST ?= 0
 fuzz: MOTIONS ?= $(if $(filter undefined,$(origin MINUTES)),10000,5)
 fuzz: $(VENV)/dev.stamp $(VENV)/core.stamp
-	@$(BIN)/python -m pytest tests/fuzz -rP -n $(WORKERS) --maxprocesses 8 --fuzz-seed $(SEED) --fuzz-minutes $(or $(MINUTES),10) --fuzz-motions $(MOTIONS)
+	@$(BIN)/python -m pytest tests/fuzz -rP -n $(WORKERS) --maxprocesses 8 --fuzz-seed $(SEED) --fuzz-first $(FIRST) --fuzz-minutes $(or $(MINUTES),10) --fuzz-motions $(MOTIONS)
 
 soak: MINUTES ?= 60
 soak: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/python benchmarks/soak.py --minutes $(MINUTES)
+
+mutants: COUNT ?= 200
+mutants: SEED ?= 0
+mutants: $(VENV)/dev.stamp $(VENV)/core.stamp
+	@$(BIN)/python packaging/mutants.py --count $(COUNT) --seed $(SEED) $(SUBPACKAGES)
 
 bench: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@for file in $(filter-out benchmarks/soak.py,$(wildcard benchmarks/*.py)); do echo "== $$file"; $(BIN)/python $$file || exit 1; done
@@ -149,5 +164,5 @@ pictures: $(VENV)/dev.stamp $(VENV)/core.stamp
 	@$(BIN)/python docs/pictures/make.py
 
 clean:
-	rm -rf armctl/_core*.so $(VENV) .lowest build dist docs/_build run out .pytest_cache .ruff_cache .import_linter_cache .hypothesis MUJOCO_LOG.TXT
+	rm -rf armctl/_core*.so $(VENV) .lowest .franka-sim build dist docs/_build run out .pytest_cache .ruff_cache .import_linter_cache .hypothesis MUJOCO_LOG.TXT
 	find armctl tests -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -3,6 +3,7 @@
 The public names are listed once, in `__init__.pyi`. Each is imported when it is first used, so that `import armctl` stays fast.
 """
 
+import difflib
 from typing import Any
 
 import lazy_loader
@@ -17,6 +18,13 @@ _public, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        near = ", ".join(
+            difflib.get_close_matches(name, __all__, n=2, cutoff=0.5) or [k for k in __all__ if name.lower() in k.lower()]
+        )
+        raise AttributeError(
+            f"armctl has no attribute {name!r}" + (f"; similar: {near}" if near and name[0] != "_" else ""), name=name
+        )
     with uninterrupted_import():
         return _public(name)
 

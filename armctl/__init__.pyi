@@ -1,6 +1,6 @@
 """The public names of armctl: this file is the only list of them, for type checkers and for Python, which reads it as well."""
 
-from ._core import CFunctionLaw as CFunctionLaw
+from . import links as links
 from .analysis.comparison import compare as compare
 from .analysis.comparison import out_and_back as out_and_back
 from .analysis.diagnose import Diagnosis as Diagnosis
@@ -16,10 +16,12 @@ from .analysis.report import table as table
 from .collision.clearance import ClearanceCheck as ClearanceCheck
 from .collision.clearance import check_clearance as check_clearance
 from .control.admittance import Admittance as Admittance
+from .control.c_function_law import CFunctionLaw as CFunctionLaw
 from .control.computed_torque import ComputedTorque as ComputedTorque
 from .control.computed_torque_learning import ComputedTorqueLearning as ComputedTorqueLearning
 from .control.computed_torque_observer import ComputedTorqueObserver as ComputedTorqueObserver
 from .control.computed_torque_qp import ComputedTorqueQP as ComputedTorqueQP
+from .control.elastic_feedforward import ElasticFeedforward as ElasticFeedforward
 from .control.hybrid_force import HybridForce as HybridForce
 from .control.impedance import Impedance as Impedance
 from .control.interface import CompiledController as CompiledController
@@ -29,12 +31,15 @@ from .control.operational_space import OperationalSpace as OperationalSpace
 from .control.pd import PD as PD
 from .control.pd_feedforward import PDFeedforward as PDFeedforward
 from .control.pd_gravity import PDGravity as PDGravity
-from .control.pd_gravity import PIDGravity as PIDGravity
 from .control.rate_limit import TorqueRateLimit as TorqueRateLimit
+from .control.torque_filter import LowPass as LowPass
+from .control.torque_filter import Notch as Notch
+from .control.torque_filter import TorqueFilter as TorqueFilter
 from .core.errors import ArmctlError as ArmctlError
 from .core.errors import ArmctlWarning as ArmctlWarning
 from .core.errors import InputError as InputError
 from .core.errors import LimitError as LimitError
+from .core.errors import LinkError as LinkError
 from .core.errors import ModelError as ModelError
 from .core.errors import NotInstalledError as NotInstalledError
 from .core.errors import PlanError as PlanError
@@ -55,6 +60,8 @@ from .design.excitation import excitation as excitation
 from .design.frequency_response import FrequencyResponse as FrequencyResponse
 from .design.frequency_response import frequency_response as frequency_response
 from .design.identify import identify as identify
+from .design.linearization import LinearArm as LinearArm
+from .design.linearization import linear_arm as linear_arm
 from .design.linearization import linearize as linearize
 from .design.loop import Loop as Loop
 from .design.margins import Margins as Margins
@@ -72,11 +79,16 @@ from .ik.reachability import reachability as reachability
 from .ik.result import IkBatch as IkBatch
 from .ik.result import IkResult as IkResult
 from .ik.solve import solve_ik as solve_ik
+from .links.dry_run import DryRun as DryRun
+from .links.envelope import Envelope as Envelope
+from .links.robot import Robot as Robot
 from .loading.chain import SerialChain as SerialChain
 from .loading.load import chains as chains
 from .loading.load import load as load
 from .loading.load import load_arms as load_arms
 from .loading.scene import Scene as Scene
+from .motion.input_shaping import shape_motion as shape_motion
+from .motion.iterative_learning import IterativeLearning as IterativeLearning
 from .motion.move_cartesian import Arc as Arc
 from .motion.move_cartesian import Line as Line
 from .motion.move_cartesian import PathOptions as PathOptions
@@ -99,15 +111,17 @@ from .render.video import record as record
 from .render.video import still as still
 from .robot.actuation import Actuation as Actuation
 from .robot.arm import Arm as Arm
+from .sim.commands import PathMoveOptions as PathMoveOptions
 from .sim.gripper.gripper import Gripper as Gripper
 from .sim.gripper.gripper import GripResult as GripResult
 from .sim.plant import Plant as Plant
 from .sim.plant import Push as Push
 from .sim.simulate import simulate as simulate
 from .sim.simulate_many import simulate_many as simulate_many
-from .sim.simulation import PathMoveOptions as PathMoveOptions
 from .sim.simulation import Simulation as Simulation
 from .sim.team import Team as Team
+from .stream.stream import Stream as Stream
+from .stream.stream import StreamReport as StreamReport
 from .study.factors import Choice as Choice
 from .study.factors import Normal as Normal
 from .study.factors import Range as Range

@@ -5,6 +5,7 @@ The compiled core of armctl. It computes; the Python modules that use it check a
 import enum
 
 import numpy
+from numpy.typing import NDArray
 
 def inverse_dynamics_along(model: ArmModel, q: numpy.ndarray, v: numpy.ndarray, a: numpy.ndarray, tau: numpy.ndarray) -> None:
     """Inverse dynamics without dry friction at many states: (T, n) N m."""
@@ -67,59 +68,14 @@ class ShapeKind(enum.IntEnum):
 
     PLANE = 4
 
-def bounding_sphere(points: numpy.ndarray, center: numpy.ndarray) -> float:
-    """
-    A small sphere around points (P, 3): writes its center (3,), returns its radius, m.
-    """
-
 class CollisionModel:
     """
     What an arm could touch: shapes, the joints that move them, and pairs. Immutable.
     """
 
-    def __init__(
-        self,
-        *,
-        axes: numpy.ndarray,
-        anchors: numpy.ndarray,
-        slides: numpy.ndarray,
-        references: numpy.ndarray,
-        parents: numpy.ndarray,
-        joints: numpy.ndarray,
-        ratio: numpy.ndarray,
-        joint_offset: numpy.ndarray,
-        kinds: numpy.ndarray,
-        frames: numpy.ndarray,
-        inflations: numpy.ndarray,
-        positions: numpy.ndarray,
-        rotations: numpy.ndarray,
-        sizes: numpy.ndarray,
-        centers: numpy.ndarray,
-        bounds: numpy.ndarray,
-        first_vertex: numpy.ndarray,
-        vertices: numpy.ndarray,
-        first_neighbor: numpy.ndarray,
-        neighbors: numpy.ndarray,
-        directions: numpy.ndarray,
-        pairs: numpy.ndarray,
-    ) -> None:
+    def __init__(self, **arguments) -> None:
         """
         A model from arrays for each joint, geom, vertex and pair; armctl/cpp/collision_model.hpp explains them.
-        """
-
-    def with_pairs(self, keep: numpy.ndarray) -> CollisionModel:
-        """The same model with fewer pairs, (K,) whether each stays."""
-
-    @property
-    def pair_count(self) -> int:
-        """The number of pairs."""
-
-    def pairs(self, pairs: numpy.ndarray) -> None:
-        """Writes the rows of the geoms of each pair, (K, 2)."""
-
-    def joints_between(self, pair: int) -> list[int]:
-        """
-        The joints that move one geom of a pair relative to the other: rows of the ratio.
         """
 
 class PairDistance:
@@ -167,8 +123,8 @@ class CollisionScene:
 
     def find_near_pairs(self, q: numpy.ndarray, moves: numpy.ndarray, share: float, clearances: numpy.ndarray) -> int:
         """
-        Finds the pairs that moves (n,) from q (n,) can bring nearer by more than a share of what is free, which is
-        their distance less their clearance (K,). Returns how many there are.
+        Finds the pairs that moves (m,) of all joints from q (n,) can bring nearer by more than a share of what is free, which
+        is their distance less their clearance (K,). Returns how many there are.
         """
 
     def near_pairs(self, pairs: numpy.ndarray, distances: numpy.ndarray, gradients: numpy.ndarray) -> None:
@@ -176,10 +132,9 @@ class CollisionScene:
         Writes what `find_near_pairs` found: rows (k,), distances (k,), and their derivatives (k, n).
         """
 
-    def kept_axis(self, q: numpy.ndarray, joint: int, direction: numpy.ndarray, within: float) -> KeptAxis:
+    def kept_axis(self, q: numpy.ndarray, frame: int, direction: numpy.ndarray, within: float) -> KeptAxis:
         """
-        The axis that a joint, a row of the ratio, moves and that has a direction of the world (3,) at q (n,). It may
-        tilt by an angle, rad.
+        The axis that moves with a frame and has a direction of the world (3,) at q (n,). It may tilt by an angle, rad.
         """
 
 class Hit:
@@ -223,54 +178,23 @@ class ClearanceProof:
 
     def set_motion(self, knots: numpy.ndarray, coefficients: numpy.ndarray) -> None:
         """
-        Sets the motion of the next proofs: knots (K + 1,) s, and coefficients (K, degree + 1, n) by powers of the time
-        since the knot, of degree 1 to 5.
+        Sets the motion of the next proofs: knots (K + 1,) s, and coefficients (K, degree + 1, m) of all joints by powers of the
+        time since the knot, of degree 1 to 5.
         """
 
-    def hit(self, clearance: float) -> Hit | None:
+    def hit(self, clearance: float, pair: int | None = None) -> Hit | None:
         """
-        Proves that the motion keeps more than a clearance, m: None, or where it is not known to be free.
+        Proves that the motion keeps all pairs, or one, farther apart than a clearance, m: None, or
+        where it is not known to be free.
         """
 
     def closest_approach(self, clearance: float) -> Approach:
         """Proves it, and how near the motion comes."""
 
-    def joint_range_is_free(self, pair: int, low: numpy.ndarray, high: numpy.ndarray) -> bool:
-        """
-        Proves that a pair never touches on the straight line between two positions of all joints that move, (m,) each.
-        """
-
 class ArmModel:
     """The model of an arm: a tree of links. Immutable."""
 
-    def __init__(
-        self,
-        *,
-        rotations: numpy.ndarray,
-        translations: numpy.ndarray,
-        slides: numpy.ndarray,
-        parents: numpy.ndarray,
-        masses: numpy.ndarray,
-        centers: numpy.ndarray,
-        inertias: numpy.ndarray,
-        lifted_masses: numpy.ndarray,
-        lifted_moments: numpy.ndarray,
-        stiffness: numpy.ndarray,
-        spring_rest: numpy.ndarray,
-        offsets: numpy.ndarray,
-        ratio: numpy.ndarray,
-        armature: numpy.ndarray,
-        damping: numpy.ndarray,
-        friction_loss: numpy.ndarray,
-        friction_gain: numpy.ndarray,
-        friction_rate: numpy.ndarray,
-        chain_length: int,
-        gravity: numpy.ndarray,
-        tip_rotation: numpy.ndarray,
-        tip_translation: numpy.ndarray,
-        implicit_damping: bool,
-        implicit_coriolis: bool,
-    ) -> None:
+    def __init__(self, **given) -> None:
         """
         A model from arrays for each of the m joints, and for each of the arm's n; armctl/cpp/arm_model.hpp explains them.
         """
@@ -308,20 +232,12 @@ class Dynamics:
         Adds the torque against dry friction on the reference motion, where the joints are placed.
         """
 
-    def add_linear_damping(self, v: numpy.ndarray, tau: numpy.ndarray) -> None:
-        """Adds the torque of the linear damping."""
-
     def coriolis_product(self, v: numpy.ndarray, w: numpy.ndarray, tau: numpy.ndarray) -> None:
         """C(q, v) w (n,) N m, where the joints are placed."""
 
     def mass_matrix(self, M: numpy.ndarray) -> None:
         """
         The (n, n) mass matrix with armature, kg m^2, where the joints are placed.
-        """
-
-    def add_step_inertia(self, M: numpy.ndarray) -> None:
-        """
-        Adds to a mass matrix what implicit linear damping adds to the inertia in one step.
         """
 
     def locate(self) -> None:
@@ -337,6 +253,11 @@ class Dynamics:
     def tip_jacobian(self, J: numpy.ndarray) -> None:
         """
         The (6, n) Jacobian of the tip, linear first, world axes, after `locate`.
+        """
+
+    def tip_force(self, q: numpy.ndarray, wrench: numpy.ndarray, tau: numpy.ndarray) -> None:
+        """
+        J(q)^T wrench, (n,) N m, for a wrench (6,) on the tip: force first, world axes.
         """
 
     def tip_motion(self, q: numpy.ndarray, v: numpy.ndarray, a: numpy.ndarray, motion: numpy.ndarray) -> None:
@@ -362,6 +283,11 @@ def solve(factors: numpy.ndarray, x: numpy.ndarray) -> None:
 def multiply(factors: numpy.ndarray, x: numpy.ndarray, product: numpy.ndarray) -> None:
     """product = M x, (n,) each, with M as `factorize` leaves it."""
 
+def solve_least_squares(A: numpy.ndarray, b: numpy.ndarray, x: numpy.ndarray) -> None:
+    """
+    Adds to x (r,) the shortest vector that minimizes |A^T x - b|; A (r, n) is overwritten.
+    """
+
 def tips(model: ArmModel, q: numpy.ndarray, positions: numpy.ndarray, rotations: numpy.ndarray) -> None:
     """
     Positions (T, 3) m and rotation matrices (T, 3, 3) of the tip in the world at each row of q (T, n).
@@ -385,67 +311,14 @@ class ActionMode(enum.Enum):
 
     cartesian_pose = 4
 
-class ActionOptions:
-    """How actions are used; armctl/cpp/actions.hpp explains it."""
-
-    def __init__(
-        self,
-        *,
-        mode: ActionMode,
-        size: int,
-        ticks: int,
-        dt: float,
-        joint_scale: float,
-        position_scale: float,
-        rotation_scale: float,
-        approach_rate: float,
-        tip_damping: float,
-        home_tip: numpy.ndarray,
-    ) -> None: ...
-
 class EnvironmentRows:
     """
     Several copies of an arm, each with its own simulation, controller and target.
     """
 
-    def __init__(
-        self,
-        api: MujocoApi,
-        *,
-        arm: ArmModel,
-        law: Law,
-        options: ActionOptions,
-        limits: numpy.ndarray,
-        qpos_addresses: numpy.ndarray,
-        dof_addresses: numpy.ndarray,
-        ctrl_addresses: numpy.ndarray,
-        gear: numpy.ndarray,
-        gripper_ctrl: numpy.ndarray,
-        gripper_length: numpy.ndarray,
-        gripper_ends: numpy.ndarray,
-        grip_step: float,
-        object_addresses: tuple[int, int] | None,
-        obstacle: int | None,
-        max_delay: int,
-        action: object,
-        q: object,
-        v: object,
-        target: object,
-        q_ref: object,
-        v_ref: object,
-        tip: object,
-        opening: object,
-        object: object,
-        touched: object,
-        noise: object | None,
-    ) -> None:
+    def __init__(self, api: MujocoApi, arm: ArmModel, law: Law, **given) -> None:
         """
-        Copies without simulations, that work on the arrays; armctl/cpp/environment_rows.hpp explains them.
-
-        `limits` (5, n) are least and greatest position, greatest speed, acceleration and torque. `gripper_ctrl` and
-        `gripper_length` (actuators,) are addresses in ctrl and in actuator_length, `gripper_ends` (4, actuators) the
-        controls when closed and open, and the lengths. `object_addresses` are those of the loose object in qpos and
-        qvel, `obstacle` is a geom.
+        Copies without simulations, that work on the arrays; armctl/cpp/environment_rows.hpp explains the arguments.
         """
 
     def set_simulation(self, row: int, model: object, data: object) -> None:
@@ -466,7 +339,7 @@ class EnvironmentRows:
         Moves target and reference, (n,) each, as a step does; the arms stay where they are.
         """
 
-class AxesRelation(enum.Enum):
+class AxesRelation(enum.IntEnum):
     """How the axes of some joints are related."""
 
     NEITHER = 0
@@ -521,17 +394,7 @@ class IkAnswer:
     def branch(self) -> int:
         """The number of the branch of q."""
 
-class FoundSolutions:
-    """How many solutions were found, and the effort."""
-
-    @property
-    def count(self) -> int: ...
-    @property
-    def starts(self) -> int: ...
-    @property
-    def steps(self) -> int: ...
-
-class Polished:
+class Solutions:
     """How many seeds became solutions, and the effort."""
 
     @property
@@ -542,6 +405,14 @@ class Polished:
     def lost(self) -> int:
         """Seeds that led to no solution."""
 
+    @property
+    def samples(self) -> int:
+        """Positions of the joint that is swept; 1 for six joints."""
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the closed form may have missed some."""
+
 NO_BRANCH: int = 27
 
 class Chain:
@@ -551,41 +422,10 @@ class Chain:
     Lengths are in reaches; targets and tolerances of positions are in m. Results are written into the last arguments.
     """
 
-    def __init__(
-        self,
-        *,
-        rotations: numpy.ndarray,
-        translations: numpy.ndarray,
-        slides: numpy.ndarray,
-        unknowns: numpy.ndarray,
-        ratios: numpy.ndarray,
-        low: numpy.ndarray,
-        high: numpy.ndarray,
-        period: numpy.ndarray,
-        reach: float,
-    ) -> None:
+    def __init__(self, **arguments) -> None:
         """
         A chain from arrays for each of the k joints, and for each of the n unknowns; armctl/cpp/chain.hpp explains them.
         """
-
-    @property
-    def joint_count(self) -> int:
-        """k."""
-
-    def with_special_axes(
-        self,
-        *,
-        relation: AxesRelation,
-        first: int,
-        others: numpy.ndarray,
-        pair_relation: AxesRelation,
-        pair_first: int,
-        distances_to_points: numpy.ndarray,
-    ) -> Chain:
-        """The chain with the structure of its closed form."""
-
-    def with_held(self, held: numpy.ndarray, positions: numpy.ndarray) -> Chain:
-        """The chain with some unknowns held at positions."""
 
     def contains(self, q: numpy.ndarray) -> bool:
         """Whether q is a contiguous array of n float64 inside the bounds."""
@@ -639,21 +479,23 @@ class Chain:
         Moves each q (N, n) to a minimum of the squared error plus `pull` times its squared distance from q0.
         """
 
-    def find_all(
+    def random_starts(self, q0: numpy.ndarray, first: int, seed: int, q: numpy.ndarray) -> None:
+        """
+        Fills q (B, n) with random configurations of numbers from `first` on: odd ones inside the bounds, others in one turn.
+        """
+
+    def descend(
         self,
         target: numpy.ndarray,
         constraint: Constraint,
         position_tolerance: float,
         orientation_tolerance: float,
-        q0: numpy.ndarray,
-        begin: numpy.ndarray,
-        patience: int,
-        quarters: bool,
-        seed: int,
-        known: numpy.ndarray,
-    ) -> FoundSolutions:
+        q: numpy.ndarray,
+        solved: numpy.ndarray,
+        steps: numpy.ndarray,
+    ) -> None:
         """
-        Fills `known` (M, n) with distinct solutions for a target (12,), without regard to the bounds of hinges.
+        Descends from each q (B, n) to a solution for a target (12,), without regard to the bounds of hinges.
         """
 
     def polish(
@@ -667,7 +509,7 @@ class Chain:
         position_errors: numpy.ndarray,
         orientation_errors: numpy.ndarray,
         branches: numpy.ndarray,
-    ) -> Polished:
+    ) -> Solutions:
         """
         Refines the seeds (M, n) of a pose (12,) and keeps those that are solutions inside the bounds, nearest first.
         """
@@ -678,14 +520,6 @@ class Chain:
     def manipulabilities(self, oriented: bool, q: numpy.ndarray, values: numpy.ndarray) -> None:
         """
         Fills values (N,) with the manipulability at each q (N, n), lengths in m.
-        """
-
-    def joint_lines(self, q: numpy.ndarray, origins: numpy.ndarray, axes: numpy.ndarray) -> None:
-        """Fills origins and axes (k, 3) of the joints at q (n,)."""
-
-    def error_jacobian(self, constraint: Constraint, q: numpy.ndarray, J: numpy.ndarray) -> None:
-        """
-        Fills J (6, n), the Jacobian of the weighted error at q (n,): a third of a reach counts like a rad.
         """
 
 class IkErrorModel:
@@ -705,7 +539,8 @@ class IkErrorModel:
         J: numpy.ndarray,
     ) -> float:
         """
-        Fills the Hessian (n, n) with the curvature of the chain, J^T e (n,) and J (6, n). Returns the norm of the error.
+        Fills the Hessian (n, n) with the curvature of the chain, J^T e (n,) and J (6, n), where a third of a reach
+        counts like a rad. Returns the norm of the error.
         """
 
     def null_step(
@@ -715,87 +550,49 @@ class IkErrorModel:
         The part of a desired step (n,) in the null space of the J of `linearize`, shortened to its bounds.
         """
 
-class AllSolutions:
-    """How many solutions a closed form has, and the effort."""
-
-    @property
-    def count(self) -> int: ...
-    @property
-    def steps(self) -> int: ...
-    @property
-    def samples(self) -> int:
-        """Positions of the joint that is swept; 1 for six joints."""
-
-    @property
-    def complete(self) -> bool:
-        """Whether no solution can be missing."""
-
 class ClosedForm:
     """
     The closed form of six hinges of which three in a row meet in a point or are parallel. Immutable.
     """
 
-    def __init__(
-        self,
-        *,
-        axes: numpy.ndarray,
-        points: numpy.ndarray,
-        low: numpy.ndarray,
-        high: numpy.ndarray,
-        tip_rotation: numpy.ndarray,
-        tip_translation: numpy.ndarray,
-        reach: float,
-        relation: AxesRelation,
-        first: int,
-        pair_relation: AxesRelation,
-        pair_first: int,
-        held: int | None = None,
-    ) -> None:
+    def __init__(self, chain: Chain, **arguments) -> None:
         """
         From the hinges in the zero configuration, lengths in reaches; armctl/cpp/closed_form.hpp explains the arguments.
         """
 
     def solve_all(
         self,
-        chain: Chain,
         target: numpy.ndarray,
         q0: numpy.ndarray,
         position_tolerance: float,
         orientation_tolerance: float,
         slack: float,
         margin: float,
-        least_samples: int,
-        most_samples: int,
+        positions: numpy.ndarray,
+        least: int,
         wanted: int,
         q: numpy.ndarray,
         position_errors: numpy.ndarray,
         orientation_errors: numpy.ndarray,
         branches: numpy.ndarray,
-    ) -> AllSolutions:
+    ) -> Solutions:
         """
         Fills q (M, n), errors and branches (M,) with the solutions for a target (4, 3), refined, the nearest to q0 first.
         """
 
     def find_first(
-        self, targets: numpy.ndarray, slack: float, margin: float, most_samples: int, q: numpy.ndarray, found: numpy.ndarray
+        self,
+        targets: numpy.ndarray,
+        q0: numpy.ndarray,
+        slack: float,
+        margin: float,
+        positions: numpy.ndarray,
+        q: numpy.ndarray,
+        found: numpy.ndarray,
     ) -> None:
         """
-        Fills q (N, n), which holds where to begin, with a configuration for each of the targets (N, 12) that has any.
+        Fills q (N, n) with a configuration for each of the targets (N, 12) that has any.
         """
-
-class PoseError:
-    """The errors of a tip."""
-
-    @property
-    def position(self) -> float:
-        """m."""
-
-    @property
-    def orientation(self) -> float:
-        """rad."""
-
-def residual(constraint: Constraint, target: numpy.ndarray, position: numpy.ndarray, rotation: numpy.ndarray) -> PoseError:
-    """The errors of a tip for a target (12,)."""
 
 def residuals(
     constraint: Constraint,
@@ -833,7 +630,7 @@ class Law:
         """
 
     @property
-    def memory(self) -> numpy.ndarray:
+    def memory(self) -> NDArray[numpy.float64]:
         """
         What the law keeps from tick to tick; an array that shares the memory of the law.
         """
@@ -847,228 +644,17 @@ class Law:
 class PD(Law):
     """tau = stiffness (q_ref - q) + damping (v_ref - v)"""
 
-    def __init__(self, *, stiffness: numpy.ndarray, damping: numpy.ndarray) -> None: ...
-
-class PDFeedforward(Law):
-    """PD with the torque of the reference motion."""
-
-    def __init__(self, model: ArmModel, *, stiffness: numpy.ndarray, damping: numpy.ndarray) -> None: ...
-
-class PDGravity(Law):
-    """PD with gravity compensation."""
-
-    def __init__(self, model: ArmModel, *, stiffness: numpy.ndarray, damping: numpy.ndarray) -> None: ...
-
-class PIDGravity(Law):
-    """PID with gravity compensation."""
-
-    def __init__(
-        self,
-        model: ArmModel,
-        *,
-        stiffness: numpy.ndarray,
-        damping: numpy.ndarray,
-        integral_gain: numpy.ndarray,
-        torque_limit: numpy.ndarray,
-        dt: float,
-    ) -> None: ...
-
-class ComputedTorque(Law):
-    """Computed torque, with integral action if its gain is not 0."""
-
-    def __init__(
-        self,
-        model: ArmModel,
-        *,
-        stiffness: float,
-        damping: float,
-        integral_gain: float,
-        added_inertia: numpy.ndarray,
-        torque_limit: numpy.ndarray,
-        textbook: bool,
-        dt: float,
-    ) -> None: ...
-
-class ComputedTorqueObserver(Law):
-    """Computed torque with a disturbance observer that estimates velocities."""
-
-    def __init__(
-        self,
-        model: ArmModel,
-        *,
-        stiffness: float,
-        damping: float,
-        position_weight: float,
-        velocity_weight: float,
-        disturbance_weight: float,
-        torque_limit: numpy.ndarray,
-        dt: float,
-        continuous: bool,
-    ) -> None: ...
-    @property
-    def disturbance(self) -> numpy.ndarray:
-        """The estimated disturbance, (n,) N m; a part of the memory."""
-
-class ComputedTorqueLearning(ComputedTorqueObserver):
-    """
-    Computed torque with an observer, which learns payload, friction and delay.
-    """
-
-    def __init__(
-        self,
-        model: ArmModel,
-        *,
-        stiffness: float,
-        damping: float,
-        position_weight: float,
-        velocity_weight: float,
-        disturbance_weight: float,
-        torque_limit: numpy.ndarray,
-        filter_weight: float,
-        information_weight: float,
-        forgetting: float,
-        torque_precision: numpy.ndarray,
-        prior_deviations: numpy.ndarray,
-        dt: float,
-        continuous: bool,
-    ) -> None: ...
-    @property
-    def estimate(self) -> numpy.ndarray:
-        """
-        The ten parameters of the payload, the delay, s, and the dry friction of the joints, N m; a part of the memory.
-        """
-
-def payload_regressor(dynamics: Dynamics, q: numpy.ndarray, v: numpy.ndarray, a: numpy.ndarray, Y: numpy.ndarray) -> None:
-    """
-    The torques per inertial parameter of a body at the tip, written into Y (n, 10): mass, first moment, second moments.
-    """
-
-class TickProgram:
-    """The program of a tick: minimize x H x / 2, lower <= (x, M x) <= upper."""
-
-    @property
-    def H(self) -> numpy.ndarray:
-        """(n, n)"""
-
-    @property
-    def M(self) -> numpy.ndarray:
-        """
-        (n, n) inertia of one control period: the torque of a deviation x is M x.
-        """
-
-    @property
-    def lower(self) -> numpy.ndarray:
-        """(2n,) bounds of x and M x."""
-
-    @property
-    def upper(self) -> numpy.ndarray:
-        """(2n,)"""
-
-    @property
-    def torque(self) -> numpy.ndarray:
-        """(n,) N m, without limits."""
-
-class ComputedTorqueQP(Law):
-    """Computed torque within limits of torque, velocity and position."""
-
-    def __init__(
-        self,
-        model: ArmModel,
-        *,
-        stiffness: float,
-        damping: float,
-        added_inertia: numpy.ndarray,
-        q_min: numpy.ndarray,
-        q_max: numpy.ndarray,
-        v_max: numpy.ndarray,
-        a_max: numpy.ndarray,
-        tau_max: numpy.ndarray,
-        length: float,
-        dt: float,
-        continuous: bool,
-    ) -> None: ...
-    def last_program(self) -> TickProgram | None:
-        """The program of the last tick; None if the torque was not limited."""
-
-UNBOUNDED: float = 1e30
-
-def solve_program(
-    H: numpy.ndarray, f: numpy.ndarray, M: numpy.ndarray, lower: numpy.ndarray, upper: numpy.ndarray, x: numpy.ndarray
-) -> bool:
-    """
-    Minimizes x H x / 2 + f x subject to lower <= (x, M x) <= upper; whether there is a solution, which is written into x.
-    """
-
-class OperationalSpace(Law):
-    """Operational space control with a posture in the null space."""
-
-    def __init__(
-        self, model: ArmModel, *, stiffness: float, damping: float, posture_stiffness: float, posture_damping: float
-    ) -> None: ...
-
-class Impedance(Law):
-    """Cartesian impedance control without inertia shaping."""
-
-    def __init__(
-        self,
-        model: ArmModel,
-        *,
-        stiffness: numpy.ndarray,
-        max_error: numpy.ndarray,
-        posture_stiffness: numpy.ndarray,
-        damping_ratio: float,
-    ) -> None: ...
-    def set_stiffness(self, stiffness: numpy.ndarray) -> None:
-        """Replaces the stiffness of the tip, (6,) N/m and N m/rad."""
-
-class Admittance(Law):
-    """Admittance control: a position loop follows a compliant reference."""
-
-    def __init__(
-        self,
-        model: ArmModel,
-        *,
-        mass: numpy.ndarray,
-        damping: numpy.ndarray,
-        stiffness: numpy.ndarray,
-        bandwidth: float,
-        dt: float,
-    ) -> None: ...
-    @property
-    def offset(self) -> numpy.ndarray:
-        """
-        The displacement of the reference, (6,) m and rad; a part of the memory.
-        """
-
-class HybridForce(Law):
-    """Hybrid force/motion control with contact transition."""
-
-    def __init__(
-        self,
-        model: ArmModel,
-        *,
-        bandwidth: float,
-        damping_ratio: float,
-        in_tip_frame: bool,
-        approach_speed: float,
-        contact_force: float,
-        is_force: numpy.ndarray,
-        targets: numpy.ndarray,
-        dt: float,
-    ) -> None: ...
-    def set_axes(self, is_force: numpy.ndarray, targets: numpy.ndarray) -> None:
-        """
-        Replaces the force axes. One that comes back later begins with an approach.
-        """
-
-    @property
-    def in_contact(self) -> bool:
-        """Whether every force axis with a target is in contact."""
+    def __init__(self, **kwargs) -> None: ...
 
 class TorqueRateLimit(Law):
     """A law whose torques change at limited rates."""
 
-    def __init__(self, limited: Law, *, tau_rate_max: numpy.ndarray, dt: float) -> None: ...
+    def __init__(self, of: Law, **gains) -> None: ...
+
+class TorqueFilter(Law):
+    """A law whose torques go through filters of second-order sections."""
+
+    def __init__(self, of: Law, **gains) -> None: ...
 
 class CFunctionLaw(Law):
     """
@@ -1082,6 +668,102 @@ class CFunctionLaw(Law):
         A law from the address of its function, which has to exist as long as the law.
         """
 
+class PDFeedforward(Law):
+    """PD with the torque of the reference motion."""
+
+    def __init__(self, of: ArmModel, **gains) -> None: ...
+
+class PDGravity(Law):
+    """PD with gravity compensation."""
+
+    def __init__(self, of: ArmModel, **gains) -> None: ...
+
+class ComputedTorque(Law):
+    """
+    Computed torque; with weights of an estimate, at estimated positions and velocities.
+    """
+
+    def __init__(self, of: ArmModel, **gains) -> None: ...
+
+class ComputedTorqueObserver(Law):
+    """Computed torque with a disturbance observer that estimates velocities."""
+
+    def __init__(self, of: ArmModel, **gains) -> None: ...
+    @property
+    def disturbance(self) -> NDArray[numpy.float64]:
+        """The estimated disturbance, (n,) N m; a part of the memory."""
+
+class ComputedTorqueLearning(ComputedTorqueObserver):
+    """
+    Computed torque with an observer, which learns payload, friction and delay.
+    """
+
+    def __init__(self, of: ArmModel, **gains) -> None: ...
+    @property
+    def estimate(self) -> NDArray[numpy.float64]:
+        """
+        The ten parameters of the payload, the delay, s, and the dry friction of the joints, N m; a part of the memory.
+        """
+
+def payload_regressor(dynamics: Dynamics, q: numpy.ndarray, v: numpy.ndarray, a: numpy.ndarray, Y: numpy.ndarray) -> None:
+    """
+    The torques per inertial parameter of a body at the tip, written into Y (n, 10): mass, first moment, second moments.
+    """
+
+class ComputedTorqueQP(Law):
+    """Computed torque within limits of torque, velocity and position."""
+
+    def __init__(self, of: ArmModel, **gains) -> None: ...
+    def last_program(self) -> object:
+        """
+        H, M, lower and upper of the last tick's program, as for `solve_program` with f = 0, and the torque (n,) N m without
+        limits; None if the torque was not limited.
+        """
+
+UNBOUNDED: float = 1e30
+
+def solve_program(
+    H: numpy.ndarray, f: numpy.ndarray, M: numpy.ndarray, lower: numpy.ndarray, upper: numpy.ndarray, x: numpy.ndarray
+) -> bool:
+    """
+    Minimizes x H x / 2 + f x subject to lower <= (x, M x) <= upper; whether there is a solution, which is written into x.
+    """
+
+class OperationalSpace(Law):
+    """Operational space control with a posture in the null space."""
+
+    def __init__(self, of: ArmModel, **gains) -> None: ...
+
+class Impedance(Law):
+    """Cartesian impedance control without inertia shaping."""
+
+    def __init__(self, of: ArmModel, **gains) -> None: ...
+    def set_stiffness(self, **kwargs) -> None:
+        """Replaces the stiffness of the tip, (6,) N/m and N m/rad."""
+
+class Admittance(Law):
+    """Admittance control: a position loop follows a compliant reference."""
+
+    def __init__(self, of: ArmModel, **gains) -> None: ...
+    @property
+    def offset(self) -> NDArray[numpy.float64]:
+        """
+        The displacement of the reference, (6,) m and rad; a part of the memory.
+        """
+
+class HybridForce(Law):
+    """Hybrid force/motion control with contact transition."""
+
+    def __init__(self, of: ArmModel, **gains) -> None: ...
+    def set_axes(self, **kwargs) -> None:
+        """
+        Replaces the force axes, `is_force` and `targets` (6,). One that comes back later begins with an approach.
+        """
+
+    @property
+    def in_contact(self) -> bool:
+        """Whether every force axis with a target is in contact."""
+
 def limit_excess(
     coefficients: numpy.ndarray,
     steps: numpy.ndarray,
@@ -1094,88 +776,25 @@ def limit_excess(
     How far a derivative of each joint leaves [low, high] in each piece: exact where greater than 0, else at most 0.
     """
 
-def polynomial_extremes(coefficients: numpy.ndarray, order: int, places: numpy.ndarray, values: numpy.ndarray) -> None:
+def fastest_path_speed(coefficients: numpy.ndarray, interval_length: float, from_near: bool, **arguments) -> bool:
     """
-    Both ends of [0, 1] and the turning points of a derivative of each polynomial, and its values there.
-    """
+    Fills the coefficients of the squared path speed that takes the least time; False if none keeps the bounds.
 
-class PathTiming:
-    """
-    Bounds on the speed along a motion, and the speed that takes the least time.
+    With from_near they hold the solution for bounds that are a little different. armctl/cpp/path_timing.hpp explains
+    the bounds.
     """
 
-    def __init__(
-        self,
-        *,
-        interval_length: float,
-        interval: numpy.ndarray,
-        begin: numpy.ndarray,
-        end: numpy.ndarray,
-        q1: numpy.ndarray,
-        q2: numpy.ndarray,
-        q3_after: numpy.ndarray,
-        q3_before: numpy.ndarray,
-        b_max: numpy.ndarray,
-        j_max: numpy.ndarray,
-        alpha: numpy.ndarray,
-        beta: numpy.ndarray,
-        delta: numpy.ndarray,
-        low: numpy.ndarray,
-        high: numpy.ndarray,
-    ) -> None:
-        """
-        A motion of n joints at N nodes, and its bounds there; armctl/cpp/path_timing.hpp explains them.
-        """
-
-    def solve(self, coefficients: numpy.ndarray, from_near: bool) -> bool:
-        """
-        Fills the coefficients of the squared path speed; False if no speed is found that keeps the bounds.
-
-        With from_near they hold the solution for bounds that are a little different.
-        """
-
-class Displacement:
-    """The greatest displacement of a joint, and its derivatives."""
-
-    @property
-    def distance(self) -> float: ...
-    @property
-    def by_time(self) -> float: ...
-    @property
-    def by_start_velocity(self) -> float: ...
-    @property
-    def by_start_acceleration(self) -> float: ...
-    @property
-    def by_end_velocity(self) -> float: ...
-    @property
-    def by_end_acceleration(self) -> float: ...
+def make_fastest(motion: numpy.ndarray, **arguments) -> None:
+    """
+    Replaces a motion through K waypoints by the fastest one; armctl/cpp/waypoint_timing.hpp explains the arguments.
+    """
 
 def farthest_displacement(
     time: float, v_start: float, a_start: float, v_end: float, a_end: float, v_max: float, a_max: float, j_max: float
-) -> Displacement:
-    """How far a joint can go between two states in a time; NaN if it cannot."""
-
-class WaypointTiming:
-    """Waypoints, and the fastest motion through them."""
-
-    def __init__(
-        self,
-        *,
-        q: numpy.ndarray,
-        v_max: numpy.ndarray,
-        a_max: numpy.ndarray,
-        j_max: numpy.ndarray,
-        v_bound: numpy.ndarray,
-        a_bound: numpy.ndarray,
-    ) -> None:
-        """
-        Waypoints (K, n), limits (n,), and the greatest velocity and acceleration at each waypoint (K, n), 0 to hold it.
-        """
-
-    def solve(self, durations: numpy.ndarray, v: numpy.ndarray, a: numpy.ndarray) -> None:
-        """
-        Fills velocities and accelerations at the waypoints, and replaces durations that are long enough by the best.
-        """
+) -> tuple:
+    """
+    How far a joint can go between two states in a time, NaN if it cannot, and the derivatives by the time and the states.
+    """
 
 class RrtConnect:
     """
@@ -1207,32 +826,12 @@ class RrtConnect:
         The points from the start to a goal; empty as long as the trees have not met.
         """
 
-def shorten_path(proof: ClearanceProof, clearance: float, points: numpy.ndarray, places: numpy.ndarray) -> list[list[float]]:
-    """
-    The points of a path (p, n) without those that it does not need, and with shortcuts between places (k, 2), which are
-    shares of its length. Every line keeps more than the clearance, m.
-    """
-
 class MujocoApi:
     """
     MuJoCo's functions by their addresses, and where mjData keeps contacts.
     """
 
-    def __init__(
-        self,
-        *,
-        step: int,
-        rne_post_constraint: int,
-        make_batch: int,
-        delete_batch: int,
-        apply: int,
-        error: int,
-        empty_model: int,
-        contact_count: int,
-        contact_array: int,
-        contact_stride: int,
-        contact_geoms: int,
-    ) -> None: ...
+    def __init__(self, empty_model: object, **given) -> None: ...
 
 class Delay:
     """Commands that reach the motors some ticks after they were given."""
@@ -1246,48 +845,18 @@ class Delay:
         Takes the command of this tick, (n,) N m, and gives that of some ticks ago.
         """
 
-class TipForce:
-    """Joint torques of forces on the tip."""
-
-    def __init__(self, model: ArmModel) -> None: ...
-    def torque(self, q: numpy.ndarray, wrench: numpy.ndarray, tau: numpy.ndarray) -> None:
-        """J(q)^T wrench, (n,) N m, for a wrench (6,): force first, world axes."""
-
-def solve_least_squares(A: numpy.ndarray, b: numpy.ndarray, x: numpy.ndarray) -> None:
-    """
-    Adds to x (r,) the shortest vector that minimizes |A^T x - b|; A (r, n) is overwritten.
-    """
-
 class WrenchSensor:
     """The wrench of the environment on a tip, true or measured."""
 
-    def __init__(
-        self,
-        api: MujocoApi,
-        model: object,
-        data: object,
-        *,
-        arm: ArmModel,
-        bodies: numpy.ndarray,
-        root: int,
-        tip: int,
-        offset: numpy.ndarray,
-        is_connected: bool,
-        dt: float,
-        delay: int,
-        is_sampled: bool,
-        estimated: int,
-    ) -> None:
+    def __init__(self, api: MujocoApi, model: object, data: object, arm: ArmModel, **given) -> None:
         """
         A sensor in a mujoco.MjModel and MjData; armctl/cpp/wrench_sensor.hpp explains the arguments.
-
-        `estimated` numbers of the wrench follow from the torques of the motors; 0 if a flange sensor measures it.
         """
 
     def reset(self) -> None:
         """Forgets all measurements."""
 
-    def read(self, push: object | None, wrench: numpy.ndarray) -> None:
+    def read(self, push: numpy.ndarray | None, wrench: numpy.ndarray) -> None:
         """The true wrench now, (6,), with that of the plant's pushes."""
 
     def measure(
@@ -1296,8 +865,8 @@ class WrenchSensor:
         v: numpy.ndarray,
         tau: numpy.ndarray,
         t: float,
-        noise: object | None,
-        push: object | None,
+        noise: numpy.ndarray | None,
+        push: numpy.ndarray | None,
         wrench: numpy.ndarray,
         truth: numpy.ndarray,
     ) -> None:
@@ -1355,61 +924,15 @@ class TickLoop:
     The tick loop of one simulation: measure, control, step, record. One thread at a time.
     """
 
-    def __init__(
-        self,
-        api: MujocoApi,
-        model: object,
-        data: object,
-        *,
-        qpos_addresses: numpy.ndarray,
-        dof_addresses: numpy.ndarray,
-        ctrl_addresses: numpy.ndarray,
-        torque_addresses: numpy.ndarray,
-        gear: numpy.ndarray,
-        torque_share: numpy.ndarray,
-        pushed_arm: ArmModel,
-        substeps: int,
-        diverged_speed: float,
-    ) -> None:
+    def __init__(self, api: MujocoApi, model: object, data: object, pushed_arm: ArmModel, **given) -> None:
         """
-        The loop of a mujoco.MjModel and MjData.
-
-        The addresses are those of the motors' joints in qpos and qvel, of the motors in ctrl and of their torques in
-        qfrc_actuator; torques are ctrl times `gear`, and qfrc_actuator times `torque_share`. Pushes act on the tip of
-        `pushed_arm`.
+        The loop of a mujoco.MjModel and MjData; armctl/cpp/tick_loop.hpp explains the arguments.
         """
 
-    def run(
-        self,
-        law: Law,
-        end: TickEnd,
-        *,
-        q: numpy.ndarray,
-        v: numpy.ndarray,
-        a: numpy.ndarray,
-        v_tick: numpy.ndarray,
-        a_tick: numpy.ndarray,
-        qpos_rows: numpy.ndarray,
-        v_rows: numpy.ndarray,
-        command_rows: numpy.ndarray,
-        torque_rows: numpy.ndarray,
-        wrench_rows: object | None = None,
-        first: int,
-        last: int,
-        delay: Delay | None = None,
-        noise: object | None = None,
-        pushes: object | None = None,
-        push: object | None = None,
-        sensor: WrenchSensor | None = None,
-        times: object | None = None,
-        wrench_noise: object | None = None,
-        touching: bytes,
-    ) -> None:
+    def run(self, law: Law, end: TickEnd, delay: Delay | None, sensor: WrenchSensor | None, touching: bytes, **ticks) -> None:
         """
-        Runs the ticks [first, last) of a reference, (ticks, n) each, and records them in the rows, (ticks, ...) each.
+        Runs the ticks [first, last) of a reference and records them; `Ticks` in armctl/cpp/tick_loop.hpp explains the arrays.
 
         How they ended is written into `end`: an interrupt, which raises when the call returns, would lose a result.
-        Without a delay, the motors receive the command itself. Noise (last - first, 2, n), pushes (last - first, 6),
-        times (last - first,) and wrench_noise (last - first, 6) begin at the first of the ticks. `push` (6,) gets the
-        last of the pushes. `touching` are the geoms that touch in the row before, as in `TickEnd.contacts`.
+        `touching` are the geoms that touch in the row before, as in `TickEnd.contacts`.
         """

@@ -90,7 +90,8 @@ def tracking(arms: dict[str, armctl.Arm]) -> str:
     rows = []
     for plant in PLANTS:
         reports = {
-            robot: armctl.compare(arm, list(CONTROLLERS), quintic(arm), [plants(arm)[plant]]) for robot, arm in arms.items()
+            robot: armctl.compare(arm, list(CONTROLLERS), quintic(arm), [plants(arm)[plant]], poses=0)
+            for robot, arm in arms.items()
         }
         for i, name in enumerate(CONTROLLERS):
             rows.append([plant, name, *(shown(reports[robot][i]) for robot in arms)])
@@ -121,7 +122,7 @@ def observed(arms: dict[str, armctl.Arm]) -> str:
     for robot, arm in arms.items():
         for plant in PLANTS:
             name = "computed-torque" if plant in EXACT else "computed-torque-observer"
-            report = armctl.compare(arm, [name], quintic(arm), [plants(arm)[plant]])[0]
+            report = armctl.compare(arm, [name], quintic(arm), [plants(arm)[plant]], poses=0)[0]
             target = TARGETS.get((plant, robot), TARGETS.get((plant, ""), ""))
             if plant in EXACT:
                 target = "max 1e-9" if plant == "nominal" else "max 5e-7"

@@ -1,4 +1,4 @@
-"""What a delay margin costs: the error with an unknown payload, for many gains of the two laws that remove it by feedback.
+"""What a delay margin costs: the error with an unknown payload, for many gains of the law that removes it by feedback.
 
     python benchmarks/margin_and_error.py [--robot kinova_gen3] [--payload 0.5]
 
@@ -69,17 +69,16 @@ def inertia_ratio(arm: armctl.Arm, loaded: armctl.Arm, motion: Repeated) -> floa
 
 
 def laws(arm: armctl.Arm) -> list[tuple[str, armctl.Controller]]:
-    """Computed torque with an observer and with integral action, by their gains."""
+    """Computed torque with an observer, by their gains."""
     found: list[tuple[str, armctl.Controller]] = [
         ("observer, default", armctl.ComputedTorqueObserver(arm)),
-        ("integral, default", armctl.ComputedTorque(arm, integral=True)),
     ]
     for bandwidth, ratio, observer in product(BANDWIDTHS, DAMPING_RATIOS, OBSERVER_BANDWIDTHS):
         law = armctl.ComputedTorqueObserver(arm, bandwidth=bandwidth, damping_ratio=ratio, observer_bandwidth=observer)
         found.append((f"observer, {bandwidth} rad/s x {ratio}, {observer} rad/s", law))
     for margin in DELAY_MARGINS_S:
-        law = armctl.ComputedTorque(arm, integral=True, delay_margin=margin)
-        found.append((f"integral, delay_margin={margin:g}", law))
+        law = armctl.ComputedTorqueObserver(arm, delay_margin=margin)
+        found.append((f"observer, delay_margin={margin:g}", law))
     return found
 
 

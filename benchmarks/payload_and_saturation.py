@@ -1,4 +1,4 @@
-"""Unknown payloads and torque limits: integral action, a learnt payload, and a quadratic program, beside what they replace."""
+"""Unknown payloads and torque limits: an observer, a learnt payload, and a quadratic program, beside what they replace."""
 
 import argparse
 import time
@@ -73,14 +73,14 @@ def learning(arms: dict[str, armctl.Arm]) -> str:
             row = [name, f"{1e3 * dt:g}"]
             for disturbances in ({}, DISTURBED):
                 plant = armctl.Plant(timestep=dt, payload=ROBOTS[name], payload_center=CENTER_M, **disturbances)
-                for law in ("computed-torque-integral", "computed-torque-observer", "computed-torque-learning"):
+                for law in ("computed-torque-observer", "computed-torque-learning"):
                     controller = controller_by_name(law, arm)
                     log = armctl.simulate(arm, controller, motion, plant)
                     third = log.t > 2 * motion.period
                     row.append(f"{np.sqrt(np.mean((log.q - log.q_ref)[third] ** 2)):.1e}")
                 row.append(f"{100 * abs(controller.payload[0] / ROBOTS[name] - 1):.1f}")
             rows.append(row)
-    laws = ["integral", "observer", "learning", "mass error, %"]
+    laws = ["observer", "learning", "mass error, %"]
     columns = ["robot", "tick, ms", *laws, *(f"{law}, disturbed" for law in laws)]
     title = "Joint RMS, rad, of the third motion with an unknown payload; disturbed: sensor noise and a tick of delay"
     return titled_table(title, columns, rows)
@@ -130,7 +130,6 @@ def cost(arm: armctl.Arm) -> str:
     rows = []
     for name, offset in (
         ("computed-torque", 0.01),
-        ("computed-torque-integral", 0.01),
         ("computed-torque-observer", 0.01),
         ("computed-torque-learning", 0.01),
         ("qp", 0.01),

@@ -18,8 +18,8 @@ import os
 import time
 import warnings
 from collections.abc import Iterator
-from functools import lru_cache, reduce
-from itertools import pairwise
+from functools import reduce
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,7 +28,6 @@ import numpy as np
 from planning_peers import ompl_planner, roboplan_planner
 
 import armctl
-from armctl.collision.checkers import collision_checker
 from armctl.core.tables import Table
 
 CLEARANCE_M = 2e-3  # the default of move_free
@@ -188,12 +187,10 @@ def beside_peers(all_problems: list[Problem]) -> str:
     for i, problem in enumerate(all_problems):
         if not problem.arm.limits.contains(problem.goal):
             continue
-        checker = collision_checker(problem.arm, allow=problem.allow)
-        clearance = min(CLEARANCE_M, 0.5 * min(checker.nearest(problem.start)[1], checker.nearest(problem.goal)[1]))
         planners = {
             "armctl": lambda start, goal, problem=problem: planned_by_armctl(problem),
-            "roboplan": roboplan_planner(problem.arm, checker),
-            "OMPL": ompl_planner(problem.arm, checker, clearance),
+            "roboplan": roboplan_planner(problem.arm, allowed_pairs(problem)),
+            "OMPL": ompl_planner(problem.arm, lambda q, problem=problem: not touches_at(problem, q[None])),
         }
         missing |= {name for name, plan in planners.items() if plan is None}
         for name, plan in planners.items():
@@ -219,9 +216,9 @@ def beside_peers(all_problems: list[Problem]) -> str:
         rows.append([name, f"{solved} of {len(found)}", int(is_free.sum()), f"{median:.1f} / {high:.1f}", f"{ratio:.3f}"])
     header = ["planner", "solved", "proved free", "ms, median / 95 %", "armctl's length over its length, median"]
     notes = (
-        "RRT-Connect and shortcuts each, with the same geoms and pairs. armctl's times are those of a motion: it proves every "
+        "RRT-Connect and shortcuts each, with the same geoms. armctl's times are those of a motion: it proves every "
         "line and the smooth motion, and times it within the limits. The others' are those of a path: roboplan checks every "
-        "0.05 rad; OMPL every 0.5 %, with armctl's distances called through Python, so its times are not its best."
+        "0.05 rad; OMPL every 0.5 %, with MuJoCo's contacts called through Python, so its times are not its best."
     )
     absent = f" Not installed: {', '.join(sorted(missing))}." if missing else ""
     return f"**Paths beside peers, MotionBenchMaker, Panda**\n\n{as_markdown(header, rows)}\n\n{notes}{absent}"
@@ -274,17 +271,30 @@ def place(arm: armctl.Arm, data: mujoco.MjData, q: np.ndarray) -> None:
 
 
 def contacts(problem: Problem, data: mujoco.MjData, q: np.ndarray) -> set[tuple[int, int]]:
-    """The pairs that MuJoCo finds touching, of those that armctl counts."""
-    place(problem.arm, data, q)
-    touching = {tuple(sorted(contact.geom.tolist())) for contact in data.contact if contact.dist < 0.0}
-    return touching & counted_pairs(problem.arm, problem.allow)
+    """The pairs of geoms that MuJoCo finds touching, without those that may touch."""
+    return touching(problem.arm, data, q) - allowed_pairs(problem)
 
 
-@lru_cache(maxsize=1)
-def counted_pairs(arm: armctl.Arm, allow: tuple[tuple[str, str], ...]) -> set[tuple[int, int]]:
-    """The geoms of the pairs that armctl counts."""
-    geometry = collision_checker(arm, allow=allow).geometry
-    return {tuple(sorted(geometry.pair_geoms(p))) for p in range(len(geometry.pairs))}
+def touching(arm: armctl.Arm, data: mujoco.MjData, q: np.ndarray) -> set[tuple[int, int]]:
+    """The pairs of geoms that MuJoCo finds touching."""
+    place(arm, data, q)
+    return {tuple(sorted(contact.geom.tolist())) for contact in data.contact if contact.dist < 0.0}
+
+
+def allowed_pairs(problem: Problem) -> set[tuple[int, int]]:
+    """The pairs that the caller allows to touch, and those that touch at home or at the start: neighboring links, by design."""
+    arm = problem.arm
+    data = mujoco.MjData(arm.model)
+    pairs = touching(arm, data, arm.home) | touching(arm, data, problem.start)
+    for names in problem.allow:
+        first, second = ([g for g in range(arm.model.ngeom) if name in owners(arm.model, g)] for name in names)
+        pairs |= {(min(a, b), max(a, b)) for a in first for b in second}
+    return pairs
+
+
+def owners(model: mujoco.MjModel, geom: int) -> set[str]:
+    """The names of a geom and of its body."""
+    return {model.geom(geom).name, model.body(int(model.geom_bodyid[geom])).name}
 
 
 def capsules_in_boxes(arm: armctl.Arm, data: mujoco.MjData, q: np.ndarray) -> bool:
@@ -344,13 +354,17 @@ def own_problems() -> Iterator[Problem]:
             arm = arm_in(name, scene)
             if arm is None:
                 continue
-            checker = collision_checker(arm)
             span = np.minimum(arm.limits.q_max - arm.home, np.pi)
             low = np.maximum(arm.limits.q_min - arm.home, -np.pi)
             points = arm.home + np.random.default_rng(0).uniform(low, span, (2000, arm.n))
-            goals = [q for q in points if checker.hit(q, 2 * CLEARANCE_M) < 0 and tip_is_above(arm, q)][:PAIRS]
+            goals = islice((q for q in points if tip_is_above(arm, q) and stands_free(arm, q)), PAIRS)
             for index, goal in enumerate(goals):
                 yield Problem(f"{name}, {scene}", arm, (), arm.home, goal, index)
+
+
+def stands_free(arm: armctl.Arm, q: np.ndarray) -> bool:
+    """Whether the arm keeps twice the clearance where it stands."""
+    return armctl.check_clearance(arm, armctl.move_j(arm, q, q), 2 * CLEARANCE_M).ok
 
 
 def tip_is_above(arm: armctl.Arm, q: np.ndarray) -> bool:

@@ -1,7 +1,7 @@
 """The peers of `planning.py`: OMPL and roboplan on the same problems; None where they are not installed.
 
-OMPL's RRT-Connect checks states with armctl's own distances, through Python, at a resolution of 0.5 % of the space. roboplan
-gets the same geometry as a URDF: every geom as the mesh of its hull, round ones as polyhedra, with the same pairs.
+OMPL's RRT-Connect checks states with MuJoCo's contacts, through Python, at a resolution of 0.5 % of the space. roboplan gets
+the same geometry as a URDF: every geom as the mesh of its hull, round ones as polyhedra, without the pairs that may touch.
 """
 
 from __future__ import annotations
@@ -10,13 +10,11 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull
 
 import armctl
-from armctl._core import ShapeKind
-from armctl.collision.checker import CollisionChecker
-from armctl.collision.geometry import Shape
 
 RESOLUTION = 0.005  # of the extent of the joint space, OMPL
 STEP_RAD = 0.05  # between the checks of roboplan, its default
@@ -24,8 +22,8 @@ SECONDS = 10.0
 Planner = Callable[[np.ndarray, np.ndarray], "np.ndarray | None"]  # from start and goal to the points of a path
 
 
-def ompl_planner(arm: armctl.Arm, checker: CollisionChecker, clearance: float) -> Planner | None:
-    """RRT-Connect and `simplifySolution` of OMPL."""
+def ompl_planner(arm: armctl.Arm, is_free: Callable[[np.ndarray], bool]) -> Planner | None:
+    """RRT-Connect and `simplifySolution` of OMPL, for states that are free."""
     try:
         from ompl import base, geometric, util
     except ImportError:
@@ -46,7 +44,7 @@ def ompl_planner(arm: armctl.Arm, checker: CollisionChecker, clearance: float) -
         def is_valid(state) -> bool:
             for i in range(n):
                 q[i] = state[i]
-            return checker.hit(q, clearance) < 0
+            return is_free(q)
 
         setup.setStateValidityChecker(is_valid)
         setup.getSpaceInformation().setStateValidityCheckingResolution(RESOLUTION)
@@ -67,8 +65,8 @@ def ompl_planner(arm: armctl.Arm, checker: CollisionChecker, clearance: float) -
     return plan
 
 
-def roboplan_planner(arm: armctl.Arm, checker: CollisionChecker) -> Planner | None:
-    """RRT-Connect and shortcuts of roboplan."""
+def roboplan_planner(arm: armctl.Arm, allowed: set[tuple[int, int]]) -> Planner | None:
+    """RRT-Connect and shortcuts of roboplan; `allowed` are the pairs of geoms that may touch."""
     try:
         from roboplan.core import (
             JointConfiguration,
@@ -82,17 +80,21 @@ def roboplan_planner(arm: armctl.Arm, checker: CollisionChecker) -> Planner | No
         return None
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "arm.urdf"
-        file.write_text(_urdf(arm, checker, Path(folder)))
+        file.write_text(_urdf(arm, Path(folder)))
         scene = Scene("arm", loadUrdfSceneDescription(str(file)))
-    geometry = checker.geometry
-    count = len(geometry.geom_ids)
-    wanted = {tuple(sorted(pair)) for pair in geometry.pairs.tolist()}
-    names = [f"g{i}" for i in range(count)]
-    off = [(names[a], names[b]) for a in range(count) for b in range(a + 1, count) if (a, b) not in wanted]
+    model = arm.model
+    geoms = _colliding_geoms(model).tolist()
+    moved_by = _frames(arm)
+    off = [
+        (f"g{a}", f"g{b}")
+        for a in geoms
+        for b in geoms
+        if a < b and ((a, b) in allowed or not _are_tested(model, moved_by, a, b))
+    ]
     scene.setCollisions(off, False)
     joints = [f"j{i}" for i in range(arm.n)]
     scene.addGroup("arm", joints)
-    reference = geometry.frames.references
+    reference = arm.home
     planner = RRT(scene, RRTOptions("arm", max_nodes=20_000, rrt_connect=True, collision_check_step_size=STEP_RAD))
     planner.setRngSeed(0)
     shortcutter = PathShortcutter(scene, PathShortcuttingOptions("arm", max_step_size=STEP_RAD))
@@ -107,53 +109,85 @@ def roboplan_planner(arm: armctl.Arm, checker: CollisionChecker) -> Planner | No
     return plan
 
 
-def _urdf(arm: armctl.Arm, checker: CollisionChecker, folder: Path) -> str:
-    """The arm and its scene: frames parallel to the world at the reference configuration, a link for each geom."""
-    geometry = checker.geometry
+def _colliding_geoms(model: mujoco.MjModel) -> np.ndarray:
+    """The geoms that can touch something, without planes, which have no mesh."""
+    can_touch = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    return np.flatnonzero(can_touch & (model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE)))
+
+
+def _frames(arm: armctl.Arm) -> np.ndarray:
+    """(nbody,) the last joint of the arm above each body, counted from 1; 0 where none is."""
+    model = arm.model
+    of_body = np.zeros(model.nbody, int)
+    for body in range(1, model.nbody):
+        of_body[body] = of_body[model.body_parentid[body]]
+        for i, joint in enumerate(arm.joint_map.joints):
+            if model.jnt_bodyid[joint] == body:
+                of_body[body] = i + 1
+    return of_body
+
+
+def _are_tested(model: mujoco.MjModel, moved_by: np.ndarray, a: int, b: int) -> bool:
+    """Whether MuJoCo tests a pair of geoms by their bits, and the arm moves one of them relative to the other."""
+    bits = (model.geom_contype[a] & model.geom_conaffinity[b]) | (model.geom_contype[b] & model.geom_conaffinity[a])
+    return bool(bits) and moved_by[model.geom_bodyid[a]] != moved_by[model.geom_bodyid[b]]
+
+
+def _urdf(arm: armctl.Arm, folder: Path) -> str:
+    """The arm and its scene: frames parallel to the world at home, a link for each geom."""
+    model = arm.model
+    data = mujoco.MjData(model)
+    data.qpos[:] = arm.qpos(arm.home)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
     mass = '<inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
     parts = [f'<link name="f0">{mass}</link>']
-    anchors = [np.zeros(3)]
-    frames = geometry.frames
-    for i, parent in enumerate(frames.parents):
-        anchors.append(frames.anchors[i])
-        low = arm.limits.q_min[i] - frames.references[i]
-        high = arm.limits.q_max[i] - frames.references[i]
+    anchors = [np.zeros(3), *data.xanchor[list(arm.joint_map.joints)]]
+    for i, joint in enumerate(arm.joint_map.joints):
+        low = arm.limits.q_min[i] - arm.home[i]
+        high = arm.limits.q_max[i] - arm.home[i]
         parts.append(
-            f'<link name="f{i + 1}">{mass}</link><joint name="j{i}" type="revolute"><parent link="f{parent}"/>'
-            f'<child link="f{i + 1}"/><origin xyz="{_numbers(anchors[i + 1] - anchors[parent])}"/>'
-            f'<axis xyz="{_numbers(frames.axes[i])}"/>'
+            f'<link name="f{i + 1}">{mass}</link><joint name="j{i}" type="revolute"><parent link="f{i}"/>'
+            f'<child link="f{i + 1}"/><origin xyz="{_numbers(anchors[i + 1] - anchors[i])}"/>'
+            f'<axis xyz="{_numbers(data.xaxis[joint])}"/>'
             f'<limit lower="{low}" upper="{high}" effort="100" velocity="2"/></joint>'
         )
-    for g, shape in enumerate(geometry.shapes):
-        frame = shape.frame
-        file = folder / f"g{g}.stl"
-        _write_stl(file, _vertices(shape) - anchors[frame])
+    moved_by = _frames(arm)
+    for geom in _colliding_geoms(model).tolist():
+        frame = moved_by[model.geom_bodyid[geom]]
+        file = folder / f"g{geom}.stl"
+        _write_stl(file, data.geom_xpos[geom] + _vertices(model, geom) @ data.geom_xmat[geom].reshape(3, 3).T - anchors[frame])
         parts.append(
-            f'<link name="g{g}"><collision><geometry><mesh filename="{file}"/></geometry></collision></link>'
-            f'<joint name="to_g{g}" type="fixed"><parent link="f{frame}"/><child link="g{g}"/></joint>'
+            f'<link name="g{geom}"><collision><geometry><mesh filename="{file}"/></geometry></collision></link>'
+            f'<joint name="to_g{geom}" type="fixed"><parent link="f{frame}"/><child link="g{geom}"/></joint>'
         )
     return f'<robot name="arm">{"".join(parts)}</robot>'
 
 
-def _vertices(shape: Shape) -> np.ndarray:
-    """(V, 3) m, the vertices of a geom or of a polyhedron inside a round one."""
+def _vertices(model: mujoco.MjModel, geom: int) -> np.ndarray:
+    """(V, 3) m, the vertices of a geom, or of a polyhedron inside a round one, in its own axes."""
+    kind = mujoco.mjtGeom(int(model.geom_type[geom]))
+    size = model.geom_size[geom]
     i = np.arange(200) + 0.5
     polar = np.arccos(1.0 - 2.0 * i / 200)
     turn = np.pi * (1.0 + np.sqrt(5.0)) * i
     sphere = np.column_stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)])
-    if shape.kind in (ShapeKind.HULL, ShapeKind.BOX):
-        if shape.inflation == 0.0:
-            return shape.vertices
-        return (shape.vertices[:, None] + shape.inflation * sphere).reshape(-1, 3)
-    if shape.kind == ShapeKind.ELLIPSOID:
-        return shape.position + (sphere * shape.size) @ shape.rotation.T
-    if shape.kind == ShapeKind.PLANE:
-        raise armctl.ModelError("a plane has no mesh")
-    radius, half_length = shape.size[:2]
+    ends = np.array([[0.0, 0.0, -size[1]], [0.0, 0.0, size[1]]])
+    if kind == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = int(model.geom_dataid[geom])
+        first = int(model.mesh_vertadr[mesh])
+        return model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(float)
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        return size * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        return size[0] * sphere
+    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        return (ends[:, None] + size[0] * sphere).reshape(-1, 3)
+    if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+        return size * sphere
     angles = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
-    ring = radius * np.column_stack([np.cos(angles), np.sin(angles)])
-    rims = [np.column_stack([ring, np.full(len(ring), side * half_length)]) for side in (-1, 1)]
-    return shape.position + np.vstack(rims) @ shape.rotation.T
+    ring = size[0] * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(48)])
+    return (ends[:, None] + ring).reshape(-1, 3)
 
 
 def _write_stl(file: Path, vertices: np.ndarray) -> None:

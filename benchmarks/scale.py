@@ -117,7 +117,7 @@ def many(arms: dict[str, armctl.Arm], count: int) -> str:
             for threads in (1, 2)
         ]
         calls += [
-            lambda arm=arm, m=motion, p=plants, w=workers: armctl.compare(arm, ["computed-torque"], m, p, workers=w)
+            lambda arm=arm, m=motion, p=plants, w=workers: armctl.compare(arm, ["computed-torque"], m, p, workers=w, poses=0)
             for workers in (1, 2)
         ]
         milliseconds = [1e3 * seconds / count for seconds in best(calls)]

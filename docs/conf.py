@@ -11,6 +11,7 @@ from sphinx.util import logging
 import armctl
 import armctl.envs
 import armctl.jax
+import armctl.links
 
 project = "armctl"
 author = "the armctl authors"
@@ -48,6 +49,7 @@ CHAPTERS = {
     "planning": "Collision-free motion",
     "render": "Pictures and videos",
     "sim": "Simulation",
+    "links": "Robots",
     "design": "Identification and tuning",
     "analysis": "Reports, plots, comparisons",
     "study": "Studies",
@@ -62,9 +64,10 @@ def reference() -> dict[str, str]:
     """The pages of the reference by their file names: a list of all public names, and one page for each subpackage."""
     names: dict[str, list[str]] = {subpackage: [] for subpackage in CHAPTERS}
     for name in armctl.__all__:
-        if name != "__version__":
+        if name not in ("__version__", "links"):
             subpackage = getattr(armctl, name).__module__.split(".")[1]
             names["control" if subpackage == "_core" else subpackage].append(name)  # the core's public class is a law
+    names["links"] += [f"links.{name}" for name in armctl.links.__all__]
     names["envs"] = [f"envs.{name}" for name in armctl.envs.__all__]
     names["jax"] = [f"jax.{name}" for name in armctl.jax.__all__]
     chapters = [subpackage for subpackage in CHAPTERS if names[subpackage]]
@@ -118,8 +121,9 @@ def without_generated_docstring(app, what, name, obj, options, lines):
 def public_ids() -> set[str]:
     """What the reference must hold: all public names, and the public methods of the classes, inherited ones too."""
     ids = set()
-    of_subpackages = {*(f"envs.{name}" for name in armctl.envs.__all__), *(f"jax.{name}" for name in armctl.jax.__all__)}
-    for name in ({*armctl.__all__} | of_subpackages) - {"__version__"}:
+    subpackages = {"envs": armctl.envs, "jax": armctl.jax, "links": armctl.links}
+    of_subpackages = {f"{subpackage}.{name}" for subpackage, module in subpackages.items() for name in module.__all__}
+    for name in ({*armctl.__all__} | of_subpackages) - {"__version__", "links"}:
         value = attrgetter(name)(armctl)
         ids.add(f"armctl.{name}")
         for base in value.__mro__ if inspect.isclass(value) else ():

@@ -8,7 +8,7 @@ arm = armctl.load("robot_arm_3dof")
 plant = armctl.Plant(payload=1.5, payload_center=[0.0, 0.0, 0.05], timestep=0.001)
 goal = arm.home + np.array([0.8, -0.4, 0.6])
 
-for name in ("computed-torque", "computed-torque-integral", "computed-torque-observer", "computed-torque-learning"):
+for name in ("computed-torque", "computed-torque-observer", "computed-torque-learning"):
     sim = armctl.Simulation(arm, name, plant)
     errors = []
     for _ in range(3):

@@ -1,9 +1,6 @@
 """What all tests share: the environment, the arms at hand, and a loud word about those that are not."""
 
-import multiprocessing.process
 import os
-import subprocess
-from collections.abc import Callable
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # seven-vectors gain nothing from threads, and two workers lose
@@ -17,9 +14,9 @@ import importlib.util
 import sys
 
 import hypothesis
-import mujoco_menagerie as menagerie
 import pytest
 from arms import ARMS, MISSING, ROBOTS, arm_of
+from robot_notes import RobotNotes, test_id
 from synthetic import mjcf
 
 import armctl
@@ -69,41 +66,26 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--fuzz-minutes", type=float, default=0.0, help="time for all fuzz tests together (default: a fixed number of cases)"
     )
+    group.addoption("--fuzz-first", type=int, default=0, help="number of the first case, to go on after an earlier run")
     group.addoption(
         "--fuzz-motions", type=int, default=5, help="least number of motions of every kind for each arm (default: %(default)s)"
     )
-    parser.addoption(
-        "--robot-modules", type=Path, help="file to which the modules are appended that depend on installed robots"
-    )
-
-
-_robot_modules: set[str] = set()
-
-
-def _noting(function: Callable) -> Callable:
-    """The function, which also notes the module of the test that calls it."""
-
-    def noted(*arguments, **more):
-        test = os.environ.get("PYTEST_CURRENT_TEST", "")
-        if test:
-            _robot_modules.add(test.partition("::")[0])
-        return function(*arguments, **more)
-
-    return noted
+    group = parser.getgroup("robots", "tests that need not run again without robots; .ci/run uses both")
+    group.addoption("--note-without-robots", type=Path, help="append the tests to this file that asked for no installed robot")
+    group.addoption("--skip-noted", type=Path, help="leave out the tests in this file")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Notes which modules of tests ask where robots are, or start a process that may ask: only these depend on robots."""
-    if config.option.robot_modules:
-        menagerie.Cache.__init__ = _noting(menagerie.Cache.__init__)
-        subprocess.Popen.__init__ = _noting(subprocess.Popen.__init__)
-        multiprocessing.process.BaseProcess.start = _noting(multiprocessing.process.BaseProcess.start)
+    if config.option.note_without_robots:
+        config.pluginmanager.register(RobotNotes(config.option.note_without_robots))
 
 
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    if session.config.option.robot_modules:
-        with session.config.option.robot_modules.open("a", encoding="utf-8") as file:
-            file.writelines(f"{module}\n" for module in sorted(_robot_modules))
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if config.option.skip_noted:
+        noted = set(config.option.skip_noted.read_text(encoding="utf-8").splitlines())
+        left_out = [item for item in items if test_id(item) in noted]
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if test_id(item) not in noted]
 
 
 def pytest_report_header() -> str:

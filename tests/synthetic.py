@@ -23,6 +23,20 @@ def motors(names: str, **more: str) -> str:
     return f"<actuator>{''.join(lines)}</actuator>"
 
 
+def rotor_spring_link(names: str, stiffness: float, damping: float = 0.5, inertia: float = 0.1) -> str:
+    """Elastic joints in series: for joint a of the motor a rotor Ra, a spring sa and a link La."""
+    first, *rest = names.split()
+    axis = 'axis="0 1 0"'
+    deeper = rotor_spring_link(" ".join(rest), stiffness, damping, inertia) if rest else ""
+    return (
+        f'<body name="R{first}" pos="0.1 0 0.1"><joint name="{first}" {axis} range="-2 2" armature="{inertia}"/>'
+        '<geom size="0.02" mass="0.1" contype="0" conaffinity="0"/>'
+        f'<body name="L{first}"><joint name="s{first}" {axis} stiffness="{stiffness}" damping="{damping}"/>'
+        f'<geom type="capsule" fromto="0 0 0 0.1 0 0.1" size="0.02" mass="0.5" contype="0" conaffinity="0"/>'
+        f"{deeper}</body></body>"
+    )
+
+
 def mjcf(bodies: str, rest: str = "") -> str:
     return f'<mujoco model="trap"><compiler angle="radian" autolimits="true"/><worldbody>{bodies}</worldbody>{rest}</mujoco>'
 

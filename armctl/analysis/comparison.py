@@ -22,26 +22,30 @@ from armctl.core.validation import integer, number
 from armctl.design.margins import margins
 from armctl.motion import JointTrajectory, move_j
 from armctl.robot.arm import Arm, check_arm
-from armctl.sim.plant import NOMINAL, Plant
+from armctl.sim.plant import WITH_ENCODER, Plant
 from armctl.sim.simulate_many import Run, rows_as_runs, run_many
+
+DEFAULT_POSES = 5
 
 
 def compare(
     arm: Arm,
     controllers: Sequence[Controller | str],
     trajectory: Trajectory,
-    plants: Sequence[Plant] = (NOMINAL,),
+    plants: Sequence[Plant] = (WITH_ENCODER,),
     *,
     workers: int = 1,
-    poses: int = 0,
+    poses: int = DEFAULT_POSES,
 ) -> Comparison:
     """Follows one trajectory under every controller on every plant. A progress bar appears on a terminal after two seconds.
 
     Args:
         controllers: Controllers or names of controllers.
-        plants: The simulated plants.
+        plants: The simulated plants; by default the model with encoders whose noise is 1e-5 rad, from which velocities are
+            differenced.
         workers: Number of threads, as for `simulate_many`.
-        poses: Number of configurations at which delay margin and peak sensitivity are computed, as by `margins`; 0 for none.
+        poses: Number of configurations at which delay margin and peak sensitivity are computed, as by `margins` with its search
+            for the worst ones; 0 for neither.
 
     Returns:
         A list with one report per pair, plant by plant. A run that failed after its first tick has a report, too.

@@ -59,7 +59,7 @@ def describe(arm: Arm) -> str:
     doubt = doubt_about_torque_limits(arm, payload)
     lines.append(doubt or f"static payload at the tip, in 95 % of configurations: {max(payload, 0.0):.3g} kg")
     lines.append(
-        "default gains, computed-torque-observer, -integral and -learning: made for unknown payloads of up to "
+        "default gains, computed-torque-observer and -learning: made for unknown payloads of up to "
         f"{data['unknown_payload_kg']:.3g} kg within 5 cm of the tip, and stable with twice that"
     )
     return "\n".join(lines + [f"default gains, {exception}" for exception in exceptions])

@@ -34,6 +34,11 @@ _ADVICE = {
     "no actuator in the file": "add <actuator><motor joint=.../></actuator> for each joint",
     "touch at home": "list the pairs in an SRDF, or as <contact><exclude .../></contact> (MJCF)",
     "ends below its start": "exchange the two ends of the range",
+    "what DC motors have": "judge a controller by `armctl margins`, which includes the motor's lag",
+    "the actuators delay commands": "judge a controller by `armctl margins`, which includes the delay",
+    "elastic joints move": "judge a controller by `armctl margins`, which includes the spring",
+    "(springyield)": "remove springyield, or keep the motion inside it",
+    "are late, but": "armctl.Plant(sensor_delay=...) simulates and linearizes it",
     "drag (": 'set density="0" viscosity="0" in <option>',
 }
 
@@ -207,5 +212,5 @@ def _assumptions(arm: Arm, is_tip_given: bool) -> Iterator[Finding]:
         text = f"{', '.join(assumed)}: defaults, at least for some joints"
         yield Finding("note", text, "a URDF's <limit velocity=...>, or arm.with_limits(...), sets them")
     for note in arm.notes:
-        if ".srdf: " in note:
+        if ".srdf: " in note or note.startswith("torque motors replace"):
             yield Finding("note", note)

@@ -16,10 +16,10 @@ from armctl.core.errors import InputError
 from armctl.core.log import Contact, Log
 from armctl.core.tables import Table
 from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE
+from armctl.core.units import length_text
 from armctl.core.validation import Array, BoolArray, instance, number, shown
 
 _MAX_CONTACTS_SHOWN = 3
-_MIN_TIP_ERROR_SHOWN_M = 1e-9
 _MIN_JOINT_ERROR_SHOWN = 1e-15
 _MIN_CHATTER_SHOWN = 1e-3  # N m (N)
 _REST_TICKS = 6  # intervals between ticks without motion of the reference, around a tick that counts as rest
@@ -54,6 +54,8 @@ class Report:
         real_time_factor: Simulated time divided by computing time.
         delay_margin_s: The smallest delay margin of the controller on the plant; NaN unless `compare` computed margins.
         peak_sensitivity: Its largest Ms; NaN as for the delay margin.
+        residual_vibration_m: The largest distance of the tip from its mean position while the reference rests; NaN if it never
+            rests.
     """
 
     ok: bool
@@ -81,6 +83,7 @@ class Report:
     log: Log
     delay_margin_s: float = math.nan
     peak_sensitivity: float = math.nan
+    residual_vibration_m: float = math.nan
 
     def __bool__(self) -> bool:
         return self.ok
@@ -140,6 +143,9 @@ class Report:
             peak_torque_ratio=float(np.abs(log.tau / log.tau_max).max()),
             saturated_fraction=float((np.abs(log.tau_cmd) > log.tau_max * (1 + 1e-9)).any(axis=1).mean()),
             chatter_nm=_chatter(log),
+            residual_vibration_m=_max(np.linalg.norm(log.tip[~moving] - log.tip[~moving].mean(axis=0), axis=1))
+            if (~moving).any()
+            else math.nan,
             contacts=log.contacts,
             duration_s=len(log) * log.dt,
             real_time_factor=log.real_time_factor,
@@ -171,10 +177,10 @@ class Report:
         rows = {
             "run": f"{self.robot}, {self.controller}, {self.duration_s:.3f} s in ticks of {1e3 * self.log.dt:g} ms,"
             f" {self.real_time_factor:.0f} times real time",
-            "tip error": f"final {_mm(self.final_tip_error_m)}{turned}; while moving RMS {_mm(self.tip_rms_m)},"
-            f" max {_mm(self.tip_max_m)}",
+            "tip error": f"final {length_text(self.final_tip_error_m)}{turned}; while moving RMS {length_text(self.tip_rms_m)},"
+            f" max {length_text(self.tip_max_m)}",
             "joint error": f"while moving RMS {_joint_rms(self, with_unit=True)}, max {_joint_max(self, with_unit=True)}",
-            "at the goal": f"{settled}, overshoot {_mm(self.overshoot_m)}",
+            "at the goal": f"{settled}, overshoot {length_text(self.overshoot_m)}",
             "torque": f"peak {100 * self.peak_torque_ratio:.0f} % of the limit, saturated"
             f" {100 * self.saturated_fraction:.1f} % of the time, chatter {_chatter_text(self.chatter_nm)} {torque_unit}",
         }
@@ -238,9 +244,9 @@ def report_table(reports: Sequence[Report]) -> Table:
             r.plant,
             _joint_rms(r, with_unit=mixed),
             _joint_max(r, with_unit=mixed),
-            _mm(r.tip_rms_m),
-            _mm(r.tip_max_m),
-            _mm(r.final_tip_error_m),
+            length_text(r.tip_rms_m),
+            length_text(r.tip_max_m),
+            length_text(r.final_tip_error_m),
             f"{100 * r.peak_torque_ratio:.0f} %",
             _chatter_text(r.chatter_nm),
             *([_margin_text(1e3 * r.delay_margin_s), _margin_text(r.peak_sensitivity)] if has_margins else []),
@@ -290,7 +296,7 @@ def _reason(log: Log, final: float, angle: float, tolerance: float, angle_tolera
     if log.failure:
         return log.failure
     if not final <= tolerance:
-        return f"the tip ended {_mm(final)} from its goal ({_mm(tolerance)} allowed)"
+        return f"the tip ended {length_text(final)} from its goal ({length_text(tolerance)} allowed)"
     if not angle <= angle_tolerance:
         return f"the tip ended {angle:.3g} rad from its orientation ({angle_tolerance:g} rad allowed)"
     return ""
@@ -301,7 +307,7 @@ def _verdict(log: Log, final: float, reason: str) -> str:
         return f"failed: {reason}"
     if reason:
         return f"not reached: {reason}"
-    return f"reached: the tip ended {_mm(final)} from its goal after {len(log) * log.dt:.2f} s"
+    return f"reached: the tip ended {length_text(final)} from its goal after {len(log) * log.dt:.2f} s"
 
 
 def _settling_time(log: Log, inside: BoolArray) -> float:
@@ -366,12 +372,6 @@ def _joint_figure(hinges: float, slides: float, with_unit: bool) -> str:
     known = [(value, unit) for value, unit in ((hinges, "rad"), (slides, "m")) if not math.isnan(value)]
     texts = ["<1e-15" if value < _MIN_JOINT_ERROR_SHOWN else f"{value:.1e}" for value, _ in known]
     return " and ".join(f"{text} {unit}" if with_unit else text for text, (_, unit) in zip(texts, known, strict=True))
-
-
-def _mm(metres: float) -> str:
-    if metres < _MIN_TIP_ERROR_SHOWN_M:
-        return "<1 nm"
-    return f"{1e3 * metres:.3g} mm" if metres >= 1e-6 else f"{1e9 * metres:.0f} nm"
 
 
 def _deg(angle: float) -> str:

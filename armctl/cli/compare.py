@@ -6,6 +6,7 @@ import argparse
 import os
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,8 +36,8 @@ if TYPE_CHECKING:
     from armctl.analysis.report import Report
     from armctl.control import Controller
     from armctl.robot.arm import Arm
+    from armctl.sim.plant import Plant
 
-_POSES = 5
 _MAX_PREFIX_CHARACTERS = 120  # file systems allow 255 bytes for a name
 
 
@@ -51,11 +52,17 @@ def add(commands: Commands) -> None:
         help=f"all, or of {CONTROLLERS_HELP} (default %(default)s)",
     )
     parser.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{PLANTS_HELP} (default nominal)")
+    parser.add_argument(
+        "--encoder-noise",
+        metavar="RAD",
+        default="1e-5",
+        help="of plants without noise of their own, in rad; velocities are position differences (default %(default)s)",
+    )
     parser.add_argument("--report", type=Path, metavar="DIR", help="write JSON, Markdown and an HTML page into this folder")
     parser.add_argument(
         "--poses",
         type=int,
-        default=_POSES,
+        default=5,
         help="configurations at which margins are computed, 0 for none (default %(default)s)",
     )
     parser.add_argument(
@@ -79,14 +86,16 @@ def run(args: argparse.Namespace) -> int:
     from armctl.analysis.comparison_html import write_comparison
     from armctl.analysis.report import report_table
     from armctl.cli.plants import plant_by_name
+    from armctl.core.validation import number
 
     arm = load_arm(args)
     timestep = timestep_from(args)
     controllers = controllers_from(args.controllers)
-    plants = [plant_by_name(name, arm, timestep) for name in names(args.plants)]
+    noise = number("encoder_noise", one_number("encoder_noise", args.encoder_noise), 0.0)
+    plants = [_with_encoder(plant_by_name(name, arm, timestep), noise) for name in names(args.plants)]
     for folder in filter(None, (args.report, args.save)):
         folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is reported before the runs
-    laws, notes = _tuned(args, arm, controllers, timestep) if args.delay_margin else (controllers, [])
+    laws, notes = _tuned(args, arm, controllers, plants) if args.delay_margin else (controllers, [])
     reports = compare(arm, laws, out_and_back(arm, speed=speed), plants, workers=args.workers, poses=args.poses)
     notes += remarks(reports)
     if notes:
@@ -102,28 +111,28 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _tuned(
-    args: argparse.Namespace, arm: Arm, names: Sequence[str], timestep: float | None
+    args: argparse.Namespace, arm: Arm, names: Sequence[str], plants: Sequence[Plant]
 ) -> tuple[list[Controller | str], list[str]]:
-    """The controllers with the highest gains that keep the delay margin, and a remark on each that keeps its default gains."""
+    """The controllers tuned to the delay margin on all plants, and a remark on each that keeps its default gains."""
     from armctl.core.progress import progress_bar
     from armctl.design.tuning import LAWS, tune
-    from armctl.sim.plant import Plant
 
     delay_margin = one_number("delay_margin", args.delay_margin)
     controllers: list[Controller | str] = []
     notes: list[str] = []
     with progress_bar("tune", len(names), "controllers") as bar:
         for name in names:
-            found = (
-                tune(arm, name, delay_margin, poses=args.poses or _POSES, plants=[Plant(timestep=timestep)])
-                if name in LAWS
-                else None
-            )
+            found = tune(arm, name, delay_margin, poses=args.poses or 1, plants=plants) if name in LAWS else None
             controllers.append(name if found is None else found.controller)
             if not found:
                 notes.append(f"{name} has its default gains: {'it has no gains to tune' if found is None else found.reason}")
             bar.update()
     return controllers, notes
+
+
+def _with_encoder(plant: Plant, noise: float) -> Plant:
+    """The plant with noise of its encoders, rad, unless it has some; its name is the same."""
+    return plant if plant.encoder_noise else replace(plant, encoder_noise=noise, name=str(plant))
 
 
 def _file_prefixes(reports: Sequence[Report]) -> list[str]:

@@ -24,6 +24,7 @@ from armctl.cli import (
     margins,
     reach,
     reachability,
+    robot,
     robots,
     simulate,
     study,
@@ -49,8 +50,9 @@ _COMMANDS = (
     simulate,
     study,
     view,
+    robot,
 )
-_NOT_OPTIONS = {"robot", "law", "file", "run", "options"}
+_NOT_OPTIONS = {"action", "host", "robot", "law", "file", "run", "options"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -9,10 +9,9 @@ import numpy as np
 from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.validation import number
 from armctl.robot.arm import Arm
-from armctl.sim.plant import NOMINAL, PLANT_ATTRIBUTES, Plant
+from armctl.sim.plant import ENCODER_NOISE_RAD, NOMINAL, PLANT_ATTRIBUTES, Plant
 from armctl.sim.plant_attribute import Kind
 
-_ENCODER_NOISE_RAD = 1e-5
 _FRICTION = 0.02  # Coulomb friction as a fraction of the torque limit; viscous friction is half of that per rad/s
 _DEFAULT = {"payload": 1.0, "mass": 1.2, "friction": _FRICTION, "delay": 2.0, "noise": 1.0}
 _WORDS = {
@@ -56,7 +55,7 @@ def _with(plant: Plant, name: str, value: str, arm: Arm) -> Plant:
         dry = amount * arm.limits.tau_max
         return replace(plant, coulomb_friction=dry, viscous_friction=0.5 * dry)
     if name == "noise":
-        return replace(plant, encoder_noise=amount * _ENCODER_NOISE_RAD)
+        return replace(plant, encoder_noise=amount * ENCODER_NOISE_RAD)
     return replace(plant, **{"mass_scale" if name == "mass" else name: amount})
 
 

@@ -81,8 +81,8 @@ class CollisionChecker:
             return memory.proof
         joints = sorted(self._joint_map.joints)
         last = joints[last_joint_above(self._model, tuple(joints))[keep.body]]
-        row = self._joint_map.joints.index(last)
-        memory.proof.keep_axis(memory.scene.kept_axis(_contiguous(keep.q), row, _contiguous(keep.direction), keep.within))
+        frame = joints.index(last) + 1
+        memory.proof.keep_axis(memory.scene.kept_axis(_contiguous(keep.q), frame, _contiguous(keep.direction), keep.within))
         return memory.proof
 
     def forget(self) -> None:
@@ -177,7 +177,7 @@ class CollisionChecker:
         """
         scene = self._memory.scene
         scene.forget()
-        count = scene.find_near_pairs(_contiguous(q), _contiguous(moves), share, clearances)
+        count = scene.find_near_pairs(_contiguous(q), np.abs(self._joint_map.ratio) @ moves, share, clearances)
         near = NearPairs(np.empty(count, np.int64), np.empty(count), np.empty((count, len(q))))
         scene.near_pairs(near.pairs, near.distances, near.gradients)
         return near
@@ -193,7 +193,9 @@ class CollisionChecker:
         Returns:
             None if it does; else the pair and where on the line, from 0 to 1, it is not known to be free.
         """
-        return self.motion_hit(_UNIT_KNOTS, np.stack([start, end - start])[None], clearance, keep)
+        proof = self.proof(keep)
+        self._set_line(proof, self._joint_map.positions(start), self._joint_map.positions(end))
+        return proof.hit(clearance)
 
     def motion_hit(self, knots: Array, coefficients: Array, clearance: float = 0.0, keep: KeptAxis | None = None) -> Hit | None:
         """Proves that a motion of piecewise polynomials keeps more than a clearance at all times.
@@ -206,9 +208,7 @@ class CollisionChecker:
         Returns:
             None if it does; else the pair and the time at which it is not known to be free.
         """
-        proof = self.proof(keep)
-        proof.set_motion(knots, _contiguous(coefficients))
-        return proof.hit(clearance)
+        return self._proof_of(knots, coefficients, keep).hit(clearance)
 
     def closest_approach(self, knots: Array, coefficients: Array, clearance: float, keep: KeptAxis | None = None) -> Approach:
         """Proves that a motion keeps more than a clearance, and how near it comes.
@@ -218,9 +218,20 @@ class CollisionChecker:
             coefficients: As for `motion_hit`.
             clearance: m.
         """
+        return self._proof_of(knots, coefficients, keep).closest_approach(clearance)
+
+    def _proof_of(self, knots: Array, coefficients: Array, keep: KeptAxis | None) -> ClearanceProof:
+        """The proofs of this thread, of a motion, whose followers follow."""
         proof = self.proof(keep)
+        if not self._joint_map.is_plain:
+            coefficients = coefficients @ self._joint_map.ratio.T
+            coefficients[:, 0] += self._joint_map.offset
         proof.set_motion(knots, _contiguous(coefficients))
-        return proof.closest_approach(clearance)
+        return proof
+
+    def _set_line(self, proof: ClearanceProof, start: Array, end: Array) -> None:
+        """Takes the straight line between two positions of all joints, (m,) each, as the motion."""
+        proof.set_motion(_UNIT_KNOTS, np.stack([start, end - start])[None])
 
     def names(self, pair: int) -> tuple[str, str]:
         """What a pair is called: bodies, or geoms that stand in the world."""
@@ -250,7 +261,7 @@ class CollisionChecker:
         always = at_home.copy()
         for q in self._limits.random(self._home, SAMPLES, np.random.default_rng(0)):
             always &= self._all_hits(q)
-        joints_between = self.geometry.core.joints_between
+        joints_between = self.geometry.joints_between
         are_neighbors = np.array([len(joints_between(p)) == 1 for p in range(len(at_home))], bool)
         return always | (at_home & are_neighbors)
 
@@ -264,14 +275,15 @@ class CollisionChecker:
         slides = self._model.jnt_type[list(self._joint_map.joints)] == int(mujoco.mjtJoint.mjJNT_SLIDE)
         proof = self.proof()
         for pair in range(len(proved)):
-            joints = self.geometry.core.joints_between(pair)
+            joints = self.geometry.joints_between(pair)
             if len(joints) != 1 or (slides[joints[0]] and is_endless.any()):
                 continue
             start = home.copy()
             end = home.copy()
             start[joints] = low[joints]
             end[joints] = high[joints]
-            proved[pair] = proof.joint_range_is_free(pair, start, end)
+            self._set_line(proof, start, end)
+            proved[pair] = proof.hit(0.0, pair) is None
         return proved
 
     def _not_convex_geoms(self) -> list[str]:

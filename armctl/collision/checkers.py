@@ -19,9 +19,10 @@ from armctl.robot.arm import Arm
 
 def read_pairs(allow: object) -> tuple[tuple[str, str], ...]:
     """What a caller allows to touch, as a tuple; the pairs themselves are checked where they are used."""
-    if not isinstance(allow, Iterable):
-        raise InputError(f"allow: expected pairs of names, got {shown(allow)}")
-    return tuple(allow)
+    try:
+        return tuple(allow)  # type: ignore[arg-type]
+    except TypeError:
+        raise InputError(f"allow: expected pairs of names, got {shown(allow)}") from None
 
 
 KEEP_WITHIN_RAD = 0.1

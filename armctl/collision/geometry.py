@@ -8,12 +8,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
-from armctl._core import CollisionModel, ShapeKind, bounding_sphere
+from armctl._core import CollisionModel, ShapeKind
 from armctl.core.validation import Array, BoolArray, IntArray, frozen
 from armctl.mjmodel.queries import is_below
 from armctl.robot.joint_map import JointMap
@@ -29,6 +29,8 @@ _CONVEX = (_PLANE, _SPHERE, _CAPSULE, _ELLIPSOID, _CYLINDER, _BOX, _MESH)
 
 _NO_VERTICES = np.empty((0, 3))
 _DEPTH_DIRECTIONS = 500
+_BOUNDING_SPHERE_STEPS = 60  # the sphere is then within 2 % of the smallest one
+_ROUNDING = 1.0 + 1e-12  # bounding spheres are computed with rounding errors
 
 
 class Edges(NamedTuple):
@@ -104,6 +106,14 @@ class Frames(NamedTuple):
             depths[i + 1] = 1 + depths[parent]
         return depths
 
+    def above(self, frame: int) -> frozenset[int]:
+        """A frame and those above it, without the world."""
+        path = []
+        while frame > 0:
+            path.append(frame)
+            frame = int(self.parents[frame - 1])
+        return frozenset(path)
+
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
@@ -113,22 +123,17 @@ class Geometry:
         geom_ids: (G,) the model's geoms in the order of the shapes.
         shapes: Their shapes.
         frames: What moves them.
+        arrays: What the core takes, without the pairs.
         core: The model in the core.
-        pairs: (K, 2) the shapes of each pair.
+        pairs: (K, 2) the shapes of each pair, in the order of the groups: the geoms of a frame, or one that stands.
     """
 
     geom_ids: IntArray
     shapes: Sequence[Shape]
     frames: Frames
+    arrays: dict[str, Any]
     core: CollisionModel
     pairs: IntArray
-
-    @classmethod
-    def of_core(cls, geom_ids: IntArray, shapes: Sequence[Shape], frames: Frames, core: CollisionModel) -> Geometry:
-        """The geometry of a model in the core, which has its own order of the pairs."""
-        pairs = np.empty((core.pair_count, 2), np.int64)
-        core.pairs(pairs)
-        return cls(frozen(geom_ids), shapes, frames, core, frozen(pairs))
 
     def with_pairs(self, keep: BoolArray) -> Geometry:
         """The same geometry with fewer pairs.
@@ -136,7 +141,13 @@ class Geometry:
         Args:
             keep: (K,) which pairs stay.
         """
-        return self.of_core(self.geom_ids, self.shapes, self.frames, self.core.with_pairs(keep.astype(np.int64)))
+        return _geometry(self.geom_ids, self.shapes, self.frames, self.arrays, self.pairs[keep])
+
+    def joints_between(self, pair: int) -> list[int]:
+        """The joints that move one geom of a pair relative to the other: rows of the joint map."""
+        first = self.frames.above(self.shapes[self.pairs[pair, 0]].frame)
+        second = self.frames.above(self.shapes[self.pairs[pair, 1]].frame)
+        return [int(self.frames.joints[frame - 1]) for frame in first ^ second]
 
     def pair_geoms(self, pair: int) -> tuple[int, int]:
         """The model's geoms of a pair."""
@@ -200,38 +211,89 @@ def build_geometry(model: mujoco.MjModel, joint_map: JointMap, qpos: Array, held
     pairs = _moving_pairs(model, frames)
     geom_ids = np.unique(pairs)
     shapes = [_shape(model, data, int(geom), int(frames.of_body[model.geom_bodyid[geom]])) for geom in geom_ids]
-    core = _core_model(frames, shapes, joint_map, np.searchsorted(geom_ids, pairs))
-    return Geometry.of_core(geom_ids, shapes, frames, core)
+    arrays = _arrays(frames, shapes, joint_map)
+    rows = np.searchsorted(geom_ids, pairs)
+    first, second = _group_spheres(arrays, rows).T
+    return _geometry(frozen(geom_ids), shapes, frames, arrays, rows[np.lexsort((second, first))])
 
 
-def _core_model(frames: Frames, shapes: Sequence[Shape], joint_map: JointMap, pairs: IntArray) -> CollisionModel:
+def _geometry(geom_ids: IntArray, shapes: Sequence[Shape], frames: Frames, arrays: dict[str, Any], pairs: IntArray) -> Geometry:
+    """The geometry with pairs that are in the order of their groups."""
+    groups = _group_spheres(arrays, pairs)
+    last = np.flatnonzero((groups != np.roll(groups, -1, axis=0)).any(axis=1) | (np.arange(len(pairs)) == len(pairs) - 1))
+    first_geoms, second_geoms = np.ascontiguousarray(pairs.T, np.int64)
+    first_spheres, second_spheres = np.ascontiguousarray(groups[last].T)
+    core = CollisionModel(
+        **arrays,
+        first_geoms=first_geoms,
+        second_geoms=second_geoms,
+        first_spheres=first_spheres,
+        second_spheres=second_spheres,
+        last_pairs=last + 1,
+    )
+    return Geometry(geom_ids, shapes, frames, arrays, core, frozen(pairs))
+
+
+def _group_spheres(arrays: dict[str, Any], pairs: IntArray) -> IntArray:
+    """(K, 2) the bounding spheres of the groups of pairs of geoms."""
+    frames = arrays["frames"]
+    group = np.where(frames > 0, len(frames) + np.searchsorted(np.unique(frames[frames > 0]), frames), np.arange(len(frames)))
+    return group[pairs].reshape(-1, 2).astype(np.int64)
+
+
+def _arrays(frames: Frames, shapes: Sequence[Shape], joint_map: JointMap) -> dict[str, Any]:
+    """What the core takes, without the pairs."""
     first_vertex = np.cumsum([0, *(len(shape.vertices) for shape in shapes)])
     counts = [shape.edges.counts for shape in shapes]
     neighbors = [shape.edges.neighbors + first for shape, first in zip(shapes, first_vertex[:-1], strict=True)]
-    return CollisionModel(
-        axes=frames.axes,
-        anchors=frames.anchors,
-        slides=frames.slides,
-        references=frames.references,
-        parents=frames.parents,
-        joints=frames.joints,
-        ratio=joint_map.ratio,
-        joint_offset=joint_map.offset,
-        kinds=np.array([int(shape.kind) for shape in shapes], np.int64),
-        frames=np.array([shape.frame for shape in shapes], np.int64),
-        inflations=np.array([shape.inflation for shape in shapes], np.float64),
-        positions=np.array([shape.position for shape in shapes]).reshape(-1, 3),
-        rotations=np.array([shape.rotation for shape in shapes]).reshape(-1, 3, 3),
-        sizes=np.array([shape.size for shape in shapes]).reshape(-1, 3),
-        centers=np.array([shape.center for shape in shapes]).reshape(-1, 3),
-        bounds=np.array([shape.bound for shape in shapes], np.float64),
-        first_vertex=first_vertex.astype(np.int64),
-        vertices=np.concatenate([_NO_VERTICES, *(shape.vertices for shape in shapes)]),
-        first_neighbor=np.cumsum(np.concatenate([[0], *counts])).astype(np.int64),
-        neighbors=np.concatenate([np.empty(0, np.int64), *neighbors]).astype(np.int64),
-        directions=_depth_directions(),
-        pairs=np.ascontiguousarray(pairs, np.int64),
-    )
+    frame_of_geom = np.array([shape.frame for shape in shapes], np.int64)
+    moving = np.unique(frame_of_geom[frame_of_geom > 0])
+    centers = np.array([shape.center for shape in shapes]).reshape(-1, 3)
+    radii = np.array([shape.bound for shape in shapes], np.float64) * _ROUNDING
+    groups = [bounding_sphere(centers[frame_of_geom == frame], radii[frame_of_geom == frame]) for frame in moving]
+    return {
+        "axes": frames.axes,
+        "anchors": frames.anchors,
+        "slides": frames.slides,
+        "references": frames.references,
+        "parents": frames.parents,
+        "joints": frames.joints,
+        "n": joint_map.ratio.shape[1],
+        "ratio": joint_map.ratio,
+        "joint_offset": joint_map.offset,
+        "kinds": np.array([int(shape.kind) for shape in shapes], np.int64),
+        "frames": frame_of_geom,
+        "inflations": np.array([shape.inflation for shape in shapes], np.float64),
+        "positions": np.array([shape.position for shape in shapes]).reshape(-1, 3),
+        "rotations": np.array([shape.rotation for shape in shapes]).reshape(-1, 3, 3),
+        "sizes": np.array([shape.size for shape in shapes]).reshape(-1, 3),
+        "centers": np.concatenate([centers, np.array([center for center, _ in groups]).reshape(-1, 3)]),
+        "radii": np.concatenate([radii, np.array([radius for _, radius in groups], np.float64) * _ROUNDING]),
+        "sphere_frames": np.concatenate([frame_of_geom, moving]),
+        "first_vertex": first_vertex.astype(np.int64),
+        "vertices": np.concatenate([_NO_VERTICES, *(shape.vertices for shape in shapes)]),
+        "first_neighbor": np.cumsum(np.concatenate([[0], *counts])).astype(np.int64),
+        "neighbors": np.concatenate([np.empty(0, np.int64), *neighbors]).astype(np.int64),
+        "directions": _depth_directions(),
+    }
+
+
+def bounding_sphere(centers: Array, radii: Array) -> tuple[Array, float]:
+    """A small sphere around spheres (N, 3) and (N,): M. Badoiu, K. L. Clarkson, "Smaller core-sets for balls", SODA 2003.
+
+    Returns:
+        Its center (3,) and radius, m.
+    """
+    columns = np.ascontiguousarray(centers.T)
+    center = 0.5 * (centers.min(axis=0) + centers.max(axis=0))
+
+    def reaches() -> Array:
+        x, y, z = columns - center[:, None]
+        return np.sqrt(x * x + y * y + z * z) + radii
+
+    for step in range(_BOUNDING_SPHERE_STEPS):
+        center = center + (centers[reaches().argmax()] - center) / (step + 2)
+    return center, float(reaches().max())
 
 
 @lru_cache(maxsize=1)
@@ -322,8 +384,7 @@ def _shape(model: mujoco.MjModel, data: mujoco.MjData, geom: int, frame: int) ->
         return round_shape._replace(kind=ShapeKind.BOX, vertices=corners, bound=bound, edges=Edges.unknown(corners))
     vertices, edges = _hull(model, int(model.geom_dataid[geom]))
     vertices = position + vertices @ R.T
-    center = np.empty(3)
-    bound = bounding_sphere(vertices, center)
+    center, bound = bounding_sphere(vertices, np.zeros(len(vertices)))
     return round_shape._replace(vertices=vertices, center=center, bound=bound, edges=edges)
 
 

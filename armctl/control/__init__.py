@@ -8,14 +8,16 @@ from armctl.control.computed_torque import ComputedTorque
 from armctl.control.computed_torque_learning import ComputedTorqueLearning
 from armctl.control.computed_torque_observer import ComputedTorqueObserver
 from armctl.control.computed_torque_qp import ComputedTorqueQP
+from armctl.control.elastic_feedforward import ElasticFeedforward
 from armctl.control.hybrid_force import HybridForce
 from armctl.control.impedance import Impedance
 from armctl.control.interface import CompiledController, Controller, State, controller_name
 from armctl.control.operational_space import OperationalSpace
 from armctl.control.pd import PD
 from armctl.control.pd_feedforward import PDFeedforward
-from armctl.control.pd_gravity import PDGravity, PIDGravity
+from armctl.control.pd_gravity import PDGravity
 from armctl.control.rate_limit import TorqueRateLimit
+from armctl.control.torque_filter import LowPass, Notch, TorqueFilter
 from armctl.core.errors import UnknownNameError
 from armctl.robot.arm import Arm
 
@@ -23,11 +25,9 @@ CONTROLLERS: dict[str, Callable[[Arm], Controller]] = {
     "pd": PD,
     "pd-feedforward": PDFeedforward,
     "pd-gravity": PDGravity,
-    "pid-gravity": PIDGravity,
     "computed-torque": ComputedTorque,
     "computed-torque-textbook": partial(ComputedTorque, form="textbook"),
     "computed-torque-observer": ComputedTorqueObserver,
-    "computed-torque-integral": partial(ComputedTorque, integral=True),
     "computed-torque-learning": ComputedTorqueLearning,
     "qp": ComputedTorqueQP,
     "operational-space": OperationalSpace,
@@ -56,13 +56,16 @@ __all__ = [
     "ComputedTorqueObserver",
     "ComputedTorqueQP",
     "Controller",
+    "ElasticFeedforward",
     "HybridForce",
     "Impedance",
+    "LowPass",
+    "Notch",
     "OperationalSpace",
     "PDFeedforward",
     "PDGravity",
-    "PIDGravity",
     "State",
+    "TorqueFilter",
     "TorqueRateLimit",
     "controller_by_name",
     "controller_name",

@@ -7,10 +7,9 @@ from numpy.typing import ArrayLike
 
 from armctl import _core
 from armctl.control.arm_controller import ArmController
-from armctl.control.gains import MAX_BANDWIDTH, gain
+from armctl.control.gain_attribute import Gain, scalar_gain, tip_gain
 from armctl.control.task_space import POSE_SIZE
-from armctl.core.errors import InputError
-from armctl.core.validation import Array, number
+from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 from armctl.robot.dynamics import Dynamics
 
@@ -40,6 +39,10 @@ class Admittance(ArmController):
 
     name = "admittance"
     needs_wrench = True
+    mass: Gain[Array] = tip_gain(above_zero=True)
+    damping: Gain[Array] = tip_gain()
+    stiffness: Gain[Array] = tip_gain()
+    bandwidth: Gain[float] = scalar_gain()
 
     def __init__(
         self,
@@ -64,14 +67,12 @@ class Admittance(ArmController):
             InputError: A gain is negative, not finite or of the wrong length, or a mass is zero.
         """
         super().__init__(arm)
-        self.bandwidth = number("bandwidth", bandwidth, 0.0, MAX_BANDWIDTH)
-        self.mass = gain("mass", MASS_RATIO * _inertia_at_home(arm) if mass is None else mass, POSE_SIZE)
-        if not (self.mass > 0.0).all():
-            raise InputError(f"mass: every value must be greater than 0, got {self.mass.min():g}")
+        self.bandwidth = bandwidth
+        self.mass = MASS_RATIO * _inertia_at_home(arm) if mass is None else mass
         soft = YIELDING_BANDWIDTH**2 * self.mass
-        self.stiffness = gain("stiffness", soft if stiffness is None else stiffness, POSE_SIZE)
+        self.stiffness = soft if stiffness is None else stiffness
         critical = 2 * np.sqrt(self.mass * np.maximum(self.stiffness, soft))
-        self.damping = gain("damping", critical if damping is None else damping, POSE_SIZE)
+        self.damping = critical if damping is None else damping
 
     @property
     def offset(self) -> Array:

@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import Self
 
 from armctl import _core
 from armctl.control.interface import CompiledController, checked_period
+from armctl.core.other_names import check_keywords
 from armctl.robot.arm import Arm, check_arm
 
 
 class ArmController(CompiledController):
     """A controller for an arm."""
+
+    def __new__(cls, *args: object, **keywords: object) -> Self:
+        """A controller, not yet constructed.
+
+        Raises:
+            TypeError: It takes no such keyword; the message says which.
+        """
+        check_keywords(cls, keywords)
+        return super().__new__(cls)
 
     def __init__(self, arm: Arm):
         """A controller at the start of a run."""

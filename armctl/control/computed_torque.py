@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from armctl import _core
 from armctl.control.arm_controller import ArmController
-from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH, extra_inertia
-from armctl.control.integral_gains import IntegralGains, integral_gains
+from armctl.control.gain_attribute import Gain, scalar_gain, word
+from armctl.control.gains import DEFAULT_BANDWIDTH, extra_inertia
 from armctl.control.interface import checked_period
-from armctl.control.observer_gains import max_inertia_ratio
-from armctl.core.errors import InputError
-from armctl.core.validation import Array, choice, instance, number
+from armctl.control.observer_gains import estimate_weights, feedback_estimate
+from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 
 FORMS = ("discrete", "textbook")
-DEFAULT_DELAY_MARGIN_S = 5e-3
 
 
 class ComputedTorque(ArmController):
@@ -28,20 +24,21 @@ class ComputedTorque(ArmController):
     The discrete form (the default) inverts the plant's motion over one control period instead of the differential equation.
     Velocity and acceleration of the reference are differences on the tick grid. Damping is evaluated at the end of the step; if
     the plant moves continuously, the whole model is evaluated in the middle of the period. With an exact model only
-    rounding errors remain. The textbook form has a tracking error of (k_d / k_p) (dt / 2) a_ref.
+    rounding errors remain. Position and velocity are estimated: the commanded acceleration predicts them, and the measured
+    position corrects both, so a velocity that is differenced from encoder positions causes little torque noise. The velocity is
+    measured at the first tick only.
 
-    With integral action, the acceleration also contains the integral of the error, so unknown constant torques leave no error.
-    All three gains are then the linear-quadratic optimal ones with a given delay margin (`integral_gains`), and stable with
-    unknown payloads, of which `armctl info` prints the mass. A joint does not integrate while its motor is at its limit and the
-    error has the same sign. The integral starts at zero in each run.
+    The textbook form uses the measured velocity, and has a tracking error of (k_d / k_p) (dt / 2) a_ref.
 
     Attributes:
-        bandwidth: rad/s; not used with integral action.
-        damping_ratio: 1 is critically damped; not used with integral action.
+        bandwidth: rad/s.
+        damping_ratio: 1 is critically damped.
         form: "discrete" or "textbook".
-        integral: Whether there is integral action.
-        delay_margin: s, that of the loop with integral action, or two and a half control periods if they are longer.
     """
+
+    bandwidth: Gain[float] = scalar_gain()
+    damping_ratio: Gain[float] = scalar_gain()
+    form: Gain[str] = word(FORMS)
 
     def __init__(
         self,
@@ -50,8 +47,6 @@ class ComputedTorque(ArmController):
         bandwidth: float = DEFAULT_BANDWIDTH,
         damping_ratio: float = 1.0,
         form: str = "discrete",
-        integral: bool = False,
-        delay_margin: float = DEFAULT_DELAY_MARGIN_S,
     ):
         """A computed torque controller for an arm.
 
@@ -59,62 +54,31 @@ class ComputedTorque(ArmController):
             bandwidth: rad/s, the natural frequency of the error.
             damping_ratio: 1 is critically damped.
             form: "discrete" or "textbook".
-            integral: Whether to add integral action. The gains then follow from the delay margin.
-            delay_margin: s, for the gains with integral action.
 
         Raises:
-            InputError: A gain is negative or not finite, the form is unknown, or integral action is combined with a bandwidth
-                or the textbook form.
+            InputError: A gain is negative or not finite, or the form is unknown.
         """
         super().__init__(arm)
-        self.form = choice("form", form, FORMS)
-        self.bandwidth = number("bandwidth", bandwidth, 0.0, MAX_BANDWIDTH)
-        self.damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
-        instance("integral", integral, bool, "True or False is one")
-        self.integral = integral
-        self.delay_margin = number("delay_margin", delay_margin, 1e-6, 10.0)
-        self.name = "computed-torque"
-        if self.integral:
-            self.name = "computed-torque-integral"
-            if self.form == "textbook":
-                raise InputError("integral: it needs form='discrete'")
-            if (self.bandwidth, self.damping_ratio) != (DEFAULT_BANDWIDTH, 1.0):
-                raise InputError("bandwidth: with integral=True, all gains follow from delay_margin; leave the others out")
-        elif self.form == "textbook":
-            self.name = "computed-torque-textbook"
+        self.form = form
+        self.bandwidth = bandwidth
+        self.damping_ratio = damping_ratio
+        self.name = "computed-torque" if self.form == "discrete" else "computed-torque-textbook"
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
         """A law with the present gains, at the start of a run."""
-        gains = self.gains_at(dt, continuous)
         is_textbook = self.form == "textbook"
+        estimate = 0.0 if is_textbook else feedback_estimate(self._arm, dt, self.bandwidth)
         return _core.ComputedTorque(
             self._arm.core_model if is_textbook else self._model(dt, continuous),
-            stiffness=gains.kp,
-            damping=gains.kd,
-            integral_gain=gains.ki,
+            stiffness=self.bandwidth**2,
+            damping=2 * self.damping_ratio * self.bandwidth,
             added_inertia=self.added_inertia(dt),
+            **estimate_weights(estimate, dt),
             torque_limit=self._arm.limits.tau_max,
             textbook=is_textbook,
             dt=dt,
+            continuous=continuous,
         )
-
-    def gains_at(self, dt: float, continuous: bool) -> IntegralGains:
-        """The gains for a control period.
-
-        Args:
-            dt: s, the control period; 0 means continuous time.
-            continuous: Whether the arm moves continuously during the control period.
-
-        Returns:
-            The gains that all joints share.
-
-        Raises:
-            InputError: The control period is no number in [0, 1] s, or `continuous` is not True or False.
-        """
-        dt, continuous = checked_period(dt, continuous)
-        if self.integral:
-            return integral_gains(dt, self.delay_margin, continuous, max_inertia_ratio(self._arm))
-        return IntegralGains(self.bandwidth**2, 2 * self.damping_ratio * self.bandwidth, 0.0)
 
     def added_inertia(self, dt: float) -> Array:
         """The inertia with which the feedback of joints of negligible inertia acts.
@@ -129,4 +93,4 @@ class ComputedTorque(ArmController):
             InputError: The control period is no number in [0, 1] s.
         """
         dt, _ = checked_period(dt, False)
-        return np.zeros(self.n) if self.integral else extra_inertia(self._arm, self.bandwidth, self.damping_ratio, dt)
+        return extra_inertia(self._arm, self.bandwidth, self.damping_ratio, dt)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from armctl import _core
 from armctl.control.computed_torque_observer import ComputedTorqueObserver
+from armctl.control.gain_attribute import Gain
+from armctl.control.gains import MAX_BANDWIDTH, MIN_DELAY_MARGIN_S
 from armctl.control.task_space import arm_length
 from armctl.core.errors import InputError
-from armctl.core.validation import Array
+from armctl.core.validation import Array, number
 from armctl.robot.arm import Arm
 
 BODY_PARAMETERS = 10  # mass, first and second moments of the payload
@@ -21,6 +24,15 @@ PRIOR_MASS_SHARE = 0.5  # of the moving mass of the arm: standard deviation of t
 PRIOR_DELAY_PERIODS = 2.0  # standard deviation of the delay of the motors, control periods
 PRIOR_FRICTION_SHARE = 0.05  # of the torque limits: standard deviation of dry friction
 PRIOR_LENGTH_SHARE = 0.1  # of the length of the arm: the distance of the payload from the tip in the prior
+
+
+def _observer_bandwidth(name: str, value: Any, _n: int) -> float | None:
+    if value is None:
+        return None
+    bandwidth = number(name, value, 0.0, MAX_BANDWIDTH)
+    if bandwidth == 0.0:
+        raise InputError(f"{name}: expected a number above 0, got 0; the controller learns from the observer's estimate")
+    return bandwidth
 
 
 class ComputedTorqueLearning(ComputedTorqueObserver):
@@ -40,9 +52,11 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
         bandwidth: rad/s of the feedback; None if it follows from the margins.
         damping_ratio: Of the feedback; None if it follows from the margins.
         observer_bandwidth: rad/s up to which other unknown torques are cancelled; None if it follows from the margins.
+        delay_margin: s, of the gains that follow from the margins, or two and a half control periods if they are longer.
     """
 
     name = "computed-torque-learning"
+    observer_bandwidth: Gain[float | None] = Gain(_observer_bandwidth)
 
     def __init__(
         self,
@@ -51,6 +65,7 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
         bandwidth: float | None = None,
         damping_ratio: float | None = None,
         observer_bandwidth: float | None = None,
+        delay_margin: float = MIN_DELAY_MARGIN_S,
     ):
         """A controller that learns the payload of an arm.
 
@@ -59,15 +74,19 @@ class ComputedTorqueLearning(ComputedTorqueObserver):
             bandwidth: rad/s, the natural frequency of the error; by default it follows from the margins, like the others.
             damping_ratio: 1 is critically damped.
             observer_bandwidth: rad/s up to which torques that the payload does not explain are estimated and cancelled.
+            delay_margin: s, of the gains that are not given: give a larger one if the delay of the robot is unknown.
 
         Raises:
-            InputError: A gain is negative or not finite, or the observer's bandwidth is zero.
+            InputError: A gain is negative or not finite, the observer's bandwidth is zero, or the delay margin is outside
+                [0.001, 1] s.
         """
-        super().__init__(arm, bandwidth=bandwidth, damping_ratio=damping_ratio, observer_bandwidth=observer_bandwidth)
-        if self.observer_bandwidth == 0.0:
-            raise InputError(
-                "observer_bandwidth: expected a number above 0, got 0; the controller learns from the observer's estimate"
-            )
+        super().__init__(
+            arm,
+            bandwidth=bandwidth,
+            damping_ratio=damping_ratio,
+            observer_bandwidth=observer_bandwidth,
+            delay_margin=delay_margin,
+        )
         self._prior = _prior_deviations(arm)
 
     @property

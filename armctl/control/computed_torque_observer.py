@@ -8,15 +8,15 @@ import numpy as np
 
 from armctl import _core
 from armctl.control.arm_controller import ArmController
-from armctl.control.gains import MAX_BANDWIDTH
+from armctl.control.gain_attribute import Gain, optional_gain, scalar_gain
+from armctl.control.gains import DELAY_MARGINS_S, MIN_DELAY_MARGIN_S
 from armctl.control.observer_gains import (
     ObserverGains,
+    estimate_weights,
     low_pass_weight,
     observer_gains,
-    position_weight,
-    velocity_weight,
 )
-from armctl.core.validation import Array, number
+from armctl.core.validation import Array
 from armctl.robot.arm import Arm
 
 
@@ -33,9 +33,14 @@ class ComputedTorqueObserver(ArmController):
         bandwidth: rad/s of the feedback; None if it follows from the margins.
         damping_ratio: Of the feedback; None if it follows from the margins.
         observer_bandwidth: rad/s up to which unknown torques are cancelled; None if it follows from the margins.
+        delay_margin: s, of the gains that follow from the margins, or two and a half control periods if they are longer.
     """
 
     name = "computed-torque-observer"
+    bandwidth: Gain[float | None] = optional_gain()
+    damping_ratio: Gain[float | None] = optional_gain()
+    observer_bandwidth: Gain[float | None] = optional_gain()
+    delay_margin: Gain[float] = scalar_gain(*DELAY_MARGINS_S)
 
     def __init__(
         self,
@@ -44,6 +49,7 @@ class ComputedTorqueObserver(ArmController):
         bandwidth: float | None = None,
         damping_ratio: float | None = None,
         observer_bandwidth: float | None = None,
+        delay_margin: float = MIN_DELAY_MARGIN_S,
     ):
         """A computed torque controller with an observer for an arm.
 
@@ -51,14 +57,16 @@ class ComputedTorqueObserver(ArmController):
             bandwidth: rad/s, the natural frequency of the error; by default it follows from the margins, like the others.
             damping_ratio: 1 is critically damped.
             observer_bandwidth: rad/s up to which unknown torques are cancelled.
+            delay_margin: s, of the gains that are not given: give a larger one if the delay of the robot is unknown.
 
         Raises:
-            InputError: A gain is negative or not finite.
+            InputError: A gain is negative or not finite, or the delay margin is outside [0.001, 1] s.
         """
         super().__init__(arm)
-        self.bandwidth = _optional("bandwidth", bandwidth)
-        self.damping_ratio = _optional("damping_ratio", damping_ratio)
-        self.observer_bandwidth = _optional("observer_bandwidth", observer_bandwidth)
+        self.bandwidth = bandwidth
+        self.damping_ratio = damping_ratio
+        self.observer_bandwidth = observer_bandwidth
+        self.delay_margin = delay_margin
 
     @property
     def disturbance(self) -> Array:
@@ -76,8 +84,7 @@ class ComputedTorqueObserver(ArmController):
         return {
             "stiffness": gains.feedback**2,
             "damping": 2 * gains.damping_ratio * gains.feedback,
-            "position_weight": position_weight(gains.estimate, dt),
-            "velocity_weight": velocity_weight(gains.estimate, dt),
+            **estimate_weights(gains.estimate, dt),
             "disturbance_weight": low_pass_weight(gains.disturbance, dt),
             "torque_limit": self._arm.limits.tau_max,
             "dt": dt,
@@ -85,14 +92,10 @@ class ComputedTorqueObserver(ArmController):
         }
 
     def _gains_at(self, dt: float) -> ObserverGains:
-        default = observer_gains(self._arm, dt)
+        default = observer_gains(self._arm, dt, self.delay_margin)
         return ObserverGains(
             feedback=default.feedback if self.bandwidth is None else self.bandwidth,
             damping_ratio=default.damping_ratio if self.damping_ratio is None else self.damping_ratio,
             estimate=default.estimate,
             disturbance=default.disturbance if self.observer_bandwidth is None else self.observer_bandwidth,
         )
-
-
-def _optional(name: str, value: float | None) -> float | None:
-    return None if value is None else number(name, value, 0.0, MAX_BANDWIDTH)

@@ -57,17 +57,19 @@ class ComputedTorqueQP(ComputedTorque):
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
         """A law with the present gains, at the start of a run."""
         limits = self._arm.limits
-        gains = self.gains_at(dt, continuous)
         return _core.ComputedTorqueQP(
             self._model(dt, continuous),
-            stiffness=gains.kp,
-            damping=gains.kd,
+            stiffness=self.bandwidth**2,
+            damping=2 * self.damping_ratio * self.bandwidth,
             added_inertia=self.added_inertia(dt),
             q_min=limits.q_min,
             q_max=limits.q_max,
             v_max=limits.v_max,
             a_max=limits.a_max,
-            tau_max=limits.tau_max,
+            torque_limit=limits.tau_max,
+            position_weight=0.0,
+            velocity_weight=0.0,
+            textbook=False,
             length=arm_length(self._arm),
             dt=dt,
             continuous=continuous,

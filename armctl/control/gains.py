@@ -13,19 +13,27 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError, ModelError
 from armctl.core.validation import Array, frozen, number, vector
 from armctl.robot.arm import Arm
+from armctl.robot.configuration_search import smallest_configuration
 from armctl.robot.dynamics import Dynamics
 
 DEFAULT_BANDWIDTH = 30.0  # rad/s, of controllers that compensate the inertia
 SAMPLED_CONFIGURATIONS = 64
+_DESIGN_SEED = 0  # of these; `armctl.margins` judges controllers at others
+_SEARCH_STARTS = 3  # of the search for extreme configurations, and its steps from each
+_SEARCH_STEPS = 150
 # rad/s^2. A motor that could accelerate its joint faster than this has a joint of negligible inertia.
 MAX_MOTOR_ACCELERATION = 1000.0
 
-# Bounds of the default gains. They are checked at configurations that the design did not sample, hence the reserve.
+# Bounds of the default gains, which hold at configurations that the design did not sample, hence the reserve.
 MIN_DELAY_MARGIN_S = 5e-3
+DELAY_MARGINS_S = (1e-3, 1.0)  # that may be asked for
 MIN_DELAY_MARGIN_PERIODS = 2.5
 MAX_PEAK_SENSITIVITY = 1.7  # a usual bound of Ms (Astrom and Hagglund, Advanced PID Control, 2006, 4.6)
 _DELAY_RESERVE = 1.04
 _DESIGN_SENSITIVITY = 1.6
+# Where the arm moves continuously, a velocity that is differenced from positions is half a period late. The lag of a step of
+# MuJoCo, for which the delay is required, is part of it.
+_DIFFERENCE_DELAY = 0.35
 # Stiffness / gravity stiffness below which an arm under PD would fall over, with a reserve for configurations between samples.
 _MIN_GRAVITY_RATIO = 1.25
 _GRAVITY_STEP = 1e-5  # rad (m), of the central differences of gravity torques
@@ -40,25 +48,25 @@ _SHORT_PERIOD_S = MIN_DELAY_MARGIN_S / MIN_DELAY_MARGIN_PERIODS  # up to it, the
 _FALLBACK_STIFFNESS_PER_DAMPING = 10.0
 _BISECTIONS = 60
 # Stiffness per damping / damping per inertia of the slowest mode at which |s^2 / (s^2 + d s + b d)| peaks at the sensitivity of
-# the design. PID, |s^3 / (s^3 + d s^2 + b d s + b d i)|: the pair (b, i) with a large product, found by a scan.
+# the design.
 _PD_STIFFNESS = 1 / (2 * (1 - sqrt(1 - 1 / _DESIGN_SENSITIVITY**2)))
-_PID_STIFFNESS = 0.85
-_PID_INTEGRAL = 0.3
 
 MAX_BANDWIDTH = 1e6  # rad/s, and the bound of damping ratios: a thousand times what any control period can use
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledInertia:
-    """Mass matrices of an arm at home and at 64 random configurations, and what gravity does there.
+    """Mass matrices of an arm at `sample_configurations`, and what gravity does there.
 
     Attributes:
-        mass: (65, n, n) kg m^2, the mass matrices M.
-        mobility: (65, n, n) 1/(kg m^2), their inverses.
-        gravity_stiffness: (65, n, n) N m/rad, the derivatives of the torques that hold the arm.
+        configurations: (k, n) rad.
+        mass: (k, n, n) kg m^2, the mass matrices M.
+        mobility: (k, n, n) 1/(kg m^2), their inverses.
+        gravity_stiffness: (k, n, n) N m/rad, the derivatives of the torques that hold the arm.
         damping: (n,) N m s/rad, of the model's joints.
     """
 
+    configurations: Array
     mass: Array
     mobility: Array
     gravity_stiffness: Array
@@ -79,9 +87,11 @@ def sampled_inertia(arm: Arm) -> SampledInertia:
     if found is not None:
         return found
     dynamics = Dynamics(arm.model, arm.pinocchio_model)
-    configurations = sample_configurations(arm)
-    mass = np.array([dynamics.mass_matrix(q) for q in configurations])
+    rng = np.random.default_rng(_DESIGN_SEED)
+    configurations = np.vstack([arm.home, arm.limits.random(arm.limits.clamp(arm.home), SAMPLED_CONFIGURATIONS, rng)])
     try:
+        configurations = np.vstack([configurations, _extreme_configurations(arm, dynamics, configurations, rng)])
+        mass = np.array([dynamics.mass_matrix(q) for q in configurations])
         mobility = np.asarray(np.linalg.inv(mass), dtype=np.float64)
     except np.linalg.LinAlgError:
         raise ModelError(
@@ -90,6 +100,7 @@ def sampled_inertia(arm: Arm) -> SampledInertia:
     steps = _GRAVITY_STEP * np.eye(arm.n)
     gravity = np.array([[dynamics.gravity(q + dq) - dynamics.gravity(q - dq) for dq in steps] for q in configurations])
     found = SampledInertia(
+        configurations=frozen(configurations),
         mass=frozen(mass),
         mobility=frozen(mobility),
         gravity_stiffness=frozen(gravity / (2 * _GRAVITY_STEP)),
@@ -99,14 +110,42 @@ def sampled_inertia(arm: Arm) -> SampledInertia:
     return found
 
 
+def _extreme_configurations(arm: Arm, dynamics: Dynamics, sampled: Array, rng: np.random.Generator) -> Array:
+    """(2, n) rad, where M^-1, scaled like the dampings of `margin_gains`, has its largest and its smallest eigenvalue.
+
+    Random configurations rarely meet them, and the delay margin and the peak sensitivity of PD depend on them.
+    """
+    mass = np.array([dynamics.mass_matrix(q) for q in sampled])
+    free = 1 / np.diagonal(np.linalg.inv(mass), axis1=1, axis2=2)
+    root = _damping_scale(free, np.diagonal(mass, axis1=1, axis2=2)) ** 0.5
+
+    def rates(q: Array) -> Array:
+        inverses = np.linalg.eigvalsh(dynamics.mass_matrix(q) / np.outer(root, root))
+        return np.asarray(inverses, dtype=np.float64)
+
+    values = np.array([rates(q) for q in sampled])
+    found = []
+    for score, order in (
+        (lambda q: float(rates(q)[0]), np.argsort(values[:, 0])),
+        (lambda q: -float(rates(q)[-1]), np.argsort(-values[:, -1])),
+    ):
+        starts = list(sampled[order[:_SEARCH_STARTS]])
+        found.append(smallest_configuration(arm.limits, score, starts, _SEARCH_STEPS, rng))
+    return np.array(found)
+
+
+def _damping_scale(free: Array, locked: Array) -> Array:
+    """(n,) kg m^2, the ratios of the dampings, from inertias (k, n) with the other joints free and locked."""
+    return np.asarray(np.sqrt(free.min(axis=0) * locked.max(axis=0)), dtype=np.float64)
+
+
 def sample_configurations(arm: Arm) -> Array:
-    """Home and 64 random configurations, always the same ones, (65, n) rad: gains are designed for all of them."""
-    home = arm.limits.clamp(arm.home)
-    return np.vstack([arm.home, arm.limits.random(home, SAMPLED_CONFIGURATIONS, np.random.default_rng(0))])
+    """Home, 64 random configurations and two extreme ones, always the same, (67, n) rad: gains are designed for all of them."""
+    return sampled_inertia(arm).configurations
 
 
 def effective_inertia(arm: Arm) -> Array:
-    """The inertia that each motor accelerates if the other joints are free, 1 / (M^-1)_ii, (65, n) kg m^2.
+    """The inertia that each motor accelerates if the other joints are free, 1 / (M^-1)_ii, (k, n) kg m^2.
 
     M_ii, the inertia with the other joints locked, is up to 21 times larger where joint axes are parallel.
 
@@ -124,12 +163,12 @@ def max_locked_inertia(arm: Arm) -> Array:
     return np.asarray(np.diagonal(sampled_inertia(arm).mass, axis1=1, axis2=2).max(axis=0), dtype=np.float64)
 
 
-def required_delay(dt: float) -> float:
+def required_delay(dt: float, delay_margin: float = MIN_DELAY_MARGIN_S) -> float:
     """The delay, s, after which default gains may make a loop unstable: its delay margin plus half of the control period.
 
     A torque that is held for dt acts as if it were late by dt / 2.
     """
-    return _DELAY_RESERVE * max(MIN_DELAY_MARGIN_S, MIN_DELAY_MARGIN_PERIODS * dt) + 0.5 * dt
+    return _DELAY_RESERVE * max(delay_margin, MIN_DELAY_MARGIN_PERIODS * dt) + 0.5 * dt
 
 
 def max_damping_rate(stiffness_per_damping: float, dt: float) -> float:
@@ -162,19 +201,17 @@ class FeedbackGains:
     Attributes:
         stiffness: (n,) N m/rad (Kp).
         damping: (n,) N m s/rad (Kd).
-        integral_gain: (n,) N m/(rad s) (Ki), zero for PD.
         gravity_excess: Stiffness that gravity needs / stiffness that the peak sensitivity allows a PD, in the worst joint, at
             least 1. Above 8, the gains do not satisfy the bounds.
     """
 
     stiffness: Array
     damping: Array
-    integral_gain: Array
     gravity_excess: float
 
 
-def margin_gains(arm: Arm, dt: float, integral: bool = False) -> FeedbackGains:
-    """The stiffest PD or PID gains with a sufficient delay margin and peak sensitivity in all sampled configurations.
+def margin_gains(arm: Arm, dt: float, delay_margin: float = MIN_DELAY_MARGIN_S) -> FeedbackGains:
+    """The stiffest PD gains with a sufficient delay margin and peak sensitivity in all sampled configurations.
 
     The ratios of the dampings D make the eigenvalues of M^-1 D as equal as a diagonal matrix can. If stiffness is b D with one
     b for all joints, the loop consists of n independent ones, d (s + b) / s^2, where d is an eigenvalue of M^-1 D, and the
@@ -183,30 +220,28 @@ def margin_gains(arm: Arm, dt: float, integral: bool = False) -> FeedbackGains:
 
     Args:
         dt: s, the control period.
-        integral: Whether there is an integral term.
+        delay_margin: s, at least.
     """
     sampled = sampled_inertia(arm)
-    scale = np.sqrt(effective_inertia(arm).min(axis=0) * max_locked_inertia(arm))
+    scale = _damping_scale(effective_inertia(arm), np.diagonal(sampled.mass, axis1=1, axis2=2))
     root = np.sqrt(scale)
     rates = np.linalg.eigvalsh(root[:, None] * sampled.mobility * root)
     slowest = float(rates.min() / rates.max())
-    ratio = min(_MAX_STIFFNESS_PER_DAMPING, slowest * (_PID_STIFFNESS if integral else _PD_STIFFNESS))
-    rate = _rate_at_ratio(ratio, dt)
+    ratio = min(_MAX_STIFFNESS_PER_DAMPING, slowest * _PD_STIFFNESS)
+    rate = _rate_at_ratio(ratio, required_delay(dt, delay_margin) + _DIFFERENCE_DELAY * dt)
     damping = scale * rate / rates.max()
     allowed = ratio * rate * (damping + sampled.damping)
-    integral_gain = allowed * (_PID_INTEGRAL * slowest * rate if integral else 0.0)
     gravity = _gravity_stiffness(sampled, damping)
     stiffest = _MAX_STIFFNESS_AGAINST_GRAVITY * rate * damping
     needed = np.minimum(_MIN_GRAVITY_RATIO * gravity, stiffest)
-    of_pd = allowed * (_PD_STIFFNESS / _PID_STIFFNESS if integral else 1.0)
-    excess = float(np.max(needed / np.maximum(of_pd, np.finfo(float).tiny), initial=1.0))
+    excess = float(np.max(needed / np.maximum(allowed, np.finfo(float).tiny), initial=1.0))
     stiffness = np.maximum(allowed, needed)
     if excess > MAX_GRAVITY_EXCESS:
         if dt > _SHORT_PERIOD_S:
-            return replace(margin_gains(arm, _SHORT_PERIOD_S, integral), gravity_excess=excess)
+            return replace(margin_gains(arm, _SHORT_PERIOD_S, delay_margin), gravity_excess=excess)
         stiffness = np.maximum(stiffness, np.minimum(_FALLBACK_GRAVITY_RATIO * gravity, stiffest))
         stiffness = np.maximum(stiffness, _FALLBACK_STIFFNESS_PER_DAMPING * damping)
-    return FeedbackGains(frozen(stiffness), frozen(damping), frozen(integral_gain), excess)
+    return FeedbackGains(frozen(stiffness), frozen(damping), excess)
 
 
 def _gravity_stiffness(sampled: SampledInertia, damping: Array) -> Array:
@@ -216,8 +251,8 @@ def _gravity_stiffness(sampled: SampledInertia, damping: Array) -> Array:
     return np.asarray(scaled.sum(axis=2).max(axis=0), dtype=np.float64)
 
 
-def _rate_at_ratio(ratio: float, dt: float) -> float:
-    """The largest damping / inertia, 1/s, if stiffness / damping is this ratio of it; see `max_damping_rate`."""
+def _rate_at_ratio(ratio: float, delay: float) -> float:
+    """The largest damping / inertia, 1/s, at a delay, s, if stiffness / damping is this ratio of it; see `max_damping_rate`."""
     low = 0.0
     high = 0.5 * pi
     for _ in range(_BISECTIONS):
@@ -226,15 +261,15 @@ def _rate_at_ratio(ratio: float, dt: float) -> float:
             low = y
         else:
             high = y
-    return low * sin(low) / required_delay(dt)
+    return low * sin(low) / delay
 
 
 def extra_inertia(arm: Arm, bandwidth: float, damping_ratio: float, dt: float) -> Array:
     """Inertia, (n,) kg m^2, that the feedback of computed torque may add to joints of negligible inertia.
 
     Feedback in proportion to a negligible inertia would yield to any friction or payload. The inertia that the joint's motor
-    accelerates at 1000 rad/s^2 is enough. With an added inertia E, the loop gain grows by the eigenvalues of 1 + M^-1 E; they
-    are bounded by the delay margin in all sampled configurations.
+    accelerates at 1000 rad/s^2 is enough. With an added inertia E, the loop gain grows by the eigenvalues of 1 + M^-1 E; the
+    delay margin bounds the largest one, which a search over all configurations finds.
 
     Args:
         bandwidth: rad/s, of the feedback of the unit masses.
@@ -253,8 +288,19 @@ def _extra_inertia(arm: Arm, bandwidth: float, damping_ratio: float, dt: float) 
     rate = max(2 * damping_ratio * bandwidth, 1e-12)
     max_growth = max(0.0, max_damping_rate(bandwidth**2 / rate, dt) / rate - 1.0)
     extra = np.clip(arm.limits.tau_max / MAX_MOTOR_ACCELERATION - smallest, 0.0, max_growth * smallest)
+    if not extra.any():
+        return extra
     root = np.sqrt(extra)
-    growth = float(np.linalg.eigvalsh(root[:, None] * sampled_inertia(arm).mobility * root).max())
+    dynamics = Dynamics(arm.model, arm.pinocchio_model)
+
+    def largest(q: Array) -> float:
+        return float(np.linalg.eigvalsh(root[:, None] * np.linalg.inv(dynamics.mass_matrix(q)) * root)[-1])
+
+    sampled = sampled_inertia(arm)
+    growths = np.linalg.eigvalsh(root[:, None] * sampled.mobility * root)[:, -1]
+    starts = list(sampled.configurations[np.argsort(-growths)[:_SEARCH_STARTS]])
+    rng = np.random.default_rng(_DESIGN_SEED)
+    growth = largest(smallest_configuration(arm.limits, lambda q: -largest(q), starts, _SEARCH_STEPS, rng))
     return extra * min(1.0, max_growth / max(growth, 1e-12))
 
 
@@ -273,9 +319,6 @@ def bandwidth_gains(
         stiffness: (n,) or one number for all joints, N m/rad (Kp), instead of bandwidth^2 x inertia.
         damping: (n,) or one number for all joints, N m s/rad (Kd), instead of 2 x damping_ratio x sqrt(stiffness x inertia).
 
-    Returns:
-        The gains, without an integral term.
-
     Raises:
         InputError: A gain is negative, not finite or of the wrong length.
     """
@@ -283,7 +326,7 @@ def bandwidth_gains(
     scale = np.median(effective_inertia(arm), axis=0)
     stiffness = gain("stiffness", bandwidth * bandwidth * scale if stiffness is None else stiffness, arm.n)
     damping = gain("damping", 2 * damping_ratio * np.sqrt(stiffness * scale) if damping is None else damping, arm.n)
-    return FeedbackGains(stiffness, damping, np.zeros(arm.n), 1.0)
+    return FeedbackGains(stiffness, damping, 1.0)
 
 
 def gain(name: str, value: ArrayLike, n: int) -> Array:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
 
 from armctl import _core
 from armctl.control.arm_controller import ArmController
-from armctl.control.gains import MAX_BANDWIDTH
+from armctl.control.gain_attribute import Gain, optional_gain, scalar_gain, word
 from armctl.control.task_space import task_rows
 from armctl.core.errors import InputError, UnknownNameError
-from armctl.core.validation import Array, IntArray, choice, number, shown
+from armctl.core.validation import Array, IntArray, number, shown
 from armctl.robot.arm import Arm
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -43,6 +44,11 @@ class HybridForce(ArmController):
 
     name = "hybrid-force"
     needs_wrench = True
+    frame: Gain[str] = word(FRAMES)
+    bandwidth: Gain[float] = scalar_gain()
+    damping_ratio: Gain[float] = scalar_gain()
+    approach_speed: Gain[float | None] = optional_gain(1e-6, 10.0)
+    contact_force: Gain[float | None] = optional_gain(1e-6, math.inf)
 
     def __init__(
         self,
@@ -74,11 +80,11 @@ class HybridForce(ArmController):
             UnknownNameError: There is no such axis or frame.
         """
         super().__init__(arm)
-        self.frame = choice("frame", frame, FRAMES)
-        self.bandwidth = number("bandwidth", bandwidth, 0.0, MAX_BANDWIDTH)
-        self.damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
-        self.approach_speed = None if approach_speed is None else number("approach_speed", approach_speed, 1e-6, 10.0)
-        self.contact_force = None if contact_force is None else number("contact_force", contact_force, 1e-6)
+        self.frame = frame
+        self.bandwidth = bandwidth
+        self.damping_ratio = damping_ratio
+        self.approach_speed = approach_speed
+        self.contact_force = contact_force
         self.force = force
 
     @property
@@ -99,7 +105,7 @@ class HybridForce(ArmController):
             targets[name] = number(f"force along {name}", target)
         self._force = targets
         if isinstance(self._law, _core.HybridForce):
-            self._law.set_axes(*self._axes())  # an axis that comes back later begins with an approach
+            self._law.set_axes(**self._axes())  # an axis that comes back later begins with an approach
 
     @property
     def in_contact(self) -> bool:
@@ -110,7 +116,6 @@ class HybridForce(ArmController):
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
         """A law with the present gains, at the start of a run."""
-        is_force, targets = self._axes()
         return _core.HybridForce(
             self._model(dt, continuous),
             bandwidth=self.bandwidth,
@@ -118,12 +123,11 @@ class HybridForce(ArmController):
             in_tip_frame=self.frame == "tip",
             approach_speed=self.approach_speed or 0.0,
             contact_force=self.contact_force or 0.0,
-            is_force=is_force,
-            targets=targets,
             dt=dt,
+            **self._axes(),
         )
 
-    def _axes(self) -> tuple[IntArray, Array]:
+    def _axes(self) -> dict[str, Array | IntArray]:
         """Of each axis whether it is a force axis, (6,), and its target, (6,) N and N m."""
         is_force = np.array([name in self._force for name in AXES], dtype=np.int64)
-        return is_force, np.array([self._force.get(name, 0.0) for name in AXES])
+        return {"is_force": is_force, "targets": np.array([self._force.get(name, 0.0) for name in AXES])}

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from armctl import _core
 from armctl.control.arm_controller import ArmController
+from armctl.control.gain_attribute import Gain, joint_gain, scalar_gain, tip_bound
 from armctl.control.gains import MAX_BANDWIDTH, gain, sample_configurations
 from armctl.control.interface import State
 from armctl.control.task_space import POSE_SIZE, consistent_inverse
@@ -41,6 +42,9 @@ class Impedance(ArmController):
     """
 
     name = "impedance"
+    error_max: Gain[Array] = tip_bound()
+    damping_ratio: Gain[float] = scalar_gain()
+    posture_stiffness: Gain[Array] = joint_gain()
 
     def __init__(
         self,
@@ -70,14 +74,14 @@ class Impedance(ArmController):
         """
         super().__init__(arm)
         bandwidth = number("bandwidth", bandwidth, 0.0, MAX_BANDWIDTH)
-        self.damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
+        self.damping_ratio = damping_ratio
         self._dynamics = Dynamics(arm.model, arm.pinocchio_model)
         inertia = _min_inertia(arm, self._dynamics)
         self.stiffness = bandwidth**2 * inertia.tip if stiffness is None else stiffness
-        self.error_max = np.full(POSE_SIZE, np.inf) if error_max is None else gain("error_max", error_max, POSE_SIZE)
+        self.error_max = np.inf if error_max is None else error_max
         if posture_stiffness is None:
             posture_stiffness = bandwidth**2 * inertia.joints
-        self.posture_stiffness = gain("posture_stiffness", posture_stiffness, arm.n)
+        self.posture_stiffness = posture_stiffness
 
     @property
     def stiffness(self) -> Array | Callable[[float], ArrayLike]:
@@ -104,7 +108,7 @@ class Impedance(ArmController):
         """
         law = super().begin(state)
         if callable(self._stiffness) and isinstance(law, _core.Impedance):
-            law.set_stiffness(gain("stiffness", self._stiffness(state.t), POSE_SIZE))
+            law.set_stiffness(stiffness=gain("stiffness", self._stiffness(state.t), POSE_SIZE))
         return law
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:

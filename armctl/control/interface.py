@@ -14,10 +14,11 @@ import numpy as np
 from armctl import _core
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Setpoint
-from armctl.core.validation import Array, flag, instance, number, shown
+from armctl.core.validation import Array, flag, instance, integer, number, shown
 
 WRENCH_SIZE = 6
 MAX_PERIOD_S = 1.0  # of control
+MAX_JOINTS = 1000
 _NO_WRENCH = np.zeros(0)
 _STATE_HINT = "armctl.State(q, v) is one"
 
@@ -131,8 +132,11 @@ class CompiledController(ABC):
 
         Args:
             n: The number of joints.
+
+        Raises:
+            InputError: It is no whole number from 1 to 1000.
         """
-        self._n = n
+        self._n = integer("n", n, 1, MAX_JOINTS)
         self._clock = Clock()
         self._law: _core.Law | None = None
         self._period: tuple[float, bool] | None = None
@@ -192,8 +196,8 @@ class CompiledController(ABC):
             The law, until a gain or the control period changes.
 
         Raises:
-            InputError: It is no `State`, its control period is no number in [0, 1] s, or a gain that was assigned is negative,
-                not finite or of the wrong length.
+            InputError: It is no `State`, its control period is no number in [0, 1] s, or `make_law` gives no law for
+                these joints.
         """
         instance("state", state, State, _STATE_HINT)
         period = (state.dt, state.continuous)
@@ -206,7 +210,13 @@ class CompiledController(ABC):
 
     def _replace_law(self, law: _core.Law, period: tuple[float, bool]) -> _core.Law:
         """Takes a law for a control period, and gives it the memory of the present one."""
-        if self._law is not None:
+        if not isinstance(law, _core.Law):
+            raise InputError(f"make_law: expected a law, such as armctl.CFunctionLaw, got {shown(law)}")
+        if law.n != self._n:
+            raise InputError(f"make_law: expected a law for {self._n} joints, got one for {law.n}")
+        if law.needs_wrench and not self.needs_wrench:
+            raise InputError(f"needs_wrench: the law of {controller_name(self)} reads the wrench; set it to True in the class")
+        if self._law is not None and law.memory.shape == self._law.memory.shape:
             law.memory[:] = self._law.memory
         self._law = law
         self._period = period

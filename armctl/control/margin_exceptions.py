@@ -36,7 +36,7 @@ def margin_exceptions(arm: Arm) -> tuple[str, ...]:
     if missed:
         periods = ", ".join(f"{1e3 * dt:g}" for dt in missed)
         found.append(
-            f"pd, pd-feedforward, pd-gravity and pid-gravity at control periods of {periods} ms: no gains satisfy both bounds "
+            f"pd, pd-feedforward and pd-gravity at control periods of {periods} ms: no gains satisfy both bounds "
             f"(sensitivity {max(peaks.values()):.1f}), because gravity needs {max(excesses.values()):.1f} times the stiffness "
             "that can be damped: the inertia of a joint varies too much with the motion of the others"
         )

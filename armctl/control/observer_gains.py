@@ -3,7 +3,7 @@
 The observer has three stages. The commanded acceleration predicts position and velocity of each joint; the measured position
 corrects both (two equal poles). The inverse dynamics of the estimated motion minus the commanded torque is a disturbance, after
 Ohnishi, Shibata, Murakami, "Motion control for advanced mechatronics" (1996). A low-pass of first order smoothes it. The law is
-in `armctl/cpp/laws/computed_torque_observer.cpp`.
+in `armctl/cpp/laws/computed_torque_observer.hpp`.
 
 An estimated velocity has much less noise than the difference of two measured positions, and it is late by less than that
 difference behind a low-pass of the same noise; see Friedland, Control System Design (1986), chapter 8.
@@ -13,10 +13,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import expm1, log
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from armctl.control.gains import max_locked_inertia, required_delay, sample_configurations, sampled_inertia
+from armctl.control.gains import MIN_DELAY_MARGIN_S, max_locked_inertia, required_delay, sample_configurations, sampled_inertia
 from armctl.robot.arm import Arm
 
 # rad. A faster low-pass has a delay margin of less than two control periods with any other gains.
@@ -24,11 +25,18 @@ MAX_BANDWIDTH_TIMES_DT = 0.3
 # Bandwidth of the estimated velocity x required delay. A slower one raises the peak sensitivity, a faster one gains little.
 _MIN_ESTIMATE = 2.7
 _MAX_ESTIMATE = 9.0
+# A slower estimate of the velocity takes damping from the feedback.
+_MIN_ESTIMATE_PER_FEEDBACK = 5.0
 # rad/s^2. Noise is a share of the motors' torque: where they accelerate the arm less than this, the estimate is the slowest.
 _NOISE_ACCELERATION = 23.0
+# Slower gains leave a larger share to the damping of the joints, which costs some delay margin. The exponent of the ratio to
+# 5 ms.
+_LONG_DELAY_RESERVE = 0.05
 # Payloads that multiply the inertia more than this are left out: the lower gains that they need track worse with all others.
 MAX_INERTIA_RATIO = 4.0
 PAYLOAD_LEVER_M = 0.05  # beside the tip, where a payload multiplies the small inertia of a light wrist
+
+_inertia_ratios: WeakKeyDictionary[Arm, float] = WeakKeyDictionary()  # computed once per arm
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +56,7 @@ class ObserverGains:
     disturbance: float
 
 
-def observer_gains(arm: Arm, dt: float) -> ObserverGains:
+def observer_gains(arm: Arm, dt: float, delay_margin: float = MIN_DELAY_MARGIN_S) -> ObserverGains:
     """The bandwidths that suppress disturbances best with sufficient margins, with and without an unknown payload.
 
     Inverse dynamics make every joint a unit mass, so one design holds for all arms, and all joints have the same gains:
@@ -60,11 +68,11 @@ def observer_gains(arm: Arm, dt: float) -> ObserverGains:
 
     Args:
         dt: s, the control period.
+        delay_margin: s, at least.
     """
-    acceleration = float((arm.limits.tau_max / max_locked_inertia(arm)).min())
-    estimate = min(max(acceleration / _NOISE_ACCELERATION, 1.0) * _MIN_ESTIMATE, _MAX_ESTIMATE)
+    estimate = _estimate(arm)
     ratio = max_inertia_ratio(arm)
-    delay = required_delay(dt)
+    delay = required_delay(dt, delay_margin) * max(1.0, delay_margin / MIN_DELAY_MARGIN_S) ** _LONG_DELAY_RESERVE
     disturbance = 0.717 - 0.243 / ratio - 0.156 / estimate
     feedback = 0.57 - 0.194 * log(ratio) - 0.384 / estimate
     return ObserverGains(
@@ -75,6 +83,22 @@ def observer_gains(arm: Arm, dt: float) -> ObserverGains:
     )
 
 
+def feedback_estimate(arm: Arm, dt: float, bandwidth: float) -> float:
+    """The bandwidth, rad/s, of the estimated velocity for feedback without an observer of disturbances.
+
+    Args:
+        dt: s, the control period.
+        bandwidth: rad/s, of the feedback.
+    """
+    return max(_estimate(arm) / required_delay(dt), _MIN_ESTIMATE_PER_FEEDBACK * bandwidth)
+
+
+def _estimate(arm: Arm) -> float:
+    """The bandwidth of the estimated velocity x the required delay."""
+    acceleration = float((arm.limits.tau_max / max_locked_inertia(arm)).min())
+    return min(max(acceleration / _NOISE_ACCELERATION, 1.0) * _MIN_ESTIMATE, _MAX_ESTIMATE)
+
+
 def max_inertia_ratio(arm: Arm) -> float:
     """How much an unknown payload may multiply the inertia of the arm in some direction of motion, 1 to 4.
 
@@ -82,7 +106,9 @@ def max_inertia_ratio(arm: Arm) -> float:
     multiplies the inertia by 1 + its mass / effective mass of the tip (Khatib, "A unified approach for motion and force control
     of robot manipulators", 1987).
     """
-    return min(1 + max_held_payload(arm) / min_effective_mass(arm, 0.0), MAX_INERTIA_RATIO)
+    if arm not in _inertia_ratios:
+        _inertia_ratios[arm] = min(1 + max_held_payload(arm) / min_effective_mass(arm, 0.0), MAX_INERTIA_RATIO)
+    return _inertia_ratios[arm]
 
 
 def max_unknown_payload(arm: Arm) -> float:
@@ -127,21 +153,11 @@ def low_pass_weight(bandwidth: float, dt: float) -> float:
     return -expm1(-min(bandwidth * dt, MAX_BANDWIDTH_TIMES_DT))
 
 
-def position_weight(bandwidth: float, dt: float) -> float:
-    """The weight of the error of the predicted position in the estimated position.
+def estimate_weights(bandwidth: float, dt: float) -> dict[str, float]:
+    """How much the error of the predicted position corrects the estimated position and velocity, as arguments of a law.
 
     Args:
         bandwidth: rad/s of the estimate, whose two poles are equal.
         dt: s, the control period.
     """
-    return -expm1(-2 * bandwidth * dt)
-
-
-def velocity_weight(bandwidth: float, dt: float) -> float:
-    """The weight of the error of the predicted position, divided by dt, in the estimated velocity.
-
-    Args:
-        bandwidth: rad/s of the estimate, whose two poles are equal.
-        dt: s, the control period.
-    """
-    return expm1(-bandwidth * dt) ** 2
+    return {"position_weight": -expm1(-2 * bandwidth * dt), "velocity_weight": expm1(-bandwidth * dt) ** 2}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from armctl import _core
 from armctl.control.arm_controller import ArmController
-from armctl.control.gains import DEFAULT_BANDWIDTH, MAX_BANDWIDTH
-from armctl.core.validation import number
+from armctl.control.gain_attribute import Gain, scalar_gain
+from armctl.control.gains import DEFAULT_BANDWIDTH
 from armctl.robot.arm import Arm
 
 
@@ -25,6 +25,9 @@ class OperationalSpace(ArmController):
     """
 
     name = "operational-space"
+    bandwidth: Gain[float] = scalar_gain()
+    damping_ratio: Gain[float] = scalar_gain()
+    posture_bandwidth: Gain[float] = scalar_gain()
 
     def __init__(
         self,
@@ -45,9 +48,9 @@ class OperationalSpace(ArmController):
             InputError: A gain is negative or not finite.
         """
         super().__init__(arm)
-        self.bandwidth = number("bandwidth", bandwidth, 0.0, MAX_BANDWIDTH)
-        self.damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
-        self.posture_bandwidth = number("posture_bandwidth", posture_bandwidth, 0.0, MAX_BANDWIDTH)
+        self.bandwidth = bandwidth
+        self.damping_ratio = damping_ratio
+        self.posture_bandwidth = posture_bandwidth
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
         """A law with the present gains, at the start of a run."""

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from numpy.typing import ArrayLike
 
 from armctl import _core
 from armctl.control.arm_controller import ArmController
-from armctl.control.gains import MAX_BANDWIDTH, FeedbackGains, bandwidth_gains, margin_gains
+from armctl.control.gain_attribute import Gain, joint_gain, scalar_gain
+from armctl.control.gains import (
+    DELAY_MARGINS_S,
+    MAX_BANDWIDTH,
+    MIN_DELAY_MARGIN_S,
+    FeedbackGains,
+    bandwidth_gains,
+    margin_gains,
+)
 from armctl.control.interface import checked_period
-from armctl.core.validation import number
+from armctl.core.validation import Array, number
 from armctl.robot.arm import Arm
 
 
@@ -23,10 +33,13 @@ class PD(ArmController):
     Attributes:
         stiffness: (n,) N m/rad (Kp); default gains are shown for the control period of the arm's model.
         damping: (n,) N m s/rad (Kd).
+        delay_margin: s, of the default gains, or two and a half control periods if they are longer.
     """
 
     name = "pd"
-    _is_integrating = False
+    stiffness: Gain[Array] = joint_gain()
+    damping: Gain[Array] = joint_gain()
+    delay_margin: Gain[float] = scalar_gain(*DELAY_MARGINS_S)
 
     def __init__(
         self,
@@ -36,6 +49,7 @@ class PD(ArmController):
         damping_ratio: float = 1.0,
         stiffness: ArrayLike | None = None,
         damping: ArrayLike | None = None,
+        delay_margin: float = MIN_DELAY_MARGIN_S,
     ):
         """A PD controller for an arm.
 
@@ -45,19 +59,22 @@ class PD(ArmController):
             damping_ratio: 1 is critically damped; of gains that follow from a bandwidth.
             stiffness: (n,) or one number for all joints, N m/rad; replaces the one that follows from the bandwidth.
             damping: (n,) or one number for all joints, N m s/rad; replaces the one that follows from the damping ratio.
+            delay_margin: s, of the gains that follow from margins: give a larger one if the delay of the robot is unknown.
 
         Raises:
-            InputError: A gain is negative, not finite or of the wrong length.
+            InputError: A gain is negative, not finite or of the wrong length, or the delay margin is outside [0.001, 1] s.
         """
         super().__init__(arm)
         damping_ratio = number("damping_ratio", damping_ratio, 0.0, MAX_BANDWIDTH)
+        self.delay_margin = delay_margin
         self._has_default_gains = bandwidth is None and stiffness is None and damping is None
         if self._has_default_gains:
-            self._default = margin_gains(arm, arm.dt, self._is_integrating)
+            self._default = margin_gains(arm, arm.dt, self.delay_margin)
         else:
             self._default = bandwidth_gains(arm, bandwidth, damping_ratio, stiffness, damping)
         self.stiffness = self._default.stiffness
         self.damping = self._default.damping
+        self._default = replace(self._default, stiffness=self.stiffness, damping=self.damping)
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
         """A law with the present gains, at the start of a run."""
@@ -77,10 +94,9 @@ class PD(ArmController):
             InputError: The control period is no number in [0, 1] s.
         """
         dt, _ = checked_period(dt, False)
-        default = margin_gains(self._arm, dt, self._is_integrating) if self._has_default_gains and dt else self._default
+        default = margin_gains(self._arm, dt, self.delay_margin) if self._has_default_gains and dt else self._default
         return FeedbackGains(
             stiffness=default.stiffness if self.stiffness is self._default.stiffness else self.stiffness,
             damping=default.damping if self.damping is self._default.damping else self.damping,
-            integral_gain=default.integral_gain,
             gravity_excess=default.gravity_excess,
         )

@@ -26,7 +26,8 @@ def file_path(what: str, path: str | os.PathLike[str], endings: Sequence[str] = 
     try:
         text = os.fspath(path)
         out = Path(text)
-    except TypeError:
+        os.fsencode(out)
+    except (TypeError, UnicodeEncodeError):  # a lone surrogate is no name on any disk
         raise InputError(f"{what}: {shown(path)} is not the name of a file") from None
     if not out.name or "\0" in str(text):
         raise InputError(f"{what}: {shown(text)} is not the name of a file")

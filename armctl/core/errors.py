@@ -103,6 +103,10 @@ class PlanError(ArmctlError):
     """A motion cannot be planned."""
 
 
+class LinkError(ArmctlError):
+    """The link to a robot failed, the robot reports a fault, or it is not in the state that a motion needs."""
+
+
 class ArmctlWarning(UserWarning):
     """armctl had to assume something, such as a limit that the model does not specify."""
 

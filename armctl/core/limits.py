@@ -22,6 +22,9 @@ class Limits:
         a_max: Maximum acceleration, rad/s^2.
         j_max: Maximum jerk, rad/s^3.
         tau_max: Maximum torque, N m (N for a slide joint).
+        stall_torque: Torque of a DC motor at rest and full voltage, N m. At a speed v it gives
+            |tau + stall_torque v / no_load_speed| <= stall_torque. `inf`, or left out, for a torque that no voltage limits.
+        no_load_speed: Its speed at full voltage without a load, rad/s.
     """
 
     q_min: Array
@@ -30,11 +33,14 @@ class Limits:
     a_max: Array
     j_max: Array
     tau_max: Array
+    stall_torque: Array = None  # type: ignore[assignment]  # infinite
+    no_load_speed: Array = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         n = vector("q_min", self.q_min, finite=False).size
         for field in fields(self):
-            value = vector(field.name, getattr(self, field.name), n, finite=False)
+            given = getattr(self, field.name)
+            value = vector(field.name, np.full(n, np.inf) if given is None else given, n, finite=False)
             if np.isnan(value).any():
                 raise InputError(f"{field.name}: joint {int(np.isnan(value).argmax())} is NaN, expected a number")
             if not field.name.startswith("q_") and not (value > 0).all():
@@ -112,6 +118,25 @@ class Limits:
         if speed == 1.0:
             return self
         return replace(self, v_max=speed * self.v_max, a_max=speed**2 * self.a_max, j_max=speed**3 * self.j_max)
+
+    @property
+    def voltage_damping(self) -> Array:
+        """(n,) N m s/rad, how much the torque at full voltage falls with speed; 0 where no voltage limits it."""
+        return np.divide(
+            self.stall_torque, self.no_load_speed, where=np.isfinite(self.stall_torque), out=np.zeros_like(self.tau_max)
+        )
+
+    def torque_shares(self, tau: Array, v: Array) -> Array:
+        """The share of what the motors can give at a speed, by torque and by voltage; above 1 is too much.
+
+        Args:
+            tau: (..., n) N m.
+            v: (..., n) rad/s.
+
+        Returns:
+            (..., n).
+        """
+        return np.maximum(np.abs(tau) / self.tau_max, np.abs(tau + self.voltage_damping * v) / self.stall_torque)
 
     def _positions(self, q: ArrayLike) -> Array:
         """(n,) or (T, n) float64; NaN is left to the caller, infinity is a position outside."""

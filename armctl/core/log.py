@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from armctl.core.errors import ArmctlError, InputError
 from armctl.core.file_reading import reading
 from armctl.core.log_columns import QUANTITIES, REFERENCES, STATES
 from armctl.core.log_csv import Columns, Units, read_recording
+from armctl.core.other_names import with_hints
 from armctl.core.validation import Array, frozen, instance, number, shown
 
 RECORDED = "recorded"  # the unknown controller in the recording of a real robot
@@ -63,7 +64,7 @@ class Log:
         q_ref: (T, n) rad; NaN in an open-loop run, as are v_ref, a_ref and the reference's tip.
         v_ref: (T, n) rad/s.
         a_ref: (T, n) rad/s^2.
-        tau: (T, n) N m, the torque of the motors.
+        tau: (T, n) N m, the torque of the motors; NaN from a robot that does not measure it.
         tau_cmd: (T, n) N m, the torque that the controller commanded, before the torque limits.
         tip: (T, 3) m.
         tip_quat: (T, 4) wxyz.
@@ -103,6 +104,18 @@ class Log:
     units: tuple[str, ...] = ()
     contacts: tuple[Contact, ...] = ()
     wrench: Array = field(default_factory=lambda: np.zeros((0, 6)))
+
+    if not TYPE_CHECKING:
+        __getattr__ = with_hints(
+            {
+                "to_dataframe": "pandas.DataFrame(log.to_dict())",
+                "to_pandas": "pandas.DataFrame(log.to_dict())",
+                "to_csv": "log.save('run.csv')",
+                "plot": "armctl.Report.from_log(log).plot()",
+                "qpos": "log.q",
+                "qvel": "log.v",
+            }
+        )
 
     def __post_init__(self) -> None:
         for name, values in (("joint_names", self.joint_names), ("units", self.units)):
@@ -290,7 +303,8 @@ def _check_arrays(arrays: Mapping[str, Array], n: int, dt: float) -> None:
         if column.dtype != np.float64 or column.shape != shape or len(nq) != 1:
             raise InputError(f"{name}: expected float64 of shape {shape}, got {column.dtype} of shape {column.shape}")
     for name in ("t", *STATES, "tip", "tip_quat", "qpos"):
-        unknown = name.startswith("tip") and np.isnan(arrays[name]).all()  # a recording does not contain the tip
+        # A recording does not contain the tip, and a robot without torque sensors no torque.
+        unknown = name.startswith(("tip", "tau")) and np.isnan(arrays[name]).all()
         if not np.isfinite(arrays[name]).all() and not unknown:
             raise InputError(f"{name}: a number is not finite")
     for name in ("t", "q", "v", "tip", "qpos"):

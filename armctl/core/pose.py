@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import warnings
 from functools import cache
 from types import ModuleType
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.core.errors import InputError
+from armctl.core.errors import ArmctlWarning, InputError
 from armctl.core.validation import Array, array, frozen, instance, matrix, shown, vector
 
 
@@ -38,15 +39,22 @@ class Pose:
         Args:
             position: (3,) m.
             quat: (4,) wxyz; it is normalised. Left out, the orientation is the identity.
-            rpy: (3,) rad, fixed-axis roll, pitch, yaw: R = Rz(yaw) Ry(pitch) Rx(roll).
+            rpy: (3,) rad, fixed-axis roll, pitch, yaw: R = Rz(yaw) Ry(pitch) Rx(roll). Angles above 2 pi give a warning.
 
         Raises:
             InputError: A wrong length, a number that is not finite, a zero quaternion, or both quat and rpy.
         """
         if quat is not None and rpy is not None:
             raise InputError("Pose: both quat and rpy given; give one")
+        if quat is not None and np.shape(quat) == (3, 3):
+            raise InputError("quat: a (3, 3) array is no quaternion; Pose.from_rotation takes a rotation matrix")
         if rpy is not None:
-            wxyz = _quat_from_rpy(vector("rpy", rpy, 3))
+            angles = vector("rpy", rpy, 3)
+            if np.abs(angles).max() > 2 * np.pi:
+                warnings.warn(
+                    ArmctlWarning(f"rpy: {shown(rpy)} is taken in radians; np.radians converts degrees"), stacklevel=2
+                )
+            wxyz = _quat_from_rpy(angles)
         else:
             wxyz = vector("quat", (1.0, 0.0, 0.0, 0.0) if quat is None else quat, 4)
         norm = float(np.linalg.norm(wxyz))

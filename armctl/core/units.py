@@ -18,3 +18,14 @@ def of_torque(units: Iterable[str]) -> tuple[str, ...]:
 def label(units: Iterable[str], per: str = "") -> str:
     """The units of all joints for a plot's axis or a column's head, such as "rad/s" or "rad/s or m/s"."""
     return " or ".join(unit + per for unit in dict.fromkeys(units))
+
+
+def length_text(metres: float) -> str:
+    """A length of three digits for a sentence or a table: "<1 nm", "12 nm", "3.45 mm" or "2.07 m"."""
+    if metres < 1e-9:
+        return "<1 nm"
+    if metres < 1e-6:
+        return f"{1e9 * metres:.0f} nm"
+    if metres < 0.9995:
+        return f"{1e3 * metres:.3g} mm"
+    return f"{metres:.3g} m" if not 999.5 <= metres < 1e6 else f"{metres:.0f} m"

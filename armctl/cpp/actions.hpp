@@ -1,88 +1,225 @@
 // What the numbers of a policy's action do: they move joint targets, which a reference approaches, or they are torques.
 #pragma once
-#include <cstdint>
-#include <memory>
-#include <vector>
-
 #include "dynamics.hpp"
+#include "errors.hpp"
 #include "law.hpp"
-#include "spans.hpp"
-#include "tip_target.hpp"
 
 namespace armctl {
 
 enum class ActionMode : std::uint8_t { torque, joint_delta, joint_target, cartesian_delta, cartesian_pose };
 
+// Limits of a joint that an action commands.
+struct ActionLimits {
+    double q_min = 0.0;    // rad
+    double q_max = 0.0;    // rad
+    double v_max = 0.0;    // rad/s
+    double a_max = 0.0;    // rad/s^2
+    double tau_max = 0.0;  // N m
+
+    // The signed speed from which a joint stops within a way, sqrt(2 a s), exponential at a rate, 1/s, near the end.
+    double approach_speed(double way, double rate) const {
+        const double distance = std::abs(way);
+        double speed = rate * distance;
+        if (speed * rate > a_max) { speed = std::sqrt(2.0 * a_max * (distance - 0.5 * a_max / (rate * rate))); }
+        return std::copysign(speed, way);
+    }
+};
+
 // Numbers of an action are in [-1, 1].
 struct ActionOptions {
-    ActionMode mode = ActionMode::torque;
-    size_t size = 0;              // numbers of an action
-    size_t ticks = 0;             // of a step
-    double dt = 0.0;              // s, the control period
-    double joint_scale = 0.0;     // s: a full action moves a joint's target as far as full speed does in this time
-    double position_scale = 0.0;  // m, of a full cartesian action
-    double rotation_scale = 0.0;  // rad, of a full cartesian action
-    double approach_rate = 0.0;   // 1/s, at which a reference approaches its target near the end
-    double tip_damping = 0.0;     // of the inverse Jacobian, squared
-    Pose T_world_home;            // the tip at home, where cartesian poses begin
+    // The members by name. `mode` is an ActionMode, `limits` (5, n) are those of ActionLimits, `home_tip` (12,) is translation and
+    // rotation matrix.
+    ActionOptions(const Arguments& given, size_t n)
+        : mode(static_cast<ActionMode>(given.integer("mode"))), size(given.count("size")), ticks(given.count("ticks")),
+          dt(given.number("dt")), joint_scale(given.number("joint_scale")), position_scale(given.number("position_scale")),
+          rotation_scale(given.number("rotation_scale")), approach_rate(given.number("approach_rate")),
+          tip_damping(given.number("tip_damping")) {
+        const Vector home = given.vector(12, "home_tip");
+        T_world_home = {.rotation = Rotation::from_rows(home.subspan(3)), .translation = vec3(home)};
+        const Matrix rows = given.matrix(5, n, "limits");
+        for (size_t i = 0; i < n; ++i) { limits.push_back({rows(0, i), rows(1, i), rows(2, i), rows(3, i), rows(4, i)}); }
+        const bool is_cartesian = mode == ActionMode::cartesian_delta || mode == ActionMode::cartesian_pose;
+        const bool has_right_size = is_cartesian ? size == 3 || size == 6 : size == n;
+        if (!has_right_size || ticks == 0 || !(dt > 0.0)) {
+            throw InputError("action: need a number for each joint, or 3 or 6 for the tip; a positive dt; and at least one tick");
+        }
+    }
+
+    ActionMode mode;
+    std::vector<ActionLimits> limits;
+    size_t size;            // numbers of an action
+    size_t ticks;           // of a step
+    double dt;              // s, the control period
+    double joint_scale;     // s: a full action moves a joint's target as far as full speed does in this time
+    double position_scale;  // m, of a full cartesian action
+    double rotation_scale;  // rad, of a full cartesian action
+    double approach_rate;   // 1/s, at which a reference approaches its target near the end
+    double tip_damping;     // of the inverse Jacobian, squared
+    Pose T_world_home;      // the tip at home, where cartesian poses begin
 };
 
 // A number of an action within [-1, 1]; 0 if it is not a number.
-inline double unit(double value) { return value == value ? std::min(std::max(value, -1.0), 1.0) : 0.0; }
+inline double unit(double value) { return value == value ? clipped(value, 1.0) : 0.0; }
 
-// The signed speed from which a joint stops within a way, sqrt(2 a s), exponential near the end.
-double approach_speed(double way, double a_max, double rate);
+inline double bounded(double value, double low, double high) { return std::min(std::max(value, low), high); }
 
 // Joint targets that actions move, and the reference that approaches them.
 class ActionTargets {
 public:
-    ActionTargets(std::shared_ptr<const ArmModel> model, std::vector<ActionLimits> limits, const ActionOptions& options);
+    ActionTargets(const Model& model, const ActionOptions& options) : options_(options), dynamics_(model) {}
 
     // Moves targets (n,) by an action.
-    void move(Vector action, Result target);
+    void move(Vector action, Result target) {
+        for (size_t i = 0; i < target.size(); ++i) {
+            const ActionLimits& limits = options_.limits[i];
+            if (options_.mode == ActionMode::joint_delta) {
+                target[i] = bounded(target[i] + options_.joint_scale * limits.v_max * unit(action[i]), limits.q_min, limits.q_max);
+            } else if (options_.mode == ActionMode::joint_target) {
+                target[i] = limits.q_min + 0.5 * (1.0 + unit(action[i])) * (limits.q_max - limits.q_min);
+            }
+        }
+        if (options_.mode == ActionMode::cartesian_delta || options_.mode == ActionMode::cartesian_pose) { move_tip(action, target); }
+    }
 
     // Moves the reference (n,) one tick towards the target, within speed and acceleration, so that it stops there without
     // overshoot. Returns the setpoint of this tick, which is valid until the next call.
-    Setpoint advance(Vector target, Result q_ref, Result v_ref);
-
-    // Moves target and reference as in one step: the motion of an arm that follows its reference.
-    void rehearse(Vector action, Result target, Result q_ref, Result v_ref);
+    Setpoint advance(Vector target, Result q_ref, Result v_ref) {
+        const double dt = options_.dt;
+        for (size_t i = 0; i < target.size(); ++i) {
+            const ActionLimits& limits = options_.limits[i];
+            const double speed = clipped(limits.approach_speed(target[i] - q_ref[i], options_.approach_rate), limits.v_max);
+            const double change = limits.a_max * dt;
+            const double after = bounded(speed, v_ref[i] - change, v_ref[i] + change);
+            q_[i] = q_ref[i];
+            v_[i] = v_ref[i];
+            a_[i] = (after - v_ref[i]) / dt;
+            v_ref[i] = after;
+            q_ref[i] += dt * after;
+        }
+        return {.q = q_, .v = v_, .a = a_, .v_tick = v_, .a_tick = a_};
+    }
 
     // The pose of the tip at joint positions (n,).
-    Pose tip(Vector q) { return tip_target_.tip(q); }
+    Pose tip(Vector q) {
+        dynamics_.locate(q);
+        return dynamics_.tip();
+    }
 
 private:
-    void move_tip(Vector action, Result target);
+    static constexpr int max_iterations = 4;
+    // Square of the error in m and rad: a full action is more than a thousand times its root.
+    static constexpr double reached_squared = 1e-10;
 
-    std::vector<ActionLimits> limits_;
-    ActionOptions options_;
-    TipTarget tip_target_;
-    // Scratch memory, (n,) each.
-    std::vector<double> ways_;
-    std::vector<double> q_;
-    std::vector<double> v_;
-    std::vector<double> a_;
+    // The twist from a tip to a goal: the difference of positions, and the sine of the angle times the axis.
+    static Twist tip_error(const Pose& goal, const Pose& tip) {
+        Twist error{.linear = goal.translation - tip.translation, .angular = {}};
+        error.angular += 0.5 * cross(tip.rotation.x, goal.rotation.x);
+        error.angular += 0.5 * cross(tip.rotation.y, goal.rotation.y);
+        error.angular += 0.5 * cross(tip.rotation.z, goal.rotation.z);
+        return error;
+    }
+
+    // exp(turn) R: an orientation after a rotation by a rotation vector, rad, in the frame around it. Rodrigues' formula.
+    static Rotation turned(Vec3 turn, const Rotation& R) {
+        const double angle = norm(turn);
+        if (angle < 1e-12) { return R; }
+        const Vec3 axis{turn.x / angle, turn.y / angle, turn.z / angle};
+        const double cosine = std::cos(angle);
+        const double sine = std::sin(angle);
+        const double rest = 1.0 - cosine;
+        const auto turned_axis = [&](Vec3 column) {
+            return cosine * column + sine * cross(axis, column) + (dot(axis, column) * rest) * axis;
+        };
+        return {turned_axis(R.x), turned_axis(R.y), turned_axis(R.z)};
+    }
+
+    void move_tip(Vector action, Result target) {
+        const Pose origin = options_.mode == ActionMode::cartesian_delta ? tip(target) : options_.T_world_home;
+        const auto scaled = [action](double scale, size_t k) {
+            return Vec3{scale * unit(action[k]), scale * unit(action[k + 1]), scale * unit(action[k + 2])};
+        };
+        const Vec3 turn = options_.size == 6 ? scaled(options_.rotation_scale, 3) : Vec3();
+        follow({turned(turn, origin.rotation), origin.translation + scaled(options_.position_scale, 0)}, target);
+    }
+
+    // Moves targets (n,) by damped least squares until their tip is at a goal, each joint within its limits and at most as far from
+    // where it starts as it can move in a step.
+    //
+    // Nakamura, Hanafusa, "Inverse kinematic solutions with singularity robustness for robot manipulator control" (1986).
+    void follow(const Pose& goal, Result target) {
+        copy(target, start_);
+        for (int iteration = 0; iteration < max_iterations; ++iteration) {
+            std::array<double, 6> twist = numbers(tip_error(goal, tip(target)));
+            const Result error = Result(twist).first(components_);
+            if (dot(error, error) < reached_squared) { return; }
+            const Matrix J = dynamics_.tip_jacobian();
+            for (size_t r = 0; r < components_; ++r) {
+                for (size_t c = 0; c < components_; ++c) { square_(r, c) = dot(J.row(r), J.row(c), r == c ? options_.tip_damping : 0.0); }
+            }
+            factorize(square_);
+            solve(square_, error);
+            for (size_t i = 0; i < target.size(); ++i) {
+                const ActionLimits& limits = options_.limits[i];
+                const double way = options_.dt * static_cast<double>(options_.ticks) * limits.v_max;
+                const double moved = bounded(target[i] + dot(J.column(i), error), start_[i] - way, start_[i] + way);
+                target[i] = bounded(moved, limits.q_min, limits.q_max);
+            }
+        }
+    }
+
+    Numbers zeros() const { return Numbers(options_.limits.size()); }
+
+    const ActionOptions& options_;
+    Dynamics dynamics_;
+    // The tip of an arm with fewer than six joints has a position as its goal.
+    size_t components_ = options_.size == 6 ? 6 : 3;
+    DenseMatrix square_{components_, components_};
+    Numbers start_ = zeros(), q_ = zeros(), v_ = zeros(), a_ = zeros();
 };
 
 // Torques of actions, where a torque that would drive a joint too fast or into a stop is replaced by one that brakes it.
 class TorqueGuard {
 public:
-    TorqueGuard(std::shared_ptr<const ArmModel> model, std::vector<ActionLimits> limits, const ActionOptions& options);
+    TorqueGuard(const Model& model, const ActionOptions& options) : options_(options), dynamics_(model) {}
 
     // The torque (n,) N m of an action in a state.
-    void torque(Vector action, Vector q, Vector v, Result tau);
+    void torque(Vector action, Vector q, Vector v, Result tau) {
+        // The torques that keep the velocity, and the factors of the inertia of a step.
+        std::ranges::fill(a_, 0.0);
+        dynamics_.inverse_dynamics(q, v, a_, bias_);
+        dynamics_.mass_matrix(factors_);
+        dynamics_.add_step_inertia(factors_);
+        factorize(factors_);
+        for (size_t i = 0; i < n_; ++i) {
+            tau[i] = options_.limits[i].tau_max * unit(action[i]);
+            a_[i] = tau[i] - bias_[i];
+        }
+        solve(factors_, a_);
+        bool is_changed = false;
+        for (size_t i = 0; i < n_; ++i) {
+            const double guarded = guarded_acceleration(i, q[i], v[i], a_[i]);
+            is_changed = is_changed || guarded != a_[i];
+            a_[i] = guarded;
+        }
+        if (!is_changed) { return; }
+        multiply(factors_, a_, tau);
+        for (size_t i = 0; i < n_; ++i) { tau[i] += bias_[i]; }
+    }
 
 private:
-    double guarded_acceleration(size_t i, double q, double v, double a) const;
+    double guarded_acceleration(size_t i, double q, double v, double a) const {
+        const ActionLimits& limits = options_.limits[i];
+        const double upper = std::min(limits.approach_speed(limits.q_max - q, options_.approach_rate), limits.v_max);
+        const double lower = std::max(limits.approach_speed(limits.q_min - q, options_.approach_rate), -limits.v_max);
+        const double brake = 2.0 * limits.a_max;
+        return bounded(a, std::min((lower - v) / options_.dt, brake), std::max((upper - v) / options_.dt, -brake));
+    }
 
+    const ActionOptions& options_;
     Dynamics dynamics_;
-    std::vector<ActionLimits> limits_;
-    double dt_;
-    double rate_;
-    // Scratch memory.
-    std::vector<double> bias_;     // (n,)
-    std::vector<double> a_;        // (n,)
-    std::vector<double> factors_;  // (n, n)
+    size_t n_ = options_.limits.size();
+    Numbers bias_ = Numbers(n_), a_ = Numbers(n_);
+    DenseMatrix factors_{n_, n_};
 };
 
 }  // namespace armctl

@@ -1,49 +1,22 @@
 // The model of an arm: a tree of links whose joints each turn about, or slide along, their own z axis.
 #pragma once
-#include <cstdint>
-#include <vector>
+#include <memory>
+#include <string>
 
-#include "spans.hpp"
+#include "arguments.hpp"
+#include "errors.hpp"
 #include "vectors.hpp"
 
 namespace armctl {
-
-// One value for each of the m joints, and for each of the n that the arm's motors drive. All are copied.
-struct ArmArrays {
-    // Of each joint.
-    Matrix rotations;                       // (m, 9) of the joint's frame in its parent's frame, at position zero, row by row
-    Matrix translations;                    // (m, 3) m
-    std::span<const std::int64_t> slides;   // (m,) whether it slides
-    std::span<const std::int64_t> parents;  // (m,) -1 for the base
-    Vector masses;                          // (m,) kg
-    Matrix centers;                         // (m, 3) m, of mass
-    Matrix inertias;                        // (m, 6) kg m^2, xx yy zz xy xz yz about the center of mass
-    Vector lifted_masses;                   // (m,) kg, of what gravity compensation lifts
-    Matrix lifted_moments;                  // (m, 3) kg m
-    Matrix stiffness;                       // (m, 3) linear, quadratic and cubic stiffness of the spring
-    Vector spring_rest;                     // (m,) rad
-    Vector offsets;                         // (m,) rad: joint positions are ratio q + offset
-    Matrix ratio;                           // (m, n)
-    // Of each of the n.
-    Vector armature;       // (n,) kg m^2
-    Matrix damping;        // (n, 3) linear, quadratic and cubic
-    Vector friction_loss;  // (n,) N m
-    Vector friction_gain;  // (n,) kg m^2
-    Vector friction_rate;  // (n,) 1/s
-    // Of the arm.
-    size_t chain_length = 0;  // joints from the base to the tip; they come first
-    Vector gravity;           // (3,) m/s^2
-    Vector tip_rotation;      // (9,) of the tip in the last joint's frame, row by row
-    Vector tip_translation;   // (3,) m
-    bool implicit_damping = false;
-    bool implicit_coriolis = false;
-};
 
 // A force with a linear, a quadratic and a cubic term.
 struct Polynomial {
     double linear = 0.0;
     double quadratic = 0.0;
     double cubic = 0.0;
+
+    bool is_linear() const { return quadratic == 0.0 && cubic == 0.0; }
+    bool is_zero() const { return linear == 0.0 && is_linear(); }
 
     // Force of a damper per velocity: d0 + d1 |v| + d2 v^2.
     double damping(double v) const {
@@ -75,7 +48,7 @@ struct DryFriction {
     double gain = 0.0;
     double rate = 0.0;
 
-    double torque(double v, double a) const;
+    double torque(double v, double a) const { return std::clamp(gain * (a + rate * v), -loss, loss); }
 };
 
 // What acts on one of the arm's n.
@@ -87,11 +60,68 @@ struct Drive {
 
 // Immutable after its construction: threads share it.
 struct ArmModel {
-    explicit ArmModel(const ArmArrays& arrays);
+    // Of each of the m joints: `rotations` (m, 3, 3) and `translations` (m, 3) in the parent's frame at position zero, `slides`,
+    // `parents` (-1 for the base), `masses`, `centers` (m, 3) of mass, `inertias` (m, 6) xx yy zz xy xz yz about the center of mass,
+    // `lifted_masses` and `lifted_moments` (m, 3) of what gravity compensation lifts, `stiffness` (m, 3) and `spring_rest` of a
+    // spring. Joint positions are `ratio` (m, n) q + `offsets`. Of each of the n that the motors drive: `armature`, `damping` (n,
+    // 3), `friction_loss`, `friction_gain`, `friction_rate`. Of the arm: `chain_length`, the joints from the base to the tip, which
+    // come first; `gravity`, `tip_rotation` and `tip_translation` in the last joint's frame, `implicit_damping` and
+    // `implicit_coriolis` of a step. Units are SI.
+    explicit ArmModel(const Arguments& given)
+        : chain_length(given.count("chain_length")), gravity(vec3(given.vector(3, "gravity"))),
+          T_last_tip{Rotation::from_rows(given.shaped({3, 3}, "tip_rotation")), vec3(given.vector(3, "tip_translation"))} {
+        const size_t m = given.length("masses");
+        const size_t n = given.length("armature");
+        if (chain_length < 1 || chain_length > m) {
+            throw InputError("chain_length: need 1 to " + std::to_string(m) + " joints, got " + std::to_string(chain_length));
+        }
+        for (size_t j = 0; j < m; ++j) {
+            const Vector inertia = given.matrix(m, 6, "inertias").row(j);
+            joints.push_back({
+                .rotation = Rotation::from_rows(given.shaped({m, 3, 3}, "rotations").subspan(9 * j, 9)),
+                .translation = vec3(given.matrix(m, 3, "translations").row(j)),
+                .slides = given.integers(m, "slides")[j] != 0,
+                .parent = checked_parent(given.integers(m, "parents")[j], j),
+                .mass = given.vector(m, "masses")[j],
+                .center = vec3(given.matrix(m, 3, "centers").row(j)),
+                .inertia = {inertia[0], inertia[1], inertia[2], inertia[3], inertia[4], inertia[5]},
+                .lifted_mass = given.vector(m, "lifted_masses")[j],
+                .lifted_moment = vec3(given.matrix(m, 3, "lifted_moments").row(j)),
+                .stiffness = polynomial(given.matrix(m, 3, "stiffness").row(j)),
+                .spring_rest = given.vector(m, "spring_rest")[j],
+                .offset = given.vector(m, "offsets")[j],
+            });
+        }
+        for (size_t i = 0; i < n; ++i) {
+            drives.push_back({
+                .armature = given.vector(n, "armature")[i],
+                .damping = polynomial(given.matrix(n, 3, "damping").row(i)),
+                .friction = {given.vector(n, "friction_loss")[i], given.vector(n, "friction_gain")[i], given.vector(n, "friction_rate")[i]},
+            });
+        }
+        const Vector ratio = given.shaped({m, n}, "ratio");
+        ratios.assign(ratio.begin(), ratio.end());
+        is_plain = m == n;
+        has_lift = std::ranges::any_of(joints, [](const Joint& j) { return j.lifted_mass != 0.0 || norm(j.lifted_moment) != 0.0; });
+        has_springs = std::ranges::any_of(joints, [](const Joint& joint) { return !joint.stiffness.is_zero(); });
+        has_friction = std::ranges::any_of(drives, [](const Drive& drive) { return drive.friction.loss != 0.0; });
+        const bool is_damped = std::ranges::any_of(drives, [](const Drive& drive) { return !drive.damping.is_zero(); });
+        const bool is_all_linear = std::ranges::all_of(drives, [](const Drive& drive) { return drive.damping.is_linear(); });
+        has_implicit_damping = given.flag("implicit_damping");
+        // As in Pinocchio, Coriolis forces have no derivative where one joint follows another.
+        has_implicit_coriolis = given.flag("implicit_coriolis") && is_plain;
+        has_implicit_nonlinear = has_implicit_coriolis || (has_implicit_damping && !is_all_linear);
+        has_implicit_forces = has_implicit_nonlinear || (has_implicit_damping && is_damped);
+    }
 
     // The model for a control period of dt. If the arm moves continuously, forces are those in the middle of the period; if
     // not, the period is one step of MuJoCo. dt = 0 is continuous time.
-    ArmModel for_period(double dt, bool continuous) const;
+    ArmModel for_period(double dt, bool continuous) const {
+        ArmModel model = *this;
+        model.step = continuous ? 0.0 : dt;
+        model.half_step = continuous ? 0.5 * dt : 0.0;
+        return model;
+    }
 
     size_t n() const { return drives.size(); }
     double ratio(size_t joint, size_t i) const { return ratios[joint * n() + i]; }
@@ -100,7 +130,7 @@ struct ArmModel {
 
     std::vector<Joint> joints;
     std::vector<Drive> drives;
-    std::vector<double> ratios;  // (m, n)
+    Numbers ratios;  // (m, n)
     size_t chain_length = 0;
     Vec3 gravity;
     Pose T_last_tip;
@@ -116,6 +146,19 @@ struct ArmModel {
 
     double step = 0.0;       // s, of implicit forces; 0 for continuous time
     double half_step = 0.0;  // s, from the start of the period to the instant at which a continuous model is evaluated
+
+private:
+    static Polynomial polynomial(Vector terms) { return {terms[0], terms[1], terms[2]}; }
+
+    static int checked_parent(std::int64_t parent, size_t j) {
+        if (parent < -1 || parent >= static_cast<std::int64_t>(j)) {
+            throw InputError("parents: joint " + std::to_string(j) + " has the parent " + std::to_string(parent) +
+                             "; need a joint before it, or -1 for the base");
+        }
+        return static_cast<int>(parent);
+    }
 };
+
+using Model = std::shared_ptr<const ArmModel>;
 
 }  // namespace armctl

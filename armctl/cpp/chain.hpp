@@ -3,13 +3,18 @@
 // Lengths are in units of the arm's reach, so that one set of constants fits an arm of three centimetres and one of three
 // metres. The chain has k joints and n unknowns; n is less than k if joints follow others.
 #pragma once
+#include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstdint>
+#include <limits>
+#include <numbers>
 #include <optional>
 #include <span>
 #include <vector>
 
-#include "spans.hpp"
+#include "arguments.hpp"
+#include "errors.hpp"
 #include "vectors.hpp"
 
 namespace armctl {
@@ -20,6 +25,9 @@ enum class AxesRelation { neither = 0, meet = 1, parallel = 2 };
 struct Bounds {
     double low;
     double high;
+
+    bool contain(double position) const { return low <= position && position <= high; }
+    double clamp(double position) const { return std::min(std::max(position, low), high); }
 };
 
 struct ChainJoint {
@@ -46,34 +54,65 @@ struct SpecialAxes {
     size_t pair_first;             // 0 if these are the first two of the others, 1 if the last two
 };
 
-// All are copied.
-struct ChainArrays {
-    Matrix rotations;                        // (k + 1, 9) of each joint, and of the tip, in the frame before, row by row
-    Matrix translations;                     // (k + 1, 3) reaches
-    std::span<const std::int64_t> slides;    // (k,) whether the joint slides
-    std::span<const std::int64_t> unknowns;  // (k,) the unknown that moves it
-    Vector ratios;                           // (k,)
-    Vector low;                              // (n,) rad, or reaches for a slide joint
-    Vector high;                             // (n,)
-    Vector period;                           // (n,) 0 if whole turns lead nowhere
-    double reach;                            // m
-};
+inline Unknown make_unknown(Bounds bounds, double period) {
+    constexpr double endless = std::numeric_limits<double>::infinity();
+    const bool turns = period > 0;
+    return {
+        .bounds = bounds,
+        .free_bounds = turns ? Bounds{-endless, endless} : bounds,
+        .one_turn = turns ? Bounds{-std::numbers::pi, std::numbers::pi} : bounds,
+        .period = period,
+    };
+}
+
+inline AxesRelation relation_of(const Arguments& arguments, const char* name) {
+    return static_cast<AxesRelation>(checked_index(arguments.integer(name), 3, name));
+}
 
 // Immutable after its construction: threads share it.
 class Chain {
 public:
-    // Throws InputError if a joint follows an unknown that does not exist.
-    explicit Chain(const ChainArrays& arrays);
-
-    // The chain with its closed form's structure, and how far along each joint's axis is the point in which it meets others.
-    // Throws InputError if it names joints that do not exist.
-    Chain with_special_axes(const SpecialAxes& axes, Vector distances_to_points) const;
-
-    // The chain with some unknowns held at positions: a sweep.
-    Chain with_held(std::span<const std::int64_t> held, Vector positions) const;
+    // From arrays that are named as here, for each of the k joints and each of the n unknowns; lengths in reaches, `reach` in m.
+    explicit Chain(const Arguments& arguments) : reach_(arguments.number("reach")) {
+        const size_t k = arguments.length("slides");
+        const size_t n = arguments.length("low");
+        if (k == 0 || n > k) { throw InputError("slides: expected at least one joint, and one for each unknown"); }
+        const Vector low = arguments.vector(n, "low");
+        const Vector high = arguments.vector(n, "high");
+        const Vector period = arguments.vector(n, "period");
+        for (size_t i = 0; i < n; ++i) { unknowns_.push_back(make_unknown({low[i], high[i]}, period[i])); }
+        const Integers slides = arguments.integers(k, "slides");
+        const Integers unknowns = arguments.integers(k, "unknowns");
+        const Vector ratios = arguments.vector(k, "ratios");
+        // Of each joint, and of the tip, in the frame before.
+        const Matrix rotations{arguments.shaped({k + 1, 3, 3}, "rotations").data(), k + 1, 9};
+        const Matrix translations = arguments.matrix(k + 1, 3, "translations");
+        const auto placement = [&](size_t j) { return Pose{Rotation::from_rows(rotations.row(j)), vec3(translations.row(j))}; };
+        for (size_t j = 0; j < k; ++j) {
+            joints_.push_back({placement(j), slides[j] != 0, checked_index(unknowns[j], n, "unknowns"), ratios[j]});
+        }
+        tip_ = placement(k);
+        if (!arguments.has("relation")) { return; }
+        const auto joint = [k](std::int64_t number) { return checked_index(number, k, "others"); };
+        const Integers others = arguments.integers(3, "others");
+        special_axes_ = SpecialAxes{
+            .relation = relation_of(arguments, "relation"),
+            .first = checked_index(arguments.integer("first") + 2, k, "first") - 2,
+            .others = {joint(others[0]), joint(others[1]), joint(others[2])},
+            .pair_relation = relation_of(arguments, "pair_relation"),
+            .pair_first = arguments.count("pair_first"),
+        };
+        const Vector distances = arguments.vector(k, "distances_to_points");
+        for (size_t j = 0; j < k; ++j) { joints_[j].distance_to_point = distances[j]; }
+    }
 
     // Whether the unknowns q (n,) are inside their bounds.
-    bool contains(Vector q) const;
+    bool contains(Vector q) const {
+        for (size_t i = 0; i < unknowns_.size(); ++i) {
+            if (!unknowns_[i].bounds.contain(q[i]) || !std::isfinite(q[i])) { return false; }
+        }
+        return true;
+    }
 
     size_t n() const { return unknowns_.size(); }
     bool has_followers() const { return joints_.size() > unknowns_.size(); }
@@ -94,11 +133,18 @@ private:
     std::optional<SpecialAxes> special_axes_;
 };
 
+// A position turned by whole turns of a period, if it has one, to that nearest to `near` inside bounds, if there is one.
+inline double wound(double position, double near, Bounds bounds, double period) {
+    if (!(period > 0)) { return position; }
+    position += period * std::nearbyint((near - position) / period);
+    if (position > bounds.high) { position -= period * std::ceil((position - bounds.high) / period); }
+    if (position < bounds.low) { position += period * std::ceil((bounds.low - position) / period); }
+    return position;
+}
+
 // A column of a rotation: the frame's x, y or z axis.
 inline const Vec3& axis_of(const Rotation& rotation, int k) {
-    if (k == 0) {
-        return rotation.x;
-    }
+    if (k == 0) { return rotation.x; }
     return k == 1 ? rotation.y : rotation.z;
 }
 

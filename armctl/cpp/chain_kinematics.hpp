@@ -1,5 +1,9 @@
 // Where the joints and the tip of a chain are, and how they move.
 #pragma once
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
 #include <vector>
 
 #include "chain.hpp"
@@ -18,8 +22,31 @@ struct PoseError {
     double orientation;  // rad
 };
 
+// The distance of two points, in their unit of length; finite, also if its square overflows.
+inline double distance(Vec3 away) {
+    const double squared = dot(away, away);
+    if (squared < std::numeric_limits<double>::infinity()) { return std::sqrt(squared); }
+    const double largest = std::max(std::max(std::abs(away.x), std::abs(away.y)), std::abs(away.z));
+    const Vec3 share{away.x / largest, away.y / largest, away.z / largest};
+    return std::min(largest * norm(share), 1.7e308);
+}
+
 // The errors of a tip, in the unit of length of both poses. They are finite.
-PoseError residual(Constraint constraint, const Pose& target, const Pose& tip);
+inline PoseError residual(Constraint constraint, const Pose& target, const Pose& tip) {
+    const double away = distance(tip.translation - target.translation);
+    if (constraint == Constraint::position) { return {away, 0.0}; }
+    // The angle between two frames from the chords between their axes: exact for small angles, unlike that from the trace.
+    const Vec3 x = tip.rotation.x - target.rotation.x;
+    const Vec3 y = tip.rotation.y - target.rotation.y;
+    const Vec3 z = tip.rotation.z - target.rotation.z;
+    if (constraint == Constraint::pose) {
+        const double squared_chord =
+            x.x * x.x + y.x * y.x + z.x * z.x + x.y * x.y + y.y * y.y + z.y * z.y + x.z * x.z + y.z * y.z + z.z * z.z;
+        return {away, 2.0 * std::asin(std::min(1.0, std::sqrt(squared_chord / 8.0)))};
+    }
+    const Vec3 chord = axis_of({x, y, z}, free_axis(constraint));
+    return {away, 2.0 * std::asin(std::min(1.0, std::sqrt(dot(chord, chord) / 4.0)))};
+}
 
 // The joint of a chain in space.
 struct JointLine {
@@ -33,25 +60,134 @@ inline constexpr int NO_BRANCH = 27;
 // The kinematics of a chain at one configuration, with scratch memory: one object for each thread.
 class ChainKinematics {
 public:
-    explicit ChainKinematics(const Chain& chain);
+    explicit ChainKinematics(const Chain& chain) : chain_(&chain), lines_(chain.joints().size()), jacobian_(chain.n()) {}
 
     const Chain& chain() const { return *chain_; }
 
     // Places the joints and the tip at q (n,).
-    void place(Vector q);
+    void place(Vector q) {
+        Rotation rotation;
+        Vec3 position;
+        for (size_t j = 0; j < lines_.size(); ++j) {
+            const ChainJoint& joint = chain_->joints()[j];
+            position += rotation * joint.placement.translation;
+            rotation = rotation * joint.placement.rotation;
+            const double displacement = joint.ratio * q[joint.unknown];
+            if (joint.slides) {
+                position += displacement * rotation.z;
+            } else {
+                rotation = rotation.turned_about_z(displacement);
+            }
+            lines_[j] = {position, rotation.z};
+        }
+        tip_.translation = position + rotation * chain_->tip().translation;
+        tip_.rotation = rotation * chain_->tip().rotation;
+    }
 
     // The Jacobian of the tip where the joints are placed: a twist for each unknown, world axes.
-    void find_jacobian();
+    void find_jacobian() {
+        if (!chain_->has_followers()) {
+            for (size_t j = 0; j < lines_.size(); ++j) { jacobian_[j] = joint_twist(j); }
+            return;
+        }
+        std::ranges::fill(jacobian_, Twist{});
+        for (size_t j = 0; j < lines_.size(); ++j) {
+            const ChainJoint& joint = chain_->joints()[j];
+            const Twist twist = joint_twist(j);
+            Twist& total = jacobian_[joint.unknown];
+            total = {joint.ratio * twist.linear + total.linear, joint.ratio * twist.angular + total.angular};
+        }
+    }
 
     // The branch where the joints are placed: the signs of the factors of the Jacobian's determinant, as a number. If two of
     // the three axes that are not special meet or are parallel there are three factors, else two. Of an arm with seven joints
     // it is the Jacobian without the joint that is swept.
-    int branch() const;
+    int branch() const {
+        if (!chain_->special_axes()) { return NO_BRANCH; }
+        const SpecialAxes& special = *chain_->special_axes();
+        const auto axis = [&](size_t j) { return lines_[j].axis; };
+        const auto point = [&](size_t j) { return special_point(j); };
+        const auto [f, g, h] = special.others;
+        const size_t a = special.first;
+        const bool is_first_pair = special.pair_first == 0;
+        double first = 0.0;
+        double second = 0.0;
+        double third = 1.0;
+        if (special.relation == AxesRelation::meet) {
+            first = volume(axis(a), axis(a + 1), axis(a + 2));
+            const size_t u = is_first_pair ? f : g;
+            const size_t v = is_first_pair ? g : h;
+            const size_t w = is_first_pair ? h : f;
+            const Vec3 to_u = point(a) - point(u);
+            const Vec3 to_v = point(a) - point(v);
+            const Vec3 to_w = point(a) - point(w);
+            if (special.pair_relation == AxesRelation::meet) {
+                second = volume(to_u, axis(u), axis(v));
+                third = volume(to_u, axis(w), to_w);
+            } else if (special.pair_relation == AxesRelation::parallel) {
+                second = volume(axis(u), to_u, to_v);
+                third = volume(axis(u), axis(w), to_w);
+            } else {
+                // The volume of axis x arm of the three joints, by (a x b) x (c x d) = b [a c d] - a [b c d].
+                const double across = volume(axis(u), axis(v), to_v);
+                const double along = volume(to_u, axis(v), to_v);
+                second = across * volume(to_u, axis(w), to_w) - along * volume(axis(u), axis(w), to_w);
+            }
+        } else {
+            const Vec3 direction = axis(a);
+            first = volume(direction, point(a + 1) - point(a), point(a + 2) - point(a));
+            const double turn_f = volume(axis(g), axis(f), direction);
+            const double turn_h = volume(axis(g), axis(h), direction);
+            const double height_f = volume(direction, axis(f), point(g) - point(f));
+            const double height_h = volume(direction, axis(h), point(g) - point(h));
+            if (special.pair_relation == AxesRelation::neither) {
+                second = turn_f * height_h - turn_h * height_f;
+            } else if (is_first_pair == (special.pair_relation == AxesRelation::meet)) {
+                second = height_h;
+                third = turn_f;
+            } else {
+                second = height_f;
+                third = turn_h;
+            }
+        }
+        return 9 * sign_code(first) + 3 * sign_code(second) + sign_code(third);
+    }
 
     // Yoshikawa's manipulability where the joints are placed, lengths in m; of the position, or of position and orientation.
     // With fewer unknowns than rows it is sqrt(det(J^T J)) (Yoshikawa, "Manipulability of robotic mechanisms", Int. J. Robotics
     // Research 4(2), 1985).
-    double manipulability(bool oriented);
+    double manipulability(bool oriented) {
+        constexpr size_t MOST_ROWS = 6;
+        find_jacobian();
+        const size_t n = jacobian_.size();
+        const size_t rows = oriented ? MOST_ROWS : 3;
+        const size_t size = std::min(n, rows);
+        // A = J J^T, or J^T J with fewer unknowns than rows.
+        std::array<std::array<double, MOST_ROWS>, MOST_ROWS> A{};
+        for (const Twist& twist : jacobian_) {
+            const std::array<double, MOST_ROWS> column = numbers({chain_->reach() * twist.linear, twist.angular});
+            for (size_t i = 0; n >= rows && i < rows; ++i) {
+                for (size_t j = 0; j <= i; ++j) { A[i][j] += column[i] * column[j]; }
+            }
+        }
+        for (size_t i = 0; n < rows && i < n; ++i) {
+            const std::array<double, MOST_ROWS> a = numbers({chain_->reach() * jacobian_[i].linear, jacobian_[i].angular});
+            for (size_t j = 0; j <= i; ++j) {
+                const std::array<double, MOST_ROWS> b = numbers({chain_->reach() * jacobian_[j].linear, jacobian_[j].angular});
+                for (size_t k = 0; k < rows; ++k) { A[i][j] += a[k] * b[k]; }
+            }
+        }
+        double product = 1.0;
+        for (size_t i = 0; i < size; ++i) {  // L D L^T in place
+            for (size_t j = 0; j < i; ++j) {
+                for (size_t k = 0; k < j; ++k) { A[i][j] -= A[i][k] * A[j][k] * A[k][k]; }
+                A[i][j] /= std::max(A[j][j], 1e-300);
+            }
+            for (size_t k = 0; k < i; ++k) { A[i][i] -= A[i][k] * A[i][k] * A[k][k]; }
+            product *= std::max(A[i][i], 0.0);
+        }
+        return std::sqrt(product);
+    }
 
     const std::vector<JointLine>& joints() const { return lines_; }
     const Pose& tip() const { return tip_; }
@@ -61,8 +197,24 @@ public:
     const std::vector<Twist>& jacobian() const { return jacobian_; }
 
 private:
-    Twist joint_twist(size_t j) const;
-    Vec3 special_point(size_t j) const;
+    static constexpr double SINGULAR =
+        1e-6;  // a factor of the Jacobian's determinant, in reaches and sines: below it, its sign means nothing
+
+    // The triple product a . (b x c).
+    static double volume(Vec3 a, Vec3 b, Vec3 c) { return dot(a, cross(b, c)); }
+
+    static int sign_code(double value) {
+        if (std::abs(value) < SINGULAR) { return 0; }
+        return value > 0 ? 1 : 2;
+    }
+
+    Twist joint_twist(size_t j) const {
+        const JointLine& line = lines_[j];
+        if (chain_->joints()[j].slides) { return {line.axis, {}}; }
+        return {cross(line.axis, tip_.translation - line.origin), line.axis};
+    }
+
+    Vec3 special_point(size_t j) const { return lines_[j].origin + chain_->joints()[j].distance_to_point * lines_[j].axis; }
 
     const Chain* chain_;
     std::vector<JointLine> lines_;  // (k,)

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numbers>
 #include <utility>
 
 #include "errors.hpp"
@@ -11,8 +10,6 @@
 namespace armctl {
 
 namespace {
-
-constexpr double PI = std::numbers::pi;
 
 using Triple = std::array<double, 3>;
 
@@ -23,38 +20,37 @@ struct Configurations {
     size_t count = 0;
     bool doubtful = false;
 
-    void add(const std::array<double, JOINTS>& configuration) {
-        angles[count] = configuration;
-        ++count;
-    }
+    void add(const std::array<double, JOINTS>& configuration) { angles[count++] = configuration; }
 };
 
 using LoopAngles = Configurations<3, 8>;     // of the three joints that are found first, in the order of the loop
 using SpecialAngles = Configurations<3, 2>;  // of the three special joints
 using SixAngles = Configurations<6, MAX_CONFIGURATIONS>;
 
-// Six hinges in the zero configuration.
-struct SixHinges {
-    std::array<Line, 6> lines;
-    AxesStructure structure;
-    Pose tip;
+struct Turn {
+    double cos;
+    double sin;
 
-    // All angles with E_1 ... E_6 = X. Where all angles of a joint are solutions, it is the preferred one.
-    SixAngles solve(const Pose& X, const std::array<double, 6>& preferred, double slack) const;
+    explicit Turn(double angle) : cos(std::cos(angle)), sin(std::sin(angle)) {}
+    Turn(double cosine, double sine) : cos(cosine), sin(sine) {}
+    Turn back() const { return {cos, -sin}; }
 };
 
 // The part of a vector across an axis.
 Vec3 across(Vec3 axis, Vec3 a) { return a - dot(axis, a) * axis; }
 
-// A vector turned about an axis by an angle with this cosine and sine (Rodrigues).
-Vec3 turned(Vec3 axis, double cos, double sin, Vec3 a) {
-    const double along = (1.0 - cos) * dot(axis, a);
-    return along * axis + cos * a + sin * cross(axis, a);
+// A vector turned about an axis (Rodrigues).
+Vec3 turned(Vec3 axis, Turn turn, Vec3 a) {
+    const double along = (1.0 - turn.cos) * dot(axis, a);
+    return along * axis + turn.cos * a + turn.sin * cross(axis, a);
 }
 
 // A point turned about a line.
-Vec3 moved(const Line& line, double cos, double sin, Vec3 a) {
-    return line.point + turned(line.axis, cos, sin, a - line.point);
+Vec3 moved(const Line& line, Turn turn, Vec3 a) { return line.point + turned(line.axis, turn, a - line.point); }
+
+// A line as another frame sees it.
+Line seen_from(const Pose& X, const Line& line) {
+    return {X.rotation.inverse_times(line.axis), X.rotation.inverse_times(line.point - X.translation)};
 }
 
 // The angle about an axis from a to b; it is undetermined if one of them is on the axis.
@@ -66,9 +62,7 @@ struct Angle {
 Angle angle_between(Vec3 axis, Vec3 a, Vec3 b, double preferred) {
     const Vec3 u = across(axis, a);
     const Vec3 v = across(axis, b);
-    if (std::min(dot(u, u), dot(v, v)) < TINY * TINY) {
-        return {preferred, true};
-    }
+    if (std::min(dot(u, u), dot(v, v)) < TINY * TINY) { return {preferred, true}; }
     return {std::atan2(dot(axis, cross(u, v)), dot(u, v)), false};
 }
 
@@ -90,7 +84,7 @@ struct PointEquation {
     double slack;
     Triple preferred;
 
-    LoopAngles solve() const;
+    LoopAngles solve();
 
 private:
     Roots last_angles(Vec3 centre, Vec3 u, Vec3 v) const;
@@ -154,29 +148,27 @@ Roots PointEquation::middle_angles(Vec3 x) const {
     return {.angles = {angle.value}, .count = 1, .doubtful = angle.undetermined};
 }
 
-LoopAngles PointEquation::solve() const {
+LoopAngles PointEquation::solve() {
     const Line& third = lines[2];
     const Vec3 centre = third.point + dot(third.axis, start - third.point) * third.axis;
     const Vec3 u = start - centre;
     const Vec3 v = cross(third.axis, u);
-    PointEquation equation = *this;
     if (relation == AxesRelation::neither) {
-        const auto [foot1, foot2] = common_normal(lines[0], lines[1]);
-        equation.lines[0].point = foot1;
-        equation.lines[1].point = foot2;
+        const auto feet = common_normal(lines[0], lines[1]);
+        lines[0].point = feet[0];
+        lines[1].point = feet[1];
     }
-    const Line& first = equation.lines[0];
-    const Line& second = equation.lines[1];
-    const Roots last = equation.last_angles(centre, u, v);
+    const Roots last = last_angles(centre, u, v);
     LoopAngles loop;
     loop.doubtful = last.doubtful;
     for (size_t i = 0; i < last.count; ++i) {
-        const Vec3 x = centre + (std::cos(last.angles[i]) * u + std::sin(last.angles[i]) * v);
-        const Roots middle = equation.middle_angles(x);
+        const Turn turn(last.angles[i]);
+        const Vec3 x = centre + (turn.cos * u + turn.sin * v);
+        const Roots middle = middle_angles(x);
         loop.doubtful = loop.doubtful || middle.doubtful;
         for (size_t k = 0; k < middle.count; ++k) {
-            const Vec3 y = moved(second, std::cos(middle.angles[k]), std::sin(middle.angles[k]), x);
-            const Angle angle = angle_between(first.axis, y - first.point, goal - first.point, preferred[0]);
+            const Vec3 y = moved(lines[1], Turn(middle.angles[k]), x);
+            const Angle angle = angle_between(lines[0].axis, y - lines[0].point, goal - lines[0].point, preferred[0]);
             loop.doubtful = loop.doubtful || angle.undetermined;
             loop.add({angle.value, middle.angles[k], last.angles[i]});
         }
@@ -207,50 +199,33 @@ struct PlaneEquation {
     Triple preferred;
 
     LoopAngles solve() const;
-
-private:
-    struct Columns {
-        std::array<Column, 2> cos;  // of angle 1 and of angle 3
-        std::array<Column, 2> sin;
-        Column rest;
-    };
-
-    Columns columns() const;
 };
 
-PlaneEquation::Columns PlaneEquation::columns() const {
+LoopAngles PlaneEquation::solve() const {
     const auto& [f1, p1] = lines[0];
     const auto& [f2, p2] = lines[1];
     const auto& [f3, p3] = lines[2];
     const Vec3 r1 = p2 - p1;
     const Vec3 r3 = p2 - p3;
-    return {
-        .cos = {Column{-dot(f2, across(f1, h)), dot(h, across(f1, r1))},
-                Column{dot(f2, across(f3, u)), -dot(u, across(f3, r3))}},
-        .sin = {Column{dot(f2, cross(f1, h)), dot(h, cross(f1, r1))}, Column{dot(f2, cross(f3, u)), dot(u, cross(f3, r3))}},
-        .rest = {dot(f2, f1) * dot(f1, h) - dot(f2, f3) * dot(f3, u),
-                 offset + dot(u, p3) - dot(h, p1) + dot(u, f3) * dot(f3, r3) - dot(h, f1) * dot(f1, r1)},
-    };
-}
-
-LoopAngles PlaneEquation::solve() const {
-    const auto [cos, sin, rest] = columns();
+    // Of angle 1 and of angle 3.
+    const Column cos[2] = {{-dot(f2, across(f1, h)), dot(h, across(f1, r1))}, {dot(f2, across(f3, u)), -dot(u, across(f3, r3))}};
+    const Column sin[2] = {{dot(f2, cross(f1, h)), dot(h, cross(f1, r1))}, {dot(f2, cross(f3, u)), dot(u, cross(f3, r3))}};
+    const Column rest = {dot(f2, f1) * dot(f1, h) - dot(f2, f3) * dot(f3, u),
+                         offset + dot(u, p3) - dot(h, p1) + dot(u, f3) * dot(f3, r3) - dot(h, f1) * dot(f1, r1)};
     const bool is_quartic = relation == AxesRelation::neither;
     // If two axes meet or are parallel, this equation holds only one angle, and `remaining` gives the other.
     double Column::* const decisive = relation == AxesRelation::meet ? &Column::height : &Column::turn;
     double Column::* const remaining = relation == AxesRelation::meet ? &Column::turn : &Column::height;
-    size_t one = pair_first == 0 ? 1 : 0;  // the angle that is found first: 0 is angle 1, and 1 is angle 3
-    double det = 1.0;
+    // The angle that is found first: 0 is angle 1, and 1 is angle 3.
+    const bool is_last = is_quartic ? std::abs(determinant(cos[0], sin[0])) >= std::abs(determinant(cos[1], sin[1])) : pair_first == 0;
+    const size_t one = is_last ? 1 : 0;
+    const size_t other = 1 - one;
+    const double det = determinant(cos[other], sin[other]);
     LoopAngles loop;
     Roots found;
-    if (is_quartic) {
-        one = std::abs(determinant(cos[0], sin[0])) >= std::abs(determinant(cos[1], sin[1])) ? 1 : 0;
-        const size_t other = 1 - one;
-        det = determinant(cos[other], sin[other]);
-        if (std::abs(det) < TINY) {
-            loop.doubtful = true;
-            return loop;
-        }
+    if (is_quartic && std::abs(det) < TINY) {
+        found.doubtful = true;
+    } else if (is_quartic) {
         TrigonometricForm form{.constant = -det * det};
         for (const Column& column : {cos[other], sin[other]}) {
             // det times the sine, and det times the cosine of the other angle (Cramer).
@@ -260,17 +235,14 @@ LoopAngles PlaneEquation::solve() const {
     } else {
         found = linear_roots(cos[one].*decisive, sin[one].*decisive, rest.*decisive, slack, preferred[2 * one]);
     }
-    const size_t other = 1 - one;
     loop.doubtful = found.doubtful;
     for (size_t i = 0; i < found.count; ++i) {
-        const double c = std::cos(found.angles[i]);
-        const double s = std::sin(found.angles[i]);
-        const Column left{rest.turn - cos[one].turn * c - sin[one].turn * s,
-                          rest.height - cos[one].height * c - sin[one].height * s};
+        const auto [c, s] = Turn(found.angles[i]);
+        const Column left{rest.turn - cos[one].turn * c - sin[one].turn * s, rest.height - cos[one].height * c - sin[one].height * s};
         Roots others;
         if (is_quartic) {
-            others.angles[0] = std::atan2(determinant(cos[other], left) / det,
-                                          (left.turn * sin[other].height - left.height * sin[other].turn) / det);
+            others.angles[0] =
+                std::atan2(determinant(cos[other], left) / det, (left.turn * sin[other].height - left.height * sin[other].turn) / det);
             others.count = 1;
         } else {
             others = linear_roots(cos[other].*remaining, sin[other].*remaining, left.*remaining, slack, preferred[2 * other]);
@@ -279,9 +251,7 @@ LoopAngles PlaneEquation::solve() const {
         for (size_t k = 0; k < others.count; ++k) {
             const double angle1 = other == 0 ? others.angles[k] : found.angles[i];
             const double angle3 = other == 0 ? found.angles[i] : others.angles[k];
-            const Vec3 before = turned(lines[2].axis, std::cos(angle3), std::sin(angle3), u);
-            const Vec3 after = turned(lines[0].axis, std::cos(angle1), -std::sin(angle1), h);
-            const Angle angle2 = angle_between(lines[1].axis, before, after, preferred[1]);
+            const Angle angle2 = angle_between(f2, turned(f3, Turn(angle3), u), turned(f1, Turn(angle1).back(), h), preferred[1]);
             loop.doubtful = loop.doubtful || angle2.undetermined;
             loop.add({angle1, angle2.value, angle3});
         }
@@ -289,53 +259,19 @@ LoopAngles PlaneEquation::solve() const {
     return loop;
 }
 
-// E_a E_b E_c of the special joints, which is X (E_f E_g E_h)^-1.
-class SpecialMotion {
-public:
-    SpecialMotion(const Pose& X, const std::array<Line, 3>& loop, const Triple& angles) : X_(X), loop_(loop) {
-        for (size_t k = 0; k < angles.size(); ++k) {
-            cos_[k] = std::cos(angles[k]);
-            sin_[k] = std::sin(angles[k]);
-        }
-    }
-
-    Vec3 of_vector(Vec3 a) const {
-        for (size_t k = 0; k < loop_.size(); ++k) {
-            a = turned(loop_[k].axis, cos_[k], -sin_[k], a);
-        }
-        return X_.rotation * a;
-    }
-
-    Vec3 of_point(Vec3 a) const {
-        for (size_t k = 0; k < loop_.size(); ++k) {
-            a = moved(loop_[k], cos_[k], -sin_[k], a);
-        }
-        return X_.rotation * a + X_.translation;
-    }
-
-private:
-    Pose X_;
-    std::array<Line, 3> loop_;
-    Triple cos_{};
-    Triple sin_{};
-};
-
-SpecialAngles meeting_angles(std::span<const Line, 3> lines, const SpecialMotion& motion, const Triple& preferred,
-                             double slack) {
+// The special joints whose axes meet, from where E_a E_b E_c brings the axes b and c.
+SpecialAngles meeting_angles(std::span<const Line, 3> lines, Vec3 moved_b, Vec3 moved_c, const Triple& preferred, double slack) {
     const Vec3 a = lines[0].axis;
     const Vec3 b = lines[1].axis;
     const Vec3 c = lines[2].axis;
-    const Vec3 moved_b = motion.of_vector(b);
-    const Vec3 moved_c = motion.of_vector(c);
     const double height = dot(a, moved_c) - dot(a, b) * dot(b, c);
     const Roots middle = linear_roots(dot(a, across(b, c)), dot(a, cross(b, c)), height, slack, preferred[1]);
     SpecialAngles special{.doubtful = middle.doubtful};
     for (size_t k = 0; k < middle.count; ++k) {
-        const double cos = std::cos(middle.angles[k]);
-        const double sin = std::sin(middle.angles[k]);
-        const Angle first = angle_between(a, turned(b, cos, sin, c), moved_c, preferred[0]);
+        const Turn turn(middle.angles[k]);
+        const Angle first = angle_between(a, turned(b, turn, c), moved_c, preferred[0]);
         special.doubtful = special.doubtful || first.undetermined;
-        const Vec3 back = turned(b, cos, -sin, turned(a, std::cos(first.value), -std::sin(first.value), moved_b));
+        const Vec3 back = turned(b, turn.back(), turned(a, Turn(first.value).back(), moved_b));
         // Where the third angle is undetermined, the middle one is doubtful already.
         const Angle last = angle_between(c, b, back, preferred[2]);
         special.add({first.value, middle.angles[k], last.value});
@@ -343,20 +279,20 @@ SpecialAngles meeting_angles(std::span<const Line, 3> lines, const SpecialMotion
     return special;
 }
 
-SpecialAngles parallel_angles(std::span<const Line, 3> lines, const SpecialMotion& motion, const Triple& preferred,
+// The special joints whose axes are parallel, from where E_a E_b E_c brings the point of c and the direction w from a to b.
+SpecialAngles parallel_angles(std::span<const Line, 3> lines, Vec3 moved_point, Vec3 w, Vec3 moved_w, const Triple& preferred,
                               double slack) {
     const Vec3 a = lines[0].axis;
     const Vec3 b = lines[1].axis;
-    const Vec3 w = across(a, lines[1].point - lines[0].point);
     const Vec3 r = across(a, lines[2].point - lines[1].point);
-    const Vec3 to_c = across(a, motion.of_point(lines[2].point) - lines[0].point);
-    const Angle whole = angle_between(a, w, motion.of_vector(w), 0.0);
+    const Vec3 to_c = across(a, moved_point - lines[0].point);
+    const Angle whole = angle_between(a, w, moved_w, 0.0);
     const double square = 0.5 * (dot(to_c, to_c) - dot(w, w) - dot(r, r));
     const Roots middle = linear_roots(dot(w, r), dot(w, cross(b, r)), square, slack, preferred[1]);
     SpecialAngles special{.doubtful = whole.undetermined || middle.doubtful};
     for (size_t k = 0; k < middle.count; ++k) {
         const double angle = middle.angles[k];
-        const Vec3 arm = w + turned(b, std::cos(angle), std::sin(angle), r);
+        const Vec3 arm = w + turned(b, Turn(angle), r);
         const Angle first = angle_between(a, arm, to_c, preferred[0]);
         special.doubtful = special.doubtful || first.undetermined;
         special.add({first.value, angle, dot(a, lines[2].axis) * (whole.value - first.value - dot(a, b) * angle)});
@@ -364,94 +300,77 @@ SpecialAngles parallel_angles(std::span<const Line, 3> lines, const SpecialMotio
     return special;
 }
 
-// The axes of the three joints that are not special, in the order of the loop: those at its front are moved to its end.
-std::array<Line, 3> loop_lines(const SixHinges& hinges, const Pose& X) {
-    std::array<Line, 3> lines;
-    for (size_t k = 0; k < lines.size(); ++k) {
-        const size_t joint = hinges.structure.first + 3 + k;
-        lines[k] = hinges.lines[joint % 6];
-        if (joint >= 6) {
-            lines[k] = {X.rotation.inverse_times(lines[k].axis), X.rotation.inverse_times(lines[k].point - X.translation)};
-        }
-    }
-    return lines;
-}
+// Six hinges in the zero configuration.
+struct SixHinges {
+    std::array<Line, 6> lines;
+    Pose tip;
+    const SpecialAxes& special;
+    size_t first;  // of the special axes, among the six
 
-// The angles of these three joints.
-LoopAngles first_three(const SixHinges& hinges, const Pose& X, const std::array<Line, 3>& loop, const Triple& preferred,
-                       double slack) {
-    const Line& special = hinges.lines[hinges.structure.first];
-    if (hinges.structure.relation == AxesRelation::parallel) {
-        return PlaneEquation{
-            .lines = loop,
-            .h = special.axis,
-            .u = X.rotation.inverse_times(special.axis),
-            .offset = dot(special.axis, X.translation),
-            .relation = hinges.structure.pair_relation,
-            .pair_first = hinges.structure.pair_first,
-            .slack = slack,
-            .preferred = preferred,
-        }
-            .solve();
+    // All angles with E_1 ... E_6 = X. Where all angles of a joint are solutions, it is the preferred one.
+    SixAngles solve(const Pose& X, const std::array<double, 6>& preferred, double slack) const;
+
+private:
+    LoopAngles loop_angles(const Pose& X, const std::array<Line, 3>& loop, const Triple& preferred, double slack) const;
+};
+
+// The angles of the three joints that are not special.
+LoopAngles SixHinges::loop_angles(const Pose& X, const std::array<Line, 3>& loop, const Triple& preferred, double slack) const {
+    const AxesRelation relation = special.pair_relation;
+    const auto [axis, point] = lines[first];
+    if (special.relation == AxesRelation::parallel) {
+        const double offset = dot(axis, X.translation);
+        return PlaneEquation{loop, axis, X.rotation.inverse_times(axis), offset, relation, special.pair_first, slack, preferred}.solve();
     }
-    const Vec3 goal = special.point;
-    const Vec3 start = X.rotation.inverse_times(goal - X.translation);
-    if (hinges.structure.pair_relation == AxesRelation::neither || hinges.structure.pair_first == 0) {
-        return PointEquation{loop, start, goal, hinges.structure.pair_relation, slack, preferred}.solve();
+    const Vec3 start = X.rotation.inverse_times(point - X.translation);
+    if (relation == AxesRelation::neither || special.pair_first == 0) {
+        return PointEquation{loop, start, point, relation, slack, preferred}.solve();
     }
     // The last two are the pair: the chain is gone through backwards.
-    const std::array<Line, 3> back{Line{-1.0 * loop[2].axis, loop[2].point}, Line{-1.0 * loop[1].axis, loop[1].point},
-                                   Line{-1.0 * loop[0].axis, loop[0].point}};
+    const auto reversed = [&loop](size_t k) { return Line{-1.0 * loop[k].axis, loop[k].point}; };
     const Triple preferred_back{preferred[2], preferred[1], preferred[0]};
-    LoopAngles angles = PointEquation{back, goal, start, hinges.structure.pair_relation, slack, preferred_back}.solve();
-    for (Triple& triple : angles.angles) {
-        std::swap(triple[0], triple[2]);
-    }
-    return angles;
-}
-
-// An angle turned by whole turns to the position nearest to `near` inside the bounds, if there is one.
-double wound(double angle, double near, double low, double high) {
-    constexpr double TURN = 2.0 * PI;
-    angle += TURN * std::nearbyint((near - angle) / TURN);
-    if (angle > high) {
-        angle -= TURN * std::ceil((angle - high) / TURN);
-    }
-    if (angle < low) {
-        angle += TURN * std::ceil((low - angle) / TURN);
-    }
-    return angle;
-}
-
-// The k-th number of the sequence in base 2, in (0, 1): any beginning of it is spread evenly.
-double van_der_corput(std::int64_t k) {
-    double value = 0.0;
-    for (double digit = 0.5; k > 0; digit *= 0.5) {
-        value += digit * static_cast<double>(k % 2);
-        k /= 2;
-    }
-    return value;
+    LoopAngles found = PointEquation{{reversed(2), reversed(1), reversed(0)}, point, start, relation, slack, preferred_back}.solve();
+    for (Triple& angles : found.angles) { std::swap(angles[0], angles[2]); }
+    return found;
 }
 
 SixAngles SixHinges::solve(const Pose& X, const std::array<double, 6>& preferred, double slack) const {
-    const size_t first = structure.first;
-    const std::array<Line, 3> loop = loop_lines(*this, X);
-    const std::span<const Line, 3> special_lines(&lines[first], 3);
+    // The joints that are not special, in the order of the loop: those at its front are moved to its end.
+    std::array<size_t, 3> others{};
+    std::array<Line, 3> loop;
+    for (size_t k = 0; k < 3; ++k) {
+        others[k] = (first + 3 + k) % 6;
+        loop[k] = first + 3 + k < 6 ? lines[others[k]] : seen_from(X, lines[others[k]]);
+    }
+    const std::span<const Line, 3> axes(&lines[first], 3);
     const Triple preferred_special{preferred[first], preferred[first + 1], preferred[first + 2]};
-    const Triple preferred_loop{preferred[(first + 3) % 6], preferred[(first + 4) % 6], preferred[(first + 5) % 6]};
-    const LoopAngles three = first_three(*this, X, loop, preferred_loop, slack);
+    const LoopAngles three = loop_angles(X, loop, {preferred[others[0]], preferred[others[1]], preferred[others[2]]}, slack);
     SixAngles six{.doubtful = three.doubtful};
     for (size_t i = 0; i < three.count; ++i) {
-        const SpecialMotion motion(X, loop, three.angles[i]);
-        const SpecialAngles special = structure.relation == AxesRelation::meet
-                                          ? meeting_angles(special_lines, motion, preferred_special, slack)
-                                          : parallel_angles(special_lines, motion, preferred_special, slack);
-        six.doubtful = six.doubtful || special.doubtful;
-        for (size_t k = 0; k < special.count; ++k) {
+        const auto [f, g, h] = three.angles[i];
+        const Turn back[3] = {Turn(f).back(), Turn(g).back(), Turn(h).back()};
+        // E_a E_b E_c of the special joints, which is X (E_f E_g E_h)^-1, applied to a direction and to a point.
+        const auto directed = [&](Vec3 a) {
+            for (size_t k = 0; k < 3; ++k) { a = turned(loop[k].axis, back[k], a); }
+            return X.rotation * a;
+        };
+        const auto placed = [&](Vec3 a) {
+            for (size_t k = 0; k < 3; ++k) { a = moved(loop[k], back[k], a); }
+            return X.rotation * a + X.translation;
+        };
+        SpecialAngles found;
+        if (special.relation == AxesRelation::meet) {
+            found = meeting_angles(axes, directed(axes[1].axis), directed(axes[2].axis), preferred_special, slack);
+        } else {
+            const Vec3 w = across(axes[0].axis, axes[1].point - axes[0].point);
+            found = parallel_angles(axes, placed(axes[2].point), w, directed(w), preferred_special, slack);
+        }
+        six.doubtful = six.doubtful || found.doubtful;
+        for (size_t k = 0; k < found.count; ++k) {
             std::array<double, 6> angles{};
             for (size_t j = 0; j < 3; ++j) {
-                angles[first + j] = special.angles[k][j];
-                angles[(first + 3 + j) % 6] = three.angles[i][j];
+                angles[first + j] = found.angles[k][j];
+                angles[others[j]] = three.angles[i][j];
             }
             six.add(angles);
         }
@@ -460,104 +379,75 @@ SixAngles SixHinges::solve(const Pose& X, const std::array<double, 6>& preferred
 }
 
 // The six other joints with one held at an angle, and the tip, in their zero configuration.
-SixHinges with_held(const HingeChain& chain, double angle) {
-    SixHinges six{.lines = {}, .structure = chain.structure, .tip = chain.tip};
-    if (!chain.held) {
-        for (size_t k = 0; k < six.lines.size(); ++k) {
-            six.lines[k] = chain.hinges[k].line;
-        }
-        return six;
+SixHinges with_held(const SpecialAxes& special, const ZeroConfiguration& zero, double angle) {
+    const size_t held = zero.held.value_or(6);
+    SixHinges six{.lines = {}, .tip = zero.tip, .special = special, .first = special.first - (held < special.first ? 1 : 0)};
+    std::copy_n(zero.lines.begin(), held, six.lines.begin());
+    if (held == 6 && !zero.held) { return six; }
+    const Turn turn(angle);
+    const auto& [axis, point] = zero.lines[held];
+    for (size_t k = held; k < 6; ++k) {
+        six.lines[k] = {turned(axis, turn, zero.lines[k + 1].axis), moved({axis, point}, turn, zero.lines[k + 1].point)};
     }
-    const double cos = std::cos(angle);
-    const double sin = std::sin(angle);
-    const Line& held = chain.hinges[*chain.held].line;
-    for (size_t k = 0; k < six.lines.size(); ++k) {
-        if (k < *chain.held) {
-            six.lines[k] = chain.hinges[k].line;
-        } else {
-            const Line& line = chain.hinges[k + 1].line;
-            six.lines[k] = {turned(held.axis, cos, sin, line.axis), moved(held, cos, sin, line.point)};
-        }
-    }
-    const Rotation& tip = chain.tip.rotation;
-    six.tip.rotation = {turned(held.axis, cos, sin, tip.x), turned(held.axis, cos, sin, tip.y),
-                        turned(held.axis, cos, sin, tip.z)};
-    six.tip.translation = moved(held, cos, sin, chain.tip.translation);
+    const Rotation& tip = zero.tip.rotation;
+    six.tip.rotation = {turned(axis, turn, tip.x), turned(axis, turn, tip.y), turned(axis, turn, tip.z)};
+    six.tip.translation = moved({axis, point}, turn, zero.tip.translation);
     return six;
-}
-
-// A sampled position of the joint that is swept: q0 first, then inside its bounds, or inside one turn if they are wider.
-double swept_angle(Bounds bounds, double q0, std::int64_t sample) {
-    if (sample == 0) {
-        return q0;
-    }
-    double low = bounds.low;
-    double span = bounds.high - bounds.low;
-    if (!(span <= 2.0 * PI)) {  // also if the joint has no bounds
-        low = std::max(low, std::min(q0 - PI, bounds.high - 2.0 * PI));
-        span = 2.0 * PI;
-    }
-    return low + span * van_der_corput(sample);
 }
 
 }  // namespace
 
-ClosedForm::ClosedForm(HingeChain chain) : chain_(std::move(chain)) {
-    if (n() != (chain_.held ? 7u : 6u) || (chain_.held && *chain_.held >= n()) || chain_.structure.first > 3) {
-        throw InputError(
-            "axes: expected six hinges, or seven with one that is held, and the first of three in a row of the six");
+ClosedForm::ClosedForm(std::shared_ptr<const Chain> chain, const Arguments& arguments) : chain_(std::move(chain)) {
+    if (arguments.has("held")) { zero_.held = arguments.count("held"); }
+    const size_t n = zero_.held ? 7 : 6;
+    if (!chain_->special_axes() || chain_->n() != n || zero_.held.value_or(0) >= n) {
+        throw InputError("axes: expected special axes of six hinges, or of seven with one that is held");
     }
+    const Matrix axes = arguments.matrix(n, 3, "axes");
+    const Matrix points = arguments.matrix(n, 3, "points");
+    for (size_t k = 0; k < n; ++k) { zero_.lines.push_back({vec3(axes.row(k)), vec3(points.row(k))}); }
+    zero_.tip = {Rotation::from_rows(arguments.shaped({3, 3}, "tip_rotation")), vec3(arguments.vector(3, "tip_translation"))};
+    checked_index(static_cast<std::int64_t>(with_held(*chain_->special_axes(), zero_, 0.0).first), 4, "first");
 }
 
 // Writes a configuration with the hinges turned inside their bounds; returns whether it is inside.
 bool ClosedForm::store(const std::array<double, 6>& angles, double held_angle, Vector q0, double margin, Result seed) const {
     bool inside = true;
     size_t row = 0;
-    for (size_t k = 0; k < n(); ++k) {
-        if (chain_.held == k) {
+    for (size_t k = 0; k < seed.size(); ++k) {
+        if (zero_.held == k) {
             seed[k] = held_angle;
             continue;
         }
-        const double low = chain_.hinges[k].bounds.low - margin;
-        const double high = chain_.hinges[k].bounds.high + margin;
-        seed[k] = wound(angles[row], q0[k], low, high);
-        inside = inside && seed[k] >= low && seed[k] <= high;
+        const Unknown& unknown = chain_->unknowns()[k];
+        const Bounds bounds{unknown.bounds.low - margin, unknown.bounds.high + margin};
+        seed[k] = wound(angles[row], q0[k], bounds, unknown.period);
+        inside = inside && bounds.contain(seed[k]);
         ++row;
     }
     return inside;
 }
 
-Seeds ClosedForm::find(const Pose& target, Vector q0, double slack, double margin, const Samples& samples,
-                       MatrixResult seeds) const {
+Seeds ClosedForm::find(const Pose& target, Vector q0, double slack, double margin, const Sweep& sweep, MatrixResult seeds) const {
     std::array<double, 6> preferred{};
-    for (size_t k = 0; k < preferred.size(); ++k) {
-        preferred[k] = q0[chain_.held && k >= *chain_.held ? k + 1 : k];
-    }
+    for (size_t k = 0; k < preferred.size(); ++k) { preferred[k] = q0[zero_.held && k >= *zero_.held ? k + 1 : k]; }
     const Vec3 p = target.translation;
-    const Vec3 goal{p.x / chain_.reach, p.y / chain_.reach, p.z / chain_.reach};
-    const std::int64_t most = chain_.held ? samples.most : 1;
+    const double reach = chain_->reach();
+    const Vec3 goal{p.x / reach, p.y / reach, p.z / reach};
     Seeds found;
-    while (found.samples < most && (found.samples < samples.least || found.count < samples.wanted)) {
-        double angle = 0.0;
-        if (chain_.held) {
-            const Bounds& bounds = chain_.hinges[*chain_.held].bounds;
-            angle = swept_angle(bounds, q0[*chain_.held], found.samples);
-        }
-        const SixHinges six = with_held(chain_, angle);
+    for (const double angle : sweep.positions) {
+        if (found.samples >= sweep.least && found.count >= sweep.wanted) { break; }
+        const SixHinges six = with_held(*chain_->special_axes(), zero_, angle);
+        const Rotation& tip = six.tip.rotation;
         Pose X;  // the target's pose times the inverse of the tip's
-        X.rotation = {target.rotation * six.tip.rotation.row_x(), target.rotation * six.tip.rotation.row_y(),
-                      target.rotation * six.tip.rotation.row_z()};
+        X.rotation = {target.rotation * tip.row_x(), target.rotation * tip.row_y(), target.rotation * tip.row_z()};
         X.translation = goal - X.rotation * six.tip.translation;
         const SixAngles solved = six.solve(X, preferred, slack);
         found.doubtful = found.doubtful || solved.doubtful;
         ++found.samples;
         for (size_t i = 0; i < solved.count; ++i) {
-            if (found.count == static_cast<std::int64_t>(seeds.rows)) {
-                return found;
-            }
-            if (store(solved.angles[i], angle, q0, margin, seeds.row(static_cast<size_t>(found.count)))) {
-                ++found.count;
-            }
+            if (found.count == static_cast<std::int64_t>(seeds.rows)) { return found; }
+            if (store(solved.angles[i], angle, q0, margin, seeds.row(static_cast<size_t>(found.count)))) { ++found.count; }
         }
     }
     return found;

@@ -17,14 +17,9 @@
 //
 // Seven hinges are swept: one of them is held at sampled positions, and the other six have a closed form.
 #pragma once
-#include <array>
-#include <cstddef>
-#include <optional>
-#include <vector>
+#include <memory>
 
 #include "chain.hpp"
-#include "spans.hpp"
-#include "vectors.hpp"
 
 namespace armctl {
 
@@ -34,34 +29,19 @@ struct Line {
     Vec3 point;
 };
 
-// How the axes of six hinges are related.
-struct AxesStructure {
-    AxesRelation relation;       // of the three special axes: they meet or are parallel
-    size_t first;                // of these three, among the six
-    AxesRelation pair_relation;  // of two neighbours among the other three
-    size_t pair_first;           // 0 if these are the first two of the three, 1 if the last two
-};
-
-struct Hinge {
-    Line line;
-    Bounds bounds;
-};
-
-// Six or seven hinges in the zero configuration, lengths in reaches.
-struct HingeChain {
-    std::vector<Hinge> hinges;  // where special axes meet, their point is the common one
+// The hinges and the tip of a chain in the zero configuration, lengths in reaches.
+struct ZeroConfiguration {
+    std::vector<Line> lines;
     Pose tip;
-    double reach;  // m
-    AxesStructure structure;
     std::optional<size_t> held;  // the joint that is swept, of seven
 };
 
 inline constexpr size_t MAX_CONFIGURATIONS = 16;  // of six joints: eight of the first three, and two for each of them
 
-// How many positions of the swept joint to sample.
-struct Samples {
-    std::int64_t least;
-    std::int64_t most;
+// The positions of the swept joint, and when the sweep ends. Six joints have one position, which means nothing.
+struct Sweep {
+    Vector positions;
+    std::int64_t least;   // how many of them to take
     std::int64_t wanted;  // configurations, after which the sweep ends
 };
 
@@ -74,20 +54,20 @@ struct Seeds {
 // Immutable after its construction: threads share it.
 class ClosedForm {
 public:
-    // Throws InputError if the numbers of the joints do not fit.
-    explicit ClosedForm(HingeChain chain);
+    // Of a chain with special axes and six hinges, or seven of which one is `held`. Their `axes` and `points` (n, 3) and the tip are
+    // those of the zero configuration; where special axes meet, the common point is that of each.
+    ClosedForm(std::shared_ptr<const Chain> chain, const Arguments& arguments);
 
-    size_t n() const { return chain_.hinges.size(); }
+    const Chain& chain() const { return *chain_; }
 
     // Fills `seeds` (M, n) with the configurations inside the bounds, up to `margin`, for a target in m.
-    //
-    // Six joints are solved once. Of seven joints one is held at q0 first and then at sampled positions.
-    Seeds find(const Pose& target, Vector q0, double slack, double margin, const Samples& samples, MatrixResult seeds) const;
+    Seeds find(const Pose& target, Vector q0, double slack, double margin, const Sweep& sweep, MatrixResult seeds) const;
 
 private:
     bool store(const std::array<double, 6>& angles, double held_angle, Vector q0, double margin, Result seed) const;
 
-    HingeChain chain_;
+    std::shared_ptr<const Chain> chain_;
+    ZeroConfiguration zero_;
 };
 
 }  // namespace armctl

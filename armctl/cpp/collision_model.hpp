@@ -3,49 +3,16 @@
 // Every frame maps the world at the reference configuration to the world now. Frame 0 is the world itself; every other frame
 // belongs to a joint that moves. Shapes are given in the world at the reference configuration.
 #pragma once
+#include <algorithm>
 #include <cstdint>
-#include <memory>
 #include <vector>
 
+#include "arguments.hpp"
 #include "convex.hpp"
-#include "spans.hpp"
+#include "errors.hpp"
 #include "vectors.hpp"
 
 namespace armctl {
-
-using Integers = std::span<const std::int64_t>;
-using IntegerMatrix = MatrixSpan<const std::int64_t>;
-
-// All are copied.
-struct CollisionArrays {
-    // Of each of the m joints that move, parents before children.
-    Matrix axes;          // (m, 3)
-    Matrix anchors;       // (m, 3) m, a point on the axis
-    Integers slides;      // (m,) whether it slides
-    Vector references;    // (m,) rad, its position at the reference configuration
-    Integers parents;     // (m,) frames; the joint of row i moves frame i + 1
-    Integers joints;      // (m,) its row in `ratio`
-    Matrix ratio;         // (m, n): joint positions are ratio q + offset
-    Vector joint_offset;  // (m,) rad
-    // Of each of the G geoms.
-    Integers kinds;         // (G,) ShapeKind
-    Integers frames;        // (G,)
-    Vector inflations;      // (G,) m, radii of spheres and capsules
-    Matrix positions;       // (G, 3) m
-    Matrix rotations;       // (G, 9) row by row
-    Matrix sizes;           // (G, 3) m
-    Matrix centers;         // (G, 3) m, of bounding spheres
-    Vector bounds;          // (G,) m, their radii
-    Integers first_vertex;  // (G + 1,)
-    // Of each of the P vertices.
-    Matrix vertices;          // (P, 3) m
-    Integers first_neighbor;  // (P + 1,)
-    Integers neighbors;       // rows of the vertices that share an edge with it, of large hulls
-    // Unit vectors, (D, 3), in which the depth of an overlap is measured first.
-    Matrix directions;
-    // Of each of the K pairs.
-    IntegerMatrix pairs;  // (K, 2) rows of geoms; a plane comes first, then the geom that has fewer joints above it
-};
 
 // A joint and the frame that it moves.
 struct MovingFrame {
@@ -58,13 +25,13 @@ struct MovingFrame {
     size_t depth = 0;  // frames above it, the world included
 };
 
-struct GeomPair {
+struct CollisionPair {
     size_t a = 0;
     size_t b = 0;
     size_t common = 0;  // the last frame above both
 };
 
-// The pairs of two groups of geoms: all geoms of a moving frame are one group, each geom that stands is its own.
+// The pairs of two groups of geoms.
 struct GroupPair {
     size_t a = 0;  // the sphere of the group
     size_t b = 0;
@@ -73,31 +40,59 @@ struct GroupPair {
     size_t common = 0;
 };
 
+// Rows where the lists of `elements` start, and behind them the `end` of the last one.
+inline std::vector<size_t> checked_starts(const Arguments& arguments, const char* name, size_t elements, size_t end) {
+    std::vector<size_t> starts;
+    for (const std::int64_t start : arguments.integers(elements + 1, name)) { starts.push_back(checked_index(start, end + 1, name)); }
+    if (!std::is_sorted(starts.begin(), starts.end()) || starts.front() != 0 || starts.back() != end) {
+        throw InputError(std::string(name) + ": not in order");
+    }
+    return starts;
+}
+
 // Immutable after its construction: threads share it.
 class CollisionModel {
 public:
-    explicit CollisionModel(const CollisionArrays& arrays);
-
-    // The same model with fewer pairs, (K,) whether each stays.
-    std::shared_ptr<const CollisionModel> with_pairs(Integers keep) const;
+    // From arrays for each of the m joints that move, parents before children, which are hinges or slides with an axis and an
+    // anchor on it and a reference position, and move the frame of their own number + 1; for each of the G geoms and P vertices;
+    // for each of the S bounding spheres, of the geoms and of groups; and for the K pairs, in the order of the R pairs of groups to
+    // which they belong. All geoms of a moving frame are one group, each geom that stands is its own. In a pair, a plane comes
+    // first, else the geom that has fewer joints above it. The positions of all joints are `ratio` (m, n) q + `joint_offset`.
+    explicit CollisionModel(const Arguments& arguments)
+        : ratio_(arguments.length("references"), arguments.count("n")), joint_offset_(ratio_.rows()) {
+        const size_t m = ratio_.rows();
+        ratio_.set(arguments.matrix(m, n(), "ratio"));
+        copy(arguments.vector(m, "joint_offset"), joint_offset_);
+        add_frames(arguments);
+        add_vertices(arguments);
+        add_geoms(arguments);
+        add_spheres(arguments);
+        add_pairs(arguments);
+        const Matrix given = arguments.matrix(arguments.length("directions"), 3, "directions");
+        for (size_t i = 0; i < given.rows; ++i) { directions.push_back(vec3(given.row(i))); }
+    }
 
     size_t joints() const { return frames.size() - 1; }
-    size_t n() const { return ratio_columns_; }
+    size_t n() const { return ratio_.columns(); }
 
     // The positions of all joints that move, (m,), at q (n,).
-    void positions(Vector q, Result all) const;
-    // Their speeds, (m,), at the speeds v (n,).
-    void speeds(Vector v, Result all) const;
-    // How far each of them moves at most, (m,), while each of the n moves by up to `moves`.
-    void bound_moves(Vector moves, Result all) const;
-    // The derivatives by the n of what has derivatives (m,) by all joints.
-    void reduce_gradient(Vector all, Result gradient) const;
-    double ratio(size_t joint, size_t i) const { return ratio_[joint * ratio_columns_ + i]; }
+    void positions(Vector q, Result all) const {
+        for (size_t i = 0; i < all.size(); ++i) {
+            double position = joint_offset_[i];
+            for (size_t j = 0; j < q.size(); ++j) { position += ratio(i, j) * q[j]; }
+            all[i] = position;
+        }
+    }
 
-    // The frame that a joint, a row of `ratio`, moves.
-    size_t frame_of(size_t joint) const;
-    // The joints that move one geom of a pair relative to the other: rows of `ratio`.
-    std::vector<size_t> joints_between(size_t pair) const;
+    // The derivatives by the n of what has derivatives (m,) by all joints.
+    void reduce_gradient(Vector all, Result gradient) const {
+        for (size_t j = 0; j < gradient.size(); ++j) {
+            gradient[j] = 0.0;
+            for (size_t i = 0; i < all.size(); ++i) { gradient[j] += all[i] * ratio(i, j); }
+        }
+    }
+
+    double ratio(size_t joint, size_t i) const { return ratio_(joint, i); }
 
     std::vector<MovingFrame> frames;
     std::vector<Geom> geoms;
@@ -105,22 +100,116 @@ public:
     // Of the geoms and, behind them, of the groups; the frame of each.
     std::vector<BoundingSphere> spheres;
     std::vector<size_t> sphere_frames;
-    std::vector<GeomPair> pairs;  // in the order of their groups
+    std::vector<CollisionPair> pairs;  // in the order of their groups
     std::vector<GroupPair> groups;
     size_t depth = 1;              // frames above the deepest one, the world included
     std::vector<Vec3> directions;  // in which the depth of an overlap is measured first
 
 private:
-    void add_frames(const CollisionArrays& arrays);
-    void add_geoms(const CollisionArrays& arrays);
-    void add_groups();
-    void set_pairs(std::vector<GeomPair> given);
-    size_t common_frame(size_t a, size_t b) const;
+    void add_frames(const Arguments& arguments) {
+        const size_t m = ratio_.rows();
+        const Matrix axes = arguments.matrix(m, 3, "axes");
+        const Matrix anchors = arguments.matrix(m, 3, "anchors");
+        const Integers slides = arguments.integers(m, "slides");
+        const Vector references = arguments.vector(m, "references");
+        const Integers parents = arguments.integers(m, "parents");
+        const Integers rows = arguments.integers(m, "joints");  // of the ratio
+        frames.resize(m + 1);
+        for (size_t i = 0; i < m; ++i) {
+            MovingFrame& frame = frames[i + 1];
+            frame = {vec3(axes.row(i)), vec3(anchors.row(i)), slides[i] != 0, references[i]};
+            frame.parent = checked_index(parents[i], i + 1, "parents");
+            frame.joint = checked_index(rows[i], m, "joints");
+            frame.depth = 1 + frames[frame.parent].depth;
+            depth = std::max(depth, 1 + frame.depth);
+        }
+    }
 
-    std::vector<double> ratio_;  // (m, n)
-    size_t ratio_columns_ = 0;
-    std::vector<double> joint_offset_;
-    std::vector<size_t> group_of_geom_;  // its sphere
+    void add_vertices(const Arguments& arguments) {
+        const Matrix positions = arguments.matrix(arguments.length("vertices"), 3, "vertices");
+        for (size_t i = 0; i < positions.rows; ++i) { vertices.positions.push_back(vec3(positions.row(i))); }
+        // The vertices that share an edge with each, of large hulls.
+        const Integers neighbors = arguments.integers(arguments.length("neighbors"), "neighbors");
+        vertices.first_neighbors = checked_starts(arguments, "first_neighbor", positions.rows, neighbors.size());
+        for (const std::int64_t neighbor : neighbors) {
+            vertices.neighbors.push_back(checked_index(neighbor, positions.rows, "neighbors"));
+        }
+    }
+
+    void add_geoms(const Arguments& arguments) {
+        const size_t count = arguments.length("kinds");
+        const std::vector<size_t> starts = checked_starts(arguments, "first_vertex", count, vertices.positions.size());
+        const Integers kinds = arguments.integers(count, "kinds");
+        const Integers rows = arguments.integers(count, "frames");
+        const Vector inflations = arguments.vector(count, "inflations");  // radii of spheres and capsules
+        const Matrix positions = arguments.matrix(count, 3, "positions");
+        const Matrix rotations{arguments.shaped({count, 3, 3}, "rotations").data(), count, 9};
+        const Matrix sizes = arguments.matrix(count, 3, "sizes");
+        for (size_t g = 0; g < count; ++g) {
+            Geom geom{static_cast<ShapeKind>(checked_index(kinds[g], 5, "kinds")),
+                      checked_index(rows[g], frames.size(), "frames"),
+                      inflations[g],
+                      vec3(positions.row(g)),
+                      Rotation::from_rows(rotations.row(g)),
+                      vec3(sizes.row(g)),
+                      starts[g],
+                      starts[g + 1]};
+            geom.semi_axes = {geom.size.x * geom.axes.x, geom.size.y * geom.axes.y, geom.size.z * geom.axes.z};
+            geom.offset = dot(geom.normal(), geom.position);
+            if (geom.has_vertices() && geom.first_vertex == geom.last_vertex) { throw InputError("first_vertex: a hull without vertices"); }
+            geoms.push_back(geom);
+        }
+    }
+
+    void add_spheres(const Arguments& arguments) {
+        const size_t count = arguments.length("radii");
+        if (count < geoms.size()) { throw InputError("radii: need a sphere for each geom"); }
+        const Vector radii = arguments.vector(count, "radii");
+        const Matrix centers = arguments.matrix(count, 3, "centers");
+        const Integers rows = arguments.integers(count, "sphere_frames");
+        for (size_t i = 0; i < count; ++i) {
+            spheres.push_back({vec3(centers.row(i)), radii[i]});
+            sphere_frames.push_back(checked_index(rows[i], frames.size(), "sphere_frames"));
+        }
+    }
+
+    void add_pairs(const Arguments& arguments) {
+        const size_t K = arguments.length("first_geoms");
+        const Integers first_geoms = arguments.integers(K, "first_geoms");
+        const Integers second_geoms = arguments.integers(K, "second_geoms");
+        for (size_t p = 0; p < K; ++p) {
+            const size_t a = checked_index(first_geoms[p], geoms.size(), "first_geoms");
+            const size_t b = checked_index(second_geoms[p], geoms.size(), "second_geoms");
+            pairs.push_back({a, b, common_frame(geoms[a].frame, geoms[b].frame)});
+        }
+        const size_t R = arguments.length("last_pairs");
+        const Integers first_spheres = arguments.integers(R, "first_spheres");
+        const Integers second_spheres = arguments.integers(R, "second_spheres");
+        const Integers last_pairs = arguments.integers(R, "last_pairs");  // behind the last one of each
+        size_t first = 0;
+        for (size_t r = 0; r < R; ++r) {
+            const size_t a = checked_index(first_spheres[r], spheres.size(), "first_spheres");
+            const size_t b = checked_index(second_spheres[r], spheres.size(), "second_spheres");
+            const size_t last = checked_index(last_pairs[r], K + 1, "last_pairs");
+            groups.push_back({a, b, first, last, common_frame(sphere_frames[a], sphere_frames[b])});
+            first = last;
+        }
+    }
+
+    size_t common_frame(size_t a, size_t b) const {
+        while (a != b) {
+            // Parents come before children.
+            if (a > b) {
+                a = frames[a].parent;
+            } else {
+                b = frames[b].parent;
+            }
+        }
+        return a;
+    }
+
+    DenseMatrix ratio_;
+    Numbers joint_offset_;
 };
 
 }  // namespace armctl

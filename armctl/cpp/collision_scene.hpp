@@ -3,6 +3,8 @@
 // For any direction v, v.w / |v| is a lower bound of the distance of two shapes, where w is the support point of their
 // difference; it does not rely on convergence, so every proof of clearance rests on it.
 #pragma once
+#include <algorithm>
+#include <cmath>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -14,10 +16,17 @@
 
 namespace armctl {
 
-// More than any distance.
-constexpr double INFINITE_M = 1e300;
-// A distance is strictly above a clearance if it is greater by this.
-constexpr double STRICTLY_M = 1e-9;
+constexpr double GJK_RELATIVE_GAP = 1e-9;  // GJK stops where its bounds are so near to each other, relatively or in m
+constexpr double GJK_GAP_M = 1e-7;
+constexpr double NO_DIRECTION_M2 = 1e-20;  // the square of the length of a vector without a direction, m^2
+constexpr double OVERLAP_M = -1e-12;       // an upper bound for points and hulls without a radius that overlap, m
+constexpr double WITNESS_GAP = 1e-10;      // relative: the direction of a distance is less accurate than the distance
+constexpr double PARTED_M = 1e-3;          // between geoms that are displaced until they are apart
+constexpr int MAX_DEPTH_STEPS = 20;
+constexpr double DEPTH_GAP_M = 1e-9;
+
+constexpr double INFINITE_M = 1e300;  // more than any distance
+constexpr double STRICTLY_M = 1e-9;   // A distance is strictly above a clearance if it is greater by this
 
 // An upper bound at or below zero means overlap.
 struct DistanceBounds {
@@ -47,59 +56,242 @@ struct KeptAxis {
     double within = 0.0;  // rad
 };
 
+// R = rotation by an angle about a unit axis, by Rodrigues' formula.
+inline Rotation rotation_about(Vec3 axis, double angle) {
+    const double sine = std::sin(angle);
+    const double cosine = std::cos(angle);
+    const double u = 1.0 - cosine;
+    const auto [x, y, z] = axis;
+    return {{cosine + x * x * u, y * x * u + z * sine, z * x * u - y * sine},
+            {x * y * u - z * sine, cosine + y * y * u, z * y * u + x * sine},
+            {x * z * u + y * sine, y * z * u - x * sine, cosine + z * z * u}};
+}
+
 // One object for each thread: it holds the scratch memory of its queries, and what they found starts the next ones.
 class CollisionScene {
 public:
-    explicit CollisionScene(std::shared_ptr<const CollisionModel> model);
+    explicit CollisionScene(std::shared_ptr<const CollisionModel> model)
+        : model_(std::move(model)), memory_(model_->pairs.size()), last_hit_(model_->pairs.size()), frames_(model_->frames.size()),
+          spheres_(model_->spheres.size()), motions_(model_->spheres.size() * model_->depth),
+          near_gradients_(model_->pairs.size() * model_->joints()) {}
 
     const CollisionModel& model() const { return *model_; }
     // What stands for no pair.
     size_t no_pair() const { return model_->pairs.size(); }
 
     // Forgets what earlier queries found; later results then do not depend on them.
-    void forget();
+    void forget() {
+        std::fill(memory_.begin(), memory_.end(), PairMemory{});
+        last_hit_ = no_pair();
+    }
 
     // Places all frames and bounding spheres at the positions of all joints, (m,) rad.
-    void place(Vector positions);
-    void place_frames(Vector positions);
+    void place(Vector positions) {
+        place_frames(positions);
+        for (size_t i = 0; i < spheres_.size(); ++i) {
+            spheres_[i].center = frames_[model_->sphere_frames[i]].pose * model_->spheres[i].center;
+            spheres_[i].has_motion = false;
+        }
+    }
+
+    void place_frames(Vector positions) {
+        for (size_t i = 1; i < frames_.size(); ++i) {
+            const MovingFrame& moving = model_->frames[i];
+            const Pose& parent = frames_[moving.parent].pose;
+            PlacedFrame& placed = frames_[i];
+            placed.anchor = parent * moving.anchor;
+            placed.axis = parent.rotation * moving.axis;
+            const double displacement = positions[moving.joint] - moving.reference;
+            if (moving.slides) {
+                placed.pose.rotation = parent.rotation;
+                placed.pose.translation = parent.translation + displacement * placed.axis;
+            } else {
+                const Rotation turn = rotation_about(moving.axis, displacement);
+                placed.pose = parent * Pose{turn, moving.anchor - turn * moving.anchor};
+            }
+        }
+    }
 
     // A pair that is not farther apart than the clearance, or `no_pair`. Places the joints.
-    size_t first_hit(Vector positions, double clearance);
+    size_t first_hit(Vector positions, double clearance) {
+        place(positions);
+        if (last_hit_ != no_pair() && touches(last_hit_, clearance)) { return last_hit_; }
+        for (const GroupPair& group : model_->groups) {
+            if (gap(group.a, group.b) > clearance) { continue; }
+            for (size_t p = group.first_pair; p < group.last_pair; ++p) {
+                if (touches(p, clearance)) {
+                    expect_hit(p);
+                    return p;
+                }
+            }
+        }
+        return no_pair();
+    }
+
     // The next `first_hit` begins with this pair.
     void expect_hit(size_t pair) { last_hit_ = pair; }
     // Marks every such pair, (K,). Places the joints.
-    void all_hits(Vector positions, double clearance, std::span<std::int64_t> hits);
+    void all_hits(Vector positions, double clearance, std::span<std::int64_t> hits) {
+        place(positions);
+        for (const GroupPair& group : model_->groups) {
+            const bool is_far = gap(group.a, group.b) > clearance;
+            for (size_t p = group.first_pair; p < group.last_pair; ++p) { hits[p] = !is_far && touches(p, clearance); }
+        }
+    }
+
     // The pair that is nearest to touching; a distance at or below zero says that it overlaps. Places the joints.
-    PairDistance nearest_pair(Vector positions);
+    PairDistance nearest_pair(Vector positions) {
+        place(positions);
+        PairDistance nearest{no_pair(), INFINITE_M};
+        for (const GroupPair& group : model_->groups) {
+            if (gap(group.a, group.b) > nearest.distance) { continue; }
+            for (size_t p = group.first_pair; p < group.last_pair; ++p) {
+                if (gap(model_->pairs[p].a, model_->pairs[p].b) > nearest.distance) { continue; }
+                const double upper = distance(p, {.enough = nearest.distance, .touching = -INFINITE_M, .is_exact = true}).upper;
+                if (upper < nearest.distance) { nearest = {p, upper}; }
+            }
+        }
+        return nearest;
+    }
+
     // How far the second geom of a pair must move to part from the first: the least over the model's directions. Places the
     // joints.
-    double overlap_depth(Vector positions, size_t pair);
+    double overlap_depth(Vector positions, size_t pair) {
+        place_frames(positions);
+        double least = INFINITE_M;
+        for (const Vec3 direction : model_->directions) { least = std::min(least, depth_along(pair, direction)); }
+        return least;
+    }
 
     // The pairs that joints, moving by at most delta (m,), can bring nearer by more than a share of what is free, which is
     // their distance less their clearance (K,). Places
     // the joints.
-    void find_near_pairs(Vector positions, Vector delta, double share, Vector clearances);
+    void find_near_pairs(Vector positions, Vector delta, double share, Vector clearances) {
+        near_pairs_.clear();
+        place(positions);
+        const size_t joints = model_->joints();
+        for (const GroupPair& group : model_->groups) {
+            const double group_motion = relative_motion(group.a, group.b, group.common, delta);
+            const double group_gap = gap(group.a, group.b);
+            for (size_t p = group.first_pair; p < group.last_pair; ++p) {
+                if (share * (group_gap - clearances[p]) >= group_motion) { continue; }
+                const CollisionPair& pair = model_->pairs[p];
+                const double pair_motion = relative_motion(pair.a, pair.b, pair.common, delta);
+                if (share * (gap(pair.a, pair.b) - clearances[p]) >= pair_motion) { continue; }
+                const double enough = clearances[p] + pair_motion / share;
+                if (distance(p, {.enough = enough, .touching = -INFINITE_M}).lower >= enough) { continue; }
+                const Witness nearest = witness(p);
+                const Result gradient(near_gradients_.data() + near_pairs_.size() * joints, joints);
+                write_distance_gradient(p, nearest, gradient);
+                double approach = 0.0;
+                for (size_t j = 0; j < joints; ++j) { approach += std::abs(gradient[j]) * delta[j]; }
+                if (share * (nearest.distance - clearances[p]) < approach) { near_pairs_.push_back({p, nearest.distance}); }
+            }
+        }
+    }
+
     // What it found; distances are negative where pairs overlap.
     const std::vector<PairDistance>& near_pairs() const { return near_pairs_; }
     // (m,) the derivative of the distance of a near pair by each joint.
-    Vector near_gradient(size_t index) const;
+    Vector near_gradient(size_t index) const { return {near_gradients_.data() + index * model_->joints(), model_->joints()}; }
 
     // The following are evaluated where the joints are placed.
 
     // Whether a pair is not farther apart than the clearance.
-    bool touches(size_t pair, double clearance);
-    DistanceBounds distance(size_t pair, const DistanceGoal& goal);
+    bool touches(size_t p, double clearance) {
+        if (gap(model_->pairs[p].a, model_->pairs[p].b) > clearance) { return false; }
+        return distance(p, {.enough = clearance + STRICTLY_M, .touching = clearance}).lower <= clearance;
+    }
+
+    // GJK in the frame of the first geom.
+    DistanceBounds distance(size_t p, const DistanceGoal& goal) {
+        const Geom& first = model_->geoms[model_->pairs[p].a];
+        const Geom& second = model_->geoms[model_->pairs[p].b];
+        if (first.kind == ShapeKind::plane) {
+            const double height = plane_distance(p);
+            return {height, height};
+        }
+        const Pose relative = frames_[second.frame].pose.seen_from(frames_[first.frame].pose);
+        const double inflation = first.inflation + second.inflation;
+        Vec3 v = first_direction(p);
+        DistanceBounds bounds{-INFINITE_M, INFINITE_M};
+        Simplex simplex;
+        for (int step = 0; step < MAX_GJK_STEPS; ++step) {
+            const double square = dot(v, v);
+            const double length = std::sqrt(square);
+            const SupportPoint support = difference_support(p, v, relative);
+            const double projection = dot(v, support.difference);
+            if (projection / length - inflation > bounds.lower) {
+                bounds.lower = projection / length - inflation;
+                memory_[p].direction = v;
+                if (bounds.lower >= goal.enough) { return bounds; }
+            }
+            if (simplex.size() > 0) {
+                bounds.upper = std::min(bounds.upper, length - inflation);
+                const bool is_between = bounds.lower > goal.touching && bounds.upper < goal.enough;
+                const bool is_decided = bounds.upper <= goal.touching || (!goal.is_exact && is_between);
+                const bool has_converged = square - projection <= GJK_RELATIVE_GAP * square || bounds.upper - bounds.lower < GJK_GAP_M;
+                if (is_decided || has_converged) { return bounds; }
+            }
+            if (simplex.contains(support.difference)) {  // no progress
+                bounds.upper = std::min(bounds.upper, length - inflation);
+                return bounds;
+            }
+            simplex.add(support);
+            const std::optional<Vec3> closest = simplex.reduce_to_closest_point();
+            if (!closest || dot(*closest, *closest) < OVERLAP_M2) {  // the hulls overlap, not only their inflated shapes
+                return {bounds.lower, std::min(-inflation, OVERLAP_M)};
+            }
+            v = *closest;
+        }
+        return bounds;
+    }
+
     // A lower bound of the distance of two bounding spheres, of geoms or of groups; of a box or a plane and a sphere.
-    double gap(size_t a, size_t b) const;
+    double gap(size_t a, size_t b) const {
+        const Vec3 center = spheres_[b].center;
+        const double radius = model_->spheres[b].radius;
+        if (a < model_->geoms.size()) {
+            const Geom& first = model_->geoms[a];
+            if (first.kind == ShapeKind::plane) { return dot(first.normal(), center) - first.offset - radius; }
+            if (first.kind == ShapeKind::box && first.frame == 0) {
+                const Vec3 inside = first.axes.inverse_times(center - first.position);
+                const Vec3 outside = {std::max(std::abs(inside.x) - first.size.x, 0.0), std::max(std::abs(inside.y) - first.size.y, 0.0),
+                                      std::max(std::abs(inside.z) - first.size.z, 0.0)};
+                return norm(outside) - radius;
+            }
+        }
+        return norm(spheres_[a].center - center) - model_->spheres[a].radius - radius;
+    }
+
     // Bounds how far any point of one geom or group moves as the other sees it, while joint j moves by at most delta[j].
-    double relative_motion(size_t a, size_t b, size_t common, Vector delta);
+    double relative_motion(size_t a, size_t b, size_t common, Vector delta) {
+        for (const size_t sphere : {b, a}) {
+            if (!spheres_[sphere].has_motion) { bound_motions(sphere, delta); }
+        }
+        const size_t common_depth = model_->frames[common].depth;
+        return motion(a, common_depth) + motion(b, common_depth);
+    }
+
     // Bounds it along the direction that separates a pair.
-    double separating_motion(size_t pair, Vector delta) const;
+    double separating_motion(size_t p, Vector delta) const {
+        const CollisionPair& pair = model_->pairs[p];
+        const Vec3 direction = memory_[p].direction;
+        const double scale = 1.0 / norm(direction);
+        const Vec3 normal = frames_[model_->geoms[pair.a].frame].pose.rotation * (scale * direction);
+        return motion_along(pair.a, pair.common, normal, delta) + motion_along(pair.b, pair.common, normal, delta);
+    }
+
     // The angle between the axis and the direction that it should keep, rad.
-    double tilt(const KeptAxis& keep) const;
+    double tilt(const KeptAxis& keep) const {
+        const Vec3 axis = frames_[keep.frame].pose.rotation * keep.axis;
+        return std::atan2(norm(cross(axis, keep.direction)), dot(axis, keep.direction));
+    }
 
     // The axis that has a direction of the world where the joints are placed.
-    KeptAxis kept_axis(size_t frame, Vec3 direction, double within) const;
+    KeptAxis kept_axis(size_t frame, Vec3 direction, double within) const {
+        return {frame, frames_[frame].pose.rotation.inverse_times(direction), direction, within};
+    }
 
     struct PlacedFrame {
         Pose pose;
@@ -129,19 +321,208 @@ private:
         Vec3 on_second;
     };
 
-    Vec3 first_direction(size_t pair) const;
-    Vec3 support_point(const Geom& geom, Vec3 direction, size_t& vertex) const;
-    SupportPoint difference_support(size_t pair, Vec3 direction, const Pose& relative);
-    double plane_distance(size_t pair);
-    void bound_motions(size_t sphere, Vector delta);
+    // The direction that the last query found, or else from center to center, in the frame of the first geom.
+    Vec3 first_direction(size_t p) const {
+        const Vec3 last = memory_[p].direction;
+        if (dot(last, last) > NO_DIRECTION_M2) { return last; }
+        const CollisionPair& pair = model_->pairs[p];
+        const Vec3 between = spheres_[pair.a].center - spheres_[pair.b].center;
+        if (dot(between, between) < NO_DIRECTION_M2) { return {1.0, 0.0, 0.0}; }
+        return frames_[model_->geoms[pair.a].frame].pose.rotation.inverse_times(between);
+    }
+
+    // The farthest point of a geom in a direction of its frame. A search among vertices starts at `vertex`, and notes its result.
+    Vec3 support_point(const Geom& geom, Vec3 direction, size_t& vertex) const {
+        if (!geom.has_vertices()) { return round_support_point(geom, direction); }
+        vertex = model_->vertices.farthest(geom, direction, vertex);
+        return model_->vertices.positions[vertex];
+    }
+
+    // The support point of the difference of both geoms against a direction, in the frame of the first.
+    SupportPoint difference_support(size_t p, Vec3 direction, const Pose& relative) {
+        const CollisionPair& pair = model_->pairs[p];
+        PairMemory& memory = memory_[p];
+        const Vec3 first = support_point(model_->geoms[pair.a], -direction, memory.vertex_a);
+        const Vec3 second = support_point(model_->geoms[pair.b], relative.rotation.inverse_times(direction), memory.vertex_b);
+        return {first - relative * second, first};
+    }
+
+    double plane_distance(size_t p) {
+        const Geom& plane = model_->geoms[model_->pairs[p].a];
+        const Geom& other = model_->geoms[model_->pairs[p].b];
+        const Pose& pose = frames_[other.frame].pose;
+        const Vec3 normal = plane.normal();
+        const Vec3 down = pose.rotation.inverse_times(-normal);
+        const Vec3 lowest = support_point(other, down, memory_[p].vertex_b);
+        const Vec3 origin = pose.translation;
+        const double height = -dot(down, lowest) + normal.x * origin.x + normal.y * origin.y + normal.z * origin.z;
+        return height - plane.offset - other.inflation;
+    }
+
+    // Change the joints from the base outward: joint j then turns the geom about its axis at the center of the interval, and a
+    // point at the distance r from the axis moves by at most delta[j] r.
+    void bound_motions(size_t sphere, Vector delta) {
+        PlacedSphere& placed = spheres_[sphere];
+        placed.has_motion = true;
+        const double radius = model_->spheres[sphere].radius;
+        double total = 0.0;
+        size_t walk = model_->sphere_frames[sphere];
+        while (walk > 0) {
+            const MovingFrame& moving = model_->frames[walk];
+            motion(sphere, moving.depth) = total;
+            const double step = delta[moving.joint];
+            if (moving.slides) {
+                total += step;
+            } else if (step > 0.0) {
+                const Vec3 lever = cross(placed.center - frames_[walk].anchor, frames_[walk].axis);
+                total += step * (norm(lever) + radius);
+            }
+            walk = moving.parent;
+        }
+        motion(sphere, 0) = total;
+    }
+
     double& motion(size_t sphere, size_t depth) { return motions_[sphere * model_->depth + depth]; }
-    double motion_along(size_t geom, size_t common, Vec3 normal, Vector delta) const;
-    Vec3 farthest_point(const Geom& geom, Vec3 direction) const;
-    double depth_along(size_t pair, Vec3 direction) const;
-    Witness witness(size_t pair);
-    std::optional<Witness> witness_apart(size_t pair, Vec3 displacement);
-    Witness witness_overlapping(size_t pair);
-    void write_distance_gradient(size_t pair, const Witness& witness, Result gradient) const;
+    // To first order, and a remainder: joint j moves a point x along n by at most delta r, and by
+    // delta |n . (w x (x - o))| + delta r (turns before it + delta / 2): the turns of the joints nearer to the base tilt the
+    // direction, and the arc leaves its tangent.
+    double motion_along(size_t geom, size_t common, Vec3 normal, Vector delta) const {
+        const double radius = model_->spheres[geom].radius;
+        // Of the hinges nearer to the base than the joint in hand; the walk goes from the geom to the base.
+        double turns = 0.0;
+        for (size_t walk = model_->geoms[geom].frame; walk != common; walk = model_->frames[walk].parent) {
+            if (!model_->frames[walk].slides) { turns += delta[model_->frames[walk].joint]; }
+        }
+        double total = 0.0;
+        for (size_t walk = model_->geoms[geom].frame; walk != common; walk = model_->frames[walk].parent) {
+            const MovingFrame& moving = model_->frames[walk];
+            const double step = delta[moving.joint];
+            if (step <= 0.0) { continue; }
+            const Vec3 axis = frames_[walk].axis;
+            const double along_axis = dot(axis, normal);
+            if (moving.slides) {
+                total += step * std::min(1.0, std::abs(along_axis) + turns);
+                continue;
+            }
+            turns -= step;
+            const Vec3 velocity = cross(axis, spheres_[geom].center - frames_[walk].anchor);
+            const double reach = norm(velocity) + radius;
+            const double tangential = std::abs(dot(normal, velocity)) + radius * std::sqrt(std::max(0.0, 1.0 - along_axis * along_axis));
+            total += step * std::min(reach, tangential + reach * (turns + 0.5 * step));
+        }
+        return total;
+    }
+
+    // The point of a geom, in the world, that is farthest in a direction of the world.
+    Vec3 farthest_point(const Geom& geom, Vec3 direction) const {
+        const Pose& pose = frames_[geom.frame].pose;
+        size_t vertex = Vertices::NONE;
+        const Vec3 point = support_point(geom, pose.rotation.inverse_times(direction), vertex);
+        return pose * point + geom.inflation * direction;
+    }
+
+    // How far the second geom of a pair must move along a direction of the world to part from the first; a plane has its own.
+    double depth_along(size_t p, Vec3 direction) const {
+        const Geom& first = model_->geoms[model_->pairs[p].a];
+        const Geom& second = model_->geoms[model_->pairs[p].b];
+        double top;
+        if (first.kind == ShapeKind::plane) {
+            direction = first.normal();
+            top = first.offset;
+        } else {
+            top = dot(direction, farthest_point(first, direction));
+        }
+        const Vec3 lowest = farthest_point(second, -direction);
+        return top - direction.x * lowest.x - direction.y * lowest.y - direction.z * lowest.z;
+    }
+
+    Witness witness(size_t p) {
+        const Geom& first = model_->geoms[model_->pairs[p].a];
+        const Geom& second = model_->geoms[model_->pairs[p].b];
+        if (first.kind == ShapeKind::plane) {
+            const Vec3 lowest = farthest_point(second, -first.normal());
+            return {dot(first.normal(), lowest) - first.offset, first.normal(), lowest, lowest};
+        }
+        std::optional<Witness> found = witness_apart(p, {});
+        if (!found) { return witness_overlapping(p); }
+        found->distance = found->distance - first.inflation - second.inflation;
+        return *found;
+    }
+
+    // The witness of a pair without its radii, the second geom displaced in the world; nothing where it overlaps. GJK as in
+    // `distance`.
+    std::optional<Witness> witness_apart(size_t p, Vec3 displacement) {
+        const Pose& pose = frames_[model_->geoms[model_->pairs[p].a].frame].pose;
+        Pose relative = frames_[model_->geoms[model_->pairs[p].b].frame].pose.seen_from(pose);
+        relative.translation += pose.rotation.inverse_times(displacement);
+        Vec3 v = first_direction(p);
+        Simplex simplex;
+        for (int step = 0; step < MAX_GJK_STEPS; ++step) {
+            const SupportPoint support = difference_support(p, v, relative);
+            const double square = dot(v, v);
+            const bool has_converged = simplex.size() > 0 && square - dot(v, support.difference) <= WITNESS_GAP * square;
+            if (has_converged || simplex.contains(support.difference)) { break; }
+            simplex.add(support);
+            const std::optional<Vec3> closest = simplex.reduce_to_closest_point();
+            if (!closest || dot(*closest, *closest) < OVERLAP_M2) { return std::nullopt; }
+            v = *closest;
+        }
+        const double length = norm(v);
+        const Vec3 on_first = pose * simplex.witness_on_first();
+        const Vec3 direction = pose.rotation * Vec3{-v.x / length, -v.y / length, -v.z / length};
+        return Witness{length, direction, on_first, on_first};  // the other point is along the direction
+    }
+
+    // The direction in which an overlapping pair parts soonest, improved from a lattice: displace the second geom along a
+    // direction n until the pair is just apart. Along the direction m of the shortest distance it parts no later than along n: with
+    // the displacement s and the distance d, the depth along m is s n.m - d <= s - d.
+    Witness witness_overlapping(size_t p) {
+        const Geom& first = model_->geoms[model_->pairs[p].a];
+        const double inflation = first.inflation + model_->geoms[model_->pairs[p].b].inflation;
+        double depth = INFINITE_M;
+        Witness best{};
+        for (const Vec3 direction : model_->directions) {
+            const double along = depth_along(p, direction) - inflation;
+            if (along < depth) {
+                depth = along;
+                best.direction = direction;
+            }
+        }
+        best.on_first = farthest_point(first, best.direction);
+        best.on_second = best.on_first;
+        for (int step = 0; step < MAX_DEPTH_STEPS; ++step) {
+            const Vec3 displacement = (depth + PARTED_M) * best.direction;
+            const std::optional<Witness> apart = witness_apart(p, displacement);
+            if (!apart) {  // by rounding
+                break;
+            }
+            best.direction = apart->direction;
+            best.on_first = apart->on_first;
+            best.on_second = apart->on_first - displacement;
+            const double along = dot(displacement, best.direction) - apart->distance;
+            const bool has_converged = along > depth - DEPTH_GAP_M;
+            depth = along;
+            if (has_converged) { break; }
+        }
+        best.distance = -depth - inflation;
+        return best;
+    }
+
+    // How fast the nearest points move apart along the direction when a joint moves.
+    void write_distance_gradient(size_t p, const Witness& witness, Result gradient) const {
+        const CollisionPair& pair = model_->pairs[p];
+        std::fill(gradient.begin(), gradient.end(), 0.0);
+        for (const bool is_first : {true, false}) {
+            const Vec3 point = is_first ? witness.on_first : witness.on_second;
+            const double sign = is_first ? -1.0 : 1.0;
+            for (size_t walk = model_->geoms[is_first ? pair.a : pair.b].frame; walk != pair.common; walk = model_->frames[walk].parent) {
+                const MovingFrame& moving = model_->frames[walk];
+                const PlacedFrame& placed = frames_[walk];
+                const Vec3 velocity = moving.slides ? placed.axis : cross(placed.axis, point - placed.anchor);
+                gradient[moving.joint] += sign * dot(velocity, witness.direction);
+            }
+        }
+    }
 
     std::shared_ptr<const CollisionModel> model_;
     std::vector<PairMemory> memory_;

@@ -1,11 +1,15 @@
 // Convex shapes and their support points: the point of a shape that is farthest in a direction.
 #pragma once
+
 #include <cstdint>
 #include <vector>
 
 #include "vectors.hpp"
 
 namespace armctl {
+
+constexpr size_t LARGE_HULL_VERTICES = 24;  // larger hulls are searched by hill climbing
+constexpr double MIN_LENGTH_M = 1e-12;      // shorter vectors have no direction
 
 enum class ShapeKind : std::int64_t { hull, box, cylinder, ellipsoid, plane };
 
@@ -38,18 +42,55 @@ struct Vertices {
     std::vector<size_t> neighbors;
 
     // The vertex of a hull that is farthest in a direction; the search of a large hull climbs over its edges from a start.
-    size_t farthest(const Geom& hull, Vec3 direction, size_t start) const;
+    size_t farthest(const Geom& hull, Vec3 direction, size_t start) const {
+        if (hull.last_vertex - hull.first_vertex <= LARGE_HULL_VERTICES) {
+            size_t best = hull.first_vertex;
+            double farthest = dot(positions[best], direction);
+            for (size_t i = hull.first_vertex + 1; i < hull.last_vertex; ++i) {
+                const double value = dot(positions[i], direction);
+                if (value > farthest) {
+                    farthest = value;
+                    best = i;
+                }
+            }
+            return best;
+        }
+        size_t best = hull.first_vertex <= start && start < hull.last_vertex ? start : hull.first_vertex;
+        double farthest = dot(positions[best], direction);
+        while (true) {
+            const size_t current = best;
+            for (size_t edge = first_neighbors[current]; edge < first_neighbors[current + 1]; ++edge) {
+                const double value = dot(positions[neighbors[edge]], direction);
+                if (value > farthest) {
+                    farthest = value;
+                    best = neighbors[edge];
+                }
+            }
+            if (best == current) { return best; }
+        }
+    }
 };
 
 // The point of a cylinder or an ellipsoid that is farthest in a direction.
-Vec3 round_support_point(const Geom& geom, Vec3 direction);
+inline Vec3 round_support_point(const Geom& geom, Vec3 direction) {
+    if (geom.kind == ShapeKind::cylinder) {
+        const Vec3 axis = geom.axes.z;
+        const double along = dot(direction, axis);
+        const double half_length = along > 0.0 ? geom.size.y : -geom.size.y;
+        const Vec3 radial = direction - along * axis;
+        const double length = norm(radial);
+        const double scale = length > MIN_LENGTH_M ? geom.size.x / length : 0.0;
+        return geom.position + half_length * axis + scale * radial;
+    }
+    const Vec3 on_unit_sphere = geom.semi_axes.inverse_times(direction);
+    const double length = norm(on_unit_sphere);
+    const double scale = length > MIN_LENGTH_M ? 1.0 / length : 0.0;
+    return geom.position + scale * (geom.semi_axes * on_unit_sphere);
+}
 
 struct BoundingSphere {
     Vec3 center;
     double radius = 0.0;
 };
-
-// A small sphere around spheres: M. Badoiu, K. L. Clarkson, "Smaller core-sets for balls", SODA 2003.
-BoundingSphere bounding_sphere(std::span<const BoundingSphere> spheres);
 
 }  // namespace armctl

@@ -4,12 +4,7 @@
 //
 // Sources: Featherstone, Rigid Body Dynamics Algorithms (2008): recursive Newton-Euler (5.3), composite rigid bodies (6.2).
 #pragma once
-#include <memory>
-#include <vector>
-
 #include "arm_model.hpp"
-#include "spans.hpp"
-#include "vectors.hpp"
 
 namespace armctl {
 
@@ -25,50 +20,180 @@ struct BodyMotion {
 // Some functions evaluate the arm where an earlier one has placed it: `place`, `gravity`, `inverse_dynamics` or `tip_motion`.
 class Dynamics {
 public:
-    explicit Dynamics(std::shared_ptr<const ArmModel> model);
+    explicit Dynamics(Model model)
+        : model_(std::move(model)), links_(model_->joints.size()), middle_position_(model_->n()), middle_velocity_(model_->n()),
+          sum_(model_->n()), difference_(model_->n()), change_(model_->n()), inertia_(model_->n(), model_->n()), J_(6, model_->n()) {}
 
     const ArmModel& model() const { return *model_; }
 
     // Places the joints at q (n,) rad.
-    void place(Vector q);
+    void place(Vector q) {
+        for (size_t j = 0; j < links_.size(); ++j) {
+            const Joint& joint = model_->joints[j];
+            Link& link = links_[j];
+            link.position = joint_value(j, q);
+            if (!model_->is_plain) { link.position += joint.offset; }
+            if (joint.slides) {
+                link.placement = {joint.rotation, joint.translation + link.position * joint.rotation.z};
+            } else {
+                link.placement = {joint.rotation.turned_about_z(link.position), joint.translation};
+            }
+        }
+    }
 
     // The torque that holds the arm at rest, (n,) N m, with gravity compensation and springs. Places the joints.
-    void gravity(Vector q, Result tau);
+    void gravity(Vector q, Result tau) {
+        place(q);
+        for (Link& link : links_) {
+            link.velocity = 0.0;
+            link.acceleration = 0.0;
+        }
+        newton_euler();
+        if (model_->has_springs) { add_springs(); }
+        torques_of_arm(tau);
+    }
 
     // The torque that changes the velocity by a dt over the coming control period, (n,) N m, without dry friction. Places the
     // joints.
-    void inverse_dynamics(Vector q, Vector v, Vector a, Result tau);
+    void inverse_dynamics(Vector q, Vector v, Vector a, Result tau) {
+        if (model_->half_step != 0.0) {
+            place_in_middle(q, v, a);
+            smooth_torque(middle_velocity_, a, tau);
+            return;
+        }
+        place(q);
+        smooth_torque(v, a, tau);
+        if (model_->step == 0.0) { return; }
+        for (size_t i = 0; i < tau.size(); ++i) { tau[i] += model_->step_inertia(i) * a[i]; }
+        if (model_->has_implicit_nonlinear) {
+            implicit_change(v, a, change_);
+            for (size_t i = 0; i < tau.size(); ++i) { tau[i] += model_->step * change_[i]; }
+        }
+    }
 
     // Adds the torque against dry friction on the reference motion, where `inverse_dynamics` has placed the joints.
-    void add_friction(Vector v_ref, Vector a_ref, Result tau);
+    void add_friction(Vector v_ref, Vector a_ref, Result tau) {
+        if (!model_->has_friction) { return; }
+        const double half = model_->half_step;
+        std::fill(change_.begin(), change_.end(), 0.0);
+        if (half == 0.0 && model_->step != 0.0 && model_->has_implicit_forces) {
+            // In a discrete step, the friction constraint acts on the acceleration before implicit forces.
+            if (model_->has_implicit_nonlinear) { implicit_change(v_ref, a_ref, change_); }
+            for (size_t i = 0; i < tau.size(); ++i) {
+                const double damping = model_->has_implicit_damping ? model_->drives[i].damping.linear : 0.0;
+                change_[i] = model_->step * (damping * a_ref[i] + change_[i]);
+            }
+            mass_matrix(inertia_);
+            factorize(inertia_);
+            solve(inertia_, change_);
+        }
+        for (size_t i = 0; i < tau.size(); ++i) {
+            tau[i] += model_->drives[i].friction.torque(v_ref[i] + half * a_ref[i], a_ref[i] + change_[i]);
+        }
+    }
 
     // Adds the torque of the linear damping at the velocities v.
-    void add_linear_damping(Vector v, Result tau) const;
+    void add_linear_damping(Vector v, Result tau) const {
+        for (size_t i = 0; i < v.size(); ++i) { tau[i] += model_->drives[i].damping.linear * v[i]; }
+    }
 
     // C(q, v) w (n,), with the C of Christoffel's symbols, where the joints are placed.
-    void coriolis_product(Vector v, Vector w, Result tau);
+    void coriolis_product(Vector v, Vector w, Result tau) {
+        // C(q, v) w is symmetric in v and w, so it follows from C(q, v) v by polarization: (v + w)^2 - (v - w)^2 = 4 v w.
+        for (size_t i = 0; i < v.size(); ++i) {
+            sum_[i] = v[i] + w[i];
+            difference_[i] = v[i] - w[i];
+        }
+        for (Link& link : links_) { link.acceleration = 0.0; }
+        set_velocities(sum_);
+        newton_euler();
+        torques_of_arm(tau);
+        set_velocities(difference_);
+        newton_euler();
+        torques_of_arm(difference_);
+        for (size_t i = 0; i < tau.size(); ++i) { tau[i] = 0.25 * (tau[i] - difference_[i]); }
+    }
 
     // The (n, n) mass matrix with armature, kg m^2, where the joints are placed.
-    void mass_matrix(MatrixResult M);
+    void mass_matrix(MatrixResult M) {
+        for (size_t i = 0; i < M.rows; ++i) {
+            for (size_t k = 0; k < M.columns; ++k) { M(i, k) = 0.0; }
+            M(i, i) = model_->drives[i].armature;
+        }
+        for (size_t j = 0; j < links_.size(); ++j) { links_[j].composite = own_inertia(model_->joints[j]); }
+        for (size_t j = links_.size(); j-- > 0;) {
+            add_inertia_row(j, M);
+            const int parent = model_->joints[j].parent;
+            if (parent >= 0) {
+                CompositeInertia& sum = links_[static_cast<size_t>(parent)].composite;
+                const CompositeInertia added = in_parent(links_[j].composite, links_[j].placement);
+                sum.mass += added.mass;
+                sum.moment += added.moment;
+                sum.inertia += added.inertia;
+            }
+        }
+    }
 
     // Adds to a mass matrix what linear damping that is implicit in velocity adds to the inertia in one step.
-    void add_step_inertia(MatrixResult M) const;
+    void add_step_inertia(MatrixResult M) const {
+        for (size_t i = 0; i < M.rows; ++i) { M(i, i) += model_->step_inertia(i); }
+    }
 
-    // Finds the frames of all joints in the world, where the joints are placed.
-    void locate();
+    // Finds the frames of all joints in the world, where the joints are placed, or at q (n,).
+    void locate() {
+        for (size_t j = 0; j < links_.size(); ++j) {
+            const int parent = model_->joints[j].parent;
+            const Pose& placement = links_[j].placement;
+            links_[j].T_world_joint = parent < 0 ? placement : links_[static_cast<size_t>(parent)].T_world_joint * placement;
+        }
+    }
 
-    // The frame of a joint in the world, after `locate`.
-    const Pose& T_world_joint(size_t joint) const { return links_[joint].T_world_joint; }
+    void locate(Vector q) {
+        place(q);
+        locate();
+    }
 
     // The pose of the tip in the world, after `locate`.
-    Pose tip() const;
+    Pose tip() const { return links_[model_->chain_length - 1].T_world_joint * model_->T_last_tip; }
 
-    // The (6, n) Jacobian of the tip, linear first, world axes, after `locate`.
-    void tip_jacobian(MatrixResult J) const;
+    // The (6, n) Jacobian of the tip, linear first, world axes, after `locate`; valid until the next call.
+    Matrix tip_jacobian() {
+        const Vec3 p = tip().translation;
+        std::ranges::fill(J_.numbers(), 0.0);
+        for (size_t j = 0; j < model_->chain_length; ++j) {
+            const Pose& T = links_[j].T_world_joint;
+            const Vec3 z = T.rotation.z;
+            const std::array<double, 6> twist = numbers(model_->joints[j].slides ? Twist{z, {}} : Twist{cross(z, p - T.translation), z});
+            for (size_t i = 0; i < J_.columns(); ++i) {
+                const double ratio = model_->is_plain ? (i == j ? 1.0 : 0.0) : model_->ratio(j, i);
+                if (ratio == 0.0) { continue; }
+                for (size_t row = 0; row < 6; ++row) { J_(row, i) += ratio * twist[row]; }
+            }
+        }
+        return J_;
+    }
+
+    // J(q)^T wrench, (n,) N m: what a wrench (6,) on the tip does to the joints. Places and locates the joints.
+    void tip_force(Vector q, Vector wrench, Result tau) {
+        locate(q);
+        tip_jacobian();
+        for (size_t i = 0; i < tau.size(); ++i) { tau[i] = dot(J_.column(i), wrench); }
+    }
 
     // The motion of the tip in its own axes; in the middle of the control period where the arm moves continuously. Places and
     // locates the joints.
-    BodyMotion tip_motion(Vector q, Vector v, Vector a);
+    BodyMotion tip_motion(Vector q, Vector v, Vector a) {
+        place_in_middle(q, v, a);
+        set_velocities(middle_velocity_);
+        set_accelerations(a);
+        for (size_t j = 0; j < model_->chain_length; ++j) { move_link(j); }
+        locate();
+        const BodyMotion& last = links_[model_->chain_length - 1].motion;
+        const Vec3 t = model_->T_last_tip.translation;
+        const Rotation& R = model_->T_last_tip.rotation;
+        const Vec3 linear = last.linear + cross(last.omega, cross(last.omega, t)) + cross(last.alpha, t);
+        return {R.inverse_times(last.omega), R.inverse_times(last.alpha), R.inverse_times(linear)};
+    }
 
 private:
     // Mass, first moment and inertia about the origin of a joint's frame, of the link and all links behind it.
@@ -92,30 +217,215 @@ private:
         CompositeInertia composite;
     };
 
-    void set_velocities(Vector v);
-    void set_accelerations(Vector a);
-    void smooth_torque(Vector v, Vector a, Result tau);
-    void newton_euler();
-    void move_link(size_t j);
-    void load_link(size_t j);
-    void add_springs();
-    void torques_of_arm(Result tau) const;
-    void implicit_change(Vector v, Vector a, Result change);
-    void add_inertia_row(size_t j, MatrixResult M) const;
-    void add_coupling(size_t j, size_t other, double inertia, MatrixResult M) const;
-    double joint_value(size_t joint, Vector x) const;
-    static CompositeInertia own_inertia(const Joint& joint);
-    static CompositeInertia in_parent(const CompositeInertia& inertia, const Pose& placement);
+    // Places the joints where they are in the middle of a continuous control period, with velocities there.
+    void place_in_middle(Vector q, Vector v, Vector a) {
+        const double half = model_->half_step;
+        for (size_t i = 0; i < q.size(); ++i) {
+            middle_position_[i] = q[i] + half * v[i];
+            middle_velocity_[i] = v[i] + half * a[i];
+        }
+        place(middle_position_);
+    }
 
-    std::shared_ptr<const ArmModel> model_;
+    void set_velocities(Vector v) {
+        for (size_t j = 0; j < links_.size(); ++j) { links_[j].velocity = joint_value(j, v); }
+    }
+
+    void set_accelerations(Vector a) {
+        for (size_t j = 0; j < links_.size(); ++j) { links_[j].acceleration = joint_value(j, a); }
+    }
+
+    // The torque in continuous time, at the placed positions.
+    void smooth_torque(Vector v, Vector a, Result tau) {
+        set_velocities(v);
+        set_accelerations(a);
+        newton_euler();
+        if (model_->has_springs) { add_springs(); }
+        torques_of_arm(tau);
+        for (size_t i = 0; i < tau.size(); ++i) {
+            const Drive& drive = model_->drives[i];
+            tau[i] += drive.armature * a[i] + drive.damping.damping(v[i]) * v[i];
+        }
+    }
+
+    // Torques of all joints at their positions, velocities and accelerations, without armature.
+    void newton_euler() {
+        for (size_t j = 0; j < links_.size(); ++j) {
+            move_link(j);
+            load_link(j);
+        }
+        for (size_t j = links_.size(); j-- > 0;) {
+            const Joint& joint = model_->joints[j];
+            Link& link = links_[j];
+            link.torque = joint.slides ? link.force.z : link.moment.z;
+            if (joint.parent >= 0) {
+                Link& parent = links_[static_cast<size_t>(joint.parent)];
+                const Vec3 force = link.placement.rotation * link.force;
+                parent.force += force;
+                parent.moment += link.placement.rotation * link.moment + cross(link.placement.translation, force);
+            }
+        }
+    }
+
+    // Velocity and acceleration of a link from those of its parent.
+    void move_link(size_t j) {
+        const Joint& joint = model_->joints[j];
+        Link& link = links_[j];
+        const Rotation& R = link.placement.rotation;
+        BodyMotion motion;
+        if (joint.parent >= 0) {
+            const BodyMotion& parent = links_[static_cast<size_t>(joint.parent)].motion;
+            const Vec3 t = link.placement.translation;
+            motion.omega = R.inverse_times(parent.omega);
+            motion.alpha = R.inverse_times(parent.alpha);
+            motion.linear = R.inverse_times(parent.linear + cross(parent.omega, cross(parent.omega, t)) + cross(parent.alpha, t));
+        } else {
+            motion.linear = R.inverse_times(-model_->gravity);
+        }
+        const double v = link.velocity;
+        if (joint.slides) {
+            motion.linear.x += 2.0 * motion.omega.y * v;
+            motion.linear.y -= 2.0 * motion.omega.x * v;
+            motion.linear.z += link.acceleration;
+        } else {
+            motion.alpha.x += motion.omega.y * v;
+            motion.alpha.y -= motion.omega.x * v;
+            motion.alpha.z += link.acceleration;
+            motion.omega.z += v;
+        }
+        link.motion = motion;
+    }
+
+    // Force and moment about the joint's origin that give a link its acceleration: the equations of Newton and Euler.
+    void load_link(size_t j) {
+        const Joint& joint = model_->joints[j];
+        Link& link = links_[j];
+        const Vec3 c = joint.center;
+        const Vec3 w = link.motion.omega;
+        const Vec3 d = link.motion.alpha;
+        link.force = joint.mass * (link.motion.linear + cross(w, cross(w, c)) + cross(d, c));
+        link.moment = joint.inertia * d + cross(w, joint.inertia * w) + cross(c, link.force);
+        if (model_->has_lift) {
+            const Vec3 above = joint.parent >= 0 ? links_[static_cast<size_t>(joint.parent)].gravity : model_->gravity;
+            link.gravity = link.placement.rotation.inverse_times(above);
+            link.force += joint.lifted_mass * link.gravity;
+            link.moment += cross(joint.lifted_moment, link.gravity);
+        }
+    }
+
+    void add_springs() {
+        for (size_t j = 0; j < links_.size(); ++j) {
+            const Joint& joint = model_->joints[j];
+            links_[j].torque += joint.stiffness.spring(links_[j].position - joint.spring_rest);
+        }
+    }
+
+    // Torques of all joints as those of the arm's n, by virtual work.
+    void torques_of_arm(Result tau) const {
+        for (size_t i = 0; i < tau.size(); ++i) {
+            if (model_->is_plain) {
+                tau[i] = links_[i].torque;
+                continue;
+            }
+            tau[i] = 0.0;
+            for (size_t j = 0; j < links_.size(); ++j) { tau[i] += model_->ratio(j, i) * links_[j].torque; }
+        }
+    }
+
+    // Rate at which implicit forces other than linear damping change during a step, d(force)/dv a, at the placed positions.
+    void implicit_change(Vector v, Vector a, Result change) {
+        if (model_->has_implicit_coriolis) {
+            // The Coriolis torque is C(q, v) v, and C(q, v) a is symmetric in v and a, so its derivative along a is 2 C(q, v) a.
+            coriolis_product(v, a, change);
+            for (double& value : change) { value *= 2.0; }
+        } else {
+            std::fill(change.begin(), change.end(), 0.0);
+        }
+        for (size_t i = 0; i < change.size(); ++i) {
+            const Polynomial& damping = model_->drives[i].damping;
+            change[i] += (2.0 * damping.quadratic * std::abs(v[i]) + 3.0 * damping.cubic * v[i] * v[i]) * a[i];
+        }
+    }
+
+    // Adds to M the torques, on all joints from the base to joint j, of a unit acceleration of joint j.
+    void add_inertia_row(size_t j, MatrixResult M) const {
+        const CompositeInertia& composite = links_[j].composite;
+        const Vec3 h = composite.moment;
+        Vec3 force;
+        Vec3 moment;
+        if (model_->joints[j].slides) {
+            force = {0.0, 0.0, composite.mass};
+            moment = {h.y, -h.x, 0.0};
+        } else {
+            force = {-h.y, h.x, 0.0};
+            moment = {composite.inertia.xz, composite.inertia.yz, composite.inertia.zz};
+        }
+        for (int above = static_cast<int>(j); above >= 0;) {
+            const size_t other = static_cast<size_t>(above);
+            const Joint& joint = model_->joints[other];
+            const double inertia = joint.slides ? force.z : moment.z;
+            if (!model_->is_plain) {
+                add_coupling(j, other, inertia, M);
+            } else if (other == j) {
+                M(j, j) += inertia;
+            } else {
+                M(j, other) = inertia;
+                M(other, j) = inertia;
+            }
+            const Pose& placement = links_[other].placement;
+            force = placement.rotation * force;
+            moment = placement.rotation * moment + cross(placement.translation, force);
+            above = joint.parent;
+        }
+    }
+
+    // Adds the coupling inertia of two joints to the mass matrix of the arm's n, some of which move several joints.
+    void add_coupling(size_t j, size_t other, double inertia, MatrixResult M) const {
+        for (size_t i = 0; i < M.rows; ++i) {
+            for (size_t k = 0; k < M.columns; ++k) {
+                M(i, k) += model_->ratio(j, i) * model_->ratio(other, k) * inertia;
+                if (other != j) { M(i, k) += model_->ratio(other, i) * model_->ratio(j, k) * inertia; }
+            }
+        }
+    }
+
+    // The velocity or acceleration of a joint, from those of the arm's n.
+    double joint_value(size_t joint, Vector x) const {
+        if (model_->is_plain) { return x[joint]; }
+        return dot(Vector(model_->ratios).subspan(joint * x.size(), x.size()), x);
+    }
+
+    // A link alone, without the links behind it.
+    static CompositeInertia own_inertia(const Joint& joint) {
+        const double m = joint.mass;
+        const Vec3 c = joint.center;
+        const Symmetric& I = joint.inertia;
+        // The parallel axis theorem.
+        return {m,
+                m * c,
+                {I.xx + m * (c.y * c.y + c.z * c.z), I.yy + m * (c.x * c.x + c.z * c.z), I.zz + m * (c.x * c.x + c.y * c.y),
+                 I.xy - m * c.x * c.y, I.xz - m * c.x * c.z, I.yz - m * c.y * c.z}};
+    }
+
+    // A composite inertia about the origin of the parent's frame: I + 2 (h . t) 1 - h t^T - t h^T + m (t . t 1 - t t^T).
+    static CompositeInertia in_parent(const CompositeInertia& composite, const Pose& placement) {
+        const double m = composite.mass;
+        const Vec3 t = placement.translation;
+        const Vec3 h = placement.rotation * composite.moment;
+        const Symmetric I = rotated(placement.rotation, composite.inertia);
+        const double spread = 2.0 * dot(h, t) + m * dot(t, t);
+        return {m,
+                h + m * t,
+                {I.xx + spread - 2.0 * h.x * t.x - m * t.x * t.x, I.yy + spread - 2.0 * h.y * t.y - m * t.y * t.y,
+                 I.zz + spread - 2.0 * h.z * t.z - m * t.z * t.z, I.xy - h.x * t.y - h.y * t.x - m * t.x * t.y,
+                 I.xz - h.x * t.z - h.z * t.x - m * t.x * t.z, I.yz - h.y * t.z - h.z * t.y - m * t.y * t.z}};
+    }
+
+    Model model_;
     std::vector<Link> links_;
     // Scratch memory, (n,) each and (n, n).
-    std::vector<double> middle_position_;
-    std::vector<double> middle_velocity_;
-    std::vector<double> sum_;
-    std::vector<double> difference_;
-    std::vector<double> change_;
-    std::vector<double> inertia_;
+    Numbers middle_position_, middle_velocity_, sum_, difference_, change_;
+    DenseMatrix inertia_, J_;
 };
 
 }  // namespace armctl

@@ -1,8 +1,12 @@
 // The squared error of a tip around one configuration, and the steps that decrease it.
 #pragma once
+#include <algorithm>
+#include <cmath>
+#include <numbers>
 #include <vector>
 
 #include "chain_kinematics.hpp"
+#include "linear_algebra.hpp"
 
 namespace armctl {
 
@@ -28,47 +32,201 @@ using BoundsOf = Bounds Unknown::*;
 // chain. It has scratch memory: one object for each thread.
 class ErrorModel {
 public:
-    explicit ErrorModel(const Chain& chain);
+    explicit ErrorModel(const Chain& chain) : n_(chain.n()), kinematics_(chain), states_(n_) {}
 
     const Chain& chain() const { return kinematics_.chain(); }
     ChainKinematics& kinematics() { return kinematics_; }
     const ChainKinematics& kinematics() const { return kinematics_; }
 
     // The goal of a target in m; one that is very far is moved nearer on its line.
-    Goal goal(const Pose& target, Constraint constraint) const;
+    Goal goal(const Pose& target, Constraint constraint) const {
+        const Vec3 p = target.translation;
+        const double reach = chain().reach();
+        const double largest = std::max(std::max(std::abs(p.x), std::abs(p.y)), std::abs(p.z));
+        const double shrink = largest < MAX_SQUARED_LENGTH ? 1.0 : 1.0 / largest;
+        const Vec3 scaled{shrink * p.x / reach, shrink * p.y / reach, shrink * p.z / reach};
+        const Vec3 base = chain().base();
+        const Vec3 away = scaled - shrink * base;
+        const double factor = std::min(1.0 / shrink, MAX_TARGET_REACHES / std::max(norm(away), TINIEST));
+        return {{target.rotation, base + factor * away}, constraint};
+    }
 
     // The model at q: error, Jacobian of the error, gradient and J^T J. Returns the errors in reaches and rad.
     //
     // The weight of the rotation is divided by 1 + `position_priority` times the position error (up to one reach).
-    PoseError linearize(const Goal& goal, Vector q, double rotation_weight = ROTATION_WEIGHT, double position_priority = 0.0);
+    PoseError linearize(const Goal& goal, Vector q, double rotation_weight = ROTATION_WEIGHT, double position_priority = 0.0) {
+        kinematics_.place(q);
+        kinematics_.find_jacobian();
+        const Pose& tip = kinematics_.tip();
+        const bool is_oriented = goal.constraint != Constraint::position;
+        error_.linear = goal.pose.translation - tip.translation;
+        error_.angular = is_oriented ? rotation_error(goal) : Vec3{};
+        const PoseError error{norm(error_.linear), norm(error_.angular)};
+        const double weight = is_oriented ? rotation_weight / (1.0 + position_priority * std::min(1.0, error.position)) : 0.0;
+        error_.angular = weight * error_.angular;
+        std::vector<Twist>& J = kinematics_.jacobian();
+        for (size_t i = 0; i < n_; ++i) {
+            if (has_free_axis(goal.constraint)) {
+                // The turn about the free axis costs nothing.
+                const Vec3& axis = axis_of(tip.rotation, free_axis(goal.constraint));
+                J[i].angular -= dot(axis, J[i].angular) * axis;
+            }
+            J[i].angular = weight * J[i].angular;
+            states_[i].gradient = dot(J[i], error_);
+        }
+        set_normal();
+        return error;
+    }
 
     // Adds the chain's own curvature to J^T J: minus error . d^2 tip / dq_i dq_j, which is z_i x dp/dq_j for i <= j.
     //
     // The result is the Hessian of half the squared error, for a rotation up to the error's third order. If joints follow
     // others, nothing is added.
-    void add_curvature(Constraint constraint);
+    void add_curvature(Constraint constraint) {
+        if (chain().has_followers()) { return; }
+        const std::vector<Twist>& J = kinematics_.jacobian();
+        for (size_t i = 0; i < n_; ++i) {
+            if (chain().joints()[i].slides) { continue; }
+            const Vec3 axis = kinematics_.joints()[i].axis;
+            const Vec3 bend = cross(error_.linear, axis);
+            for (size_t j = i; j < n_; ++j) { normal_(j, i) -= dot(bend, J[j].linear); }
+            if (constraint != Constraint::position) {
+                const Vec3 turn = 0.5 * cross(error_.angular, axis);
+                for (size_t j = i; j < n_; ++j) { normal_(j, i) -= dot(turn, J[j].angular); }
+            }
+        }
+    }
 
     // Adds half of `weight` times the squared distance from a configuration.
-    void add_pull(double weight, Vector from, Vector q);
+    void add_pull(double weight, Vector from, Vector q) {
+        for (size_t i = 0; i < n_; ++i) {
+            states_[i].gradient += weight * (from[i] - q[i]);
+            normal_(i, i) += weight;
+        }
+    }
 
     // Makes a damped step of q inside the bounds: unknowns pushed out of them are fixed there and the others solved again.
     //
     // Returns the largest move of a joint, or -1 if the damping is too small for a step that leads downhill; then none is made.
-    double step(BoundsOf bounds_of, double damping, Result q);
+    double step(BoundsOf bounds_of, double damping, Result q) {
+        const std::vector<Unknown>& unknowns = chain().unknowns();
+        for (size_t i = 0; i < n_; ++i) {
+            const Bounds& bounds = unknowns[i].*bounds_of;
+            State& state = states_[i];
+            state.at_bound = (q[i] <= bounds.low && state.gradient < 0) || (q[i] >= bounds.high && state.gradient > 0);
+            state.step = 0.0;
+        }
+        for (int pass = 0; pass < ACTIVE_SET_PASSES; ++pass) {
+            if (!solve_free(damping)) { return -1.0; }
+            bool inside = true;
+            for (size_t i = 0; i < n_; ++i) {
+                State& state = states_[i];
+                const double desired = q[i] + state.step;
+                const double possible = clamped(desired, unknowns[i].*bounds_of);
+                if (!state.at_bound && possible != desired) {
+                    state.at_bound = true;
+                    state.step = possible - q[i];
+                    inside = false;
+                }
+            }
+            if (inside) { break; }
+        }
+        double longest = 0.0;
+        for (const State& state : states_) { longest = std::max(longest, std::abs(state.step)); }
+        const double share = std::min(1.0, MAX_STEP / std::max(longest, TINIEST));
+        double moved = 0.0;
+        for (size_t i = 0; i < n_; ++i) {
+            const double before = q[i];
+            q[i] = clamped(before + share * states_[i].step, unknowns[i].*bounds_of);
+            moved = std::max(moved, std::abs(q[i] - before));
+        }
+        return moved;
+    }
 
     // The part of a desired step (n,) in the null space of J, shortened to its bounds; joints at theirs take no part.
-    void null_step(Constraint constraint, Vector desired, Vector low, Vector high, Result step);
+    //
+    // With the tiny damping only that part of the desired step is left that changes no error.
+    void null_step(Constraint constraint, Vector desired, Vector low, Vector high, Result step) {
+        const size_t rows = constraint == Constraint::position ? 3 : 6;
+        set_normal();
+        std::ranges::fill(step, 0.0);
+        for (State& state : states_) { state.at_bound = false; }
+        for (int pass = 0; pass < MAX_NULL_PASSES; ++pass) {
+            for (size_t i = 0; i < n_; ++i) {
+                states_[i].gradient = NULL_DAMPING * desired[i];
+                states_[i].step = 0.0;
+            }
+            solve_free(NULL_DAMPING);
+            double share = 1.0;
+            size_t free = 0;
+            for (size_t i = 0; i < n_; ++i) {
+                State& state = states_[i];
+                if (state.at_bound) { continue; }
+                ++free;
+                const double room = std::max(0.0, state.step > 0 ? high[i] : -low[i]) / std::max(std::abs(state.step), TINIEST);
+                share = std::min(share, room);
+                state.at_bound = room <= MIN_NULL_SHARE;
+            }
+            if (free <= rows) { return; }
+            if (share > MIN_NULL_SHARE) {
+                for (size_t i = 0; i < n_; ++i) { step[i] = share * states_[i].step; }
+                return;
+            }
+        }
+    }
 
     // The norm of the weighted error.
-    double size() const;
+    double size() const { return std::sqrt(dot(error_, error_)); }
+
     double gradient(size_t i) const { return states_[i].gradient; }
-    double hessian(size_t i, size_t j) const { return i < j ? normal_[j * n_ + i] : normal_[i * n_ + j]; }
+    double hessian(size_t i, size_t j) const { return i < j ? normal_(j, i) : normal_(i, j); }
 
     // Remembers a configuration, and takes it back.
-    void keep_best(Vector q);
-    void take_best(Result q) const;
+    void keep_best(Vector q) {
+        for (size_t i = 0; i < n_; ++i) { states_[i].best = q[i]; }
+    }
+
+    void take_best(Result q) const {
+        for (size_t i = 0; i < n_; ++i) { q[i] = states_[i].best; }
+    }
 
 private:
+    static constexpr double MIN_SINE = 1e-9;  // below it a rotation's axis is lost to rounding
+    static constexpr int ACTIVE_SET_PASSES = 3;
+    static constexpr double MAX_STEP = 1.0;  // rad, or reaches for a slide joint
+    static constexpr int MAX_NULL_PASSES = 4;
+    // A null-space step shorter than this share of the desired one frees no joint from its bound.
+    static constexpr double MIN_NULL_SHARE = 0.01;
+    static constexpr double NULL_DAMPING = 1e-10;
+    // A target farther away is moved to this distance on its line: beyond it, the error is so large that a step's gain is lost to
+    // rounding.
+    static constexpr double MAX_TARGET_REACHES = 1e3;
+    static constexpr double MAX_SQUARED_LENGTH = 1e140;  // m: the square of a greater length may overflow; such numbers are scaled first
+
+    static double clamped(double value, Bounds bounds) { return std::min(std::max(value, bounds.low), bounds.high); }
+
+    // The rotation vector of half a turn from the tip to the target: about the tip's axis that moves least, or across the free
+    // axis.
+    static Vec3 half_turn(const Goal& goal, const Rotation& tip) {
+        int column = (free_axis(goal.constraint) + 1) % 3;
+        Vec3 axis;
+        if (goal.constraint == Constraint::pose) {
+            double largest = -2.0;
+            for (int k = 0; k < 3; ++k) {
+                const double cos = dot(axis_of(tip, k), axis_of(goal.pose.rotation, k));
+                if (cos > largest) {
+                    column = k;
+                    largest = cos;
+                }
+            }
+            // The middle between the two directions of that axis is on the axis of rotation.
+            axis = axis_of(tip, column) + axis_of(goal.pose.rotation, column);
+        } else {
+            axis = axis_of(tip, column);
+        }
+        return (std::numbers::pi / norm(axis)) * axis;
+    }
+
     struct State {
         double gradient;
         double step;
@@ -78,17 +236,87 @@ private:
         bool at_bound;
     };
 
-    Vec3 rotation_error(const Goal& goal) const;
-    bool solve_free(double damping);
-    double& normal(size_t i, size_t j) { return normal_[i * n_ + j]; }
-    double& factor(size_t i, size_t j) { return factor_[i * n_ + j]; }
+    // J^T J
+    void set_normal() {
+        const std::vector<Twist>& J = kinematics_.jacobian();
+        for (size_t i = 0; i < n_; ++i) {
+            for (size_t j = 0; j <= i; ++j) { normal_(i, j) = dot(J[i], J[j]); }
+        }
+    }
+
+    // The rotation vector from the tip to the goal; with a free axis the shortest one that aligns the two axes.
+    Vec3 rotation_error(const Goal& goal) const {
+        const bool is_pose = goal.constraint == Constraint::pose;
+        const Rotation& tip = kinematics_.tip().rotation;
+        Vec3 axis;
+        double cos = 0.0;
+        if (is_pose) {
+            // Half of the sum of cross products of the columns, and the trace.
+            axis = cross(tip.x, goal.pose.rotation.x) + cross(tip.y, goal.pose.rotation.y) + cross(tip.z, goal.pose.rotation.z);
+            axis = 0.5 * axis;
+            cos = dot(tip.x, goal.pose.rotation.x) + dot(tip.y, goal.pose.rotation.y) + dot(tip.z, goal.pose.rotation.z);
+            cos = 0.5 * (cos - 1.0);
+        } else {
+            const int free = free_axis(goal.constraint);
+            axis = cross(axis_of(tip, free), axis_of(goal.pose.rotation, free));
+            cos = dot(axis_of(tip, free), axis_of(goal.pose.rotation, free));
+        }
+        const double sin = norm(axis);
+        if (sin > MIN_SINE) { return (std::atan2(sin, cos) / sin) * axis; }
+        return cos < 0.0 ? half_turn(goal, tip) : Vec3{};
+    }
+
+    // Solves (J^T J + damping I) step = gradient by L D L^T for the unknowns not at a bound; the others keep their step.
+    //
+    // Returns whether the matrix is positive definite, which J^T J always is, but not with the chain's own curvature.
+    bool solve_free(double damping) {
+        size_t count = 0;
+        bool definite = true;
+        for (size_t i = 0; i < n_; ++i) {
+            if (states_[i].at_bound) { continue; }
+            double total = states_[i].gradient;
+            double pivot = normal_(i, i) + damping;
+            size_t column = 0;
+            for (size_t j = 0; j < n_; ++j) {
+                if (states_[j].at_bound) {
+                    total -= hessian(i, j) * states_[j].step;
+                } else if (j < i) {
+                    double value = normal_(i, j);
+                    for (size_t k = 0; k < column; ++k) { value -= factor_(count, k) * factor_(column, k); }
+                    factor_(count, column) = value;
+                    ++column;
+                }
+            }
+            for (size_t k = 0; k < count; ++k) {
+                const double value = factor_(count, k);
+                const double scaled = value * states_[k].pivot;
+                factor_(count, k) = scaled;
+                pivot -= scaled * value;
+                total -= scaled * states_[k].rhs;
+            }
+            definite = definite && pivot > 0.5 * damping;
+            states_[count].pivot = 1.0 / std::max(pivot, 0.5 * damping);
+            states_[count].rhs = total;
+            ++count;
+        }
+        size_t row = count;
+        for (size_t i = n_; i-- > 0;) {
+            if (states_[i].at_bound) { continue; }
+            --row;
+            double total = states_[row].rhs * states_[row].pivot;
+            for (size_t k = row + 1; k < count; ++k) { total -= factor_(k, row) * states_[k].rhs; }
+            states_[row].rhs = total;
+            states_[i].step = total;
+        }
+        return definite;
+    }
 
     size_t n_;
     ChainKinematics kinematics_;
     Twist error_;                 // weighted
     std::vector<State> states_;   // (n,)
-    std::vector<double> normal_;  // (n, n), the lower triangle of the Hessian
-    std::vector<double> factor_;  // (n, n), the packed factor L of L D L^T
+    DenseMatrix normal_{n_, n_};  // the lower triangle of the Hessian
+    DenseMatrix factor_{n_, n_};  // the packed factor L of L D L^T
 };
 
 }  // namespace armctl

@@ -1,5 +1,7 @@
 // What a motion must keep: a clearance from everything and, if asked, the direction of an axis.
 #pragma once
+#include <algorithm>
+#include <cmath>
 #include <memory>
 #include <vector>
 
@@ -8,34 +10,114 @@
 
 namespace armctl {
 
+constexpr double LEVEL_SHARE = 0.5;  // of the permitted tilt, which nodes keep: the lines between them need the rest
+constexpr double LEVEL_TOLERANCE_RAD = 1e-6;
+constexpr int LEVEL_STEPS = 8;
+constexpr double LEVEL_DAMPING = 1e-6;
+constexpr double UPSIDE_DOWN = 1e-16;  // the square of a sine: the axis is upside down
+
 using Configuration = std::vector<double>;  // (n,) rad
 using Path = std::vector<Configuration>;
 
 // Distance of two configurations, rad.
-double joint_distance(Vector first, Vector second);
+inline double joint_distance(Vector first, Vector second) {
+    double square = 0.0;
+    for (size_t i = 0; i < first.size(); ++i) {
+        const double difference = second[i] - first[i];
+        square += difference * difference;
+    }
+    return std::sqrt(square);
+}
 
 class FreeSpace {
 public:
     // Uses the proof's scratch memory and its kept axis.
-    FreeSpace(std::shared_ptr<ClearanceProof> proof, double clearance);
+    FreeSpace(std::shared_ptr<ClearanceProof> proof, double clearance)
+        : proof_(std::move(proof)), clearance_(clearance), start_(proof_->scene().model().joints()), end_(start_.size()),
+          axis_jacobian_(n()) {}
 
     size_t n() const { return proof_->scene().model().n(); }
 
     // Whether the straight line between two configurations, (n,), is proved.
-    bool line_is_free(Vector start, Vector end);
+    bool line_is_free(Vector start, Vector end) {
+        proof_->scene().model().positions(start, start_);
+        proof_->scene().model().positions(end, end_);
+        proof_->motion().set_line(start_, end_);
+        return !proof_->hit(clearance_);
+    }
+
     // The same for an edge of a tree. To check its end first decides most edges at a tenth of the cost of a proof.
-    bool edge_is_free(Vector start, Vector end);
+    bool edge_is_free(Vector start, Vector end) {
+        CollisionScene& scene = proof_->scene();
+        scene.model().positions(end, end_);
+        if (scene.first_hit(end_, clearance_) != scene.no_pair()) { return false; }
+        if (keeps_axis() && scene.tilt(*proof_->kept_axis()) > kept_within()) { return false; }
+        return line_is_free(start, end);
+    }
 
     bool keeps_axis() const { return proof_->kept_axis().has_value(); }
     double kept_within() const { return proof_->kept_axis()->within; }
     // Turns the kept axis of a configuration towards its direction, by the least motion of the joints, between bounds. Returns
     // whether it could.
-    bool level(Result q, Vector low, Vector high);
+    //
+    // Damped Gauss-Newton steps with the Jacobian J of the axis: dq = J^T (J J^T + damping)^-1 rotation vector.
+    bool level(Result q, Vector low, Vector high) {
+        CollisionScene& scene = proof_->scene();
+        const KeptAxis& keep = *proof_->kept_axis();
+        for (int step = 0; step < LEVEL_STEPS; ++step) {
+            scene.model().positions(q, end_);
+            scene.place_frames(end_);
+            const double excess = scene.tilt(keep) - LEVEL_SHARE * keep.within;
+            if (excess <= LEVEL_TOLERANCE_RAD) { return true; }
+            const Vec3 axis = scene.frame(keep.frame).pose.rotation * keep.axis;
+            find_axis_jacobian(axis);
+            const Vec3 rotation = rotation_needed(axis);
+            const double scale = (excess + LEVEL_TOLERANCE_RAD) / norm(rotation);
+            const Vec3 x = solve_damped_gram(scale * rotation);
+            for (size_t j = 0; j < q.size(); ++j) {
+                q[j] += dot(axis_jacobian_[j], x);
+                q[j] = std::min(std::max(q[j], low[j]), high[j]);
+            }
+        }
+        return false;
+    }
 
 private:
-    void find_axis_jacobian(Vec3 axis);
-    Vec3 rotation_needed(Vec3 axis) const;
-    Vec3 solve_damped_gram(Vec3 b) const;
+    void find_axis_jacobian(Vec3 axis) {
+        const CollisionScene& scene = proof_->scene();
+        std::fill(axis_jacobian_.begin(), axis_jacobian_.end(), Vec3{});
+        size_t walk = proof_->kept_axis()->frame;
+        while (walk > 0) {
+            const MovingFrame& moving = scene.model().frames[walk];
+            if (!moving.slides) {
+                const Vec3 hinge = scene.frame(walk).axis;
+                const Vec3 across = hinge - dot(hinge, axis) * axis;
+                for (size_t j = 0; j < axis_jacobian_.size(); ++j) { axis_jacobian_[j] += scene.model().ratio(moving.joint, j) * across; }
+            }
+            walk = moving.parent;
+        }
+    }
+
+    // The direction of the rotation that turns the axis towards its direction.
+    Vec3 rotation_needed(Vec3 axis) const {
+        const Vec3 rotation = cross(axis, proof_->kept_axis()->direction);
+        if (dot(rotation, rotation) < UPSIDE_DOWN) {  // any rotation across the axis
+            return {axis.y - axis.z, axis.z - axis.x, axis.x - axis.y};
+        }
+        return rotation;
+    }
+
+    // Solves (J J^T + damping) x = b by cofactors.
+    Vec3 solve_damped_gram(Vec3 b) const {
+        Symmetric gram{LEVEL_DAMPING, LEVEL_DAMPING, LEVEL_DAMPING, 0.0, 0.0, 0.0};
+        for (const Vec3 t : axis_jacobian_) { gram += {t.x * t.x, t.y * t.y, t.z * t.z, t.x * t.y, t.x * t.z, t.y * t.z}; }
+        const auto [xx, yy, zz, xy, xz, yz] = gram;
+        const double determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - xz * yz) + xz * (xy * yz - xz * yy);
+        const Symmetric adjugate{yy * zz - yz * yz, xx * zz - xz * xz, xx * yy - xy * xy,
+                                 xz * yz - xy * zz, xy * yz - xz * yy, xy * xz - xx * yz};
+        const Vec3 x = adjugate * b;
+        return {x.x / determinant, x.y / determinant, x.z / determinant};
+    }
 
     std::shared_ptr<ClearanceProof> proof_;
     double clearance_;

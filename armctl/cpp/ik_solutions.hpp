@@ -1,34 +1,61 @@
-// All configurations for one target: found by descents from many starts, or refined from those of a closed form.
+// All configurations for one target, refined from seeds: those of a closed form, or solutions that a search has found.
 #pragma once
-#include <cstdint>
+#include <algorithm>
+#include <cmath>
+#include <vector>
 
 #include "closed_form.hpp"
 #include "ik_search.hpp"
-#include "spans.hpp"
 
 namespace armctl {
 
-// How long to look for further solutions.
-struct Patience {
-    std::int64_t starts;  // random starts in a row that find nothing new
-    bool quarters;        // also descend from every solution with one joint turned by quarters
-    std::uint64_t seed;
-};
+constexpr Tolerances EXACT{1e-10, 1e-10};  // reaches and rad: of the solutions that are compared with each other
+constexpr double SAME_SOLUTION = 1e-3;     // rad, or reaches: at a double root, EXACT leaves 1e-5
+constexpr size_t NEIGHBOURS = 16;          // seeds of one sample of a sweep, of which two may lead to the same solution
+constexpr double LIMIT_ROUNDING = 1e-6;    // rad, or reaches: a solution that much outside the limits is moved to the limit
 
-struct FoundSolutions {
-    size_t count = 0;
-    std::int64_t starts = 0;
-    std::int64_t steps = 0;
-};
+// Whether two configurations are one, up to whole turns of the hinges.
+inline bool is_same(const Chain& chain, Vector a, Vector b) {
+    for (size_t i = 0; i < a.size(); ++i) {
+        const double period = chain.unknowns()[i].period;
+        double difference = std::abs(a[i] - b[i]);
+        if (difference >= SAME_SOLUTION && period > 0) { difference = std::abs(difference - period * std::nearbyint(difference / period)); }
+        if (difference >= SAME_SOLUTION) { return false; }
+    }
+    return true;
+}
 
-// Fills `known` (M, n) with distinct solutions, without regard to the bounds of hinges; their whole turns are arbitrary.
+// Turns the hinges by whole turns to the positions nearest to q0 inside the bounds; returns whether q is inside then.
 //
-// Descends from each row of `begin` (B, n); then from random configurations, in turns inside the bounds and within one turn;
-// and with `quarters` from every solution with one joint turned by quarters. It ends when `known` is full.
-FoundSolutions find_all(IkSolver& solver, const Target& target, Vector q0, Matrix begin, const Patience& patience,
-                        MatrixResult known);
+// What is outside by rounding is moved to the bounds.
+inline bool wind_inside(const Chain& chain, Vector q0, Result q) {
+    for (size_t i = 0; i < q.size(); ++i) {
+        const auto& [bounds, free_bounds, one_turn, period] = chain.unknowns()[i];
+        const Bounds wide{bounds.low - LIMIT_ROUNDING, bounds.high + LIMIT_ROUNDING};
+        q[i] = wound(q[i], q0[i], wide, period);
+        if (!wide.contain(q[i])) { return false; }
+        q[i] = bounds.clamp(q[i]);
+    }
+    return true;
+}
 
-// Where `polish` writes the solutions: configurations (M, n), errors in m and rad, and branches (M,).
+// A solution that `polish` keeps; its configuration is in a row of its own.
+struct Kept {
+    PoseError error;
+    int branch;
+    double squared_distance;  // from q0
+};
+
+// Descends from q without bounds to a solution that can be compared with others, and counts the steps. Returns whether it is one.
+inline bool descend_exactly(IkSolver& solver, const Target& target, Result q, std::int64_t& steps) {
+    const Goal goal = solver.model().goal(target.pose, target.constraint);
+    const Descent descent = solver.descend(&Unknown::free_bounds, goal, EXACT, q);
+    steps += descent.steps;
+    // Next to a singularity convergence is slow: an answer within the tolerances is a solution all the same.
+    return descent.solved || solver.in_reaches(target.tolerances).contain(solver.model().linearize(goal, q));
+}
+
+// Where solutions are written: configurations (M, n), errors in m and rad, and branches (M,).
 struct SolutionRows {
     MatrixResult q;
     Result position_errors;
@@ -36,16 +63,67 @@ struct SolutionRows {
     std::span<std::int64_t> branches;
 };
 
-struct Polished {
+struct Solutions {
     size_t count = 0;
     std::int64_t steps = 0;
-    std::int64_t lost = 0;  // seeds that led to no solution
+    std::int64_t lost = 0;     // seeds that led to no solution
+    std::int64_t samples = 0;  // positions of the joint that is swept
+    bool doubtful = false;     // whether the closed form may have missed some
 };
 
 // Refines the seeds (M, n) of a pose, and keeps those that are solutions inside the bounds, nearest to q0 first.
 //
 // The seeds are nearly exact, and equal ones are near each other.
-Polished polish(IkSolver& solver, const Target& target, Vector q0, Matrix seeds, const SolutionRows& rows);
+inline Solutions polish(IkSolver& solver, const Target& target, Vector q0, Matrix seeds, const SolutionRows& rows) {
+    const Chain& chain = solver.chain();
+    const size_t n = chain.n();
+    const Tolerances exact{EXACT.position * chain.reach(), EXACT.orientation};
+    std::vector<double> configurations(seeds.rows * n);
+    const MatrixResult kept_q{configurations.data(), seeds.rows, n};
+    std::vector<Kept> kept;
+    std::vector<double> trial(n);
+    Solutions polished;
+    for (size_t s = 0; s < seeds.rows; ++s) {
+        std::ranges::copy(seeds.row(s), trial.begin());
+        PoseError error = solver.tip_error(target, trial);
+        bool moved = false;
+        if (error.position > exact.position || error.orientation > exact.orientation) {
+            descend_exactly(solver, target, trial, polished.steps);
+            moved = true;
+        }
+        if (!wind_inside(chain, q0, trial)) { continue; }
+        moved = moved || !std::ranges::equal(trial, seeds.row(s));
+        if (moved) { error = solver.tip_error(target, trial); }
+        if (!target.tolerances.contain(error)) {
+            ++polished.lost;
+            continue;
+        }
+        bool is_known = false;
+        for (size_t k = kept.size() - std::min(kept.size(), NEIGHBOURS); k < kept.size(); ++k) {
+            is_known = is_known || is_same(chain, trial, kept_q.row(k));
+        }
+        if (is_known) { continue; }
+        double squared_distance = 0.0;
+        for (size_t i = 0; i < n; ++i) {
+            const double away = trial[i] - q0[i];
+            squared_distance += away * away;
+        }
+        std::ranges::copy(trial, kept_q.row(kept.size()).begin());
+        kept.push_back({error, solver.kinematics().branch(), squared_distance});
+    }
+    polished.count = kept.size();
+    std::vector<size_t> order(kept.size());
+    for (size_t k = 0; k < order.size(); ++k) { order[k] = k; }
+    std::ranges::stable_sort(order, {}, [&](size_t k) { return kept[k].squared_distance; });
+    for (size_t k = 0; k < order.size(); ++k) {
+        const Kept& solution = kept[order[k]];
+        std::ranges::copy(kept_q.row(order[k]), rows.q.row(k).begin());
+        rows.position_errors[k] = solution.error.position;
+        rows.orientation_errors[k] = solution.error.orientation;
+        rows.branches[k] = solution.branch;
+    }
+    return polished;
+}
 
 // What a closed form may miss by rounding, or because it is not exact.
 struct Inaccuracy {
@@ -53,15 +131,16 @@ struct Inaccuracy {
     double margin;  // rad: seeds so far outside the bounds are refined, too
 };
 
-struct AllSolutions {
-    size_t count = 0;
-    std::int64_t steps = 0;
-    std::int64_t samples = 0;
-    bool complete = false;  // whether no solution can be missing
-};
-
 // The solutions of a closed form, refined, the nearest to q0 first.
-AllSolutions solve_all(const ClosedForm& closed_form, IkSolver& solver, const Target& target, Vector q0,
-                       const Inaccuracy& inaccuracy, const Samples& samples, const SolutionRows& rows);
+inline Solutions solve_all(const ClosedForm& closed_form, IkSolver& solver, const Target& target, Vector q0, const Inaccuracy& inaccuracy,
+                           const Sweep& sweep, const SolutionRows& rows) {
+    std::vector<double> memory(rows.q.rows * rows.q.columns);
+    const MatrixResult seeds{memory.data(), rows.q.rows, rows.q.columns};
+    const Seeds found = closed_form.find(target.pose, q0, inaccuracy.slack, inaccuracy.margin, sweep, seeds);
+    Solutions solutions = polish(solver, target, q0, {seeds.data, static_cast<size_t>(found.count), seeds.columns}, rows);
+    solutions.samples = found.samples;
+    solutions.doubtful = found.doubtful;
+    return solutions;
+}
 
 }  // namespace armctl

@@ -7,9 +7,49 @@
 #include <span>
 #include <vector>
 
-#include "band_matrix.hpp"
+#include "spans.hpp"
 
 namespace armctl {
+
+constexpr double INFINITE = std::numeric_limits<double>::infinity();
+constexpr double NOT_A_NUMBER = std::numeric_limits<double>::quiet_NaN();
+
+// A symmetric matrix whose elements are zero away from its diagonal.
+class BandMatrix {
+public:
+    // `width` is the number of diagonals from the main one to the outermost one, both included.
+    BandMatrix(size_t size, size_t width) : size_(size), width_(width), elements_(size * width) {}
+
+    size_t size() const { return size_; }
+
+    // Element (row, row + offset), with offset below the width.
+    double& at(size_t row, size_t offset) { return elements_[row * width_ + offset]; }
+
+    void set_zero() { std::fill(elements_.begin(), elements_.end(), 0.0); }
+
+    // Solves A x = b for a positive definite A by an LDL^T factorization, which replaces A. `x` holds b before the call.
+    void factorize_and_solve(Result x) {
+        for (size_t row = 0; row < size_; ++row) {
+            const size_t end = std::min(width_, size_ - row);
+            for (size_t below = 1; below < end; ++below) {
+                const double factor = at(row, below) / at(row, 0);
+                if (factor == 0.0) { continue; }
+                for (size_t offset = below; offset < end; ++offset) { at(row + below, offset - below) -= factor * at(row, offset); }
+                x[row + below] -= factor * x[row];
+            }
+        }
+        for (size_t row = size_; row-- > 0;) {
+            double total = x[row];
+            for (size_t offset = 1; offset < std::min(width_, size_ - row); ++offset) { total -= at(row, offset) * x[row + offset]; }
+            x[row] = total / at(row, 0);
+        }
+    }
+
+private:
+    size_t size_;
+    size_t width_;
+    std::vector<double> elements_;
+};
 
 struct BarrierSchedule {
     double first;     // weight of the barrier at the start
@@ -40,38 +80,24 @@ void minimize_with_barriers(const Problem& problem, Result x, const BarrierSched
             std::fill(gradient.begin(), gradient.end(), 0.0);
             hessian.set_zero();
             problem.add_derivatives(x, barrier, gradient, hessian);
-            for (size_t k = 0; k < count; ++k) {
-                step[k] = -gradient[k];
-            }
+            for (size_t k = 0; k < count; ++k) { step[k] = -gradient[k]; }
             hessian.factorize_and_solve(step);
             double promise = 0.0;
-            for (size_t k = 0; k < count; ++k) {
-                promise -= gradient[k] * step[k];
-            }
-            if (!(promise > schedule.centered * barrier)) {
-                break;
-            }
+            for (size_t k = 0; k < count; ++k) { promise -= gradient[k] * step[k]; }
+            if (!(promise > schedule.centered * barrier)) { break; }
             double share = 1.0;
-            double trial_cost = std::numeric_limits<double>::infinity();
+            double trial_cost = INFINITE;
             for (int halving = 0; halving < max_halvings; ++halving) {
-                for (size_t k = 0; k < count; ++k) {
-                    trial[k] = x[k] + share * step[k];
-                }
+                for (size_t k = 0; k < count; ++k) { trial[k] = x[k] + share * step[k]; }
                 trial_cost = problem.cost(trial, barrier);
-                if (trial_cost < cost - sufficient_decrease * share * promise) {
-                    break;
-                }
+                if (trial_cost < cost - sufficient_decrease * share * promise) { break; }
                 share *= 0.5;
             }
-            if (!(trial_cost < cost)) {
-                break;
-            }
+            if (!(trial_cost < cost)) { break; }
             std::copy(trial.begin(), trial.end(), x.begin());
             cost = trial_cost;
         }
-        if (problem.is_last(x, barrier)) {
-            return;
-        }
+        if (problem.is_last(x, barrier)) { return; }
         barrier *= schedule.factor;
     }
 }

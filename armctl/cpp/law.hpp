@@ -1,11 +1,10 @@
 // The interface of a control law: the torque of the motors from the measured state and the setpoint of a tick.
 #pragma once
-#include <algorithm>
-#include <cstddef>
+#include <cmath>
 #include <memory>
-#include <vector>
 
-#include "spans.hpp"
+#include "arguments.hpp"
+#include "linear_algebra.hpp"
 
 namespace armctl {
 
@@ -25,36 +24,46 @@ struct Setpoint {
     Vector a_tick;  // (n,) rad/s^2, the change of v_tick over the control period
 };
 
-// A setpoint from the (5, n) rows q, v, a, v_tick, a_tick.
-inline Setpoint setpoint_of(Matrix reference) {
-    return {reference.row(0), reference.row(1), reference.row(2), reference.row(3), reference.row(4)};
-}
-
 // A control law. Its calls use memory and scratch of the object: one thread at a time, and one arm.
+//
+// A law reads its gains from `Arguments`, with the names of its members.
 class Law {
 public:
     virtual ~Law() = default;
 
-    // The number of joints.
-    virtual size_t joints() const = 0;
+    size_t joints() const { return joints_; }
 
     // Whether `torque` reads the measured wrench.
-    virtual bool needs_wrench() const { return false; }
+    bool needs_wrench() const { return needs_wrench_; }
 
     // The torque for the coming control period, (n,) N m. It ends for any numbers, throws nothing and allocates nothing.
     virtual void torque(const State& state, const Setpoint& setpoint, Result tau) = 0;
 
     // What the law keeps from tick to tick, such as integrals: 0 at the first tick of a run. Scratch is not part of it.
-    virtual std::span<double> memory() { return {}; }
+    Result memory() { return memory_; }
 
     // Takes over the memory of a clone.
-    virtual void set_memory(Vector numbers) { std::ranges::copy(numbers, memory().begin()); }
+    virtual void set_memory(Vector numbers) { copy(numbers, memory_); }
 
     // Begins a new run.
-    void reset();
+    void reset() { std::ranges::fill(memory_, 0.0); }
 
     // The same law and gains with memory of its own, at the start of a run.
     virtual std::unique_ptr<Law> clone() const = 0;
+
+protected:
+    explicit Law(size_t joints, size_t memory_size = 0, bool needs_wrench = false)
+        : joints_(joints), needs_wrench_(needs_wrench), memory_(memory_size) {}
+
+    Result memory(size_t first, size_t size) { return memory().subspan(first, size); }
+
+    // A number for each joint.
+    Numbers zeros() const { return Numbers(joints_); }
+
+private:
+    size_t joints_;
+    bool needs_wrench_;
+    Numbers memory_;
 };
 
 // The usual `Law::clone`: a copy of a law, at the start of a run.
@@ -65,21 +74,10 @@ std::unique_ptr<Law> fresh_copy(const ConcreteLaw& law) {
     return copy;
 }
 
-// Checks of gains. They throw InputError with the name.
-
-// A finite number of at least 0.
-double checked_gain(double value, const char* name);
-
-// Gains of n joints, finite and at least 0.
-std::vector<double> checked_gains(std::vector<double> values, size_t n, const char* name);
-
-// Limits of n joints, at least 0 or infinite.
-std::vector<double> checked_limits(std::vector<double> values, size_t n, const char* name);
-
-// A control period, s; 0 for continuous time.
-double checked_period(double dt);
-
 // A value within [-bound, bound]; a value that is not a number remains one.
 inline double clipped(double value, double bound) { return std::min(std::max(value, -bound), bound); }
+
+// The weight of a new sample in a low-pass of first order, of a rate in 1/s.
+inline double low_pass_weight(double rate, double dt) { return -std::expm1(-rate * dt); }
 
 }  // namespace armctl

@@ -1,10 +1,11 @@
-// What the ticks of simulations and of environments have in common: motors and measurement noise.
+// What the ticks of simulations and of environments have in common: motors, measurement noise and delays.
 #pragma once
 #include <cmath>
-#include <span>
+#include <string>
 
+#include "arguments.hpp"
+#include "errors.hpp"
 #include "mujoco_api.hpp"
-#include "spans.hpp"
 
 namespace armctl {
 
@@ -18,52 +19,98 @@ struct Motor {
     double torque_share = 1.0;  // torque per unit of qfrc_actuator
 };
 
-using Motors = std::span<const Motor>;
+// An address of an array's element; a negative one is beyond each array.
+inline size_t address(std::int64_t number) { return static_cast<size_t>(number); }
+
+using Motors = std::vector<Motor>;
+
+// The motors of an arm, (n,) each: `qpos_addresses`, `dof_addresses`, `ctrl_addresses` and `gear`; `torque_addresses` and
+// `torque_share` where qfrc_actuator has more than the torques of the joints.
+inline Motors motors_of(const Arguments& given) {
+    Motors motors(given.length("gear"));
+    const size_t n = motors.size();
+    const bool has_torques = given.has("torque_addresses");
+    for (size_t i = 0; i < n; ++i) {
+        motors[i] = {
+            .qpos = address(given.integers(n, "qpos_addresses")[i]),
+            .dof = address(given.integers(n, "dof_addresses")[i]),
+            .ctrl = address(given.integers(n, "ctrl_addresses")[i]),
+            .torque = address(given.integers(n, has_torques ? "torque_addresses" : "dof_addresses")[i]),
+            .gear = given.vector(n, "gear")[i],
+            .torque_share = has_torques ? given.vector(n, "torque_share")[i] : 1.0,
+        };
+    }
+    return motors;
+}
 
 // Throws InputError if an address is not in the arrays of a simulation.
-void check_addresses(Motors motors, const MujocoSimulation& simulation);
+inline void check_addresses(const Motors& motors, const MujocoSimulation& simulation) {
+    for (const Motor& motor : motors) {
+        if (motor.qpos >= simulation.qpos.size() || motor.dof >= simulation.qvel.size() || motor.ctrl >= simulation.ctrl.size() ||
+            motor.torque >= simulation.qfrc_actuator.size()) {
+            throw InputError("motors: the model has no such joint or motor");
+        }
+    }
+}
 
 // Reads positions and velocities (n,) of the joints; returns the norm of the velocities.
-inline double read_joints(Motors motors, const MujocoSimulation& simulation, Result q, Result v) {
-    double squared = 0.0;
+inline double read_joints(const Motors& motors, const MujocoSimulation& simulation, Result q, Result v) {
     for (size_t i = 0; i < motors.size(); ++i) {
         q[i] = simulation.qpos[motors[i].qpos];
         v[i] = simulation.qvel[motors[i].dof];
-        squared += v[i] * v[i];
     }
-    return std::sqrt(squared);
+    return std::sqrt(dot(v, v));
 }
 
 // Sets the controls of the motors to joint torques (n,) N m.
-inline void command_motors(Motors motors, Vector tau, const MujocoSimulation& simulation) {
-    for (size_t i = 0; i < motors.size(); ++i) {
-        simulation.ctrl[motors[i].ctrl] = tau[i] / motors[i].gear;
-    }
+inline void command_motors(const Motors& motors, Vector tau, const MujocoSimulation& simulation) {
+    for (size_t i = 0; i < motors.size(); ++i) { simulation.ctrl[motors[i].ctrl] = tau[i] / motors[i].gear; }
 }
 
 // The joint torques (n,) N m of the motors in the last step.
-inline void read_torques(Motors motors, const MujocoSimulation& simulation, Result tau) {
-    for (size_t i = 0; i < motors.size(); ++i) {
-        tau[i] = simulation.qfrc_actuator[motors[i].torque] * motors[i].torque_share;
+inline void read_torques(const Motors& motors, const MujocoSimulation& simulation, Result tau) {
+    for (size_t i = 0; i < motors.size(); ++i) { tau[i] = simulation.qfrc_actuator[motors[i].torque] * motors[i].torque_share; }
+}
+
+// Adds the noise (ticks, 2, n) of a tick to measured positions and velocities (n,), if there is noise.
+inline void add_noise(Vector noise, size_t tick, Result q, Result v) {
+    if (noise.empty()) { return; }
+    const size_t n = q.size();
+    for (size_t i = 0; i < n; ++i) {
+        q[i] += noise[2 * n * tick + i];
+        v[i] += noise[2 * n * tick + n + i];
     }
 }
 
-// Noise on measured positions and velocities in some ticks; empty if there is none.
-struct MeasurementNoise {
-    Vector numbers;  // (ticks, 2, n)
+// Commands that reach the motors some ticks after they were given.
+class Delay {
+public:
+    // A delay of at most max_ticks for n joints; it is 0 until `restart`.
+    Delay(size_t n, size_t max_ticks) : commands_(max_ticks + 1, n) {}
 
-    // Adds that of a tick to positions and velocities (n,).
-    void add(size_t tick, Result q, Result v) const {
-        if (numbers.empty()) {
-            return;
-        }
-        const size_t n = q.size();
-        const Vector noise = numbers.subspan(2 * n * tick, 2 * n);
-        for (size_t i = 0; i < n; ++i) {
-            q[i] += noise[i];
-            v[i] += noise[n + i];
-        }
+    size_t joints() const { return commands_.columns(); }
+
+    // Forgets all commands, and delays those to come by some ticks. Throws InputError for more than max_ticks.
+    void restart(size_t ticks) {
+        const size_t most = commands_.rows() - 1;
+        if (ticks > most) { throw InputError("ticks: need at most " + std::to_string(most) + ", got " + std::to_string(ticks)); }
+        ticks_ = ticks;
+        given_ = 0;
     }
+
+    // Takes the command of this tick, (n,) N m. Returns that of `ticks` ago, or the first one until then; the numbers change in
+    // the next call.
+    Vector delayed(Vector tau) {
+        copy(tau, commands_.row(given_ % commands_.rows()));
+        const size_t oldest = given_ > ticks_ ? given_ - ticks_ : 0;
+        ++given_;
+        return commands_.row(oldest % commands_.rows());
+    }
+
+private:
+    DenseMatrix commands_;  // ring buffer
+    size_t ticks_ = 0;
+    size_t given_ = 0;  // commands since the start
 };
 
 }  // namespace armctl

@@ -24,9 +24,7 @@ public:
         std::array<char, 500> error{};
         const MujocoApi::BatchConfig config{.threads = 1, .persistent = 0};
         batch_ = api.make_batch(api.empty_model, 1, &config, error.data(), static_cast<int>(error.size()));
-        if (batch_ == nullptr) {
-            throw InputError("mujoco: " + std::string(error.data()));
-        }
+        if (batch_ == nullptr) { throw InputError("mujoco: " + std::string(error.data())); }
     }
     Batch(const Batch&) = delete;
     Batch& operator=(const Batch&) = delete;
@@ -49,11 +47,31 @@ void run(const MujocoModel*, MujocoData*, int, void* argument) {
     call->function(call->argument);
 }
 
+// A function, or a struct, from its address.
+template <class Pointer>
+void set(Pointer& pointer, const Arguments& given, const char* name) {
+    pointer = reinterpret_cast<Pointer>(given.integer(name));  // NOLINT(performance-no-int-to-ptr): Python has it as a number
+}
+
 }  // namespace
 
+MujocoApi::MujocoApi(const MujocoModel* empty, const Arguments& given)
+    : empty_model(empty), contacts{
+                              .count = given.count("contact_count"),
+                              .array = given.count("contact_array"),
+                              .stride = given.count("contact_stride"),
+                              .geoms = given.count("contact_geoms"),
+                          } {
+    set(step, given, "step");
+    set(rne_post_constraint, given, "rne_post_constraint");
+    set(make_batch, given, "make_batch");
+    set(delete_batch, given, "delete_batch");
+    set(apply, given, "apply");
+    set(error, given, "error");
+}
+
 Contacts::Contacts(const ContactLayout& layout, const MujocoData* data)
-    : layout_(layout),
-      first_(number_at<const std::byte*>(data, layout.array)),
+    : layout_(layout), first_(number_at<const std::byte*>(data, layout.array)),
       count_(static_cast<size_t>(number_at<std::int32_t>(data, layout.count))) {}
 
 GeomPair Contacts::geoms(size_t contact) const { return number_at<GeomPair>(first_ + contact * layout_.stride, layout_.geoms); }
@@ -61,9 +79,7 @@ GeomPair Contacts::geoms(size_t contact) const { return number_at<GeomPair>(firs
 bool Contacts::touch(std::int32_t geom) const {
     for (size_t k = 0; k < count_; ++k) {
         const GeomPair pair = geoms(k);
-        if (pair.first == geom || pair.second == geom) {
-            return true;
-        }
+        if (pair.first == geom || pair.second == geom) { return true; }
     }
     return false;
 }

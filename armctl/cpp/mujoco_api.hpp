@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <string>
 
-#include "spans.hpp"
+#include "arguments.hpp"
 
 namespace armctl {
 
@@ -23,6 +23,10 @@ struct ContactLayout {
 
 // MuJoCo's functions, with the signatures of mujoco.h and mjbatch.h.
 struct MujocoApi {
+    // `empty` is for the batch in which functions are called; they work on other models. The arguments are the addresses of the
+    // functions, and the `ContactLayout` as contact_count and so on.
+    MujocoApi(const MujocoModel* empty, const Arguments& given);
+
     using Step = void (*)(const MujocoModel*, MujocoData*);
     using BatchFunction = void (*)(const MujocoModel*, MujocoData*, int simulation, void* argument);
 
@@ -38,7 +42,7 @@ struct MujocoApi {
     void (*delete_batch)(MujocoBatch*) = nullptr;
     int (*apply)(MujocoBatch*, const int* ids, int id_count, BatchFunction, void* argument, int save) = nullptr;  // mjb_apply
     const char* (*error)(const MujocoBatch*, int simulation) = nullptr;                                           // mjb_error
-    const MujocoModel* empty_model = nullptr;  // for the batch in which functions are called; they work on other models
+    const MujocoModel* empty_model;
     ContactLayout contacts;
 };
 

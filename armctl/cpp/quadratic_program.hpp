@@ -14,10 +14,11 @@
 // orthogonal factorization, N^T = T P, with T lower triangular and P orthogonal, which remains accurate if normals are almost
 // parallel.
 #pragma once
+#include <cmath>
+#include <limits>
 #include <optional>
-#include <vector>
 
-#include "dense_matrix.hpp"
+#include "linear_algebra.hpp"
 
 namespace armctl {
 
@@ -34,13 +35,29 @@ struct QuadraticProgram {
 // The solver with its scratch memory: one object for each thread.
 class ActiveSetSolver {
 public:
-    explicit ActiveSetSolver(size_t n);
+    explicit ActiveSetSolver(size_t n) : n_(n), active_(n) {}
 
     // Solves the program, and tells whether there is a solution. False if the constraints contradict each other, and after too
     // many changes of the active set, which no test found. If a number of the program is not finite, the result is arbitrary.
-    bool solve(const QuadraticProgram& program, Result x);
+    bool solve(const QuadraticProgram& program, Result x) {
+        if (!set_up(program) || !find_nearest()) { return false; }
+        copy(point_, x);
+        backward_substitute(factor_, x);
+        return true;
+    }
 
 private:
+    static constexpr double infinity = std::numeric_limits<double>::infinity();
+    static constexpr double rounding = 1e-12;  // violation of a bound, relative to point and bound, that does not count
+    // As above, for a constraint that contradicts the active ones: the rounding of a point that almost parallel normals determine.
+    static constexpr double contradiction = 1e-9;
+    // Squared sine between a normal and the span of the active ones, below which it counts as dependent: rounding of the normals
+    // leaves 1e-22 if H has a condition number of 1e10.
+    static constexpr double dependent = 1e-20;
+    static constexpr double negligible_rate = 1e-12;  // what rounding leaves of a rate that is zero; normals have unit length
+    // Changes of the active set per constraint. In exact arithmetic, the method ends by itself; random programs needed at most 3.
+    static constexpr size_t max_changes = 10;
+
     struct ActiveConstraint {
         double multiplier;
         double bound;
@@ -54,32 +71,205 @@ private:
         double bound;  // of the signed normal
     };
 
-    bool set_up(const QuadraticProgram& program);
-    void forward(size_t first, Result x) const;
-    bool find_nearest();
-    void begin_without_constraints();
-    std::optional<Entering> most_violated() const;
-    double project(const Entering& entering);
-    std::optional<size_t> first_zero_multiplier() const;
-    void decrease_multipliers(double step);
-    void move(double step);
-    void set_point();
-    void add(const ActiveConstraint& constraint);
-    void drop(size_t dropped);
+    // The least-distance form of the program; false if a lower bound is above its upper bound.
+    bool set_up(const QuadraticProgram& program) {
+        factor_.set(program.H);
+        factorize(factor_);
+        take_roots(factor_);
+        for (size_t i = 0; i < n_; ++i) {
+            start_[i] = -program.f[i];
+            std::ranges::fill(normals_.row(i), 0.0);
+            normals_(i, i) = 1.0;
+            copy(program.M.row(i), normals_.row(n_ + i));
+            forward_substitute(factor_, normals_.row(i), i);
+            forward_substitute(factor_, normals_.row(n_ + i));
+        }
+        forward_substitute(factor_, start_);
+        for (size_t row = 0; row < 2 * n_; ++row) {
+            const double scale = 1.0 / std::sqrt(dot(normals_.row(row), normals_.row(row)));
+            for (double& number : normals_.row(row)) { number *= scale; }
+            const double lower = program.lower[row];
+            const double upper = program.upper[row];
+            low_[row] = scale * lower;
+            high_[row] = scale * upper;
+            if (lower - upper > contradiction * (std::abs(lower) + std::abs(upper))) { return false; }
+        }
+        return true;
+    }
+
+    // Moves the point to that of the polyhedron which is nearest to the start; false if there is none.
+    bool find_nearest() {
+        begin_without_constraints();
+        std::optional<Entering> entering;
+        double multiplier = 0.0;  // of the entering constraint
+        bool is_exact = true;
+        for (size_t change = 0; change < max_changes * 2 * n_; ++change) {
+            if (!entering) {
+                entering = most_violated();
+                multiplier = 0.0;
+            }
+            if (!entering) {
+                if (is_exact) { return true; }
+                set_point();
+                is_exact = true;
+                continue;
+            }
+            const size_t row = entering->row;
+            const double bound = entering->bound;
+            const double violation = bound - entering->side * dot(normals_.row(row), point_);
+            const double independent = project(*entering);
+            const std::optional<size_t> dropped = first_zero_multiplier();
+            if (!dropped && independent == 0.0) {
+                if (!(violation < contradiction * (std::sqrt(dot(point_, point_)) + std::abs(bound)))) { return false; }
+                tolerances_[row] = contradiction;
+                entering.reset();
+                continue;
+            }
+            const double full = independent > 0.0 ? violation / independent : infinity;
+            const double step = dropped ? std::min(full, active_[*dropped].multiplier / rates_[*dropped]) : full;
+            multiplier += step;
+            decrease_multipliers(step);
+            move(step);
+            is_exact = false;
+            if (step < full) {
+                tolerances_[active_[*dropped].row] = rounding;
+                drop(*dropped);
+            } else {
+                tolerances_[row] = infinity;
+                add({.multiplier = multiplier, .bound = bound, .row = row});
+                entering.reset();
+            }
+        }
+        return false;
+    }
+
+    void begin_without_constraints() {
+        count_ = 0;
+        copy(start_, point_);
+        std::ranges::fill(tolerances_, rounding);
+        set_identity(basis_);
+    }
+
+    // The constraint that the point violates most, if there is one.
+    std::optional<Entering> most_violated() const {
+        const double distance = std::sqrt(dot(point_, point_));
+        double largest = 0.0;
+        std::optional<Entering> found;
+        for (size_t row = 0; row < 2 * n_; ++row) {
+            if (tolerances_[row] == infinity) { continue; }
+            const double position = dot(normals_.row(row), point_);
+            const double below = low_[row] - position;
+            const double above = position - high_[row];
+            if (below > std::max(largest, tolerances_[row] * (distance + std::abs(low_[row])))) {
+                largest = below;
+                found = {.row = row, .side = 1.0, .bound = low_[row]};
+            }
+            if (above > std::max(largest, tolerances_[row] * (distance + std::abs(high_[row])))) {
+                largest = above;
+                found = {.row = row, .side = -1.0, .bound = -high_[row]};
+            }
+        }
+        return found;
+    }
+
+    // Finds coordinates of a signed normal and rates of the multipliers. Returns the squared length of the part of the normal that
+    // the active ones do not span.
+    double project(const Entering& entering) {
+        const Vector normal = normals_.row(entering.row);
+        double independent = 0.0;
+        for (size_t j = 0; j < n_; ++j) {
+            coordinates_[j] = entering.side * dot(basis_.row(j), normal);
+            if (j >= count_) { independent += coordinates_[j] * coordinates_[j]; }
+        }
+        if (!(independent > dependent)) {
+            independent = 0.0;
+            std::fill(coordinates_.begin() + static_cast<std::ptrdiff_t>(count_), coordinates_.end(), 0.0);
+        }
+        copy(coordinates_, rates_);
+        backward_substitute(triangle_, Result(rates_).first(count_));
+        return independent;
+    }
+
+    // The active constraint whose multiplier becomes zero first; none if no multiplier decreases.
+    std::optional<size_t> first_zero_multiplier() const {
+        std::optional<size_t> first;
+        double shortest = infinity;
+        for (size_t j = 0; j < count_; ++j) {
+            if (rates_[j] > negligible_rate && active_[j].multiplier < shortest * rates_[j]) {
+                shortest = active_[j].multiplier / rates_[j];
+                first = j;
+            }
+        }
+        return first;
+    }
+
+    void decrease_multipliers(double step) {
+        for (size_t j = 0; j < count_; ++j) { active_[j].multiplier = std::max(active_[j].multiplier - step * rates_[j], 0.0); }
+    }
+
+    // Moves the point along the part of the entering normal that the active ones do not span.
+    void move(double step) {
+        for (size_t j = count_; j < n_; ++j) {
+            for (size_t k = 0; k < n_; ++k) { point_[k] += step * coordinates_[j] * basis_(j, k); }
+        }
+    }
+
+    // The point nearest to the start on all active bounds, computed anew: the rounding of the steps does not remain.
+    void set_point() {
+        for (size_t j = 0; j < n_; ++j) { coordinates_[j] = j < count_ ? active_[j].bound : dot(basis_.row(j), start_); }
+        forward_substitute(triangle_, Result(coordinates_).first(count_));
+        for (size_t k = 0; k < n_; ++k) { point_[k] = dot(basis_.column(k), coordinates_); }
+    }
+
+    // Adds a constraint with known coordinates to the active ones, by a Householder reflection of the other basis vectors.
+    void add(const ActiveConstraint& constraint) {
+        double square = 0.0;
+        for (size_t j = count_; j < n_; ++j) { square += coordinates_[j] * coordinates_[j]; }
+        const double length = -std::copysign(std::sqrt(square), coordinates_[count_]);
+        for (size_t j = 0; j < count_; ++j) { triangle_(count_, j) = coordinates_[j]; }
+        triangle_(count_, count_) = length;
+        coordinates_[count_] -= length;
+        const double scale = 1.0 / (length * coordinates_[count_]);
+        Numbers& product = rates_;  // which are computed again before they are read
+        std::ranges::fill(product, 0.0);
+        for (size_t j = count_; j < n_; ++j) {
+            for (size_t k = 0; k < n_; ++k) { product[k] += coordinates_[j] * basis_(j, k); }
+        }
+        for (size_t j = count_; j < n_; ++j) {
+            for (size_t k = 0; k < n_; ++k) { basis_(j, k) += scale * coordinates_[j] * product[k]; }
+        }
+        active_[count_] = constraint;
+        ++count_;
+    }
+
+    // Removes one of the active constraints, and makes the triangle one again by plane rotations.
+    void drop(size_t dropped) {
+        --count_;
+        for (size_t j = dropped; j < count_; ++j) {
+            active_[j] = active_[j + 1];
+            for (size_t k = 0; k < j + 2; ++k) { triangle_(j, k) = triangle_(j + 1, k); }
+        }
+        for (size_t j = dropped; j < count_; ++j) {
+            const double length = std::sqrt(triangle_(j, j) * triangle_(j, j) + triangle_(j, j + 1) * triangle_(j, j + 1));
+            const double cos = triangle_(j, j) / length;
+            const double sin = triangle_(j, j + 1) / length;
+            turn_rows(basis_, j, j + 1, cos, -sin);
+            for (size_t k = j; k < count_; ++k) { turn(triangle_(k, j), triangle_(k, j + 1), cos, -sin); }
+        }
+    }
 
     size_t n_;
-    DenseMatrix factor_;               // (n, n) L
-    DenseMatrix normals_;              // (2n, n)
-    DenseMatrix basis_;                // (n, n) P: its first rows span the normals of the active constraints
-    DenseMatrix triangle_;             // (n, n) T: its row j gives the normal of active constraint j in the basis
-    std::vector<double> low_;          // (2n,) bounds, scaled with the normals
-    std::vector<double> high_;         // (2n,)
-    std::vector<double> tolerances_;   // (2n,) relative violation, from which a constraint enters; infinite while it is active
-    std::vector<double> start_;        // (n,) y0
-    std::vector<double> point_;        // (n,) y
-    std::vector<double> coordinates_;  // (n,) in the basis
-    std::vector<double> rates_;  // (n,) at which the multipliers decrease, per increase of that of the entering constraint
-    std::vector<ActiveConstraint> active_;  // (n,), of which the first `count_` count
+    DenseMatrix factor_{n_, n_};  // L
+    DenseMatrix normals_{2 * n_, n_};
+    DenseMatrix basis_{n_, n_};                    // P: its first rows span the normals of the active constraints
+    DenseMatrix triangle_{n_, n_};                 // T: its row j gives the normal of active constraint j in the basis
+    Numbers low_ = Numbers(2 * n_), high_ = low_;  // bounds, scaled with the normals
+    Numbers tolerances_ = Numbers(2 * n_);         // relative violation, from which a constraint enters; infinite while it is active
+    Numbers start_ = Numbers(n_);                  // y0
+    Numbers point_ = Numbers(n_);                  // y
+    Numbers coordinates_ = Numbers(n_);            // in the basis
+    Numbers rates_ = Numbers(n_);                  // at which the multipliers decrease, per increase of that of the entering constraint
+    std::vector<ActiveConstraint> active_;         // (n,), of which the first `count_` count
     size_t count_ = 0;
 };
 

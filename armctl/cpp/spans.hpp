@@ -1,6 +1,7 @@
 // Vectors and matrices of the caller: spans that know their length. A matrix is stored row by row.
 #pragma once
 #include <cstddef>
+#include <cstdint>
 #include <span>
 #include <type_traits>
 
@@ -8,6 +9,15 @@ namespace armctl {
 
 using Vector = std::span<const double>;  // is read
 using Result = std::span<double>;        // is written
+using Integers = std::span<const std::int64_t>;
+
+// A column of a matrix.
+struct Column {
+    const double* data;
+    size_t stride;
+
+    double operator[](size_t row) const { return data[row * stride]; }
+};
 
 template <class Number>
 struct MatrixSpan {
@@ -17,6 +27,8 @@ struct MatrixSpan {
 
     Number& operator()(size_t row, size_t column) const { return data[row * columns + column]; }
     std::span<Number> row(size_t index) const { return {data + index * columns, columns}; }
+    Column column(size_t index) const { return {data + index, columns}; }
+    std::span<Number> numbers() const { return {data, rows * columns}; }
 
     // A matrix that may be written can be read.
     operator MatrixSpan<const Number>() const

@@ -1,56 +1,14 @@
 // The tick loop of a simulation: measure, control, step, record.
 #pragma once
 #include <array>
-#include <cstdint>
-#include <memory>
 #include <mutex>
-#include <string>
-#include <vector>
 
-#include "delay.hpp"
+#include "dynamics.hpp"
 #include "law.hpp"
 #include "motors.hpp"
-#include "mujoco_api.hpp"
-#include "spans.hpp"
-#include "tip_force.hpp"
 #include "wrench_sensor.hpp"
 
 namespace armctl {
-
-// A trajectory on the ticks, (ticks, n) each: rows for a Setpoint.
-struct TickReference {
-    Matrix q;
-    Matrix v;
-    Matrix a;
-    Matrix v_tick;
-    Matrix a_tick;
-
-    Setpoint setpoint(size_t tick) const { return {q.row(tick), v.row(tick), a.row(tick), v_tick.row(tick), a_tick.row(tick)}; }
-};
-
-// Where ticks are recorded.
-struct TickRows {
-    MatrixResult qpos;     // (ticks, nq) of the whole model
-    MatrixResult v;        // (ticks, n) rad/s
-    MatrixResult command;  // (ticks, n) N m
-    MatrixResult torque;   // (ticks, n) N m, what the motors did
-    MatrixResult wrench;   // (ticks, 6) the true wrench; empty if it is not measured
-};
-
-// What disturbs the signals of the ticks of one call. The first row is that of the first tick.
-struct Disturbances {
-    Delay* delay = nullptr;  // null: the motors receive the command itself, and nothing pushes
-    MeasurementNoise noise;
-    Matrix pushes;  // (ticks, 6) N and N m, on the tip; empty for none
-    Result push;    // (6,) the wrench of the last tick, which the loop writes
-};
-
-// Measures the wrench for a law that needs it. The first row is that of the first tick of the call.
-struct TickSensor {
-    WrenchSensor* sensor = nullptr;
-    Vector times;  // (ticks,) s
-    Matrix noise;  // (ticks, 6); empty for none
-};
 
 // The geoms that touch from a row on.
 struct ContactChange {
@@ -62,63 +20,218 @@ enum class TickStatus : std::uint8_t { complete, diverged, not_finite };
 
 struct TickEnd {
     TickStatus status = TickStatus::complete;
-    size_t row = 0;                   // the last one that was begun
-    size_t count = 0;                 // complete rows
-    std::string error = {};           // MuJoCo's message, if it could not make a step
-    std::vector<double> q_seen = {};  // measured in the last row that was begun
-    std::vector<double> v_seen = {};
+    size_t row = 0;          // the last one that was begun
+    size_t count = 0;        // complete rows
+    std::string error = {};  // MuJoCo's message, if it could not make a step
+    Numbers q_seen = {};     // measured in the last row that was begun
+    Numbers v_seen = {};
     std::vector<ContactChange> contacts = {};
 };
 
-struct TickOptions {
-    size_t substeps = 1;          // steps of MuJoCo in a tick
-    double diverged_speed = 0.0;  // rad/s, norm of the velocities from which a simulation counts as diverged
+// The ticks [first, last) of a trajectory, and what they are recorded in. What is not given is empty.
+struct Ticks {
+    Ticks(const Arguments& given, size_t n, size_t nq) : first(given.count("first")), last(given.count("last")) {
+        const size_t ticks = given.length("v_rows");
+        const size_t coming = last - first;
+        q = given.matrix(ticks, n, "q");
+        v = given.matrix(ticks, n, "v");
+        a = given.matrix(ticks, n, "a");
+        v_tick = given.matrix(ticks, n, "v_tick");
+        a_tick = given.matrix(ticks, n, "a_tick");
+        qpos_rows = given.writable_matrix(ticks, nq, "qpos_rows");
+        v_rows = given.writable_matrix(ticks, n, "v_rows");
+        command_rows = given.writable_matrix(ticks, n, "command_rows");
+        torque_rows = given.writable_matrix(ticks, n, "torque_rows");
+        if (first > last || last > ticks) { throw InputError("first, last: they are not rows of the reference"); }
+        if (given.has("wrench_rows")) { wrench_rows = given.writable_matrix(ticks, 6, "wrench_rows"); }
+        if (given.has("noise")) { noise = given.shaped({coming, 2, n}, "noise"); }
+        if (given.has("pushes")) { pushes = given.matrix(coming, 6, "pushes"); }
+        if (given.has("push")) { push = given.writable({6}, "push"); }
+        if (given.has("last_position")) { last_position = given.writable({n}, "last_position"); }
+        if (given.has("times")) { times = given.vector(coming, "times"); }
+        if (given.has("wrench_noise")) { wrench_noise = given.matrix(coming, 6, "wrench_noise"); }
+    }
+
+    size_t first;
+    size_t last;
+    // The trajectory, (ticks, n) each.
+    Matrix q;
+    Matrix v;
+    Matrix a;
+    Matrix v_tick;
+    Matrix a_tick;
+    // The records.
+    MatrixResult qpos_rows;     // (ticks, nq) of the whole model
+    MatrixResult v_rows;        // (ticks, n) rad/s
+    MatrixResult command_rows;  // (ticks, n) N m
+    MatrixResult torque_rows;   // (ticks, n) N m, what the motors did
+    MatrixResult wrench_rows;   // (ticks, 6) the true wrench, if it is measured
+    // What disturbs the signals. The first row is that of the first tick.
+    Vector noise;   // (last - first, 2, n) on measured positions and velocities
+    Matrix pushes;  // (last - first, 6) N and N m, on the tip
+    Result push;    // (6,) the wrench of the last tick, which the loop writes
+    // (n,) of the last tick, NaN at the first one, if measured velocities are differences of positions.
+    Result last_position;
+    Vector times;         // (last - first,) s, for the sensor
+    Matrix wrench_noise;  // (last - first, 6)
+
+    Setpoint setpoint(size_t row) const { return {q.row(row), v.row(row), a.row(row), v_tick.row(row), a_tick.row(row)}; }
 };
 
 // The loop of one simulation. It is used by one thread at a time: a call while another runs throws InputError.
 class TickLoop {
 public:
-    // `pushed_arm` is the arm on whose tip pushes act; its joints are the first ones.
-    TickLoop(std::shared_ptr<const MujocoApi> api, const MujocoSimulation& simulation, std::vector<Motor> motors,
-             std::shared_ptr<const ArmModel> pushed_arm, const TickOptions& options);
+    // `pushed_arm` is the arm on whose tip pushes act; its joints are the first ones. The motors are those of `motors_of`;
+    // `substeps` are the steps of MuJoCo in a tick of `dt` s, `diverged_speed`, rad/s, is the norm of the velocities from which a
+    // simulation counts as diverged.
+    TickLoop(std::shared_ptr<const MujocoApi> api, const MujocoSimulation& simulation, const Model& pushed_arm, const Arguments& given)
+        : api_(std::move(api)), simulation_(simulation), motors_(motors_of(given)), pushed_(pushed_arm), substeps_(given.count("substeps")),
+          dt_(given.number("dt")), diverged_speed_(given.number("diverged_speed")) {
+        check_addresses(motors_, simulation_);
+        if (pushed_arm->n() > joints()) { throw InputError("pushed_arm: it has more joints than the simulation has motors"); }
+    }
 
     size_t joints() const { return motors_.size(); }
     const MujocoSimulation& simulation() const { return simulation_; }
 
-    // Runs the ticks [first, last) with the law. `touching` are the geoms that touch in the row before.
-    TickEnd run(Law& law, const TickReference& reference, const TickRows& rows, size_t first, size_t last,
-                const Disturbances& disturbances, const TickSensor& sensor, std::vector<GeomPair> touching);
+    // Throws InputError if the ticks cannot run with a law, a delay and a sensor, each of which may be null.
+    void check(const Ticks& ticks, const Law& law, const Delay* delay, const WrenchSensor* sensor) const {
+        if (law.joints() != joints()) {
+            throw InputError("law: it is one for " + std::to_string(law.joints()) + " joints, and the simulation has " +
+                             std::to_string(joints()));
+        }
+        if (delay != nullptr && delay->joints() != joints()) { throw InputError("delay: it is one for another number of joints"); }
+        if (ticks.pushes.rows > 0 && (delay == nullptr || ticks.push.empty())) {
+            throw InputError("pushes: they need a delay, and `push`, where the last one is noted");
+        }
+        const bool is_sensed = sensor != nullptr && !ticks.times.empty() && ticks.wrench_rows.rows > 0;
+        if (ticks.first < ticks.last && (law.needs_wrench() || sensor != nullptr) && !is_sensed) {
+            throw InputError("sensor: a law that needs the wrench needs a sensor, the times of the ticks, and wrench_rows");
+        }
+        if (sensor != nullptr && sensor->joints() != joints()) { throw InputError("sensor: it is one for another number of joints"); }
+    }
+
+    // Runs the ticks with the law. Without a delay, the motors receive the command itself, and nothing pushes. The sensor measures
+    // the wrench for a law that needs it. `touching` are the geoms that touch in the row before.
+    TickEnd run(const Ticks& ticks, Law& law, Delay* delay, WrenchSensor* sensor, std::vector<GeomPair> touching) {
+        const std::unique_lock lock(in_use_, std::try_to_lock);
+        if (!lock.owns_lock()) { throw InputError("simulation: another thread runs it; give each thread a simulation of its own"); }
+        Run run{
+            .ticks = ticks,
+            .law = law,
+            .delay = delay,
+            .sensor = sensor,
+            .touching = std::move(touching),
+            .end = {.row = ticks.first, .count = ticks.first},
+        };
+        auto work = [this, &run] { run_ticks(run); };
+        run.end.error = guarded(*api_, work);
+        run.end.q_seen = q_seen_;
+        run.end.v_seen = v_seen_;
+        return std::move(run.end);
+    }
 
 private:
     // What the ticks of one call use. It belongs to `run`, which MuJoCo's errors do not leave.
     struct Run {
+        const Ticks& ticks;
         Law& law;
-        const TickReference& reference;
-        const TickRows& rows;
-        size_t first;
-        size_t last;
-        const Disturbances& disturbances;
-        const TickSensor& sensor;
+        Delay* delay;
+        WrenchSensor* sensor;
         std::vector<GeomPair> touching;
         TickEnd end;
     };
 
-    void run_ticks(Run& run);
-    Vector measured_wrench(Run& run, size_t row);
-    void drive(const Run& run, size_t row);
-    void note_contacts(Run& run, size_t row) const;
+    void run_ticks(Run& run) {
+        const Ticks& ticks = run.ticks;
+        for (size_t row = ticks.first; row < ticks.last; ++row) {
+            run.end.row = row;
+            copy(simulation_.qpos, ticks.qpos_rows.row(row));
+            const double speed = read_joints(motors_, simulation_, q_, ticks.v_rows.row(row));
+            copy(q_, q_seen_);
+            copy(ticks.v_rows.row(row), v_seen_);
+            measure_velocity(ticks.last_position);
+            add_noise(ticks.noise, row - ticks.first, q_seen_, v_seen_);
+            if (!(speed < diverged_speed_)) {
+                run.end.status = TickStatus::diverged;
+                return;
+            }
+            const State state{.q = q_seen_, .v = v_seen_, .wrench = measured_wrench(run, row)};
+            run.law.torque(state, ticks.setpoint(row), tau_);
+            copy(tau_, ticks.command_rows.row(row));
+            if (!std::ranges::all_of(tau_, [](double torque) { return std::isfinite(torque); })) {
+                run.end.status = TickStatus::not_finite;
+                return;
+            }
+            drive(run, row);
+            for (size_t k = 0; k < substeps_; ++k) { api_->step(simulation_.model, simulation_.data); }
+            read_torques(motors_, simulation_, ticks.torque_rows.row(row));
+            run.end.count = row + 1;
+            note_contacts(run, row);
+        }
+    }
+
+    // Replaces the true velocity by the difference of positions over the last tick.
+    void measure_velocity(Result last_position) {
+        for (size_t i = 0; i < last_position.size(); ++i) {
+            if (!std::isnan(last_position[i])) { v_seen_[i] = (q_[i] - last_position[i]) / dt_; }
+            last_position[i] = q_[i];
+        }
+    }
+
+    // The wrench for the law, (6,), and the true one for its row; empty without a sensor.
+    Vector measured_wrench(const Run& run, size_t row) {
+        if (run.sensor == nullptr) { return {}; }
+        const Ticks& ticks = run.ticks;
+        const size_t tick = row - ticks.first;
+        read_torques(motors_, simulation_, tau_);
+        const WrenchSignals signals{
+            .t = ticks.times[tick],
+            .q = q_seen_,
+            .v = v_seen_,
+            .tau = tau_,
+            .noise = ticks.wrench_noise.rows > 0 ? ticks.wrench_noise.row(tick) : Vector(),
+            .push = ticks.push,
+        };
+        Wrench truth;
+        run.sensor->measure(signals, truth).store(wrench_);
+        truth.store(ticks.wrench_rows.row(row));
+        return wrench_;
+    }
+
+    // Sets the controls of the motors from the commanded torque, and the forces of pushes.
+    void drive(const Run& run, size_t row) {
+        command_motors(motors_, run.delay == nullptr ? Vector(tau_) : run.delay->delayed(tau_), simulation_);
+        if (run.delay == nullptr || run.ticks.pushes.rows == 0) { return; }
+        const Vector push = run.ticks.pushes.row(row - run.ticks.first);
+        const Result torque = Result(tau_).first(pushed_.model().n());  // the command is recorded already
+        pushed_.tip_force(Vector(q_).first(torque.size()), push, torque);
+        for (size_t i = 0; i < torque.size(); ++i) { simulation_.qfrc_applied[motors_[i].dof] = torque[i]; }
+        copy(push, run.ticks.push);
+    }
+
+    // Notes the geoms that touch, if they changed.
+    void note_contacts(Run& run, size_t row) const {
+        const Contacts contacts(api_->contacts, simulation_.data);
+        bool is_same = contacts.count() == run.touching.size();
+        for (size_t k = 0; is_same && k < contacts.count(); ++k) { is_same = contacts.geoms(k) == run.touching[k]; }
+        if (is_same) { return; }
+        run.touching.resize(contacts.count());
+        for (size_t k = 0; k < contacts.count(); ++k) { run.touching[k] = contacts.geoms(k); }
+        run.end.contacts.push_back({row, run.touching});
+    }
+
+    Numbers zeros() const { return Numbers(joints()); }
 
     std::shared_ptr<const MujocoApi> api_;
     MujocoSimulation simulation_;
-    std::vector<Motor> motors_;
-    TipForce pushed_;
-    TickOptions options_;
+    Motors motors_;
+    Dynamics pushed_;
+    size_t substeps_;
+    double dt_;
+    double diverged_speed_;
     std::mutex in_use_;
-    // Scratch memory, (n,) each.
-    std::vector<double> q_;
-    std::vector<double> q_seen_;
-    std::vector<double> v_seen_;
-    std::vector<double> tau_;
+    Numbers q_ = zeros(), q_seen_ = zeros(), v_seen_ = zeros(), tau_ = zeros();
     std::array<double, 6> wrench_{};
 };
 

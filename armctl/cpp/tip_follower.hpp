@@ -4,13 +4,7 @@
 // least-norm solution based scheme for avoiding joint limits", IEEE Trans. Robotics and Automation 11(2), 1995) by Runge and
 // Kutta's fourth-order rule, and Newton's method brings the tip back onto the path at each step.
 #pragma once
-#include <array>
-#include <memory>
-#include <vector>
-
 #include "dynamics.hpp"
-#include "spans.hpp"
-#include "vectors.hpp"
 
 namespace armctl {
 
@@ -25,49 +19,137 @@ class TipFollower {
 public:
     // The ranges of the joints, (n,) each; a joint without bounds has infinite ones. Where a path leaves joints free, they go
     // to the middle of their ranges at the rate `centering`. An oriented path prescribes the tip's orientation too.
-    TipFollower(const std::shared_ptr<const ArmModel>& model, Vector q_min, Vector q_max, double centering, bool oriented);
+    TipFollower(const Model& model, Vector q_min, Vector q_max, double centering, bool oriented)
+        : dynamics_(model), centering_(centering), square_(oriented ? 6 : 3, oriented ? 6 : 3), velocity_(model->n()), change_(model->n()) {
+        for (size_t i = 0; i < model->n(); ++i) {
+            const bool is_bounded = std::isfinite(q_min[i]) && std::isfinite(q_max[i]) && q_max[i] > q_min[i];
+            ranges_.push_back(is_bounded ? JointRange{q_min[i], q_max[i] - q_min[i]} : JointRange{0.0, 0.0});
+        }
+    }
 
     size_t n() const { return ranges_.size(); }
 
     // How many numbers a twist has: 6, or 3 where only the point is followed.
-    size_t rows() const { return rows_; }
+    size_t rows() const { return square_.rows(); }
 
     // The joint velocities (n,) that make a twist of the tip at q (n,).
-    void slope(Vector q, Vector twist, Result v);
+    void slope(Vector q, Vector twist, Result v) {
+        dynamics_.locate(q);
+        const Result x = Result(twist_).first(rows());
+        copy(twist, x);
+        if (centering_ > 0.0) {
+            const Matrix J = dynamics_.tip_jacobian();
+            for (size_t i = 0; i < n(); ++i) {
+                for (size_t r = 0; r < rows(); ++r) { x[r] -= J(r, i) * centering_speed(i, q[i]); }
+            }
+        }
+        least_velocities(q, x, v);
+        if (centering_ > 0.0) {
+            for (size_t i = 0; i < n(); ++i) { v[i] += centering_speed(i, q[i]); }
+        }
+    }
 
     // Moves the joints from q (n,), where they have a slope (n,), a step along the path. `halfway` is the twist half a step
     // further. Returns whether the tip arrives.
-    bool step(Vector q, Vector slope_here, double length, Vector halfway, const PathPoint& end, Result moved);
+    bool step(Vector q, Vector slope_here, double length, Vector halfway, const PathPoint& end, Result moved) {
+        const Result v = velocity_;
+        std::ranges::fill(change_, 0.0);
+        copy(slope_here, v);
+        for (int stage = 0; stage < 4; ++stage) {
+            const bool is_inner = stage == 1 || stage == 2;
+            const double weight = is_inner ? 2.0 : 1.0;
+            for (size_t i = 0; i < n(); ++i) { change_[i] += length / 6.0 * weight * v[i]; }
+            if (stage == 3) { break; }
+            const bool reaches_end = stage == 2;
+            for (size_t i = 0; i < n(); ++i) { moved[i] = q[i] + (reaches_end ? 1.0 : 0.5) * length * v[i]; }
+            slope(moved, reaches_end ? end.twist : halfway, v);
+        }
+        for (size_t i = 0; i < n(); ++i) {
+            if (!(std::abs(change_[i]) <= max_change)) { return false; }
+            moved[i] = q[i] + change_[i];
+        }
+        const Result missing = Result(twist_).first(rows());
+        for (int iteration = 0; iteration < max_newton_iterations; ++iteration) {
+            dynamics_.locate(moved);
+            if (error(end.pose, missing) < newton_tolerance) { return true; }
+            least_velocities(moved, missing, v);
+            for (size_t i = 0; i < n(); ++i) { moved[i] += v[i]; }
+        }
+        return false;
+    }
 
     // How far the tip at q (n,) is from a pose, m and rad.
-    double distance(Vector q, const Pose& goal);
+    double distance(Vector q, const Pose& goal) {
+        dynamics_.locate(q);
+        return error(goal, Result(twist_).first(rows()));
+    }
 
 private:
+    static constexpr double max_change = 0.08;  // rad (m), of any joint in one step: four times as far as a step is meant to go
+    static constexpr int max_newton_iterations = 8;
+    static constexpr double newton_tolerance = 1e-10;  // m and rad
+    static constexpr double damping = 1e-12;           // of the pseudo-inverse
+    static constexpr double min_room = 1e-3;           // of a joint at a limit; in the middle of its range it is 1
+
     struct JointRange {
         double low;
         double width;  // 0 for a joint without bounds
 
         double middle() const { return low + 0.5 * width; }
-        double room(double q) const;
+
+        // 1 in the middle of the range, less near its ends.
+        double room(double q) const {
+            if (width == 0.0) { return 1.0; }
+            const double share = (q - low) / width;
+            return std::max(4.0 * share * (1.0 - share), min_room);
+        }
     };
 
-    double centering_speed(size_t joint, double q) const;
-    void least_velocities(Vector q, Result twist, Result v);
-    double error(const Pose& goal, Result twist) const;
+    // How fast a joint goes to the middle of its range if nothing else moves it.
+    double centering_speed(size_t joint, double q) const {
+        const JointRange& range = ranges_[joint];
+        return range.width == 0.0 ? 0.0 : centering_ * (range.middle() - q);
+    }
+
+    // The least joint velocities that make a twist, at the located joints; a joint near its limits counts for more. `twist` is
+    // replaced.
+    void least_velocities(Vector q, Result twist, Result v) {
+        const Matrix J = dynamics_.tip_jacobian();
+        for (size_t r = 0; r < rows(); ++r) {
+            for (size_t c = 0; c <= r; ++c) {
+                square_(r, c) = 0.0;
+                for (size_t i = 0; i < n(); ++i) { square_(r, c) += ranges_[i].room(q[i]) * J(r, i) * J(c, i); }
+            }
+            square_(r, r) += damping;
+        }
+        factorize(square_);
+        solve(square_, twist);
+        for (size_t i = 0; i < n(); ++i) { v[i] = ranges_[i].room(q[i]) * dot(J.column(i), twist); }
+    }
+
+    // Fills the twist (3,) or (6,) that takes the tip, at the located joints, to a pose, and returns its length.
+    double error(const Pose& goal, Result twist) const {
+        const Pose tip = dynamics_.tip();
+        const Vec3 angular = rows() == 6 ? rotation_vector(tip.rotation, goal.rotation) : Vec3();
+        copy(Vector(numbers({goal.translation - tip.translation, angular})).first(rows()), twist);
+        return std::sqrt(dot(twist, twist));
+    }
 
     Dynamics dynamics_;
     std::vector<JointRange> ranges_;
     double centering_;
-    size_t rows_;
-    // Scratch memory: the tip's Jacobian (6, n), its weighted square, a twist, and changes of the joints (n,).
-    std::vector<double> jacobian_;
-    std::array<double, 36> square_;
-    std::array<double, 6> twist_;
-    std::vector<double> velocity_;
-    std::vector<double> change_;
+    DenseMatrix square_;  // of the tip's Jacobian, weighted
+    std::array<double, 6> twist_{};
+    Numbers velocity_, change_;  // (n,)
 };
 
 // The twists (T, 6) of the tip, linear first, world axes, at positions and velocities (T, n).
-void tip_twists(Dynamics& dynamics, Matrix q, Matrix v, MatrixResult twists);
+inline void tip_twists(Dynamics& dynamics, Matrix q, Matrix v, MatrixResult twists) {
+    for (size_t k = 0; k < q.rows; ++k) {
+        dynamics.locate(q.row(k));
+        const Matrix J = dynamics.tip_jacobian();
+        for (size_t r = 0; r < 6; ++r) { twists(k, r) = dot(J.row(r), v.row(k)); }
+    }
+}
 
 }  // namespace armctl

@@ -3,6 +3,7 @@
 // Additions run from left to right, as written in the formulas. Together with -ffp-contract=off this gives the same bits on
 // every compiler.
 #pragma once
+#include <array>
 #include <cmath>
 
 #include "spans.hpp"
@@ -13,6 +14,12 @@ struct Vec3 {
     double x = 0.0;
     double y = 0.0;
     double z = 0.0;
+
+    void store(Result numbers) const {
+        numbers[0] = x;
+        numbers[1] = y;
+        numbers[2] = z;
+    }
 };
 
 inline Vec3 operator+(Vec3 a, Vec3 b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
@@ -55,21 +62,15 @@ struct Rotation {
     // From the nine numbers of a rotation matrix, row by row.
     static Rotation from_rows(Vector m) { return {{m[0], m[3], m[6]}, {m[1], m[4], m[7]}, {m[2], m[5], m[8]}}; }
 
-    void to_rows(Result m) const {
-        m[0] = x.x;
-        m[1] = y.x;
-        m[2] = z.x;
-        m[3] = x.y;
-        m[4] = y.y;
-        m[5] = z.y;
-        m[6] = x.z;
-        m[7] = y.z;
-        m[8] = z.z;
-    }
-
     Vec3 row_x() const { return {x.x, y.x, z.x}; }
     Vec3 row_y() const { return {x.y, y.y, z.y}; }
     Vec3 row_z() const { return {x.z, y.z, z.z}; }
+
+    void to_rows(Result m) const {
+        row_x().store(m);
+        row_y().store(m.subspan(3));
+        row_z().store(m.subspan(6));
+    }
 
     // A vector of this frame, in the frame around it: R a.
     Vec3 operator*(Vec3 a) const { return {dot(row_x(), a), dot(row_y(), a), dot(row_z(), a)}; }
@@ -118,6 +119,14 @@ struct Twist {
     Vec3 angular;
 };
 
+inline double dot(const Twist& a, const Twist& b) {
+    return dot(a.linear, b.linear) + a.angular.x * b.angular.x + a.angular.y * b.angular.y + a.angular.z * b.angular.z;
+}
+
+inline std::array<double, 6> numbers(const Twist& twist) {
+    return {twist.linear.x, twist.linear.y, twist.linear.z, twist.angular.x, twist.angular.y, twist.angular.z};
+}
+
 struct Quaternion {
     double w = 1.0;
     double x = 0.0;
@@ -126,6 +135,29 @@ struct Quaternion {
 };
 
 // The unit quaternion, w >= 0, of a rotation by Shepperd's method: the largest component is found first.
-Quaternion quaternion(const Rotation& R);
+inline Quaternion quaternion(const Rotation& R) {
+    const double trace = R.x.x + R.y.y + R.z.z;
+    Quaternion quat;
+    if (trace >= R.x.x && trace >= R.y.y && trace >= R.z.z) {
+        quat = {1.0 + trace, R.y.z - R.z.y, R.z.x - R.x.z, R.x.y - R.y.x};
+    } else if (R.x.x >= R.y.y && R.x.x >= R.z.z) {
+        quat = {R.y.z - R.z.y, 1.0 + R.x.x - R.y.y - R.z.z, R.x.y + R.y.x, R.x.z + R.z.x};
+    } else if (R.y.y >= R.z.z) {
+        quat = {R.z.x - R.x.z, R.y.x + R.x.y, 1.0 + R.y.y - R.z.z - R.x.x, R.y.z + R.z.y};
+    } else {
+        quat = {R.x.y - R.y.x, R.z.x + R.x.z, R.z.y + R.y.z, 1.0 + R.z.z - R.x.x - R.y.y};
+    }
+    double scale = 1.0 / std::sqrt(quat.w * quat.w + quat.x * quat.x + quat.y * quat.y + quat.z * quat.z);
+    if (quat.w < 0.0) { scale = -scale; }
+    return {quat.w * scale, quat.x * scale, quat.y * scale, quat.z * scale};
+}
+
+// The rotation vector, rad, of at most half a turn, in the axes around them, that turns one orientation to another.
+inline Vec3 rotation_vector(const Rotation& from, const Rotation& to) {
+    const Quaternion turn = quaternion({to * from.row_x(), to * from.row_y(), to * from.row_z()});  // of to from^T
+    const double sine = std::sqrt(turn.x * turn.x + turn.y * turn.y + turn.z * turn.z);
+    const double scale = sine > 0.0 ? 2.0 * std::atan2(sine, turn.w) / sine : 2.0;
+    return {scale * turn.x, scale * turn.y, scale * turn.z};
+}
 
 }  // namespace armctl

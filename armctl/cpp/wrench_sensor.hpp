@@ -1,17 +1,13 @@
 // The wrench of the environment on the tip of an arm, true or as a sensor measures it: with noise and delay, by a flange sensor
 // or from the torques of the motors.
 #pragma once
-#include <array>
 #include <limits>
-#include <memory>
 #include <optional>
-#include <span>
-#include <vector>
 
 #include "dynamics.hpp"
+#include "errors.hpp"
+#include "law.hpp"
 #include "mujoco_api.hpp"
-#include "spans.hpp"
-#include "vectors.hpp"
 
 namespace armctl {
 
@@ -20,61 +16,20 @@ struct Wrench {
     Vec3 force;   // N
     Vec3 moment;  // N m
 
-    void store(Result numbers) const;
-};
+    void store(Result numbers) const {
+        force.store(numbers);
+        moment.store(numbers.subspan(3));
+    }
 
-inline Wrench& operator+=(Wrench& a, const Wrench& b) {
-    a.force += b.force;
-    a.moment += b.moment;
-    return a;
-}
+    Wrench& operator+=(const Wrench& other) {
+        force += other.force;
+        moment += other.moment;
+        return *this;
+    }
+};
 
 // A wrench from (6,) numbers, force first.
 inline Wrench wrench_of(Vector numbers) { return {vec3(numbers.first(3)), vec3(numbers.subspan(3, 3))}; }
-
-// Where the wrench acts.
-struct WrenchSite {
-    size_t joints = 0;           // of the arm
-    std::vector<size_t> bodies;  // behind the arm's last joint
-    size_t root = 0;             // body of the tree
-    size_t tip = 0;              // body
-    Vec3 offset;                 // m, of the tip in its body
-    bool is_connected = false;   // equalities act on bodies of the model
-};
-
-// How a wrench is measured.
-struct WrenchMeasurement {
-    double dt = 0.0;          // s, the tick
-    size_t delay = 0;         // ticks
-    bool is_sampled = false;  // noise, delay or an estimate: the measurement differs from the true wrench
-};
-
-// The wrench on the tip from torques and motion of the joints, w = J^-T LP[ID(q, v, (v_next - v) / dt) - tau].
-//
-// After De Luca, Mattone, "Sensorless robot collision detection and hybrid force/motion control" (2005), with the discrete
-// inverse dynamics of the nominal model. Errors of the model, such as friction and payloads, appear as forces.
-class WrenchEstimate {
-public:
-    // rows: 3 for the force only, 6 for force and moment.
-    WrenchEstimate(std::shared_ptr<const ArmModel> model, double dt, size_t rows);
-
-    void reset();
-
-    // The wrench at time t, s, from measured positions and velocities and the torques of the last tick, (n,) each.
-    Wrench update(double t, Vector q, Vector v, Vector tau);
-
-private:
-    Dynamics dynamics_;
-    double dt_;
-    size_t rows_;
-    double last_t_ = std::numeric_limits<double>::quiet_NaN();
-    std::vector<double> last_q_;
-    std::vector<double> last_v_;
-    std::vector<double> filtered_;
-    std::vector<double> acceleration_;
-    std::vector<double> needed_;
-    std::vector<double> jacobian_;  // (6, n)
-};
 
 // What a sensor is given at a tick.
 struct WrenchSignals {
@@ -86,23 +41,107 @@ struct WrenchSignals {
     Vector push;     // (6,) the wrench of the plant's pushes; empty for none
 };
 
+// The wrench on the tip from torques and motion of the joints, w = J^-T LP[ID(q, v, (v_next - v) / dt) - tau].
+//
+// After De Luca, Mattone, "Sensorless robot collision detection and hybrid force/motion control" (2005), with the discrete
+// inverse dynamics of the nominal model. Errors of the model, such as friction and payloads, appear as forces.
+class WrenchEstimate {
+public:
+    // rows: 3 for the force only, 6 for force and moment.
+    WrenchEstimate(const Model& model, double dt, size_t rows) : dynamics_(model), dt_(dt), J_(6, model->n()), rotations_(rows, rows) {}
+
+    void reset() { last_t_ = std::numeric_limits<double>::quiet_NaN(); }
+
+    Wrench update(const WrenchSignals& signals) {
+        const size_t rows = rotations_.rows();
+        const bool follows = std::abs(signals.t - last_t_ - dt_) <= 0.5 * dt_;
+        if (follows) {
+            for (size_t i = 0; i < last_v_.size(); ++i) { acceleration_[i] = (signals.v[i] - last_v_[i]) / dt_; }
+            dynamics_.inverse_dynamics(last_q_, last_v_, acceleration_, needed_);
+            dynamics_.add_friction(last_v_, acceleration_, needed_);
+            for (size_t i = 0; i < needed_.size(); ++i) {
+                filtered_[i] += low_pass_weight(bandwidth, dt_) * (needed_[i] - signals.tau[i] - filtered_[i]);
+            }
+        } else {
+            std::ranges::fill(filtered_, 0.0);
+        }
+        last_t_ = signals.t;
+        copy(signals.q, last_q_);
+        copy(signals.v, last_v_);
+        dynamics_.locate(signals.q);
+        J_.set(dynamics_.tip_jacobian());
+        std::array<double, 6> wrench{};
+        solve_least_squares({J_.numbers().data(), rows, J_.columns()}, filtered_, rotations_, wrench);
+        return wrench_of(wrench);
+    }
+
+private:
+    static constexpr double bandwidth = 200.0;  // rad/s of the low-pass
+
+    Numbers zeros() const { return Numbers(J_.columns()); }
+
+    Dynamics dynamics_;
+    double dt_;
+    double last_t_ = std::numeric_limits<double>::quiet_NaN();
+    DenseMatrix J_, rotations_;
+    Numbers last_q_ = zeros(), last_v_ = zeros(), filtered_ = zeros(), acceleration_ = zeros(), needed_ = zeros();
+};
+
 class WrenchSensor {
 public:
-    // `estimate` is empty if a flange sensor measures the wrench.
-    WrenchSensor(std::shared_ptr<const MujocoApi> api, const MujocoSimulation& simulation, WrenchSite site,
-                 WrenchMeasurement measurement, std::optional<WrenchEstimate> estimate);
+    // `bodies` are those behind the arm's last joint, `root` is the body of the tree, `tip` that of the tip, which has an `offset`
+    // (3,) m there; `is_connected` if equalities act on bodies of the model. `dt` s is the tick, `delay` the ticks after which the
+    // sensor gives a wrench; `is_sampled` if noise, delay or an estimate makes the measurement differ from the true wrench.
+    // `estimated` numbers of the wrench follow from the torques of the motors; 0 if a flange sensor measures it.
+    WrenchSensor(std::shared_ptr<const MujocoApi> api, const MujocoSimulation& simulation, const Model& arm, const Arguments& given)
+        : api_(std::move(api)), simulation_(simulation), joints_(arm->n()), root_(given.count("root")), tip_(given.count("tip")),
+          offset_(vec3(given.vector(3, "offset"))), is_connected_(given.flag("is_connected")), is_sampled_(given.flag("is_sampled")),
+          // Those of the delay, the newest one, and one in reserve: a rounding error may keep a sample a tick longer.
+          max_age_((given.number("delay") + 0.5) * given.number("dt")), samples_(given.count("delay") + 2) {
+        for (const std::int64_t body : given.integers(given.length("bodies"), "bodies")) { bodies_.push_back(static_cast<size_t>(body)); }
+        const size_t count = simulation.xpos.rows;
+        const bool are_bodies = std::ranges::all_of(bodies_, [count](size_t body) { return body < count; });
+        if (!are_bodies || root_ >= count || tip_ >= count) { throw InputError("site: the model has no such body"); }
+        const size_t estimated = given.count("estimated");
+        if (estimated != 0 && estimated != 3 && estimated != 6) { throw InputError("estimated: need 0, 3 or 6"); }
+        if (estimated > 0) { estimate_.emplace(arm, given.number("dt"), estimated); }
+    }
 
-    // The number of joints of the arm.
-    size_t joints() const { return site_.joints; }
+    size_t joints() const { return joints_; }
 
     // Forgets all measurements.
-    void reset();
+    void reset() {
+        count_ = 0;
+        if (estimate_) { estimate_->reset(); }
+    }
 
     // The true wrench: of contacts, connections, applied forces and pushes.
-    Wrench read(Vector push) const;
+    Wrench read(Vector push) const {
+        Wrench wrench;
+        if (is_loaded()) {
+            api_->rne_post_constraint(simulation_.model, simulation_.data);
+            wrench = external_wrench();
+        }
+        if (!push.empty()) { wrench += wrench_of(push); }
+        return wrench;
+    }
 
     // What the sensor gives at this tick, the same until the next one. Sets `truth` to the true wrench.
-    Wrench measure(const WrenchSignals& signals, Wrench& truth);
+    Wrench measure(const WrenchSignals& signals, Wrench& truth) {
+        truth = read(signals.push);
+        if (!is_sampled_) { return truth; }
+        if (count_ == 0 || sample(count_ - 1).t != signals.t) {
+            // The caller's ticks may be shorter than those of the sensor.
+            if (count_ == samples_.size()) { forget_oldest(); }
+            Sample& newest = sample(count_);
+            ++count_;
+            newest.t = signals.t;
+            newest.wrench = estimate_ ? estimate_->update(signals) : truth;
+            if (!signals.noise.empty()) { newest.wrench += wrench_of(signals.noise); }
+        }
+        while (count_ > 1 && sample(0).t < signals.t - max_age_) { forget_oldest(); }
+        return sample(0).wrench;
+    }
 
 private:
     struct Sample {
@@ -110,15 +149,46 @@ private:
         Wrench wrench;
     };
 
-    bool is_loaded() const;
-    Wrench external_wrench() const;
+    bool is_loaded() const {
+        if (is_connected_ || Contacts(api_->contacts, simulation_.data).count() != 0) { return true; }
+        const Matrix& applied = simulation_.xfrc_applied;
+        return std::ranges::any_of(Vector(applied.data, applied.rows * applied.columns), [](double force) { return force != 0.0; });
+    }
+
+    // The sum of MuJoCo's external forces on the bodies behind the last joint. Forces between two of the bodies, such as two
+    // fingers, cancel.
+    Wrench external_wrench() const {
+        Wrench wrench;
+        for (const size_t body : bodies_) {
+            const Wrench external = wrench_of(simulation_.cfrc_ext.row(body));  // torque first, about the center of mass of the tree
+            wrench += {.force = external.moment, .moment = external.force};
+        }
+        const Rotation rotation = Rotation::from_rows(simulation_.xmat.row(tip_));
+        Vec3 lever = vec3(simulation_.xpos.row(tip_)) - vec3(simulation_.subtree_com.row(root_));
+        lever += offset_.x * rotation.x;
+        lever += offset_.y * rotation.y;
+        lever += offset_.z * rotation.z;
+        wrench.moment -= cross(lever, wrench.force);
+        return wrench;
+    }
+
     Sample& sample(size_t age_rank) { return samples_[(oldest_ + age_rank) % samples_.size()]; }
-    void forget_oldest();
+
+    void forget_oldest() {
+        oldest_ = (oldest_ + 1) % samples_.size();
+        --count_;
+    }
 
     std::shared_ptr<const MujocoApi> api_;
     MujocoSimulation simulation_;
-    WrenchSite site_;
-    WrenchMeasurement measurement_;
+    size_t joints_;
+    std::vector<size_t> bodies_;
+    size_t root_;
+    size_t tip_;
+    Vec3 offset_;
+    bool is_connected_;
+    bool is_sampled_;
+    double max_age_;  // s, of the sample that the sensor gives
     std::optional<WrenchEstimate> estimate_;
     std::vector<Sample> samples_;  // ring buffer
     size_t oldest_ = 0;

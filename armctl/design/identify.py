@@ -105,6 +105,8 @@ def _read_log(arm: Arm, log: Log | str | os.PathLike[str]) -> Log:
     duration = len(log) * log.dt
     if duration < _MIN_DURATION_S:
         raise InputError(f"log: expected at least {_MIN_DURATION_S:g} s, got {duration:.2f} s")
+    if len(log) and np.isnan(log.tau).all():
+        raise InputError("log: tau: the robot measured no torque; identify needs that of torque sensors")
     for name in ("q", "tau"):
         if not np.isfinite(getattr(log, name)).all():
             raise InputError(f"log: {name}: a number is not finite")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import replace
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -13,7 +15,9 @@ from armctl.core.errors import InputError
 from armctl.core.validation import Array, integer, number
 from armctl.design.loop import MAX_DELAY_TICKS, Loop
 from armctl.design.state_space import StateSpace, linear_controller
+from armctl.mjmodel.dc_motor import current_state, remove_bristles
 from armctl.robot.arm import Arm, check_arm
+from armctl.sim.drivetrain import drivetrain_of, motors_of
 from armctl.sim.move import read_controller
 from armctl.sim.plant import Plant, read_plant
 
@@ -27,17 +31,63 @@ _SWITCHED_OFF = (
 )
 
 
+class LinearArm(NamedTuple):
+    """An arm at rest at a configuration, linear in small deviations, over one control period.
+
+    The state x has the positions and velocities of the joints: x[k + 1] = A x[k] + B tau[k]. Those of the springs of elastic
+    joints, the currents of motors and the commands on their way through an actuator's delay follow, if there are any.
+
+    Attributes:
+        A: (k, k), k = 2n for a rigid arm with ideal motors.
+        B: (k, n).
+        holding_torque: (n,) N m that holds the arm still; tau is the deviation from it.
+        dt: s, the control period.
+        C: (2n, k), positions and velocities where they are measured.
+        push: (k, n), of torques on the links instead of tau.
+        position: (n, k), positions of the links.
+    """
+
+    A: Array
+    B: Array
+    holding_torque: Array
+    dt: float
+    C: Array
+    push: Array
+    position: Array
+
+
+def linear_arm(arm: Arm, q: ArrayLike, plant: Plant | None = None) -> LinearArm:
+    """Linearizes an arm without a controller, for the design of controllers of your own.
+
+    The arm is differentiated through one control period of the simulation, in which the torque is held: with the springs of
+    elastic joints, the windings of motors and the delays of actuators. Contacts, limits, dry friction and gaps are left out.
+
+    Args:
+        q: (n,) rad, the configuration.
+        plant: How the simulated arm differs from the model; by default it does not.
+
+    Returns:
+        A, B, the torque that holds the arm, the control period, and what is measured.
+
+    Raises:
+        InputError: An argument has a wrong type, length or value.
+        LimitError: A position outside the limits.
+    """
+    check_arm(arm)
+    return Linearizer(arm, read_plant(plant)).arm_at(arm.checked("q", q))
+
+
 def linearize(arm: Arm, controller: Controller | str, q: ArrayLike, plant: Plant | None = None, delay: float = 0.0) -> Loop:
     """Linearizes the loop of an arm and a controller that holds it at a configuration.
 
-    The arm is differentiated through one control period of the simulation. The controller can be any object with a method
+    The arm is that of `linear_arm`. The controller can be any object with a method
     `torque(state, setpoint)`: its linear model, memory included, follows from its responses to small impulses.
 
     Args:
         controller: A controller or its name. Its own memory does not change if it can be copied.
         q: (n,) rad, the configuration.
-        plant: How the simulated arm differs from the model; by default it does not. Its noise, pushes and dry friction
-            have no effect.
+        plant: How the simulated arm differs from the model; by default it does not. Its noise, pushes, dry friction, gaps and
+            the steps of encoders have no effect; jitter counts as the greatest delay.
         delay: s of delay between controller and motors besides that of the plant; a whole number of control periods.
 
     Returns:
@@ -56,69 +106,170 @@ def linearize(arm: Arm, controller: Controller | str, q: ArrayLike, plant: Plant
 
 def loop_at(arm: Arm, controller: Controller, q: Array, plant: Plant, delay: float = 0.0) -> Loop:
     """`linearize` for checked arguments."""
-    dt = arm.dt if plant.timestep is None else plant.timestep
-    ticks = round(delay / dt)
-    if abs(delay / dt - ticks) > _WHOLE_TICK_TOLERANCE:
-        raise InputError(f"delay: expected a whole number of control periods of {dt:g} s, got {delay:g} s")
-    linear = _linear_arm(arm, plant, q, dt)
-    return Loop(
-        robot=arm.name,
-        controller=controller_name(controller),
-        plant=str(plant),
-        joint_names=arm.joint_names,
-        q=q,
-        dt=dt,
-        delay=integer("delay", plant.delay + ticks, 0, MAX_DELAY_TICKS),
-        holding_torque=linear.holding_torque,
-        _arm=linear.system,
-        _law=linear_controller(arm, controller, q, dt, plant.continuous),
-        _tip_jacobian=arm.jacobian(q)[:3],
-    )
+    return Linearizer(arm, plant).loop_at(controller, q, delay)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _LinearArm:
-    """A plant around rest at a configuration, and the torque (n,) that holds it there."""
+class Linearizer:
+    """Linearizes one plant at many configurations; a copy of a model with meshes takes longer than the rest."""
 
-    system: StateSpace
-    holding_torque: Array
+    def __init__(self, arm: Arm, plant: Plant):
+        self.arm = arm
+        self.plant = plant
+        self.dt = arm.dt if plant.timestep is None else plant.timestep
+        plant = replace(plant, backlash=0.0, friction="coulomb")  # gaps and bristles are left out as dry friction is
+        model = plant.model(arm)
+        for bit in _SWITCHED_OFF:
+            model.opt.disableflags |= int(bit)
+        model.actuator_ctrllimited[:] = 0
+        model.actuator_forcelimited[:] = 0
+        model.jnt_actfrclimited[:] = 0
+        remove_bristles(model)
+        self._model = model
+        self._data = mujoco.MjData(model)
+        self._substeps = round(self.dt / model.opt.timestep)
+        self._train = drivetrain_of([arm], plant)
+        self._spring_qpos = model.jnt_qposadr[self._train.extra_joints]
+        self._spring_dofs = model.jnt_dofadr[self._train.extra_joints]
+        motors = motors_of(model, arm.actuation)
+        currents = [current_state(model, motor) for motor in motors]
+        self._states = np.array([address for address in currents if address >= 0], dtype=int)
+        longest = float(model.actuator_delay[motors].max())
+        self._past_torques = math.ceil(longest / self.dt - _WHOLE_TICK_TOLERANCE)
 
+    def arm_at(self, q: Array) -> LinearArm:
+        """The arm at rest at q."""
+        n = self.arm.n
+        past = self._past_torques
+        holding = self._rest_at(q)
+        x = self._state()
+        size = len(x)
+        columns = []
+        for i in range(size + (2 + past) * n):
+            step = _POSITION_STEP if i < size else _TORQUE_STEP * self.arm.limits.tau_max[(i - size) % n]
+            change = np.zeros(size + (2 + past) * n)
+            change[i] = step
+            later = self._after_tick(x + change[:size], holding, change[size:])
+            columns.append((later - self._after_tick(x - change[:size], holding, -change[size:])) / (2 * step))
+        jacobian = np.array(columns).T
+        # Columns: the state, torques on the links, the commanded torque, and those of the ticks before.
+        A = np.zeros((size + past * n, size + past * n))
+        A[:size, :size] = jacobian[:, :size]
+        A[:size, size:] = jacobian[:, size + 2 * n :]
+        A[size + n :, size:-n] = np.eye(max(past - 1, 0) * n)
+        B = np.zeros((len(A), n))
+        B[:size] = jacobian[:, size + n : size + 2 * n]
+        B[size : size + n] = np.eye(n) if past else 0.0
+        push = np.zeros_like(B)
+        push[:size] = jacobian[:, size : size + n]
+        links, motors = self._sides(len(A))
+        measured = links if self.plant.encoder_side == "link" else motors
+        return LinearArm(A, B, holding, self.dt, measured, push, links[:n])
 
-def _linear_arm(arm: Arm, plant: Plant, q: Array, dt: float) -> _LinearArm:
-    """One control period of the plant at rest at q: from torques (n) to positions and velocities (2n)."""
-    n = arm.n
-    model = plant.model(arm)
-    for bit in _SWITCHED_OFF:
-        model.opt.disableflags |= int(bit)
-    model.actuator_ctrllimited[:] = 0
-    model.actuator_forcelimited[:] = 0
-    model.jnt_actfrclimited[:] = 0
-    data = mujoco.MjData(model)
-    substeps = round(dt / model.opt.timestep)
+    def loop_at(self, controller: Controller, q: Array, delay: float = 0.0) -> Loop:
+        """The loop of the plant and a controller at q, with s of further delay."""
+        arm = self.arm
+        ticks = round(delay / self.dt)
+        if abs(delay / self.dt - ticks) > _WHOLE_TICK_TOLERANCE:
+            raise InputError(f"delay: expected a whole number of control periods of {self.dt:g} s, got {delay:g} s")
+        linear = self.arm_at(q)
+        system, added = _sensed(linear, self.plant)
+        return Loop(
+            robot=arm.name,
+            controller=controller_name(controller),
+            plant=str(self.plant),
+            joint_names=arm.joint_names,
+            q=q,
+            dt=self.dt,
+            delay=integer("delay", self.plant.delay + self.plant.jitter + ticks, 0, MAX_DELAY_TICKS),
+            holding_torque=linear.holding_torque,
+            _arm=system,
+            _push=np.vstack([linear.push, np.zeros((added, arm.n))]),
+            _position=np.hstack([linear.position, np.zeros((arm.n, added))]),
+            _law=linear_controller(arm, controller, q, self.dt, self.plant.continuous),
+            _tip_jacobian=arm.jacobian(q)[:3],
+        )
 
-    def after_tick(x: Array) -> Array:
-        mujoco.mj_resetData(model, data)
-        data.qpos[:] = arm.home_qpos
-        arm.joint_map.set_positions(data.qpos, x[:n])
+    def _rest_at(self, q: Array) -> Array:
+        """Puts the arm to rest at q, and returns the torque that holds it there, (n,)."""
+        self._place(q)
+        return self._train.settle(self._model, self._data)
+
+    def _after_tick(self, x: Array, holding: Array, torques: Array) -> Array:
+        """The state a control period later.
+
+        Args:
+            x: (k,) the state before.
+            torques: N m: on the links, and how much more than `holding` the motors were given in this tick and in those before.
+        """
+        arm = self.arm
+        data = self._data
+        n = arm.n
+        k = len(self._spring_dofs)
+        on_links, *added = torques.reshape(-1, n)
+        commands = holding + np.vstack([*added, np.zeros(n)])
+        self._place(x[:n])
         arm.joint_map.set_speeds(data.qvel, x[n : 2 * n])
-        data.ctrl[:] = arm.home_ctrl
-        data.ctrl[arm.ctrl_adr] = x[2 * n :] / arm.gear
-        mujoco.mj_step(model, data, substeps)
-        return np.concatenate([data.qpos[arm.qpos_adr], data.qvel[arm.dof_adr]])
+        data.qpos[self._spring_qpos] = x[2 * n : 2 * n + k]
+        data.qvel[self._spring_dofs] = x[2 * n + k : 2 * (n + k)]
+        data.act[self._states] = x[2 * (n + k) :]
+        data.qfrc_applied[arm.dof_adr] = on_links
+        if self._train.springs:
+            data.qfrc_applied[self._spring_dofs] = on_links[self._train.owners]
+        data.ctrl[arm.ctrl_adr] = commands[0] / arm.gear
+        self._train.set_commands(self._model, data, commands[1:], self._substeps)
+        mujoco.mj_step(self._model, data, self._substeps)
+        return self._state()
 
-    mujoco.mj_resetData(model, data)
-    data.qpos[:] = arm.home_qpos
-    arm.joint_map.set_positions(data.qpos, q)
-    data.ctrl[:] = arm.home_ctrl
-    mujoco.mj_forward(model, data)
-    holding = arm.joint_map.reduced(data.qfrc_bias - data.qfrc_passive)
-    x = np.concatenate([q, np.zeros(n), holding])
-    steps = np.concatenate([np.full(2 * n, _POSITION_STEP), _TORQUE_STEP * arm.limits.tau_max])
-    columns = []
-    for i, step in enumerate(steps):
-        change = np.zeros(3 * n)
-        change[i] = step
-        columns.append((after_tick(x + change) - after_tick(x - change)) / (2 * step))
-    jacobian = np.array(columns).T
-    system = StateSpace(jacobian[:, : 2 * n], jacobian[:, 2 * n :], np.eye(2 * n), np.zeros((2 * n, n)))
-    return _LinearArm(system, holding)
+    def _place(self, q: Array) -> None:
+        data = self._data
+        mujoco.mj_resetData(self._model, data)
+        data.qpos[: len(self.arm.home_qpos)] = self.arm.home_qpos
+        self.arm.joint_map.set_positions(data.qpos, q)
+        data.ctrl[:] = self.arm.home_ctrl
+
+    def _state(self) -> Array:
+        data = self._data
+        arm = self.arm
+        joints = [data.qpos[arm.qpos_adr], data.qvel[arm.dof_adr]]
+        springs = [data.qpos[self._spring_qpos], data.qvel[self._spring_dofs]]
+        return np.concatenate([*joints, *springs, data.act[self._states]])
+
+    def _sides(self, size: int) -> tuple[Array, Array]:
+        """(2n, size) each: positions and velocities of the links and of the motors from the state."""
+        n = self.arm.n
+        owners = self._train.owners
+        extra = 2 * n + np.arange(len(self._spring_dofs))
+        links = np.eye(2 * n, size)
+        motors = links.copy()
+        if self._train.springs:
+            links[owners, extra] = 1.0
+            links[n + owners, extra + len(extra)] = 1.0
+        elif self._train.rotors:
+            motors[[*owners, *(n + owners)]] = 0.0
+            motors[owners, extra] = 1.0
+            motors[n + owners, extra + len(extra)] = 1.0
+        return links, motors
+
+
+def _sensed(arm: LinearArm, plant: Plant) -> tuple[StateSpace, int]:
+    """An arm with its sensors, and how many states they add: differenced positions, and measurements that are late."""
+    size = len(arm.A)
+    n = len(arm.C) // 2
+    is_differenced = plant.differences_positions
+    added = n * is_differenced + 2 * n * plant.sensor_delay
+    A = np.zeros((size + added, size + added))
+    A[:size, :size] = arm.A
+    output = np.zeros((2 * n, size + added))
+    output[:, :size] = arm.C
+    first = size
+    if is_differenced:
+        A[first : first + n] = output[:n]
+        output[n:] = output[:n] / arm.dt
+        output[n:, first : first + n] -= np.eye(n) / arm.dt
+        first += n
+    for _ in range(plant.sensor_delay):
+        A[first : first + 2 * n] = output
+        output = np.zeros_like(output)
+        output[:, first : first + 2 * n] = np.eye(2 * n)
+        first += 2 * n
+    return StateSpace(A, np.vstack([arm.B, np.zeros((added, n))]), output, np.zeros((2 * n, n))), added

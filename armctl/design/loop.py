@@ -14,7 +14,15 @@ from numpy.typing import ArrayLike
 from armctl.core.errors import InputError, NotInstalledError
 from armctl.core.plotting import COLORS, finish_figure
 from armctl.core.validation import Array, integer, vector
-from armctl.design.stability import LoopMargins, frequency_grid, loop_margins, robustness
+from armctl.design.stability import (
+    CoarseMargins,
+    LoopMargins,
+    coarse_grid,
+    coarse_margins,
+    frequency_grid,
+    loop_margins,
+    robustness,
+)
 from armctl.design.state_space import ComplexArray, StateSpace
 
 if TYPE_CHECKING:
@@ -50,6 +58,8 @@ class Loop:
     delay: int
     holding_torque: Array
     _arm: StateSpace
+    _push: Array
+    _position: Array
     _law: StateSpace
     _tip_jacobian: Array
 
@@ -60,36 +70,41 @@ class Loop:
 
     @property
     def A(self) -> Array:
-        """(k, k), the state: positions, velocities, the memory of the controller, the delayed torques."""
-        return self._system.A
+        """(k, k), the matrix of the state.
+
+        The state is that of the arm, positions and velocities first, what its sensors keep, the memory of the controller, and
+        the delayed torques.
+        """
+        return self.system.A
 
     @property
     def B(self) -> Array:
         """(k, n)."""
-        return self._system.B
+        return self.system.B
 
     @property
     def C(self) -> Array:
         """(n, k)."""
-        return self._system.C
+        return self.system.C
 
     @property
     def D(self) -> Array:
         """(n, n); zero, because torque does not act on the position at the same tick."""
-        return self._system.D
+        return self.system.D
 
     @cached_property
-    def _system(self) -> StateSpace:
+    def system(self) -> StateSpace:
+        """The loop transfer function as one object: `A`, `B`, `C` and `D`."""
         n = self.n
-        moving = 2 * n
+        moving = len(self._arm.A)
         memory = moving + len(self._law.A)
         size = memory + self.delay * n
         A = np.zeros((size, size))
         A[:moving, :moving] = self._arm.A
-        A[moving:memory, :moving] = self._law.B
+        A[moving:memory, :moving] = self._law.B @ self._arm.C
         A[moving:memory, moving:memory] = self._law.A
         output = np.zeros((n, size))
-        output[:, :moving] = -self._law.D
+        output[:, :moving] = -self._law.D @ self._arm.C
         output[:, moving:memory] = -self._law.C
         for _ in range(self.delay):  # each tick of delay stores the output of the stage before it
             A[memory : memory + n] = output
@@ -102,7 +117,7 @@ class Loop:
 
     @cached_property
     def _margins(self) -> LoopMargins:
-        return loop_margins(self._system, self.dt)
+        return loop_margins(self.system, self.dt)
 
     def margins(self) -> LoopMargins:
         """Delay, gain and phase margin, and the peak sensitivity.
@@ -114,7 +129,43 @@ class Loop:
 
     def robustness(self) -> LoopMargins:
         """The margins without the gain margin, which takes longest to compute and is infinite here."""
-        return robustness(self._system, self.dt)
+        return robustness(self.system, self.dt)
+
+    def modes(self) -> Array:
+        """The vibrations of the closed loop.
+
+        Returns:
+            (k, 2) frequency, rad/s, with its damping, and damping ratio of each; the least damped one first.
+        """
+        poles = np.linalg.eigvals(self.A - self.B @ self.C)
+        poles = poles[poles.imag > 0.0]
+        rates = np.log(poles) / self.dt
+        modes = np.column_stack([rates.imag, -rates.real / np.abs(rates)])
+        return modes[modes[:, 1].argsort()]
+
+    def coarse_margins(self, plant: ComplexArray | None = None) -> CoarseMargins:
+        """The margins of single eigenvalues and joints, accurate to 1 % in a fraction of the time.
+
+        Args:
+            plant: `coarse_plant` of this arm, if it is known.
+        """
+        frequencies = coarse_grid(self.dt)
+        z = np.exp(1j * frequencies * self.dt)
+        transfer = -self._law.transfer(z) @ (self.coarse_plant() if plant is None else plant)
+        return coarse_margins(self.system, frequencies, transfer)
+
+    def coarse_plant(self) -> ComplexArray:
+        """The transfer function of arm and delay from torques to measured positions and velocities, on `coarse_grid`."""
+        z = np.exp(1j * coarse_grid(self.dt) * self.dt)
+        return self._arm.transfer(z) * z[:, None, None] ** -self.delay
+
+    def with_law(self, law: StateSpace) -> Loop:
+        """The same arm with another linear controller.
+
+        Args:
+            law: From measured positions and velocities (2n) to torques (n).
+        """
+        return replace(self, _law=law)
 
     def delayed(self, ticks: int) -> Loop:
         """The same loop with another delay.
@@ -139,7 +190,7 @@ class Loop:
         Raises:
             InputError: A frequency is outside its bounds or not finite.
         """
-        return self._system.transfer(self._z(w))
+        return self.system.transfer(self._z(w))
 
     def sensitivity(self, w: ArrayLike) -> ComplexArray:
         """The sensitivity S = (1 + L)^-1: how much of a disturbance torque remains at the motors.
@@ -167,12 +218,30 @@ class Loop:
         Raises:
             InputError: A frequency is outside its bounds or not finite.
         """
-        z = self._z(w)
-        to_state = self._arm.transfer(z)
-        to_torque = self._law.transfer(z) * z[:, None, None] ** -self.delay
-        closed = np.linalg.solve(np.eye(2 * self.n) - to_state @ to_torque, to_state)
-        displacement = self._tip_jacobian @ closed[:, : self.n] @ self._tip_jacobian.T
+        displacement = self._tip_jacobian @ self.joint_compliance(w) @ self._tip_jacobian.T
         return np.asarray(np.linalg.svd(displacement, compute_uv=False)[:, 0], dtype=np.float64)
+
+    def joint_compliance(self, w: ArrayLike) -> ComplexArray:
+        """The dynamic compliance of the joints: their displacements per disturbance torque.
+
+        Args:
+            w: (k,) frequencies, rad/s, above 0 and up to pi / dt.
+
+        Returns:
+            (k, n, n) complex, rad/(N m).
+
+        Raises:
+            InputError: A frequency is outside its bounds or not finite.
+        """
+        z = self._z(w)
+        n = self.n
+        outputs = np.vstack([self._arm.C, self._position])
+        inputs = np.hstack([self._arm.B, self._push])
+        arm = StateSpace(self._arm.A, inputs, outputs, np.zeros((3 * n, 2 * n))).transfer(z)
+        law = self._law.transfer(z) * z[:, None, None] ** -self.delay
+        seen = np.linalg.solve(np.eye(2 * n) - arm[:, : 2 * n, :n] @ law, arm[:, : 2 * n, n:])
+        closed = arm[:, 2 * n :, n:] + arm[:, 2 * n :, :n] @ law @ seen
+        return np.asarray(closed, dtype=np.complex128)
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Path | None:
         """Draws the Nyquist curves of the joints, their sensitivities and the compliance of the tip.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import degrees, isfinite
 
@@ -12,15 +12,17 @@ from numpy.typing import ArrayLike
 from armctl.control import Controller, controller_name
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, frozen, integer, matrix, shown
-from armctl.design.linearization import loop_at
+from armctl.design.linearization import Linearizer
 from armctl.design.loop import Loop
-from armctl.design.stability import LoopMargins
+from armctl.design.stability import CoarseMargins, LoopMargins
 from armctl.robot.arm import Arm, check_arm
+from armctl.robot.configuration_search import smallest_configuration
 from armctl.sim.move import read_controller
 from armctl.sim.plant import NOMINAL, Plant, read_plant
 
 _MAX_POSES = 10_000
-_SEED = 0  # of the random configurations; every controller is judged at the same ones
+_SEED = 20_000  # of the random configurations: the same for every controller, and not those that gains are designed for
+SEARCH_STEPS = 40  # of the search for the worst configuration
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +50,7 @@ class Margins:
         gain: The smallest gain margin, a factor above 1.
         phase: The smallest phase margin, rad.
         peak_sensitivity: The largest Ms.
-        loops: How many loops were examined.
+        loops: How many loops were examined, with the two worst ones of the searches.
         reason: The reason if it is not ok; empty if it is.
     """
 
@@ -100,8 +102,11 @@ def margins(
 ) -> Margins:
     """Linearizes the loop of an arm and a controller at many configurations, and finds the worst margins.
 
+    A search by random steps then begins at the configuration with the least delay margin, and one at that with the largest Ms.
+
     Args:
-        poses: Number of configurations: home and random ones, always the same; or the configurations themselves, (k, n) rad.
+        poses: Number of configurations: home and random ones, always the same, for which no default gains are designed; or the
+            configurations themselves, (k, n) rad, without a search.
         plants: The simulated plants; by default the one that does not differ from the model.
 
     Returns:
@@ -117,8 +122,40 @@ def margins(
     law = read_controller(controller, arm)
     if not isinstance(plants, Sequence):
         raise InputError(f"plants: expected a list of plants, such as [armctl.Plant(payload=1.0)], got {shown(plants)}")
-    loops = [loop_at(arm, law, q, read_plant(plant)) for plant in (plants or (NOMINAL,)) for q in configurations(arm, poses)]
-    return _worst(arm, law, loops)
+    linearizers = [Linearizer(arm, read_plant(plant)) for plant in (plants or (NOMINAL,))]
+    loops = judged_loops(linearizers, law, poses)
+    return _worst(arm, law, loops, [loop.margins() for loop in loops])
+
+
+def judged_loops(linearizers: Sequence[Linearizer], law: Controller, poses: int | ArrayLike) -> list[Loop]:
+    """The loops of a controller at `configurations`, and the worst ones that searches find if those are not given."""
+    cases = [(linearizer, q) for linearizer in linearizers for q in configurations(linearizer.arm, poses)]
+    loops = [linearizer.loop_at(law, q) for linearizer, q in cases]
+    if not _dimensions(poses):
+        found = [loop.coarse_margins() for loop in loops]
+        for score in (_delay_margin, _negative_sensitivity):
+            linearizer, q = cases[int(np.argmin([score(each) for each in found]))]
+            loops.append(_worst_loop(linearizer, law, q, score))
+    return loops
+
+
+def _delay_margin(margins: CoarseMargins) -> float:
+    return float(margins.delay.min())
+
+
+def _negative_sensitivity(margins: CoarseMargins) -> float:
+    return -float(margins.peak_sensitivity.max())
+
+
+def _worst_loop(linearizer: Linearizer, law: Controller, start: Array, score: Callable[[CoarseMargins], float]) -> Loop:
+    """The loop with the smallest score that a search from a configuration finds."""
+
+    def coarse(q: Array) -> float:
+        return score(linearizer.loop_at(law, q).coarse_margins())
+
+    rng = np.random.default_rng(_SEED)
+    q = smallest_configuration(linearizer.arm.limits, coarse, [start], SEARCH_STEPS, rng)
+    return linearizer.loop_at(law, q)
 
 
 def configurations(arm: Arm, poses: int | ArrayLike) -> Array:
@@ -141,8 +178,7 @@ def _dimensions(value: object) -> int:
         return 0
 
 
-def _worst(arm: Arm, law: Controller, loops: list[Loop]) -> Margins:
-    found = [loop.margins() for loop in loops]
+def _worst(arm: Arm, law: Controller, loops: list[Loop], found: list[LoopMargins]) -> Margins:
     unstable = [(loop, each) for loop, each in zip(loops, found, strict=True) if not each]
     reason = ""
     if unstable:

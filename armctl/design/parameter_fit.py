@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
-from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from armctl.core.filtering import choose_cutoff, derivatives, low_pass, velocity_cutoff
+from armctl.core.filtering import choose_cutoff, derivatives, low_pass
 from armctl.core.log import RECORDED, Log
 from armctl.core.validation import Array, BoolArray, IntArray
+from armctl.design.fit_rows import (
+    LawFit,
+    Rows,
+    best_of,
+    cost_of_damping,
+    speeds_of_torques,
+    squared_residual,
+)
 from armctl.design.pseudo_inertia import PARAMETERS, from_log_cholesky, is_consistent, regularized, to_log_cholesky
 from armctl.design.regressor import ArmRegressor, FrictionShape
-from armctl.robot.dynamics import Dynamics
 from armctl.robot.passive_forces import DryFriction
 
 _REGRESSOR_SAMPLES_PER_PERIOD = 8  # of the cut-off: products of positions and velocities have higher frequencies
@@ -23,7 +28,6 @@ _TRIMMED_PERIODS = 1.0  # at both ends, where the filter has no data on one side
 _MAX_DELAY_S = 0.05
 _ROUNDS = 3  # delay, shape of the friction and noise depend on each other
 _SHAPE_SPEEDS = np.geomspace(0.003, 1.0, 11)  # rad/s, candidates for the smoothing of Coulomb friction
-_VELOCITY_NOISE = 2e-3  # rad/s (m/s), RMS in the velocity that dry friction follows
 _LAW_ERROR = 0.2  # standard deviation of the logarithm of the slope in MuJoCo's law: it follows from the joint's inertia
 _SHAPE_ERROR = 1.0  # the same of an arm whose law is not known
 _LAW_SLOPES = (0.8, 1.0, 1.25)  # relative to the model: first candidates
@@ -48,54 +52,6 @@ _SIGNIFICANT_ERRORS = 4.0  # standard errors; the choice of a shape makes more o
 _CONTINUOUS = "continuous"  # in the description of a plant whose motion is finer than the tick
 _MAX_DROPPED_ERROR = 0.5  # of the prior's standard deviation: what the data do not show at all absorbs no noise
 _DROPPED_PRIOR = 1e-4  # factor on the standard deviation of the prior
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """Filtered rows of a recording.
-
-    Attributes:
-        t: (K,) s.
-        v: (K, n) rad/s.
-        tau: (K, n) N m, measured.
-        model: (K, n) N m, by the model.
-        W: (K, n, p), the regressor.
-        start: (K, n) N m, by the arm's own model, dry friction included.
-        by_shape: (K, n) N m, the derivative of the torques by the logarithm of the slope of dry friction.
-        used: (K, n), 1 for a torque that the fit uses, 0 close to a reversal of a joint, where dry friction is uncertain.
-    """
-
-    t: Array
-    v: Array
-    tau: Array
-    model: Array
-    W: Array
-    start: Array
-    by_shape: Array
-    used: Array
-
-    def __len__(self) -> int:
-        return len(self.t)
-
-    def part(self, rows: slice) -> Rows:
-        """Some of the rows."""
-        return Rows(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
-
-
-class _Speeds(NamedTuple):
-    """The speeds at which torques act, each (T, n) rad/s: Coriolis torques, damping, dry friction."""
-
-    start: Array
-    end: Array
-    dry: Array
-
-
-class _LawFit(NamedTuple):
-    """MuJoCo's law of dry friction, each (n,): slope N m s/rad, bound N m, and the cost of the fit."""
-
-    slope: Array
-    bound: Array
-    cost: Array
 
 
 class ParameterFit:
@@ -139,7 +95,7 @@ class ParameterFit:
         self._bound = np.zeros(n)  # N m, of the damper with this slope
         self._scale = regressor.torque_scale()
         self._follow_law(regressor.start[regressor.layout.coulomb])
-        speeds = _speeds_of_torques(self._law, regressor.dynamics, log, q, v, a)
+        speeds = speeds_of_torques(self._law, regressor.dynamics, log, q, v, a)
         start = speeds.start[:: self._stride]
         self._v_end = speeds.end[:: self._stride]
         self._v_dry = speeds.dry
@@ -282,7 +238,9 @@ class ParameterFit:
         times = self._t[:: self._stride][:K]
         delayed = low_pass(self._tau, self.cutoff, self._dt)
         tau = np.column_stack([np.interp(times + self.delay, self._t, column) for column in delayed.T])
-        start, by_shape, rest = (self._filtered(column) for column in (self._start_friction(), self._by_shape, self._rest))
+        start = self._filtered(self._start_friction())
+        by_shape = self._filtered(self._by_shape)
+        rest = self._filtered(self._rest)
         together = np.concatenate([self._raw.reshape(K, n * p), self._model, self._v, start, by_shape, rest], axis=1)
         filtered = low_pass(together, self.cutoff, dt)
         trimmed = int(_TRIMMED_PERIODS / self.cutoff / dt) + 1
@@ -379,16 +337,16 @@ class ParameterFit:
             damper = self._filtered(np.clip(slope * self._v_dry, -bound, bound))
             left = (torques - low_pass(damper, self.cutoff, self._dt * self._stride)[kept]) / weights
             prior = (np.log(slope / by_model) / _LAW_ERROR) ** 2 + ((bound - bound_by_model) / bound_error) ** 2
-            return prior + np.array([_cost_of_damping(v[:, j] / weights[j], damping_error[j], left[:, j]) for j in joints])
+            return prior + np.array([cost_of_damping(v[:, j] / weights[j], damping_error[j], left[:, j]) for j in joints])
 
-        def improved(best: _LawFit, slope: Array, bound: Array) -> _LawFit:
+        def improved(best: LawFit, slope: Array, bound: Array) -> LawFit:
             cost = costs(slope, bound)
             better = cost < best.cost
-            return _LawFit(*(np.where(better, new, old) for new, old in zip((slope, bound, cost), best, strict=True)))
+            return LawFit(*(np.where(better, new, old) for new, old in zip((slope, bound, cost), best, strict=True)))
 
         start = np.maximum(bound_by_model, least)
         by_start = costs(by_model, start)
-        best = improved(_LawFit(by_model, start, by_start), self._slope, np.maximum(self._bound, least))
+        best = improved(LawFit(by_model, start, by_start), self._slope, np.maximum(self._bound, least))
         largest = np.abs(self._v_dry).max(axis=0)
         for factor, share in itertools.product(_LAW_SLOPES, _LAW_FRICTIONS):
             slope = factor * by_model
@@ -408,20 +366,20 @@ class ParameterFit:
 
         def costs(shape: FrictionShape) -> Array:
             columns = self._dry_columns(self._v_dry, shape)[kept]
-            return np.array([_cost(columns[:, j], rows.v[:, j], rest[:, j]) for j in range(layout.n)])
+            return np.array([squared_residual(columns[:, j], rows.v[:, j], rest[:, j]) for j in range(layout.n)])
 
         candidates = np.repeat(_SHAPE_SPEEDS[:, None], layout.n, axis=1)
         step = np.log(candidates[1] / candidates[0])
-        smoothing = _best_of(candidates, lambda s: costs(self.shape._replace(smoothing=s)))
+        smoothing = best_of(candidates, lambda s: costs(self.shape._replace(smoothing=s)))
         self.shape = self.shape._replace(smoothing=smoothing)
         if layout.has_stribeck:
             candidates = np.repeat(_STRIBECK_SPEEDS[:, None], layout.n, axis=1)
-            stribeck = _best_of(candidates, lambda s: costs(self.shape._replace(stribeck=s)))
+            stribeck = best_of(candidates, lambda s: costs(self.shape._replace(stribeck=s)))
             self.shape = self.shape._replace(stribeck=stribeck)
         for _ in range(_BISECTIONS):
             step = 0.5 * step
             candidates = smoothing * np.exp([-step, np.zeros(layout.n), step])
-            smoothing = _best_of(candidates, lambda s: costs(self.shape._replace(smoothing=s)))
+            smoothing = best_of(candidates, lambda s: costs(self.shape._replace(smoothing=s)))
         self.shape = self.shape._replace(smoothing=smoothing)
 
     def _kept_samples(self) -> IntArray:
@@ -531,40 +489,3 @@ class ParameterFit:
                     break
                 out[j] += 2 * correlation
         return out
-
-
-def _speeds_of_torques(law: DryFriction | None, dynamics: Dynamics, log: Log, q: Array, v: Array, a: Array) -> _Speeds:
-    """The speeds at which each kind of torque acts, from filtered velocities and accelerations.
-
-    MuJoCo's step takes Coriolis torques at the velocity of the step before, damping at the end of the step, and dry friction at
-    a velocity that the acceleration advances (`DryFriction`). A real arm moves continuously. Dry friction follows a velocity
-    so fast that a joint that sticks for a short time is seen to stick.
-    """
-    fast = max(choose_cutoff(log.q, log.dt), velocity_cutoff(log.q, log.dt, _VELOCITY_NOISE))
-    dry = derivatives(low_pass(log.q, fast, log.dt), log.dt)[0]
-    if law is None:
-        return _Speeds(v, v, dry)
-    half_step = 0.5 * log.dt * a
-    start = v - half_step
-    explicit = np.array([dynamics.explicit_acceleration(*row, log.dt) for row in zip(q, start, a, strict=True)])
-    return _Speeds(start, v + half_step, dry - half_step + explicit / law.rate)
-
-
-def _best_of(candidates: Array, costs: Callable[[Array], Array]) -> Array:
-    """(n,) for each joint the candidate (k, n) of the least cost."""
-    best = np.array([costs(candidate) for candidate in candidates]).argmin(axis=0)
-    return candidates[best, np.arange(candidates.shape[1])]
-
-
-def _cost(friction: Array, v: Array, torques: Array) -> float:
-    """The squared residual of torques that columns of dry friction, viscous friction and an offset explain."""
-    A = np.column_stack([friction, v, np.ones(len(v))])
-    return float(((torques - A @ np.linalg.lstsq(A, torques)[0]) ** 2).sum())
-
-
-def _cost_of_damping(v: Array, error: float, torques: Array) -> float:
-    """The squared residual of torques that damping, with a standard deviation before any data, and an offset explain."""
-    v = v - v.mean()
-    torques = torques - torques.mean()
-    damping = float(v @ torques) / (float(v @ v) + error**-2)
-    return float(torques @ torques) - damping * float(v @ torques)

@@ -86,6 +86,8 @@ class PayloadEstimate:
         instance("arm", arm, Arm, "armctl.load returns one")
         if not self.ok:
             raise InputError(f"estimate: {self}")
+        if arm.n != len(self.coulomb_friction):
+            raise InputError(f"arm: {arm.n} joints, but the estimate is of an arm with {len(self.coulomb_friction)}")
         coulomb = np.maximum(self.coulomb_friction, -arm.model.dof_frictionloss[arm.dof_adr])
         viscous = np.maximum(self.viscous_friction, -arm.model.dof_damping[arm.dof_adr])
         return arm.with_payload(max(self.mass, 0.0), self.center, coulomb_friction=coulomb, viscous_friction=viscous)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import inf, pi
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +14,11 @@ from armctl.design.state_space import ComplexArray, StateSpace
 
 _MIN_FREQUENCY = 0.3  # rad/s; below it, arms do not move
 _GRID_POINTS = 400
+_COARSE_POINTS = 70  # of `coarse_grid`
 _BISECTIONS = 40
+_MIN_RESONANCE = 0.5  # magnitude of a pole; others change little between two points of the grid
+_RESONANCE_WIDTHS = np.concatenate([-np.geomspace(10.0, 0.1, 12), [0.0], np.geomspace(0.1, 10.0, 12)])
+_SECANT_STEPS = 12
 _MAX_GAIN = 100.0  # a larger gain margin is reported as infinite
 _GAIN_STEPS = 60  # between 1 and the largest gain, geometric
 
@@ -67,12 +72,12 @@ def robustness(loop: StateSpace, dt: float) -> LoopMargins:
     if not radius < 1.0:
         reason = f"the closed loop is unstable: an eigenvalue has the magnitude {radius:.4g}"
         return LoopMargins(False, 0.0, 1.0, 0.0, inf, radius, reason)
-    frequencies = frequency_grid(dt)
+    frequencies = _with_resonances(frequency_grid(dt), loop, dt)
     transfer = loop.transfer(np.exp(1j * frequencies * dt))
-    sensitivity = np.linalg.inv(np.eye(transfer.shape[1]) + transfer)
+    crossings = _unit_crossings(loop, dt, frequencies, transfer)
     delay_margin = inf
     phase_margin = inf
-    for crossing in _unit_crossings(loop, dt, frequencies, transfer):
+    for crossing in crossings:
         lag = (np.angle(crossing.eigenvalue) + pi) % (2 * pi)
         delay_margin = min(delay_margin, lag / crossing.frequency)
         phase_margin = min(phase_margin, lag, 2 * pi - lag)
@@ -81,10 +86,65 @@ def robustness(loop: StateSpace, dt: float) -> LoopMargins:
         delay_margin=float(delay_margin),
         gain_margin=inf,
         phase_margin=float(phase_margin),
-        peak_sensitivity=float(np.abs(np.diagonal(sensitivity, axis1=1, axis2=2)).max()),
+        peak_sensitivity=float(_peak_sensitivities(transfer).max()),
         spectral_radius=radius,
         reason="",
     )
+
+
+def _with_resonances(frequencies: Array, loop: StateSpace, dt: float) -> Array:
+    """Frequencies, and those of the resonances of the open loop, which can be narrower than a grid."""
+    poles = np.linalg.eigvals(loop.A)
+    poles = poles[(np.abs(poles) > _MIN_RESONANCE) & (poles.imag > 0.0)]
+    centers = np.angle(poles) / dt
+    widths = np.maximum(np.abs(np.log(np.abs(poles))) / dt, 1e-6 * centers)
+    around = (centers[:, None] + widths[:, None] * _RESONANCE_WIDTHS).ravel()
+    inside = around[(around > frequencies[0]) & (around < frequencies[-1])]
+    return np.asarray(np.union1d(frequencies, inside), dtype=np.float64)
+
+
+def coarse_grid(dt: float) -> Array:
+    """Frequencies, rad/s, of `coarse_margins`."""
+    return frequency_grid(dt, _COARSE_POINTS)
+
+
+class CoarseMargins(NamedTuple):
+    """Margins of the n eigenvalues and joints of a loop, accurate to 1 %; zero and infinite if the closed loop is unstable.
+
+    Attributes:
+        delay: (n,) s, for the eigenvalues of the loop transfer function in the order of their magnitudes.
+        peak_sensitivity: (n,) of the joints, with the loops of the other joints closed.
+    """
+
+    delay: Array
+    peak_sensitivity: Array
+
+
+def coarse_margins(loop: StateSpace, frequencies: Array, transfer: ComplexArray) -> CoarseMargins:
+    """Margins from the loop transfer function (k, n, n) on `coarse_grid`: for searches."""
+    n = transfer.shape[1]
+    if not _spectral_radius(loop, 1.0) < 1.0:
+        return CoarseMargins(np.zeros(n), np.full(n, inf))
+    eigenvalues = np.linalg.eigvals(transfer)
+    eigenvalues = np.take_along_axis(eigenvalues, np.abs(eigenvalues).argsort(axis=1), axis=1)
+    size = np.log(np.abs(eigenvalues))
+    angle = np.angle(eigenvalues)
+    intervals, ranks = np.nonzero((size[1:] > 0.0) != (size[:-1] > 0.0))
+    # Eigenvalues of one rank are interpolated, magnitude and frequency geometrically.
+    before = size[intervals, ranks]
+    share = before / (before - size[intervals + 1, ranks])
+    start = angle[intervals, ranks]
+    turn = (angle[intervals + 1, ranks] - start + pi) % (2 * pi) - pi
+    w = frequencies[intervals] * (frequencies[intervals + 1] / frequencies[intervals]) ** share
+    delay = np.full(n, inf)
+    np.minimum.at(delay, ranks, (start + share * turn + pi) % (2 * pi) / w)
+    return CoarseMargins(delay, _peak_sensitivities(transfer))
+
+
+def _peak_sensitivities(transfer: ComplexArray) -> Array:
+    """(n,) Ms of each joint of a loop transfer function (k, n, n), with the loops of the other joints closed."""
+    sensitivity = np.linalg.inv(np.eye(transfer.shape[1]) + transfer)
+    return np.asarray(np.abs(np.diagonal(sensitivity, axis1=1, axis2=2)).max(axis=0), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,24 +157,29 @@ class _Crossing:
 
 def _unit_crossings(loop: StateSpace, dt: float, frequencies: Array, transfer: ComplexArray) -> list[_Crossing]:
     """All crossings of the unit circle. Sorted magnitudes are continuous, so eigenvalues need not be told apart on the way."""
-    magnitudes = np.sort(np.abs(np.linalg.eigvals(transfer)), axis=1)
-    outside = magnitudes > 1.0
+    sizes = np.sort(np.log(np.abs(np.linalg.eigvals(transfer))), axis=1)
+    outside = sizes > 0.0
     intervals, ranks = np.nonzero(outside[1:] != outside[:-1])
-    low = frequencies[intervals].copy()
-    high = frequencies[intervals + 1].copy()
-    starts_outside = outside[intervals, ranks]
-    rows = np.arange(len(ranks))
-    for _ in range(_BISECTIONS if len(ranks) else 0):
-        middle = np.sqrt(low * high)
-        values = np.sort(np.abs(np.linalg.eigvals(loop.transfer(np.exp(1j * middle * dt)))), axis=1)
-        is_before = (values[rows, ranks] > 1.0) == starts_outside
-        low = np.where(is_before, middle, low)
-        high = np.where(is_before, high, middle)
     if not len(ranks):
         return []
-    eigenvalues = np.linalg.eigvals(loop.transfer(np.exp(1j * low * dt)))
+    low = np.log(frequencies[intervals])
+    high = np.log(frequencies[intervals + 1])
+    at_low = sizes[intervals, ranks]
+    at_high = sizes[intervals + 1, ranks]
+    rows = np.arange(len(ranks))
+    middle = low
+    for _ in range(_SECANT_STEPS):  # regula falsi of the Illinois kind (Dowell, Jarratt, BIT 11, 1971)
+        middle = low + (high - low) * at_low / (at_low - at_high)
+        values = np.sort(np.abs(np.linalg.eigvals(loop.transfer(np.exp(1j * np.exp(middle) * dt)))), axis=1)
+        value = np.log(values[rows, ranks])
+        is_low = (value > 0.0) == (at_low > 0.0)
+        at_high = np.where(is_low, 0.5 * at_high, value)
+        at_low = np.where(is_low, value, 0.5 * at_low)
+        low = np.where(is_low, middle, low)
+        high = np.where(is_low, high, middle)
+    eigenvalues = np.linalg.eigvals(loop.transfer(np.exp(1j * np.exp(middle) * dt)))
     nearest = np.abs(np.abs(eigenvalues) - 1.0).argmin(axis=1)
-    return [_Crossing(float(w), complex(e)) for w, e in zip(low, eigenvalues[rows, nearest], strict=True)]
+    return [_Crossing(float(w), complex(e)) for w, e in zip(np.exp(middle), eigenvalues[rows, nearest], strict=True)]
 
 
 def _gain_margin(loop: StateSpace) -> float:

@@ -10,7 +10,9 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl import _core
 from armctl.control import Controller, State, controller_name
+from armctl.control.interface import has_compiled_law
 from armctl.core.errors import InputError, ModelError
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array
@@ -67,7 +69,13 @@ def linear_controller(arm: Arm, controller: Controller, q: Array, dt: float, con
     responses to an impulse in each measured signal, after Ho and Kalman (1966) in the balanced form of Kung (1978). At last the
     model is compared with the controller on a random signal.
     """
-    run = _runs(arm, controller, q, dt, continuous)
+    if has_compiled_law(controller, arm.n) and not controller.needs_wrench:
+        law = controller.make_law(dt, continuous)
+        run = _compiled_runs(law, q)
+        if not law.memory.size:
+            return _static(run, arm.n)
+    else:
+        run = _runs(arm, controller, q, dt, continuous)
     error = np.inf
     for horizon, scale in product(_HORIZONS_TICKS, _IMPULSE_SCALES):
         sizes = scale * np.repeat([_POSITION_IMPULSE, _VELOCITY_IMPULSE], arm.n)
@@ -79,6 +87,14 @@ def linear_controller(arm: Arm, controller: Controller, q: Array, dt: float, con
         f"{controller_name(controller):.80}: no linear model describes this controller at rest (relative error {error:.1g}); "
         "its torque jumps, varies with time or is random"
     )
+
+
+def _static(run: _Run, n: int) -> StateSpace:
+    """The model of a law without memory."""
+    sizes = np.repeat([_POSITION_IMPULSE, _VELOCITY_IMPULSE], n)
+    difference = run(np.diag(sizes)) - run(-np.diag(sizes))
+    nothing = np.zeros((0, 0))
+    return StateSpace(nothing, np.zeros((0, 2 * n)), np.zeros((n, 0)), (difference / (2 * sizes[:, None])).T)
 
 
 _Run = Callable[[Array], Array]
@@ -118,6 +134,25 @@ def _runs(arm: Arm, controller: Controller, q: Array, dt: float, continuous: boo
             "copied; reset the memory if state.t is not one state.dt later than in the previous call"
         )
     return lambda deviations: torques(copy.deepcopy(original, dict(shared)), deviations)
+
+
+def _compiled_runs(law: _core.Law, q: Array) -> _Run:
+    """As `_runs`, for a compiled law."""
+    n = law.n
+    reference = np.zeros((5, n))
+    reference[0] = q
+    no_wrench = np.zeros(0)
+
+    def torques(deviations: Array) -> Array:
+        positions = q + deviations[:, :n]
+        velocities = deviations[:, n:].copy()
+        rows = np.empty((len(deviations), n))
+        law.reset()
+        for position, velocity, tau in zip(positions, velocities, rows, strict=True):
+            law.torque(position, velocity, reference, no_wrench, tau)
+        return rows
+
+    return torques
 
 
 def _impulse_responses(run: _Run, sizes: Array, horizon: int) -> Array:

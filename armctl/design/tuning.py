@@ -1,9 +1,10 @@
-"""Tuning: the highest gains of a control law within bounds on delay margin, peak sensitivity and torque noise."""
+"""Tuning: the stiffest loop of a control law within bounds on delay margin, peak sensitivity and torque noise."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,31 +20,46 @@ from armctl.control import (
     OperationalSpace,
     PDFeedforward,
     PDGravity,
-    PIDGravity,
     controller_by_name,
 )
-from armctl.control.computed_torque import DEFAULT_DELAY_MARGIN_S
-from armctl.control.gains import margin_gains
-from armctl.control.integral_gains import MIN_DELAY_MARGIN_TICKS
+from armctl.control.gains import DEFAULT_BANDWIDTH, margin_gains, sample_configurations
+from armctl.control.impedance import IMPEDANCE_BANDWIDTH
 from armctl.control.observer_gains import observer_gains
 from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.validation import Array, frozen, number, shown
 from armctl.design.frequency_response import standstill
-from armctl.design.linearization import loop_at
+from armctl.design.linearization import Linearizer
 from armctl.design.loop import Loop
-from armctl.design.margins import configurations
-from armctl.design.state_space import linear_controller
+from armctl.design.margins import configurations, judged_loops
+from armctl.design.state_space import ComplexArray, linear_controller
 from armctl.robot.arm import Arm, check_arm
-from armctl.sim.plant import NOMINAL, Plant, read_plant
+from armctl.sim.plant import ENCODER_NOISE_RAD, NOMINAL, Plant, read_plant
 from armctl.sim.simulate import simulate
 
-_ENCODER_NOISE_RAD = 1e-5  # of the torque noise that the bound is about
 _NOISE_SECONDS = 0.3
 _COMPLIANCE_FREQUENCY = 2 * np.pi  # rad/s
-_MIN_SCALE = 1 / 16
-_MAX_SCALE = 16.0
-_BISECTIONS = 4
-_JOINT_STEPS = (1.6, 1.25)  # factors tried on the gains of one joint
+# Configurations of the design, of those for default gains: the extreme ones, and random ones for laws without inertia matrix.
+_DESIGN_POSES = 10
+_DESIGN_POSES_WITH_MODEL = 2
+# Of the bounds, in the design, whose margins are accurate to the first of them. The others follow where configurations that the
+# design did not know violated a bound.
+_RESERVES = (1.003, 1.015, 1.04)
+_SCALES = (1.0, 1.4, 0.7, 2.0, 0.5, 2.8, 0.35, 4.0, 0.25, 8.0, 0.125, 16.0, 0.0625)  # of all gains, where a design may begin
+_SHRINKS = 20  # of all gains by 5 %, to come back within the bounds
+_DAMPING_RATIOS = (0.5, 2.0)  # of laws with a model: their errors shall not oscillate
+_RATIOS = (1.0, 0.5, 0.25, 0.1)  # of the stiffness of PD and of the observer's bandwidth, there
+# Sequential linear programming. Steps are those of the logarithms of the gains.
+_ITERATIONS = 8
+_FURTHER_ITERATIONS = 3  # of a design that is repeated
+_FIRST_STEP = 0.3
+_MAX_STEP = 1.0
+_MIN_STEP = 0.01
+_MIN_GAIN = 0.005  # of the logarithm of the displacement; a step that gains less is the last one
+_DIFFERENCE = 1e-3
+_TRIES = 3
+_ACTIVE = 0.25  # constraints with less than this left are linearized
+_COST_CASES = 6  # configurations of the first plant at which the displacement is computed
+_RAISE = 1.05  # of the gains of a joint, for the bound that limits it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +93,7 @@ class Tuning:
         ok: Whether gains within the bounds were found.
         controller: The controller with the highest gains that were found; the default one if not ok.
         active: The bound that the next higher gain of each joint violates: "delay margin", "peak sensitivity", "chatter" or
-            "none"; one for all joints where they have a common gain.
+            "none"; one for all joints where they have common gains.
         gains: The gains by name, each a number or (n,).
         before: The figures of the default gains.
         after: The figures of the tuned gains.
@@ -123,17 +139,21 @@ def tune(
     poses: int | ArrayLike = 20,
     plants: Sequence[Plant] = (),
 ) -> Tuning:
-    """Finds the highest gains of a control law whose loop satisfies bounds at all configurations and on all plants.
+    """Finds the gains of a control law that yield least to disturbances while the loop satisfies bounds everywhere.
 
-    First all gains change together, then those of single joints (PD and PID). Damping is proportional to the scale of a joint,
-    stiffness to its square, an integral gain to its cube.
+    What is minimal is the root mean square of the displacements of the joints at 1 Hz, by disturbance torques in proportion to
+    the torque limits. All gains of the law are free: stiffness and damping of each joint of PD; bandwidth, damping
+    ratio and the observer's bandwidth of laws with a model. Sequential linear programming finds them for configurations of the
+    design. They are then judged like in `margins`, with its search for the worst configuration. Each configuration that
+    violates a bound becomes one of the design, which is repeated.
 
     Args:
         law: The name of a controller whose gains can be tuned: all but "computed-torque-textbook".
         delay_margin: s, the smallest permitted one.
         peak_sensitivity: The largest permitted Ms, above 1.
         chatter: N m (N), the largest permitted torque noise at rest with an encoder of 1e-5 rad; None for no bound.
-        poses: Number of configurations: home and random ones, always the same; or the configurations themselves, (k, n) rad.
+        poses: Number of configurations at which the result is judged: home and random ones, always the same; or the
+            configurations themselves, (k, n) rad, for which the gains are then designed, too.
         plants: The simulated plants, all with one control period; by default the one that does not differ from the model.
 
     Returns:
@@ -158,18 +178,32 @@ def tune(
     periods = {arm.dt if plant.timestep is None else plant.timestep for plant in checked}
     if len(periods) > 1:
         raise InputError(f"plants: expected one control period, got {sorted(periods)} s; gains are tuned for one")
+    design_poses = _DESIGN_POSES if law in _PD_LAWS else _DESIGN_POSES_WITH_MODEL
+    judge = _Judge([Linearizer(arm, plant) for plant in checked], poses, design_poses, bounds)
     family = _family(arm, law, periods.pop())
-    judge = _Judge(arm, checked, configurations(arm, poses), bounds)
     default = controller_by_name(law, arm)
-    before = judge.figures(default)
-    scale = _common_scale(family, judge)
-    if scale is None:
+    before = judge.figures(default, judge.loops(default))
+    x = None
+    loops: list[Loop] = []
+    worst: list[Loop] = []
+    for reserve in _RESERVES:
+        judge.design.reserve = reserve
+        x = judge.design.start(family) if x is None else judge.design.shrunk(family, x)
+        if x is None:
+            break
+        x = judge.design.improved(family, x, _FURTHER_ITERATIONS if worst else _ITERATIONS)
+        loops = judge.loops(family.controller(x))
+        worst = judge.violating(loops)
+        if not worst:
+            break
+        judge.design.add(worst)
+    if x is None or worst:
         reason = f"no gains of {law} satisfy delay margin {1e3 * bounds.delay_margin:g} ms and Ms {bounds.peak_sensitivity:g}"
         reason += "" if chatter is None else f" and torque noise {chatter:g} N m"
-        return Tuning(False, default, (), {}, before, before, f"{reason} on {arm.name:.80}: lower ones violate a bound, too")
-    scales, active = _joint_scales(family, judge, scale)
-    tuned = family.controller(scales)
-    return Tuning(True, tuned, active, family.gains(scales), before, judge.figures(tuned), "")
+        reason += f" on {arm.name:.80}, among {min(_SCALES):g} to {max(_SCALES):g} times the default ones"
+        return Tuning(False, default, (), {}, before, before, reason)
+    tuned = family.controller(x)
+    return Tuning(True, tuned, judge.design.active(family, x), family.gains(x), before, judge.figures(tuned, loops), "")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,162 +212,278 @@ class _Bounds:
     peak_sensitivity: float
     chatter: float
 
+    def left(self, loop: Loop, plant: ComplexArray | None = None, reserve: float = 1.0) -> Array:
+        """(2, n) what is left of the bounds on delay margin and Ms; -inf where the loop is unstable."""
+        found = loop.coarse_margins(plant)
+        with np.errstate(divide="ignore"):
+            delay = np.log(found.delay / (reserve * self.delay_margin))
+            sensitivity = np.log(self.peak_sensitivity / (reserve * found.peak_sensitivity))
+        return np.array([np.minimum(delay, 1.0), sensitivity])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Family:
-    """The gains of a law as functions of one scale per joint, or of one scale.
+    """The gains of a law as a function of x, the logarithms of factors on its default gains.
 
     Attributes:
-        scales: How many scales there are.
-        gains: The arguments of the constructor at (scales,) scales.
+        size: Of x.
+        joints: The elements of x that belong to each joint, or to all joints together.
+        limits: (size, 2) bounds of x.
+        softened: The elements of x that may be smaller in a design's start.
+        scaling: (size,) how all gains grow with the bandwidth: x for a factor f on it is log(f) x scaling.
+        gains: The arguments of the constructor at x.
+        make: The constructor.
     """
 
-    scales: int
+    size: int
+    joints: tuple[tuple[int, ...], ...]
+    limits: Array
+    softened: range
+    scaling: Array
     gains: Callable[[Array], dict[str, float | Array]]
     make: Callable[..., Controller]
 
-    def controller(self, scales: Array) -> Controller:
-        return self.make(**self.gains(scales))
+    def controller(self, x: Array) -> Controller:
+        return self.make(**self.gains(x))
 
 
-_PD_LAWS: dict[str, Callable[..., Controller]] = {
-    "pd": PD,
-    "pd-feedforward": PDFeedforward,
-    "pd-gravity": PDGravity,
-    "pid-gravity": PIDGravity,
-}
-_BANDWIDTH_LAWS: dict[str, Callable[..., Controller]] = {
-    "computed-torque": ComputedTorque,
-    "operational-space": OperationalSpace,
-    "impedance": Impedance,
-    "qp": ComputedTorqueQP,
+_PD_LAWS: dict[str, Callable[..., Controller]] = {"pd": PD, "pd-feedforward": PDFeedforward, "pd-gravity": PDGravity}
+_BANDWIDTH_LAWS: dict[str, tuple[Callable[..., Controller], float]] = {
+    "computed-torque": (ComputedTorque, DEFAULT_BANDWIDTH),
+    "operational-space": (OperationalSpace, DEFAULT_BANDWIDTH),
+    "impedance": (Impedance, IMPEDANCE_BANDWIDTH),
+    "qp": (ComputedTorqueQP, DEFAULT_BANDWIDTH),
 }
 _OBSERVER_LAWS: dict[str, Callable[..., Controller]] = {
     "computed-torque-observer": ComputedTorqueObserver,
     "computed-torque-learning": ComputedTorqueLearning,
 }
-LAWS = (*_PD_LAWS, *_BANDWIDTH_LAWS, *_OBSERVER_LAWS, "computed-torque-integral")
+LAWS = (*_PD_LAWS, *_BANDWIDTH_LAWS, *_OBSERVER_LAWS)
 
 
 def _family(arm: Arm, law: str, dt: float) -> _Family:
     if law in _PD_LAWS:
-        default = margin_gains(arm, dt, law == "pid-gravity")
+        default = margin_gains(arm, dt)
+        n = arm.n
 
-        def pd(scales: Array) -> dict[str, float | Array]:
-            gains: dict[str, float | Array] = {
-                "stiffness": frozen(default.stiffness * scales**2),
-                "damping": frozen(default.damping * scales),
+        def pd(x: Array) -> dict[str, float | Array]:
+            return {
+                "stiffness": frozen(default.stiffness * np.exp(x[:n])),
+                "damping": frozen(default.damping * np.exp(x[n:])),
             }
-            if law == "pid-gravity":
-                gains["integral_gain"] = frozen(default.integral_gain * scales**3)
-            return gains
 
-        return _Family(arm.n, pd, lambda **gains: _PD_LAWS[law](arm, **gains))
+        joints = tuple((i, n + i) for i in range(n))
+        free = np.tile([-np.inf, np.inf], (2 * n, 1))
+        return _Family(2 * n, joints, free, range(n), np.repeat([2.0, 1.0], n), pd, lambda **gains: _PD_LAWS[law](arm, **gains))
     if law in _OBSERVER_LAWS:
         of_margins = observer_gains(arm, dt)
 
-        def observed(scales: Array) -> dict[str, float | Array]:
+        def observed(x: Array) -> dict[str, float | Array]:
             return {
-                "bandwidth": of_margins.feedback * float(scales[0]),
-                "damping_ratio": of_margins.damping_ratio,
-                "observer_bandwidth": of_margins.disturbance * float(scales[0]),
+                "bandwidth": of_margins.feedback * float(np.exp(x[0])),
+                "damping_ratio": of_margins.damping_ratio * float(np.exp(x[1])),
+                "observer_bandwidth": of_margins.disturbance * float(np.exp(x[2])),
             }
 
-        return _Family(1, observed, lambda **gains: _OBSERVER_LAWS[law](arm, **gains))
-    if law in _BANDWIDTH_LAWS:
-        bandwidth = float(getattr(controller_by_name(law, arm), "bandwidth", 40.0))
-        make = _BANDWIDTH_LAWS[law]
-        return _Family(1, lambda scales: {"bandwidth": bandwidth * float(scales[0])}, lambda **gains: make(arm, **gains))
-    delay = max(DEFAULT_DELAY_MARGIN_S, MIN_DELAY_MARGIN_TICKS * dt)
-    return _Family(
-        1,
-        lambda scales: {"delay_margin": delay / float(scales[0])},
-        lambda **gains: ComputedTorque(arm, integral=True, **gains),
-    )
+        make = _OBSERVER_LAWS[law]
+        limits = np.array([[-np.inf, np.inf], np.log(_DAMPING_RATIOS) - np.log(of_margins.damping_ratio), [-np.inf, np.inf]])
+        return _Family(
+            3, ((0, 1, 2),), limits, range(2, 3), np.array([1.0, 0.0, 1.0]), observed, lambda **gains: make(arm, **gains)
+        )
+    make, bandwidth = _BANDWIDTH_LAWS[law]
+
+    def with_bandwidth(x: Array) -> dict[str, float | Array]:
+        return {"bandwidth": bandwidth * float(np.exp(x[0])), "damping_ratio": float(np.exp(x[1]))}
+
+    limits = np.array([[-np.inf, np.inf], np.log(_DAMPING_RATIOS)])
+    return _Family(2, ((0, 1),), limits, range(0), np.array([1.0, 0.0]), with_bandwidth, lambda **gains: make(arm, **gains))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Case:
+    """A plant at a configuration, with its transfer function on the coarse grid."""
+
+    linearizer: Linearizer
+    loop: Loop
+    transfer: ComplexArray
+
+    def with_controller(self, controller: Controller) -> Loop:
+        linearizer = self.linearizer
+        law = linear_controller(linearizer.arm, controller, self.loop.q, self.loop.dt, linearizer.plant.continuous)
+        return self.loop.with_law(law)
+
+
+class _Design:
+    """Gains within bounds at some configurations."""
+
+    def __init__(self, linearizers: Sequence[Linearizer], configurations: Array, bounds: _Bounds):
+        self._arm = linearizers[0].arm
+        self._linearizers = {str(linearizer.plant): linearizer for linearizer in linearizers}
+        self._first = linearizers[0]
+        self._bounds = bounds
+        self._bounds_per_case = 2 * self._arm.n
+        self.reserve = _RESERVES[0]
+        static = PD(self._arm, stiffness=0.0, damping=0.0)
+        self._cases: list[_Case] = []
+        self.add([linearizer.loop_at(static, q) for linearizer in linearizers for q in configurations])
+
+    def add(self, loops: Sequence[Loop]) -> None:
+        """Adds the arms of some loops, at their configurations."""
+        self._cases += [_Case(self._linearizers[loop.plant], loop, loop.coarse_plant()) for loop in loops]
+
+    def start(self, family: _Family) -> Array | None:
+        """Gains within the bounds, near the default ones; None if there are none among multiples of those."""
+        for scale, ratio in product(_SCALES, _RATIOS):
+            x = np.log(scale) * family.scaling
+            x[list(family.softened)] += np.log(ratio)
+            if self._is_feasible(family.controller(x)):
+                return x
+        return None
+
+    def shrunk(self, family: _Family, x: Array) -> Array | None:
+        """The gains, or lower ones, that are within the bounds; None if there are none."""
+        for _ in range(_SHRINKS):
+            if self._is_feasible(family.controller(x)):
+                return x
+            x = x + np.log(0.95) * family.scaling
+        return self.start(family)
+
+    def improved(self, family: _Family, x: Array, iterations: int) -> Array:
+        """The gains with the least displacement that sequential linear programming finds from gains within the bounds.
+
+        Each step minimizes the linearized displacement within linearized bounds and a trust region (Nocedal and Wright,
+        Numerical Optimization, 2006, 18.5 and 17.2).
+        """
+        from scipy.optimize import linprog
+
+        size = _FIRST_STEP
+        left, cost = self._evaluated(family.controller(x))
+        for _ in range(iterations):
+            active = np.flatnonzero(left < _ACTIVE + size)
+            cases = sorted({int(k) // self._bounds_per_case for k in active if k < len(left) - 1})
+            steps = _DIFFERENCE * np.eye(family.size)
+            changes = [self._evaluated(family.controller(x + step), cases) for step in steps]
+            slope = np.array([(each[1] - cost) / _DIFFERENCE for each in changes])
+            slopes = np.array([(each[0] - left)[active] / _DIFFERENCE for each in changes]).T
+            is_usable = np.isfinite(slopes).all(axis=1)
+            rows = -slopes[is_usable]
+            while size >= _MIN_STEP:
+                box = np.clip(family.limits - x[:, None], -size, size)
+                box[:, 0] = np.minimum(box[:, 0], 0.0)  # default gains may be outside the limits
+                box[:, 1] = np.maximum(box[:, 1], 0.0)
+                ends = left[active][is_usable]
+                step = np.zeros(family.size)
+                new_left = left
+                new_cost = cost
+                # The bounds are curved: further tries keep away from those that the first one violated.
+                for _ in range(_TRIES):
+                    found = linprog(slope, A_ub=rows, b_ub=ends, bounds=box)
+                    if found.x is None:
+                        break
+                    step = found.x
+                    new_left, new_cost = self._evaluated(family.controller(x + step))
+                    if new_left.min() >= 0.0 or np.isneginf(new_left.min()):
+                        break
+                    ends = new_left[active][is_usable] + rows @ step - 1e-3
+                if new_left.min() >= 0.0 and new_cost < cost - 1e-4:
+                    break
+                size *= 0.4
+            else:
+                return x
+            x = x + step
+            is_last = new_cost > cost - _MIN_GAIN
+            left = new_left
+            cost = new_cost
+            size = min(2.0 * size, _MAX_STEP)
+            if is_last:
+                break
+        return x
+
+    def _evaluated(self, controller: Controller, cases: Sequence[int] | None = None) -> tuple[Array, float]:
+        """What is left of the bounds, 2n numbers of each case and one of torque noise, and the logarithm of the displacement.
+
+        Args:
+            cases: Indices of those to examine; the others have NaN.
+        """
+        size = self._bounds_per_case
+        left = np.full(size * len(self._cases) + 1, np.nan if cases is not None else np.inf)
+        cost = []
+        try:
+            for k in range(len(self._cases)) if cases is None else cases:
+                case = self._cases[k]
+                loop = case.with_controller(controller)
+                left[size * k : size * (k + 1)] = self._bounds.left(loop, case.transfer, self.reserve).ravel()
+            for case in self._cases[:_COST_CASES]:
+                compliance = case.with_controller(controller).joint_compliance([_COMPLIANCE_FREQUENCY])[0]
+                cost.append(np.abs(compliance * self._arm.limits.tau_max) ** 2)
+            if np.isfinite(self._bounds.chatter):
+                left[-1] = np.log(self._bounds.chatter / (self.reserve * torque_noise(self._first, controller)))
+        except ModelError:  # gains so high that the torque of the impulses has no meaning
+            return np.full_like(left, -np.inf), np.inf
+        return left, 0.5 * float(np.log(np.mean(cost)))
+
+    def violated(self, controller: Controller) -> str:
+        """The bound that a controller violates most, or nothing."""
+        left, _ = self._evaluated(controller)
+        if left.min() >= 0.0:
+            return ""
+        k = int(left.argmin())
+        return "chatter" if k == len(left) - 1 else ("delay margin", "peak sensitivity")[k // self._arm.n % 2]
+
+    def active(self, family: _Family, x: Array) -> tuple[str, ...]:
+        """The bound that higher gains violate, for each joint."""
+        found = []
+        for indices in map(list, family.joints):
+            raised = x.copy()
+            raised[indices] += np.log(_RAISE) * family.scaling[indices]
+            found.append(self.violated(family.controller(raised)) or "none")
+        return tuple(found)
+
+    def _is_feasible(self, controller: Controller) -> bool:
+        return bool(self._evaluated(controller)[0].min() >= 0.0)
 
 
 class _Judge:
-    """Examines controllers at the same configurations and plants; the arm is linearized once."""
+    """Examines controllers at configurations that the design does not know, unless they are given."""
 
-    def __init__(self, arm: Arm, plants: Sequence[Plant], poses: Array, bounds: _Bounds):
-        self._arm = arm
-        self._plants = plants
+    def __init__(self, linearizers: Sequence[Linearizer], poses: int | ArrayLike, design_poses: int, bounds: _Bounds):
+        arm = linearizers[0].arm
+        self._linearizers = linearizers
+        self._poses = poses
         self._bounds = bounds
-        static = PD(arm, stiffness=0.0, damping=0.0)
-        self._loops = [(loop_at(arm, static, q, plant), plant) for plant in plants for q in poses]
+        given = configurations(arm, poses)
+        sampled = np.vstack([arm.limits.clamp(arm.home), sample_configurations(arm)[-design_poses:]])
+        self.design = _Design(linearizers, given if np.ndim(poses) else sampled, bounds)
 
-    def violated(self, controller: Controller) -> str:
-        """The first bound that a controller violates, or nothing. The loop that violated it is examined first the next time."""
-        for k, (loop, plant) in enumerate(self._loops):
-            found = self._violated_at(loop, plant, controller)
-            if found:
-                self._loops.insert(0, self._loops.pop(k))
-                return found
-        if np.isfinite(self._bounds.chatter) and self._chatter(controller) > self._bounds.chatter:
-            return "chatter"
-        return ""
+    def loops(self, controller: Controller) -> list[Loop]:
+        """The loops of a controller."""
+        return judged_loops(self._linearizers, controller, self._poses)
 
-    def figures(self, controller: Controller) -> LoopFigures:
-        """The worst figures of a controller."""
-        loops = [self._loop(loop, plant, controller) for loop, plant in self._loops]
+    def violating(self, loops: Sequence[Loop]) -> list[Loop]:
+        """Those that violate a bound."""
+        return [loop for loop in loops if not self._accepts(loop)]
+
+    def _accepts(self, loop: Loop) -> bool:
+        found = loop.robustness()
+        bounds = self._bounds
+        return found.delay_margin >= bounds.delay_margin and found.peak_sensitivity <= bounds.peak_sensitivity
+
+    def figures(self, controller: Controller, loops: Sequence[Loop]) -> LoopFigures:
+        """The worst figures of a controller's loops."""
         found = [loop.robustness() for loop in loops]
         return LoopFigures(
             delay_margin=min(each.delay_margin for each in found),
             peak_sensitivity=max(each.peak_sensitivity for each in found),
-            chatter=self._chatter(controller),
+            chatter=torque_noise(self._linearizers[0], controller),
             compliance=max(float(loop.compliance([_COMPLIANCE_FREQUENCY])[0]) for loop in loops),
         )
 
-    def _violated_at(self, loop: Loop, plant: Plant, controller: Controller) -> str:
-        try:
-            found = self._loop(loop, plant, controller).robustness()
-        except ModelError:  # gains so high that the torque of the impulses has no meaning
-            return "peak sensitivity"
-        if not found or found.delay_margin < self._bounds.delay_margin:
-            return "delay margin"
-        return "peak sensitivity" if found.peak_sensitivity > self._bounds.peak_sensitivity else ""
 
-    def _loop(self, loop: Loop, plant: Plant, controller: Controller) -> Loop:
-        return replace(loop, _law=linear_controller(self._arm, controller, loop.q, loop.dt, plant.continuous))
-
-    def _chatter(self, controller: Controller) -> float:
-        plant = replace(self._plants[0], encoder_noise=_ENCODER_NOISE_RAD, velocity_noise=None)
-        home = self._arm.limits.clamp(self._arm.home)
-        tau = simulate(self._arm, controller, standstill(self._arm, home, _NOISE_SECONDS), plant, dwell=0.0).tau
-        tau = tau[len(tau) // 3 :]
-        return float(np.sqrt(np.mean((tau[1:-1] - 0.5 * (tau[:-2] + tau[2:])) ** 2)))
-
-
-def _common_scale(family: _Family, judge: _Judge) -> float | None:
-    """The largest scale of all gains within the bounds; None if there is none."""
-    ones = np.ones(family.scales)
-    low = 1.0
-    while judge.violated(family.controller(low * ones)):
-        low *= 0.5
-        if low < _MIN_SCALE:
-            return None
-    high = 2.0 * low
-    while low >= 1.0 and high <= _MAX_SCALE and not judge.violated(family.controller(high * ones)):
-        low = high
-        high *= 2.0
-    for _ in range(_BISECTIONS):
-        middle = float(np.sqrt(low * high))
-        if judge.violated(family.controller(middle * ones)):
-            high = middle
-        else:
-            low = middle
-    return low
-
-
-def _joint_scales(family: _Family, judge: _Judge, common: float) -> tuple[Array, tuple[str, ...]]:
-    """The scales after each joint was raised alone, from the base to the tip, and the bound that limits each."""
-    scales = np.full(family.scales, common)
-    active = [""] * family.scales
-    for step in _JOINT_STEPS:
-        for i in range(family.scales):
-            raised = scales.copy()
-            raised[i] *= step
-            active[i] = judge.violated(family.controller(raised))
-            if not active[i]:
-                scales = raised
-    return scales, tuple(each or "none" for each in active)
+def torque_noise(linearizer: Linearizer, controller: Controller) -> float:
+    """N m (N), the chatter of a controller at rest at home with an encoder of 1e-5 rad."""
+    arm = linearizer.arm
+    plant = replace(linearizer.plant, encoder_noise=ENCODER_NOISE_RAD, velocity_noise=None)
+    home = arm.limits.clamp(arm.home)
+    tau = simulate(arm, controller, standstill(arm, home, _NOISE_SECONDS), plant, dwell=0.0).tau
+    tau = tau[len(tau) // 3 :]
+    return float(np.sqrt(np.mean((tau[1:-1] - 0.5 * (tau[:-2] + tau[2:])) ** 2)))

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import gymnasium
-import numpy as np
 
 from armctl.core.errors import InputError
 from armctl.core.validation import flag, integer
-from armctl.envs.batch import Batch
+from armctl.envs.batch import Batch, as_array
 from armctl.envs.screen import Screen
 from armctl.envs.source import Robot
 from armctl.envs.spaces import action_space, observation_space
@@ -103,7 +102,7 @@ class ArmEnv(gymnasium.Env):
             InputError: The action has another shape, or one of its entries is not a number.
         """
         batch = self.batch
-        given = np.asarray(action)
+        given = as_array("action", action)
         if given.shape != self.action_space.shape:
             raise InputError(f"action: expected shape {self.action_space.shape}, got {given.shape}")
         batch.step(given[None])

@@ -119,7 +119,7 @@ class Batch:
         Raises:
             InputError: The actions have another shape, or one of them is not a number.
         """
-        given = np.asarray(actions)
+        given = as_array("action", actions)
         if given.shape != self.rows.action.shape:
             raise InputError(f"action: expected shape {self.rows.action.shape}, got {given.shape}")
         if given.dtype.kind not in "fiub" or np.isnan(given).any():
@@ -154,13 +154,26 @@ class Batch:
             achieved: (..., 3) m.
             desired: (..., 3) m.
             info: The information of the steps, which says whether the obstacle was touched: a dictionary, or one for each.
+
+        Raises:
+            InputError: The goals have another shape, or the information is of another kind.
         """
-        touched: NDArray[Any] | bool = False
-        if isinstance(info, Mapping):
-            touched = np.asarray(info.get("touched", False))
-        elif info is not None:
-            touched = np.array([each.get("touched", False) for each in info], dtype=bool)
-        return self.task.reward(np.asarray(achieved), np.asarray(desired), touched, is_sparse=self._is_sparse)[0]
+        goals = (as_array("achieved_goal", achieved), as_array("desired_goal", desired))
+        for name, goal in zip(("achieved_goal", "desired_goal"), goals, strict=True):
+            if goal.dtype.kind not in "fiu" or goal.shape[-1:] != (3,):
+                raise InputError(f"{name}: expected (..., 3) m, got {shown(goal)}")
+        try:
+            touched: Any = False
+            if isinstance(info, Mapping):
+                touched = np.asarray(info.get("touched", False), dtype=bool)
+            elif info is not None:
+                touched = np.array([each.get("touched", False) for each in info], dtype=bool)
+            return self.task.reward(*goals, touched, is_sparse=self._is_sparse)[0]
+        except (AttributeError, TypeError, ValueError):
+            raise InputError(
+                f"info: {shown(info)} does not fit goals of shapes {goals[0].shape} and {goals[1].shape}; expected the "
+                "dictionary of a step, or one for each goal"
+            ) from None
 
     @property
     def ended(self) -> BoolArray:
@@ -173,3 +186,11 @@ class Batch:
         if self.task.moves_goal:
             ahead = self.task.goals_at(self.goal_number, self.steps + 1)
             np.divide(ahead - self.goal, self.step_time, out=self._goal_velocity)
+
+
+def as_array(what: str, value: Any) -> NDArray[Any]:
+    """What NumPy makes of an argument; InputError if it makes nothing."""
+    try:
+        return np.asarray(value)
+    except Exception:  # an object's own conversion may raise anything
+        raise InputError(f"{what}: {shown(value)} is not an array of numbers") from None

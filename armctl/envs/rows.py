@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 
@@ -165,11 +166,11 @@ class Rows:
         """The compiled steps of all copies, which work on the arrays of this object."""
         arm = self.arm
         grip = self._grip
+        objects = self.simulated.object_addresses
         return _core.EnvironmentRows(
             mujoco_api(),
             arm=arm.core_model.for_period(arm.dt, False),
             law=law,
-            options=self._action_options(),
             limits=self.limits,
             qpos_addresses=np.asarray(arm.qpos_adr, np.int64),
             dof_addresses=np.asarray(arm.dof_adr, np.int64),
@@ -179,7 +180,7 @@ class Rows:
             gripper_length=np.zeros(0, np.int64) if grip is None else grip.indices[1],
             gripper_ends=np.zeros((4, 0)) if grip is None else grip.ends,
             grip_step=0.0 if grip is None else grip.speed * arm.dt,
-            object_addresses=self.simulated.object_addresses,
+            object_addresses=None if objects is None else np.array(objects, np.int64),
             obstacle=self.simulated.obstacle_geom,
             max_delay=max_delay,
             action=self.action,
@@ -193,21 +194,22 @@ class Rows:
             object=self.object,
             touched=self.touched,
             noise=self.signals.noise if len(self.signals.noise) else None,
+            **self._action_options(),
         )
 
-    def _action_options(self) -> _core.ActionOptions:
+    def _action_options(self) -> dict[str, Any]:
         arm = self.arm
         mode = self.mode
         home = arm.fk(arm.home)
-        return _core.ActionOptions(
-            mode=mode.kind,
-            size=mode.size(arm),
-            ticks=self.ticks,
-            dt=arm.dt,
-            joint_scale=mode.joint_scale * self.ticks * arm.dt,
-            position_scale=mode.position_scale,
-            rotation_scale=mode.rotation_scale,
-            approach_rate=min(_APPROACH_RATE, _MAX_SHARE_PER_TICK / arm.dt),
-            tip_damping=_IK_DAMPING,
-            home_tip=np.concatenate([home.position, home.rotation.ravel()]),
-        )
+        return {
+            "mode": mode.kind.value,
+            "size": mode.size(arm),
+            "ticks": self.ticks,
+            "dt": arm.dt,
+            "joint_scale": mode.joint_scale * self.ticks * arm.dt,
+            "position_scale": mode.position_scale,
+            "rotation_scale": mode.rotation_scale,
+            "approach_rate": min(_APPROACH_RATE, _MAX_SHARE_PER_TICK / arm.dt),
+            "tip_damping": _IK_DAMPING,
+            "home_tip": np.concatenate([home.position, home.rotation.ravel()]),
+        }

@@ -167,6 +167,9 @@ class ArmVectorEnv(gymnasium.vector.VectorEnv):
 
         Returns:
             (...,) rewards.
+
+        Raises:
+            InputError: The goals have another shape, or the information is of another kind.
         """
         return self.batch.reward(achieved_goal, desired_goal, info)
 

@@ -117,7 +117,7 @@ def _solve(problem: Problem, rows: IntArray, stay_near: bool) -> IkBatch:
             effort.orientation_error <= part.orientation_tolerance
         )
         columns = (effort.out_of_reach, effort.position_error, effort.orientation_error, found.next_start[failed])
-        reason[failed] = [failure_reason(*row) for row in zip(*columns, strict=True)]
+        reason[failed] = [failure_reason(*row, part.chain.reach) for row in zip(*columns, strict=True)]
         reason[ok] = ""
     return IkBatch(
         ok=ok,

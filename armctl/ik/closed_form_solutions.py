@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from armctl.core.validation import Array, BoolArray, IntArray
+from armctl.core.validation import Array, BoolArray, IntArray, frozen
 from armctl.ik.geometry import ClosedForm
 from armctl.ik.problem import IkChain, Problem
 
+_ONE_POSITION = np.zeros(1)  # of a sweep that six joints do not need
 MIN_SAMPLES = 16  # of a sweep
 MAX_SEEDS_PER_SAMPLE = 16
 MIN_EMPTY_SAMPLES = 256  # of a sweep that finds nothing
@@ -69,26 +71,26 @@ def closed_form_solutions(
         slack += DEVIATION_FACTOR * closed_form.deviation
         margin = INEXACT_MARGIN
     min_samples = 1
-    max_samples = 1
+    positions = _ONE_POSITION
     room = MAX_SEEDS_PER_SAMPLE
     if closed_form.held is not None:
         min_samples = MIN_SAMPLES
-        max_samples = max(MIN_EMPTY_SAMPLES, SAMPLES_PER_SOLUTION * limit)
+        positions = _swept(chain, closed_form.held, q0, max(MIN_EMPTY_SAMPLES, SAMPLES_PER_SOLUTION * limit))
         room = limit + MAX_SEEDS_PER_SAMPLE * MIN_SAMPLES
     q = np.empty((room, len(chain.unit)))
     position_errors = np.empty(room)
     orientation_errors = np.empty(room)
     branches = np.empty(room, np.int64)
-    found = closed_form.core.solve_all(
-        chain.core,
+    assert chain.closed_form_core is not None
+    found = chain.closed_form_core.solve_all(
         target,
         q0,
         position_tolerance,
         orientation_tolerance,
         slack,
         margin,
+        positions,
         min_samples,
-        max_samples,
         limit,
         q,
         position_errors,
@@ -103,20 +105,45 @@ def closed_form_solutions(
         branches=branches[:count],
         starts=found.samples,
         steps=found.steps,
-        is_complete=found.complete and closed_form.is_exact and closed_form.held is None,
+        is_complete=not found.lost and not found.doubtful and closed_form.is_exact and closed_form.held is None,
     )
 
 
-def first_solutions(closed_form: ClosedForm, targets: Array, q: Array) -> BoolArray:
+def first_solutions(chain: IkChain, closed_form: ClosedForm, targets: Array, q0: Array, q: Array) -> BoolArray:
     """Fills q (N, n) with one solution for each of the targets (N, 12) that has any inside the limits; returns which have.
 
-    They are exact as far as the closed form is. `q` also holds the configurations near which to search first.
+    They are exact as far as the closed form is, and near q0 (n,) where possible.
     """
     found = np.empty(len(targets), np.int64)
     margin = 0.0 if closed_form.is_exact else INEXACT_MARGIN
     slack = 0.0 if closed_form.is_exact else DEVIATION_FACTOR * closed_form.deviation
-    closed_form.core.find_first(targets, slack, margin, FIRST_SAMPLES, q, found)
+    positions = _ONE_POSITION if closed_form.held is None else _swept(chain, closed_form.held, q0, FIRST_SAMPLES)
+    assert chain.closed_form_core is not None
+    chain.closed_form_core.find_first(targets, q0, slack, margin, positions, q, found)
     return found == 1
+
+
+def _swept(chain: IkChain, joint: int, q0: Array, count: int) -> Array:
+    """(count,) positions of a joint: that of q0 first, then inside its bounds, or inside one turn if they are wider."""
+    low = chain.low[joint]
+    high = chain.high[joint]
+    span = high - low
+    if not span <= 2 * np.pi:  # also if the joint has no bounds
+        low = max(low, min(q0[joint] - np.pi, high - 2 * np.pi))
+        span = 2 * np.pi
+    positions = low + span * _van_der_corput(count)
+    positions[0] = q0[joint]
+    return positions
+
+
+@lru_cache(maxsize=8)
+def _van_der_corput(count: int) -> Array:
+    """The sequence in base 2, in [0, 1): any beginning of it is spread evenly."""
+    k = np.arange(count)
+    value = np.zeros(count)
+    for bit in range(count.bit_length()):
+        value += ((k >> bit) & 1) * 0.5 ** (bit + 1)
+    return frozen(value)
 
 
 def polished(problem: Problem, seeds: Array, starts: int, is_complete: bool) -> Solutions:

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armctl import _core
 from armctl._core import AxesRelation
 from armctl.core.validation import Array, frozen
 
@@ -31,7 +30,6 @@ class ClosedForm(NamedTuple):
     """A closed form of the inverse kinematics of a chain.
 
     Attributes:
-        core: The closed form in the compiled core.
         points: (n, 3) a point on each axis in the zero configuration, in reaches: where special axes meet it is the common one.
         held: The joint that is swept, or None.
         special: (3,) the joints whose axes meet or are parallel.
@@ -44,7 +42,6 @@ class ClosedForm(NamedTuple):
         branch_names: (28,) the name of each combination of the three signs, and None for an unknown branch.
     """
 
-    core: _core.ClosedForm
     points: Array
     held: int | None
     special: tuple[int, ...]
@@ -58,25 +55,19 @@ class ClosedForm(NamedTuple):
 
 
 class Hinges(NamedTuple):
-    """A chain of hinges in the zero configuration, lengths in reaches.
+    """A chain of hinges in one configuration, lengths in reaches.
 
     Attributes:
         axes: (n, 3) the joints' axes.
         points: (n, 3) a point on each.
-        low: (n,) rad.
-        high: (n,) rad.
         tip_rotation: (3, 3).
         tip_translation: (3,).
-        reach: m.
     """
 
     axes: Array
     points: Array
-    low: Array
-    high: Array
     tip_rotation: Array
     tip_translation: Array
-    reach: float
 
 
 def axes_of(axes: Array, points: Array) -> Relation:
@@ -122,7 +113,7 @@ def closed_form_of(hinges: Hinges) -> ClosedForm | None:
             rank = (deviation <= EXACT_TOLERANCE, pair.kind != AxesRelation.NEITHER, dexterity[held])
             if rank[2] > MIN_DEXTERITY and rank > best_rank:
                 best_rank = rank
-                best = _closed_form(hinges, held, first, special, others, relation, pair_first, pair, deviation)
+                best = _closed_form(hinges.points, held, first, special, others, relation, pair_first, pair, deviation)
     return best
 
 
@@ -138,7 +129,7 @@ def _best_pair(axes: Array, points: Array, others: list[int]) -> tuple[int, Rela
 
 
 def _closed_form(
-    hinges: Hinges,
+    points: Array,
     held: int | None,
     first: int,
     special: list[int],
@@ -148,27 +139,12 @@ def _closed_form(
     pair: Relation,
     deviation: float,
 ) -> ClosedForm:
-    points = hinges.points.copy()
+    points = points.copy()
     if relation.kind == AxesRelation.MEET:
         points[special] = relation.point
     if pair.kind == AxesRelation.MEET:
         points[others[pair_first : pair_first + 2]] = pair.point
-    core = _core.ClosedForm(
-        axes=hinges.axes,
-        points=points,
-        low=hinges.low,
-        high=hinges.high,
-        tip_rotation=hinges.tip_rotation,
-        tip_translation=hinges.tip_translation,
-        reach=hinges.reach,
-        relation=relation.kind,
-        first=first,
-        pair_relation=pair.kind,
-        pair_first=pair_first,
-        held=held,
-    )
     return ClosedForm(
-        core=core,
         points=frozen(points),
         held=held,
         special=tuple(special),

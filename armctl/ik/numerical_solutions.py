@@ -10,10 +10,10 @@ import numpy as np
 
 from armctl import _core
 from armctl._core import Constraint
-from armctl.core.validation import Array, IntArray
+from armctl.core.validation import Array, BoolArray, IntArray
 from armctl.ik import lm
 from armctl.ik.closed_form_solutions import MIN_SAMPLES, Solutions, polished
-from armctl.ik.problem import IkChain, Problem
+from armctl.ik.problem import IkChain, Problem, hinges_at
 
 # Bounds on the number of isolated configurations of six hinges in series: 16 in general (Primrose, "On the input-output
 # equation of the general 7R mechanism", Mech. Mach. Theory 21, 1986), 8 if three consecutive axes are parallel or meet in a
@@ -24,6 +24,8 @@ MAX_SOLUTIONS_SPECIAL_6R = 8
 SPECIAL_AXES_TOLERANCE = 1e-9  # reaches, or sine of an angle
 MIN_REGULAR_SINGULAR_VALUE = 1e-6  # of the Jacobian in reaches per radian: above it a solution is isolated
 
+SAME_SOLUTION = 1e-3  # rad, or reaches: at a double root, a descent leaves 1e-5
+STARTS_PER_CALL = 32  # of the core
 PATIENCE = 300  # random starts without a new solution, after which the search ends
 SWEEP_PATIENCE = 12  # the same for each further sample of a sweep, which begins at the solutions of the sample before
 SOLUTIONS_PER_SAMPLE = 4  # fewest to expect: it determines the number of samples of a sweep
@@ -68,8 +70,7 @@ def numerical_solutions(problem: Problem, limit: int) -> Solutions:
 
 def completed_solutions(problem: Problem, found: Solutions) -> Solutions:
     """The solutions of an arm whose axes are only almost special: near singularities its closed form may miss some."""
-    chain = problem.chain
-    more = _find(problem, chain.core, found.q, MAX_SOLUTIONS_6R, is_first=False)
+    more = _find(problem, found.q, MAX_SOLUTIONS_6R, is_first=False)
     complete = polished(problem, more.q, found.starts + more.starts, len(more.q) == MAX_SOLUTIONS_6R)
     return complete._replace(steps=found.steps + more.steps + complete.steps)
 
@@ -95,7 +96,7 @@ def swept_joints(chain: IkChain, constraint: Constraint) -> tuple[int, ...]:
 def _isolated(problem: Problem, bound: int, begin: Array, limit: int) -> _Found:
     """The solutions of an arm without surplus joints."""
     chain = problem.chain
-    return _find(problem, chain.core, chain.to_units(begin[None]), bound or limit, is_first=True)
+    return _find(problem, chain.to_units(begin[None]), bound or limit, is_first=True)
 
 
 def _sweep(problem: Problem, swept: tuple[int, ...], begin: Array, limit: int) -> _Found:
@@ -118,10 +119,10 @@ def _sweep(problem: Problem, swept: tuple[int, ...], begin: Array, limit: int) -
     steps = 0
     known = first
     for k, position in enumerate(positions):
-        held = chain.core.with_held(np.array(joints, np.int64), position)
+        held = chain.held(np.array(joints), position)
         known = known.copy()
         known[:, joints] = position
-        found = _find(problem, held, known, limit, is_first=k == 0)
+        found = _find(problem._replace(chain=held), known, limit, is_first=k == 0)
         known = found.q if len(found.q) else first
         parts.append(found.q)
         starts += found.starts
@@ -145,22 +146,80 @@ def _low_discrepancy(count: int, dimensions: int) -> Array:
     return out
 
 
-def _find(problem: Problem, core: _core.Chain, begin: Array, bound: int, is_first: bool) -> _Found:
-    chain = problem.chain
-    known = np.empty((bound, problem.arm.n))
-    found = core.find_all(
-        problem.targets[0],
-        problem.constraint,
-        problem.position_tolerance * lm.TOLERANCE_SHARE,
-        problem.orientation_tolerance * lm.TOLERANCE_SHARE,
-        np.ascontiguousarray(chain.to_units(problem.q0)[0]),
-        np.ascontiguousarray(begin),
-        PATIENCE if is_first else SWEEP_PATIENCE,
-        is_first,
-        problem.seed,
-        known,
-    )
-    return _Found(known[: found.count], found.starts, found.steps)
+def _find(problem: Problem, begin: Array, bound: int, is_first: bool) -> _Found:
+    """Distinct solutions, at most `bound`, without regard to the limits of hinges; their whole turns are arbitrary.
+
+    Descents begin at each row of `begin` (B, n); then at random configurations, in turns inside the bounds and within one turn;
+    and in a first search at every solution with one joint turned by quarters.
+    """
+    search = _Search(problem, bound)
+    period = problem.chain.period
+    patience = PATIENCE if is_first else SWEEP_PATIENCE
+    q0 = np.ascontiguousarray(problem.chain.to_units(problem.q0)[0])
+    search.descend(np.array(begin, order="C"))
+    drawn = 0
+    fruitless = 0
+    turned = 0  # solutions whose joints have been turned
+    while len(search.known) < bound and (fruitless < patience or (is_first and turned < len(search.known))):
+        if fruitless < patience:
+            q = np.empty((min(patience - fruitless, STARTS_PER_CALL), len(q0)))
+            problem.chain.core.random_starts(q0, drawn + 1, problem.seed, q)
+            drawn += len(q)
+            since = search.descend(q)
+            fruitless = fruitless + len(q) if since is None else since
+        else:
+            q = np.tile(search.known[turned], (3 * len(q0), 1))
+            q += np.kron(np.diag(period), [[0.25], [0.5], [0.75]])
+            q = q[np.repeat(period > 0, 3)]
+            turned += 1
+            fruitless = fruitless if search.descend(q, to_the_end=True) is None else 0
+    return _Found(np.array(search.known).reshape(-1, len(q0)), search.starts, search.steps)
+
+
+class _Search:
+    """The solutions that are known, and the descents that find new ones."""
+
+    def __init__(self, problem: Problem, bound: int):
+        self._problem = problem
+        self._bound = bound
+        self.known: list[Array] = []
+        self.starts = 0
+        self.steps = 0
+
+    def descend(self, q: Array, to_the_end: bool = False) -> int | None:
+        """Descends from each of q (B, n), in order, until all solutions are known.
+
+        Returns how many found nothing new since the last one that did, None if none did.
+        """
+        problem = self._problem
+        solved = np.empty(len(q), np.int64)
+        steps = np.empty(len(q), np.int64)
+        tolerances = (problem.position_tolerance * lm.TOLERANCE_SHARE, problem.orientation_tolerance * lm.TOLERANCE_SHARE)
+        problem.chain.core.descend(problem.targets[0], problem.constraint, *tolerances, q, solved, steps)
+        is_new = (solved == 1) & ~self._is_any(q, np.array(self.known))
+        last: int | None = None
+        first_here = len(self.known)
+        used = len(q)
+        for row in np.flatnonzero(is_new).tolist():
+            if len(self.known) == self._bound:
+                break
+            if not self._is_any(q[row : row + 1], np.array(self.known[first_here:]))[0]:
+                self.known.append(q[row])
+                last = row
+        if len(self.known) == self._bound and last is not None and not to_the_end:
+            used = last + 1
+        self.starts += used
+        self.steps += int(steps[:used].sum())
+        return None if last is None else used - 1 - last
+
+    def _is_any(self, q: Array, known: Array) -> BoolArray:
+        """Which of q (B, n) are one of the known (K, n), up to whole turns of the hinges."""
+        if not len(known):
+            return np.zeros(len(q), bool)
+        period = self._problem.chain.period
+        difference = np.abs(q[:, None] - known)
+        difference = np.abs(difference - period * np.round(difference / np.where(period > 0, period, np.inf)))
+        return np.asarray(np.any(np.all(difference < SAME_SOLUTION, axis=2), axis=1))
 
 
 def _inside_limits(problem: Problem, q: Array) -> Array:
@@ -182,12 +241,12 @@ def _inside_limits(problem: Problem, q: Array) -> Array:
 
 def _max_solutions(chain: IkChain, constraint: Constraint) -> int:
     """How many isolated solutions there can be, without regard to the limits; 0 if no bound is known."""
-    n = chain.core.joint_count
+    n = len(chain.arrays["slides"])
     if n != 6 or len(chain.unit) != 6 or chain.has_slides or constraint != Constraint.POSE:
         return 0
-    axes = np.empty((n, 3))
-    origins = np.empty((n, 3))
-    chain.core.joint_lines(np.full(n, 0.3), origins, axes)
+    hinges = hinges_at(chain.arrays["rotations"], chain.arrays["translations"], np.full(n, 0.3))
+    axes = hinges.axes
+    origins = hinges.points
     for k in range(n - 2):
         are_parallel = all(_sine(axes[k], axes[j]) < SPECIAL_AXES_TOLERANCE for j in (k + 1, k + 2))
         if are_parallel or _meet(origins[k : k + 3], axes[k : k + 3]):
@@ -215,6 +274,10 @@ def _all_regular(problem: Problem, q: Array) -> bool:
 
 def _jacobian(chain: IkChain, constraint: Constraint, q: Array) -> Array:
     """(6, n), or (3, n) for a point, in the solver's units; a free axis is taken out."""
-    J = np.empty((6, len(q)))
-    chain.core.error_jacobian(constraint, np.ascontiguousarray(q), J)
+    n = len(q)
+    J = np.empty((6, n))
+    anywhere = np.append(np.eye(3).ravel(), np.zeros(3))
+    _core.IkErrorModel(chain.core).linearize(
+        anywhere, constraint, 0.0, np.ascontiguousarray(q), np.empty((n, n)), np.empty(n), J
+    )
     return J[:3] if constraint == Constraint.POSITION else J

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 from weakref import finalize
 
 import numpy as np
@@ -31,6 +31,7 @@ class IkChain:
     """The chain of an arm with n unknowns, as the solver sees it: lengths are in units of the reach.
 
     Attributes:
+        arrays: What the compiled core takes.
         core: The chain in the compiled core.
         reach: m, the length of the arm stretched out, which is the unit of length.
         base: (3,) m, the origin of the first joint.
@@ -42,9 +43,11 @@ class IkChain:
         limits: The arm's limits.
         home: (n,) the arm's home, in the solver's units.
         closed_form: The closed form of its inverse kinematics, or None.
+        closed_form_core: The closed form in the compiled core.
         branch_names: (28,) what the branches are called that the core numbers.
     """
 
+    arrays: dict[str, Any]
     core: _core.Chain
     reach: float
     base: Array
@@ -56,6 +59,7 @@ class IkChain:
     limits: Limits
     home: Array
     closed_form: ClosedForm | None
+    closed_form_core: _core.ClosedForm | None
     branch_names: tuple[str | None, ...]
 
     def branches(self, q: Array) -> list[str | None]:
@@ -68,6 +72,14 @@ class IkChain:
         if self.closed_form is not None:
             self.core.branches(np.ascontiguousarray(q), numbers)
         return numbers
+
+    def held(self, joints: IntArray, positions: Array) -> IkChain:
+        """The chain with some unknowns held at positions in the solver's units: a sweep."""
+        fixed = {"low": self.low.copy(), "high": self.high.copy(), "period": self.period.copy()}
+        fixed["low"][joints] = positions
+        fixed["high"][joints] = positions
+        fixed["period"][joints] = 0.0
+        return replace(self, core=_core.Chain(**(self.arrays | fixed)), **fixed)
 
     def to_units(self, q: Array) -> Array:
         """Configurations (N, n) in the solver's units."""
@@ -105,8 +117,9 @@ class Problem(NamedTuple):
     def residual(self, q: Array) -> tuple[float, float]:
         """Position error, m, and orientation error, rad, at q (n,) for the first target, by the arm's forward kinematics."""
         position, rotation = self.arm.pinocchio_model.tip(q)
-        error = _core.residual(self.constraint, self.targets[0], position, np.ascontiguousarray(rotation))
-        return error.position, error.orientation
+        errors = np.empty((2, 1))
+        _core.residuals(self.constraint, self.targets[:1], position[None], rotation[None].copy(), *errors)
+        return float(errors[0, 0]), float(errors[1, 0])
 
     def residuals(self, q: Array) -> tuple[Array, Array]:
         """Position errors (N,), m, and orientation errors (N,), rad, of each row of q (N, n) for its target."""
@@ -242,23 +255,26 @@ def _make_chain(arm: Arm) -> IkChain:
     low = limits.q_min / unit
     high = limits.q_max / unit
     period = np.where(slides | moves_several_joints, 0.0, 2 * np.pi)
-    core = _core.Chain(
-        rotations=rotations,
-        translations=translations,
-        slides=body.is_slide.astype(np.int64),
-        unknowns=np.abs(ratio).argmax(axis=1).astype(np.int64),
-        ratios=ratios,
-        low=low,
-        high=high,
-        period=period,
-        reach=reach,
-    )
+    arrays: dict[str, Any] = {
+        "rotations": rotations,
+        "translations": translations,
+        "slides": body.is_slide.astype(np.int64),
+        "unknowns": np.abs(ratio).argmax(axis=1).astype(np.int64),
+        "ratios": ratios,
+        "low": low,
+        "high": high,
+        "period": period,
+        "reach": reach,
+    }
+    core = _core.Chain(**arrays)
     closed_form = None
+    closed_form_core = None
     if body.chain_length == arm.n and (period > 0).all() and (ratios == 1.0).all():
-        hinges = _zero_configuration(rotations, translations, low, high, reach)
+        hinges = hinges_at(rotations, translations, np.zeros(arm.n))
         closed_form = closed_form_of(hinges)
         if closed_form is not None:
-            core = core.with_special_axes(
+            core = _core.Chain(
+                **arrays,
                 relation=closed_form.kind,
                 first=closed_form.special[0],
                 others=np.array(closed_form.others, np.int64),
@@ -266,7 +282,10 @@ def _make_chain(arm: Arm) -> IkChain:
                 pair_first=closed_form.pair_first,
                 distances_to_points=np.einsum("kj,kj->k", closed_form.points - hinges.points, hinges.axes),
             )
+            zero = hinges._replace(points=closed_form.points)._asdict()
+            closed_form_core = _core.ClosedForm(core, held=closed_form.held, **zero)
     return IkChain(
+        arrays=arrays,
         core=core,
         reach=reach,
         base=frozen(links[0, :3, 3].copy()),
@@ -278,23 +297,26 @@ def _make_chain(arm: Arm) -> IkChain:
         limits=limits,
         home=frozen(arm.home / unit),
         closed_form=closed_form,
+        closed_form_core=closed_form_core,
         branch_names=_NO_BRANCHES if closed_form is None else closed_form.branch_names,
     )
 
 
-def _zero_configuration(rotations: Array, translations: Array, low: Array, high: Array, reach: float) -> Hinges:
-    """The hinges of a chain whose links are (n + 1, 3, 3) and (n + 1, 3), the tip's last."""
+def hinges_at(rotations: Array, translations: Array, q: Array) -> Hinges:
+    """The hinges at q (n,) of a chain whose links are (n + 1, 3, 3) and (n + 1, 3), the tip's last."""
     rotation = np.eye(3)
     position = np.zeros(3)
-    axes = np.empty((len(low), 3))
-    points = np.empty((len(low), 3))
+    axes = np.empty((len(q), 3))
+    points = np.empty((len(q), 3))
+    turns = _joint_transforms(q, np.zeros(len(q), bool))[:, :3, :3]
     for k, (link_rotation, link_translation) in enumerate(zip(rotations, translations, strict=True)):
         position = position + rotation @ link_translation
         rotation = rotation @ link_rotation
-        if k < len(low):
+        if k < len(q):
             axes[k] = rotation[:, 2]
             points[k] = position
-    return Hinges(axes, points, low, high, rotation, position, reach)
+            rotation = rotation @ turns[k]
+    return Hinges(axes, points, rotation, position)
 
 
 def _joint_transforms(displacements: Array, is_slide: BoolArray) -> Array:

@@ -351,7 +351,7 @@ def _reached(chain: IkChain, points: Array, rows: Array, is_oriented: bool) -> t
     candidates = np.ones(len(targets), bool)
     starts = NUMERICAL_STARTS
     if chain.closed_form is not None and is_oriented:
-        candidates = first_solutions(chain.closed_form, targets, q)
+        candidates = first_solutions(chain, chain.closed_form, targets, chain.home, q)
         starts = 1
     solved = np.zeros(len(targets), bool)
     search = np.flatnonzero(candidates)

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from armctl.core.units import length_text
 from armctl.core.validation import Array, BoolArray, IntArray, TextArray
+
+_FAR_M = 10.0  # more than any arm reaches: such a target was probably meant in millimetres
+# rad, and m of an arm that reaches 1 m or more, else reaches. An unreachable target is rarely missed by so little, but a search
+# near a singular configuration ends there: rounding of 1e-16 moves the joints by its square root.
+NEAR_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -94,17 +100,15 @@ class IkBatch:
         return f"{int(self.ok.sum())} of {len(self)} solved"
 
 
-def failure_reason(out_of_reach: bool, position_error: float, orientation_error: float, starts: int) -> str:
-    """Why a best approximation with these errors, m and rad, is not a solution."""
+def failure_reason(out_of_reach: bool, position_error: float, orientation_error: float, starts: int, reach: float) -> str:
+    """Why a best approximation with these errors, m and rad, is not a solution for an arm of this reach, m."""
+    if position_error <= NEAR_ROUNDING * min(reach, 1.0) and orientation_error <= NEAR_ROUNDING:
+        errors = f"{position_error:.2g} m and {orientation_error:.2g} rad"
+        return f"reached up to {errors}, which is near rounding; give larger tolerances"
     if out_of_reach:
-        return f"out of reach by {_length(position_error)}"
+        units = "; positions are in metres" if position_error > _FAR_M else ""
+        return f"out of reach by {length_text(position_error)}{units}"
     if orientation_error > 0:
         least = f"{orientation_error:.3g} rad off in the best of {starts} starts"
         return f"the point is reachable, but not with this orientation: {least}"
     return f"no solution within the joint limits found in {starts} starts"
-
-
-def _length(length: float) -> str:
-    if length >= 1e6:
-        return f"{length:.3g} m"
-    return f"{1e3 * length:.1f} mm" if length >= 1e-4 else f"{1e3 * length:.2g} mm"

@@ -175,7 +175,8 @@ def _first_solution(problem: Problem, candidates: Iterator[Candidate], contact_a
     if position_error <= problem.position_tolerance and orientation_error <= problem.orientation_tolerance:
         reason = contact_at(effort.q[0]) if contact_at is not None else ""
     else:
-        reason = failure_reason(bool(effort.out_of_reach[0]), position_error, orientation_error, candidate.starts)
+        out_of_reach = bool(effort.out_of_reach[0])
+        reason = failure_reason(out_of_reach, position_error, orientation_error, candidate.starts, problem.chain.reach)
     return _result(problem, candidate._replace(q=effort.q[0]), position_error, orientation_error, reason)
 
 

@@ -97,18 +97,16 @@ class ComputedTorqueGains(NamedTuple):
             dt: s, the control period.
 
         Raises:
-            InputError: It is no ComputedTorque, it has integral action or the textbook form, or the control period is no number
-                in [0, 1] s.
+            InputError: It is no ComputedTorque, it has the textbook form, or the control period is no number in [0, 1] s.
         """
         if type(controller) is not ComputedTorque:
             raise InputError(f"controller: expected armctl.ComputedTorque(arm), got a {type(controller).__name__:.80}")
-        if controller.integral or controller.form == "textbook":
-            raise InputError("controller: armctl.jax needs ComputedTorque with form='discrete' and without integral action")
+        if controller.form == "textbook":
+            raise InputError("controller: armctl.jax needs ComputedTorque with form='discrete'")
         dt, _ = checked_period(dt, False)
-        gains = controller.gains_at(dt, continuous=False)
         return cls(
-            stiffness=jnp.full(controller.n, gains.kp),
-            damping=jnp.full(controller.n, gains.kd),
+            stiffness=jnp.full(controller.n, controller.bandwidth**2),
+            damping=jnp.full(controller.n, 2 * controller.damping_ratio * controller.bandwidth),
             added_inertia=jnp.asarray(controller.added_inertia(dt)),
         )
 

@@ -1,6 +1,6 @@
 """Equations of motion of an `ArmModel`, as pure functions of JAX.
 
-The recursions of `armctl/cpp/dynamics.cpp` become sums over the joints before a link and the links behind a joint, of spatial
+The recursions of `armctl/cpp/dynamics.hpp` become sums over the joints before a link and the links behind a joint, of spatial
 velocities, accelerations and forces (Featherstone, Rigid Body Dynamics Algorithms, 2008, chapter 2) in world axes. Only the
 frames of the joints follow from each other in a loop, so a program is short, compiles fast, and has few steps on a GPU. The
 mass matrix is the sum over the links of J^T m J, not of composite inertias, which lose digits in float32 far from the base.

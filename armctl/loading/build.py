@@ -15,7 +15,7 @@ from armctl.loading.home import clear_keyframe_controls, home_controls, home_qpo
 from armctl.loading.limits import joint_limits
 from armctl.mjmodel.target_marker import set_target_start
 from armctl.robot.actuation import Actuation
-from armctl.robot.arm import Arm
+from armctl.robot.arm import Arm, Recipe
 from armctl.robot.joint_map import JointMap
 from armctl.robot.pinocchio_model import PinocchioModel, build_pinocchio_model
 
@@ -34,13 +34,16 @@ class _Parts:
     sources: dict[str, str]
 
 
-def make_arms(name: str, model: mujoco.MjModel, plans: Sequence[ArmPlan], notes: Sequence[str]) -> tuple[Arm, ...]:
+def make_arms(
+    name: str, model: mujoco.MjModel, plans: Sequence[ArmPlan], notes: Sequence[str], recipe: Recipe | None
+) -> tuple[Arm, ...]:
     """The arms of a prepared model, which is completed in place: the target's start, no controls in the keyframes.
 
     Args:
         name: What the arms were loaded as.
         model: The compiled model, with torque motors; all arms share it.
         notes: What had to be assumed of the whole model.
+        recipe: How the model was made; None if it was given.
     """
     qpos = home_qpos(model, tuple(joint for plan in plans for joint in plan.joints))
     parts = [_parts(model, plan, qpos) for plan in plans]
@@ -61,8 +64,9 @@ def make_arms(name: str, model: mujoco.MjModel, plans: Sequence[ArmPlan], notes:
             home_ctrl=ctrl,
             tip_body=part.plan.tip.body,
             T_body_tip=part.plan.tip.T_body_tip,
-            notes=(*notes, *part.plan.notes),
+            notes=(*notes, *part.plan.notes, *part.plan.quiet_notes),
             sources=part.sources,
+            recipe=recipe,
         )
         for part in parts
     )
@@ -70,7 +74,7 @@ def make_arms(name: str, model: mujoco.MjModel, plans: Sequence[ArmPlan], notes:
 
 def _parts(model: mujoco.MjModel, plan: ArmPlan, qpos: Array) -> _Parts:
     joint_map = JointMap.from_transmissions(model, plan.joints, plan.transmissions)
-    limits, sources = joint_limits(model, plan.transmissions, qpos, plan.tau_max, plan.datasheet)
+    limits, sources = joint_limits(model, plan.transmissions, qpos, plan.tau_max, plan.datasheet, plan.dc_motors)
     actuation = Actuation.from_model(model, joint_map, plan.transmissions, limits)
     home = _home(limits, qpos[actuation.qpos_adr])
     whole = qpos.copy()

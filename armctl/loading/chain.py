@@ -215,6 +215,8 @@ def _refusal(analysis: Transmissions, joint: int) -> str:
     """Why a joint cannot be part of an arm; empty if it can."""
     if is_free(analysis.model, joint):
         return _free_base_reason(analysis.model, joint)
+    if joint in analysis.springs:
+        return ""
     transmission = analysis.of(joint)
     return transmission if isinstance(transmission, str) else ""
 
@@ -251,7 +253,7 @@ def _actuated_runs(analysis: Transmissions, base: int) -> set[Joints]:
     for body in range(base + 1, model.nbody):
         parent = int(model.body_parentid[body])
         own = joints_of(model, body)
-        if parent in run and all(joint in analysis.actuators for joint in own):
+        if parent in run and all(joint in analysis.actuators or joint in analysis.springs for joint in own):
             run[body] = run[parent] + own
     return {r for r in run.values() if r}
 
@@ -274,7 +276,8 @@ def _end_of_arm(analysis: Transmissions, run: Joints, counts: list[int]) -> int:
 
 def _is_jaw(analysis: Transmissions, joint: int) -> bool:
     model = analysis.model
-    names = (joint_name(model, joint), actuator_name(model, analysis.actuators[joint]))
+    motor = analysis.actuators[analysis.springs.get(joint, joint)]
+    names = (joint_name(model, joint), actuator_name(model, motor))
     body = int(model.jnt_bodyid[joint])
     is_named_jaw = any(map(_JAW_NAME.search, names)) or _JAW_BODY_NAME.search(body_name(model, body))
     return bool(is_named_jaw) or (

@@ -9,11 +9,13 @@ from itertools import permutations
 from armctl.core.errors import ModelError, UnknownNameError
 from armctl.core.pose import Pose
 from armctl.core.validation import Array, shown
+from armctl.loading.actuators import actuator_notes, dc_motors
 from armctl.loading.catalog import Source
 from armctl.loading.chain import chain_to, end_note, find_chain
 from armctl.loading.limits import JointData, datasheet_limits, torque_limits
 from armctl.loading.tip import Tip, named_body, named_tip, tip_of_chain
 from armctl.loading.urdf import speed_limits
+from armctl.mjmodel.dc_motor import DcMotor
 from armctl.mjmodel.queries import Joints, body_name, is_below, joint_name
 from armctl.mjmodel.transmissions import Transmission, Transmissions
 
@@ -38,22 +40,26 @@ class ArmPlan:
     """What one arm of a model will be.
 
     Attributes:
-        joints: The joints from the base to the tip.
+        joints: The joints from the base to the tip, without the springs of elastic joints.
         transmissions: What moves each of its n joints.
+        dc_motors: The DC motor of each of them, or None.
         tip: Its tip, in the body's number of the model that is described.
         datasheet: Limits from a data sheet or a URDF, or None.
         tau_max: (n,) N m.
         tau_source: Where the torque limits come from.
         notes: What had to be assumed, one sentence each.
+        quiet_notes: What needs no warning, one sentence each.
     """
 
     joints: Joints
     transmissions: tuple[Transmission, ...]
+    dc_motors: tuple[DcMotor | None, ...]
     tip: Tip
     datasheet: JointData | None
     tau_max: Array
     tau_source: str
     notes: tuple[str, ...]
+    quiet_notes: tuple[str, ...]
 
     def with_tip_body(self, body: int) -> ArmPlan:
         """The same plan for a model in which the tip's body has another number."""
@@ -121,15 +127,19 @@ def _described(source: Source, analysis: Transmissions, joints: Joints, tip: Tip
     model = analysis.model
     transmissions = analysis.of_chain(joints)
     datasheet = speed_limits(source.urdf, model, transmissions) or datasheet_limits(source.row, len(transmissions))
-    torques = torque_limits(model, transmissions, datasheet)
+    motors = dc_motors(source, model, transmissions)
+    torques = torque_limits(model, transmissions, datasheet, motors)
+    warned, quiet = actuator_notes(analysis, joints, transmissions, motors)
     return ArmPlan(
-        joints=joints,
+        joints=tuple(joint for joint in joints if joint not in analysis.springs),
         transmissions=transmissions,
+        dc_motors=motors,
         tip=tip,
         datasheet=datasheet,
         tau_max=torques.tau_max,
         tau_source=torques.source,
-        notes=(*torques.notes, *end_note(analysis, joints)),
+        notes=(*torques.notes, *warned, *end_note(analysis, joints)),
+        quiet_notes=tuple(quiet),
     )
 
 

@@ -14,6 +14,7 @@ from armctl.core.limits import Limits
 from armctl.core.validation import Array, shown
 from armctl.loading.datasheets import Row
 from armctl.mjmodel.couplings import tendon_coefficients
+from armctl.mjmodel.dc_motor import DcMotor
 from armctl.mjmodel.queries import joint_name, joint_range
 from armctl.mjmodel.transmissions import Mimic, Transmission
 
@@ -68,16 +69,23 @@ def datasheet_limits(row: Row | None, n: int) -> JointData | None:
     return JointData(row.source, **given)
 
 
-def torque_limits(model: mujoco.MjModel, transmissions: Sequence[Transmission], datasheet: JointData | None) -> TorqueLimits:
+def torque_limits(
+    model: mujoco.MjModel,
+    transmissions: Sequence[Transmission],
+    datasheet: JointData | None,
+    motors: Sequence[DcMotor | None],
+) -> TorqueLimits:
     """The torque limits of an arm's joints.
 
-    The smallest of the model's own limits: the actuator's forcerange x gear, the joint's actfrcrange and, for an actuator that
-    is already a motor, ctrlrange x gear. Without any, the data sheet's limit; without that, an assumption, with a note.
+    The smallest of the model's own limits: the actuator's forcerange x gear, the joint's actfrcrange, the stall torque of a DC
+    motor and, for an actuator that is already a motor, ctrlrange x gear. Without any, the data sheet's limit; without that, an
+    assumption, with a note.
 
     Args:
         model: The model as compiled from its file, with its own actuators.
         transmissions: What moves the joints.
         datasheet: The arm's data-sheet limits, or None.
+        motors: The DC motors of the joints.
 
     Raises:
         ModelError: A range does not allow torques of both signs.
@@ -85,13 +93,14 @@ def torque_limits(model: mujoco.MjModel, transmissions: Sequence[Transmission], 
     tau = np.full(len(transmissions), np.inf)
     sources: set[str] = set()
     notes: tuple[str, ...] = ()
-    for i, transmission in enumerate(transmissions):
-        for source, (low, high) in _torque_ranges(model, transmission):
+    for i, (transmission, motor) in enumerate(zip(transmissions, motors, strict=True)):
+        stall = [] if motor is None else [("stall torque", (-motor.stall_torque, motor.stall_torque))]
+        for source, (low, high) in [*_torque_ranges(model, transmission), *stall]:
             bound = min(-low, high)
             if bound <= 0:
                 name = shown(joint_name(model, transmission.joint))
                 raise ModelError(f"joint {name}: its {source} [{low:g}, {high:g}] permits only one direction")
-            if bound <= tau[i]:
+            if bound <= tau[i] and bound < np.inf:
                 tau[i] = bound
                 sources.add(source)
     unknown = ~np.isfinite(tau)
@@ -114,6 +123,7 @@ def joint_limits(
     home_qpos: Array,
     tau_max: Array,
     datasheet: JointData | None,
+    motors: Sequence[DcMotor | None],
 ) -> tuple[Limits, dict[str, str]]:
     """The limits of an arm: positions from the model, the rest from the data sheet or a default.
 
@@ -124,23 +134,32 @@ def joint_limits(
     Args:
         home_qpos: (nq,) the model at home.
         tau_max: (n,) N m.
+        motors: The DC motors of the joints: a speed that nothing limits is that without a load.
 
     Returns:
         The limits, and where each of them comes from.
     """
     q_min, q_max = position_limits(model, transmissions)
     given = JointData("default") if datasheet is None else datasheet
+    no_load = np.array([np.inf if motor is None else motor.no_load_speed for motor in motors])
+    stall = np.array([np.inf if motor is None else motor.stall_torque for motor in motors])
+    has_curve = np.isfinite(no_load)
     v_max = default_speeds(model, transmissions) if given.v_max is None else given.v_max
+    v_max = np.where(has_curve & (given.v_max is None), no_load, np.minimum(v_max, no_load))
     a_max = given.a_max
     j_max = given.j_max
     if a_max is None:
         M, gravity = _inertia_and_gravity(model, transmissions, home_qpos)
         headroom = np.maximum(tau_max - np.abs(gravity), 0.1 * tau_max)
-        a_max = np.minimum(0.5 * headroom / np.abs(M).sum(axis=1), 10.0 * v_max)
+        with np.errstate(over="ignore"):  # a model may state any speed
+            a_max = np.minimum(0.5 * headroom / np.abs(M).sum(axis=1), 10.0 * v_max)
     if j_max is None:
         j_max = a_max / DEFAULT_ACCELERATION_TIME_S
     sources = {k: "default" if getattr(given, k) is None else given.source for k in ("v_max", "a_max", "j_max")}
-    return Limits(q_min, q_max, v_max, a_max, j_max, tau_max), {"q_min": "model", "q_max": "model", **sources}
+    if has_curve.any():
+        sources["v_max"] = "no-load speed" if has_curve.all() else f"no-load speed, {sources['v_max']}"
+    limits = Limits(q_min, q_max, v_max, a_max, j_max, tau_max, stall, no_load)
+    return limits, {"q_min": "model", "q_max": "model", **sources}
 
 
 def position_limits(model: mujoco.MjModel, transmissions: Sequence[Transmission]) -> tuple[Array, Array]:

@@ -9,9 +9,10 @@ from __future__ import annotations
 import contextlib
 import os
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import mujoco
 
@@ -69,6 +70,67 @@ class _Robot:
         return replace(ends, tip=tip, base=base if ends.base is None else ends.base)
 
 
+@dataclass(frozen=True, eq=False)
+class _Recipe:
+    """The arguments of `load` or `load_arms`, from which its model is made.
+
+    Attributes:
+        robot: As for `load`.
+        ends: Where each arm begins and ends.
+        hold_base: As for `load`.
+        tool: As for `load`.
+        scene: As for `load`.
+        srdf: As for `load`.
+        is_complete: False in another process for the arm of a specification, which does not go along.
+    """
+
+    robot: str | os.PathLike[str] | mujoco.MjSpec
+    ends: tuple[ArmEnds, ...]
+    hold_base: bool
+    tool: str | os.PathLike[str] | mujoco.MjSpec | None
+    scene: Scene | str | os.PathLike[str] | None
+    srdf: str | os.PathLike[str] | None
+    is_complete: bool = True
+
+    def __getstate__(self) -> dict[str, Any]:
+        is_text = not isinstance(self.robot, mujoco.MjSpec) and not isinstance(self.tool, mujoco.MjSpec)
+        return self.__dict__ if is_text else self.__dict__ | {"robot": "", "tool": None, "is_complete": False}
+
+    def model(self, edit: Callable[[mujoco.MjSpec], None]) -> mujoco.MjModel:
+        """The model of the arms, made once more after an edit of the specification.
+
+        Raises:
+            ModelError: The robot was an MjSpec, and this is another process; or MuJoCo cannot compile the result.
+        """
+        return self.prepared(edit)[1].model
+
+    def prepared(self, edit: Callable[[mujoco.MjSpec], None] | None = None) -> tuple[str, PreparedModel, list[str]]:
+        """The name of the robot, its model with torque motors, and what is doubtful, one sentence each."""
+        if not self.is_complete:
+            raise ModelError("an arm of an MjSpec gets no further elements in another process; load it from a file")
+        source = locate(self.robot)
+        robot = _read(source, self.hold_base, self.srdf)
+        spec = robot.spec
+        ends = [robot.resolved(each) for each in self.ends]
+        if self.tool is not None:
+            only = ends[0]
+            with _naming(source.name):
+                analysis = Transmissions(source.compile_without_textures(spec))
+                _, flange = find_ends(source, analysis, ArmEnds(only.tip, only.base))
+            body = next(b for b in spec.bodies if b.id == flange.body)
+            ends = [replace(only, tip=mount(spec, body, flange.T_body_tip, locate(self.tool, tool=True)))]
+        _add_scene(spec, self.scene)
+        original = source.compile_without_textures(spec)
+        with _naming(source.name):
+            check_timestep(original)
+            analysis = Transmissions(original)
+            plans = describe_arms(source, analysis, ends)
+        prepared = make_arm_model(source, spec, analysis, plans, robot.loose_links, edit)
+        rating = source.row.rating if source.row is not None and any(plan.datasheet is not None for plan in plans) else ""
+        quiet_notes = (*filter(None, [rating]), *robot.quiet_notes, *prepared.quiet_notes)
+        return source.name, replace(prepared, quiet_notes=quiet_notes), [*robot.notes, *_model_notes(original)]
+
+
 def load(
     robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel,
     *,
@@ -113,17 +175,8 @@ def load(
     if isinstance(robot, mujoco.MjModel):
         _refuse_additions(hold_base=hold_base, tool=tool is not None, scene=scene is not None, srdf=srdf is not None)
         return _load_compiled(robot, [ArmEnds(tip, base, tip_offset)])[0]
-    source = locate(robot)
-    robot_model = _read(source, hold_base, srdf)
-    spec = robot_model.spec
-    ends = robot_model.resolved(ArmEnds(tip, base, tip_offset))
-    if tool is not None:
-        with _naming(source.name):
-            _, flange = find_ends(source, Transmissions(source.compile_without_textures(spec)), ArmEnds(ends.tip, ends.base))
-        body = next(b for b in spec.bodies if b.id == flange.body)
-        ends = replace(ends, tip=mount(spec, body, flange.T_body_tip, locate(tool, tool=True)))
-    _add_scene(spec, scene)
-    return _load_spec(source, robot_model, [ends])[0]
+    ends = (ArmEnds(tip, base, tip_offset),)
+    return _load_recipe(_Recipe(_kept(robot), ends, hold_base=hold_base, tool=tool, scene=scene, srdf=srdf))[0]
 
 
 def load_arms(
@@ -173,10 +226,7 @@ def load_arms(
     if isinstance(robot, mujoco.MjModel):
         _refuse_additions(hold_base=hold_base, scene=scene is not None, srdf=srdf is not None)
         return _load_compiled(robot, ends)
-    source = locate(robot)
-    robot_model = _read(source, hold_base, srdf)
-    _add_scene(robot_model.spec, scene)
-    return _load_spec(source, robot_model, [robot_model.resolved(each) for each in ends])
+    return _load_recipe(_Recipe(_kept(robot), tuple(ends), hold_base=hold_base, tool=None, scene=scene, srdf=srdf))
 
 
 def chains(robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel) -> list[SerialChain]:
@@ -200,18 +250,15 @@ def chains(robot: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel) -> li
     return all_chains(Transmissions(source.compile_without_textures(spec)))
 
 
-def _load_spec(source: Source, robot: _Robot, ends: Sequence[ArmEnds]) -> tuple[Arm, ...]:
-    """The arms of a specification, which is changed in place."""
-    spec = robot.spec
-    original = source.compile_without_textures(spec)
-    with _naming(source.name):
-        check_timestep(original)
-        analysis = Transmissions(original)
-        plans = describe_arms(source, analysis, ends)
-    prepared = make_arm_model(source, spec, analysis, plans, robot.loose_links)
-    rating = source.row.rating if source.row is not None and any(plan.datasheet is not None for plan in plans) else ""
-    prepared = replace(prepared, quiet_notes=(*filter(None, [rating]), *robot.quiet_notes, *prepared.quiet_notes))
-    return _arms(source.name, prepared, [*robot.notes, *drag_notes(original), *reversed_range_notes(original)])
+def _kept(robot: str | os.PathLike[str] | mujoco.MjSpec) -> str | os.PathLike[str] | mujoco.MjSpec:
+    """A robot as it is now: a caller can change a specification later."""
+    return locate(robot).read()[0] if isinstance(robot, mujoco.MjSpec) else robot
+
+
+def _load_recipe(recipe: _Recipe) -> tuple[Arm, ...]:
+    """The arms that a recipe makes."""
+    name, prepared, notes = recipe.prepared()
+    return _arms(name, prepared, notes, recipe)
 
 
 def _load_compiled(model: mujoco.MjModel, ends: Sequence[ArmEnds]) -> tuple[Arm, ...]:
@@ -222,16 +269,21 @@ def _load_compiled(model: mujoco.MjModel, ends: Sequence[ArmEnds]) -> tuple[Arm,
         analysis = Transmissions(model)
         plans = describe_arms(source, analysis, ends)
         prepared = make_arm_model_from_compiled(analysis, plans)
-    return _arms(source.name, prepared, [*drag_notes(model), *reversed_range_notes(model)])
+    return _arms(source.name, prepared, _model_notes(model), None)
 
 
-def _arms(name: str, prepared: PreparedModel, notes: Sequence[str]) -> tuple[Arm, ...]:
+def _model_notes(model: mujoco.MjModel) -> list[str]:
+    """What is doubtful in the whole model, one sentence each."""
+    return [*drag_notes(model), *reversed_range_notes(model)]
+
+
+def _arms(name: str, prepared: PreparedModel, notes: Sequence[str], recipe: _Recipe | None) -> tuple[Arm, ...]:
     """The arms of a prepared model, checked, after the warnings about it."""
     warned = [*notes, *prepared.notes]
     for sentence in [*warned, *(note for plan in prepared.plans for note in plan.notes)]:
         warnings.warn(f"{name}: {sentence}", ArmctlWarning, stacklevel=4)
     check_joint_parameters(prepared.model)
-    arms = make_arms(name, prepared.model, prepared.plans, [*warned, *prepared.quiet_notes])
+    arms = make_arms(name, prepared.model, prepared.plans, [*warned, *prepared.quiet_notes], recipe)
     for arm in arms:
         check_mass_matrix(arm)
         check_parity(arm)

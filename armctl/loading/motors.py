@@ -2,75 +2,111 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 import mujoco
 import numpy as np
 
 from armctl.core.errors import ModelError
-from armctl.core.validation import Array, shown
+from armctl.core.validation import Array, IntArray, shown
+from armctl.mjmodel.dc_motor import TORQUE_COMMAND, DcMotor, is_dc_motor, set_current_controller, state_count
 from armctl.mjmodel.queries import actuator_name
 from armctl.mjmodel.transmissions import Transmission, Transmissions, generalized_gear
 
 _IDLE_FORCE = 1e-12  # range of an actuator that another one replaces; MuJoCo refuses an empty range
+_SHORT_STEP_S = 5e-5
 _SWITCHED_ON = "the model's options disable its actuators; armctl enables them"
 
 
 def make_motors(
-    spec: mujoco.MjSpec, analysis: Transmissions, transmissions: Sequence[Transmission], tau_max: Array
+    spec: mujoco.MjSpec,
+    analysis: Transmissions,
+    transmissions: Sequence[Transmission],
+    tau_max: Array,
+    dc_motors: Sequence[DcMotor | None],
 ) -> list[str]:
-    """Turns the actuators of an arm into torque motors, in place; gears, names, armature and damping stay.
+    """Turns the actuators of an arm into torque motors, in place; gears, names, armature, damping and delays stay.
+
+    A DC motor stays one: its current controller makes the torque.
 
     Args:
         spec: The specification that `analysis.model` was compiled from.
         transmissions: What moves the arm's joints.
         tau_max: (n,) N m, which become the motors' ranges.
+        dc_motors: The DC motors of the joints.
 
     Returns:
         What else had to be changed, one sentence each.
     """
-    model = analysis.model
     joints = {j.id: j for j in spec.joints}
     motors = {a.id: a for a in spec.actuators}
-    states: set[int] = set()
+    voltages = {each.actuator: each.voltage for each in dc_motors if each is not None}
     for transmission in transmissions:
         for joint in transmission.coupled:
             joints[joint].actgravcomp = False  # as a motor's torque it would count against the motor's limit
     for transmission, actuator, gear, bound in _motors_of(analysis, transmissions, tau_max):
         motor = motors[actuator]
-        first_state = int(model.actuator_actadr[actuator])
-        states |= set(range(first_state, first_state + int(model.actuator_actnum[actuator])))
         _move_reflected(motor, joints[transmission.joint], gear)
-        motor.set_to_motor()
+        if actuator in voltages:
+            set_current_controller(motor, voltages[actuator])
+            motor.ctrlspec = TORQUE_COMMAND
+        else:
+            motor.set_to_motor()
+        if motor.delay > 0.0:  # in shorter steps, a delay takes more samples
+            motor.nsample = max(motor.nsample, math.ceil(motor.delay / _SHORT_STEP_S) + 1)
         motor.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
         motor.actrange = (0.0, 0.0)
         motor.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
         motor.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
         motor.ctrlrange = (-bound, bound)
         motor.forcerange = (-bound, bound)
-    for key in spec.keys:
-        key.act = [x for k, x in enumerate(key.act) if k not in states]
     groups = {motors[transmission.actuator].group for transmission in transmissions}
     return [_SWITCHED_ON] if _enable_actuators(spec.option, groups) else []
 
 
+def adapt_keyframes(spec: mujoco.MjSpec, analysis: Transmissions, arms: Sequence[Sequence[Transmission]]) -> None:
+    """Gives the keyframes the controls and states of the actuators after `make_motors` has changed those of all arms."""
+    model = analysis.model
+    motors = {a.id: a for a in spec.actuators}
+    changed = {
+        actuator
+        for transmissions in arms
+        for _, actuator, _, _ in _motors_of(analysis, transmissions, np.ones(len(transmissions)))
+    }
+    states = {
+        actuator: [0.0] * state_count(motors[actuator].dynprm) if _is_dc(motors[actuator]) else [] for actuator in changed
+    }
+    controls = {actuator: [0.0] for actuator in changed}
+    for key in spec.keys:
+        key.act = _in_blocks(list(key.act), model.actuator_actadr, model.actuator_actnum, states)
+        key.ctrl = _in_blocks(list(key.ctrl), model.actuator_ctrladr, model.actuator_ctrlnum, controls)
+
+
 def make_motors_in_model(
-    model: mujoco.MjModel, analysis: Transmissions, transmissions: Sequence[Transmission], tau_max: Array
+    model: mujoco.MjModel,
+    analysis: Transmissions,
+    transmissions: Sequence[Transmission],
+    tau_max: Array,
+    dc_motors: Sequence[DcMotor | None],
 ) -> list[str]:
     """Turns the actuators of an arm into torque motors in a compiled model, in place; the result acts as `make_motors`' does.
 
+    A DC motor stays one.
+
     Raises:
-        ModelError: An actuator has an activation state, a delay or a plugin, which a compiled model cannot lose.
+        ModelError: An actuator has an activation state, several controls or a plugin, which a compiled model cannot lose.
     """
     for transmission in transmissions:
         for joint in transmission.coupled:
             model.jnt_actgravcomp[joint] = 0
+    voltages = {each.actuator: each.voltage for each in dc_motors if each is not None}
     for transmission, actuator, gear, bound in _motors_of(analysis, transmissions, tau_max):
         if _has_memory(model, actuator):
             name = shown(actuator_name(model, actuator))
             raise ModelError(
-                f"the actuator {name} has an activation state, a delay or a plugin, which a compiled MjModel cannot lose; "
-                "give the MjSpec or the file"
+                f"the actuator {name} has an activation state, several controls or a plugin, which a compiled MjModel "
+                "cannot lose; give the MjSpec or the file"
             )
         dof = int(model.jnt_dofadr[transmission.joint])
         model.dof_armature[dof] += gear**2 * model.actuator_armature[actuator]
@@ -79,12 +115,16 @@ def make_motors_in_model(
         model.actuator_armature[actuator] = 0.0
         model.actuator_damping[actuator] = 0.0
         model.actuator_dampingpoly[actuator] = 0.0
-        model.actuator_gaintype[actuator] = int(mujoco.mjtGain.mjGAIN_FIXED)
-        model.actuator_gainprm[actuator] = 0.0
-        model.actuator_gainprm[actuator, 0] = 1.0
-        model.actuator_biastype[actuator] = int(mujoco.mjtBias.mjBIAS_NONE)
-        model.actuator_biasprm[actuator] = 0.0
-        model.actuator_dyntype[actuator] = int(mujoco.mjtDyn.mjDYN_NONE)
+        if actuator in voltages:
+            set_current_controller(model.actuator(actuator), voltages[actuator])
+            model.actuator_ctrlspec[actuator] = TORQUE_COMMAND
+        else:
+            model.actuator_gaintype[actuator] = int(mujoco.mjtGain.mjGAIN_FIXED)
+            model.actuator_gainprm[actuator] = 0.0
+            model.actuator_gainprm[actuator, 0] = 1.0
+            model.actuator_biastype[actuator] = int(mujoco.mjtBias.mjBIAS_NONE)
+            model.actuator_biasprm[actuator] = 0.0
+            model.actuator_dyntype[actuator] = int(mujoco.mjtDyn.mjDYN_NONE)
         model.actuator_actlimited[actuator] = 0
         control = int(model.actuator_ctrladr[actuator])
         model.actuator_ctrllimited[control] = 1
@@ -98,12 +138,14 @@ def make_motors_in_model(
 def _motors_of(
     analysis: Transmissions, transmissions: Sequence[Transmission], tau_max: Array
 ) -> Iterator[tuple[Transmission, int, float, float]]:
-    """Every actuator on the arm's joints, its gear to the leading joint, and the bound of its force.
+    """Every actuator on the arm's joints that has a control, its gear to the leading joint, and the bound of its force.
 
     Besides the actuator that drives a joint, others may act on it, such as a damper: these become motors that stay idle.
     """
     for transmission, torque in zip(transmissions, tau_max, strict=True):
         for actuator in analysis.acting_on(set(transmission.coupled)):
+            if not analysis.model.actuator_ctrlnum[actuator]:
+                continue
             gear = abs(generalized_gear(analysis.moments[actuator], transmission.coupled)) or 1.0
             bound = torque / gear if actuator == transmission.actuator else _IDLE_FORCE
             yield transmission, actuator, gear, bound
@@ -111,8 +153,21 @@ def _motors_of(
 
 def _has_memory(model: mujoco.MjModel, actuator: int) -> bool:
     """Whether an actuator is more than a function of one control and the joint's present state."""
-    has_state = model.actuator_actnum[actuator] > 0 or model.actuator_delay[actuator] > 0
+    own_states = state_count(model.actuator_dynprm[actuator]) if is_dc_motor(model, actuator) else 0
+    has_state = model.actuator_actnum[actuator] != own_states
     return bool(has_state or model.actuator_plugin[actuator] >= 0 or model.actuator_ctrlnum[actuator] != 1)
+
+
+def _is_dc(motor: mujoco.MjsActuator) -> bool:
+    return bool(motor.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR)
+
+
+def _in_blocks(values: list[float], first: IntArray, count: IntArray, changed: dict[int, list[float]]) -> list[float]:
+    """A keyframe's numbers of all actuators, after some actuators have got others; empty if the keyframe has none."""
+    if not values:
+        return values
+    blocks = [values[i : i + n] if n else [] for i, n in zip(first.tolist(), count.tolist(), strict=True)]
+    return [x for actuator, block in enumerate(blocks) for x in changed.get(actuator, block)]
 
 
 def _enable_actuators(option: mujoco.MjOption, groups: set[int]) -> bool:

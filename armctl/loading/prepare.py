@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import mujoco
 
+from armctl.loading.actuators import mend_solver
 from armctl.loading.catalog import Source
 from armctl.loading.describe import ArmPlan
-from armctl.loading.motors import make_motors, make_motors_in_model
+from armctl.loading.motors import adapt_keyframes, make_motors, make_motors_in_model
 from armctl.loading.neighbor_contacts import overlapping_neighbors, touching_links, unavoidable_contacts
 from armctl.mjmodel.edit import add_payload_bodies, payload_body
 from armctl.mjmodel.queries import body_name
@@ -37,7 +38,12 @@ class PreparedModel:
 
 
 def make_arm_model(
-    source: Source, spec: mujoco.MjSpec, analysis: Transmissions, plans: Sequence[ArmPlan], loose_links: Collection[str] = ()
+    source: Source,
+    spec: mujoco.MjSpec,
+    analysis: Transmissions,
+    plans: Sequence[ArmPlan],
+    loose_links: Collection[str] = (),
+    edit: Callable[[mujoco.MjSpec], None] | None = None,
 ) -> PreparedModel:
     """Gives the arms torque motors, adds the target and compiles; `spec` is changed in place.
 
@@ -45,6 +51,7 @@ def make_arm_model(
         source: Where the model comes from, for errors.
         spec: The specification that `analysis.model` was compiled from.
         loose_links: Bodies of which no file says which of them may touch: those that touch at home may.
+        edit: What else changes the specification, last.
 
     Raises:
         ModelError: MuJoCo cannot compile the result.
@@ -54,7 +61,9 @@ def make_arm_model(
     notes: list[str] = []
     excluded: list[str] = []
     for plan in plans:
-        notes += make_motors(spec, analysis, plan.transmissions, plan.tau_max)
+        notes += make_motors(spec, analysis, plan.transmissions, plan.tau_max, plan.dc_motors)
+    excluded += mend_solver(original, spec.option)
+    adapt_keyframes(spec, analysis, [plan.transmissions for plan in plans])
     for plan in plans:
         neighbors = overlapping_neighbors(original, plan.joints)
         for first, second in neighbors:
@@ -68,6 +77,8 @@ def make_arm_model(
         notes += _exclude_touching(spec, original, plans, loose_links)
     add_target(spec)
     add_payload_bodies(spec, original, {plan.tip.body: bodies[plan.tip.body] for plan in plans})
+    if edit is not None:
+        edit(spec)
     model = source.compile(spec)
     renumbered = tuple(plan.with_tip_body(bodies[plan.tip.body].id) for plan in plans)
     return PreparedModel(model, renumbered, tuple(notes), tuple(excluded))
@@ -98,18 +109,19 @@ def make_arm_model_from_compiled(analysis: Transmissions, plans: Sequence[ArmPla
     A compiled model cannot get further elements, so there are no excluded contacts, no target and no body for payloads.
 
     Raises:
-        ModelError: An actuator has an activation state, a delay or a plugin, which a compiled model cannot lose.
+        ModelError: An actuator has an activation state, several controls or a plugin, which a compiled model cannot lose.
     """
     original = analysis.model
     model = copy.copy(original)
     notes: list[str] = []
     for plan in plans:
-        notes += make_motors_in_model(model, analysis, plan.transmissions, plan.tau_max)
+        notes += make_motors_in_model(model, analysis, plan.transmissions, plan.tau_max, plan.dc_motors)
         for first, second in overlapping_neighbors(original, plan.joints):
             notes.append(f"{first} and {second} overlap at home, and their contact brakes the joint; exclude it in the MJCF")
         if payload_body(original, plan.tip.body) is None:
             body = body_name(original, plan.tip.body)
             notes.append(f"gravcomp lifts {body} and would also lift a payload; pass the MjSpec for correct payloads")
     mujoco.mj_setConst(model, mujoco.MjData(model))
+    mended = mend_solver(model, model.opt)
     quiet = [] if find_target(model) else ["the model has no target marker, and a compiled model cannot get one"]
-    return PreparedModel(model, tuple(plans), tuple(notes), tuple(quiet))
+    return PreparedModel(model, tuple(plans), tuple(notes), (*mended, *quiet))

@@ -50,8 +50,8 @@ class SceneFile:
         self._spec, _ = source.read()
         self._prefix = f"{source.name}/"
         model = source.compile(self._spec)
-        if model.nu or model.ntendon:
-            what = f"the actuator {actuator_name(model, 0)!r}" if model.nu else "a tendon"
+        if model.nactuator or model.ntendon:
+            what = f"the actuator {actuator_name(model, 0)!r}" if model.nactuator else "a tendon"
             raise ModelError(f"scene: {path} has {what}, so it is a robot; a scene has only bodies, geoms and joints")
         self.bodies = [body.name for body in self._spec.bodies[1:] if body.name]
         self.is_loose = bool((model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).any())

@@ -64,7 +64,9 @@ def is_on_joint(model: mujoco.MjModel, actuator: int) -> bool:
 
 
 def is_damper(model: mujoco.MjModel, actuator: int) -> bool:
-    """Whether an actuator only resists motion: its force is a control times a speed."""
+    """Whether an actuator only resists motion: its force is a control times a speed, or it has no control."""
+    if not model.actuator_ctrlnum[actuator]:
+        return True
     affine = model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_AFFINE
     return affine and not model.actuator_gainprm[actuator, :2].any() and not model.actuator_biasprm[actuator].any()
 
@@ -72,7 +74,7 @@ def is_damper(model: mujoco.MjModel, actuator: int) -> bool:
 def joint_actuators(model: mujoco.MjModel) -> dict[int, int]:
     """The actuator that acts directly on each hinge or slide joint; the first one, if several act on the same joint."""
     found: dict[int, int] = {}
-    for actuator in range(model.nu):
+    for actuator in range(model.nactuator):  # `nu` counts controls
         joint = int(model.actuator_trnid[actuator, 0])
         if is_on_joint(model, actuator) and model.jnt_type[joint] in SCALAR and not is_damper(model, actuator):
             found.setdefault(joint, actuator)

@@ -16,6 +16,7 @@ from armctl.core.errors import ModelError
 from armctl.core.validation import shown
 from armctl.mjmodel.couplings import Couplings, tendon_coefficients
 from armctl.mjmodel.queries import SCALAR, Joints, actuator_name, is_damper, is_on_joint, joint_actuators, joint_name, name_of
+from armctl.mjmodel.spring_joints import spring_joints
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class Transmissions:
     def __init__(self, model: mujoco.MjModel):
         """Reads the actuators, equalities and tendons of a model."""
         self.model = model
-        self.moments = [moments_of(model, actuator) for actuator in range(model.nu)]
+        self.moments = [moments_of(model, actuator) for actuator in range(model.nactuator)]  # `nu` counts controls
         self._couplings = Couplings(model)
         self._known: dict[int, Transmission | str] = {}
         self._acting_on: dict[int, list[int]] = {}
@@ -72,7 +73,7 @@ class Transmissions:
         return self._known[joint]
 
     def of_chain(self, joints: Joints) -> tuple[Transmission, ...]:
-        """One transmission per degree of freedom of a chain, from the base to the tip.
+        """One transmission per driven degree of freedom of a chain, from the base to the tip.
 
         The joint of each is the first of its coupled joints in the chain.
 
@@ -82,7 +83,7 @@ class Transmissions:
         found: list[Transmission] = []
         covered: set[int] = set()
         for joint in joints:
-            if joint in covered:
+            if joint in covered or joint in self.springs:
                 continue
             transmission = self.of(joint)
             if isinstance(transmission, str):
@@ -106,6 +107,11 @@ class Transmissions:
         found = [self.of(joint) for joint in range(self.model.njnt)]
         through = {each.joint: each.actuator for each in found if isinstance(each, Transmission)}
         return joint_actuators(self.model) | through
+
+    @cached_property
+    def springs(self) -> dict[int, int]:
+        """The spring joints of elastic joints, and the joint of the motor before each."""
+        return spring_joints(self.model)
 
     def _analysed(self, joint: int) -> Transmission | str:
         model = self.model

@@ -12,7 +12,8 @@ from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number, shown
 from armctl.motion.checks import planning_arm, start_state
 from armctl.motion.timing.otg import JointState, Profile, ProfileSolver
-from armctl.motion.trajectory.piecewise import Pieces
+from armctl.motion.trajectory.path_stop import remaining
+from armctl.motion.trajectory.piecewise import Pieces, standing
 from armctl.robot.arm import Arm
 
 _POSITION_ROUNDING = 1e-9  # rad (m)
@@ -140,6 +141,14 @@ class OnlineMotion:
     def time_left(self) -> float:
         """The time until it is at rest, s, if nothing changes."""
         return max(0.0, self._profile.duration - self._t)
+
+    @property
+    def pieces(self) -> Pieces:
+        """The motion from now on, up to rest, as polynomials."""
+        if self.time_left == 0.0:
+            return standing(self.setpoint.q)
+        whole = self._profile.pieces(self._start)
+        return whole if self._t == 0.0 else remaining(whole, self._t)
 
     def _checked(self, q: ArrayLike) -> Array:
         """A caller's goal, checked. A correct array takes a short path, because `go_to` is called in real time."""

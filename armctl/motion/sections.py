@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import PlanError
 from armctl.core.validation import Array, IntArray, number
-from armctl.motion.timing.path_timing import Fractions, TorqueRows, slowed_down
+from armctl.motion.timing.path_timing import Fractions, slowed_down
+from armctl.motion.timing.speed_bounds import TorqueRows
 from armctl.motion.torque_limits import InverseDynamics, MotionPath, TorqueBounds, sample_times
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory, Slowdown
 from armctl.motion.trajectory.piecewise import Pieces, joints_of, sample, standing, time_scaled
@@ -145,7 +146,7 @@ class _SectionTorques:
     def __init__(self, arm: Arm, ends: Array, limits: Sequence[SectionLimits]):
         self._ends = ends
         self._n = arm.n
-        self._tau_max = arm.limits.tau_max
+        self._limits = arm.limits
         loaded = {each.payload: arm.with_payload(each.payload) if each.payload else arm for each in limits}
         bounds = {payload: TorqueBounds(each) for payload, each in loaded.items()}
         dynamics = {payload: InverseDynamics(each) for payload, each in loaded.items()}
@@ -154,10 +155,11 @@ class _SectionTorques:
 
     def rows(self, s: Array, q: Array, v: Array, a: Array) -> TorqueRows:
         """The bounds at states of the motion, those of the section that each is in."""
-        rows = TorqueRows(*(np.empty_like(q) for _ in TorqueRows._fields))
-        for k, here in self._sections(s):
-            for whole, part in zip(rows, self._bounds[k].rows(s[here], q[here], v[here], a[here]), strict=True):
-                whole[here] = part
+        parts = [(here, self._bounds[k].rows(s[here], q[here], v[here], a[here])) for k, here in self._sections(s)]
+        rows = TorqueRows(*(np.empty((len(q), column.shape[1])) for column in parts[0][1]))
+        for here, part in parts:
+            for whole, values in zip(rows, part, strict=True):
+                whole[here] = values
         return rows
 
     def overshoot(self, s: Array, q: Array, v: Array, a: Array) -> Array:
@@ -172,7 +174,7 @@ class _SectionTorques:
         worst = _Needed(0.0, 0)
         for s, q, v, a in self._samples(pieces):
             for k, here in self._sections(s):
-                shares = np.abs(self._dynamics[k].total(q[here], v[here], a[here])) / self._tau_max
+                shares = self._limits.torque_shares(self._dynamics[k].total(q[here], v[here], a[here]), v[here])
                 joint = int(shares.max(axis=0).argmax())
                 worst = max(worst, _Needed(float(shares[:, joint].max()), joint))
         return worst

@@ -16,7 +16,8 @@ from armctl import _core
 from armctl.core.errors import PlanError
 from armctl.core.trajectory import Trajectory, check_motion
 from armctl.core.validation import Array
-from armctl.motion.timing.path_timing import TorqueRows, slowed_down
+from armctl.motion.timing.path_timing import slowed_down
+from armctl.motion.timing.speed_bounds import TorqueRows
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory, Slowdown
 from armctl.motion.trajectory.piecewise import Pieces, joints_of
 from armctl.robot.arm import Arm, check_arm
@@ -40,7 +41,7 @@ class TorqueCheck:
         joint: The joint that uses the largest share of its limit.
         time: s, when it does.
         torque: N m (N for a slide joint), the torque that it needs then.
-        bound: N m, its limit.
+        bound: N m, its limit, at its speed.
         unit: "N m" or "N".
         ratio: The share of the limit.
         ratios: (n,) the largest share of its limit that each joint uses.
@@ -72,7 +73,9 @@ class TorqueCheck:
 
 
 def check_torque(arm: Arm, trajectory: Trajectory) -> TorqueCheck:
-    """The torques of a motion, by inverse dynamics with damping and dry friction, compared with the motors' limits.
+    """The torques of a motion, by inverse dynamics with damping and dry friction, compared with what the motors give.
+
+    The torque of a DC motor falls with its speed.
 
     Args:
         arm: The arm, with its payload.
@@ -91,8 +94,9 @@ def check_torque(arm: Arm, trajectory: Trajectory) -> TorqueCheck:
     ratios = np.zeros(arm.n)
     worst: tuple[float, float, float, int] = (-1.0, 0.0, 0.0, 0)  # share, time, torque, joint
     for times in sample_times(trajectory):
-        torques = inverse_dynamics.total(*trajectory.sample(times)[:3])
-        shares = np.abs(torques) / arm.limits.tau_max
+        q, v, a = trajectory.sample(times)[:3]
+        torques = inverse_dynamics.total(q, v, a)
+        shares = arm.limits.torque_shares(torques, v)
         ratios = np.maximum(ratios, shares.max(axis=0))
         k, i = np.unravel_index(int(shares.argmax()), shares.shape)
         if not shares[k, i] <= worst[0]:
@@ -103,7 +107,7 @@ def check_torque(arm: Arm, trajectory: Trajectory) -> TorqueCheck:
         joint=arm.joint_names[i],
         time=time,
         torque=torque,
-        bound=float(arm.limits.tau_max[i]),
+        bound=min(abs(torque) / share if share else math.inf, float(arm.limits.tau_max[i])),
         unit=arm.torque_units[i],
         ratio=share,
         ratios=tuple(ratios.tolist()),
@@ -193,6 +197,8 @@ class TorqueBounds:
         self._arm = arm
         self._inverse_dynamics = InverseDynamics(arm)
         self._bound = (1 - _TORQUE_MARGIN) * arm.limits.tau_max
+        self._voltage_bound = (1 - _TORQUE_MARGIN) * arm.limits.stall_torque
+        self._voltage_damping = arm.limits.voltage_damping
 
     def rows(self, s: Array, q: Array, v: Array, a: Array) -> TorqueRows:
         """The bounds at states of a motion, as `path_timing.Torques`."""
@@ -214,16 +220,31 @@ class TorqueBounds:
                 f"{100 * k / (len(q) - 1):.0f} % of the motion, but the limit is {self._arm.limits.tau_max[i]:.4g} {unit}; "
                 "take a lighter payload or another path"
             )
-        return TorqueRows(alpha, beta, damping, low, high)
+        rows = TorqueRows(alpha, beta, damping, low, high)
+        if not self._voltage_damping.any():
+            return rows
+        held = static + friction
+        by_voltage = TorqueRows(
+            alpha, beta, damping + self._voltage_damping * v, -self._voltage_bound - held, self._voltage_bound - held
+        )
+        return TorqueRows(*(np.concatenate(pair, axis=1) for pair in zip(rows, by_voltage, strict=True)))
 
     def overshoot(self, s: Array, q: Array, v: Array, a: Array) -> Array:
         """The share of what the bounds leave beside holding still, as `path_timing.Torques`."""
         static = self._inverse_dynamics.holding(q)
         dynamic = self._inverse_dynamics.smooth(q, v, a) - static
         held = static + np.sign(v) * self._inverse_dynamics.friction_loss
-        up = np.maximum(self._bound - held, _TORQUE_MARGIN * self._bound)
-        down = np.maximum(self._bound + held, _TORQUE_MARGIN * self._bound)
-        return np.maximum(dynamic / up, -dynamic / down).max(axis=1)
+        share = _share_of_rest(dynamic, held, self._bound)
+        if self._voltage_damping.any():
+            share = np.maximum(share, _share_of_rest(dynamic + self._voltage_damping * v, held, self._voltage_bound))
+        return share
+
+
+def _share_of_rest(dynamic: Array, held: Array, bound: Array) -> Array:
+    """(T,) the largest share of what bounds leave beside holding still."""
+    up = np.maximum(bound - held, _TORQUE_MARGIN * bound)
+    down = np.maximum(bound + held, _TORQUE_MARGIN * bound)
+    return np.maximum(dynamic / up, -dynamic / down).max(axis=1)
 
 
 def sample_times(motion: Trajectory | Pieces) -> Iterator[Array]:

@@ -7,11 +7,13 @@ high-quality paths for motion planning", IJRR 26 (2007). Samples are counted and
 
 from __future__ import annotations
 
+import itertools
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from armctl._core import Hit, RrtConnect, shorten_path
+from armctl._core import Hit, RrtConnect
 from armctl.collision.checker import CollisionChecker
 from armctl.collision.clearance import PiecewiseTrajectory
 from armctl.collision.interface import KeptAxis
@@ -22,6 +24,8 @@ CLEARANCE_M = 2e-3
 MAX_SAMPLES = 20_000
 _SAMPLES_PER_CALL = 256  # between two calls of the core the program can be interrupted
 _SHORTCUTS = 100
+_MIN_GAIN = 1e-3  # of the path's length: less is no gain
+_MAX_IDLE_SHORTCUTS = 25  # in a row without a gain
 
 
 class FreeSpace(NamedTuple):
@@ -78,8 +82,56 @@ def find_path(space: FreeSpace, start: Array, goals: Array, limits: Limits, rng:
 
 def shorten(space: FreeSpace, path: Array, rng: np.random.Generator) -> Array:
     """The path (k, n) without the points that it does not need, and with random shortcuts: (l, n) with the same ends."""
-    places = rng.uniform(size=(_SHORTCUTS, 2))
-    return np.array(shorten_path(space.checker.proof(space.keep), space.clearance, path, places))
+    points = list(path)
+    for point in itertools.count():
+        if point + 2 >= len(points):
+            break
+        farthest = len(points) - 1
+        while farthest > point + 1 and not space.line_is_free(points[point], points[farthest]):
+            farthest -= 1
+        del points[point + 1 : farthest]
+    idle = 0
+    for shares in np.sort(rng.uniform(size=(_SHORTCUTS, 2))):
+        if len(points) < 3 or idle > _MAX_IDLE_SHORTCUTS:
+            break
+        idle = 0 if _take_shortcut(space, points, shares) else idle + 1
+    return np.array(points)
+
+
+def _take_shortcut(space: FreeSpace, points: list[Array], shares: Array) -> bool:
+    """Goes straight between two places on a path, given by their shares of its length; returns whether it can."""
+    lengths = [_distance(a, b) for a, b in itertools.pairwise(points)]
+    total = sum(lengths)
+    low, high = (shares * total).tolist()
+    first, begin = _place_on(points, lengths, low)
+    last, end = _place_on(points, lengths, high)
+    gain = high - low - _distance(begin, end)
+    if first == last or gain < _MIN_GAIN * total or not space.line_is_free(begin, end):
+        return False
+    points[first + 1 : last + 1] = [begin, end]
+    point = max(first - 1, 0)
+    while point < first + 4 and point + 2 < len(points):
+        if space.line_is_free(points[point], points[point + 2]):
+            del points[point + 1]
+        else:
+            point += 1
+    return True
+
+
+def _place_on(points: list[Array], lengths: list[float], distance: float) -> tuple[int, Array]:
+    """The number of the line of a path at a distance from its start, and the configuration there."""
+    line = 0
+    passed = 0.0
+    while line + 2 < len(points) and passed + lengths[line] <= distance:
+        passed += lengths[line]
+        line += 1
+    share = (distance - passed) / lengths[line] if lengths[line] > 0.0 else 0.0
+    return line, points[line] + share * (points[line + 1] - points[line])
+
+
+def _distance(first: Array, second: Array) -> float:
+    """rad; not by BLAS, whose last bits depend on the machine."""
+    return math.sqrt(sum(((second - first) ** 2).tolist()))
 
 
 def _sampling_bounds(limits: Limits, ends: Array) -> tuple[Array, Array]:

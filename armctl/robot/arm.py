@@ -5,9 +5,10 @@ from __future__ import annotations
 import copy
 import html
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import mujoco
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike
 from armctl import _core
 from armctl.core.errors import InputError, LimitError
 from armctl.core.limits import Limits
+from armctl.core.other_names import with_hints
 from armctl.core.pose import Pose
 from armctl.core.tables import Table
 from armctl.core.validation import Array, IntArray, instance, matrix, number, vector
@@ -27,6 +29,14 @@ from armctl.robot.joint_map import JointMap
 from armctl.robot.pinocchio_model import PinocchioModel, build_pinocchio_model
 
 _NOT_PICKLED = ("_thread_dynamics", "core_model")  # a process makes its own
+
+
+class Recipe(Protocol):
+    """How a model was made from its file."""
+
+    def model(self, edit: Callable[[mujoco.MjSpec], None]) -> mujoco.MjModel:
+        """The model made once more, after an edit of the specification. All its elements are numbered as in the arm's."""
+        ...
 
 
 class _ThreadDynamics(threading.local):
@@ -50,7 +60,23 @@ class Arm:
         home_ctrl: (nctrl,) the controls of the whole model at home; the arm's own are zero.
         notes: The assumptions made when it was loaded, one sentence each.
         sources: The source of each kind of limit, such as `{"tau_max": "forcerange"}`.
+        recipe: How its model was made, for plants with further elements; None for an arm of a compiled model.
     """
+
+    if not TYPE_CHECKING:
+        __getattr__ = with_hints(
+            {
+                "inverse_kinematics": "armctl.solve_ik(arm, target)",
+                "ik": "armctl.solve_ik(arm, target)",
+                "solve_ik": "armctl.solve_ik(arm, target)",
+                "forward_kinematics": "arm.fk(q)",
+                "fkine": "arm.fk(q)",
+                "ikine": "armctl.solve_ik(arm, target)",
+                "jacob0": "arm.jacobian(q)",
+                "qlim": "arm.limits",
+                "dof": "arm.n",
+            }
+        )
 
     name: str
     model: mujoco.MjModel
@@ -64,6 +90,7 @@ class Arm:
     T_body_tip: Pose
     notes: tuple[str, ...]
     sources: dict[str, str]
+    recipe: Recipe | None = None
 
     @property
     def n(self) -> int:

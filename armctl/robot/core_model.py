@@ -23,7 +23,7 @@ _CHECKED_STATES = 3
 
 
 def model_arrays(model: mujoco.MjModel, pinocchio_model: PinocchioModel) -> dict[str, Any]:
-    """The model of an arm as named arrays, the arguments of `_core.ArmModel`; `ArmArrays` in arm_model.hpp explains them."""
+    """The model of an arm as named arrays, the arguments of `_core.ArmModel`; arm_model.hpp explains them."""
     joint_map = pinocchio_model.joint_map
     pin_model = pinocchio_model.pin_model
     passive = PassiveForces(model, joint_map)

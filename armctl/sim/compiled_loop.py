@@ -69,6 +69,7 @@ class CompiledLoop:
             torque_share=np.asarray(actuation.torque_share, np.float64),
             pushed_arm=pushed_arm,
             substeps=substeps,
+            dt=substeps * self._timestep,
             diverged_speed=DIVERGED_SPEED,
         )
 
@@ -128,19 +129,22 @@ class CompiledLoop:
         if disturbances is not None:
             planned = disturbances.planned(last - first)
             signals = {
-                "delay": disturbances.delay,
                 "noise": planned.noise,
                 "pushes": planned.wrenches,
                 "push": disturbances.push,
+                "last_position": disturbances.last_position,
             }
+        compiled_sensor = None
         if sensor is not None:
             times = tick_times(self._data.time, last - first, self._substeps, self._timestep)
-            signals |= sensor.plan(times)._asdict()
+            compiled_sensor, wrench_noise = sensor.plan(times)
+            signals |= {"times": times, "wrench_noise": wrench_noise}
             signals |= {"wrench_rows": rows.with_wrench(WRENCH_SIZE)}
         touching = rows.contacts[-1][1] if rows.contacts else b""
         end = _core.TickEnd(first)
         try:
-            self._loop.run(law, end, **arrays, **signals, first=first, last=last, touching=touching)
+            delay = None if disturbances is None else disturbances.delay
+            self._loop.run(law, end, delay, compiled_sensor, touching, **arrays, **signals, first=first, last=last)
         finally:  # an interrupt ends the call after its last tick
             rows.count = end.count
             rows.contacts += end.contacts

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
 from armctl import _core
-from armctl.core.validation import Array, IntArray, vector
+from armctl.core.validation import Array, vector
+from armctl.sim.drivetrain import Drivetrain
 from armctl.sim.plant import Plant, Push
 
 
@@ -29,31 +31,43 @@ class Disturbances:
 
     Attributes:
         push: (6,) N and N m, the wrench of the pushes in the last tick; both loops write it.
+        last_position: (n,) rad, the true positions of the last tick, NaN at the first one; None if no velocity is differenced.
         delay: What delays the commands; both loops use it.
     """
 
     def __init__(
-        self, plant: Plant, model: mujoco.MjModel, data: mujoco.MjData, dof_adr: IntArray, pushed_arm: _core.ArmModel, dt: float
+        self, plant: Plant, model: mujoco.MjModel, data: mujoco.MjData, train: Drivetrain, pushed_arm: _core.ArmModel, dt: float
     ):
         """The disturbances of a run that starts now.
 
         Args:
             data: The state of the simulation; pushes are applied to it.
-            dof_adr: (n,) addresses of the joints in `MjData.qvel`.
+            train: Where motors and links are in the model.
             pushed_arm: The arm on whose tip pushes act; its joints are the first ones.
             dt: s, the tick, over which positions are differenced.
         """
-        n = len(dof_adr)
+        n = train.actuation.n
         self._plant = plant
+        self._model = model
         self._data = data
-        self._dof_adr = dof_adr
-        self._pushed_dofs = dof_adr[: pushed_arm.n]
-        self._tip_force = _core.TipForce(pushed_arm)
+        self._train = train
+        self._pushed_dofs = train.actuation.dof_adr[: pushed_arm.n]
+        is_slide = np.array([unit == "m" for unit in train.actuation.units])
+        turn = np.where(is_slide, 1.0, 2 * np.pi)
+        self._step = turn / 2**plant.encoder_bits if plant.encoder_bits else None
+        self._late: deque[tuple[Array, Array]] = deque(maxlen=plant.sensor_delay + 1)
+        self._jitter = np.random.default_rng([plant.seed, 1])
+        self._commands: deque[Array] = deque(maxlen=plant.delay + plant.jitter + 1)
+        self._age = 0
+        self._dynamics = _core.Dynamics(pushed_arm)
+        self._dof_adr = train.actuation.dof_adr
         self._pushes: tuple[Push, ...] = tuple(plant.pushes)  # type: ignore[arg-type]  # a tuple after Plant.__post_init__
         self._dt = dt
         self._steps = round(dt / model.opt.timestep)
         self._timestep = float(model.opt.timestep)
         self.push = np.zeros(6)
+        # Without a velocity sensor, a law gets the difference of two positions. In a step of MuJoCo that is the velocity.
+        self.last_position = np.full(n, np.nan) if plant.differences_positions else None
         self.delay = _core.Delay(n, plant.delay)
         self.delay.restart(plant.delay)
         self._rng = np.random.default_rng(plant.seed)
@@ -62,17 +76,36 @@ class Disturbances:
         self._noise_before: tuple[Any, Array] | None = None
 
     def measured(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """The true positions, rad, and velocities, rad/s, with measurement noise.
+        """What the sensors give at this tick for positions q, rad, and velocities v, rad/s. Call it once in a tick.
 
-        Without a velocity sensor, the velocity has the noise of a difference of two measured positions.
+        Without a velocity sensor, the velocity is the difference of two measured positions. The one at the first tick is true.
         """
+        train = self._train
+        data = self._data
+        if train.extra_joints and self._plant.encoder_side == "link":
+            q = train.link_positions(self._model, data.qpos, train.actuation.qpos_adr, self._model.jnt_qposadr)
+            v = train.link_positions(self._model, data.qvel, train.actuation.dof_adr, self._model.jnt_dofadr)
+        elif train.rotors:
+            q = data.qpos[train.motor_qpos]
+            v = data.qvel[train.motor_dof]
         noise = self._noise(1)[0]
-        return q + noise[0], v + noise[1]
+        measured_q = q + noise[0]
+        if self._step is not None:
+            measured_q = self._step * np.round(measured_q / self._step)
+        measured_v = v + noise[1]
+        if self.last_position is not None:
+            # The noise of a velocity is that of the difference already; steps of the encoder are not.
+            seen = q if self._step is None else measured_q
+            difference = (seen - self.last_position) / self._dt + (noise[1] if self._step is None else 0.0)
+            measured_v = np.where(np.isnan(difference), measured_v, difference)
+            self.last_position[:] = seen
+        self._late.append((measured_q, measured_v))
+        return self._late[0]
 
     def driven(self, tau: Array, q: Array, v: Array) -> Array:
         """Applies the pushes and the plant's joint torque of this moment, and returns what the motors receive for a command.
 
-        That is the command `delay` ticks ago, or the first command until then.
+        That is the command `delay` ticks ago, at random up to `jitter` ticks older, or the first command until then.
 
         Raises:
             InputError: The joint torque is not n numbers.
@@ -83,10 +116,15 @@ class Disturbances:
         if self._pushes:
             self.push[:] = self._wrenches(np.array([self._data.time]))[0]
             torque = np.zeros(len(self._pushed_dofs))
-            self._tip_force.torque(q[: len(torque)].copy(), self.push, torque)
+            self._dynamics.tip_force(q[: len(torque)].copy(), self.push, torque)
             if self._plant.joint_torque is not None:
                 torque += self._data.qfrc_applied[self._pushed_dofs]
             self._data.qfrc_applied[self._pushed_dofs] = torque
+        if self._plant.jitter:
+            self._commands.append(tau.copy())
+            age = self._plant.delay + int(self._jitter.integers(0, self._plant.jitter + 1))
+            self._age = min(age, self._age + 1, len(self._commands) - 1)  # a command is not followed by an older one
+            return self._commands[-1 - self._age]
         oldest = np.empty_like(tau)
         self.delay.delayed(tau, oldest)
         return oldest

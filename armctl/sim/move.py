@@ -3,42 +3,39 @@
 from __future__ import annotations
 
 import time
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from armctl.collision.clearance import clearance_of
 from armctl.control import Controller, State, controller_by_name, controller_name
-from armctl.core.errors import ArmctlWarning, InputError, ModelError, PlanError
+from armctl.core.errors import InputError, ModelError, PlanError
 from armctl.core.log import Log, SimulationError
 from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
 from armctl.core.target import Target
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory, check_motion
+from armctl.core.units import length_text
 from armctl.core.validation import Array, shown
 from armctl.ik import solve_ik
 from armctl.motion import JointTrajectory, move_j
 from armctl.planning.move_free import move_free_with
 from armctl.planning.path import FreeSpace
 from armctl.robot.arm import Arm
-from armctl.sim.constant_torque import ConstantTorque
-from armctl.sim.recorder import Recorder, RunInfo, TickRows, ticks_for
-from armctl.sim.stepper import ControllerFailure, Stepper, checked_torque
+from armctl.sim.drive import Drive
+from armctl.sim.recorder import Recorder, RunInfo, ticks_for
+from armctl.sim.stepper import ControllerFailure, checked_torque
 from armctl.sim.wrench_sensor import WRENCH_SIZE
 
 if TYPE_CHECKING:
     from armctl.collision.checker import CollisionChecker
 
-AT_REST_SPEED = 1e-3  # rad/s (m/s): every joint below it counts as at rest
 _SETTLE_TIMEOUT_S = 1.0  # for the arm to come to rest after a motion
 SETTLE_CHECK_INTERVAL_S = 0.02
 NO_TARGET = np.full(7, np.nan)
-_STEP_ROWS = 1024  # ticks for which memory is allocated at once while a caller steps
 _MAX_CONTACTS_IN_REASON = 3
 
 
@@ -118,117 +115,88 @@ def read_controller(given: Controller | str, arm: Arm) -> Controller:
 
 
 class ControlledArms:
-    """Arms of one model in one simulation, each with a controller.
+    """Arms of one model on one drive, each with a controller.
 
     Attributes:
         arms: The arms by the names of their tips.
         controllers: The controllers by the names of the tips.
+        drive: What moves them.
     """
 
-    def __init__(self, arms: Sequence[Arm], controllers: Mapping[str, Controller], stepper: Stepper):
+    def __init__(self, arms: Sequence[Arm], controllers: Mapping[str, Controller], drive: Drive):
         self.arms = {arm.tip: arm for arm in arms}
         self.controllers = dict(controllers)
-        self.stepper = stepper
+        self.drive = drive
         ends = np.cumsum([arm.n for arm in arms]).tolist()
         self._slices = {arm.tip: slice(end - arm.n, end) for arm, end in zip(arms, ends, strict=True)}
         self._wrenches = {arm.tip: slice(WRENCH_SIZE * i, WRENCH_SIZE * (i + 1)) for i, arm in enumerate(arms)}
         self._logs: dict[str, Log] = {}
-        self._steps: _StepRecording | None = None
 
     @property
     def logs(self) -> dict[str, Log]:
         """The log of each arm's last run; empty before the first."""
-        if self._steps is not None and self._steps.recorder.size != self._steps.logged:
-            self._keep_step_logs(self._steps)
         return self._logs
 
     def start(self, tip: str) -> Array:
         """(n,) rad, where the next motion of an arm starts: where its last reference ended."""
-        return self.arms[tip].limits.clamp(self.stepper.q_ref[self._slices[tip]])
+        return self.arms[tip].limits.clamp(self.drive.q_ref[self._slices[tip]])
 
     def tip_pose(self, tip: str) -> Pose:
-        """The pose of a simulated tip now, T_world_tip."""
-        return self.stepper.tip_pose(self.arms[tip])
-
-    def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
-        """Sets time to 0 and the joints to q and v; home and rest by default."""
-        self.stepper.reset(q, v)
-        if self._steps is not None:
-            self._logs = self.logs
-            self._steps = None
+        """The pose of a tip now, T_world_tip."""
+        return self.drive.tip_pose(self.arms[tip])
 
     def run(self, trajectories: Mapping[str, Trajectory], dwell: float) -> dict[str, Log]:
         """Runs trajectories that start now, and holds their ends for `dwell` seconds."""
         for tip, trajectory in trajectories.items():
             check_motion(trajectory, self.arms[tip].joint_names)
         durations = {tip: trajectory.duration for tip, trajectory in trajectories.items()}
-        ticks = ticks_for(max(durations.values(), default=0.0) + dwell, self.stepper.dt)
+        ticks = ticks_for(max(durations.values(), default=0.0) + dwell, self.drive.dt)
         reference = self._reference(trajectories, ticks)
         with self.recording(durations) as recorder:
-            self.stepper.run(self._controller, reference, recorder)
+            self.drive.run(self._controller, reference, recorder)
         return self._logs
 
     def planned(self, target: Target, plan: Callable[[], PlannedMove]) -> PlannedMove:
-        """A plan; a refusal if the state diverged, from where no motion starts."""
-        if self.stepper.diverged:
-            return PlannedMove(target, refusal=f"{self.stepper.failure}; call reset() to start again")
-        return plan()
+        """A plan; a refusal if no motion may start, such as from a state that diverged."""
+        blocked = self.drive.blocked
+        return PlannedMove(target, refusal=blocked) if blocked else plan()
 
     def move(self, moves: Mapping[str, PlannedMove]) -> dict[str, MoveResult]:
         """Runs planned moves at once, then waits until the tips rest at their targets, at most one second."""
-        stepper = self.stepper
+        drive = self.drive
         trajectories = {tip: each.trajectory for tip, each in moves.items() if each.trajectory is not None}
         if not trajectories:
             return {tip: self._refused(tip, each) for tip, each in moves.items()}
-        begin = stepper.data.time
+        begin = drive.data.time
         durations = {tip: trajectory.duration for tip, trajectory in trajectories.items()}
-        reference = self._reference(trajectories, ticks_for(max(durations.values()), stepper.dt))
+        reference = self._reference(trajectories, ticks_for(max(durations.values()), drive.dt))
         targets = {tip: each.target.numbers for tip, each in moves.items()}
         with self.recording(durations, targets) as recorder:
-            stepper.run(self._controller, reference, recorder)
-            hold = stepper.hold_reference(ticks_for(SETTLE_CHECK_INTERVAL_S, stepper.dt) * stepper.dt)
-            deadline = stepper.data.time + _SETTLE_TIMEOUT_S
-            while not stepper.failure and stepper.data.time < deadline:
+            drive.run(self._controller, reference, recorder)
+            hold = drive.hold_reference(ticks_for(SETTLE_CHECK_INTERVAL_S, drive.dt) * drive.dt)
+            deadline = drive.data.time + _SETTLE_TIMEOUT_S
+            while not drive.failure and drive.data.time < deadline:
                 if all(self._is_still(tip) and moves[tip].target.is_reached(self.tip_pose(tip)) for tip in trajectories):
                     break
-                stepper.run(self._controller, hold, recorder)
-        duration = float(stepper.data.time - begin)
+                drive.run(self._controller, hold, recorder)
+        duration = float(drive.data.time - begin)
         return {tip: self._result(tip, each, duration) for tip, each in moves.items()}
 
     def hold(self, seconds: float) -> None:
         """Holds all arms at their last references, for at least one tick; not recorded unless it fails."""
         self.resume()
-        recorder = self.stepper.recorder()
-        reference = self.stepper.hold_reference(seconds)
+        recorder = self.drive.recorder()
+        reference = self.drive.hold_reference(seconds)
         try:
-            self.stepper.run(self._controller, reference, recorder)
+            self.drive.run(self._controller, reference, recorder)
         except BaseException as error:
             self._keep_logs(recorder, {}, {}, time.perf_counter(), error)
             raise
 
-    def step(self, torque: Array | None) -> State:
-        """Runs one tick of a single arm, with a torque or with its controller at the last reference.
-
-        Returns:
-            The measured state after the tick.
-        """
-        self.resume()
-        if self._steps is None:
-            self._logs = {}
-            self._steps = _StepRecording(self.stepper)
-        steps = self._steps
-        controller = self._controller if torque is None else ConstantTorque(torque)
-        try:
-            self.stepper.step(controller, steps.next_rows(controller, holds=torque is None))
-        except BaseException as error:
-            self._keep_step_logs(steps, error)
-            raise
-        return self.stepper.measured_state
-
     def resume(self) -> None:
-        """Forgets why the last run ended early, unless the state diverged."""
-        if not self.stepper.diverged:
-            self.stepper.failure = ""
+        """Forgets why the last run ended early, unless no motion may start."""
+        if not self.drive.blocked:
+            self.drive.failure = ""
 
     @contextmanager
     def recording(
@@ -245,12 +213,14 @@ class ControlledArms:
             controller: The controller of an open-loop run, instead of the arms' own.
         """
         self.resume()
-        recorder = self.stepper.recorder()
+        recorder = self.drive.recorder()
         started = time.perf_counter()
         targets = {} if targets is None else targets
         try:
             yield recorder
+            self.drive.come_to_rest(stop=False)
         except BaseException as error:
+            self.drive.come_to_rest(stop=True)
             self._keep_logs(recorder, durations, targets, started, error, controller)
             raise
         self._keep_logs(recorder, durations, targets, started, None, controller)
@@ -267,7 +237,6 @@ class ControlledArms:
         """Makes the logs of a run that ended, by an error or without one."""
         if not recorder.has_begun:
             return
-        self._steps = None
         self._logs = {}
         for tip, arm in self.arms.items():
             name = controller_name(controller or self.controllers[tip])
@@ -275,37 +244,15 @@ class ControlledArms:
             info = self._run_info(name, duration, targets.get(tip, NO_TARGET), started, error)
             self._logs[tip] = recorder.log(arm, info, self._slices[tip], self._wrenches[tip])
         self._give_log(error)
-        if self.stepper.plant.wrench_source == "flange":
-            self._warn_of_unmeasured_forces()
-
-    def _warn_of_unmeasured_forces(self) -> None:
-        """Warns if a link touched something in front of a sensor: its controller knows only a part of the force."""
-        for log in self._logs.values():
-            if log.unmeasured_bodies:
-                bodies = ", ".join(log.unmeasured_bodies)
-                warnings.warn(
-                    f"{log.robot}: the flange sensor does not measure the force on {bodies:.80}, which touched something "
-                    "in front of the sensor; so the true force differs from the measured one",
-                    ArmctlWarning,
-                    stacklevel=2,
-                )
-
-    def _keep_step_logs(self, steps: _StepRecording, error: BaseException | None = None) -> None:
-        """Makes the log of the steps so far."""
-        duration = steps.recorder.size * self.stepper.dt
-        info = self._run_info(" + ".join(steps.controllers), duration, NO_TARGET, steps.started, error)
-        self._logs = {tip: steps.recorder.log(arm, info) for tip, arm in self.arms.items()}
-        steps.logged = steps.recorder.size
-        self._give_log(error)
 
     def _run_info(
         self, controller: str, duration: float, target: Array, started: float, error: BaseException | None
     ) -> RunInfo:
-        failure = self.stepper.failure
+        failure = self.drive.failure
         if error is not None and not failure:
-            failure = f"interrupted at {self.stepper.data.time:.3f} s by {type(error).__name__}"
+            failure = f"interrupted at {self.drive.data.time:.3f} s by {type(error).__name__}"
         wall_time = time.perf_counter() - started
-        return RunInfo(controller, str(self.stepper.plant), self.stepper.dt, duration, target, wall_time, failure)
+        return RunInfo(controller, self.drive.description, self.drive.dt, duration, target, wall_time, failure)
 
     def _give_log(self, error: BaseException | None) -> None:
         """Gives a SimulationError the log of the arm whose controller failed."""
@@ -323,19 +270,18 @@ class ControlledArms:
 
     def _reference(self, trajectories: Mapping[str, Trajectory], ticks: int) -> TickReference:
         """The trajectories of some arms on the ticks; the other arms stay at their last references."""
-        stepper = self.stepper
+        drive = self.drive
         if len(self.arms) == 1 and trajectories:
-            return stepper.reference(next(iter(trajectories.values())), ticks)
-        rows = TickReference(*(np.zeros((ticks, stepper.n)) for _ in TickReference._fields))
-        rows.q[:] = stepper.q_ref
+            return drive.reference(next(iter(trajectories.values())), ticks)
+        rows = TickReference(*(np.zeros((ticks, drive.n)) for _ in TickReference._fields))
+        rows.q[:] = drive.q_ref
         for tip, trajectory in trajectories.items():
-            for row, column in zip(rows, stepper.reference(trajectory, ticks), strict=True):
+            for row, column in zip(rows, drive.reference(trajectory, ticks), strict=True):
                 row[:, self._slices[tip]] = column
         return rows
 
     def _is_still(self, tip: str) -> bool:
-        speeds = self.stepper.data.qvel[self.stepper.actuation.dof_adr[self._slices[tip]]]
-        return bool(np.abs(speeds).max() < AT_REST_SPEED)
+        return self.drive.is_still(self._slices[tip])
 
     def _refused(self, tip: str, move: PlannedMove) -> MoveResult:
         position_error, orientation_error = move.target.distance(self.tip_pose(tip))
@@ -351,9 +297,10 @@ class ControlledArms:
     def _result(self, tip: str, move: PlannedMove, duration: float) -> MoveResult:
         position_error, orientation_error = move.target.distance(self.tip_pose(tip))
         log = self._logs[tip]
-        reason = move.refusal or self.stepper.failure
+        reason = move.refusal or self.drive.failure
         if not reason and not move.target.is_reached(self.tip_pose(tip)):
-            reason = f"the tip is {1e3 * position_error:.3g} mm and {orientation_error:.3g} rad from the target"
+            allowed = f"{length_text(move.target.tolerance)} and {move.target.angle_tolerance:g} rad are allowed"
+            reason = f"the tip is {length_text(position_error)} and {orientation_error:.3g} rad from the target, {allowed}"
             reason = "; ".join([reason, *map(str, log.contacts[:_MAX_CONTACTS_IN_REASON])])
         if not reason and not self._is_still(tip):
             reason = f"the arm has not come to rest within {_SETTLE_TIMEOUT_S:g} s"
@@ -395,38 +342,3 @@ class _JointController:
             except Exception as error:
                 raise ControllerFailure(controller, tip) from error
         return torques
-
-
-class _StepRecording:
-    """The ticks of a caller's own loop; memory is allocated for many of them at once.
-
-    Attributes:
-        recorder: Where they are recorded.
-        started: When the first step began, by `time.perf_counter`.
-        logged: How many ticks the last log of them has.
-    """
-
-    def __init__(self, stepper: Stepper):
-        self.recorder = stepper.recorder()
-        self.controllers: list[str] = []
-        self.started = time.perf_counter()
-        self.logged = -1
-        self._stepper = stepper
-        self._rows: TickRows | None = None
-        self._q = np.zeros((0, 0))
-        self._rates = np.zeros((0, 0))
-
-    def next_rows(self, controller: Controller, holds: bool) -> TickRows:
-        """Rows whose next one has a reference: the last one if the controller holds it, else NaN."""
-        rows = self._rows
-        if rows is None or rows.count == len(self._q):
-            self._q = np.empty((_STEP_ROWS, self._stepper.n))
-            self._rates = np.empty((_STEP_ROWS, self._stepper.n))
-            rows = self.recorder.begin(TickReference(self._q, self._rates, self._rates, self._rates, self._rates))
-            self._rows = rows
-        self._q[rows.count] = self._stepper.q_ref if holds else np.nan
-        self._rates[rows.count] = 0.0 if holds else np.nan
-        name = controller_name(controller) if holds else "external"
-        if name not in self.controllers:
-            self.controllers.append(name)
-        return rows

@@ -12,7 +12,7 @@ import mujoco
 from armctl import _core
 from armctl.core.errors import ModelError
 
-# The model of the batch in which the core calls MuJoCo; it works on other models.
+# The model of the batch in which the core calls MuJoCo; each thread copies it, and works on other models.
 _EMPTY_MODEL = '<mujoco><size memory="64K"/></mujoco>'
 
 
@@ -45,7 +45,7 @@ def release_loading_memory() -> None:
 
 @cache
 def mujoco_api() -> _core.MujocoApi:
-    """What the compiled core calls of MuJoCo."""
+    """What the compiled core calls of MuJoCo. Threads that ask at the same time may get different objects."""
     from armctl.sim.mujoco_structs import contact_layout
 
     contacts = contact_layout()
@@ -56,18 +56,12 @@ def mujoco_api() -> _core.MujocoApi:
         delete_batch=_address_of("mjb_deleteBatch"),
         apply=_address_of("mjb_apply"),
         error=_address_of("mjb_error"),
-        empty_model=_empty_model()._address,
+        empty_model=mujoco.MjModel.from_xml_string(_EMPTY_MODEL),
         contact_count=contacts.size,
         contact_array=contacts.array,
         contact_stride=contacts.stride,
         contact_geoms=contacts.geoms,
     )
-
-
-@cache
-def _empty_model() -> mujoco.MjModel:
-    """A model that each thread copies for its calls; it stays until the end of the process."""
-    return mujoco.MjModel.from_xml_string(_EMPTY_MODEL)
 
 
 def _address_of(function: str) -> int:

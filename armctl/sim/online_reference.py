@@ -56,6 +56,11 @@ class OnlineReference:
         """Whether it stands still until it gets another goal."""
         return self._planned is None and self._motion.time_left == 0.0
 
+    @property
+    def pieces(self) -> Pieces:
+        """The online motion from now on, up to rest."""
+        return self._motion.pieces
+
     def stand(self, q: Array) -> None:
         """Rests at q, (n,) rad, from now on."""
         self.q = np.array(q)

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
+from armctl.core.other_names import check_keywords
 from armctl.core.validation import Array, IntArray, instance, number, shown, vector
 from armctl.mjmodel.couplings import dofs_of_equality, dofs_of_tendon
 from armctl.mjmodel.edit import add_point_mass
+from armctl.mjmodel.queries import actuator_name, is_on_joint
+from armctl.mjmodel.spring_joints import spring_joints
 from armctl.robot.arm import Arm
+from armctl.sim.drivetrain import Drivetrain, apply_drivetrain, drivetrain_of, finish_drivetrain, new_model
 from armctl.sim.plant_attribute import Kind, PlantAttribute, attributes_of, number_text, plant_attribute
 
 # Runge-Kutta is stable up to steps of 2.8 time constants of the fastest damped joint; one time constant keeps it accurate.
 _CONTINUOUS_STEP_S = 2e-4
+# Noise of the encoder in comparisons: absolute encoders of robot joints resolve 17 to 20 bits, 5e-5 to 6e-6 rad.
+ENCODER_NOISE_RAD = 1e-5
 # Armature of a braked joint: forces of the arm then move it by less than the rounding error.
 _BRAKE_INERTIA = 1e8  # kg m^2 (kg for a slide joint)
 DIVERGED_SPEED = 1e4  # rad/s (m/s), of all joints together; above it a run counts as diverged
@@ -32,7 +38,7 @@ _BRAKED_ARRAYS = (
     "eq_active0",
 )
 # What `apply_plant` changes, besides what MuJoCo derives from it.
-_PLANT_ARRAYS = ("body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_damping")
+_PLANT_ARRAYS = ("body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_damping", "dof_dampingpoly")
 _PLANT_OPTIONS = ("disableflags", "timestep", "integrator", "tolerance")
 
 
@@ -98,7 +104,22 @@ class Plant:
         mass_scale: Factor on the masses and inertias of all moving links.
         coulomb_friction: N m of dry friction added to the model's; a number for all joints or (n,).
         viscous_friction: N m s/rad of damping added to the model's; a number for all joints or (n,).
+        friction: "coulomb" for dry friction as MuJoCo's constraint, or "lugre" for bristles that stick and slip (LuGre law);
+            either way that of the model and `coulomb_friction`.
+        stiction: Static friction over dry friction, with "lugre".
+        motor: s, the time constant with which torques follow commands: inductance over resistance of a DC motor.
+        elasticity: N m/rad, stiffness of a spring between each motor and its link; one number or (n,), 0 for rigid.
+            The motor's inertia is the model's armature, and its friction that of the joint. Logs show the links.
+        elastic_damping: Damping ratio of these springs, with the inertias on both sides.
+        rotor_inertia: kg m^2 at the joint, of each motor with a spring or a gap; 0 for the model's armature.
+        backlash: rad, the gap between each motor and its link; a number for all joints or (n,).
+        encoder_side: Where joints are measured if they are elastic: "motor" or "link".
         delay: Ticks by which commands are delayed.
+        jitter: Ticks by which commands are late at most besides the delay, at random.
+        sensor_delay: Ticks by which measured positions and velocities are late.
+        encoder_bits: Bits in which an encoder counts a turn of the joint (a metre of a slide joint); 0 for exact positions.
+        velocity: "differenced" for the difference of two measured positions over the tick, as in most arms, or "true" for the
+            velocity of the simulation.
         encoder_noise: rad, standard deviation of the noise on measured positions.
         velocity_noise: rad/s, standard deviation of the noise of a velocity sensor. By default there is none, and the velocity
             is differenced from the measured positions: its noise is that of two positions divided by the tick.
@@ -113,8 +134,8 @@ class Plant:
             is held for the tick; a run with it makes its ticks in Python. It acts on this plant only. No linear loop contains
             it: `margins` and `linearize` leave it out.
         continuous: Whether the arm moves almost continuously between ticks while the torque is held, as a real arm does
-            (Runge-Kutta steps of at most 0.2 ms, less if damping is faster). Otherwise the model's integrator makes one step
-            a tick.
+            (Runge-Kutta steps of at most 0.2 ms, less if damping is faster). A velocity that is differenced from positions
+            is then half a tick late. Otherwise the model's integrator makes one step a tick, whose velocity is that difference.
         timestep: s, the tick: control period and, unless continuous, integration step; None for the model's.
         seed: The seed of the noise; every run of the same plant has the same noise.
         name: A short name for tables and files, such as "worn gears".
@@ -131,8 +152,32 @@ class Plant:
     viscous_friction: ArrayLike = plant_attribute(
         Kind.PER_JOINT, 0.0, unit="N m s/rad", low=0.0, phrase="viscous friction {} N m s/rad", varies_in_episodes=True
     )
+    friction: str = plant_attribute(Kind.WORD, "coulomb", words=("coulomb", "lugre"), phrase="{} friction", is_factor=False)
+    stiction: float = plant_attribute(Kind.NUMBER, 1.5, low=1.0, high=10.0, phrase="stiction {}", only_with=("friction",))
+    motor: float = plant_attribute(Kind.NUMBER, 0.0, unit="s", low=0.0, high=1.0, phrase="motor lag {} ms", scale=1e3)
+    elasticity: ArrayLike = plant_attribute(Kind.PER_JOINT, 0.0, unit="N m/rad", low=0.0, phrase="elasticity {} N m/rad")
+    elastic_damping: float = plant_attribute(
+        Kind.NUMBER, 0.01, low=0.0, high=1.0, phrase="damping ratio {} of the springs", only_with=("elasticity",)
+    )
+    rotor_inertia: ArrayLike = plant_attribute(
+        Kind.PER_JOINT, 0.0, unit="kg m^2", low=0.0, phrase="rotors {} kg m^2", only_with=("elasticity", "backlash")
+    )
+    backlash: ArrayLike = plant_attribute(Kind.PER_JOINT, 0.0, unit="rad", low=0.0, phrase="backlash {} rad")
+    encoder_side: str = plant_attribute(Kind.WORD, "motor", words=("motor", "link"), phrase="encoders at the {}")
     delay: int = plant_attribute(
         Kind.WHOLE_NUMBER, 0, unit="ticks", low=0, phrase="delay {}", disturbs_signals=True, varies_in_episodes=True
+    )
+    jitter: int = plant_attribute(
+        Kind.WHOLE_NUMBER, 0, unit="ticks", low=0, high=1000, phrase="jitter {}", disturbs_signals=True
+    )
+    sensor_delay: int = plant_attribute(
+        Kind.WHOLE_NUMBER, 0, unit="ticks", low=0, high=1000, phrase="sensor delay {}", disturbs_signals=True
+    )
+    encoder_bits: int = plant_attribute(
+        Kind.WHOLE_NUMBER, 0, unit="bits", low=0, high=32, phrase="encoder of {} bits", disturbs_signals=True
+    )
+    velocity: str = plant_attribute(
+        Kind.WORD, "differenced", words=("differenced", "true"), phrase="{} velocity", disturbs_signals=True
     )
     encoder_noise: float = plant_attribute(
         Kind.NUMBER,
@@ -161,10 +206,19 @@ class Plant:
         0,
         low=0,
         phrase="seed {}",
-        only_with=("encoder_noise", "velocity_noise", "force_noise", "moment_noise"),
+        only_with=("encoder_noise", "velocity_noise", "force_noise", "moment_noise", "jitter"),
         is_factor=False,
     )
     name: str = plant_attribute(Kind.OTHER, "", is_factor=False)
+
+    def __new__(cls, *args: object, **keywords: object) -> Self:
+        """A plant, not yet constructed.
+
+        Raises:
+            TypeError: It takes no such keyword; the message says which.
+        """
+        check_keywords(cls, keywords)
+        return super().__new__(cls)
 
     def __post_init__(self) -> None:
         for name, attribute in PLANT_ATTRIBUTES.items():
@@ -199,7 +253,22 @@ class Plant:
     @property
     def has_signal_disturbances(self) -> bool:
         """Whether measurements or commands are disturbed during a run."""
-        return any(attribute.disturbs_signals and self._differs(name) for name, attribute in PLANT_ATTRIBUTES.items())
+        return self.differences_positions or any(
+            attribute.disturbs_signals and self._differs(name) for name, attribute in PLANT_ATTRIBUTES.items()
+        )
+
+    @property
+    def differences_positions(self) -> bool:
+        """Whether the measured velocity is a difference of positions that differs from the true velocity."""
+        in_steps = self.continuous or self.encoder_bits > 0
+        return in_steps and self.velocity == "differenced" and self.velocity_noise is None
+
+    def steps_in_python(self, train: Drivetrain) -> bool:
+        """Whether what is measured or commanded needs a tick loop in Python, which takes longer."""
+        names = ("jitter", "sensor_delay", "encoder_bits")
+        return any(self._differs(name) for name in names) or bool(
+            train.rotors or (train.springs and self.encoder_side == "link")
+        )
 
     def model(self, arm: Arm) -> mujoco.MjModel:
         """The MuJoCo model of this plant.
@@ -208,13 +277,15 @@ class Plant:
             arm: The model of the controllers.
 
         Returns:
-            A new model. All joints of the robot outside the chain, such as a gripper's, are braked.
+            A new model. All joints of the robot outside the chain, such as a gripper's, are braked. Rotors, springs and
+            friction that the plant adds come after the arm's own bodies, joints and actuators.
 
         Raises:
-            InputError: It is no arm, or friction is given for another number of joints.
+            InputError: It is no arm, or an attribute is given for another number of joints or does not fit the arm.
+            ModelError: The arm was loaded as a compiled model, which cannot get further elements.
         """
         instance("arm", arm, Arm, "armctl.load(name) returns one")
-        model = copy.copy(arm.model)
+        model = new_model([arm], self)
         apply_plant(model, mujoco.MjData(model), self, [arm])
         brake(model, held_dofs(arm))
         return model
@@ -258,12 +329,13 @@ def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: 
     A copy of a model with meshes takes longer than a run of a second, so a model is kept for the next plant.
 
     Args:
-        model: The copy.
+        model: A copy, by `new_model` for this plant.
         data: Any state of it; it is lost.
         arms: The arms. A payload hangs at the first one's tip.
     """
     for name in (*_PLANT_ARRAYS, *_BRAKED_ARRAYS):
-        getattr(model, name)[:] = getattr(arms[0].model, name)
+        values = getattr(arms[0].model, name)
+        getattr(model, name)[: len(values)] = values
     for name in _PLANT_OPTIONS:
         setattr(model.opt, name, getattr(arms[0].model.opt, name))
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -282,30 +354,49 @@ def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: 
             names = ", ".join(arm.name for arm in arms)
             raise InputError(f"{what}: expected 1 or {len(dofs)} numbers, got {len(added)} ({names:.80})")
         column[dofs] += added
+    train = drivetrain_of(arms, plant)
+    apply_drivetrain(model, plant, arms, train)
     mujoco.mj_setConst(model, data)
     if plant.continuous:
-        rate = (model.dof_damping * model.dof_invweight0)[dofs].max()  # 1/s, of the fastest damped joint
+        damped = np.concatenate([dofs, train.motor_dof])
+        rate = (model.dof_damping * model.dof_invweight0)[damped].max()  # 1/s, of the fastest damped joint
         step = _CONTINUOUS_STEP_S / max(1.0, _CONTINUOUS_STEP_S * rate)
         model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_RK4)
         model.opt.timestep /= math.ceil(model.opt.timestep / step - 1e-9)
+    finish_drivetrain(model, plant, train)
+    _check_history(model)
+
+
+def _check_history(model: mujoco.MjModel) -> None:
+    """Refuses steps that are too short for the buffer of an actuator's delay: MuJoCo would shorten the delay."""
+    step = model.opt.timestep
+    is_short = (model.actuator_delay > 0.0) & (model.actuator_delay > (model.actuator_history[:, 0] + 1e-6) * step)
+    for actuator in np.flatnonzero(is_short).tolist():
+        needed = math.ceil(model.actuator_delay[actuator] / step - 1e-6)
+        raise InputError(
+            f"plant: the delay of the actuator {actuator_name(model, actuator)!r:.60} spans {needed} steps, and "
+            f"its nsample is {model.actuator_history[actuator, 0]}; raise nsample in the file, or take longer steps"
+        )
 
 
 def held_dofs(*arms: Arm) -> IntArray:
     """Addresses in `MjData.qvel` of the robot's joints that belong to none of the arms: fingers, other limbs, wheels.
 
-    Free objects of the scene are not among them.
+    Free objects of the scene are not among them, nor the springs of the arms' elastic joints.
     """
     model = arms[0].model
     free = model.jnt_type[model.dof_jntid] == int(mujoco.mjtJoint.mjJNT_FREE)
     has_motor = np.zeros(model.nbody, bool)
     for arm in arms:
         has_motor[model.body_rootid[arm.tip_body]] = True
-    on_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-    for actuator in range(model.nu):
-        if model.actuator_trntype[actuator] in on_joint:
+    for actuator in range(model.nactuator):
+        if is_on_joint(model, actuator):
             has_motor[model.body_rootid[model.jnt_bodyid[model.actuator_trnid[actuator, 0]]]] = True
     of_robot = has_motor[model.body_rootid[model.dof_bodyid]]
     own = np.concatenate([arm.joint_map.dof_adr for arm in arms])
+    moved = {joint for arm in arms for joint in arm.joint_map.joints}
+    springs = [joint for joint, motor_joint in spring_joints(model).items() if motor_joint in moved]
+    own = np.concatenate([own, model.jnt_dofadr[springs]])
     return np.setdiff1d(np.flatnonzero(of_robot & ~free), own)
 
 
@@ -350,3 +441,4 @@ def _hashable(value: object) -> object:
 
 
 NOMINAL = Plant()
+WITH_ENCODER = Plant(encoder_noise=ENCODER_NOISE_RAD, name="encoder")

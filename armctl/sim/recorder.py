@@ -156,7 +156,7 @@ class Recorder:
             tip_quat=quaternions(rotations),
             tip_ref=tip_ref,
             tip_ref_quat=tip_ref_quat,
-            qpos=qpos,
+            qpos=qpos[:, : arm.model.nq],
             units=arm.units,
             contacts=self._contacts(arm, dt),
             wrench=self._wrenches(wrench),

@@ -10,8 +10,9 @@ from armctl.core.log import Log
 from armctl.core.trajectory import Trajectory, check_motion
 from armctl.core.validation import number
 from armctl.robot.arm import Arm, check_arm
-from armctl.sim.move import ControlledArms, read_controller
+from armctl.sim.move import read_controller
 from armctl.sim.plant import Plant, read_plant
+from armctl.sim.simulated_arms import SimulatedArms
 from armctl.sim.stepper import Stepper
 
 # Idle simulations for further runs, since a copy of a model with meshes takes longer than a run of a second. They contain no
@@ -46,7 +47,7 @@ def simulate(
     idle = _idle.setdefault(arm, [])
     stepper = _with_plant(idle, arm, plant)
     try:
-        arms = ControlledArms([arm], {arm.tip: law}, stepper)
+        arms = SimulatedArms([arm], {arm.tip: law}, stepper)
         arms.reset(start.q, start.v)
         return arms.run({arm.tip: trajectory}, dwell)[arm.tip]
     finally:

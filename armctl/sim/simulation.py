@@ -2,56 +2,33 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable, Sequence
-from functools import partial
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.collision.checkers import KEEP_WITHIN_RAD, read_kept_axis
 from armctl.control import ComputedTorque, Controller, State
 from armctl.core import hooks
-from armctl.core.errors import InputError
 from armctl.core.log import Log
-from armctl.core.pose import Pose
-from armctl.core.result import MoveResult
-from armctl.core.target import Target, TargetLike
-from armctl.core.trajectory import TickReference, Trajectory
-from armctl.core.validation import Array, flag, number, shown, vector
+from armctl.core.other_names import with_hints
+from armctl.core.trajectory import TickReference
+from armctl.core.validation import flag, number, vector
 from armctl.loading.load import load
-from armctl.mjmodel.target_marker import TARGET, set_target, target_pose
-from armctl.motion import Arc, JointTrajectory, Line, PathOptions, move_c, move_j, move_l, move_path
-from armctl.planning.path import FreeSpace
 from armctl.robot.arm import Arm
+from armctl.sim.commands import Commands
 from armctl.sim.constant_torque import constant_controls
-from armctl.sim.follow import follow
 from armctl.sim.gripper.gripper import Gripper
-from armctl.sim.move import ControlledArms, PlannedMove, plan_free, plan_move, plan_to, read_controller
-from armctl.sim.obstacles import Obstacles
+from armctl.sim.move import read_controller
 from armctl.sim.plant import Plant, read_plant
 from armctl.sim.recorder import ticks_for
+from armctl.sim.simulated_arms import SimulatedArms
 from armctl.sim.stepper import Stepper
 
 if TYPE_CHECKING:
-    from armctl.collision.checker import CollisionChecker
-    from armctl.render.video import Film
+    pass
 
 
-class PathMoveOptions(PathOptions, total=False):
-    """Options of `Simulation.move_l`, `move_c` and `move_path`, besides those of `PathOptions`.
-
-    Attributes:
-        avoid: Whether a motion that would touch something is refused; True if left out.
-        allow: Pairs of names of bodies or geoms that may touch; none if left out.
-    """
-
-    avoid: bool
-    allow: Iterable[tuple[str, str]]
-
-
-class Simulation:
+class Simulation(Commands):
     """An arm in its scene with a controller, commanded by Cartesian or joint targets.
 
     Every command starts where the last one ended. After Ctrl-C or a failing controller, `log` contains all ticks until then,
@@ -63,6 +40,21 @@ class Simulation:
         data: Its MjData, for reading.
         viewer: The page that shows the simulation, or None.
     """
+
+    if not TYPE_CHECKING:
+        __getattr__ = with_hints(
+            {
+                "q": "sim.state.q",
+                "v": "sim.state.v",
+                "qpos": "sim.state.q",
+                "open_gripper": "sim.gripper.open()",
+                "close_gripper": "sim.gripper.close()",
+                "grasp": "sim.gripper.grasp(force)",
+                "fk": "sim.tip, or sim.arm.fk(q)",
+                "move": "sim.move_to(target)",
+                "plan": "armctl.move_free(arm, start, goal), and sim.run",
+            }
+        )
 
     def __init__(
         self, robot: Arm | str, controller: Controller | str | None = None, plant: Plant | None = None, *, viewer: bool = False
@@ -80,15 +72,14 @@ class Simulation:
             UnknownNameError: There is no such robot or controller.
             ModelError: The robot's model is no arm.
         """
-        self.arm = robot if isinstance(robot, Arm) else load(robot)
-        law = ComputedTorque(self.arm) if controller is None else read_controller(controller, self.arm)
+        arm = robot if isinstance(robot, Arm) else load(robot)
+        law = ComputedTorque(arm) if controller is None else read_controller(controller, arm)
         self.plant = read_plant(plant)
-        self.viewer = hooks.open_viewer(self.arm) if flag("viewer", viewer) and hooks.open_viewer is not None else None
-        self._arms = ControlledArms([self.arm], {self.arm.tip: law}, Stepper([self.arm], self.plant, self.viewer))
+        self.viewer = hooks.open_viewer(arm) if flag("viewer", viewer) and hooks.open_viewer is not None else None
+        self._stepper = Stepper([arm], self.plant, self.viewer)
+        self._arms: SimulatedArms = SimulatedArms([arm], {arm.tip: law}, self._stepper)
+        super().__init__(self._arms)
         self._gripper: Gripper | None = None
-        self.model = self._arms.stepper.model
-        self.data = self._arms.stepper.data
-        self._obstacles = Obstacles(self.arm, self.data)
 
     @property
     def controller(self) -> Controller:
@@ -106,41 +97,9 @@ class Simulation:
         self._arms.controllers[self.arm.tip] = read_controller(controller, self.arm)
 
     @property
-    def log(self) -> Log | None:
-        """The last run, also if an error or Ctrl-C ended it; None before the first.
-
-        After `step` it holds all steps since the last run or reset.
-        """
-        return self._arms.logs.get(self.arm.tip)
-
-    @property
-    def dt(self) -> float:
-        """The tick, s: the plant's step and the control period."""
-        return self._arms.stepper.dt
-
-    @property
-    def state(self) -> State:
-        """The true state of the arm now."""
-        return self._arms.stepper.state
-
-    @property
     def measured_state(self) -> State:
         """The state as the plant's sensors measure it now, with noise; the same until the next tick."""
-        return self._arms.stepper.measured_state
-
-    @property
-    def tip(self) -> Pose:
-        """The pose of the simulated tip now, T_world_tip."""
-        return self._arms.tip_pose(self.arm.tip)
-
-    @property
-    def target(self) -> Array:
-        """(3,) m, where the green target is now.
-
-        Raises:
-            ModelError: The arm was loaded from a compiled MjModel without a body named "target".
-        """
-        return target_pose(self.model, self.data).position
+        return self._stepper.measured_state
 
     @property
     def gripper(self) -> Gripper:
@@ -150,7 +109,7 @@ class Simulation:
             ModelError: There is none, or it is a hand of many actuators.
         """
         if self._gripper is None:
-            self._gripper = Gripper(self.arm, self._arms.stepper, self._arms.hold)
+            self._gripper = Gripper(self.arm, self._stepper, self._arms.hold)
         return self._gripper
 
     def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
@@ -187,22 +146,6 @@ class Simulation:
         """
         return self._arms.step(None if torque is None else vector("torque", torque, self.arm.n))
 
-    def run(self, trajectory: Trajectory, dwell: float = 0.0) -> Log:
-        """Follows a trajectory that starts now.
-
-        Args:
-            trajectory: The motion; it should start where the arm is.
-            dwell: s to hold its end.
-
-        Returns:
-            Every tick of it. A run that diverges ends early, and `log.failure` gives the reason.
-
-        Raises:
-            InputError: It is no motion or a motion of other joints, or the dwell time is negative or too long for a log.
-            SimulationError: The controller failed; `error.log` contains the ticks until then.
-        """
-        return self._arms.run({self.arm.tip: trajectory}, number("dwell", dwell, 0.0))[self.arm.tip]
-
     def apply_ctrl(self, ctrl: ArrayLike, seconds: float) -> Log:
         """Holds the arm's motors at constant controls, without a controller.
 
@@ -221,219 +164,9 @@ class Simulation:
         seconds = number("seconds", seconds, 0.0)
         nothing = np.full((ticks_for(seconds, self.dt), self.arm.n), np.nan)
         with self._arms.recording({self.arm.tip: seconds}, controller=constant) as recorder:
-            self._arms.stepper.run(constant, TickReference(nothing, nothing, nothing, nothing, nothing), recorder)
+            self._stepper.run(constant, TickReference(nothing, nothing, nothing, nothing, nothing), recorder)
         return self._arms.logs[self.arm.tip]
 
-    def move_to(
-        self,
-        target: TargetLike,
-        *,
-        speed: float = 1.0,
-        avoid: bool = True,
-        allow: Iterable[tuple[str, str]] = (),
-        keep: str | None = None,
-        keep_within: float = KEEP_WITHIN_RAD,
-    ) -> MoveResult:
-        """Moves the tip to a target by inverse kinematics and a jerk-limited motion of the joints.
-
-        Args:
-            target: T_world_tip, (3,) m if any orientation is accepted, or a Target with tolerances.
-            speed: Fraction of the full speed, in (0, 1].
-            avoid: Whether to plan around all bodies at their current positions; otherwise the move is straight.
-            allow: Pairs of names of bodies or geoms that may touch.
-            keep: "x", "y" or "z": the axis of the tip that keeps the direction it has now, as for a glass; needs `avoid`.
-            keep_within: rad that this axis may tilt.
-
-        Returns:
-            The result. No error is raised if the target cannot be reached: `ok` is False, and `reason` gives the reason.
-
-        Raises:
-            InputError: An argument has a wrong length or a number that is not finite or out of its bounds.
-            SimulationError: The controller failed; `error.log` contains the ticks until then.
-        """
-        goal = Target.read(target)
-        checker = self._checker(avoid, allow)
-        kept = read_kept_axis(self.arm, keep, keep_within, self._start)
-        if kept is not None and checker is None:
-            raise InputError("keep: an axis keeps its direction only with avoid=True, which plans the whole motion")
-        space = None if checker is None else FreeSpace(checker, keep=kept)
-        return self._move(goal, lambda: plan_to(self.arm, goal, self._start, speed, space))
-
-    def move_j(
-        self, q: ArrayLike, *, speed: float = 1.0, avoid: bool = True, allow: Iterable[tuple[str, str]] = ()
-    ) -> MoveResult:
-        """Moves the joints to a configuration, on a straight line in joint space.
-
-        Args:
-            q: (n,) rad, inside the limits.
-            speed: As for `move_to`.
-            avoid: As for `move_to`.
-            allow: As for `move_to`.
-
-        Returns:
-            The result, measured at the tip.
-
-        Raises:
-            InputError: As for `move_to`.
-            LimitError: A position outside the limits.
-            SimulationError: As for `move_to`.
-        """
-        configuration = self.arm.checked("q", q)
-        goal = Target.read(self.arm.fk(configuration))
-        self.arm.limits.at_speed(speed)
-        checker = self._checker(avoid, allow)
-
-        def plan() -> PlannedMove:
-            if checker is not None:
-                return plan_free(self.arm, goal, self._start, configuration, speed, FreeSpace(checker))
-            return plan_move(self.arm, goal, lambda: move_j(self.arm, self._start, configuration, speed=speed))
-
-        return self._move(goal, plan)
-
-    def move_l(self, target: TargetLike, **options: Unpack[PathMoveOptions]) -> MoveResult:
-        """Moves the tip to a target on a straight line.
-
-        Args:
-            target: As for `move_to`.
-            **options: `speed`, `tip_speed`, `tip_angular_speed`, `avoid` and `allow`, as in `PathMoveOptions`.
-
-        Returns:
-            The result. A line that leaves the workspace or the limits, or touches something, is not started, and `reason` says
-            where.
-
-        Raises:
-            InputError: As for `move_to`.
-            SimulationError: As for `move_to`.
-        """
-        goal = Target.read(target)
-        end = goal.position if goal.pose is None else goal.pose
-        return self._move_along(goal, partial(move_l, self.arm, self._start, end), **options)
-
-    def move_c(
-        self,
-        via: Pose | ArrayLike,
-        target: TargetLike,
-        *,
-        angle: float | None = None,
-        **options: Unpack[PathMoveOptions],
-    ) -> MoveResult:
-        """Moves the tip on an arc through one point to another.
-
-        Args:
-            via: T_world_tip or (3,) m, a point on the arc.
-            target: As for `move_to`.
-            angle: rad, the angle on the circle; None stops at the target. 2 pi is the full circle.
-            **options: As for `move_l`.
-
-        Returns:
-            The result, as for `move_l`.
-
-        Raises:
-            InputError: As for `move_to`, or the points are on one line.
-            SimulationError: As for `move_to`.
-        """
-        goal = Target.read(target)
-        end = goal.position if goal.pose is None else goal.pose
-        planner = partial(move_c, self.arm, self._start, via, end, angle=angle)
-        return self._move_along(goal, planner, ends_at_target=angle is None, **options)
-
-    def move_path(
-        self,
-        path: Sequence[Line | Arc | Pose | ArrayLike],
-        *,
-        blend: float = 0.0,
-        **options: Unpack[PathMoveOptions],
-    ) -> MoveResult:
-        """Moves the tip along lines and arcs with rounded corners.
-
-        Args:
-            path: Lines and arcs; a pose or a point is a line to it.
-            blend: m, the radius around each corner in which it is rounded.
-            **options: As for `move_l`.
-
-        Returns:
-            The result, as for `move_l`.
-
-        Raises:
-            InputError: As for `move_to`, or the path is empty.
-            SimulationError: As for `move_to`.
-        """
-        if not isinstance(path, (Sequence, np.ndarray)) or isinstance(path, str):
-            raise InputError(f"path: {shown(path)} is not a list of lines, arcs, poses or points")
-        if len(path) == 0:
-            raise InputError("path: it is empty; give at least one line or arc")
-        last = path[-1]
-        goal = Target.read(last.target if isinstance(last, (Line, Arc)) else last)
-        ends_at_target = not (isinstance(last, Arc) and last.angle is not None)
-        planner = partial(move_path, self.arm, self._start, path, blend=blend)
-        return self._move_along(goal, planner, ends_at_target=ends_at_target, **options)
-
-    def follow(self, target: str | Callable[[float], Pose | ArrayLike] = TARGET, *, seconds: float = 10.0) -> Log:
-        """Follows a moving target: reads it 50 times per second, and respects all joint limits.
-
-        If the target is out of reach, the tip moves to the closest point.
-
-        Args:
-            target: The name of a body of the model, whose position is followed; or a function of the time since the start, s,
-                that returns T_world_tip or (3,) m.
-            seconds: How long, s.
-
-        Returns:
-            Every tick of it. `log.target` is the target at the end, which `Report` compares with the tip.
-
-        Raises:
-            InputError: A negative time, or a function that raises, or returns neither a pose nor three finite numbers.
-            UnknownNameError: The model has no such body.
-            SimulationError: The controller failed; `error.log` contains the ticks until then.
-        """
-        return follow(self._arms, self.arm, target, number("seconds", seconds, 0.0))
-
-    def record(
-        self, path: str | os.PathLike[str], *, size: tuple[int, int] = (640, 480), quality: str = "fast", speed: float = 1.0
-    ) -> Film:
-        """Makes a video of the last run: the arm, the target, and the path of the tip.
-
-        Args:
-            path: The video, .mp4 or .gif; its folder is made.
-            size: As for `armctl.record`.
-            quality: As for `armctl.record`.
-            speed: As for `armctl.record`.
-
-        Raises:
-            InputError: Nothing has run yet, or the path has another file extension.
-        """
-        if self.log is None:
-            raise InputError("log: nothing has run yet, so there is nothing to film; move first")
-        from armctl.render.video import record  # cameras and encoders are loaded when a video is made
-
-        return record(self.log, self.arm, path, size=size, quality=quality, speed=speed)
-
     @property
-    def _start(self) -> Array:
-        return self._arms.start(self.arm.tip)
-
-    def _move(self, goal: Target, plan: Callable[[], PlannedMove]) -> MoveResult:
-        """Shows the target, plans, and moves."""
-        set_target(self.model, self.data, goal.position, None if goal.pose is None else goal.pose.quat)
-        return self._arms.move({self.arm.tip: self._arms.planned(goal, plan)})[self.arm.tip]
-
-    def _move_along(
-        self,
-        goal: Target,
-        planner: Callable[..., JointTrajectory],
-        *,
-        avoid: bool = True,
-        allow: Iterable[tuple[str, str]] = (),
-        ends_at_target: bool = True,
-        **speeds: Unpack[PathOptions],
-    ) -> MoveResult:
-        """Moves along a given path, if it is free."""
-        checker = self._checker(avoid, allow)
-        planner = partial(planner, **speeds)
-        return self._move(goal, partial(plan_move, self.arm, goal, planner, ends_at_target=ends_at_target, checker=checker))
-
-    def _checker(self, avoid: bool, allow: Iterable[tuple[str, str]]) -> CollisionChecker | None:
-        """What a move must not touch, where everything is now; None if it may touch anything."""
-        if not flag("avoid", avoid):
-            return None
-        return self._obstacles.checker(allow, self._gripper.held if self._gripper is not None else "")
+    def _held(self) -> str:
+        return self._gripper.held if self._gripper is not None else ""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from math import hypot, inf  # hypot of a short list is faster than numpy's norm
 from threading import Lock
@@ -23,14 +22,16 @@ from armctl.core.pose import Pose
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array, IntArray, read_only, shown, vector
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
-from armctl.robot.actuation import Actuation
+from armctl.motion.trajectory.piecewise import Pieces
 from armctl.robot.arm import Arm
 from armctl.sim.compiled_loop import CompiledLoop
 from armctl.sim.disturbances import Disturbances
+from armctl.sim.drivetrain import Drivetrain, drivetrain_of, new_model, structure_of
 from armctl.sim.plant import DIVERGED_SPEED, Brake, Plant, apply_plant, held_dofs
 from armctl.sim.recorder import Recorder, ReferenceTips, TickRows
 from armctl.sim.wrench_sensor import WrenchSensor
 
+AT_REST_SPEED = 1e-3  # rad/s (m/s): every joint below it counts as at rest
 _MAX_KEPT_TICKS = 20_000
 _FLOAT64 = np.dtype(np.float64)
 
@@ -92,6 +93,7 @@ class Stepper:
     Attributes:
         actuation: The driven joints of all arms.
         plant: How the simulated arms differ from their models.
+        description: The plant in words, for the log.
         dt: s, the tick: the control period.
         continuous: Whether the arm moves almost continuously between ticks.
         q_ref: (n,) rad, the last reference.
@@ -107,24 +109,13 @@ class Stepper:
             plant: How the simulated arms differ from their models.
             observer: An observer of the tick loop, or None.
         """
-        self.actuation = arms[0].actuation if len(arms) == 1 else Actuation.concatenated([arm.actuation for arm in arms])
         self._observer = observer
         self._one_thread = _OneThread()
         self._pushed_arm = arms[0].core_model
         self._home = np.concatenate([arm.home for arm in arms])
         self._home_qpos = arms[0].home_qpos
         self._home_ctrl = arms[0].home_ctrl
-        self.model = copy.copy(arms[0].model)
-        self.data = mujoco.MjData(self.model)
-        self._joints = _index(self.actuation.qpos_adr)
-        self._dofs = _index(self.actuation.dof_adr)
-        self._motors = _index(self.actuation.ctrl_adr)
-        self._drives = _index(self.actuation.torque_adr)
-        # A slice of MuJoCo's arrays is a view that stays valid; other addresses have to be gathered at every tick.
-        is_whole = bool((self.actuation.torque_share == 1.0).all())
-        self._qvel = self.data.qvel[self._dofs] if isinstance(self._dofs, slice) else None
-        self._motor_torque = self.data.qfrc_actuator[self._drives] if isinstance(self._drives, slice) and is_whole else None
-        self._is_direct = isinstance(self._motors, slice) and bool((self.actuation.gear == 1.0).all())
+        self._structure: object = None
         self._disturbances: Disturbances | None = None
         self._measurement: tuple[Array, Array] | None = None
         self._unobserved = 0.0
@@ -141,8 +132,14 @@ class Stepper:
             plant: How the simulated arms differ from their models.
             arms: The arms that this stepper was made for.
         """
+        structure = structure_of(arms, plant)
+        if structure != self._structure:
+            self._use_model(new_model(arms, plant), drivetrain_of(arms, plant))
+            self._structure = structure
         apply_plant(self.model, self.data, plant, arms)
         self.plant = plant
+        self.description = str(plant)
+        self._steps_in_python = plant.steps_in_python(self._train)
         self._brake = Brake(self.model, self._held_dofs)
         self._released = np.zeros(0, dtype=np.int64)
         self.continuous = bool(self.model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4))
@@ -151,10 +148,35 @@ class Stepper:
         self._wrench_sensor = WrenchSensor(arms, plant, self.model, self.data, self.dt, self.continuous)
         self._compiled = CompiledLoop(self.actuation, self.model, self.data, self._substeps, self._pushed_arm)
 
+    def _use_model(self, model: mujoco.MjModel, train: Drivetrain) -> None:
+        """Takes a model, and where the joints and motors of the arms are in it."""
+        self.model = model
+        self.data = mujoco.MjData(model)
+        self.actuation = train.actuation
+        self._train = train
+        self._joints = _index(self.actuation.qpos_adr)
+        self._dofs = _index(self.actuation.dof_adr)
+        self._motors = _index(self.actuation.ctrl_adr)
+        self._drives = _index(self.actuation.torque_adr)
+        # A slice of MuJoCo's arrays is a view that stays valid; other addresses have to be gathered at every tick.
+        is_whole = bool((self.actuation.torque_share == 1.0).all())
+        self._qvel = self.data.qvel[self._dofs] if isinstance(self._dofs, slice) else None
+        self._motor_torque = self.data.qfrc_actuator[self._drives] if isinstance(self._drives, slice) and is_whole else None
+        self._is_direct = isinstance(self._motors, slice) and bool((self.actuation.gear == 1.0).all())
+
     @property
     def n(self) -> int:
         """The number of driven joints of all arms."""
         return self.actuation.n
+
+    @property
+    def blocked(self) -> str:
+        """Why no motion may start: the state diverged; empty if one may."""
+        return f"{self.failure}; call reset() to start again" if self.diverged else ""
+
+    def is_still(self, joints: slice) -> bool:
+        """Whether some of the joints are at rest."""
+        return bool(np.abs(self.data.qvel[self.actuation.dof_adr[joints]]).max() < AT_REST_SPEED)
 
     @property
     def state(self) -> State:
@@ -196,10 +218,11 @@ class Stepper:
             self._released = self._released[:0]
             self._brake.release_only(self._released)
         mujoco.mj_resetData(self.model, self.data)
-        self.data.qpos[:] = self._home_qpos
+        self.data.qpos[: len(self._home_qpos)] = self._home_qpos
         self.actuation.joint_map.set_positions(self.data.qpos, q)
         self.actuation.joint_map.set_speeds(self.data.qvel, v)
         self.data.ctrl[:] = self._home_ctrl
+        self._train.settle(self.model, self.data)
         mujoco.mj_forward(self.model, self.data)
         self.q_ref = q
         self.failure = ""
@@ -208,10 +231,8 @@ class Stepper:
         self._unobserved = 0.0
         self._wrench_sensor.reset()
         self._disturbances = None
-        if self.plant.has_signal_disturbances:
-            self._disturbances = Disturbances(
-                self.plant, self.model, self.data, self.actuation.dof_adr, self._pushed_arm, self.dt
-            )
+        if self.plant.has_signal_disturbances or self._steps_in_python:
+            self._disturbances = Disturbances(self.plant, self.model, self.data, self._train, self._pushed_arm, self.dt)
 
     def release(self, dofs: IntArray) -> None:
         """Releases the brake of joints outside the arms, such as a gripper's; `reset` brakes them again.
@@ -243,7 +264,13 @@ class Stepper:
         still = np.zeros((max(1, round(seconds / self.dt)), self.n))
         return TickReference(self.q_ref + still, still, still, still, still)
 
-    def run(self, controller: Controller, reference: TickReference, recorder: Recorder) -> None:
+    def run(
+        self,
+        controller: Controller,
+        reference: TickReference,
+        recorder: Recorder,
+        to_rest: Pieces | None = None,
+    ) -> None:
         """Runs the tick loop along a reference: measure, control, step, record.
 
         The run ends early, and `failure` says why, if the arm diverges or the controller returns a torque that is not finite.
@@ -253,6 +280,7 @@ class Stepper:
             controller: What computes the torques.
             reference: The reference of each tick; its arrays become read-only.
             recorder: Where the ticks are recorded.
+            to_rest: Not needed: a simulation waits for its next reference.
 
         Raises:
             SimulationError: An earlier run ended early, or the controller failed.
@@ -272,9 +300,12 @@ class Stepper:
             if self.failure:
                 return
 
+    def come_to_rest(self, *, stop: bool) -> None:
+        """Nothing: a simulation stands between two runs."""
+
     def _runs_compiled(self, controller: Controller) -> TypeGuard[CompiledController]:
         """Whether the ticks of a controller need no Python. A compiled law can get the wrench on one tip."""
-        if self.plant.joint_torque is not None:
+        if self._steps_in_python or self.plant.joint_torque is not None:
             return False
         return has_compiled_law(controller, self.n) and (self._wrench_sensor.arms == 1 or not controller.needs_wrench)
 

@@ -21,9 +21,10 @@ from armctl.planning.move_free import configurations_for
 from armctl.planning.team import ArmGroup, plan_together
 from armctl.robot.arm import Arm
 from armctl.sim.gripper.gripper import Gripper
-from armctl.sim.move import ControlledArms, PlannedMove, plan_to, read_controller
+from armctl.sim.move import PlannedMove, plan_to, read_controller
 from armctl.sim.obstacles import touched_by
 from armctl.sim.plant import Plant, read_plant
+from armctl.sim.simulated_arms import SimulatedArms
 from armctl.sim.stepper import Stepper
 
 _Value = TypeVar("_Value")
@@ -67,7 +68,7 @@ class Team:
         laws = {
             tip: read_controller(given[tip], arm) if tip in given else ComputedTorque(arm) for tip, arm in self.arms.items()
         }
-        self._arms = ControlledArms(arms, laws, Stepper(arms, plant))
+        self._arms = SimulatedArms(arms, laws, Stepper(arms, plant))
         self.model = self._arms.stepper.model
         self.data = self._arms.stepper.data
         self._grippers: dict[str, Gripper] = {}
@@ -167,7 +168,7 @@ class Team:
         self, goals: Mapping[str, Target], speed: float, allow: Iterable[tuple[str, str]]
     ) -> dict[str, PlannedMove]:
         """Moves of all arms that are proved together; refusals of all if there are none."""
-        if self._arms.stepper.diverged or not goals:
+        if self._arms.drive.blocked or not goals:
             return {tip: self._planned(tip, goal, speed) for tip, goal in goals.items()}
         group = ArmGroup.of(list(self.arms.values()), speed)
         held = {tip: gripper.held for tip, gripper in self._grippers.items() if gripper.held}

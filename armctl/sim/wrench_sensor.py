@@ -35,19 +35,6 @@ class _Site(NamedTuple):
     arm: _core.ArmModel
 
 
-class TickSensor(NamedTuple):
-    """The sensor of the compiled loop.
-
-    Attributes:
-        times: (ticks,) s, of the coming ticks.
-        wrench_noise: (ticks, 6) N and N m; None for none.
-    """
-
-    sensor: _core.WrenchSensor
-    times: Array
-    wrench_noise: Array | None
-
-
 class WrenchSensor:
     """The wrenches on the tips of k arms, (6 k,) N and N m: force first, world axes, at the tip.
 
@@ -146,11 +133,14 @@ class WrenchSensor:
             first = last
         return measured
 
-    def plan(self, times: Array) -> TickSensor:
+    def plan(self, times: Array) -> tuple[_core.WrenchSensor, Array | None]:
         """Prepares the sensor of a single arm for the coming ticks of the compiled loop; call `took` afterwards.
 
         Args:
             times: (ticks,) s.
+
+        Returns:
+            The compiled sensor, and the noise of the coming ticks, (ticks, 6) N and N m, or None for none.
         """
         (sensor,) = self._sensors()
         noise = None
@@ -158,7 +148,7 @@ class WrenchSensor:
             self._noise_before: Any = self._rng.bit_generator.state
             noise = self._noise(len(times))
         self._times = times
-        return TickSensor(sensor, times, noise)
+        return sensor, noise
 
     def took(self, measured: int) -> None:
         """Notes at how many of the planned ticks the wrench was measured."""

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from armctl.core.target import TOLERANCE
+from armctl.core.units import length_text
 from armctl.sim.realtime.history import Samples
 from armctl.sim.realtime.status import Activity, Status
 
@@ -58,4 +59,4 @@ def describe_contacts(status: Status) -> str:
 def _out_of_reach(status: Status) -> str:
     if status.reach_error is None or status.reach_error < TOLERANCE:
         return "this orientation is out of reach here"
-    return f"out of reach by {1e3 * status.reach_error:.0f} mm"
+    return f"out of reach by {length_text(status.reach_error)}"

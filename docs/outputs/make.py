@@ -37,6 +37,22 @@ def printed(*command: str | Path) -> str:
     return re.sub(r"/\S+/", "", done.stdout)
 
 
+def printed_with_franky_sim(example: Path, address: str = "127.0.0.5") -> str:
+    """What an example prints with the address of a simulated controller, from there on.
+
+    Raises:
+        ModuleNotFoundError: The simulator is not installed.
+    """
+    server = [sys.executable, ROOT / "tests" / "links" / "franky_server.py", address]
+    with subprocess.Popen(server, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        try:
+            if process.stdout is None or process.stdout.readline() != "ready\n":
+                raise ModuleNotFoundError("franky-sim is not installed")
+            return printed(example, address).removeprefix(printed(example))
+        finally:
+            process.kill()
+
+
 def compared() -> str:
     """The table of the comparison in README.md, in Markdown; the command prints it for terminals of 80 columns."""
     with tempfile.TemporaryDirectory() as folder:
@@ -51,6 +67,11 @@ if __name__ == "__main__":
             (HERE / f"{example.stem}.txt").write_text(printed(example), encoding="utf-8")
         except ModuleNotFoundError as error:
             print(f"{example.stem}: the old output stays: {error}", file=sys.stderr)
+    try:
+        output = printed_with_franky_sim(ROOT / "examples" / "64_the_same_program_on_a_robot.py")
+        (HERE / "franky_sim.txt").write_text(output, encoding="utf-8")
+    except ModuleNotFoundError as error:
+        print(f"franky_sim: the old output stays: {error}", file=sys.stderr)
     (HERE / "info.txt").write_text(printed("-m", "armctl", "info", "robot_arm_3dof"), encoding="utf-8")
     readme, panda = ROOT / "README.md", (HERE / "05_menagerie_panda.txt").read_text(encoding="utf-8")
     text = TABLE.sub(f"\n{compared()}\n\n", readme.read_text(encoding="utf-8"))

@@ -79,8 +79,8 @@ def test_what_fails_is_named_first(bundled_motion):
     assert not reports[1].ok
     assert not reports[2].ok
     said = remarks(reports)
-    assert said[0].startswith("breaks on nominal: the controller breaks failed at 0.10")
-    assert "explodes on nominal" in " ".join(said)
+    assert said[0].startswith("breaks on encoder: the controller breaks failed at 0.10")
+    assert "explodes on encoder" in " ".join(said)
     assert np.isfinite([r.joint_rms_rad for r in reports]).all()
 
 

@@ -135,7 +135,7 @@ def test_angles_in_degrees_are_refused_and_turned_into_radians(capsys):
 def test_out_of_reach_exits_1_and_says_by_how_many_millimetres(capsys):
     status, out, _ = run(capsys, "reach", BUNDLED, "--target", "2", "0", "0.35")
     assert status == 1
-    assert "out of reach by 1450.0 mm" in out
+    assert "out of reach by 1.45 m" in out
     status, out, _ = run(capsys, "reach", BUNDLED, "--target", "2", "0", "0.35", "--json")
     assert status == 1
     assert json.loads(out)["ok"] is False

@@ -17,13 +17,12 @@ EXACT = (
     "pd-feedforward",
     "computed-torque",
     "computed-torque-observer",
-    "computed-torque-integral",
     "computed-torque-learning",
     "qp",
     "operational-space",
     "impedance",
 )
-WITH_MEMORY = ("pid-gravity", "computed-torque-observer", "computed-torque-integral", "computed-torque-learning")
+WITH_MEMORY = ("computed-torque", "computed-torque-observer", "computed-torque-learning")
 
 every_controller = pytest.mark.parametrize("name", CONTROLLERS)
 every_tick = pytest.mark.parametrize("dt", TICKS)
@@ -36,10 +35,10 @@ def test_follows_a_motion_without_chatter(arm, name, dt):
     error = np.abs(log.q - log.q_ref).max()
     assert not log.failure
     assert np.isfinite(log.tau_cmd).all()
-    assert error < (1e-8 if name in EXACT else 2e-2 if name == "computed-torque-textbook" else 0.3), error
+    assert error < (1e-8 if name in EXACT else 2e-2 if name == "computed-torque-textbook" else 0.35), error
     # 0.1 s is enough for all but PD on arms with light wrists at 4 ms: the delay margin leaves a bandwidth of some rad/s.
     jitter = np.abs(np.diff(log.v[-10:], axis=0)).max() / dt
-    assert jitter < 20.0, f"{jitter} rad/s^2 at the end"
+    assert jitter < 25.0, f"{jitter} rad/s^2 at the end"
 
 
 @every_tick
@@ -125,19 +124,16 @@ def test_an_unknown_controller_has_a_suggestion(bundled):
         (lambda arm: armctl.PD(arm, stiffness=[1.0, 2.0]), "stiffness: expected 3 numbers, got 2"),
         (lambda arm: armctl.PD(arm, damping=[-1.0, 2.0, 1.0]), "damping: every value must be at least 0, got -1"),
         (lambda arm: armctl.PDGravity(arm, bandwidth=-1.0), "bandwidth: expected a number in"),
-        (lambda arm: armctl.PIDGravity(arm, integral_gain=[1.0]), "integral_gain: expected 3 numbers, got 1"),
         (lambda arm: armctl.PD(arm, bandwidth="20"), "bandwidth: '20' is not a number"),
         (lambda arm: armctl.PD(arm, stiffness="20"), "stiffness: '20' is not a"),
         (lambda arm: armctl.PD(arm, stiffness=5.0, bandwidth="20"), "bandwidth: '20' is not a number"),
         (lambda arm: armctl.PD(arm, damping=-2.0), "damping: every value must be at least 0, got -2"),
         (lambda arm: armctl.PD(arm, stiffness=[1.0, float("nan"), 1.0]), "stiffness: element .1. is nan"),
         (lambda arm: armctl.PDGravity(arm, damping_ratio=[1.0]), "damping_ratio: .1.0. is not a number"),
-        (lambda arm: armctl.PIDGravity(arm, integral_gain=float("inf")), "integral_gain: expected a finite number, got inf"),
         (lambda arm: armctl.ComputedTorqueObserver(arm, observer_bandwidth="9"), "observer_bandwidth: '9' is not a number"),
         (lambda arm: armctl.Impedance(arm, posture_stiffness=-1.0), "posture_stiffness: every value must be at least 0"),
         (lambda arm: armctl.ComputedTorqueObserver(arm, bandwidth=1j), "bandwidth: 1j is not a number"),
         (lambda arm: armctl.ComputedTorque(arm, form="exact"), "form: expected one of discrete, textbook, got 'exact'"),
-        (lambda arm: armctl.ComputedTorque(arm, form="textbook", integral=True), "needs form='discrete'"),
         (lambda arm: armctl.ComputedTorque(arm, bandwidth=float("nan")), "bandwidth: expected a finite number, got nan"),
         (lambda arm: armctl.OperationalSpace(arm, posture_bandwidth=-2.0), "posture_bandwidth: expected .*got -2"),
         (lambda arm: armctl.Impedance(arm, stiffness=np.ones(3)), "stiffness: expected 6 numbers, got 3"),
@@ -160,7 +156,6 @@ def test_a_controller_of_no_arm_is_rejected(name):
         (armctl.PD, "stiffness", 3),
         (armctl.PD, "damping", 3),
         (armctl.PDGravity, "stiffness", 3),
-        (armctl.PIDGravity, "integral_gain", 3),
         (armctl.Impedance, "stiffness", 6),
         (armctl.Impedance, "posture_stiffness", 3),
     ],
@@ -200,7 +195,7 @@ def test_sampled_configurations_are_inside_joint_ranges_beyond_half_a_turn(load,
     low, high = limits
     arm = load(limb("a b c").replace('range="-2 2"', f'range="{low} {high}"'), motors("a b c"))
     q = sample_configurations(arm)
-    assert q.shape == (65, 3)
+    assert q.shape == (67, 3)
     assert arm.limits.contains(q[1:])
     assert (np.ptp(q[1:], axis=0) > 0.9 * (high - low)).all()
     assert all(np.isfinite(controller_by_name(name, arm).torque(*at_rest(arm))).all() for name in CONTROLLERS)
@@ -223,19 +218,6 @@ def test_gains_of_a_bandwidth_scale_with_the_effective_inertia(arm):
     median = np.median(effective_inertia(arm), axis=0)
     assert np.allclose(gains.stiffness, 100.0 * median)
     assert np.allclose(gains.damping, 20.0 * median)
-
-
-def test_the_integral_does_not_wind_up(bundled):
-    """After a second at its torque limit, a PID that winds up would overshoot for about as long."""
-    zero = np.zeros(bundled.n)
-    pid = armctl.PIDGravity(bundled)
-    far = Setpoint(bundled.home + np.array([100.0, 0.0, 0.0]), zero, zero)
-    for k in range(1000):
-        pid.torque(armctl.State(bundled.home, zero, 0.001 * k, 0.001), far)
-    there = Setpoint(bundled.home, zero, zero)
-    tau = pid.torque(armctl.State(bundled.home, zero, 1.0, 0.001), there)
-    at_rest = armctl.PDGravity(bundled).torque(armctl.State(bundled.home, zero), there)
-    assert np.abs(tau - at_rest).max() < 1e-9
 
 
 def test_an_impedance_yields_by_force_over_stiffness(redundant):

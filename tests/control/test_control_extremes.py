@@ -12,7 +12,6 @@ EXACT = (
     "pd-feedforward",
     "computed-torque",
     "computed-torque-observer",
-    "computed-torque-integral",
     "computed-torque-learning",
     "qp",
     "operational-space",

@@ -1,6 +1,7 @@
 """The laws of the compiled core: runs, memory, and what they refuse."""
 
 import ctypes
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -17,10 +18,8 @@ MADE = {
     "pd of a bandwidth": lambda arm: armctl.PD(arm, bandwidth=20.0),
     "pd-feedforward": armctl.PDFeedforward,
     "pd-gravity": armctl.PDGravity,
-    "pid-gravity": armctl.PIDGravity,
     "computed torque": armctl.ComputedTorque,
     "textbook": lambda arm: armctl.ComputedTorque(arm, form="textbook"),
-    "integral": lambda arm: armctl.ComputedTorque(arm, integral=True),
     "observer": armctl.ComputedTorqueObserver,
     "learning": armctl.ComputedTorqueLearning,
     "qp": lambda arm: armctl.ComputedTorqueQP(arm, bandwidth=60.0),
@@ -29,7 +28,7 @@ MADE = {
     "admittance": armctl.Admittance,
     "hybrid force": lambda arm: armctl.HybridForce(arm, {"z": -20.0}),
     "hybrid force of the tip": lambda arm: armctl.HybridForce(arm, {"x": 5.0, "y": 0.0}, frame="tip"),
-    "limited rates": lambda arm: armctl.TorqueRateLimit(arm, armctl.PIDGravity(arm), 100.0),
+    "limited rates": lambda arm: armctl.TorqueRateLimit(arm, armctl.ComputedTorqueObserver(arm), 100.0),
 }
 
 
@@ -129,18 +128,155 @@ def test_wrong_lengths_are_refused(bundled: armctl.Arm):
 
 
 def test_a_controller_is_its_law_and_an_assigned_gain_keeps_the_memory(bundled: armctl.Arm):
-    controller = armctl.PIDGravity(bundled, bandwidth=10.0)
+    controller = armctl.ComputedTorque(bundled, bandwidth=10.0)
     law = controller.make_law(0.002, False)
     run = list(ticks(bundled, 0.002, False))
     assert all((controller.torque(*tick) == torque(law, *tick)).all() for tick in run[:10])
-    controller.stiffness = 2.0 * controller.stiffness
+    controller.bandwidth = 15.0
     stiffer = controller.make_law(0.002, False)
     stiffer.memory[:] = law.memory
     assert all((controller.torque(*tick) == torque(stiffer, *tick)).all() for tick in run[10:20])
     assert (controller.memory == stiffer.memory).all()
-    controller.damping = np.full(bundled.n, np.nan)
-    with pytest.raises(armctl.InputError, match="damping: need a finite number of at least 0, got nan"):
-        controller.torque(*run[20])
+    with pytest.raises(armctl.InputError, match="damping_ratio: "):
+        controller.damping_ratio = np.nan
+    assert controller.damping_ratio == 1.0
+    assert (controller.torque(*run[20]) == torque(stiffer, *run[20])).all()
+
+
+def own_law(make: Callable[[], object], n: object = 3) -> armctl.CompiledController:
+    """A controller whose law is what a function gives."""
+
+    class Own(armctl.CompiledController):
+        def make_law(self, dt, continuous):
+            return make()
+
+    return Own(n)  # type: ignore[arg-type]
+
+
+def c_law(**arguments: object) -> armctl.CFunctionLaw:
+    address = ctypes.cast(spring_with_memory, ctypes.c_void_p).value
+    return armctl.CFunctionLaw(**({"address": address, "n": 3, "parameters": [1.0, 2.0], "memory_size": 1} | arguments))
+
+
+@pytest.mark.parametrize(
+    ("make", "what"),
+    [
+        (lambda: c_law(memory_size=-1), r"memory_size: expected a number in \[0, 1e\+06\], got -1"),
+        (lambda: c_law(memory_size=1.5), "memory_size: expected a whole number"),
+        (lambda: c_law(memory_size=10**12), "memory_size: expected a number in"),
+        (lambda: c_law(parameters=None), "parameters: None is not an array of numbers"),
+        (lambda: c_law(parameters=[[1.0]]), "parameters: expected a list of numbers"),
+        (lambda: c_law(n=10**12), "n: expected a number in"),
+        (lambda: c_law(address="x"), "address: 'x' is not a number"),
+        (lambda: c_law(needs_wrench=1), "needs_wrench: expected True or False, got 1"),
+        (lambda: c_law(needs_wrench=True), "needs_wrench: the law of Own reads the wrench; set it to True in the class"),
+        (lambda: c_law(n=4), "make_law: expected a law for 3 joints, got one for 4"),
+        (lambda: "x", "make_law: expected a law, such as armctl.CFunctionLaw, got 'x'"),
+    ],
+)
+def test_a_law_of_ones_own_that_does_not_fit_is_one_sentence(bundled: armctl.Arm, make, what: str):
+    with pytest.raises(armctl.InputError, match=what):
+        own_law(make).torque(*next(ticks(bundled, 0.002, False)))
+    with pytest.raises(armctl.InputError, match=what):
+        armctl.simulate(bundled, own_law(make), armctl.move_j(bundled, bundled.home, bundled.home))
+
+
+@pytest.mark.parametrize("n", [0, -1, 1.5, None, 10**9])
+def test_a_controller_has_at_least_one_joint(n):
+    with pytest.raises(armctl.InputError, match=r"^n: "):
+        own_law(c_law, n)
+
+
+def test_a_law_that_gets_another_memory_begins_with_zeros(bundled: armctl.Arm):
+    sizes = [2, 5]
+    controller = own_law(lambda: c_law(memory_size=sizes[0]))
+    run = list(ticks(bundled, 0.002, False))
+    for tick in run[:3]:
+        controller.torque(*tick)
+    assert list(controller.memory) == [3.0, 0.0]
+    del sizes[0]
+    controller.anything = None
+    controller.torque(*run[3])
+    assert list(controller.memory) == [1.0, 0.0, 0.0, 0.0, 0.0]
+
+
+HOSTILE_GAINS = [
+    -1.0,
+    np.nan,
+    np.inf,
+    1e308,
+    "x",
+    None,
+    {},
+    [1.0, -1.0, 1.0],
+    np.zeros(9),
+    np.zeros((3, 3)),
+    1j,
+    True,
+    object(),
+]
+GAINS = {
+    "PD": {"stiffness": "n", "damping": "n", "delay_margin": "one"},
+    "PDFeedforward": {"stiffness": "n", "damping": "n"},
+    "PDGravity": {"stiffness": "n", "damping": "n"},
+    "ComputedTorque": {"bandwidth": "one", "damping_ratio": "one", "form": "word"},
+    "ComputedTorqueQP": {"bandwidth": "one", "damping_ratio": "one"},
+    "ComputedTorqueObserver": {"bandwidth": "optional", "damping_ratio": "optional", "observer_bandwidth": "optional"},
+    "ComputedTorqueLearning": {"bandwidth": "optional", "damping_ratio": "optional", "observer_bandwidth": "optional"},
+    "OperationalSpace": {"bandwidth": "one", "damping_ratio": "one", "posture_bandwidth": "one"},
+    "Impedance": {"stiffness": "six", "error_max": "bound", "damping_ratio": "one", "posture_stiffness": "n"},
+    "Admittance": {"mass": "six", "damping": "six", "stiffness": "six", "bandwidth": "one"},
+    "HybridForce": {
+        "frame": "word",
+        "bandwidth": "one",
+        "damping_ratio": "one",
+        "approach_speed": "optional",
+        "contact_force": "optional",
+    },
+    "TorqueRateLimit": {"tau_rate_max": "n", "controller": "controller"},
+}
+# Besides what is wrong for every gain: what a kind allows of it.
+ALLOWED = {
+    "n": (1e308,),
+    "six": (1e308,),
+    "bound": (1e308, np.inf),
+    "optional": (None,),
+}
+
+
+def controller_of(name: str, arm: armctl.Arm) -> armctl.CompiledController:
+    rest = {"HybridForce": ({"z": 1.0},), "TorqueRateLimit": (armctl.PD(arm), 100.0)}.get(name, ())
+    return getattr(armctl, name)(arm, *rest)
+
+
+@pytest.mark.parametrize("name", GAINS)
+def test_an_assigned_gain_is_checked_like_one_that_is_given(bundled: armctl.Arm, name: str):
+    controller = controller_of(name, bundled)
+    public = {key for key in vars(controller) if not key.startswith("_")} - {"name"}
+    assert public <= set(GAINS[name]) | {"form", "delay_margin"}, "a gain that is not tested"
+    for gain, kind in GAINS[name].items():
+        before = getattr(controller, gain)
+        for value in HOSTILE_GAINS:
+            allowed = ALLOWED.get(kind, ())
+            if any(value is each for each in allowed) or (
+                gain == "contact_force" and isinstance(value, float) and value == 1e308
+            ):
+                continue
+            with pytest.raises(armctl.InputError, match=f"^{gain}: "):
+                setattr(controller, gain, value)
+            assert np.all(getattr(controller, gain) == before)
+
+
+def test_one_number_is_assigned_to_all_joints_and_a_callers_array_stays_theirs(bundled: armctl.Arm):
+    controller = armctl.PDGravity(bundled)
+    controller.stiffness = 50.0
+    mine = np.full(bundled.n, 5.0)
+    controller.damping = mine
+    mine[:] = -1.0
+    other = armctl.PDGravity(bundled, stiffness=50.0, damping=5.0)
+    assert (controller.stiffness == 50.0).all()
+    for tick in ticks(bundled, 0.002, False):
+        assert (controller.torque(*tick) == other.torque(*tick)).all()
 
 
 def test_a_law_with_limited_rates_shows_the_estimates_of_its_controller(bundled: armctl.Arm):

@@ -99,7 +99,7 @@ def test_limits_that_exclude_each_other_are_violated_least(six):
     assert np.abs(log.q[-1] - log.q_ref[-1]).max() < 1e-2
 
 
-VIOLATION_WEIGHT = 1e4  # as in armctl/cpp/laws/computed_torque_qp.cpp
+VIOLATION_WEIGHT = 1e4  # as in armctl/cpp/laws/computed_torque_qp.hpp
 
 
 def daqp_solution(H, f, M, lower, upper):
@@ -110,10 +110,7 @@ def daqp_solution(H, f, M, lower, upper):
 
 def torque_of_daqp(program, tau_max):
     """The torque of a program; if limits contradict each other, those of velocity and position become costs."""
-    H = program.H
-    M = program.M
-    lower = program.lower
-    upper = program.upper
+    H, M, lower, upper, torque = program
     n = len(H)
     deviation = daqp_solution(H, np.zeros(n), M, lower, upper)
     if deviation is None:
@@ -125,7 +122,7 @@ def torque_of_daqp(program, tau_max):
         deviation = daqp_solution(H + np.diag(weights), -weights * nearest, M, lower, upper)
     if deviation is None:
         deviation = np.zeros(n)
-    return np.clip(program.torque + M @ deviation, -tau_max, tau_max)
+    return np.clip(torque + M @ deviation, -tau_max, tau_max)
 
 
 def test_the_law_gives_the_torque_of_daqp_wherever_the_arm_is(six):

@@ -76,6 +76,6 @@ def test_the_ending_of_a_file_is_checked():
     assert file_path("path", "a/b.npz", (".npz", ".csv")) == Path("a/b.npz")
     with pytest.raises(InputError, match=r"^path: 'b.txt' ends in '.txt', expected .npz, .csv or .png$"):
         file_path("path", Path("a/b.txt"), (".npz", ".csv", ".png"))
-    for wrong in (None, 3, b"a", "", "a\0b", ["a"]):
+    for wrong in (None, 3, b"a", "", "a\0b", ["a"], "\ud800"):
         with pytest.raises(InputError, match=r"^path: .* is not the name of a file$"):
             file_path("path", wrong)

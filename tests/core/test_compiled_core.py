@@ -50,6 +50,23 @@ def test_an_array_that_is_only_read_may_be_read_only():
     assert x[0] == 1.5
 
 
+def test_a_program_that_ends_while_a_thread_has_an_object_of_the_core_prints_nothing():
+    program = """
+import threading
+from armctl import _core
+
+def hold(delay, begun):
+    begun.set()
+    threading.Event().wait()
+
+begun = threading.Event()
+threading.Thread(target=hold, args=(_core.Delay(1, 1), begun), daemon=True).start()
+begun.wait()
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert ended.stdout + ended.stderr == ""
+
+
 def test_the_memory_of_an_array_is_released():
     x = bytearray(8)
     array = memoryview(x).cast("d")

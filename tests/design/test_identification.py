@@ -109,6 +109,8 @@ def test_too_much_damping_in_the_model_is_reported_and_corrected(motions):
     (finding,) = found.findings
     assert re.fullmatch(r"the model's damping of shoulder_pitch is 1\.(49|50?|51)\d? N m s/rad too high", finding), finding
     assert finding in str(found)
+    with pytest.raises(armctl.InputError, match="arm: 4 joints, but the estimate is of an arm with 3"):
+        found.applied_to(arm_of("gantry"))
     corrected = found.applied_to(model)
     assert corrected.model.dof_damping[corrected.dof_adr] == pytest.approx(real.model.dof_damping[real.dof_adr], rel=0.02)
     v = np.array([0.0, 1.0, 0.0])

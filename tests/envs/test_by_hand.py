@@ -241,6 +241,24 @@ def test_success_begins_at_two_centimetres(make, reward, away):
     assert env.compute_reward(np.array([achieved] * 3), np.array([goal] * 3), [{}] * 3) == pytest.approx([expected] * 3)
 
 
+@pytest.mark.parametrize("wrong", ["x", None, [1.0, 2.0], np.zeros(3, complex), np.zeros((2, 2)), object(), [[1], [1, 2]]])
+def test_goals_and_actions_of_a_wrong_kind_are_refused(make, wrong):
+    env = make("ReachPast", "joint_delta")
+    with pytest.raises(armctl.InputError, match=r"^achieved_goal: "):
+        env.compute_reward(wrong, np.zeros(3), {})
+    with pytest.raises(armctl.InputError, match=r"^desired_goal: "):
+        env.compute_reward(np.zeros(3), wrong, {})
+    with pytest.raises(armctl.InputError, match=r"^action: "):
+        env.step(wrong)
+
+
+@pytest.mark.parametrize("info", ["x", 3, [None], object(), {"touched": [True, False, True]}])
+def test_information_that_does_not_fit_the_goals_is_refused(make, info):
+    env = make("ReachPast", "joint_delta")
+    with pytest.raises(armctl.InputError, match=r"^info: .* does not fit goals of shapes"):
+        env.compute_reward(np.zeros((2, 3)), np.zeros((2, 3)), info)
+
+
 def test_noise_is_differenced_to_velocities_that_the_controller_sees(make):
     """Damping turns the noise of velocities into torques, which shake the arm as much as noise of the same size by hand."""
     deviation = 1e-4

@@ -74,7 +74,7 @@ def test_rows_are_refused_that_do_not_exist_or_have_no_simulation(env: gymnasium
     with pytest.raises(armctl.InputError, match="motors: the model has no such joint or motor"):
         remade(rows, ctrl_addresses=np.array([0, 1, 99])).set_simulation(0, other.model(0), other.data(0))
     with pytest.raises(armctl.InputError, match="object: the model has no such joint"):
-        remade(rows, object_addresses=(0, 0)).set_simulation(0, other.model(0), other.data(0))
+        remade(rows, object_addresses=np.zeros(2, np.int64)).set_simulation(0, other.model(0), other.data(0))
 
 
 def test_an_error_of_mujoco_ends_a_step_in_one_sentence(env: gymnasium.vector.VectorEnv):

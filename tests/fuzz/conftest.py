@@ -33,7 +33,13 @@ def fuzz_motions(request: pytest.FixtureRequest) -> int:
 
 
 @pytest.fixture
-def fuzz_cases(fuzz_seed: int, fuzz_seconds: float) -> Callable[[int], Iterator[np.random.Generator]]:
+def fuzz_first(request: pytest.FixtureRequest) -> int:
+    """The number of the first case, `--fuzz-first`: where an earlier run ended."""
+    return request.config.getoption("--fuzz-first")
+
+
+@pytest.fixture
+def fuzz_cases(fuzz_seed: int, fuzz_seconds: float, fuzz_first: int) -> Callable[[int], Iterator[np.random.Generator]]:
     """One random generator per case: at least `min_cases` of them, and more until `fuzz_seconds` have passed.
 
     Case i of a seed is the same in every run: `np.random.default_rng([seed, i])`.
@@ -41,8 +47,8 @@ def fuzz_cases(fuzz_seed: int, fuzz_seconds: float) -> Callable[[int], Iterator[
 
     def cases(min_cases: int) -> Iterator[np.random.Generator]:
         end = time.monotonic() + fuzz_seconds
-        case = 0
-        while case < min_cases or time.monotonic() < end:
+        case = fuzz_first
+        while case < fuzz_first + min_cases or time.monotonic() < end:
             yield np.random.default_rng([fuzz_seed, case])
             case += 1
 

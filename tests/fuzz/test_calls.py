@@ -1,12 +1,14 @@
 """Hostile calls of the public API: each returns or raises an `ArmctlError` with a short message.
 
 Every parameter gets a valid value, or one of `hostile_values`. Only calls that fit the signature are made, since Python itself
-refuses the others.
+refuses the others. Gains are also assigned, and then the controller runs.
 """
 
+import copy
 import inspect
 import math
 import os
+import resource
 import signal
 import traceback
 import typing
@@ -22,12 +24,16 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 from arms import arm_of
+from synthetic import arm_with_gripper
 
 import armctl
+import armctl.envs
+import armctl.jax
 
 MAX_OTHER_ERRORS_SHARE = 0.001
 MAX_MESSAGE_CHARACTERS = 400
 MAX_CALL_S = 300  # a call that hangs; the first call of a compiled function takes some seconds
+MAX_CALL_MB = 2000.0  # by which a call raises the peak of the memory
 CALLS_IN_SUITE = 1500
 CALLS_PER_WORLD = 250  # then all objects are made again, since a call may have moved or spoiled them
 
@@ -44,7 +50,9 @@ SLOW = {
     "overlay",
     "four_panels",
     "JointTrajectory.plot",
+    "envs.save_demonstrations",
 }
+PACKAGES = {"": armctl, "envs.": armctl.envs, "jax.": armctl.jax}
 # Given in every call: their defaults take long or open a page.
 ALWAYS_GIVEN = {"workers", "width", "height", "viewer"}
 
@@ -93,6 +101,12 @@ def costly_results() -> dict[str, object]:
 def world() -> dict[str, object]:
     """One object of every public class with methods, by the name of the class."""
     arm = arm_of("robot_arm_3dof")
+    env = armctl.envs.ArmEnv(arm, action="joint_delta")
+    envs = armctl.envs.ArmVectorEnv(arm, action="joint_delta", num_envs=2)
+    env.reset(seed=0)
+    envs.reset(seed=0)
+    with TemporaryDirectory() as folder:
+        gripping = armctl.Simulation(armctl.load(arm_with_gripper(Path(folder))))
     motion = armctl.move_j(arm, arm.home, arm.home + 0.05)
     sim = armctl.Simulation(arm, "pd")
     log = armctl.simulate(arm, "pd", motion)
@@ -106,6 +120,7 @@ def world() -> dict[str, object]:
         "ComputedTorqueObserver": armctl.ComputedTorqueObserver(arm),
         "ComputedTorqueQP": armctl.ComputedTorqueQP(arm),
         "DifferentialIk": armctl.DifferentialIk(arm),
+        "Gripper": gripping.gripper,
         "HybridForce": armctl.HybridForce(arm, {"z": 1.0}),
         "IkResult": armctl.solve_ik(arm, arm.fk(arm.home)),
         "Impedance": armctl.Impedance(arm),
@@ -119,7 +134,6 @@ def world() -> dict[str, object]:
         "PD": armctl.PD(arm),
         "PDFeedforward": armctl.PDFeedforward(arm),
         "PDGravity": armctl.PDGravity(arm),
-        "PIDGravity": armctl.PIDGravity(arm),
         "Plant": armctl.Plant(payload=0.1),
         "Pose": arm.fk(arm.home),
         "Push": armctl.Push(0.0, 0.1),
@@ -132,7 +146,22 @@ def world() -> dict[str, object]:
         "Target": armctl.Target.read(arm.fk(arm.home)),
         "Team": armctl.Team([arm]),
         "TorqueRateLimit": armctl.TorqueRateLimit(arm, armctl.PD(arm), 100.0),
+        "envs.ArmEnv": env,
+        "envs.ArmVectorEnv": envs,
+        "envs.ExpertPolicy": armctl.envs.ExpertPolicy(env),
+        "jax.ArmModel": armctl.jax.arm_model(arm),
+        "jax.PDGains": armctl.jax.PDGains.of(armctl.PD(arm), arm.dt),
+        "jax.ComputedTorqueGains": armctl.jax.ComputedTorqueGains.of(armctl.ComputedTorque(arm), arm.dt),
+        "jax.OperationalSpaceGains": armctl.jax.OperationalSpaceGains.of(armctl.OperationalSpace(arm)),
+        "jax.Reference": armctl.jax.tick_reference(motion, arm.dt, ticks=2),
     } | costly_results()
+
+
+def of_another_arm() -> list[object]:
+    """Valid objects, but of an arm with another number of joints."""
+    arm = arm_of("gantry")
+    motion = armctl.move_j(arm, arm.home, arm.home + 0.01)
+    return [arm, motion, armctl.PD(arm), armctl.simulate(arm, "pd", motion), armctl.Simulation(arm), motion(0.0), arm.limits]
 
 
 def valid_values(objects: dict[str, object]) -> dict[str, list[object]]:
@@ -177,6 +206,15 @@ def valid_values(objects: dict[str, object]) -> dict[str, list[object]]:
         "speed": [0.5, 1.0],
         "timeout": [0.1],
         "until": [lambda state: True],
+        "action": [np.zeros(3)],
+        "actions": [np.zeros((2, 3))],
+        "episodes": [1],
+        "num_envs": [1],
+        "threads": [1],
+        "env": [objects["envs.ArmEnv"]],
+        "model": [objects["jax.ArmModel"]],
+        "gains": [objects[f"jax.{law}Gains"] for law in ("PD", "ComputedTorque", "OperationalSpace")],
+        "reference": [objects["jax.Reference"]],
     }
     joints = ["q", "q0", "q_start", "q_goal", "v", "qpos", "qvel", "posture", "tau", "q_current"]
     return names | {name: [home, list(home)] for name in joints}
@@ -219,6 +257,7 @@ def hostile_values() -> list[object]:
         "x" * 5000,
         "a\nb",
         "a\0b",
+        "\ud800",
         "../x",
         "/nowhere/x.npz",
         "\u00e9\u4e2d",
@@ -238,6 +277,7 @@ def hostile_values() -> list[object]:
         [[1, 2, 3]],
         (1e308,) * 3,
         [1, [2, 3]],
+        [0.5] * 100_000,
     ]
     arrays: list[object] = [
         np.empty(0),
@@ -257,6 +297,8 @@ def hostile_values() -> list[object]:
         np.zeros(3, complex),
         np.array(["2026-01-01"], "M8[D]"),
         np.ones(3, bool),
+        np.zeros(100_000),
+        np.zeros((100_000, 3)),
     ]
     objects: list[object] = [
         None,
@@ -286,25 +328,42 @@ def targets(objects: dict[str, object]) -> list[Target]:
         slow = name in SLOW
         found.append(Target(name, call, inspect.signature(call), 0.05 if slow else 1.0))
 
-    for name in armctl.__all__:
-        value = getattr(armctl, name)
-        if name in LEFT_OUT or not callable(value):
-            continue
-        if not inspect.isclass(value):
-            add(name, value)
-            continue
-        if issubclass(value, Exception) or typing.is_typeddict(value):  # the options of a call are checked by the call
-            continue
-        add(name, value)
-        owner = objects.get(name, value)
-        for member in dir(value):
-            defined = inspect.getattr_static(value, member)
-            bound = owner is not value or isinstance(defined, classmethod | staticmethod)
-            if member.startswith("_") or not bound or (issubclass(value, tuple) and member in ("count", "index")):
+    for prefix, package in PACKAGES.items():
+        for name in package.__all__:
+            value = getattr(package, name)
+            if name in LEFT_OUT or not callable(value):
                 continue
-            if callable(getattr(value, member)):
-                add(f"{name}.{member}", getattr(owner, member))
+            if not inspect.isclass(value):
+                add(prefix + name, value)
+                continue
+            if issubclass(value, Exception) or typing.is_typeddict(value):  # the options of a call are checked by the call
+                continue
+            add(prefix + name, value)
+            owner = objects.get(prefix + name, value)
+            for member in dir(value):
+                defined = inspect.getattr_static(value, member)
+                bound = owner is not value or isinstance(defined, classmethod | staticmethod)
+                if member.startswith("_") or not bound or (issubclass(value, tuple) and member in ("count", "index")):
+                    continue
+                function = getattr(value, member)
+                if callable(function) and not getattr(function, "__module__", "").startswith("gymnasium"):
+                    add(f"{prefix}{name}.{member}", getattr(owner, member))
+            if isinstance(owner, armctl.CompiledController):
+                settable = [key for key in dir(value) if getattr(inspect.getattr_static(value, key), "fset", None)]
+                for gain in [*(key for key in vars(owner) if not key.startswith("_")), *settable]:
+                    add(f"{name}.{gain} =", assignment(owner, gain, objects["JointTrajectory"]))
     return found
+
+
+def assignment(controller: armctl.CompiledController, gain: str, motion: object) -> Callable[[object], object]:
+    """Assigns a gain to a copy of a controller, which then moves the arm."""
+
+    def assign(value: object) -> object:
+        other = copy.copy(controller)
+        setattr(other, gain, value)
+        return armctl.simulate(arm_of("robot_arm_3dof"), other, motion)
+
+    return assign
 
 
 def arguments(
@@ -361,6 +420,7 @@ def shown(target: Target, args: list[object], kwargs: dict[str, object]) -> str:
 
 def fault_of(target: Target, args: list[object], kwargs: dict[str, object]) -> Fault | None:
     """What is wrong with a call's outcome."""
+    before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     try:
         with warnings.catch_warnings(), time_limit():
             warnings.simplefilter("ignore")
@@ -376,6 +436,9 @@ def fault_of(target: Target, args: list[object], kwargs: dict[str, object]) -> F
             if f"{os.sep}armctl{os.sep}" in frame.filename:
                 place = f"{frame.filename.rpartition('armctl' + os.sep)[2]}:{frame.lineno}"
         return Fault("other error", f"{place} {type(error).__name__}", f"{error!s:.100}")
+    grown_mb = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb) / 1024
+    if grown_mb > MAX_CALL_MB:
+        return Fault("much memory", target.name, f"{grown_mb:.0f} MB")
     return None
 
 
@@ -391,7 +454,7 @@ def test_hostile_calls_raise_armctl_errors_with_short_messages(
             objects = world()
             callables = targets(objects)
             valid = valid_values(objects)
-            hostile = [*hostile_values(), *objects.values()]
+            hostile = [*hostile_values(), *objects.values(), *of_another_arm()]
             weights = np.array([target.weight for target in callables])
         target = callables[rng.choice(len(callables), p=weights / weights.sum())]
         args, kwargs = arguments(target, rng, valid, hostile)
@@ -405,6 +468,8 @@ def test_hostile_calls_raise_armctl_errors_with_short_messages(
     assert counts["other error"] <= MAX_OTHER_ERRORS_SHARE * counts["calls"], summary
     assert counts["slow"] == 0, summary
     assert counts["long message"] == 0, summary
+    assert counts["much memory"] == 0, summary
+    print(summary)
 
 
 @pytest.fixture

@@ -1,14 +1,19 @@
-"""Damaged files: a log or a trajectory loads and is usable, or one sentence says why not, whatever bytes the file contains."""
+"""Damaged files: what a file holds loads and is usable, or one sentence says why not, whatever bytes the file contains."""
 
 import io
 import json
 import math
+import re
+import shutil
 import warnings
 import zipfile
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
+from arms import arm_of
+from synthetic import FIRST, SECOND, THIRD, TOOL, urdf
 
 import armctl
 from armctl import InputError, JointTrajectory, Log, Reachability, Report, Simulation
@@ -186,3 +191,136 @@ def test_the_whole_file_is_usable(files, tmp_path, kind: str):
     path = tmp_path / f"{kind}.npz"
     path.write_bytes(files[kind])
     USES[kind](path)
+
+
+NUMBERS = [
+    b"0",
+    b"-1",
+    b"nan",
+    b".inf",
+    b"1e308",
+    b"1e-320",
+    b"9" * 400,
+    b"",
+    b"x",
+    b"[]",
+    b"{}",
+    b"null",
+    b"true",
+    b"\xff",
+    b"- -",
+    b"*a",
+]
+OTHER_CASES = 40
+
+
+@pytest.fixture(scope="module")
+def other_files(tmp_path_factory) -> dict[str, bytes]:
+    """Files of other formats, by their names."""
+    folder = tmp_path_factory.mktemp("other")
+    arm = armctl.load("robot_arm_3dof")
+    motion = armctl.move_j(arm, arm.home, arm.home + 0.1)
+    motion.to_ros(folder / "ros.yaml", 0.1)
+    motion.to_ros(folder / "ros.json", 0.1)
+    log = Simulation(arm).run(motion)
+    log.save(folder / "log.csv")
+    log.save(folder / "log.parquet")
+    result = study().run(folder=folder, progress=False)
+    result.save(folder / "study.parquet")
+    (folder / "arm.xacro").write_text(XACRO)
+    return {name: (folder / name).read_bytes() for name in OTHER_USES}
+
+
+XACRO = (
+    urdf(FIRST, SECOND, THIRD, TOOL)
+    .replace("<robot", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"', 1)
+    .replace("</robot>", '<xacro:property name="mass" value="${2 * 0.5}"/></robot>')
+)
+
+
+def study() -> armctl.Study:
+    factors = {"payload": armctl.Range(0.0, 0.2)}
+    return armctl.Study("study", robot="robot_arm_3dof", controllers=["pd"], factors=factors, samples=2)
+
+
+def use_ros(path: Path) -> None:
+    motion = JointTrajectory.from_ros(path, arm_of("robot_arm_3dof"))
+    assert math.isfinite(motion.duration)
+    for column in motion.sample(np.linspace(0, motion.duration, 20))[:3]:
+        assert np.isfinite(column).all()
+
+
+def use_store(path: Path) -> None:
+    for result in (study().result(path.parent), study().run(folder=path.parent, progress=False)):
+        assert str(result)
+        assert str(result.summary())
+    assert result.ok
+
+
+def use_study(path: Path) -> None:
+    result = armctl.StudyResult.load(path)
+    assert str(result)
+    with suppress(armctl.ArmctlError):  # runs may be missing
+        assert str(result.summary())
+
+
+def use_model(path: Path) -> None:
+    arm = armctl.load(path)
+    assert np.isfinite(arm.fk(arm.home).position).all()
+
+
+OTHER_USES = {
+    "ros.yaml": use_ros,
+    "ros.json": use_ros,
+    "log.csv": use_log,
+    "log.parquet": use_log,
+    "study.sqlite": use_store,
+    "study.parquet": use_study,
+    "arm.xacro": use_model,
+}
+
+
+def damaged_text(whole: bytes, rng: np.random.Generator) -> bytes:
+    """One to three numbers or words replaced, or lines deleted or repeated."""
+    data = whole
+    for _ in range(rng.integers(1, 4)):
+        found = list(re.finditer(rb"-?\d+\.?\d*|\w+", data))
+        lines = data.split(b"\n")
+        k = int(rng.integers(len(lines)))
+        kind = rng.integers(4)
+        if kind < 2 and found:
+            match = found[rng.integers(len(found))]
+            data = data[: match.start()] + NUMBERS[rng.integers(len(NUMBERS))] + data[match.end() :]
+        elif kind == 2:
+            data = b"\n".join(lines[:k] + lines[k + 1 :])
+        else:
+            data = b"\n".join(lines[: k + 1] + lines[k:])
+    return data
+
+
+@pytest.mark.parametrize("name", OTHER_USES)
+def test_a_damaged_file_of_any_format_is_usable_or_rejected_in_one_sentence(
+    other_files, tmp_path, fuzz_cases, monkeypatch, name: str
+):
+    if name == "arm.xacro":
+        pytest.importorskip("xacrodoc")
+        monkeypatch.chdir(tmp_path)
+    messages = []
+    for case, rng in enumerate(fuzz_cases(OTHER_CASES)):
+        folder = tmp_path / str(case)
+        folder.mkdir()
+        path = folder / name
+        damage = damaged_text if rng.random() < 0.6 else damaged_bytes
+        path.write_bytes(damage(other_files[name], rng))
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", armctl.ArmctlWarning)
+                OTHER_USES[name](path)
+        except armctl.ArmctlError as error:
+            messages.append(str(error))
+        except Exception as error:
+            raise AssertionError(f"case {case}: {type(error).__name__}: {error}") from error
+        shutil.rmtree(folder)
+    assert len(messages) > OTHER_CASES / 8, "the damage does no harm"
+    assert max(map(len, messages)) <= 400
+    assert not any("\n" in message for message in messages)

@@ -1,7 +1,6 @@
 """The chain and the error model of the compiled core agree with Pinocchio and with differences, and refuse wrong arguments."""
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from arms import ARMS, arm_of
 
@@ -26,21 +25,15 @@ def numbers_of(arm: Arm, q: np.ndarray) -> np.ndarray:
 def test_the_chain_is_pinocchio(name: str):
     arm = arm_of(name)
     chain = ik_chain(arm)
-    pin_model = arm.pinocchio_model.pin_model
-    J = np.empty((6, arm.n))
-    origins = np.empty((chain.core.joint_count, 3))
-    axes = np.empty((chain.core.joint_count, 3))
+    n = arm.n
+    J = np.empty((6, n))
     tolerance = 1e-12 * max(1.0, chain.reach)
+    model = _core.IkErrorModel(chain.core)
     for q in configurations(arm, 20):
-        chain.core.error_jacobian(Constraint.POSE, q / chain.unit, J)
+        size = model.linearize(numbers_of(arm, q), Constraint.POSE, 0.0, q / chain.unit, np.empty((n, n)), np.empty(n), J)
+        assert size < 1e-12
         in_si = J / chain.unit * np.array([chain.reach] * 3 + [1 / ROTATION_WEIGHT] * 3)[:, None]
         assert np.abs(in_si - arm.jacobian(q)).max() < tolerance
-        chain.core.joint_lines(q / chain.unit, origins, axes)
-        data = pin_model.createData()
-        pin.forwardKinematics(pin_model, data, arm.joint_map.positions(q))
-        frames = list(data.oMi)[1 : 1 + len(axes)]
-        assert np.abs(origins * chain.reach - [frame.translation for frame in frames]).max() < tolerance
-        assert np.abs(axes - [frame.rotation[:, 2] for frame in frames]).max() < 1e-12
 
 
 @pytest.mark.parametrize("constraint", [Constraint.POSE, Constraint.POSITION, Constraint.FREE_Y])
@@ -108,8 +101,6 @@ def test_arrays_of_wrong_lengths_are_refused_by_name():
         core.search_one(target.reshape(4, 3), Constraint.POSE, 1e-5, 1e-4, q, 10, 0, arm.home)
     with pytest.raises(InputError, match=r"^squared_errors: need an array of shape \(1,\), got \(2,\)$"):
         core.refine(target[None], Constraint.POSE, 1.0, q[None], 0.0, q[None].copy(), np.empty(2))
-    with pytest.raises(InputError, match=r"^held: 6 is not one of 6$"):
-        core.with_held(np.array([6]), np.zeros(1))
     assert not core.contains(q[:5].copy())
     assert not core.contains(np.full(6, np.nan))
     assert not core.contains(q.astype(np.float32))
@@ -129,19 +120,19 @@ def test_joints_that_do_not_exist_are_refused():
     }
     with pytest.raises(InputError, match=r"^unknowns: 2 is not one of 2$"):
         _core.Chain(unknowns=np.array([0, 2]), **arrays)
-    chain = _core.Chain(unknowns=np.array([0, 1]), **arrays)
+    with pytest.raises(InputError, match=r"^unknowns: this argument is missing$"):
+        _core.Chain(**arrays)
+    special = {
+        "relation": AxesRelation.MEET,
+        "first": 0,
+        "others": np.array([0, 1, 1]),
+        "pair_relation": AxesRelation.NEITHER,
+        "pair_first": 0,
+        "distances_to_points": np.zeros(2),
+    }
     with pytest.raises(InputError, match=r"^first: 2 is not one of 2$"):
-        chain.with_special_axes(
-            relation=AxesRelation.MEET,
-            first=0,
-            others=np.array([0, 1, 1]),
-            pair_relation=AxesRelation.NEITHER,
-            pair_first=0,
-            distances_to_points=np.zeros(2),
-        )
-    form = ik_chain(arm_of("ur5e")).closed_form
-    assert form is not None
-    errors = np.empty(4)
-    rows = (np.empty((4, 6)), errors, errors, np.zeros(4, int))
-    with pytest.raises(InputError, match=r"^chain: expected the chain of the closed form$"):
-        form.core.solve_all(chain, np.zeros((4, 3)), np.zeros(6), 1e-5, 1e-4, 0.0, 0.0, 1, 1, 1, *rows)
+        _core.Chain(unknowns=np.array([0, 1]), **arrays, **special)
+    chain = _core.Chain(unknowns=np.array([0, 1]), **arrays)
+    lines = {"axes": np.zeros((2, 3)), "points": np.zeros((2, 3))}
+    with pytest.raises(InputError, match=r"^axes: expected special axes of six hinges, or of seven with one that is held$"):
+        _core.ClosedForm(chain, tip_rotation=np.eye(3), tip_translation=np.zeros(3), **lines)

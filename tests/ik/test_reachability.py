@@ -52,6 +52,16 @@ def test_the_fraction_of_orientations_is_what_solve_ik_batch_reaches():
     assert np.array_equal(found.fraction, fraction)
 
 
+def test_orientations_of_an_arm_without_closed_form_are_searched():
+    arm = arm_of("robot_arm_3dof")
+    found = armctl.reachability(arm, 0.2, 4, [(0.0, -0.3, 0.3), (0.6, 0.3, 0.9)])
+    turns = [Pose([0, 0, 0], quat=each).rotation for each in found.orientations]
+    T = np.tile(np.eye(4), (len(found.points) * 4, 1, 1))
+    T[:, :3, :3] = np.tile(turns, (len(found.points), 1, 1))
+    T[:, :3, 3] = np.repeat(found.points, 4, axis=0)
+    assert np.array_equal(found.fraction, solve_ik_batch(arm, T).ok.reshape(-1, 4).mean(axis=1))
+
+
 def test_the_result_does_not_depend_on_the_number_of_threads(small):
     alone = armctl.reachability(armctl.load("robot_arm_3dof"), 0.2, threads=1)
     assert alone.fraction.tobytes() == small.fraction.tobytes()

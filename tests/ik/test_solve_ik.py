@@ -106,11 +106,8 @@ def test_out_of_reach_is_a_best_effort_with_a_reason(name: str):
         least = np.linalg.norm(arm.fk_many(positions(arm, 2000))[0] - target, axis=1).min()
         assert result.position_error <= least + 1e-9 * far
         assert result.position_error == pytest.approx(mujoco_error(arm, result.q, target)[0], rel=1e-9)
-        assert result.reason == (
-            f"out of reach by {1e3 * result.position_error:.1f} mm"
-            if result.position_error < 1e6
-            else f"out of reach by {result.position_error:.3g} m"
-        )
+        assert result.reason.startswith("out of reach by ")
+        assert result.reason.endswith("; positions are in metres") == (result.position_error > 10.0)
 
 
 def test_an_orientation_that_five_joints_cannot_take_is_a_best_effort():
@@ -122,6 +119,31 @@ def test_an_orientation_that_five_joints_cannot_take_is_a_best_effort():
     assert f"{result.orientation_error:.3g} rad off" in result.reason
     assert result.position_error < 0.1
     assert result.orientation_error > 1e-3
+
+
+def test_tolerances_below_rounding_are_named_as_the_reason():
+    arm = arm_of("robot_arm_3dof")
+    tight = {"position_tolerance": 1e-12, "orientation_tolerance": 1e-12}
+    targets = [arm.fk(q) for q in positions(arm, 40)]
+    refused = [result for target in targets if not (result := solve_ik(arm, target, **tight))]
+    assert len(refused) >= 10
+    for result in refused:
+        errors = f"{result.position_error:.2g} m and {result.orientation_error:.2g} rad"
+        assert result.reason == f"reached up to {errors}, which is near rounding; give larger tolerances"
+        assert max(result.position_error, result.orientation_error) < 1e-8
+    batch = armctl.solve_ik_batch(arm, targets, **tight)
+    assert [reason for reason in batch.reason if reason] == [result.reason for result in refused]
+
+
+def test_a_target_missed_by_more_than_rounding_is_out_of_reach_for_any_tolerance():
+    arm = arm_of("robot_arm_3dof")
+    turned = arm.fk(arm.home) @ Pose([0.0, 0.0, 0.0], rpy=[1e-4, 0.0, 0.0])
+    for tolerance in (1e-12, 1e-9, 1e-6):
+        far = solve_ik(arm, [1e3, 0.0, 0.0], position_tolerance=tolerance)
+        assert far.reason.startswith("out of reach by ")
+        other = solve_ik(arm, turned, position_tolerance=tolerance, orientation_tolerance=tolerance)
+        assert not other.reason.startswith("reached up to")
+        assert not other.ok
 
 
 @every_arm
@@ -266,6 +288,41 @@ def test_contacts_between_links_that_always_touch_do_not_count(tmp_path):
     blocked = solve_ik(arm, below, avoid_collisions=True)
     assert not blocked.ok
     assert "touches floor" in blocked.reason
+
+
+def test_one_start_of_a_batch_is_that_of_all_its_targets():
+    arm = arm_of("robot_arm_3dof")
+    points = arm.fk_many(positions(arm, 20))[0]
+    start = arm.limits.clamp(arm.home + 0.4)
+    batch = solve_ik_batch(arm, points, q0=start)
+    assert batch.q.tobytes() == solve_ik_batch(arm, points, q0=np.tile(start, (20, 1))).q.tobytes()
+    assert batch.q.tobytes() != solve_ik_batch(arm, points).q.tobytes()
+    assert all(np.array_equal(solve_ik(arm, point, start).q, q) for point, q in zip(points, batch.q, strict=True))
+
+
+@pytest.mark.parametrize(("turned", "ok"), [(0.9e-4, True), (1.1e-4, False)])
+def test_the_default_tolerance_of_the_orientation_is_a_tenth_of_a_milliradian(turned: float, ok: bool):
+    arm = arm_of("robot_arm_3dof")  # its tip cannot turn about its own axis at a point
+    target = arm.fk(arm.home) @ Pose([0.0, 0.0, 0.0], rpy=[0.0, 0.0, turned])
+    for result in (solve_ik(arm, target), solve_ik_batch(arm, [target])[0], armctl.solve_ik_all(arm, target)[0]):
+        assert result.ok == ok
+        assert result.orientation_error == pytest.approx(turned, rel=0.05)
+
+
+@pytest.mark.parametrize(("away", "ok"), [(0.9e-5, True), (1.1e-5, False)])
+def test_the_default_tolerance_of_the_position_is_a_hundredth_of_a_millimetre(away: float, ok: bool):
+    arm = arm_of("planar")
+    target = arm.fk(arm.home).position + away * out_of_plane(arm)
+    for result in (solve_ik(arm, target), solve_ik_batch(arm, target[None])[0], armctl.solve_ik_all(arm, target)[0]):
+        assert result.ok == ok
+        assert result.position_error == pytest.approx(away, rel=0.05)
+
+
+def out_of_plane(arm: Arm) -> np.ndarray:
+    """(3,) the direction in which the tip cannot move."""
+    axes, stretch, _ = np.linalg.svd(arm.jacobian(arm.home)[:3])
+    assert stretch[-1] < 1e-9
+    return axes[:, -1]
 
 
 def test_a_batch_is_many_single_calls():
@@ -424,7 +481,7 @@ def test_a_pose_that_no_configuration_reaches_is_given_up_after_few_starts():
 @pytest.mark.parametrize("far", [1e150, 1e200, 1e307])
 def test_a_point_at_an_absurd_distance_is_out_of_reach(far: float):
     result = solve_ik(arm_of("robot_arm_3dof"), [far, far, far])
-    assert result.reason == f"out of reach by {np.sqrt(3) * far:.3g} m"
+    assert result.reason == f"out of reach by {np.sqrt(3) * far:.3g} m; positions are in metres"
     assert result.position_error == pytest.approx(np.sqrt(3) * far, rel=1e-12)
 
 

@@ -312,7 +312,7 @@ def test_without_a_solution_there_is_one_row_with_the_reason(tmp_path):
 def test_a_pose_at_an_absurd_distance_is_out_of_reach(tmp_path, name: str):
     arm = arm_of(tmp_path, QUARTIC_CHAINS[name])
     for far in (1e100, 1e150, 1e200, 1e300):
-        assert solve_ik_all(arm, Pose([far, 0.0, 0.0])).reason[0] == f"out of reach by {far:.3g} m"
+        assert solve_ik_all(arm, Pose([far, 0.0, 0.0])).reason[0] == f"out of reach by {far:.3g} m; positions are in metres"
 
 
 def test_solutions_in_contact_are_left_out():

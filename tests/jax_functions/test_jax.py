@@ -136,7 +136,7 @@ def test_what_has_no_counterpart_is_refused(planar):
     for call, message in (
         (lambda: aj.PDGains.of(armctl.PDGravity(planar), 1e-3), "expected armctl.PD"),
         (lambda: aj.ComputedTorqueGains.of(armctl.PD(planar), 1e-3), "expected armctl.ComputedTorque"),
-        (lambda: aj.ComputedTorqueGains.of(armctl.ComputedTorque(planar, integral=True), 1e-3), "without integral action"),
+        (lambda: aj.ComputedTorqueGains.of(armctl.ComputedTorque(planar, form="textbook"), 1e-3), "form='discrete'"),
         (lambda: aj.OperationalSpaceGains.of(armctl.PD(planar)), "OperationalSpace"),
         (lambda: aj.arm_model(planar, dt=-1.0), "dt"),
     ):

@@ -124,18 +124,10 @@ def test_keyframe_controls_of_a_compiled_model_are_cleared_in_the_copy_only():
     assert arm.home == pytest.approx([0.3, -0.4, 0.5])
 
 
-@pytest.mark.parametrize(
-    ("actuator", "what"),
-    [
-        ('<intvelocity name="s" joint="a" kp="50" actrange="-1 1"/>', "an activation state"),
-        ('<motor name="s" joint="a" delay="0.01" nsample="6" ctrlrange="-1 1"/>', "a delay"),
-    ],
-)
-def test_actuators_with_memory_need_the_specification(actuator: str, what: str):
-    text = mjcf(limb("a"), f"<actuator>{actuator}</actuator>")
-    with pytest.raises(armctl.ModelError, match=rf"the actuator 's' has .*{what}.*; give the MjSpec or the file"):
+def test_actuators_with_memory_need_the_specification():
+    text = mjcf(limb("a"), '<actuator><intvelocity name="s" joint="a" kp="50" actrange="-1 1"/></actuator>')
+    with pytest.raises(armctl.ModelError, match=r"the actuator 's' has an activation state.*; give the MjSpec or the file"):
         armctl.load(mujoco.MjModel.from_xml_string(text))
-    assert loaded(mujoco.MjSpec.from_string(text)).n == 1
 
 
 @pytest.mark.parametrize("how", [{"hold_base": True}, {"tool": "robotiq_2f85"}, {"scene": armctl.Scene()}])

@@ -78,47 +78,52 @@ def test_a_follower_makes_the_twist_and_ends_each_step_at_the_pose(arm: armctl.A
     assert arrived > 0
 
 
-def waypoints() -> tuple[_core.WaypointTiming, np.ndarray]:
+def fastest(motion: np.ndarray, **changes: np.ndarray) -> np.ndarray:
+    """The fastest motion through 12 waypoints of 7 joints."""
     q = np.random.default_rng(0).normal(size=(12, 7))
     v_bound = np.ones_like(q)
     a_bound = np.full_like(q, 5.0)
     for bound in (v_bound, a_bound):
         bound[[0, -1]] = 0.0
     ones = np.ones(7)
-    return _core.WaypointTiming(q=q, v_max=ones, a_max=5 * ones, j_max=50 * ones, v_bound=v_bound, a_bound=a_bound), q
+    arguments = {"q": q, "v_max": ones, "a_max": 5 * ones, "j_max": 50 * ones, "v_bound": v_bound, "a_bound": a_bound}
+    _core.make_fastest(motion, **(arguments | changes))
+    return motion
 
 
-def test_threads_that_share_a_problem_get_the_same_bits():
-    timing, q = waypoints()
+def slow_motion() -> np.ndarray:
+    motion = np.zeros((12, 15))
+    motion[:, -1] = 20.0
+    return motion.ravel()[:-1]
 
-    def solved(_: int) -> bytes:
-        v = np.empty_like(q)
-        a = np.empty_like(q)
-        durations = np.full(len(q) - 1, 20.0)
-        timing.solve(durations, v, a)
-        return v.tobytes() + a.tobytes() + durations.tobytes()
 
+def test_threads_get_the_same_bits():
     with ThreadPoolExecutor(4) as pool:
-        assert len(set(pool.map(solved, range(16)))) == 1
+        assert len(set(pool.map(lambda _: fastest(slow_motion()).tobytes(), range(16)))) == 1
 
 
 def test_arrays_of_wrong_shapes_are_refused_by_name():
-    timing, q = waypoints()
-    with pytest.raises(armctl.InputError, match=r"durations: need an array of shape \(11,\)"):
-        timing.solve(np.ones(12), np.empty_like(q), np.empty_like(q))
-    with pytest.raises(armctl.InputError, match="a: need an array of shape"):
-        timing.solve(np.ones(11), np.empty_like(q), np.empty((12, 6)))
+    with pytest.raises(armctl.InputError, match=r"motion: need an array of shape \(179,\)"):
+        fastest(np.ones(12))
+    with pytest.raises(armctl.InputError, match="a_bound: need an array of shape"):
+        fastest(slow_motion(), a_bound=np.ones((12, 6)))
+    with pytest.raises(armctl.InputError, match="q: this argument is missing"):
+        _core.make_fastest(slow_motion(), v_max=np.ones(7))
     one = np.ones((1, 1))
     with pytest.raises(armctl.InputError, match="coefficients: need polynomials of a degree from 3 to 15"):
         limit_excess(np.ones((1, 3, 1)), np.ones(1), 3, -one, one)
-    with pytest.raises(armctl.InputError, match="coefficients: need an array with at least 3 dimensions"):
-        _core.polynomial_extremes(one, 0, one, one)
 
 
-def test_a_piece_outside_the_intervals_is_refused():
-    one = np.ones((2, 1))
-    rows = {"q1": one, "q2": one, "j_max": one, "alpha": one, "beta": one, "delta": one, "low": -one, "high": one}
-    pieces = {"q3_after": one[:1], "q3_before": one[:1], "begin": np.zeros(1), "end": np.ones(1), "b_max": np.ones(2)}
+def test_a_point_outside_the_intervals_is_refused():
+    row = np.ones((1, 3))
+    one = np.ones(1)
+    force = {"force_end": np.array([1]), "force_weights": row, "damping": one, "low": -one, "high": one}
+    jerk = {"jerk_end": np.array([1]), "jerk_weights": row, "j_max": one}
     for interval in (-1, 1):
-        with pytest.raises(armctl.InputError, match="interval: every number"):
-            _core.PathTiming(interval_length=1.0, interval=np.array([interval]), **rows, **pieces)
+        with pytest.raises(armctl.InputError, match=f"interval: {interval} is not one of 1"):
+            _core.fastest_path_speed(
+                np.ones(3), 1.0, False, interval=np.array([interval]), weights=row, b_max=one, **force, **jerk
+            )
+    force["force_end"] = np.array([2])
+    with pytest.raises(armctl.InputError, match="force_end: 2 is not one of 2"):
+        _core.fastest_path_speed(np.ones(3), 1.0, False, interval=np.array([0]), weights=row, b_max=one, **force, **jerk)

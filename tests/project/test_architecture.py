@@ -132,7 +132,7 @@ def test_every_public_name_is_listed_by_dir():
 
 
 def test_an_unknown_name_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="No armctl attribute lode"):
+    with pytest.raises(AttributeError, match="armctl has no attribute 'lode'; similar: load"):
         _ = armctl.lode
 
 

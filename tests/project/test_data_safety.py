@@ -1,15 +1,19 @@
-"""Files survive kill -9 and a full disk: the old file or the new one remains, complete, and a message names the file.
+"""Files survive kill -9, a full disk and two writers: the old file or the new one remains, complete, and a message names it.
 
 The file runs itself as a program that forks: `python test_data_safety.py TRIAL GROUP SEED FOLDER`.
 """
 
 import io
+import itertools
 import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -20,6 +24,7 @@ from armctl.render.gl import gl_context
 
 KILLS = 4
 LONGEST_DELAY_S = 0.5
+READS = 20  # while two processes write
 SAME_COLOR = 10.0  # of 255, any value of any frame; the two films differ by 121
 
 
@@ -35,10 +40,41 @@ def still(log: armctl.Log, path: Path) -> None:
     armctl.still(log, armctl.load("robot_arm_3dof"), path, size=(96, 64))
 
 
+@cache
+def motion(controller: str) -> armctl.JointTrajectory:
+    arm = armctl.load("robot_arm_3dof")
+    return armctl.move_j(arm, arm.home, arm.home + (0.1 if controller == "pd" else 0.2))
+
+
+@cache
+def reached(controller: str) -> armctl.Reachability:
+    return armctl.reachability(armctl.load("robot_arm_3dof"), 0.4 if controller == "pd" else 0.5)
+
+
+def small_study() -> armctl.Study:
+    return armctl.Study(
+        "trial", robot="robot_arm_3dof", controllers=["pd"], factors={"payload": armctl.Range(0.0, 0.2)}, samples=4
+    )
+
+
+@cache
+def studied(controller: str) -> armctl.StudyResult:
+    with TemporaryDirectory() as folder:
+        samples = 2 if controller == "pd" else 4
+        return replace(small_study(), samples=samples).run(folder=folder, progress=False)
+
+
 WRITERS: dict[str, Callable[[armctl.Log, Path], object]] = {
     "run.npz": lambda log, path: log.save(path),
     "run.csv": lambda log, path: log.save(path),
     "run.parquet": lambda log, path: log.save(path),
+    "run.mcap": lambda log, path: log.save(path),
+    "motion.npz": lambda log, path: motion(log.controller).save(path),
+    "motion.csv": lambda log, path: motion(log.controller).to_csv(path),
+    "motion.yaml": lambda log, path: motion(log.controller).to_ros(path, 0.1),
+    "reached.npz": lambda log, path: reached(log.controller).save(path),
+    "study.parquet": lambda log, path: studied(log.controller).save(path),
+    "study.csv": lambda log, path: studied(log.controller).save(path),
     "plot.png": lambda log, path: armctl.four_panels(log, path),
     "plot.svg": lambda log, path: armctl.overlay([log], path),
     "comparison.html": comparison,
@@ -88,7 +124,7 @@ def is_one_of(file: bytes, versions: list[bytes]) -> bool:
 
 
 def survive_a_full_disk(kind: str, logs: list[armctl.Log], seed: int, folder: Path) -> None:
-    """A limit on the size of files stops the writer at a random byte, as a full disk does."""
+    """A limit on the size of files stops the writer at the first byte and at a random one, as a full disk does."""
     import resource
 
     write = WRITERS[kind]
@@ -98,7 +134,7 @@ def survive_a_full_disk(kind: str, logs: list[armctl.Log], seed: int, folder: Pa
     old = path.read_bytes()
     rng = np.random.default_rng(seed)
     before = sorted(path.parent.iterdir())
-    for limit in [0, 1, *rng.integers(2, min(map(len, versions)), 3).tolist()]:
+    for limit in (0, int(rng.integers(1, min(map(len, versions))))):
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
         try:
             write(logs[1], path)
@@ -115,6 +151,30 @@ def survive_a_full_disk(kind: str, logs: list[armctl.Log], seed: int, folder: Pa
     print("survived", flush=True)
 
 
+def survive_two_writers(kind: str, logs: list[armctl.Log], seed: int, folder: Path) -> None:
+    """Two processes write one file all the time; whoever reads it finds the file of one of them."""
+    versions = whole_files(kind, logs, folder)
+    path = folder / "used" / kind
+    WRITERS[kind](logs[0], path)
+    writers = []
+    for log in logs:
+        process = os.fork()
+        if process == 0:
+            while True:
+                WRITERS[kind](log, path)
+        writers.append(process)
+    rng = np.random.default_rng(seed)
+    found = []
+    for _ in range(READS):
+        time.sleep(LONGEST_DELAY_S * rng.random() / READS)
+        found.append(path.read_bytes())
+    for process in writers:
+        os.kill(process, 9)
+        os.waitpid(process, 0)
+    assert all(is_one_of(file, versions) for file in found), "the file is neither that of one nor of the other"
+    print("survived", flush=True)
+
+
 def whole_files(kind: str, logs: list[armctl.Log], folder: Path) -> list[bytes]:
     files = []
     for k, log in enumerate(logs):
@@ -126,11 +186,12 @@ def whole_files(kind: str, logs: list[armctl.Log], folder: Path) -> list[bytes]:
 
 
 GROUPS = {
-    "logs": ["run.npz", "run.csv", "run.parquet"],
+    "logs": ["run.npz", "run.csv", "run.parquet", "run.mcap"],
+    "motions and results": ["motion.npz", "motion.csv", "motion.yaml", "reached.npz", "study.parquet", "study.csv"],
     "plots and pages": ["plot.png", "plot.svg", "comparison.html", "comparison.json"],
     "films": ["film.gif", "film.mp4", "still.png"],
 }
-TRIALS = {"kill": survive_kills, "full disk": survive_a_full_disk}
+TRIALS = {"kill": survive_kills, "full disk": survive_a_full_disk, "two writers": survive_two_writers}
 
 
 def can_draw() -> bool:
@@ -142,8 +203,10 @@ def can_draw() -> bool:
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
-@pytest.mark.parametrize("group", GROUPS)
-@pytest.mark.parametrize("trial", TRIALS)
+@pytest.mark.parametrize(
+    ("trial", "group"),
+    [*itertools.product(("kill", "full disk"), GROUPS), ("two writers", "logs"), ("two writers", "motions and results")],
+)
 def test_files_survive(tmp_path, trial: str, group: str):
     if group == "films":
         pytest.importorskip("av", reason="no encoder")
@@ -153,6 +216,31 @@ def test_files_survive(tmp_path, trial: str, group: str):
     environment = os.environ | {"PYTHONPATH": ":".join(sys.path), "MPLBACKEND": "agg"}
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, env=environment)
     assert done.stdout == "survived\n" * len(GROUPS[group]), done.stderr[-2000:]
+
+
+FULL_DISK = """
+import resource, sys, armctl
+factors = {"payload": armctl.Range(0.0, 0.2)}
+study = armctl.Study("trial", robot="robot_arm_3dof", controllers=["pd"], factors=factors, samples=64)
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
+try:
+    study.run(folder=sys.argv[1], progress=False)
+except armctl.ArmctlError as error:
+    print(error)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="limits of POSIX")
+@pytest.mark.parametrize("limit", [0, 5000, 40_000])
+def test_a_study_on_a_full_disk_is_one_sentence_and_continues(tmp_path, limit: int):
+    command = [sys.executable, "-c", FULL_DISK, str(tmp_path), str(limit)]
+    environment = os.environ | {"PYTHONPATH": ":".join(sys.path)}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, env=environment)
+    assert "trial.sqlite: cannot be used: " in done.stdout, done.stderr[-2000:]
+    assert "Traceback" not in done.stderr
+    again = replace(small_study(), samples=64).run(folder=tmp_path, progress=False)
+    assert again.ok
+    assert len(again) == 64
 
 
 if __name__ == "__main__":

@@ -20,7 +20,10 @@ import armctl
 from armctl.loading.catalog import bundled_models
 
 ROOT = Path(__file__).parents[2]
+BUILD = ROOT / "build" / "core" / str(sysconfig.get_config_var("SOABI"))
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "ARMCTL_COMPILE_AT_ONCE")}
+
+pytestmark = pytest.mark.xdist_group("build of the core")  # several tests use its folder
 
 
 def run(*command: str | Path, cwd: Path) -> str:
@@ -38,7 +41,8 @@ def call_backend(hook: str, folder: Path) -> None:
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     pip = (sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "--no-index")
-    run(*pip, "--wheel-dir", folder, ROOT, cwd=folder)
+    # `make core` has compiled the same sources with the same options into this folder; again that would take two minutes.
+    run(*pip, f"--config-settings=build-dir={BUILD}", "--wheel-dir", folder, ROOT, cwd=folder)
     return next(folder.glob("mujoco_armctl-*.whl"))
 
 
@@ -60,7 +64,13 @@ def test_a_wheel_holds_the_package_the_core_the_models_and_the_license_and_nothi
     modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "armctl").rglob("*.py")}
     models = {f"armctl/models/{path.name}" for path in (ROOT / "models").iterdir()}
     extension = f"armctl/_core{sysconfig.get_config_var('EXT_SUFFIX')}"
-    assert names == modules | models | {"armctl/__init__.pyi", "armctl/_core.pyi", "armctl/py.typed", extension}
+    assert names == modules | models | {
+        "armctl/__init__.pyi",
+        "armctl/_core.pyi",
+        "armctl/links/__init__.pyi",
+        "armctl/py.typed",
+        extension,
+    }
     assert "armctl/models/robot_arm_3dof.xml" in names
     assert any(name.endswith(".dist-info/licenses/LICENSE") for name in zipfile.ZipFile(wheel).namelist())
 

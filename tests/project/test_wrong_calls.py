@@ -42,6 +42,11 @@ CALLS: dict[str, tuple[Callable[[], object], str]] = {
     "nothing to compare": (lambda: armctl.compare(arm(), [], motion()), "a list of at least one of each"),
     "one name to compare": (lambda: armctl.compare(arm(), "pd", motion()), "a list of at least one of each"),
     "a pose for a path": (lambda: move_path(arm(), arm().home, armctl.Pose([0, 0, 1])), "path: expected a list of .* got Pose"),  # type: ignore
+    "one number for a path": (lambda: armctl.Simulation(arm()).move_path(np.array(1.0)), "path: .* is not a list of lines"),
+    "one number in allow": (
+        lambda: armctl.move_free(arm(), arm().home, arm().home, allow=np.array(1.0)),
+        "allow: expected pairs of names, got array",
+    ),
     "a team's name": (lambda: armctl.Team("x"), "expected arms of one model; armctl.load_arms returns them"),  # type: ignore
     "a team of one": (lambda: armctl.Team(arm()), "expected arms of one model; armctl.load_arms returns them"),  # type: ignore
     "a number for a name": (lambda: armctl.Scene().add_box(3, [1, 1, 1], [0, 0, 0]), "name: expected str, got 3"),  # type: ignore

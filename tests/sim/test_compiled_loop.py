@@ -118,7 +118,7 @@ def test_both_loops_give_the_same_bits_at_the_limits_of_speed_and_torque(rubbing
     assert np.abs(logs[0].v_ref).max() > 0.3
 
 
-@pytest.mark.parametrize("name", ["computed-torque-observer", "pid-gravity"])
+@pytest.mark.parametrize("name", ["computed-torque-observer", "computed-torque"])
 def test_memory_and_noise_go_on_from_run_to_run_and_through_single_ticks(rubbing, name: str):
     plant = armctl.Plant(encoder_noise=1e-4, delay=2, pushes=armctl.Push(0.01, 0.1, force=[5, 0, 3]))
     states = []
@@ -200,9 +200,9 @@ def test_contacts_are_those_of_the_python_loop(slider):
 
 def test_a_long_run_in_several_calls_is_the_same(rubbing, monkeypatch):
     plant = PLANTS["all noise, delay"]
-    whole = armctl.simulate(rubbing, "pid-gravity", Sway(rubbing), plant)
+    whole = armctl.simulate(rubbing, "computed-torque", Sway(rubbing), plant)
     monkeypatch.setattr(compiled_loop, "_MAX_TICKS", 7)
-    assert same(whole, armctl.simulate(rubbing, "pid-gravity", Sway(rubbing), plant))
+    assert same(whole, armctl.simulate(rubbing, "computed-torque", Sway(rubbing), plant))
 
 
 def test_a_run_that_diverges_ends_at_the_same_tick_for_the_same_reason(slider):

@@ -3,11 +3,13 @@
 That its ticks are those of the Python loop is what test_compiled_loop shows.
 """
 
+import gc
 import sys
 import threading
 import time
 from collections.abc import Callable
 
+import mujoco
 import numpy as np
 import pytest
 from motions import Sway
@@ -27,7 +29,7 @@ def stepper(bundled: armctl.Arm) -> Stepper:
     return Stepper([bundled], armctl.Plant())
 
 
-def tick_loop(stepper: Stepper, **changes: object) -> _core.TickLoop:
+def tick_loop(stepper: Stepper, api: _core.MujocoApi | None = None, **changes: object) -> _core.TickLoop:
     addresses = {
         "qpos_addresses": stepper.actuation.qpos_adr,
         "dof_addresses": stepper.actuation.dof_adr,
@@ -39,9 +41,10 @@ def tick_loop(stepper: Stepper, **changes: object) -> _core.TickLoop:
         "torque_share": np.ones(stepper.n),
         "pushed_arm": stepper._pushed_arm,
         "substeps": 1,
+        "dt": 0.002,
         "diverged_speed": 1e3,
     }
-    return _core.TickLoop(mujoco_api(), stepper.model, stepper.data, **(options | changes))
+    return _core.TickLoop(api or mujoco_api(), stepper.model, stepper.data, **(options | changes))
 
 
 def wrench_sensor(stepper: Stepper, **changes: object) -> _core.WrenchSensor:
@@ -72,10 +75,10 @@ def run(loop: _core.TickLoop, arm: armctl.Arm, ticks: int = 10, **changes: objec
         "torque_rows": rows.tau,
         "first": 0,
         "last": ticks,
-        "touching": b"",
     }
+    delay, sensor = changes.pop("delay", None), changes.pop("sensor", None)
     end = _core.TickEnd(0)
-    loop.run(law, end, **(options | changes))
+    loop.run(law, end, delay, sensor, b"", **(options | changes))
     return end
 
 
@@ -88,6 +91,19 @@ def test_the_core_keeps_the_simulation_alive_that_it_works_on(stepper: Stepper, 
     assert sys.getrefcount(stepper.model) > before[1]
     del made
     assert (sys.getrefcount(stepper.data), sys.getrefcount(stepper.model)) == before
+
+
+def test_a_loop_keeps_the_model_alive_that_threads_copy(stepper: Stepper):
+    # Each of several threads that begin at the same time may make these functions, and only one of them is kept for later ones.
+    names = ["step", "rne_post_constraint", "make_batch", "delete_batch", "apply", "error"]
+    places = ["contact_count", "contact_array", "contact_stride", "contact_geoms"]
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
+    before = sys.getrefcount(model)
+    loop = tick_loop(stepper, _core.MujocoApi(**dict.fromkeys(names + places, 0), empty_model=model))
+    gc.collect()
+    assert sys.getrefcount(model) > before
+    del loop
+    assert sys.getrefcount(model) == before
 
 
 def test_a_second_thread_on_a_loop_gets_one_sentence(bundled: armctl.Arm, stepper: Stepper):

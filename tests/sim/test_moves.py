@@ -88,7 +88,7 @@ def test_it_follows_a_point_that_moves(sim):
     log = sim.follow(circling, seconds=3.0)
     wanted = np.array([circling(t) for t in log.t])
     off = np.linalg.norm(log.tip[:, :3] - wanted, axis=1)
-    assert off[500:].max() < 0.03
+    assert off[500:].max() < 3e-4
     assert (np.abs(np.diff(log.q_ref, axis=0)) <= 1.001 * sim.dt * sim.arm.limits.v_max).all()
     assert np.abs(log.q - log.q_ref).max() < 1e-3
 

@@ -231,6 +231,29 @@ def test_pushes_at_the_same_time_add_up():
     assert np.abs(logs[0].q[-1] - arm.home).max() > 1e-4
 
 
+def test_without_a_velocity_sensor_a_continuous_plant_has_differences_of_positions(bundled):
+    seen = []
+
+    class Watching(armctl.PD):
+        def torque(self, state, setpoint):
+            seen.append((state.q.copy(), state.v.copy()))
+            return super().torque(state, setpoint)
+
+    motion = armctl.move_j(bundled, bundled.home, bundled.home + 0.3)
+    plant = armctl.Plant(timestep=0.002, continuous=True)
+    log = armctl.simulate(bundled, Watching(bundled), motion, plant)
+    q, v = (np.array(column) for column in zip(*seen, strict=True))
+    assert np.allclose(v[1:], np.diff(q, axis=0) / 0.002, rtol=0, atol=1e-9)
+    assert np.abs(v - log.v).max() > 1e-3
+    compiled = armctl.simulate(bundled, "pd", motion, plant)
+    assert np.array_equal(compiled.q, log.q)
+    seen.clear()
+    log = armctl.simulate(
+        bundled, Watching(bundled), motion, armctl.Plant(timestep=0.002, continuous=True, velocity_noise=1e-12)
+    )
+    assert np.allclose([v for _, v in seen], log.v, rtol=0, atol=1e-9)
+
+
 def test_a_joint_torque_of_the_plant_acts_like_the_friction_that_it_describes(bundled):
     """Viscous friction as a function of the user, held for a tick, and as an attribute; the difference is of first order."""
     motion = armctl.move_j(bundled, bundled.home, bundled.home + 0.4)

@@ -259,6 +259,31 @@ def test_a_target_whose_holder_leaves_is_released(page, client):
     follows(page, client)
 
 
+def test_two_clients_that_drag_at_once_leave_a_target_that_one_of_them_set(page, client):
+    """Every pose of the session's target is one of those that a client sent, and the arm follows afterwards."""
+    session = page.session
+    settled(page, client)
+    home = session.arm.fk(session.arm.home).position
+    start = session.status.target.position
+    sent = home + np.array([[0.0, 0.02 * (k % 5), 0.05] if k % 2 else [0.0, -0.02 * (k % 5), -0.05] for k in range(40)])
+    seen = []
+    with connected(page) as other:
+        until(lambda: len(page.scene.server.get_clients()) == 2, "the second client is not connected")
+        for each in (client, other):
+            each.send({"type": "TransformControlsDragStartMessage", "name": "/scene0/arm0/goal", "owner": ""})
+        for k, position in enumerate(sent):
+            message = {"type": "TransformControlsUpdateMessage", "name": "/scene0/arm0/goal", "owner": ""}
+            message |= {"wxyz": [1.0, 0.0, 0.0, 0.0], "position": position.tolist()}
+            (client, other)[k % 2].send(message)
+            seen.append(session.status.target.position)
+        for each in (client, other):
+            each.send({"type": "TransformControlsDragEndMessage", "name": "/scene0/arm0/goal", "owner": ""})
+        until(lambda: not page.is_target_held, "the target is still held")
+    allowed = np.array([start, *sent])
+    assert all(np.abs(allowed - position).max(axis=1).min() < 1e-6 for position in seen)
+    follows(page, client)
+
+
 def test_a_disabled_button_cannot_be_pressed(page, client, monkeypatch: pytest.MonkeyPatch):
     button = page.panel._comparison._button
     ordered = []

@@ -81,8 +81,7 @@ public:
     // The second dimension of an array whose first one is `rows`.
     size_t columns(size_t rows, const char* name) const {
         if (length(name) != rows || view_.ndim < 2) {
-            throw InputError(std::string(name) + ": need an array with two dimensions, of which the first is " +
-                             std::to_string(rows));
+            throw InputError(std::string(name) + ": need an array with two dimensions, of which the first is " + std::to_string(rows));
         }
         return static_cast<size_t>(view_.shape[1]);
     }
@@ -101,8 +100,8 @@ private:
 
     void require_type(const char* name) const {
         if (!has_type()) {
-            throw InputError(std::string(name) + ": need a contiguous" + (std::is_const_v<Number> ? "" : ", writable") +
-                             " array of type " + (is_integer ? "int64" : "float64"));
+            throw InputError(std::string(name) + ": need a contiguous" + (std::is_const_v<Number> ? "" : ", writable") + " array of type " +
+                             (is_integer ? "int64" : "float64"));
         }
     }
 
@@ -111,9 +110,7 @@ private:
     // A shape as Python writes it: (3,) or (2, 3).
     static std::string text(const std::vector<size_t>& shape) {
         std::string lengths;
-        for (size_t axis = 0; axis < shape.size(); ++axis) {
-            lengths += (axis > 0 ? ", " : "") + std::to_string(shape[axis]);
-        }
+        for (size_t axis = 0; axis < shape.size(); ++axis) { lengths += (axis > 0 ? ", " : "") + std::to_string(shape[axis]); }
         return "(" + lengths + (shape.size() == 1 ? ",)" : ")");
     }
 

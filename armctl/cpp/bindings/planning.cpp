@@ -4,7 +4,6 @@
 #include <nanobind/stl/vector.h>
 
 #include "arrays.hpp"
-#include "path_shortening.hpp"
 #include "rrt_connect.hpp"
 #include "topics.hpp"
 
@@ -15,11 +14,11 @@ namespace armctl {
 
 namespace {
 
-RrtConnect make_rrt_connect(std::shared_ptr<ClearanceProof> proof, double clearance, const In& start, const In& goals,
-                            const In& low, const In& high, size_t capacity) {
+RrtConnect make_rrt_connect(std::shared_ptr<ClearanceProof> proof, double clearance, const In& start, const In& goals, const In& low,
+                            const In& high, size_t capacity) {
     const size_t n = proof->scene().model().n();
-    return RrtConnect(FreeSpace(std::move(proof), clearance), start.vector(n, "start"),
-                      goals.matrix(goals.length("goals"), n, "goals"), low.vector(n, "low"), high.vector(n, "high"), capacity);
+    return RrtConnect(FreeSpace(std::move(proof), clearance), start.vector(n, "start"), goals.matrix(goals.length("goals"), n, "goals"),
+                      low.vector(n, "low"), high.vector(n, "high"), capacity);
 }
 
 }  // namespace
@@ -27,10 +26,9 @@ RrtConnect make_rrt_connect(std::shared_ptr<ClearanceProof> proof, double cleara
 void bind_planning(nb::module_& module) {
     nb::class_<RrtConnect>(module, "RrtConnect",
                            "Trees of proved lines from a start and from goals. Uses the proof's memory: one thread at a time.")
-        .def(
-            nb::new_(&make_rrt_connect), "proof"_a, "clearance"_a, "start"_a, "goals"_a, "low"_a, "high"_a, "capacity"_a,
-            "Trees from a start (n,) and goals (g, n) that are free, between bounds (n,), with at most `capacity` nodes each.\n"
-            "All lines keep more than the clearance, m, and the proof's kept axis.")
+        .def(nb::new_(&make_rrt_connect), "proof"_a, "clearance"_a, "start"_a, "goals"_a, "low"_a, "high"_a, "capacity"_a,
+             "Trees from a start (n,) and goals (g, n) that are free, between bounds (n,), with at most `capacity` nodes each.\n"
+             "All lines keep more than the clearance, m, and the proof's kept axis.")
         .def(
             "grow",
             [](RrtConnect& self, const In& samples) {
@@ -40,28 +38,6 @@ void bind_planning(nb::module_& module) {
             },
             "samples"_a, "Grows the trees towards samples (k, n) until they meet. Returns how many samples it took.")
         .def("path", &RrtConnect::path, "The points from the start to a goal; empty as long as the trees have not met.");
-    module.def(
-        "shorten_path",
-        [](std::shared_ptr<ClearanceProof> proof, double clearance, const In& points, const In& places) {
-            const size_t n = proof->scene().model().n();
-            const Matrix rows = points.matrix(points.length("points"), n, "points");
-            const Matrix shares = places.matrix(places.length("places"), 2, "places");
-            if (rows.rows < 2) {
-                throw InputError("points: need at least two");
-            }
-            Path path;
-            for (size_t k = 0; k < rows.rows; ++k) {
-                path.emplace_back(rows.row(k).begin(), rows.row(k).end());
-            }
-            nb::gil_scoped_release release;
-            FreeSpace space(std::move(proof), clearance);
-            drop_needless_points(space, path);
-            take_shortcuts(space, path, shares);
-            return path;
-        },
-        "proof"_a, "clearance"_a, "points"_a, "places"_a,
-        "The points of a path (p, n) without those that it does not need, and with shortcuts between places (k, 2), which are\n"
-        "shares of its length. Every line keeps more than the clearance, m.");
 }
 
 }  // namespace armctl

@@ -8,7 +8,6 @@ void bind_arm_motion(nanobind::module_& module);
 void bind_collision(nanobind::module_& module);
 void bind_dynamics(nanobind::module_& module);
 void bind_environments(nanobind::module_& module);
-void bind_errors(nanobind::module_& module);
 void bind_ik(nanobind::module_& module);
 void bind_laws(nanobind::module_& module);
 void bind_motion(nanobind::module_& module);

@@ -1,6 +1,6 @@
 // Admittance control: the reference of the tip yields to measured forces like a mass on a spring and a damper.
 #pragma once
-#include "../law.hpp"
+#include "../errors.hpp"
 #include "task_space.hpp"
 
 namespace armctl {
@@ -11,42 +11,79 @@ namespace armctl {
 // (2009), 9.3.2. Arms of less than six joints yield in position only.
 class Admittance final : public Law {
 public:
-    struct Gains {
-        std::vector<double> mass;       // (6,) kg and kg m^2
-        std::vector<double> damping;    // (6,) N s/m and N m s/rad
-        std::vector<double> stiffness;  // (6,) N/m and N m/rad
-        double bandwidth = 0.0;         // rad/s, of the position loop
-    };
+    Admittance(const Model& model, const Arguments& gains)
+        : Law(model->n(), size_t{3} * 6, true), mass_(gains.gains(6, "mass")), damping_(gains.gains(6, "damping")),
+          stiffness_(gains.gains(6, "stiffness")), bandwidth_(gains.gain("bandwidth")), dt_(gains.gain("dt")),
+          task_(model, task_rows(model->n())) {
+        if (std::ranges::count(mass_, 0.0) > 0) { throw InputError("mass: every value must be greater than 0, got 0"); }
+    }
 
-    Admittance(std::shared_ptr<const ArmModel> model, Gains gains, double dt);
+    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+        const Vector v_ref = setpoint.v_tick;
+        const Vector a_ref = setpoint.a_tick;
+        yield(state.wrench);
+        task_.measure(state.q, setpoint.q);
+        const double posture_bandwidth = 0.5 * bandwidth_;
+        for (size_t i = 0; i < tau.size(); ++i) {
+            acceleration_[i] = posture_bandwidth * posture_bandwidth * (setpoint.q[i] - state.q[i]);
+            acceleration_[i] += 2.0 * posture_bandwidth * (v_ref[i] - state.v[i]);
+            v_friction_[i] = v_ref[i];
+        }
+        for (size_t k = 0; k < motion_.size(); ++k) {
+            // The acceleration of the offset is not fed forward: with a delay, a mass below the real one would bounce.
+            const double error = task_.error[k] + offset()[k];
+            const double error_rate = task_.error_rate(k, v_ref, state.v, rate()[k]);
+            const double of_posture = dot(task_.J.row(k), acceleration_);
+            motion_[k] = bandwidth_ * bandwidth_ * error + 2.0 * bandwidth_ * error_rate - of_posture;
+        }
+        task_.add_joint_motion(motion_, acceleration_);
+        copy(rate().first(motion_.size()), motion_);
+        task_.add_joint_motion(motion_, v_friction_);
+        for (size_t i = 0; i < tau.size(); ++i) {
+            acceleration_[i] += a_ref[i];
+            error_rate_[i] = v_friction_[i] - state.v[i];
+        }
+        task_.dynamics.inverse_dynamics(state.q, state.v, acceleration_, tau);
+        task_.dynamics.add_linear_damping(error_rate_, tau);
+        task_.dynamics.add_friction(v_friction_, a_ref, tau);
+        for (size_t i = 0; i < tau.size(); ++i) {
+            for (size_t k = 0; k < motion_.size(); ++k) { tau[i] -= task_.J(k, i) * filtered_wrench()[k]; }
+        }
+    }
 
-    size_t joints() const override { return dynamics_.model().n(); }
-    bool needs_wrench() const override { return true; }
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override;
-    std::span<double> memory() override { return memory_; }
     std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
     // x_c, the displacement of the reference, (6,) m and rad.
-    Result offset() { return std::span(memory_).subspan(0, 6); }
+    Result offset() { return memory(0, 6); }
 
 private:
-    Result rate() { return std::span(memory_).subspan(6, 6); }              // of the offset
-    Result filtered_wrench() { return std::span(memory_).subspan(12, 6); }  // N and N m
-    void yield(Vector wrench);
+    // rad/s. The measured wrench is compensated, so the position loop need not be stiff. Faster, it resonates with a stiff wall.
+    static constexpr double wrench_filter = 20.0;
 
-    Gains gains_;
+    Result rate() { return memory(6, 6); }              // of the offset
+    Result filtered_wrench() { return memory(12, 6); }  // N and N m
+
+    // Moves the offset by one control period, by an implicit Euler step, which is stable for any gains; filters the wrench.
+    void yield(Vector wrench) {
+        for (size_t k = 0; k < 6; ++k) {
+            double& rate = this->rate()[k];
+            double& offset = this->offset()[k];
+            double& filtered = filtered_wrench()[k];
+            const double force = wrench[k] - damping_[k] * rate - stiffness_[k] * (offset + dt_ * rate);
+            rate += dt_ * force / (mass_[k] + dt_ * damping_[k] + dt_ * dt_ * stiffness_[k]);
+            offset += dt_ * rate;
+            filtered += low_pass_weight(wrench_filter, dt_) * (wrench[k] - filtered);
+        }
+    }
+
+    Numbers mass_;       // (6,) kg and kg m^2
+    Numbers damping_;    // (6,) N s/m and N m s/rad
+    Numbers stiffness_;  // (6,) N/m and N m/rad
+    double bandwidth_;   // rad/s, of the position loop
     double dt_;
-    Dynamics dynamics_;
     TaskSpace task_;
-
-    std::vector<double> memory_;  // the three vectors above
-
-    // Scratch memory.
-    DenseMatrix mobility_;              // (rows, rows) factors
-    std::vector<double> motion_;        // (rows,) of the tip
-    std::vector<double> acceleration_;  // (n,)
-    std::vector<double> v_friction_;    // (n,)
-    std::vector<double> error_rate_;    // (n,)
+    Numbers motion_ = Numbers(task_.factors.rows());  // of the tip
+    Numbers acceleration_ = zeros(), v_friction_ = zeros(), error_rate_ = zeros();
 };
 
 }  // namespace armctl

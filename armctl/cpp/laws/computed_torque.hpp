@@ -1,58 +1,95 @@
-// Computed torque: the model's inverse dynamics turn every joint into a unit mass, which a PD or PID law controls.
+// Computed torque: the model's inverse dynamics turn every joint into a unit mass, which a PD law controls.
 //
 // Source: Siciliano, Sciavicco, Villani, Oriolo, Robotics: Modelling, Planning and Control (2009), 8.5.2.
 #pragma once
 #include "../dynamics.hpp"
-#include "../law.hpp"
+#include "motion_estimate.hpp"
 
 namespace armctl {
 
-// tau = ID(q, v, a_ref + stiffness (q_ref - q) + damping (v_ref - v) + integral of the error)
+// tau = ID(q, v, a_ref + stiffness (q_ref - q) + damping (v_ref - v)), at measured or estimated q and v
+//
+// The textbook form inverts the differential equation, with a model of continuous time. The other form inverts the motion over
+// one control period, with the model of that period and a reference that is differenced on the tick grid.
 class ComputedTorque final : public Law {
 public:
-    struct Gains {
-        double stiffness = 0.0;             // 1/s^2
-        double damping = 0.0;               // 1/s
-        double integral = 0.0;              // 1/s^3; 0 without integral action
-        std::vector<double> added_inertia;  // (n,) kg m^2, with which the feedback of joints of negligible inertia acts
-        std::vector<double> torque_limit;   // (n,) N m, at which a joint stops to integrate
-    };
+    // The gains are the members below and those of EstimateWeights; without weights, q and v are the measured ones.
+    ComputedTorque(const Model& model, const Arguments& gains) : ComputedTorque(model, gains, EstimateWeights(gains)) {}
 
-    // Whether the law inverts the motion over one control period, with a reference that is differenced on the tick grid, or the
-    // differential equation.
-    enum class Form { discrete, textbook };
+    void torque(const State& measured, const Setpoint& setpoint, Result tau) override {
+        const State state = estimated(measured);
+        const Vector v_ref = textbook_ ? setpoint.v : setpoint.v_tick;
+        const Vector a_ref = textbook_ ? setpoint.a : setpoint.a_tick;
+        for (size_t i = 0; i < tau.size(); ++i) {
+            error_rate_[i] = v_ref[i] - state.v[i];
+            correction_[i] = stiffness_ * (setpoint.q[i] - state.q[i]) + damping_ * error_rate_[i];
+            acceleration_[i] = a_ref[i] + correction_[i];
+            added_torque_[i] = added_inertia_[i] * correction_[i];
+        }
+        dynamics_.inverse_dynamics(state.q, state.v, acceleration_, tau);
+        // Damping is compensated at the velocity of the reference: the arm's own damping then helps the feedback. Compensated at
+        // the measured velocity, large damping would be a large positive feedback.
+        dynamics_.add_linear_damping(error_rate_, added_torque_);
+        for (size_t i = 0; i < tau.size(); ++i) { tau[i] += added_torque_[i]; }
+        dynamics_.add_friction(v_ref, a_ref, tau);
+        if (is_estimated()) { predict(tau); }
+    }
 
-    // The model is that of the control period dt for the discrete form, and that of continuous time for the textbook form.
-    ComputedTorque(std::shared_ptr<const ArmModel> model, Gains gains, Form form, double dt);
-
-    size_t joints() const override { return added_inertia_.size(); }
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override;
-    std::span<double> memory() override { return integral_; }
     std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
-    // Of the last tick, (n,): the acceleration of the feedback without integral action, and the torque of the added inertia and
-    // of the damping, which inverse dynamics does not contain.
+    // Of the last tick, (n,): the acceleration of the feedback, and the torque of the added inertia and of the damping, which
+    // inverse dynamics does not contain.
     Vector correction() const { return correction_; }
     Vector added_torque() const { return added_torque_; }
 
 private:
-    void integrate(const State& state, const Setpoint& setpoint, Vector tau);
+    // The memory: whether there was a tick, then the estimate.
+    ComputedTorque(const Model& model, const Arguments& gains, const EstimateWeights& weights)
+        : Law(model->n(), weights.position > 0.0 && weights.dt > 0.0 ? 1 + 3 * model->n() : 0), stiffness_(gains.gain("stiffness")),
+          damping_(gains.gain("damping")), added_inertia_(gains.gains(joints(), "added_inertia")), weights_(weights),
+          torque_limit_(gains.limits(joints(), "torque_limit")), textbook_(gains.flag("textbook")), dynamics_(model) {}
 
-    double stiffness_;
-    double damping_;
-    double gain_per_tick_;  // 1/s^2, integral gain x control period
-    std::vector<double> added_inertia_;
-    std::vector<double> torque_limit_;
-    Form form_;
+    bool is_estimated() { return !memory().empty(); }
+    MotionEstimate estimate() {
+        const size_t n = joints();
+        return {memory(1, n), memory(1 + n, n), memory(1 + 2 * n, n)};
+    }
+
+    // The state with estimated position and velocity.
+    State estimated(const State& state) {
+        if (!is_estimated()) { return state; }
+        if (memory()[0] == 0.0) {
+            estimate().begin(state);
+            memory()[0] = 1.0;
+        } else {
+            estimate().correct(state.q, weights_);
+        }
+        return {.q = estimate().position, .v = estimate().velocity, .wrench = state.wrench};
+    }
+
+    // The acceleration of the coming period: the commanded one, and that of added torques and of what the motors cut off.
+    void predict(Vector tau) {
+        const Result acceleration = estimate().acceleration;
+        for (size_t i = 0; i < tau.size(); ++i) {
+            further_acceleration_[i] = added_torque_[i] + clipped(tau[i], torque_limit_[i]) - tau[i];
+        }
+        dynamics_.mass_matrix(inertia_);
+        dynamics_.add_step_inertia(inertia_);
+        factorize(inertia_);
+        solve(inertia_, further_acceleration_);
+        for (size_t i = 0; i < tau.size(); ++i) { acceleration[i] = acceleration_[i] + further_acceleration_[i]; }
+    }
+
+    double stiffness_;       // 1/s^2
+    double damping_;         // 1/s
+    Numbers added_inertia_;  // (n,) kg m^2, with which the feedback of joints of negligible inertia acts
+    EstimateWeights weights_;
+    Numbers torque_limit_;  // (n,) N m, of the motors, for the estimate
+    bool textbook_;
     Dynamics dynamics_;
-
-    std::vector<double> integral_;  // (n,) rad/s^2
-
-    // Scratch memory, (n,) each.
-    std::vector<double> correction_;
-    std::vector<double> acceleration_;
-    std::vector<double> error_rate_;
-    std::vector<double> added_torque_;
+    Numbers correction_ = zeros(), acceleration_ = zeros(), error_rate_ = zeros(), added_torque_ = zeros();
+    Numbers further_acceleration_ = zeros();
+    DenseMatrix inertia_{joints(), joints()};
 };
 
 }  // namespace armctl

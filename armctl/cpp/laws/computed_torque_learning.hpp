@@ -1,49 +1,189 @@
 // Computed torque with a disturbance observer, which learns payload, friction and delay, and feeds them forward.
 #pragma once
 #include "computed_torque_observer.hpp"
-#include "payload_estimator.hpp"
+#include "payload_regressor.hpp"
 
 namespace armctl {
 
 // tau = computed torque with observer + Y(q_ref, v_ref, a_ref) theta + friction sign(v_ref) + T tau_ref'
 //
-// theta are the ten inertial parameters of a rigid body at the tip, friction is the dry friction of each joint that the model
-// does not contain, T is the delay of the motors, and tau_ref' the rate of the torque that the reference needs.
+// A recursive Bayesian estimator finds p unknowns: the ten inertial parameters theta of a rigid body at the tip; the delay T of the
+// motors, because the torque tau(t - T) acts, so tau(t) exceeds what the motion needs by T times its rate; and the dry friction
+// of each joint that the model does not contain, N m. tau_ref' is the rate of the torque that the reference needs.
+//
+// Source: Ljung, System Identification (1999), 11.2.
 class ComputedTorqueLearning final : public ComputedTorqueObserver {
 public:
-    ComputedTorqueLearning(std::shared_ptr<const ArmModel> model, Gains gains, PayloadEstimator::Settings settings, double dt,
-                           bool continuous);
+    ComputedTorqueLearning(const Model& model, const Arguments& gains)
+        : ComputedTorqueObserver(model, gains, memory_size(model->n())), filter_weight_(gains.gain("filter_weight")),
+          information_weight_(gains.gain("information_weight")), forgetting_(gains.gain("forgetting")),
+          torque_precision_(gains.gains(joints(), "torque_precision")), prior_deviations_(gains.gains(p_, "prior_deviations")) {}
 
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override;
+    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+        Memory memory = memory_parts();
+        const bool is_first = !has_begun();
+        observe(state);
+        if (!is_first) { learn(memory); }
+        control(setpoint, tau);
+        find_rates(setpoint, is_first, memory);
+        feed_forward(setpoint.v_tick, memory);
+        for (size_t i = 0; i < joints(); ++i) { known_[i] += memory.fed_forward[i]; }
+        cancel(tau);
+    }
+
     std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
     // (p,): the ten parameters of the payload, the delay, s, and the dry friction of the joints, N m.
-    Result estimate() { return memory_parts().estimator.estimate; }
+    Result estimate() { return memory_parts().estimate; }
 
 private:
-    // Of the last tick, besides the estimator's memory. The regressor has the torques per unknown, (n, p).
+    static constexpr size_t delay_unknown = body_parameters;
+    static constexpr size_t first_friction_unknown = body_parameters + 1;
+    static constexpr double friction_speed = 1e-3;  // rad/s (m/s), above which friction that is fed forward does not depend on speed
+    static constexpr double max_misfit = 50.0;  // mean square of the residual, in units of the noise, up to which forgetting accelerates
+
+    // What belongs to the last tick, and to the estimator, which sees regressors and torques through two low-passes.
     struct Memory {
-        PayloadEstimator::Memory estimator;
-        MatrixResult regressor;
-        Result fed_forward;  // (n,) N m
-        Result needed;       // (n,) N m, that the model needs for the reference
-        Result last_rate;    // (n,) N m/s, of the torque that the reference needs
+        Result estimate;                                  // (p,)
+        std::array<MatrixResult, 2> filtered_regressors;  // (n, p) behind each low-pass
+        std::array<Result, 2> filtered_torques;           // (n,) behind each low-pass
+        MatrixResult information;                         // (p, p)
+        Result information_vector;                        // (p,)
+        MatrixResult regressor;                           // (n, p) torques per unknown
+        Result fed_forward;                               // (n,) N m
+        Result needed;                                    // (n,) N m, that the model needs for the reference
+        Result last_rate;                                 // (n,) N m/s, of the torque that the reference needs
         double& reference_moved;
     };
 
-    static size_t memory_size(size_t n);
-    Memory memory_parts();
-    void learn(Memory& memory);
-    void find_rates(const Setpoint& setpoint, bool is_first, Memory& memory);
-    void feed_forward(Vector v_ref, Memory& memory) const;
+    static size_t unknown_count(size_t n) { return first_friction_unknown + n; }
 
-    PayloadEstimator estimator_;
+    static size_t memory_size(size_t n) {
+        const size_t p = unknown_count(n);
+        return p + 3 * n * p + p * p + p + 5 * n + 1;
+    }
 
-    // Scratch memory.
-    std::vector<double> previous_estimate_;  // (p,)
-    std::vector<double> unmodelled_;         // (n,) N m
-    std::vector<double> rate_;               // (n,) N m/s, of the torque that the reference needs
-    DenseMatrix J_;                          // (6, n)
+    Memory memory_parts() {
+        const size_t n = joints();
+        Result rest = further_memory();
+        const auto vector = [&rest](size_t size) {
+            const Result part = rest.first(size);
+            rest = rest.subspan(size);
+            return part;
+        };
+        const auto matrix = [&vector](size_t rows, size_t columns) { return MatrixResult{vector(rows * columns).data(), rows, columns}; };
+        return {
+            .estimate = vector(p_),
+            .filtered_regressors = {matrix(n, p_), matrix(n, p_)},
+            .filtered_torques = {vector(n), vector(n)},
+            .information = matrix(p_, p_),
+            .information_vector = vector(p_),
+            .regressor = matrix(n, p_),
+            .fed_forward = vector(n),
+            .needed = vector(n),
+            .last_rate = vector(n),
+            .reference_moved = vector(1)[0],
+        };
+    }
+
+    // Updates the estimate with the torque that the motors gave beyond the model's. The observer's estimate changes by the opposite
+    // torque: the sum does not jump.
+    //
+    // Old information fades, faster if the estimate does not explain the torques (Fortescue, Kershenbaum, Ydstie, "Implementation
+    // of self-tuning regulators with variable forgetting factors", 1981).
+    void learn(Memory& memory) {
+        copy(memory.estimate, previous_estimate_);
+        const double misfit = filter(memory);
+        if (memory.reference_moved != 0.0) {
+            const double mean_misfit = misfit / static_cast<double>(joints());
+            add_information(1.0 - forgetting_ * (1.0 + std::min(mean_misfit, max_misfit)), memory);
+            factorize(factors_);
+            copy(memory.information_vector, memory.estimate);
+            solve(factors_, memory.estimate);
+            for (size_t k = 0; k < p_; ++k) { memory.estimate[k] *= prior_deviations_[k]; }
+        }
+        for (size_t i = 0; i < joints(); ++i) {
+            for (size_t k = 0; k < p_; ++k) { disturbance()[i] += memory.regressor(i, k) * (memory.estimate[k] - previous_estimate_[k]); }
+        }
+    }
+
+    // Filters regressor and torque, in units of prior and noise; the sum of the squares of what the estimate does not explain.
+    double filter(Memory& memory) {
+        double misfit = 0.0;
+        for (size_t i = 0; i < joints(); ++i) {
+            const double unmodelled = last_torque()[i] + memory.fed_forward[i] - needed_[i];
+            const double scale = torque_precision_[i];
+            double& first_torque = memory.filtered_torques[0][i];
+            double& second_torque = memory.filtered_torques[1][i];
+            first_torque += filter_weight_ * (scale * unmodelled - first_torque);
+            second_torque += filter_weight_ * (first_torque - second_torque);
+            double residual = second_torque;
+            for (size_t k = 0; k < p_; ++k) {
+                double& first = memory.filtered_regressors[0](i, k);
+                double& second = memory.filtered_regressors[1](i, k);
+                first += filter_weight_ * (scale * prior_deviations_[k] * memory.regressor(i, k) - first);
+                second += filter_weight_ * (first - second);
+                residual -= second * memory.estimate[k] / prior_deviations_[k];
+            }
+            misfit += residual * residual;
+        }
+        return misfit;
+    }
+
+    // Adds the information of one control period to that which is kept, and the prior to the copy that is to be factorized.
+    void add_information(double keep, Memory& memory) {
+        const MatrixResult Y = memory.filtered_regressors[1];
+        for (size_t k = 0; k < p_; ++k) {
+            memory.information_vector[k] =
+                keep * memory.information_vector[k] + information_weight_ * dot(Y.column(k), memory.filtered_torques[1]);
+            for (size_t j = 0; j <= k; ++j) {
+                double total = 0.0;
+                for (size_t i = 0; i < Y.rows; ++i) { total += Y(i, k) * Y(i, j); }
+                memory.information(k, j) = keep * memory.information(k, j) + information_weight_ * total;
+                factors_(k, j) = memory.information(k, j);
+            }
+            factors_(k, k) += 1.0;  // the prior, in units of its standard deviations
+        }
+    }
+
+    // The torque of the reference with the present estimate, and how fast it changed since the last tick.
+    void find_rates(const Setpoint& setpoint, bool is_first, Memory& memory) {
+        const Vector payload = memory.estimate.first(body_parameters);
+        for (size_t i = 0; i < joints(); ++i) { rate_[i] = -dot(memory.regressor.row(i), payload, memory.needed[i]); }
+        payload_regressor(dynamics_, setpoint.q, setpoint.v_tick, setpoint.a_tick, memory.regressor);
+        dynamics_.inverse_dynamics(setpoint.q, setpoint.v_tick, setpoint.a_tick, memory.needed);
+        for (size_t i = 0; i < joints(); ++i) {
+            rate_[i] += dot(memory.regressor.row(i), payload, memory.needed[i]);
+            rate_[i] = is_first || weights_.dt == 0.0 ? 0.0 : rate_[i] / weights_.dt;
+        }
+    }
+
+    // Completes the regressor, and finds the torque that is fed forward.
+    void feed_forward(Vector v_ref, Memory& memory) const {
+        const MatrixResult Y = memory.regressor;
+        bool moves = false;
+        for (size_t i = 0; i < Y.rows; ++i) {
+            Y(i, delay_unknown) = rate_[i];
+            Y(i, first_friction_unknown + i) = v_ref[i] / (std::abs(v_ref[i]) + friction_speed);
+            memory.fed_forward[i] = dot(Y.row(i), memory.estimate);
+            if (weights_.dt != 0.0) {  // what is fed forward against the delay is late, too
+                Y(i, delay_unknown) += memory.estimate[delay_unknown] * (rate_[i] - memory.last_rate[i]) / weights_.dt;
+            }
+            memory.last_rate[i] = rate_[i];
+            moves = moves || v_ref[i] != 0.0;
+        }
+        memory.reference_moved = moves ? 1.0 : 0.0;
+    }
+
+    size_t p_ = unknown_count(joints());
+    double filter_weight_;       // of each of two low-passes in one control period
+    double information_weight_;  // of one control period
+    double forgetting_;          // per control period
+    Numbers torque_precision_;   // (n,) 1/(N m), reciprocal standard deviations of unexplained torques
+    Numbers prior_deviations_;   // (p,) standard deviations of the unknowns before any motion
+    DenseMatrix factors_{p_, p_};
+    Numbers previous_estimate_ = Numbers(p_);
+    Numbers rate_ = zeros();  // (n,) N m/s, of the torque that the reference needs
 };
 
 }  // namespace armctl

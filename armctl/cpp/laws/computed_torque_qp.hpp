@@ -15,82 +15,234 @@ namespace armctl {
 // limits, which a_desired respects, contradict the torque limits, the torque of a_desired is clipped.
 class ComputedTorqueQP final : public Law {
 public:
-    struct Gains {
-        double stiffness = 0.0;             // 1/s^2
-        double damping = 0.0;               // 1/s
-        std::vector<double> added_inertia;  // (n,) kg m^2, as of ComputedTorque
-    };
+    // The gains are those of ComputedTorque and the members below. `q_min` and `q_max` may be infinite.
+    ComputedTorqueQP(const Model& model, const Arguments& gains)
+        : Law(model->n()), stiffness_(gains.gain("stiffness")), damping_(gains.gain("damping")), q_min_(positions(gains, "q_min")),
+          q_max_(positions(gains, "q_max")), v_max_(gains.limits(joints(), "v_max")), a_max_(gains.limits(joints(), "a_max")),
+          tau_max_(gains.limits(joints(), "torque_limit")), length_(gains.gain("length")), dt_(gains.gain("dt")),
+          mean_share_(gains.flag("continuous") ? 0.5 : 0.0), unlimited_(model, gains), dynamics_(at_start(*model)), solver_(joints()) {}
 
-    // (n,) each.
-    struct Limits {
-        std::vector<double> q_min;    // rad
-        std::vector<double> q_max;    // rad
-        std::vector<double> v_max;    // rad/s
-        std::vector<double> a_max;    // rad/s^2
-        std::vector<double> tau_max;  // N m
-    };
+    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+        is_limited_ = make_program(state, setpoint, tau);
+        if (!is_limited_) { return; }
+        copy(tau, torque_);
+        find_deviation();
+        for (size_t i = 0; i < tau.size(); ++i) {
+            tau[i] = dot(M_.row(i), deviation_, tau[i]);
+            if (tau[i] > tau_max_[i]) {
+                tau[i] = tau_max_[i];
+            } else if (tau[i] < -tau_max_[i]) {
+                tau[i] = -tau_max_[i];
+            }
+        }
+    }
 
-    // The program of a tick.
-    struct Program {
-        Matrix H;       // (n, n)
-        Matrix M;       // (n, n) inertia of one control period: the torque of a deviation is M x
-        Vector lower;   // (2n,) bounds of x and M x
-        Vector upper;   // (2n,)
-        Vector torque;  // (n,) N m, without limits
-    };
-
-    // The model is that of the control period dt. `length` is that of the arm, m, by which rotations of the tip and motions of
-    // the joints are converted to distances.
-    ComputedTorqueQP(std::shared_ptr<const ArmModel> model, Gains gains, Limits limits, double length, double dt,
-                     bool continuous);
-
-    size_t joints() const override { return unlimited_.joints(); }
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override;
-    std::span<double> memory() override { return unlimited_.memory(); }
     std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
-    // The program of the last tick, if the torque was limited.
-    std::optional<Program> last_program() const;
+    // The program of the last tick, if the torque was limited: minimize x H x / 2 subject to lower <= (x, M x) <= upper.
+    bool is_limited() const { return is_limited_; }
+    Vector H() const { return H_.numbers(); }  // (n, n)
+    Vector M() const { return M_.numbers(); }  // (n, n) inertia of one control period: the torque of a deviation is M x
+    Vector lower() const { return lower_; }    // (2n,) bounds of x and M x
+    Vector upper() const { return upper_; }    // (2n,)
+    Vector torque() const { return torque_; }  // (n,) N m, without limits
 
 private:
-    bool make_program(const State& state, const Setpoint& setpoint, Result tau);
-    void add_acceleration_of_added_torque();
-    void find_tip_offset(const State& state, const Setpoint& setpoint);
-    Vec3 tip_law(Vector q, Vector v, Vector a);
-    void set_metric();
-    void follow_tip(double feedback, Result tau);
-    bool find_bounds(const State& state, Vector tau);
-    double stopping_speed(double distance, double v, double deceleration) const;
-    void find_deviation();
-    void relax_bounds();
+    // Weights of a deviation from the desired acceleration, relative to that of the tip's position: the joints decide only what
+    // the tip leaves open, with which a direction that the tip cannot move in costs little.
+    static constexpr double rotation_weight = 0.03;
+    static constexpr double joint_weight = 0.003;
+    static constexpr double max_tip_share = 0.5;     // of the feedback's acceleration: the largest correction for the tip's curved motion
+    static constexpr double brake_share = 0.8;       // of the torque left, with which a joint has to be able to stop
+    static constexpr double min_brake_share = 0.05;  // of the torque limit, for joints whose motors hardly hold them
+    static constexpr double tolerance = 1e-9;        // relative, at which a limit counts as respected
+    static constexpr double violation_weight = 1e4;  // of limits that cannot be respected, relative to the deviation of the tip
 
-    double stiffness_;
-    double damping_;
-    Limits limits_;
-    double length_;
-    double dt_;          // in continuous time, 0, there are only torque limits
+    // The model at the start of its control period.
+    static Model at_start(const ArmModel& model) {
+        auto start = std::make_shared<ArmModel>(model);
+        start->half_step = 0.0;
+        return start;
+    }
+
+    Numbers positions(const Arguments& gains, const char* name) const {
+        const Vector values = gains.vector(joints(), name);
+        return {values.begin(), values.end()};
+    }
+
+    // Computes the torque without limits and the program of one control period; whether the torque exceeds a limit.
+    bool make_program(const State& state, const Setpoint& setpoint, Result tau) {
+        const Vector a_ref = setpoint.a_tick;
+        unlimited_.torque(state, setpoint, tau);
+        dynamics_.place(state.q);
+        dynamics_.mass_matrix(M_);
+        dynamics_.add_step_inertia(M_);
+        for (size_t i = 0; i < joints(); ++i) { desired_[i] = unlimited_.correction()[i] + a_ref[i]; }
+        // The tip's law is that of stiffness and damping alone. With the added torques, which are of first order in the errors, the
+        // offset would cancel them, by a share that is not linear.
+        find_tip_offset(state, setpoint);
+        add_acceleration_of_added_torque();
+        double feedback = 0.0;
+        for (size_t i = 0; i < joints(); ++i) { feedback += (desired_[i] - a_ref[i]) * (desired_[i] - a_ref[i]); }
+        set_metric();
+        follow_tip(feedback, tau);
+        return find_bounds(state, tau);
+    }
+
+    // J^T c: c is what the tip's acceleration lacks of its own feedback law; leaves the Jacobian at q in J.
+    //
+    // It is of second order in the errors of the joints, so it changes neither exact tracking nor the linear loop.
+    void find_tip_offset(const State& state, const Setpoint& setpoint) {
+        const Vec3 wanted = tip_law(setpoint.q, setpoint.v_tick, setpoint.a_tick);
+        const Vec3 missing = wanted - tip_law(state.q, state.v, desired_);
+        for (size_t i = 0; i < joints(); ++i) { offset_[i] = J_(0, i) * missing.x + J_(1, i) * missing.y + J_(2, i) * missing.z; }
+    }
+
+    // Acceleration minus gravity plus damping times velocity plus stiffness times position of the tip, in the world.
+    Vec3 tip_law(Vector q, Vector v, Vector a) {
+        const Vec3 acceleration = dynamics_.tip_motion(q, v, a).linear;
+        const Pose tip = dynamics_.tip();
+        J_.set(dynamics_.tip_jacobian());
+        Vec3 total = stiffness_ * tip.translation;
+        total = total + acceleration.x * tip.rotation.x + acceleration.y * tip.rotation.y + acceleration.z * tip.rotation.z;
+        for (size_t i = 0; i < joints(); ++i) {
+            total += {damping_ * J_(0, i) * v[i], damping_ * J_(1, i) * v[i], damping_ * J_(2, i) * v[i]};
+        }
+        return total;
+    }
+
+    void add_acceleration_of_added_torque() {
+        const Vector added_torque = unlimited_.added_torque();
+        if (std::ranges::all_of(added_torque, [](double torque) { return torque == 0.0; })) { return; }
+        factors_ = M_;
+        factorize(factors_);
+        const Result acceleration = deviation_;  // is not known yet
+        copy(added_torque, acceleration);
+        solve(factors_, acceleration);
+        for (size_t i = 0; i < joints(); ++i) { desired_[i] += acceleration[i]; }
+    }
+
+    // The squared deviation of the tip, with the weights above; J is overwritten.
+    void set_metric() {
+        const size_t n = joints();
+        for (size_t i = 0; i < n; ++i) {
+            for (size_t k = 3; k < 6; ++k) { J_(k, i) *= rotation_weight * length_; }
+        }
+        for (size_t i = 0; i < n; ++i) {
+            for (size_t j = 0; j < n; ++j) {
+                H_(i, j) = i == j ? (joint_weight * length_) * (joint_weight * length_) : 0.0;
+                for (size_t k = 0; k < 6; ++k) { H_(i, j) += J_(k, i) * J_(k, j); }
+            }
+        }
+    }
+
+    // Changes acceleration and torque so that the tip follows its own feedback law, by a share of the feedback at most.
+    void follow_tip(double feedback, Result tau) {
+        factors_ = H_;
+        factorize(factors_);
+        solve(factors_, offset_);
+        const double square = dot(offset_, offset_);
+        if (square == 0.0) { return; }
+        const double share = std::min(1.0, max_tip_share * std::sqrt(feedback / square));
+        for (size_t i = 0; i < joints(); ++i) {
+            desired_[i] += share * offset_[i];
+            for (size_t k = 0; k < joints(); ++k) { tau[i] += share * M_(i, k) * offset_[k]; }
+        }
+    }
+
+    // The bounds of the deviation and of its torque; whether zero is outside.
+    bool find_bounds(const State& state, Vector tau) {
+        const size_t n = joints();
+        bool limited = false;
+        for (size_t i = 0; i < n; ++i) {
+            const double q = state.q[i];
+            const double v = state.v[i];
+            const double tau_max = tau_max_[i];
+            const double bias = tau[i] - dot(M_.row(i), desired_);
+            const double slowest = min_brake_share * tau_max;
+            const double down = std::min(a_max_[i], std::max(brake_share * (tau_max + bias), slowest) / M_(i, i));
+            const double up = std::min(a_max_[i], std::max(brake_share * (tau_max - bias), slowest) / M_(i, i));
+            const double highest = std::min(v_max_[i], stopping_speed(q_max_[i] - q, v, down));
+            const double lowest = -std::min(v_max_[i], stopping_speed(q - q_min_[i], -v, up));
+            lower_[i] = -unbounded;
+            upper_[i] = unbounded;
+            if (dt_ > 0.0) {
+                lower_[i] = std::max((lowest - v) / dt_ - desired_[i], -unbounded);
+                upper_[i] = std::min((highest - v) / dt_ - desired_[i], unbounded);
+            }
+            lower_[n + i] = std::max(-tau_max - tau[i], -unbounded);
+            upper_[n + i] = std::min(tau_max - tau[i], unbounded);
+            const double slack = tolerance * (std::abs(desired_[i]) + 1.0);
+            const double load = tolerance * std::abs(tau[i]);
+            limited = limited || lower_[i] > slack || upper_[i] < -slack || lower_[n + i] > load || upper_[n + i] < -load;
+        }
+        return limited;
+    }
+
+    // The highest speed at the end of the period from which a joint still stops before its limit, at a distance now.
+    //
+    // The viability bound of Del Prete, "Joint position and velocity bounds in discrete-time acceleration/torque control of robot
+    // manipulators" (2018): the speed s after the period travels s dt / 2 + s^2 / (2 deceleration) until it stops.
+    double stopping_speed(double distance, double v, double deceleration) const {
+        const double rest = distance - mean_share_ * v * dt_;
+        if (!(rest > 0.0)) { return 0.0; }
+        const double half = 0.5 * deceleration * dt_;
+        const double speed = std::sqrt(half * half + 2.0 * deceleration * rest) - half;
+        return std::min(speed, rest / std::max((1.0 - mean_share_) * dt_, 1e-300));
+    }
+
+    // Solves the program. Where limits contradict each other, those of velocity and position become costs.
+    void find_deviation() {
+        std::ranges::fill(relaxed_cost_, 0.0);
+        if (solver_.solve({.H = H_, .f = relaxed_cost_, .M = M_, .lower = lower_, .upper = upper_}, deviation_)) { return; }
+        relax_bounds();
+        const QuadraticProgram relaxed{.H = relaxed_H_, .f = relaxed_cost_, .M = M_, .lower = relaxed_lower_, .upper = relaxed_upper_};
+        if (!solver_.solve(relaxed, deviation_)) { std::ranges::fill(deviation_, 0.0); }
+    }
+
+    // Makes costs of the bounds of the deviation that exclude zero.
+    void relax_bounds() {
+        double trace = 0.0;
+        for (size_t i = 0; i < joints(); ++i) { trace += H_(i, i); }
+        relaxed_H_ = H_;
+        relaxed_lower_ = lower_;
+        relaxed_upper_ = upper_;
+        for (size_t i = 0; i < joints(); ++i) {
+            const double nearest = std::min(std::max(0.0, lower_[i]), upper_[i]);
+            if (nearest == 0.0) { continue; }
+            const double weight = violation_weight * trace;
+            relaxed_H_(i, i) += weight;
+            relaxed_cost_[i] = -weight * nearest;
+            relaxed_lower_[i] = -unbounded;
+            relaxed_upper_[i] = unbounded;
+        }
+    }
+
+    DenseMatrix square() const { return {joints(), joints()}; }
+
+    double stiffness_;   // 1/s^2
+    double damping_;     // 1/s
+    Numbers q_min_;      // rad
+    Numbers q_max_;      // rad
+    Numbers v_max_;      // rad/s
+    Numbers a_max_;      // rad/s^2
+    Numbers tau_max_;    // N m
+    double length_;      // of the arm, m, by which rotations of the tip and motions of the joints are converted to distances
+    double dt_;          // s; in continuous time, 0, there are only torque limits
     double mean_share_;  // of the present velocity in the mean one of the period: 0.5 if the arm moves continuously, else 0
     ComputedTorque unlimited_;
     Dynamics dynamics_;  // at the start of the control period
     ActiveSetSolver solver_;
     bool is_limited_ = false;
-
-    // Scratch memory.
-    std::vector<double> desired_;  // (n,) acceleration
-    std::vector<double> offset_;   // (n,) J^T c: c is what the tip's acceleration lacks of its own feedback law
-    std::vector<double> torque_;   // (n,) without limits
-    DenseMatrix J_;                // (6, n)
-    DenseMatrix H_;
-    DenseMatrix M_;
-    DenseMatrix factors_;
-    std::vector<double> lower_;
-    std::vector<double> upper_;
+    Numbers desired_ = zeros();  // acceleration
+    Numbers offset_ = zeros();   // J^T c: c is what the tip's acceleration lacks of its own feedback law
+    Numbers torque_ = zeros();   // without limits
+    DenseMatrix J_{6, joints()}, H_ = square(), M_ = square(), factors_ = square();
+    Numbers lower_ = Numbers(2 * joints()), upper_ = Numbers(2 * joints());
     // The program with costs in the place of bounds that contradict others.
-    DenseMatrix relaxed_H_;
-    std::vector<double> relaxed_cost_;
-    std::vector<double> relaxed_lower_;
-    std::vector<double> relaxed_upper_;
-    std::vector<double> deviation_;  // (n,) from the desired acceleration
+    DenseMatrix relaxed_H_ = square();
+    Numbers relaxed_cost_ = zeros(), relaxed_lower_ = lower_, relaxed_upper_ = upper_;
+    Numbers deviation_ = zeros();  // from the desired acceleration
 };
 
 }  // namespace armctl

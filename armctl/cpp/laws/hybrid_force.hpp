@@ -1,6 +1,8 @@
 // Hybrid force/motion control: forces along some axes of the tip, motion along the others.
 #pragma once
-#include "../law.hpp"
+#include <string>
+
+#include "../errors.hpp"
 #include "force_axis.hpp"
 #include "task_space.hpp"
 
@@ -9,77 +11,264 @@ namespace armctl {
 // tau = ID(q, v, a_ref + posture + J# a_task) + J^T (A^T f - w)
 //
 // Source: Khatib, "A unified approach for motion and force control of robot manipulators: the operational space formulation"
-// (1987). Along a force axis the tip approaches slowly until it measures a contact; `command_axis` then raises the force. Along
+// (1987). Along a force axis the tip approaches slowly until it measures a contact; a ForceAxis then raises the force. Along
 // all other axes the tip follows its reference, and the measured wrench w on them, such as friction on a surface, is
 // compensated. Arms of less than six joints control the position of the tip, not its orientation.
 class HybridForce final : public Law {
 public:
-    struct Axis {
-        bool is_force = false;
-        double target = 0.0;  // N or N m
-    };
-    using Axes = std::array<Axis, 6>;  // x, y, z, rx, ry, rz
+    HybridForce(const Model& model, const Arguments& gains)
+        : Law(model->n(), 1 + 6 * ForceAxis::memory_size + 6 + model->n(), true), bandwidth_(gains.gain("bandwidth")),
+          damping_ratio_(gains.gain("damping_ratio")), in_tip_frame_(gains.flag("in_tip_frame")),
+          approach_speed_(gains.gain("approach_speed")), contact_force_(gains.gain("contact_force")), dt_(gains.gain("dt")),
+          task_(model, task_rows(model->n())) {
+        set_axes(gains);
+    }
 
-    struct Gains {
-        double bandwidth = 0.0;       // rad/s, of the tip's error along motion axes
-        double damping_ratio = 0.0;   // 1 is critically damped
-        bool in_tip_frame = false;    // whether the axes turn with the tip
-        double approach_speed = 0.0;  // m/s; 0 for one that follows from target and effective mass
-        double contact_force = 0.0;   // N; 0 for one that follows from the target
-    };
-
-    HybridForce(std::shared_ptr<const ArmModel> model, Gains gains, const Axes& axes, double dt);
-
-    size_t joints() const override { return dynamics_.model().n(); }
-    bool needs_wrench() const override { return true; }
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override;
-    std::span<double> memory() override { return memory_; }
-    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
-
-    // Replaces the force axes. A force axis that comes back later begins with an approach.
-    void set_axes(const Axes& axes);
+    // Replaces the force axes: `is_force` and `targets` (6,). A force axis that comes back later begins with an approach.
+    void set_axes(const Arguments& gains) {
+        const std::span<const std::int64_t> is_force = gains.integers(6, "is_force");
+        const Vector targets = gains.vector(6, "targets");
+        for (const double target : targets) {
+            if (!std::isfinite(target)) { throw InputError("target: need a finite number, got " + std::to_string(target)); }
+        }
+        for (size_t k = 0; k < 6; ++k) {
+            is_force_[k] = is_force[k] != 0;
+            targets_[k] = targets[k];
+            if (!is_force_[k]) { std::ranges::fill(axis_memory(k), 0.0); }
+        }
+    }
 
     // Whether every force axis with a target is in contact.
-    bool in_contact();
+    bool in_contact() {
+        bool all = true;
+        for (size_t k = 0; k < 6; ++k) {
+            const bool is_pressing = is_force_[k] && targets_[k] != 0.0;
+            all = all && !(is_pressing && ForceAxis(axis_memory(k)).touches == 0.0);
+        }
+        return all;
+    }
+
+    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+        const Vector v_ref = setpoint.v_tick;
+        const Vector a_ref = setpoint.a_tick;
+        filter_velocity(state.v);
+        task_.measure(state.q, setpoint.q);
+        find_directions();
+        command_axes(state.wrench);
+        const double posture_bandwidth = 0.5 * bandwidth_;
+        for (size_t i = 0; i < tau.size(); ++i) {
+            acceleration_[i] = posture_bandwidth * posture_bandwidth * (setpoint.q[i] - state.q[i]);
+            acceleration_[i] += 2.0 * posture_bandwidth * (v_ref[i] - velocity()[i]);
+            change_[i] = 0.0;
+        }
+        find_task(v_ref, a_ref);
+        task_.add_joint_motion(controlled(motion_), acceleration_);
+        // Friction is compensated at the speed at which the tip is to correct its errors: at that of the reference, which may
+        // stand still, the friction of the joints would hold the tip where it is.
+        task_.add_joint_motion(controlled(correction_), change_);
+        for (size_t i = 0; i < tau.size(); ++i) {
+            acceleration_[i] += a_ref[i];
+            v_friction_[i] = v_ref[i] + change_[i];
+            rate_[i] = v_friction_[i] - velocity()[i];
+        }
+        task_.dynamics.inverse_dynamics(state.q, state.v, acceleration_, tau);
+        task_.dynamics.add_linear_damping(rate_, tau);
+        Vector6 yielding = along_force_axes(&AxisCommand::yielding_speed);
+        task_.add_joint_motion(controlled(yielding), v_friction_);
+        task_.dynamics.add_friction(v_friction_, a_ref, tau);
+        Vector6 wrench = along_force_axes(&AxisCommand::force);
+        subtract_compensated_wrench(state.wrench, wrench);
+        for (size_t i = 0; i < tau.size(); ++i) { tau[i] = dot(task_.J.column(i), wrench, tau[i]); }
+    }
+
+    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
 private:
-    using Vector6 = std::array<double, 6>;
+    // rad/s; velocities that are differenced are ten times less noisy after it.
+    static constexpr double velocity_filter = 100.0;
+    // rad/s. The wrench on motion axes is compensated; faster, it would resonate on a wall.
+    static constexpr double wrench_filter = 40.0;
+    // Of the measured forces on motion axes. Where a tip sticks, friction is a strong damper. Compensated completely but late, it
+    // would act like a mass, and the tip would swing slowly along the surface.
+    static constexpr double compensated_share = 0.8;
+    static constexpr double contact_ratio = 0.1;  // of the target, the default contact threshold
+    // 1/s. A mass m that meets a wall of damping rate b at speed v exerts the force m b v at once. For MuJoCo's contacts b is
+    // 2 / solref[0], 100 /s by default and 330 /s for one ten times stiffer.
+    static constexpr double wall_damping_rate = 330.0;
+    static constexpr double impact_ratio = 0.7;         // of the target, the force of such an impact
+    static constexpr double min_impact_ratio = 0.1;     // where dry friction is larger
+    static constexpr double max_approach_speed = 0.05;  // m/s
+    // m; a hand may touch a wall this far from the tip, where its effective mass is larger.
+    static constexpr double max_lever = 0.2;
+    static constexpr double min_mobility_ratio = 0.1;  // of the mobility of the tip, a lower bound for that of another point
 
-    double& has_begun() { return memory_[0]; }
-    AxisMemory axis(size_t k) { return AxisMemory(std::span(memory_).subspan(1 + AxisMemory::size * k, AxisMemory::size)); }
-    Result filtered_wrench() { return std::span(memory_).subspan(1 + 6 * AxisMemory::size, 6); }
-    Result velocity() { return std::span(memory_).subspan(1 + 6 * AxisMemory::size + 6, joints()); }  // filtered
+    // The memory: whether there was a tick, the axes, the filtered wrench, and the filtered velocity.
+    Result axis_memory(size_t k) { return memory(1 + ForceAxis::memory_size * k, ForceAxis::memory_size); }
+    Result filtered_wrench() { return memory(1 + 6 * ForceAxis::memory_size, 6); }
+    Result velocity() { return memory(1 + 6 * ForceAxis::memory_size + 6, joints()); }
 
-    void filter_velocity(Vector v);
-    void find_directions();
-    void command_axes(Vector wrench);
-    AxisTick axis_tick(size_t k, double trace);
-    double contact_mobility(Vector direction, double trace) const;
-    void find_task(Vector v_ref, Vector a_ref);
-    void subtract_compensated_wrench(Vector measured, Vector6& wrench);
-    double along(size_t k, Vector twist) const;
-    Vector6 along_force_axes(double AxisCommand::* command) const;
+    // The rows of a twist that the arm controls.
+    Result controlled(Vector6& twist) const { return Result(twist).first(task_.factors.rows()); }
 
-    Gains gains_;
-    Axes axes_;
+    // Low-pass of the measured velocity, which begins with the first one of a run.
+    void filter_velocity(Vector v) {
+        if (memory()[0] == 0.0) { copy(v, velocity()); }
+        memory()[0] = 1.0;
+        for (size_t i = 0; i < v.size(); ++i) { velocity()[i] += low_pass_weight(velocity_filter, dt_) * (v[i] - velocity()[i]); }
+    }
+
+    // The unit twists of the axes in the world, at the located joints.
+    void find_directions() {
+        const Rotation R = in_tip_frame_ ? task_.dynamics.tip().rotation : Rotation();
+        for (size_t k = 0; k < 3; ++k) {
+            const Vec3 axis = std::array{R.x, R.y, R.z}[k];
+            directions_[k] = numbers({axis, {}});
+            directions_[3 + k] = numbers({{}, axis});
+        }
+    }
+
+    // The twist or wrench that has a command of the force axes along these, and nothing along the others.
+    Vector6 along_force_axes(double AxisCommand::* command) const {
+        Vector6 total{};
+        for (size_t k = 0; k < 6; ++k) {
+            if (!is_force_[k]) { continue; }
+            for (size_t j = 0; j < 6; ++j) { total[j] += directions_[k][j] * commands_[k].*command; }
+        }
+        return total;
+    }
+
+    void command_axes(Vector wrench) {
+        const double trace = task_.find_mobility(mobility_);
+        Vector6 twist{};
+        for (size_t k = 0; k < 6; ++k) {
+            twist[k] = dot(task_.J.row(k), velocity());
+            for (size_t j = 0; j < k; ++j) { mobility_(j, k) = mobility_(k, j); }
+        }
+        for (size_t k = 0; k < 6; ++k) {
+            if (!is_force_[k]) { continue; }
+            AxisTick tick = axis_tick(k, trace);
+            tick.measured = -dot(directions_[k], wrench);  // the tip exerts the opposite of the wrench on it
+            tick.speed = dot(directions_[k], twist);
+            commands_[k] = ForceAxis(axis_memory(k)).command(tick);
+        }
+    }
+
+    // Mass, approach speed and contact threshold of a force axis.
+    AxisTick axis_tick(size_t k, double trace) {
+        // The motion of the joints at unit speed along the axis, and its inertia.
+        Vector6 direction = directions_[k];
+        const Result unit = controlled(direction);
+        solve(task_.factors, unit);
+        double mass = 0.0;
+        double dry_friction = 0.0;
+        for (size_t i = 0; i < joints(); ++i) {
+            const double rate = dot(task_.responses.row(i), unit);
+            for (size_t j = 0; j < unit.size(); ++j) { mass += unit[j] * task_.J(j, i) * rate; }
+            dry_friction += std::abs(rate) * task_.dynamics.model().drives[i].friction.loss;
+        }
+        const double target = std::abs(targets_[k]);
+        double approach_speed = approach_speed_;
+        if (approach_speed == 0.0) {
+            // When the tip stops, the wall bears the force that moved the joints against their dry friction.
+            const double impact = std::max(impact_ratio * target - dry_friction, min_impact_ratio * target);
+            approach_speed = std::min(max_approach_speed, impact * contact_mobility(directions_[k], trace) / wall_damping_rate);
+        }
+        return {
+            .target = targets_[k],
+            .mass = mass,
+            .approach_speed = approach_speed,
+            .threshold = contact_force_ > 0.0 ? contact_force_ : contact_ratio * target,
+            .dt = dt_,
+        };
+    }
+
+    // The smallest mobility, 1/kg, of any point of the hand that may touch, in a direction (6,), a unit twist.
+    //
+    // The mobility of a point at the lever r is that of the twist (n, r x n). It is smallest where the hand does not turn.
+    double contact_mobility(Vector direction, double trace) {
+        std::array<double, 3> lever{};
+        std::array<double, 3> coupling{};
+        double tip = 0.0;
+        for (size_t i = 0; i < 6; ++i) {
+            for (size_t j = 0; j < 6; ++j) { tip += direction[i] * mobility_(i, j) * direction[j]; }
+        }
+        for (size_t i = 0; i < 3; ++i) {
+            coupling[i] = dot(mobility_.row(3 + i), direction.first(3));
+            lever[i] = -coupling[i];
+            for (size_t j = 0; j < 3; ++j) { turning_(i, j) = mobility_(3 + i, 3 + j) + (i == j ? 1e-9 * trace : 0.0); }
+        }
+        factorize(turning_);
+        solve(turning_, lever);
+        const double length = std::sqrt(dot(lever, lever));
+        const double scale = std::min(1.0, max_lever / std::max(length, 1e-12));
+        double value = tip;
+        for (size_t i = 0; i < 3; ++i) {
+            value += 2.0 * scale * lever[i] * coupling[i];
+            for (size_t j = 0; j < 3; ++j) {
+                const double inertia_part = mobility_(3 + i, 3 + j) + (i == j ? 1e-9 * trace : 0.0);
+                value += scale * scale * lever[i] * inertia_part * lever[j];
+            }
+        }
+        return std::max(value, min_mobility_ratio * tip);
+    }
+
+    // The acceleration of the tip minus that of the posture, and the velocity that corrects its errors.
+    void find_task(Vector v_ref, Vector a_ref) {
+        Vector6 feedforward{};
+        for (size_t k = 0; k < 6; ++k) {
+            const double rate = task_.error_rate(k, v_ref, velocity());
+            feedforward[k] = dot(task_.J.row(k), a_ref);
+            motion_[k] = bandwidth_ * bandwidth_ * task_.error[k] + 2.0 * damping_ratio_ * bandwidth_ * rate;
+            correction_[k] = 0.5 * bandwidth_ * task_.error[k];
+        }
+        for (size_t k = 0; k < 6; ++k) {  // the axes are orthogonal, so one after the other can be replaced
+            if (!is_force_[k]) { continue; }
+            const double missing = commands_[k].acceleration - dot(directions_[k], motion_) - dot(directions_[k], feedforward);
+            const double missing_speed = commands_[k].speed - dot(directions_[k], correction_);
+            for (size_t j = 0; j < 6; ++j) {
+                motion_[j] += missing * directions_[k][j];
+                correction_[j] += missing_speed * directions_[k][j];
+            }
+        }
+        for (size_t k = 0; k < 6; ++k) {
+            for (size_t i = 0; i < joints(); ++i) { motion_[k] -= task_.J(k, i) * acceleration_[i]; }
+        }
+    }
+
+    // Subtracts the measured wrench on motion axes in contact: friction, and the moment of a contact beside the tip.
+    void subtract_compensated_wrench(Vector measured, Vector6& wrench) {
+        const Result filtered = filtered_wrench();
+        const bool in_contact = this->in_contact();
+        Vector6 compensated{};
+        for (size_t j = 0; j < 6; ++j) {
+            filtered[j] += low_pass_weight(wrench_filter, dt_) * (measured[j] - filtered[j]);
+            if (!in_contact) { filtered[j] = 0.0; }
+            compensated[j] = filtered[j];
+        }
+        for (size_t k = 0; k < 6; ++k) {
+            if (!is_force_[k]) { continue; }
+            const double part = dot(directions_[k], filtered);
+            for (size_t j = 0; j < 6; ++j) { compensated[j] -= part * directions_[k][j]; }
+        }
+        for (size_t j = 0; j < task_.factors.rows(); ++j) { wrench[j] -= (j < 3 ? compensated_share : 1.0) * compensated[j]; }
+    }
+
+    double bandwidth_;                // rad/s, of the tip's error along motion axes
+    double damping_ratio_;            // 1 is critically damped
+    bool in_tip_frame_;               // whether the axes turn with the tip
+    double approach_speed_;           // m/s; 0 for one that follows from target and effective mass
+    double contact_force_;            // N; 0 for one that follows from the target
+    std::array<bool, 6> is_force_{};  // x, y, z, rx, ry, rz
+    Vector6 targets_{};               // N or N m
     double dt_;
-    Dynamics dynamics_;
     TaskSpace task_;
-
-    std::vector<double> memory_;
-
-    // Scratch memory.
-    size_t rows_;             // of a twist that the arm controls
-    DenseMatrix factors_;     // (rows, rows), of the tip's damped mobility
-    DenseMatrix mobility_;    // (6, 6) of the tip
-    DenseMatrix directions_;  // (6, 6) the unit twist of each axis in the world
+    DenseMatrix mobility_{6, 6};           // of the tip
+    DenseMatrix turning_{3, 3};            // factors
+    std::array<Vector6, 6> directions_{};  // the unit twist of each axis in the world
     std::array<AxisCommand, 6> commands_;
     Vector6 motion_{};      // acceleration of the tip minus that of the posture
     Vector6 correction_{};  // velocity of the tip that corrects its errors
-    std::vector<double> acceleration_;
-    std::vector<double> v_friction_;
-    std::vector<double> change_;
-    std::vector<double> rate_;
+    Numbers acceleration_ = zeros(), v_friction_ = zeros(), change_ = zeros(), rate_ = zeros();
 };
 
 }  // namespace armctl

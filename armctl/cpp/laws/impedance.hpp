@@ -1,6 +1,5 @@
 // Cartesian impedance: the tip yields to forces like a spring and a damper around its reference.
 #pragma once
-#include "../law.hpp"
 #include "task_space.hpp"
 
 namespace armctl {
@@ -12,41 +11,99 @@ namespace armctl {
 // position, torque and impedance control of flexible joint robots" (2007). The posture spring acts in the null space.
 class Impedance final : public Law {
 public:
-    struct Gains {
-        std::vector<double> stiffness;          // (6,) N/m and N m/rad, of the tip
-        std::vector<double> max_error;          // (6,) m and rad, to which the spring stretches
-        std::vector<double> posture_stiffness;  // (n,) N m/rad
-        double damping_ratio = 0.0;
-    };
+    Impedance(const Model& model, const Arguments& gains)
+        : Law(model->n()), stiffness_(gains.gains(6, "stiffness")), max_error_(gains.limits(6, "max_error")),
+          posture_stiffness_(gains.gains(model->n(), "posture_stiffness")), damping_ratio_(gains.gain("damping_ratio")), task_(model, 6) {}
 
-    Impedance(std::shared_ptr<const ArmModel> model, Gains gains);
+    // Replaces the stiffness of the tip.
+    void set_stiffness(const Arguments& gains) { stiffness_ = gains.gains(6, "stiffness"); }
 
-    size_t joints() const override { return dynamics_.model().n(); }
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override;
+    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+        const Vector v_ref = setpoint.v_tick;
+        const Vector a_ref = setpoint.a_tick;
+        const DenseMatrix& J = task_.J;
+        task_.measure(state.q, setpoint.q);
+        find_posture_stiffness();
+        for (size_t i = 0; i < tau.size(); ++i) {
+            error_rate_[i] = v_ref[i] - state.v[i];
+            feedback_[i] = 0.0;
+            for (size_t k = 0; k < tau.size(); ++k) {
+                feedback_[i] += K_(i, k) * (setpoint.q[k] - state.q[k]);
+                for (size_t j = 0; j < 6; ++j) { K_(i, k) += stiffness_[j] * J(j, i) * J(j, k); }
+            }
+            for (size_t j = 0; j < 6; ++j) { feedback_[i] += J(j, i) * stiffness_[j] * clipped(task_.error[j], max_error_[j]); }
+        }
+        add_critical_damping();
+        task_.dynamics.inverse_dynamics(state.q, state.v, a_ref, tau);
+        task_.dynamics.add_linear_damping(error_rate_, tau);
+        task_.dynamics.add_friction(v_ref, a_ref, tau);
+        for (size_t i = 0; i < tau.size(); ++i) { tau[i] += feedback_[i]; }
+    }
+
     std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
-    // Replaces the stiffness of the tip, (6,) N/m and N m/rad.
-    void set_stiffness(std::vector<double> stiffness);
-
 private:
-    void find_posture_stiffness();
-    void add_critical_damping();
+    // K = N^T diag(springs) N with N = 1 - M^-1 J^T (J M^-1 J^T)^-1 J: the posture springs in the null space of the tip.
+    void find_posture_stiffness() {
+        const size_t n = joints();
+        for (size_t i = 0; i < n; ++i) {
+            Vector6 inverse{};  // a row of the dynamically consistent inverse
+            copy(task_.responses.row(i), inverse);
+            solve(task_.factors, inverse);
+            for (size_t k = 0; k < n; ++k) {
+                null_space_(i, k) = i == k ? 1.0 : 0.0;
+                for (size_t j = 0; j < 6; ++j) { null_space_(i, k) -= inverse[j] * task_.J(j, k); }
+            }
+        }
+        for (size_t i = 0; i < n; ++i) {
+            for (size_t k = 0; k <= i; ++k) {
+                double total = 0.0;
+                for (size_t j = 0; j < n; ++j) { total += posture_stiffness_[j] * null_space_(j, i) * null_space_(j, k); }
+                K_(i, k) = total;
+                K_(k, i) = total;
+            }
+        }
+    }
 
-    Gains gains_;
-    Dynamics dynamics_;
+    // Adds 2 ratio L (L^-1 K L^-T)^1/2 L^T rate, with the Cholesky factor L of M: it damps every mode of M and K equally.
+    void add_critical_damping() {
+        const size_t n = joints();
+        take_roots(task_.inertia);
+        const DenseMatrix& L = task_.inertia;
+        for (size_t k = 0; k < n; ++k) {  // the columns of L^-1 K
+            for (size_t i = 0; i < n; ++i) {
+                for (size_t j = 0; j < i; ++j) { K_(i, k) -= L(i, j) * K_(j, k); }
+                K_(i, k) /= L(i, i);
+            }
+        }
+        for (size_t i = 0; i < n; ++i) {  // the rows of L^-1 K L^-T
+            for (size_t k = 0; k < n; ++k) {
+                for (size_t j = 0; j < k; ++j) { K_(i, k) -= L(k, j) * K_(i, j); }
+                K_(i, k) /= L(k, k);
+            }
+            scaled_rate_[i] = 0.0;
+            for (size_t k = i; k < n; ++k) { scaled_rate_[i] += L(k, i) * error_rate_[k]; }
+        }
+        diagonalize(K_, modes_);
+        for (size_t m = 0; m < n; ++m) {
+            const double amplitude = 2.0 * damping_ratio_ * std::sqrt(std::max(K_(m, m), 0.0)) * dot(modes_.column(m), scaled_rate_);
+            for (size_t i = 0; i < n; ++i) {
+                double total = 0.0;
+                for (size_t k = 0; k <= i; ++k) { total += L(i, k) * modes_(k, m); }
+                feedback_[i] += amplitude * total;
+            }
+        }
+    }
+
+    Numbers stiffness_;          // (6,) N/m and N m/rad, of the tip
+    Numbers max_error_;          // (6,) m and rad, to which the spring stretches
+    Numbers posture_stiffness_;  // (n,) N m/rad
+    double damping_ratio_;
     TaskSpace task_;
-
-    // Scratch memory.
-    DenseMatrix mobility_;           // (6, 6) factors
-    DenseMatrix inverse_;            // (n, 6) the dynamically consistent inverse
-    DenseMatrix null_space_;         // (n, n) projection
-    DenseMatrix posture_stiffness_;  // (n, n)
-    DenseMatrix stiffness_;          // (n, n) as seen by the joints
-    DenseMatrix scaled_stiffness_;   // (n, n)
-    DenseMatrix modes_;              // (n, n)
-    std::vector<double> error_rate_;
-    std::vector<double> scaled_rate_;
-    std::vector<double> feedback_;
+    DenseMatrix null_space_{joints(), joints()};  // projection
+    DenseMatrix K_{joints(), joints()};           // stiffness as seen by the joints, then that of the modes
+    DenseMatrix modes_{joints(), joints()};
+    Numbers error_rate_ = zeros(), scaled_rate_ = zeros(), feedback_ = zeros();
 };
 
 }  // namespace armctl

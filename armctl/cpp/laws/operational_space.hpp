@@ -1,6 +1,5 @@
 // Operational space control: the tip's error behaves like a unit mass on a spring; a posture law acts in the null space.
 #pragma once
-#include "../law.hpp"
 #include "task_space.hpp"
 
 namespace armctl {
@@ -10,29 +9,39 @@ namespace armctl {
 // J# is the dynamically consistent inverse, damped near singular configurations.
 class OperationalSpace final : public Law {
 public:
-    struct Gains {
-        double stiffness = 0.0;          // 1/s^2, of the tip
-        double damping = 0.0;            // 1/s
-        double posture_stiffness = 0.0;  // 1/s^2, of the joints
-        double posture_damping = 0.0;    // 1/s
-    };
+    OperationalSpace(const Model& model, const Arguments& gains)
+        : Law(model->n()), stiffness_(gains.gain("stiffness")), damping_(gains.gain("damping")),
+          posture_stiffness_(gains.gain("posture_stiffness")), posture_damping_(gains.gain("posture_damping")), task_(model, 6) {}
 
-    OperationalSpace(std::shared_ptr<const ArmModel> model, Gains gains);
+    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+        const Vector v_ref = setpoint.v_tick;
+        const Vector a_ref = setpoint.a_tick;
+        task_.measure(state.q, setpoint.q);
+        for (size_t i = 0; i < tau.size(); ++i) {
+            error_rate_[i] = v_ref[i] - state.v[i];
+            acceleration_[i] = posture_stiffness_ * (setpoint.q[i] - state.q[i]) + posture_damping_ * error_rate_[i];
+        }
+        Vector6 left_to_tip{};  // by the posture
+        for (size_t k = 0; k < 6; ++k) {
+            const double of_posture = dot(task_.J.row(k), acceleration_);
+            left_to_tip[k] = stiffness_ * task_.error[k] + damping_ * task_.error_rate(k, v_ref, state.v) - of_posture;
+        }
+        for (size_t i = 0; i < tau.size(); ++i) { acceleration_[i] += a_ref[i]; }
+        task_.add_joint_motion(left_to_tip, acceleration_);
+        task_.dynamics.inverse_dynamics(state.q, state.v, acceleration_, tau);
+        task_.dynamics.add_linear_damping(error_rate_, tau);
+        task_.dynamics.add_friction(v_ref, a_ref, tau);
+    }
 
-    size_t joints() const override { return dynamics_.model().n(); }
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override;
     std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
 private:
-    Gains gains_;
-    Dynamics dynamics_;
+    double stiffness_;          // 1/s^2, of the tip
+    double damping_;            // 1/s
+    double posture_stiffness_;  // 1/s^2, of the joints
+    double posture_damping_;    // 1/s
     TaskSpace task_;
-
-    // Scratch memory.
-    DenseMatrix mobility_;              // (6, 6) factors
-    std::vector<double> acceleration_;  // (n,)
-    std::vector<double> error_rate_;    // (n,)
-    std::array<double, 6> force_{};
+    Numbers acceleration_ = zeros(), error_rate_ = zeros();
 };
 
 }  // namespace armctl

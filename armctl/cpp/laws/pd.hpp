@@ -1,30 +1,68 @@
-// PD: a spring and a damper at every joint, and no model.
+// PD laws: a spring and a damper at every joint, with or without a model.
 #pragma once
+#include "../dynamics.hpp"
 #include "../law.hpp"
 
 namespace armctl {
 
-struct PDGains {
-    std::vector<double> stiffness;  // (n,) N m/rad
-    std::vector<double> damping;    // (n,) N m s/rad
-
-    size_t joints() const { return stiffness.size(); }
-};
-
-// Throws InputError if a gain is negative or not finite, or if there are not n of each.
-PDGains checked(PDGains gains, size_t n);
-
 // tau = stiffness (q_ref - q) + damping (v_ref - v)
 class PD final : public Law {
 public:
-    explicit PD(PDGains gains);
+    explicit PD(const Arguments& gains) : PD(gains, gains.length("stiffness")) {}
+    PD(const Arguments& gains, size_t n) : Law(n), stiffness_(gains.gains(n, "stiffness")), damping_(gains.gains(n, "damping")) {}
 
-    size_t joints() const override { return gains_.joints(); }
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override;
+    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+        for (size_t i = 0; i < tau.size(); ++i) { tau[i] = feedback(i, state, setpoint.q[i], setpoint.v[i]); }
+    }
+
+    double feedback(size_t i, const State& state, double q_ref, double v_ref) const {
+        return stiffness_[i] * (q_ref - state.q[i]) + damping_[i] * (v_ref - state.v[i]);
+    }
+
     std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
 private:
-    PDGains gains_;
+    Numbers stiffness_;  // (n,) N m/rad
+    Numbers damping_;    // (n,) N m s/rad
+};
+
+// tau = ID(q_ref, v_ref, a_ref) + stiffness (q_ref - q) + damping (v_ref - v)
+class PDFeedforward final : public Law {
+public:
+    PDFeedforward(const Model& model, const Arguments& gains) : Law(model->n()), pd_(gains, model->n()), dynamics_(model) {}
+
+    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+        dynamics_.inverse_dynamics(setpoint.q, setpoint.v_tick, setpoint.a_tick, tau);
+        dynamics_.add_friction(setpoint.v_tick, setpoint.a_tick, tau);
+        for (size_t i = 0; i < tau.size(); ++i) { tau[i] += pd_.feedback(i, state, setpoint.q[i], setpoint.v_tick[i]); }
+    }
+
+    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
+
+private:
+    PD pd_;
+    Dynamics dynamics_;
+};
+
+// tau = g(q) + stiffness (q_ref - q) + damping (v_ref - v)
+//
+// Source: Takegaki, Arimoto, "A new feedback method for dynamic control of manipulators" (1981).
+class PDGravity final : public Law {
+public:
+    PDGravity(const Model& model, const Arguments& gains) : Law(model->n()), pd_(gains, model->n()), dynamics_(model) {}
+
+    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+        dynamics_.gravity(state.q, gravity_);
+        pd_.torque(state, setpoint, tau);
+        for (size_t i = 0; i < tau.size(); ++i) { tau[i] += gravity_[i]; }
+    }
+
+    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
+
+private:
+    PD pd_;
+    Dynamics dynamics_;
+    Numbers gravity_ = zeros();
 };
 
 }  // namespace armctl

@@ -4,51 +4,77 @@
 // (1987).
 #pragma once
 #include <array>
-#include <vector>
 
-#include "../dense_matrix.hpp"
 #include "../dynamics.hpp"
+#include "../law.hpp"
 
 namespace armctl {
 
+using Vector6 = std::array<double, 6>;
+
 // The rows of a twist that an arm can control: all 6 with at least six joints, else the 3 of the position.
-size_t task_rows(size_t n);
+inline size_t task_rows(size_t n) { return n >= 6 ? 6 : 3; }
 
-class TaskSpace {
-public:
-    explicit TaskSpace(size_t n);
+// Relative to the trace of the tip's mobility. Directions of much smaller mobility count as singular.
+constexpr double singularity_damping = 1e-3;
 
-    // Finds the error of the tip at q with respect to its pose at q_ref, and both Jacobians. Leaves the joints located at q.
-    void measure_tip(Dynamics& dynamics, Vector q, Vector q_ref);
+struct TaskSpace {
+    // `rows` of the tip's mobility are inverted.
+    TaskSpace(const Model& model, size_t rows) : dynamics(model), factors(rows, rows) {}
 
-    // Finds the mass matrix where the joints are placed, factorizes it, and finds M^-1 J^T.
-    void find_responses(Dynamics& dynamics);
+    // Measures the tip at q with respect to its pose at q_ref. Leaves the joints located at q.
+    void measure(Vector q, Vector q_ref) {
+        dynamics.locate(q_ref);
+        const Pose reference = dynamics.tip();
+        J_ref.set(dynamics.tip_jacobian());
+        dynamics.locate(q);
+        const Pose measured = dynamics.tip();
+        J.set(dynamics.tip_jacobian());
+        error = numbers({reference.translation - measured.translation, rotation_vector(measured.rotation, reference.rotation)});
+        dynamics.mass_matrix(inertia);
+        factorize(inertia);
+        for (size_t k = 0; k < 6; ++k) {
+            copy(J.row(k), column);
+            solve(inertia, column);
+            for (size_t i = 0; i < n; ++i) { responses(i, k) = column[i]; }
+        }
+        const double trace = find_mobility(factors);
+        for (size_t i = 0; i < factors.rows(); ++i) { factors(i, i) += singularity_damping * singularity_damping * trace; }
+        factorize(factors);
+    }
 
     // The lower triangle of the tip's mobility J M^-1 J^T, of its first rows, as many as the result has; returns the trace.
-    double find_mobility(MatrixResult mobility) const;
+    double find_mobility(MatrixResult mobility) const {
+        double trace = 0.0;
+        for (size_t i = 0; i < mobility.rows; ++i) {
+            for (size_t k = 0; k <= i; ++k) { mobility(i, k) = dot(responses.column(k), J.row(i)); }
+            trace += mobility(i, i);
+        }
+        return trace;
+    }
 
-    // The factors of the damped mobility of the tip's first rows, as many as the result has.
-    void factorize_mobility(MatrixResult factors) const;
+    // How fast row k of the tip's error changes, at velocities (n,) of reference and joints.
+    double error_rate(size_t k, Vector v_ref, Vector v, double rate = 0.0) const {
+        for (size_t i = 0; i < n; ++i) { rate += J_ref(k, i) * v_ref[i] - J(k, i) * v[i]; }
+        return rate;
+    }
 
     // Adds the joint motion (n,) of a motion (rows,) of the tip, by the dynamically consistent inverse. `motion_of_tip` becomes
     // the solution with the factors.
-    void add_joint_motion(Matrix factors, Result motion_of_tip, Result motion) const;
+    void add_joint_motion(Result motion_of_tip, Result motion) const {
+        solve(factors, motion_of_tip);
+        for (size_t i = 0; i < n; ++i) { motion[i] = dot(responses.row(i), motion_of_tip, motion[i]); }
+    }
 
-    Matrix J() const { return J_; }                  // (6, n) at the measured configuration
-    Matrix J_ref() const { return J_ref_; }          // (6, n) at the reference
-    Matrix responses() const { return responses_; }  // (n, 6) M^-1 J^T
-    MatrixResult inertia() { return inertia_; }      // (n, n), the factors of the mass matrix
-    // (6,) m and rad, translation and rotation vector of the tip to its reference, world axes.
-    Vector error() const { return error_; }
-
-private:
-    size_t n_;
-    DenseMatrix J_;
-    DenseMatrix J_ref_;
-    DenseMatrix responses_;
-    DenseMatrix inertia_;
-    std::array<double, 6> error_{};
-    std::vector<double> column_;  // (n,) scratch memory
+    Dynamics dynamics;
+    size_t n = dynamics.model().n();
+    DenseMatrix J{6, n};          // at the measured configuration
+    DenseMatrix J_ref{6, n};      // at the reference
+    DenseMatrix inertia{n, n};    // the factors of the mass matrix
+    DenseMatrix responses{n, 6};  // M^-1 J^T
+    DenseMatrix factors;          // (rows, rows) of the tip's mobility, damped near singular configurations
+    Vector6 error{};              // m and rad, translation and rotation vector of the tip to its reference, world axes
+    Numbers column = Numbers(n);  // scratch
 };
 
 }  // namespace armctl

@@ -1,32 +1,39 @@
-// Limits of how fast the torques of another law change.
+// A law whose torques change at limited rates, such as those of a robot's interface.
 #pragma once
-#include "../law.hpp"
+#include "law_around.hpp"
 
 namespace armctl {
 
 // The first torque of a run is not limited.
-class TorqueRateLimit final : public Law {
+class TorqueRateLimit final : public LawAround {
 public:
-    // `max_rate` (n,) N m/s. The limited law is shared with its owner, who sees its memory.
-    TorqueRateLimit(std::shared_ptr<Law> limited, std::vector<double> max_rate, double dt);
-    TorqueRateLimit(const TorqueRateLimit& other);
+    TorqueRateLimit(const std::shared_ptr<Law>& limited, const Arguments& gains)
+        : LawAround(limited, 1 + limited->joints()), max_change_(gains.limits(joints(), "tau_rate_max")) {
+        const double dt = gains.gain("dt");
+        for (double& change : max_change_) { change *= dt; }
+    }
 
-    size_t joints() const override { return limited_->joints(); }
-    bool needs_wrench() const override { return limited_->needs_wrench(); }
-    void torque(const State& state, const Setpoint& setpoint, Result tau) override;
-    std::span<double> memory() override { return memory_; }
-    void set_memory(Vector numbers) override;
+    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+        inner_torque(state, setpoint, tau);
+        double& has_last_torque = own_memory()[0];
+        const Result last = own_memory().subspan(1);
+        for (size_t i = 0; i < tau.size(); ++i) {
+            if (has_last_torque != 0.0) {
+                if (tau[i] > last[i] + max_change_[i]) {
+                    tau[i] = last[i] + max_change_[i];
+                } else if (tau[i] < last[i] - max_change_[i]) {
+                    tau[i] = last[i] - max_change_[i];
+                }
+            }
+            last[i] = tau[i];
+        }
+        has_last_torque = 1.0;
+    }
+
     std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
 private:
-    double& has_last_torque() { return memory_[0]; }
-    Result last_torque() { return std::span(memory_).subspan(1, joints()); }
-    Result memory_of_limited() { return std::span(memory_).subspan(1 + joints()); }
-
-    std::shared_ptr<Law> limited_;
-    std::vector<double> max_change_;  // (n,) N m, in one control period
-    // The memory of a law is one vector, so it contains that of the limited law, which gets it in each tick.
-    std::vector<double> memory_;
+    Numbers max_change_;  // (n,) N m, in one control period
 };
 
 }  // namespace armctl

@@ -145,12 +145,13 @@ class ProfileSolver:
         """For an arm with these limits."""
         return cls(limits.v_max, limits.a_max, limits.j_max)
 
-    def solve(self, start: JointState, goal: JointState, together: bool = True) -> Profile | None:
-        """The fastest profile between two states, or None if ruckig finds none.
+    def solve(self, start: JointState, goal: JointState, together: bool = True, shortest: float = 0.0) -> Profile | None:
+        """The fastest profile between two states that lasts at least so many seconds, or None if ruckig finds none.
 
         All joints arrive at the same time, or else each as soon as it can.
         """
         inp = self._input
+        inp.minimum_duration = shortest if shortest > 0.0 else None
         inp.current_position, inp.current_velocity, inp.current_acceleration = start
         inp.target_position, inp.target_velocity, inp.target_acceleration = goal
         inp.synchronization = _TOGETHER if together else _SEPARATELY
@@ -159,6 +160,7 @@ class ProfileSolver:
     def stop(self, start: JointState) -> Profile | None:
         """The fastest stop of each joint by itself, or None if ruckig finds none."""
         inp = self._input
+        inp.minimum_duration = None
         inp.current_position, inp.current_velocity, inp.current_acceleration = start
         inp.target_velocity = self._zero
         inp.target_acceleration = self._zero

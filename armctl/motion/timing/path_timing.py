@@ -17,6 +17,7 @@ from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array, IntArray
 from armctl.motion.timing.initial_timing import Path, Timing, initial_timing, smooth_timing
+from armctl.motion.timing.speed_bounds import TorqueRows, points_of, speed_bounds
 from armctl.motion.trajectory.limit_check import limit_excess
 from armctl.motion.trajectory.piecewise import DEGREE, Pieces, basis_many, hermite
 
@@ -36,24 +37,6 @@ _MIN_DIP = 1e-2  # of the smaller squared speed at the ends of an interval
 # Torques vary between grid nodes. Above this share of a limit they are also checked between the nodes.
 _TORQUE_SHARE_CHECKED_BETWEEN_NODES = 0.8
 _MAX_END_SPEED_CHANGE = 0.02  # relative, of the squared path speed in the first and in the last interval
-
-
-class TorqueRows(NamedTuple):
-    """Bounds of the form low <= alpha b'/2 + beta b + delta sqrt(b) <= high, each (T, r).
-
-    Attributes:
-        alpha: Of the change of the squared path speed.
-        beta: Of the squared path speed.
-        delta: Of the path speed.
-        low: Less than 0.
-        high: Greater than 0.
-    """
-
-    alpha: Array
-    beta: Array
-    delta: Array
-    low: Array
-    high: Array
 
 
 class Torques(Protocol):
@@ -289,10 +272,10 @@ class _Problem:
         places, q, q1, q2, q3_after, q3_before, _, _ = sampled
         timing, _, interval, begin, end = places
         h = timing.h
-        path_timing = self._bounds(sampled, np.ones((4, len(q))) if slack is None else slack)
+        bounds = self._bounds(sampled, np.ones((4, len(q))) if slack is None else slack)
         near = None if slack is None else self._last
         c = np.empty(timing.intervals + 2) if near is None else near.copy()
-        if not path_timing.solve(c, from_near=near is not None):
+        if not _core.fastest_path_speed(c, h, near is not None, **bounds):
             raise PlanError("limits: they differ too much in size to compute a speed along the path")
         self._last = c
         b, slope = _squared_speed(c, h, np.append(interval, interval[-1]), np.append(begin, end[-1]))
@@ -346,8 +329,8 @@ class _Problem:
         shares[checked] = np.maximum(shares[checked], self.torques.overshoot(q[:, -1], q[:, :-1], v[:, :-1], a[:, :-1]))
         return shares
 
-    def _bounds(self, sampled: _Sampled, slack: Array) -> _core.PathTiming:
-        """The bounds on the path speed at the nodes."""
+    def _bounds(self, sampled: _Sampled, slack: Array) -> dict[str, Array | IntArray]:
+        """The bounds on the path speed that can become active, as the compiled solver takes them."""
         places = sampled.places
         q1 = np.ascontiguousarray(sampled.q1[:, :-1])
         q2 = np.ascontiguousarray(sampled.q2[:, :-1])
@@ -375,22 +358,9 @@ class _Problem:
         rows.delta[ends] = 0.0
         rows.high[ends] = _MAX_END_SPEED_CHANGE * b_max[ends, None] / places.timing.h
         rows.low[ends] = -rows.high[ends]
-        return _core.PathTiming(
-            interval_length=places.timing.h,
-            interval=places.interval,
-            begin=places.begin,
-            end=places.end,
-            q1=q1,
-            q2=q2,
-            q3_after=q3_after,
-            q3_before=q3_before,
-            b_max=b_max,
-            j_max=j_max,
-            alpha=rows.alpha,
-            beta=rows.beta,
-            delta=rows.delta,
-            low=rows.low,
-            high=rows.high,
+        derivatives = (q1, q2, np.stack([q3_after, q3_before], axis=1).reshape(-1, q1.shape[1]))
+        return speed_bounds(
+            points_of(places.timing.h, places.interval, places.begin, places.end), rows, derivatives, b_max, j_max
         )
 
 

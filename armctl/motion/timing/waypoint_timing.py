@@ -79,12 +79,20 @@ class WaypointSearch:
         v_bound = self._v_bound.copy()
         a_bound = self._a_bound.copy()
         for _ in range(_MAX_REPAIRS):
-            v = np.empty_like(self.q)
-            a = np.empty_like(self.q)
-            timing = _core.WaypointTiming(
-                q=self.q, v_max=limits.v_max, a_max=limits.a_max, j_max=limits.j_max, v_bound=v_bound, a_bound=a_bound
+            # Velocity and acceleration of each joint at a waypoint, then the time to the next one.
+            motion = np.zeros((len(self.q), 2 * self.q.shape[1] + 1))
+            motion[:-1, -1] = _INITIAL_TIME_FACTOR * stopping.durations
+            _core.make_fastest(
+                motion.ravel()[:-1],
+                q=self.q,
+                v_max=limits.v_max,
+                a_max=limits.a_max,
+                j_max=limits.j_max,
+                v_bound=v_bound,
+                a_bound=a_bound,
             )
-            timing.solve(_INITIAL_TIME_FACTOR * stopping.durations, v, a)
+            v = motion[:, :-1:2].copy()
+            a = motion[:, 1:-1:2].copy()
             found = self._evaluate(v, a)
             if found is None or not found.durations.sum() < stopping.durations.sum():
                 break

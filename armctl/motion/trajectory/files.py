@@ -85,7 +85,7 @@ def _content(data: Mapping[str, Any]) -> Content:
     slowed = _texts(data, "slowed")
     if not names or len(joint_units) != len(names) or len(slowed) not in (0, 3):
         raise InputError("its parts do not fit each other")
-    limits = Limits(**{field.name: data[field.name] for field in fields(Limits)})
+    limits = Limits(**{field.name: data[field.name] for field in fields(Limits) if field.name in data})
     if len(limits.q_min) != len(names):
         raise InputError("its limits do not fit its joints")
     pieces = Pieces(_numbers(data, "knots"), _numbers(data, "coefficients"))

@@ -13,6 +13,7 @@ from armctl.motion.trajectory.piecewise import Pieces
 
 RATIO_TOLERANCE = 1e-6  # relative, of velocity, acceleration and jerk
 POSITION_TOLERANCE = 1e-9  # rad (m); not relative, because a joint's stop does not grow with its range
+_BISECTIONS = 46  # of the interval between two turning points
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 _PER_TIME = ("", "/s", "/s^2", "/s^3")
 
@@ -190,10 +191,57 @@ def polynomial_extremes(polynomials: Array, order: int = 0) -> tuple[Array, Arra
         Places and values, each (m, n, k): both ends and every turning point between them; the point 0 may be repeated.
     """
     m, count, n = polynomials.shape
-    places = np.empty((m * n, max(2, count - order)))
-    values = np.empty_like(places)
-    _core.polynomial_extremes(np.ascontiguousarray(polynomials), order, places, values)
-    return places.reshape(m, n, -1), values.reshape(m, n, -1)
+    p = np.moveaxis(polynomials, 1, 0)
+    used = np.flatnonzero(p.any(axis=(1, 2)))  # powers that any of the polynomials has
+    for _ in range(order):
+        p = _derivative(p)
+    turning_points = max(0, (int(used[-1]) if len(used) else 0) - order - 1)
+    places = np.zeros((max(2, count - order), m, n))
+    places[1] = 1.0
+    with np.errstate(all="ignore"):
+        if turning_points:
+            places[2 : 2 + turning_points] = _roots(_derivative(p)[: turning_points + 1])
+        values = _evaluated(p, places)
+    return np.moveaxis(places, 0, 2), np.moveaxis(values, 0, 2)
+
+
+def _evaluated(p: Array, x: Array) -> Array:
+    """Polynomials (d + 1, m, n), constant first, at points (k, m, n), by Horner's scheme."""
+    value = np.broadcast_to(p[-1], x.shape)
+    for c in p[-2::-1]:
+        value = value * x + c
+    return value
+
+
+def _derivative(p: Array) -> Array:
+    return p[1:] * np.arange(1.0, len(p))[:, None, None]
+
+
+def _roots(p: Array) -> Array:
+    """Numbers in [0, 1], (d, m, n), the roots in [0, 1] of polynomials (d + 1, m, n) among them."""
+    if len(p) == 2:
+        return _clamped(-p[:1] / p[1:])
+    if len(p) == 3:  # without the cancellation of the schoolbook formula
+        c, b, a = p
+        root = np.sqrt(np.maximum(b * b - 4 * a * c, 0.0))
+        half = -0.5 * (b + np.where(b < 0, -root, root))
+        return _clamped(np.stack([half / a, c / half]))
+    # Between two neighbouring turning points a polynomial is monotone and has at most one root, which bisection finds.
+    turns = np.sort(_roots(_derivative(p)), axis=0)
+    low = np.concatenate([np.zeros_like(turns[:1]), turns])
+    high = np.concatenate([turns, np.ones_like(turns[:1])])
+    is_positive = _evaluated(p, low) > 0
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        is_before = (_evaluated(p, middle) > 0) == is_positive
+        low = np.where(is_before, middle, low)
+        high = np.where(is_before, high, middle)
+    return 0.5 * (low + high)
+
+
+def _clamped(x: Array) -> Array:
+    """Numbers in [0, 1]; 0 in place of NaN, which is a division of zero by zero."""
+    return np.where(np.isnan(x), 0.0, np.minimum(np.maximum(x, 0.0), 1.0))
 
 
 def limit_excess(coefficients: Array, steps: Array, order: int, low: Array, high: Array) -> Array:

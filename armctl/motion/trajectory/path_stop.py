@@ -62,14 +62,14 @@ def speed_changed(pieces: Pieces, limits: Limits, t: float, factor: float) -> Pi
     """
     bounds = (limits.v_max, limits.a_max, limits.j_max)
     if factor > 1.0:
-        factor = max(1.0, factor / stretch_needed(time_scaled(_from(pieces, t), factor), bounds))
+        factor = max(1.0, factor / stretch_needed(time_scaled(remaining(pieces, t), factor), bounds))
     if abs(factor - 1.0) < _MIN_CHANGE:
         return pieces
     for share in _CHANGE_SHARES:
         target = 1.0 + share * (factor - 1.0)
         change = _soonest_change(pieces, limits, t, target)
         if change is not None:
-            rest = time_scaled(_from(pieces, change.end), target)
+            rest = time_scaled(remaining(pieces, change.end), target)
             return _until(pieces, change.begin, joined([change.pieces, rest]))
     return pieces
 
@@ -166,7 +166,7 @@ def _crossings(knots: Array, begin: float, length: float, final: float) -> Array
     return np.interp((crossed - begin) / length, _change(_FINE, final).progress, _FINE.shares)
 
 
-def _from(pieces: Pieces, t: float) -> Pieces:
+def remaining(pieces: Pieces, t: float) -> Pieces:
     """What is left of a motion after a time."""
     k = int(locate(pieces.knots, np.array([t]))[1][0])
     first = shifted(pieces.coefficients[k : k + 1], t - pieces.knots[k : k + 1])

@@ -77,7 +77,7 @@ def find_gripper_model(arm: Arm) -> GripperModel:
         ModelError: Nothing moves behind the tip, or it is a hand of many actuators.
     """
     bodies, dofs = _behind(arm)
-    actuators = tuple(a for a in range(arm.model.nu) if _moves(arm.model, a, set(dofs.tolist())))
+    actuators = tuple(a for a in range(arm.model.nactuator) if _moves(arm.model, a, set(dofs.tolist())))
     if not actuators:
         raise ModelError(f"{arm.name}: no gripper: no actuator moves anything behind the tip {arm.tip!r}")
     actuators = tuple(a for a in actuators if _has_range(arm.model, a)) or actuators  # a wheel between racks is no jaw

@@ -22,7 +22,6 @@ from armctl.mjmodel.queries import contact_forces, keyframe_names
 from armctl.mjmodel.target_marker import find_target, target_pose
 from armctl.robot.arm import Arm
 from armctl.sim.gripper.gripper import Gripper
-from armctl.sim.move import AT_REST_SPEED
 from armctl.sim.obstacles import Obstacles
 from armctl.sim.plant import Plant
 from armctl.sim.realtime.clock import MAX_SPEED, MIN_SPEED, RealTimeClock
@@ -30,7 +29,7 @@ from armctl.sim.realtime.history import History
 from armctl.sim.realtime.status import Activity, Status
 from armctl.sim.realtime.target_follower import TargetFollower
 from armctl.sim.recorder import Recorder
-from armctl.sim.stepper import Stepper
+from armctl.sim.stepper import AT_REST_SPEED, Stepper
 
 UPDATE_INTERVAL_S = 0.01
 _REFERENCE_ARRIVED = 1e-6  # rad

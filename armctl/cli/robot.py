@@ -1,0 +1,62 @@
+"""`armctl robot check HOST`: whether a robot, its model and the connection are fit for motions. Nothing moves."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from armctl.cli.common import DONE, NOT_REACHED, Commands, add_command, add_json, one_number, print_result
+from armctl.core.errors import InputError
+
+if TYPE_CHECKING:
+    from armctl.links.link import Link
+    from armctl.robot.arm import Arm
+
+_MODELS = {"franka": "fr3", "so101": "so101", "plant": "robot_arm_3dof"}
+
+
+def add(commands: Commands) -> None:
+    """Adds the command to the parser."""
+    parser = add_command(commands, "robot", run, "check the connection to a robot: its model, its period, lost ticks")
+    parser.add_argument("action", choices=["check"], help="hold the position, and measure")
+    parser.add_argument("host", help="address of a Franka, serial port of an SO-101, any word for a simulated plant")
+    parser.add_argument("--link", choices=list(_MODELS), default="franka", help="which robot (default %(default)s)")
+    parser.add_argument("--model", help="name or file of the model, by default that of the robot")
+    parser.add_argument("--tool", help="gripper, hand or MJCF file at the tip of the model")
+    parser.add_argument("--calibration", metavar="FILE", help="of an SO-101, as lerobot-calibrate wrote it")
+    parser.add_argument("--payload", metavar="KG", default="0", help="that the robot is set to, in kg (default 0)")
+    parser.add_argument("--seconds", metavar="S", default="10", help="how long (default 10)")
+    parser.add_argument("--no-real-time", action="store_true", help="without real-time priority, for a simulated Franka")
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Runs the command."""
+    seconds = one_number("seconds", args.seconds)
+    payload = one_number("payload", args.payload)
+    from armctl.links.robot import Robot
+    from armctl.loading.load import load
+
+    arm = load(args.model or _MODELS[args.link], tool=args.tool)
+    with Robot(arm, _link(args, arm, payload), payload=payload) as robot:
+        check = robot.check(seconds)
+    figures = {name: None if value != value else value for name, value in asdict(check).items()}  # JSON has no NaN
+    print_result(args, str(check), figures, check.reason)
+    return DONE if check else NOT_REACHED
+
+
+def _link(args: argparse.Namespace, arm: Arm, payload: float) -> Link:
+    if args.link == "franka":
+        from armctl.links.franka import Franka
+
+        return Franka(args.host, payload=payload, real_time=not args.no_real_time)
+    if args.link == "so101":
+        from armctl.links.so101 import SO101
+
+        if not args.calibration:
+            raise InputError("calibration: an SO-101 needs the file that lerobot-calibrate wrote")
+        return SO101(arm, args.host, args.calibration)
+    from armctl.links.plant_link import PlantLink
+
+    return PlantLink(arm, payload=payload, real_time=True)

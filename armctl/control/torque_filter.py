@@ -1,0 +1,163 @@
+"""TorqueFilter: notches and low-passes for the torques of another controller."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from armctl import _core
+from armctl.control.controller_around import ControllerAround
+from armctl.control.gain_attribute import Gain
+from armctl.control.interface import Controller
+from armctl.core.errors import InputError
+from armctl.core.validation import Array, integer, number, shown
+from armctl.robot.arm import Arm
+
+_MAX_ORDER = 8
+_MAX_FREQUENCY = 1e5  # rad/s
+_MAX_FILTERS = 16
+
+
+@dataclass(frozen=True)
+class Notch:
+    """A notch: torques of one frequency are removed, such as that of an elastic joint.
+
+    Attributes:
+        frequency: rad/s.
+        quality: The frequency over the width of the notch at -3 dB. A wide notch forgives a wrong frequency, and delays more.
+    """
+
+    frequency: float
+    quality: float = 2.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "frequency", number("frequency", self.frequency, 1e-3, _MAX_FREQUENCY))
+        object.__setattr__(self, "quality", number("quality", self.quality, 0.1, 100.0))
+
+    def sections(self, dt: float) -> Array:
+        """Its second-order sections for a control period, by `scipy.signal.iirnotch`.
+
+        Args:
+            dt: s, the control period.
+
+        Returns:
+            (1, 6): b0, b1, b2, a0 = 1, a1, a2.
+
+        Raises:
+            InputError: The frequency is not below the Nyquist frequency.
+        """
+        from scipy.signal import iirnotch
+
+        b, a = iirnotch(_checked_frequency(self, self.frequency, dt), self.quality, fs=2 * math.pi / dt)
+        return np.concatenate([b, a])[None]
+
+
+@dataclass(frozen=True)
+class LowPass:
+    """A Butterworth low-pass: noise above a frequency is removed.
+
+    Attributes:
+        frequency: rad/s, at -3 dB.
+        order: Of the filter.
+    """
+
+    frequency: float
+    order: int = 2
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "frequency", number("frequency", self.frequency, 1e-3, _MAX_FREQUENCY))
+        object.__setattr__(self, "order", integer("order", self.order, 1, _MAX_ORDER))
+
+    def sections(self, dt: float) -> Array:
+        """Its second-order sections for a control period, by `scipy.signal.butter`.
+
+        Args:
+            dt: s, the control period.
+
+        Returns:
+            (k, 6): rows of b0, b1, b2, a0 = 1, a1, a2.
+
+        Raises:
+            InputError: The frequency is not below the Nyquist frequency.
+        """
+        from scipy.signal import butter
+
+        frequency = _checked_frequency(self, self.frequency, dt)
+        return np.asarray(butter(self.order, frequency, fs=2 * math.pi / dt, output="sos"), dtype=np.float64)
+
+
+def _filters(name: str, value: Any, _n: int) -> tuple[Notch | LowPass, ...]:
+    filters = tuple(value) if isinstance(value, Iterable) else (value,)
+    if not 1 <= len(filters) <= _MAX_FILTERS:
+        raise InputError(f"{name}: expected 1 to {_MAX_FILTERS} filters, got {len(filters)}")
+    for each in filters:
+        if not isinstance(each, (Notch, LowPass)):
+            raise InputError(f"{name}: {shown(each)} is no filter; armctl.Notch(50.0) and armctl.LowPass(300.0) are two")
+    return filters
+
+
+class TorqueFilter(ControllerAround):
+    """A controller whose torques go through filters, in series, the same for all joints.
+
+    A run begins with filters that are settled at its first torque.
+
+    Attributes:
+        controller: The controller whose torques are filtered.
+        filters: Notches and low-passes, the first one first.
+        name: The name of the controller.
+        needs_wrench: Whether the controller needs the wrench.
+    """
+
+    filters: Gain[tuple[Notch | LowPass, ...]] = Gain(_filters)
+
+    def __init__(self, arm: Arm, controller: Controller, filters: Notch | LowPass | Iterable[Notch | LowPass]):
+        """A controller with filtered torques.
+
+        Args:
+            controller: The controller whose torques are filtered.
+            filters: One filter, or several in series.
+
+        Raises:
+            InputError: It is no controller, or a filter is none.
+        """
+        super().__init__(arm, controller)
+        self.filters = filters
+
+    def sections(self, dt: float) -> Array:
+        """The second-order sections of all filters for a control period.
+
+        Args:
+            dt: s, the control period.
+
+        Returns:
+            (k, 6): rows of b0, b1, b2, a0 = 1, a1, a2, as in `scipy.signal.sosfilt`.
+
+        Raises:
+            InputError: A frequency is not below the Nyquist frequency, or the control period is 0.
+        """
+        return np.concatenate([each.sections(dt) for each in self.filters])
+
+    def _around(self, inner: _core.Law, dt: float) -> _core.Law:
+        return _core.TorqueFilter(inner, sections=self.sections(dt))
+
+    def _changed(self, tau: Array, dt: float, memory: Any) -> tuple[Array, Any]:
+        from scipy.signal import sosfilt, sosfilt_zi
+
+        if memory is None:
+            sections = self.sections(dt)
+            memory = sections, sosfilt_zi(sections)[:, :, None] * tau
+        sections, state = memory
+        filtered, state = sosfilt(sections, tau[None], axis=0, zi=state)
+        return filtered[0], (sections, state)
+
+
+def _checked_frequency(filter_: Notch | LowPass, frequency: float, dt: float) -> float:
+    """A frequency that a filter with this control period can have."""
+    highest = math.pi / dt if dt > 0.0 else 0.0
+    if not frequency < highest:
+        raise InputError(f"{filter_}: the frequency must be below pi / dt = {highest:g} rad/s")
+    return frequency

@@ -1,0 +1,67 @@
+// Linear filters of the torques of another law: notches and low-passes.
+#pragma once
+#include "../errors.hpp"
+#include "law_around.hpp"
+
+namespace armctl {
+
+// A second-order section in direct form II transposed: y = b0 x + s0, s0 = b1 x - a1 y + s1, s1 = b2 x - a2 y.
+struct Biquad {
+    double b0;
+    double b1;
+    double b2;
+    double a1;
+    double a2;
+
+    // The output for the input x; s are the two numbers of its state.
+    double output(double x, Result s) const {
+        const double y = b0 * x + s[0];
+        s[0] = b1 * x - a1 * y + s[1];
+        s[1] = b2 * x - a2 * y;
+        return y;
+    }
+
+    // The state in which a constant input x gives a constant output.
+    void settle(double x, Result s) const {
+        const double y = x * (b0 + b1 + b2) / (1.0 + a1 + a2);
+        s[1] = b2 * x - a2 * y;
+        s[0] = b1 * x - a1 * y + s[1];
+    }
+};
+
+// Filters as biquads in series, the same for all joints. They begin a run settled at its first torque.
+class TorqueFilter final : public LawAround {
+public:
+    // `sections` has rows of b0, b1, b2, a0 = 1, a1, a2, as in SciPy.
+    TorqueFilter(const std::shared_ptr<Law>& filtered, const Arguments& gains)
+        : LawAround(filtered, 1 + 2 * gains.length("sections") * filtered->joints()) {
+        const Matrix sections = gains.matrix(gains.length("sections"), 6, "sections");
+        for (size_t k = 0; k < sections.rows; ++k) {
+            const Vector row = sections.row(k);
+            if (row[3] != 1.0) { throw InputError("sections: a0 must be 1"); }
+            sections_.push_back({.b0 = row[0], .b1 = row[1], .b2 = row[2], .a1 = row[4], .a2 = row[5]});
+        }
+    }
+
+    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+        inner_torque(state, setpoint, tau);
+        double& has_begun = own_memory()[0];
+        Result states = own_memory().subspan(1);
+        for (const Biquad& section : sections_) {
+            for (double& torque : tau) {
+                const Result own = states.first(2);
+                if (has_begun == 0.0) { section.settle(torque, own); }
+                torque = section.output(torque, own);
+                states = states.subspan(2);
+            }
+        }
+        has_begun = 1.0;
+    }
+
+    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
+
+private:
+    std::vector<Biquad> sections_;
+};
+
+}  // namespace armctl

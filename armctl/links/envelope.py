@@ -1,0 +1,121 @@
+"""Envelope: the limits that a maker publishes, checked on the rows that will be sent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from armctl.core.limits import Limits, check_speed
+from armctl.core.validation import Array
+
+# Shares of the maker's limits that motions are planned with. The rest is for a lost tick: the robot continues the last rows,
+# and the next row is then a step of acceleration.
+_PLANNED_V = 0.9
+_PLANNED_A = 0.6
+_PLANNED_J = 0.6
+_CHECKED = 1.0 - 1e-3  # share of the maker's limits on a, j that a row may use: differences of float32 positions are noisy
+_SPEED_MARGIN = 1e-3  # rad/s below the maker's limits on v, as in libfranka's rate limiter
+
+
+@dataclass(frozen=True, eq=False)
+class Envelope:
+    """What a maker publishes for a stream of joint positions.
+
+    Attributes:
+        source: Where it is published.
+        limits: The limits of positions, and of the differences of positions over ticks.
+        speed_offset: (n,) rad/s: near an end of its range, a joint's speed is limited to
+            sqrt(2 stopping_acceleration * distance) - speed_offset; None where the limit does not depend on the position.
+        stopping_acceleration: (n,) rad/s^2.
+    """
+
+    source: str
+    limits: Limits
+    speed_offset: Array | None = None
+    stopping_acceleration: Array | None = None
+
+    def planning_limits(self, arm: Limits, speed: float) -> Limits:
+        """The limits that motions are planned with: the smaller ones of maker and model, with a margin.
+
+        Args:
+            arm: The limits of the model.
+            speed: Share of the full speed, in (0, 1]. It also scales acceleration and jerk, so that a stop takes as long at
+                any speed.
+
+        Raises:
+            InputError: The speed is not in (0, 1].
+        """
+        speed = check_speed(speed)
+        maker = self.limits
+        return replace(
+            arm,
+            q_min=np.maximum(arm.q_min, maker.q_min),
+            q_max=np.minimum(arm.q_max, maker.q_max),
+            v_max=speed * np.minimum(arm.v_max, _PLANNED_V * maker.v_max),
+            a_max=speed * np.minimum(arm.a_max, _PLANNED_A * maker.a_max),
+            j_max=speed * np.minimum(arm.j_max, _PLANNED_J * maker.j_max),
+        )
+
+    def speed_limits(self, q: Array) -> tuple[Array, Array]:
+        """The velocities that are allowed at positions.
+
+        Args:
+            q: (T, n) rad.
+
+        Returns:
+            The lowest and the highest ones, each (T, n) rad/s.
+        """
+        highest = np.broadcast_to(self.limits.v_max, q.shape)
+        lowest = -highest
+        if self.speed_offset is not None and self.stopping_acceleration is not None:
+            up = np.sqrt(2.0 * self.stopping_acceleration * np.maximum(self.limits.q_max - q, 0.0)) - self.speed_offset
+            down = np.sqrt(2.0 * self.stopping_acceleration * np.maximum(q - self.limits.q_min, 0.0)) - self.speed_offset
+            highest = np.minimum(highest, np.maximum(up, 0.0))
+            lowest = np.maximum(lowest, -np.maximum(down, 0.0))
+        return lowest + _SPEED_MARGIN, highest - _SPEED_MARGIN
+
+    def refusal(self, rows: Array, before: Array, dt: float) -> str:
+        """Why rows must not be sent; empty if they may.
+
+        Args:
+            rows: (T, n) rad, one each tick.
+            before: (3, n) rad, what was sent before them.
+            dt: s, the tick.
+        """
+        q = np.vstack([before, rows])
+        v = np.diff(q, axis=0) / dt
+        a = np.diff(v, axis=0) / dt
+        j = np.diff(a, axis=0) / dt
+        v = v[2:]
+        a = a[1:]
+        limits = self.limits
+        low, high = self.speed_limits(rows)
+        still = v == 0.0  # a joint may stand where the maker allows no speed
+        outside = {
+            "is at {:.4g} rad, outside [{:.4g}, {:.4g}]": (rows, limits.q_min, limits.q_max),
+            "moves at {:.4g} rad/s, outside [{:.4g}, {:.4g}]": (v, np.where(still, 0.0, low), np.where(still, 0.0, high)),
+            "accelerates at {:.4g} rad/s^2, outside [{:.4g}, {:.4g}]": (a, -_CHECKED * limits.a_max, _CHECKED * limits.a_max),
+            "has a jerk of {:.4g} rad/s^3, outside [{:.4g}, {:.4g}]": (j, -_CHECKED * limits.j_max, _CHECKED * limits.j_max),
+        }
+        first = len(rows)
+        reason = ""
+        for words, (values, lowest, highest) in outside.items():
+            lowest = np.broadcast_to(lowest, values.shape)
+            highest = np.broadcast_to(highest, values.shape)
+            wrong = ~((values >= lowest) & (values <= highest))
+            tick = int(wrong.any(axis=1).argmax())
+            if wrong.any() and tick < first:
+                first = tick
+                joint = int(wrong[tick].argmax())
+                figures = words.format(values[tick, joint], lowest[tick, joint], highest[tick, joint])
+                reason = f"joint {joint + 1} {figures} at {tick * dt:.3f} s ({self.source})"
+        return reason
+
+
+def envelope_of(limits: Limits, source: str) -> Envelope:
+    """An envelope for a robot whose maker publishes none: the limits of its model are what motions are planned with."""
+    return Envelope(
+        source,
+        replace(limits, v_max=limits.v_max / _PLANNED_V, a_max=limits.a_max / _PLANNED_A, j_max=limits.j_max / _PLANNED_J),
+    )

@@ -1,0 +1,66 @@
+"""Whether a model is the robot that is connected: number of joints, positions in range, the tip, the payload."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from armctl.core.pose import Pose
+from armctl.core.validation import Array
+from armctl.links.link import Seen
+from armctl.robot.arm import Arm
+
+TIP_TOLERANCE_M = 2e-3
+_RANGE_TOLERANCE = 1e-3  # rad: encoders may read a little more than the range
+_PAYLOAD_TOLERANCE_KG = 1e-3
+
+
+def base_pose(arm: Arm) -> Pose:
+    """T_world_base: the body that carries the first joint."""
+    data = mujoco.MjData(arm.model)
+    data.qpos[:] = arm.home_qpos
+    mujoco.mj_kinematics(arm.model, data)
+    base = arm.model.body_parentid[arm.model.dof_bodyid[arm.dof_adr[0]]]
+    return Pose.from_rotation(data.xpos[base], data.xmat[base].reshape(3, 3))
+
+
+def tip_difference(arm: Arm, q: Array, T_base_tip: Array) -> float:
+    """m, between the tip of the model and that of the robot."""
+    robot = (base_pose(arm) @ Pose.from_matrix(T_base_tip)).position
+    return float(np.linalg.norm(arm.fk(q).position - robot))
+
+
+def model_refusal(arm: Arm, seen: Seen, T_base_tip: Array | None, set_payload: float | None, payload: float) -> str:
+    """Why a model is not the robot; empty if nothing speaks against it.
+
+    Args:
+        arm: The model.
+        seen: What the robot measures.
+        T_base_tip: (4, 4) by the maker's kinematics; None if the robot does not tell.
+        set_payload: kg that the robot is set to; None if it has no such setting.
+        payload: kg at the tip, as the program says.
+    """
+    if len(seen.q) != arm.n:
+        return f"the robot has {len(seen.q)} joints, the model {arm.name:.60} has {arm.n}"
+    outside = np.maximum(arm.limits.q_min - seen.q, seen.q - arm.limits.q_max)
+    joint = int(outside.argmax())
+    if outside[joint] > _RANGE_TOLERANCE:
+        low = arm.limits.q_min[joint]
+        high = arm.limits.q_max[joint]
+        return (
+            f"{arm.joint_names[joint]} of the robot is at {seen.q[joint]:.4f} rad, outside the range of the model, "
+            f"[{low:.4f}, {high:.4f}] rad; move it into the range by hand, or load the right model"
+        )
+    if T_base_tip is not None:
+        difference = tip_difference(arm, seen.q, T_base_tip)
+        if difference > TIP_TOLERANCE_M:
+            return (
+                f"the tip of the model {arm.name:.60} is {1e3 * difference:.1f} mm from the tip that the robot computes, "
+                f"at most {1e3 * TIP_TOLERANCE_M:g} mm; the model lacks a tool, or the robot has another one set"
+            )
+    if set_payload is not None and abs(set_payload - payload) > _PAYLOAD_TOLERANCE_KG:
+        return (
+            f"the robot is set to a payload of {set_payload:g} kg, the program says {payload:g} kg; "
+            "set the robot's load, or give payload= to the Robot"
+        )
+    return ""

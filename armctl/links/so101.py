@@ -1,0 +1,297 @@
+"""SO-100 and SO-101: goal positions of Feetech STS3215 servos on a serial bus, 50 times a second."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from armctl.core.errors import InputError, LinkError, NotInstalledError
+from armctl.core.validation import Array, IntArray
+from armctl.links.envelope import Envelope, envelope_of
+from armctl.links.link import Seen
+from armctl.robot.arm import Arm, check_arm
+
+# Feetech's memory table of the STS3215.
+_BAUD = 1_000_000
+_MODEL = 777
+_HOMING_OFFSET = 31
+_TORQUE = 40
+_GOAL = 42
+_PRESENT = 56  # position, speed, load: two bytes each, then voltage and temperature
+_PRESENT_SIZE = 8
+_STATUS = 65
+_COUNTS = 4096  # per turn
+_STATUS_BITS = ("voltage", "angle sensor", "overheated", "overcurrent", "", "overload")
+
+_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
+_TRIES = 3  # of a request: the bus of a busy computer loses an answer now and then
+_TRAVEL_TOLERANCE = 0.25  # of the model's range, by which the calibrated travel may differ
+_FULL_TURN_COUNTS = 4000  # a recorded travel of more is that of a joint without stops
+_BLOCKED_RAD = 0.25  # behind its goal for so long: a joint that is blocked
+_BLOCKED_S = 0.3
+_Answer = TypeVar("_Answer")
+
+
+class _Servo(NamedTuple):
+    """One row of a calibration file."""
+
+    id: int
+    offset: int
+    middle: float
+    travel: int
+
+
+class SO101:
+    """An SO-100 or SO-101 arm on a serial port. Needs the extra `so101`, and a calibration by LeRobot.
+
+    It was tried with a simulated bus only, never with a robot. The servos protect nothing: they run to any goal at once. The
+    torque is switched on when the link opens, at the positions where the joints are, and stays on when it closes.
+
+    The middle of each joint's calibrated travel is taken for the middle of its range in the model: compare the model with the
+    arm by eye before the first motion. The servos measure no torque, so `log.tau` is NaN, and `identify` refuses the log.
+
+    Attributes:
+        port: The serial port.
+        name, address, dt, envelope, rest_speed, settle, payload, passes_time: As of every link.
+    """
+
+    dt = 0.02
+    rest_speed = 0.05
+    settle = (5e-3, 2e-2)
+    payload: float | None = None
+    passes_time = False
+
+    def __init__(self, arm: Arm, port: str, calibration: str | os.PathLike[str]):
+        """An arm that is not connected yet.
+
+        Args:
+            arm: Its model with five joints, from `armctl.load("so101")` or `armctl.load("so_arm100")`.
+            port: Such as /dev/ttyACM0.
+            calibration: The file that `lerobot-calibrate` wrote, such as
+                ~/.cache/huggingface/lerobot/calibration/robots/so101_follower/NAME.json.
+
+        Raises:
+            InputError: The arm has no five joints, or the file is missing, is no calibration, or does not fit the arm.
+        """
+        check_arm(arm)
+        if arm.n != len(_JOINTS):
+            raise InputError(f"arm: {arm.name:.60} has {arm.n} joints, an SO-101 has {len(_JOINTS)} without its gripper")
+        self.port = str(port)
+        self.name = f"SO-101 at {port}"
+        self.address = self.port
+        self.envelope: Envelope | None = envelope_of(arm.limits, f"limits of the model {arm.name}: the maker publishes none")
+        servos = _read_calibration(Path(calibration), arm)
+        self._ids = [servo.id for servo in servos]
+        self._offsets = [servo.offset for servo in servos]
+        self._middle = np.array([servo.middle for servo in servos])
+        self._q_middle = 0.5 * (arm.limits.q_min + arm.limits.q_max)
+        self._names = arm.joint_names
+        self._bus: Any = None
+
+    def open(self) -> None:
+        """Opens the port, checks servos and calibration, and switches the torque on where the joints are."""
+        sdk = _sdk()
+        port = sdk.PortHandler(self.port)
+        try:
+            port.openPort()
+        except OSError as error:
+            raise LinkError(f"{self.port}: cannot be opened: {error.strerror or error}") from None
+        port.setBaudRate(_BAUD)
+        self._port = port
+        self._bus = sdk.PacketHandler(0)
+        self._reader = sdk.GroupSyncRead(port, self._bus, _PRESENT, _PRESENT_SIZE)
+        self._began = time.monotonic()
+        self._behind_since = np.full(len(self._ids), np.inf)
+        self._checked = 0
+        for servo, offset in zip(self._ids, self._offsets, strict=True):
+            if self._asked(lambda servo=servo: self._bus.ping(port, servo), servo) != _MODEL:
+                raise LinkError(f"{self.port}: servo {servo} is no STS3215")
+            found = _signed(self._asked(lambda servo=servo: self._bus.read2ByteTxRx(port, servo, _HOMING_OFFSET), servo), 11)
+            if found != offset:
+                raise LinkError(
+                    f"{self.port}: servo {servo} has the homing offset {found}, the calibration file {offset}: it is that of "
+                    "another arm, or this one was calibrated again"
+                )
+            self._reader.addParam(servo)
+        counts = self._counts()
+        self._write(counts)  # first: when its torque is switched on, a servo runs to its goal
+        for servo in self._ids:
+            self._asked(lambda servo=servo: (0, *self._bus.write1ByteTxRx(port, servo, _TORQUE, 1)), servo)
+        self._told = self._angles(counts)
+
+    def read(self) -> Seen:
+        """The arm now."""
+        if self._bus is None:
+            raise LinkError(f"{self.port}: the link is not open; give it to an armctl.Robot")
+        counts = self._counts()
+        speeds = [_signed(self._reader.getData(servo, _PRESENT + 2, 2), 15) for servo in self._ids]
+        v = np.array(speeds) * (2.0 * np.pi / _COUNTS)
+        return Seen(
+            t=time.monotonic() - self._began,
+            q=self._angles(counts),
+            v=v,
+            tau=np.full(len(v), np.nan),
+            q_ref=self._told,
+            fault=self._fault(),
+        )
+
+    def tip(self) -> Array | None:
+        """None: the arm does not tell."""
+        return None
+
+    def start(self) -> None:
+        """Begins a stream."""
+        self._due = time.monotonic()
+        self._behind_since[:] = np.inf
+
+    def wait(self) -> tuple[int, Seen]:
+        """The next tick."""
+        ticks = 1
+        self._due += self.dt
+        late = time.monotonic() - self._due
+        if late < 0.0:
+            time.sleep(-late)
+        else:
+            ticks += int(late / self.dt)
+            self._due += (ticks - 1) * self.dt
+        seen = self.read()
+        self._hold_blocked(seen)
+        return ticks, seen
+
+    def send(self, q: Array, last: bool) -> None:
+        """Sends the row of a tick."""
+        self._write(np.rint((q - self._q_middle) * (_COUNTS / (2.0 * np.pi)) + self._middle).astype(np.int64))
+        self._told = np.array(q)
+
+    def recover(self) -> None:
+        """Takes the present positions as goals. A servo that has switched itself off keeps its fault until the power is cut."""
+        counts = self._counts()
+        self._write(counts)
+        self._told = self._angles(counts)
+        fault = "".join(self._fault() for _ in self._ids)
+        if fault:
+            raise LinkError(f"recover: {fault}; switch the power of the servos off and on")
+
+    def hand(self, action: str, *arguments: float) -> Any:
+        """Refused: the gripper is a joint with an unknown width."""
+        raise LinkError("gripper: the gripper of an SO-101 is not supported")
+
+    def close(self) -> None:
+        """Closes the port; the servos hold."""
+        if self._bus is not None:
+            self._bus = None
+            self._port.closePort()
+
+    def _angles(self, counts: IntArray) -> Array:
+        return self._q_middle + (counts - self._middle) * (2.0 * np.pi / _COUNTS)
+
+    def _counts(self) -> IntArray:
+        """The present positions."""
+        self._asked(lambda: (0, self._reader.txRxPacket(), 0), self._ids[0])
+        return np.array([self._reader.getData(servo, _PRESENT, 2) for servo in self._ids])
+
+    def _write(self, counts: IntArray) -> None:
+        """Writes the goals of all servos in one packet, which nobody answers."""
+        outside = (counts < 0) | (counts >= _COUNTS)
+        if outside.any():
+            joint = self._names[int(outside.argmax())]
+            raise LinkError(f"{joint}: its servo would have to turn over its zero; calibrate it with its middle at half a turn")
+        writer = _sdk().GroupSyncWrite(self._port, self._bus, _GOAL, 2)
+        for servo, value in zip(self._ids, counts.tolist(), strict=True):
+            writer.addParam(servo, [value & 0xFF, value >> 8])
+        writer.txPacket()
+
+    def _hold_blocked(self, seen: Seen) -> None:
+        """Holds the arm where it is if a joint stays far behind its goal: a servo that presses on burns out."""
+        now = time.monotonic()
+        behind = np.abs(seen.q - self._told) > _BLOCKED_RAD
+        self._behind_since = np.where(behind, np.minimum(self._behind_since, now), np.inf)
+        blocked = now - self._behind_since > _BLOCKED_S
+        if blocked.any():
+            counts = self._counts()
+            self._write(counts)
+            self._told = self._angles(counts)
+            raise LinkError(f"{self._names[int(blocked.argmax())]} is blocked; the arm holds where it is")
+
+    def _fault(self) -> str:
+        """What one servo reports; the next one at the next call, because a common reading does not tell."""
+        servo = self._ids[self._checked % len(self._ids)]
+        self._checked += 1
+        status = self._asked(lambda: self._bus.read1ByteTxRx(self._port, servo, _STATUS), servo)
+        named = [name for bit, name in enumerate(_STATUS_BITS) if name and status >> bit & 1]
+        return f"servo {servo}: {', '.join(named)}" if named else ""
+
+    def _asked(self, request: Callable[[], tuple[_Answer, int, int]], servo: int) -> _Answer:
+        """The answer to a request. Answers carry no number, so what came late is thrown away before the next try."""
+        result = 0
+        for _ in range(_TRIES):
+            try:
+                value, result, _ = request()
+                if result == 0:
+                    return value
+            except IndexError:  # of the SDK, by an answer to another request
+                result = _sdk().COMM_RX_CORRUPT
+            except OSError as error:
+                raise LinkError(f"{self.port}: {error.strerror or error}") from None
+            self._port.is_using = False
+            time.sleep(0.01)
+            self._port.ser.reset_input_buffer()
+        words = self._bus.getTxRxResult(result).removeprefix("[TxRxResult] ").rstrip("!")
+        raise LinkError(f"{self.port}: servo {servo} does not answer: {words}")
+
+
+def _read_calibration(path: Path, arm: Arm) -> list[_Servo]:
+    """The servos of the five joints, by a calibration file of LeRobot, compared with the model.
+
+    Raises:
+        InputError: There is no such file, it is no calibration, or the travel of a joint is not that of the model.
+    """
+    try:
+        rows = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"calibration: {path}: {error.strerror or error}; without one the zero of the joints is unknown: "
+            "run lerobot-calibrate"
+        ) from None
+    except ValueError:
+        raise InputError(f"calibration: {path} is no JSON file; lerobot-calibrate writes one") from None
+    servos = []
+    ranges = arm.limits.q_max - arm.limits.q_min
+    for name, model_range in zip(_JOINTS, ranges.tolist(), strict=True):
+        try:
+            row = rows[name]
+            low = int(row["range_min"])
+            high = int(row["range_max"])
+            servo = _Servo(int(row["id"]), int(row["homing_offset"]), 0.5 * (low + high), high - low)
+        except (KeyError, TypeError, ValueError):
+            raise InputError(
+                f"calibration: {path} has no row {name!r} with id, homing_offset, range_min and range_max"
+            ) from None
+        travel = servo.travel * 2.0 * np.pi / _COUNTS
+        if servo.travel < _FULL_TURN_COUNTS and abs(travel - model_range) > _TRAVEL_TOLERANCE * model_range:
+            raise InputError(
+                f"calibration: {name} travels {travel:.2f} rad, the joint of the model {arm.name:.60} {model_range:.2f} rad; "
+                "calibrate again, and move each joint through its whole range"
+            )
+        servos.append(servo)
+    return servos
+
+
+def _signed(value: int, sign_bit: int) -> int:
+    """A number of a sign and a magnitude."""
+    return -(value & ~(1 << sign_bit)) if value >> sign_bit & 1 else value
+
+
+def _sdk() -> Any:
+    """Feetech's client."""
+    try:
+        return import_module("scservo_sdk")
+    except ImportError:
+        raise NotInstalledError.of_extra("links to an SO-101 need feetech-servo-sdk", "so101") from None

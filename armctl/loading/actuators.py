@@ -1,0 +1,160 @@
+"""What armctl makes of the actuators, springs and sensors of a file: a sentence for whatever is not what it was."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from armctl.loading.catalog import Source
+from armctl.mjmodel.dc_motor import DcMotor, dc_motor, is_dc_motor
+from armctl.mjmodel.queries import Joints, joint_name
+from armctl.mjmodel.transmissions import Transmission, Transmissions
+
+# What becomes of each attribute of the actuators in MJCF. A test compares the table with MuJoCo's own schema.
+ATTRIBUTES = {
+    "kept": "name class group user joint jointinparent tendon gear armature damping nsample interp delay",
+    "a limit of the arm": "forcelimited forcerange nominal resistance motorconst saturation ctrllimited ctrlrange",
+    "simulated, and named by a warning": "inductance cogging thermal lugre",
+    "of a servo, which a torque motor replaces": (
+        "kp kv ki kd dampratio timeconst imax slewmax posrange velrange ffrange inheritrange input controller actlimited "
+        "actrange actdim actearly dyntype gaintype biastype dynprm gainprm biasprm area diameter bias plugin instance"
+    ),
+    "of a transmission that drives no joint of an arm": (
+        "site refsite cranksite slidersite cranklength body gain lengthrange force scale lmin lmax vmax fpmax fvmax range "
+        "tausmooth"
+    ),
+}
+_WRONG_SOLVER = "4.0.0"  # the version whose Newton solver has a wrong Hessian for sparse Jacobians
+_MIN_SPARSE_DOFS = 60  # from which `jacobian="auto"` means sparse
+_MAX_INCLUDED_FILES = 100
+_JOINT_SENSORS = (
+    mujoco.mjtSensor.mjSENS_JOINTPOS,
+    mujoco.mjtSensor.mjSENS_JOINTVEL,
+    mujoco.mjtSensor.mjSENS_ACTUATORPOS,
+    mujoco.mjtSensor.mjSENS_ACTUATORVEL,
+)
+
+
+def dc_motors(source: Source, model: mujoco.MjModel, transmissions: Sequence[Transmission]) -> tuple[DcMotor | None, ...]:
+    """The DC motors of an arm's joints; None for a joint that has another actuator."""
+    if not any(is_dc_motor(model, each.actuator) for each in transmissions):
+        return tuple(None for _ in transmissions)
+    nominal = [] if source.path is None else list(_nominal_data(source.path))
+    return tuple(
+        dc_motor(model, each.actuator, each.gear, nominal) if is_dc_motor(model, each.actuator) else None
+        for each in transmissions
+    )
+
+
+def actuator_notes(
+    analysis: Transmissions, joints: Joints, transmissions: Sequence[Transmission], motors: Sequence[DcMotor | None]
+) -> tuple[list[str], list[str]]:
+    """What differs from the file or from what controllers model, one sentence each: those that need a warning, and others.
+
+    Args:
+        joints: The joints of the chain, spring joints included.
+    """
+    model = analysis.model
+    names = [joint_name(model, each.joint) for each in transmissions]
+    warned: list[str] = []
+    windings = [
+        f"{name}: {' and '.join(motor.features)}" for name, motor in zip(names, motors, strict=True) if motor and motor.features
+    ]
+    if windings:
+        warned.append(f"what DC motors have acts in simulation, but controllers do not model it ({_listed(windings)})")
+    delays = [
+        f"{name} {1e3 * model.actuator_delay[each.actuator]:.3g} ms"
+        for name, each in zip(names, transmissions, strict=True)
+        if model.actuator_delay[each.actuator] > 0.0
+    ]
+    if delays:
+        warned.append(f"the actuators delay commands ({_listed(delays)}); simulations and margins include it")
+    springs = [
+        f"{joint_name(model, joint)} behind {joint_name(model, motor_joint)}, {model.jnt_stiffness[joint]:.3g} N m/rad"
+        for joint, motor_joint in analysis.springs.items()
+        if joint in joints and motor_joint in joints
+    ]
+    if springs:
+        warned.append(f"elastic joints move in simulation and margins, but controllers take them as rigid ({_listed(springs)})")
+    moved = {joint for each in transmissions for joint in each.coupled} | set(joints)
+    yielding = [
+        f"{joint_name(model, joint)} beyond {model.jnt_springyield[joint]:.3g} rad"
+        for joint in sorted(moved)
+        if model.jnt_plasticadr[joint] >= 0
+    ]
+    if yielding:
+        warned.append(f"springs yield in simulation (springyield), but controllers take them as elastic ({_listed(yielding)})")
+    warned += _sensor_notes(model, moved, {each.actuator for each in transmissions})
+    servos = [name for name, each in zip(names, transmissions, strict=True) if _is_servo(model, each.actuator)]
+    quiet = [f"torque motors replace the servos of {_listed(servos)}: their gains are not used"] if servos else []
+    return warned, quiet
+
+
+def mend_solver(model: mujoco.MjModel, option: mujoco.MjOption) -> list[str]:
+    """Makes the Jacobians dense, in place, if this version of MuJoCo solves constraints wrongly with sparse ones.
+
+    Args:
+        model: The model, from which "auto" follows.
+        option: The options to change, of the model or of its specification.
+
+    Returns:
+        One sentence if it was so, or none.
+    """
+    is_sparse = model.opt.jacobian == mujoco.mjtJacobian.mjJAC_SPARSE or (
+        model.opt.jacobian == mujoco.mjtJacobian.mjJAC_AUTO and model.nv >= _MIN_SPARSE_DOFS
+    )
+    uses_newton = model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
+    if mujoco.__version__ != _WRONG_SOLVER or not (is_sparse and uses_newton):
+        return []
+    option.jacobian = int(mujoco.mjtJacobian.mjJAC_DENSE)
+    return ["MuJoCo 4.0.0 computes wrong accelerations with sparse Jacobians, so they are dense; 4.0.1 takes less time"]
+
+
+def _sensor_notes(model: mujoco.MjModel, joints: Iterable[int], actuators: Iterable[int]) -> Iterator[str]:
+    """Sensors of the arm's joints that are late: controllers read the joints themselves."""
+    moved = {"jnt": set(joints), "act": set(actuators)}
+    late = []
+    for sensor in range(model.nsensor):
+        if model.sensor_type[sensor] not in map(int, _JOINT_SENSORS):
+            continue
+        kind = "jnt" if model.sensor_objtype[sensor] == mujoco.mjtObj.mjOBJ_JOINT else "act"
+        if int(model.sensor_objid[sensor]) not in moved[kind]:
+            continue
+        if model.sensor_delay[sensor] > 0.0 or model.sensor_interval[sensor, 0] > 0.0:
+            late.append(model.sensor(sensor).name or f"sensor{sensor}")
+    if late:
+        yield f"the sensors {_listed(late)} are late, but controllers read the joints; Plant(sensor_delay=...) delays that"
+
+
+def _is_servo(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether the force of an actuator is more than its control times a constant."""
+    if is_dc_motor(model, actuator):
+        return bool(model.actuator_gainprm[actuator, 4:7].any())
+    is_fixed = model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
+    has_bias = model.actuator_biastype[actuator] != mujoco.mjtBias.mjBIAS_NONE
+    return bool(not is_fixed or has_bias or model.actuator_actnum[actuator] or model.actuator_plugin[actuator] >= 0)
+
+
+def _nominal_data(path: Path) -> Iterator[tuple[float, float, float]]:
+    """Every `nominal` in a file and in the files that it includes: voltage, stall torque, no-load speed."""
+    waiting = [path]
+    read: set[Path] = set()
+    while waiting and len(read) < _MAX_INCLUDED_FILES:
+        here = waiting.pop()
+        if here in read or not here.is_file():
+            continue
+        read.add(here)
+        text = re.sub(r"<!--.*?-->", "", here.read_text(errors="replace"), flags=re.DOTALL)
+        for found in re.findall(r"""\bnominal\s*=\s*["']([^"']*)["']""", text):
+            values = np.array([float(x) for x in found.split()])
+            if len(values) == 3 and (values > 0.0).all():
+                yield float(values[0]), float(values[1]), float(values[2])
+        waiting += [path.parent / name for name in re.findall(r"""\bfile\s*=\s*["']([^"']*\.xml)["']""", text)]
+
+
+def _listed(names: Sequence[str]) -> str:
+    return f"{'; '.join(names):.200}"

@@ -1,0 +1,110 @@
+"""Drive: what moves an arm along references: a simulated plant, or the link to a robot."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import mujoco
+
+from armctl.control import Controller, State
+from armctl.core.pose import Pose
+from armctl.core.trajectory import TickReference, Trajectory
+from armctl.core.validation import Array
+from armctl.motion.trajectory.piecewise import Pieces
+from armctl.robot.actuation import Actuation
+from armctl.robot.arm import Arm
+from armctl.sim.recorder import Recorder
+
+
+class Drive(Protocol):
+    """What the commands of an arm need of a plant or a robot; `Stepper` is the one of a simulation.
+
+    Attributes:
+        actuation: The driven joints.
+        model: The MuJoCo model of the scene.
+        data: The scene now; for a robot, a mirror of what it measures.
+        dt: s, the tick.
+        failure: Why the last run ended early, in words; empty if it did not.
+    """
+
+    actuation: Actuation
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    dt: float
+    failure: str
+
+    @property
+    def n(self) -> int:
+        """The number of driven joints."""
+        ...
+
+    @property
+    def q_ref(self) -> Array:
+        """(n,) rad, the last reference, where the next motion starts."""
+        ...
+
+    @property
+    def continuous(self) -> bool:
+        """Whether the arm moves almost continuously between ticks."""
+        ...
+
+    @property
+    def description(self) -> str:
+        """The plant or the robot in words, for the log."""
+        ...
+
+    @property
+    def blocked(self) -> str:
+        """Why no motion may start, and what to do; empty if one may."""
+        ...
+
+    @property
+    def state(self) -> State:
+        """The state of all arms now."""
+        ...
+
+    def tip_pose(self, arm: Arm) -> Pose:
+        """The pose of an arm's tip now, T_world_tip."""
+        ...
+
+    def is_still(self, joints: slice) -> bool:
+        """Whether some of the joints are at rest."""
+        ...
+
+    def recorder(self) -> Recorder:
+        """A recorder for a run."""
+        ...
+
+    def reference(self, trajectory: Trajectory, ticks: int) -> TickReference:
+        """The first `ticks` ticks of a trajectory."""
+        ...
+
+    def hold_reference(self, seconds: float) -> TickReference:
+        """A reference that stays where the last one ended, for at least one tick."""
+        ...
+
+    def run(
+        self,
+        controller: Controller,
+        reference: TickReference,
+        recorder: Recorder,
+        to_rest: Pieces | None = None,
+    ) -> None:
+        """Runs along a reference; `failure` says why if the run ends early.
+
+        Args:
+            controller: What computes the torques; a robot uses its own.
+            reference: The reference of each tick.
+            recorder: Where the ticks are recorded.
+            to_rest: The motion from the first row on, up to rest, where the reference is its beginning. A robot follows it if
+                nothing else comes in time; a simulation waits.
+        """
+        ...
+
+    def come_to_rest(self, *, stop: bool) -> None:
+        """Called where a run ends: waits until a robot rests. A simulation stands between two runs.
+
+        Args:
+            stop: Whether the rest of the motion is left out: the arm brakes on its path.
+        """
+        ...

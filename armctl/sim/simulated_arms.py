@@ -1,0 +1,139 @@
+"""SimulatedArms: arms on a simulated plant, with what only a simulation can do."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armctl.control import Controller, State, controller_name
+from armctl.core.errors import ArmctlWarning
+from armctl.core.log import Log
+from armctl.core.trajectory import TickReference
+from armctl.core.validation import Array
+from armctl.robot.arm import Arm
+from armctl.sim.constant_torque import ConstantTorque
+from armctl.sim.move import NO_TARGET, ControlledArms
+from armctl.sim.recorder import Recorder, TickRows
+from armctl.sim.stepper import Stepper
+
+_STEP_ROWS = 1024  # ticks for which memory is allocated at once while a caller steps
+
+
+class SimulatedArms(ControlledArms):
+    """Arms of one model in one simulation, each with a controller.
+
+    Attributes:
+        stepper: The simulation.
+    """
+
+    def __init__(self, arms: Sequence[Arm], controllers: Mapping[str, Controller], stepper: Stepper):
+        super().__init__(arms, controllers, stepper)
+        self.stepper = stepper
+        self._steps: _StepRecording | None = None
+
+    @property
+    def logs(self) -> dict[str, Log]:
+        """The log of each arm's last run; empty before the first."""
+        if self._steps is not None and self._steps.recorder.size != self._steps.logged:
+            self._keep_step_logs(self._steps)
+        return self._logs
+
+    def reset(self, q: ArrayLike | None = None, v: ArrayLike | None = None) -> None:
+        """Sets time to 0 and the joints to q and v; home and rest by default."""
+        self.stepper.reset(q, v)
+        if self._steps is not None:
+            self._logs = self.logs
+            self._steps = None
+
+    def step(self, torque: Array | None) -> State:
+        """Runs one tick of a single arm, with a torque or with its controller at the last reference.
+
+        Returns:
+            The measured state after the tick.
+        """
+        self.resume()
+        if self._steps is None:
+            self._logs = {}
+            self._steps = _StepRecording(self.stepper)
+        steps = self._steps
+        controller = self._controller if torque is None else ConstantTorque(torque)
+        try:
+            self.stepper.step(controller, steps.next_rows(controller, holds=torque is None))
+        except BaseException as error:
+            self._keep_step_logs(steps, error)
+            raise
+        return self.stepper.measured_state
+
+    def _keep_logs(
+        self,
+        recorder: Recorder,
+        durations: Mapping[str, float],
+        targets: Mapping[str, Array],
+        started: float,
+        error: BaseException | None,
+        controller: Controller | None = None,
+    ) -> None:
+        if recorder.has_begun:
+            self._steps = None
+        super()._keep_logs(recorder, durations, targets, started, error, controller)
+        if recorder.has_begun and self.stepper.plant.wrench_source == "flange":
+            self._warn_of_unmeasured_forces()
+
+    def _warn_of_unmeasured_forces(self) -> None:
+        """Warns if a link touched something in front of a sensor: its controller knows only a part of the force."""
+        for log in self._logs.values():
+            if log.unmeasured_bodies:
+                bodies = ", ".join(log.unmeasured_bodies)
+                warnings.warn(
+                    f"{log.robot}: the flange sensor does not measure the force on {bodies:.80}, which touched something "
+                    "in front of the sensor; so the true force differs from the measured one",
+                    ArmctlWarning,
+                    stacklevel=2,
+                )
+
+    def _keep_step_logs(self, steps: _StepRecording, error: BaseException | None = None) -> None:
+        """Makes the log of the steps so far."""
+        duration = steps.recorder.size * self.stepper.dt
+        info = self._run_info(" + ".join(steps.controllers), duration, NO_TARGET, steps.started, error)
+        self._logs = {tip: steps.recorder.log(arm, info) for tip, arm in self.arms.items()}
+        steps.logged = steps.recorder.size
+        self._give_log(error)
+
+
+class _StepRecording:
+    """The ticks of a caller's own loop; memory is allocated for many of them at once.
+
+    Attributes:
+        recorder: Where they are recorded.
+        started: When the first step began, by `time.perf_counter`.
+        logged: How many ticks the last log of them has.
+    """
+
+    def __init__(self, stepper: Stepper):
+        self.recorder = stepper.recorder()
+        self.controllers: list[str] = []
+        self.started = time.perf_counter()
+        self.logged = -1
+        self._stepper = stepper
+        self._rows: TickRows | None = None
+        self._q = np.zeros((0, 0))
+        self._rates = np.zeros((0, 0))
+
+    def next_rows(self, controller: Controller, holds: bool) -> TickRows:
+        """Rows whose next one has a reference: the last one if the controller holds it, else NaN."""
+        rows = self._rows
+        if rows is None or rows.count == len(self._q):
+            self._q = np.empty((_STEP_ROWS, self._stepper.n))
+            self._rates = np.empty((_STEP_ROWS, self._stepper.n))
+            rows = self.recorder.begin(TickReference(self._q, self._rates, self._rates, self._rates, self._rates))
+            self._rows = rows
+        self._q[rows.count] = self._stepper.q_ref if holds else np.nan
+        self._rates[rows.count] = 0.0 if holds else np.nan
+        name = controller_name(controller) if holds else "external"
+        if name not in self.controllers:
+            self.controllers.append(name)
+        return rows

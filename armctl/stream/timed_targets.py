@@ -1,0 +1,196 @@
+"""TimedTargets: what a source of targets wants in the near future, from what it sent."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from armctl.core.validation import Array
+
+_HISTORY_S = 0.8  # older targets say nothing about the next one
+# Numbers of targets in the fit, and the degree of its polynomial. Few follow fast motions, many average noise.
+_FITS = ((4, 1), (6, 2), (10, 2), (16, 2))
+_MIN_FOR_SLOPE = 2
+_MIN_FOR_CURVATURE = 6  # with fewer, the noise of the curvature exceeds what it corrects
+_JUDGED_AHEAD = 3  # frames, after which a prediction is compared with the target
+_FORGETTING = 0.9  # of earlier errors, at each target
+_MIN_FOR_SCATTER = 4
+_JUMP_FACTOR = 6.0  # of the scatter about the fit; a target that is further off begins a new history
+_MIN_JUMP = 0.02  # rad (m): smaller steps are followed as a motion
+# After how many frames the arm may join the prediction; after one it would copy the noise of the targets.
+_JOIN_FRAMES = (2, 3, 4, 6, 8, 12, 16, 24, 32)
+_MAX_JOIN_S = 0.5  # an arm that is too slow for this comes to rest at the newest target instead
+_FOLLOWED_FRAMES = 2  # after the join; a source that is silent for longer has stopped
+_DEFAULT_INTERVAL_S = 1 / 30
+_MIN_INTERVAL_S = 0.01
+_MAX_INTERVAL_S = 0.2
+
+
+class Knots(NamedTuple):
+    """The wanted states at some times, and where the arm rests afterwards.
+
+    Attributes:
+        t: (K,) s, increasing.
+        q: (K, n) rad.
+        v: (K, n) rad/s.
+        a: (K, n) rad/s^2.
+        rest: (n,) rad.
+        joins: Which states, from one index to another, a motion may follow, the best first.
+    """
+
+    t: Array
+    q: Array
+    v: Array
+    a: Array
+    rest: Array
+    joins: tuple[slice, ...]
+
+
+class TimedTargets:
+    """The history of single targets, which is extrapolated, or the rows of a chunk, which are interpolated.
+
+    Attributes:
+        rest: (n,) rad, the newest target, where the arm rests if nothing more arrives.
+    """
+
+    def __init__(self, q: Array, v_max: Array, a_max: Array):
+        """No targets: an arm with these limits, each (n,), rests at q (n,)."""
+        self._v_max = v_max
+        self._a_max = a_max
+        self.rest = q
+        self._history: deque[tuple[float, Array]] = deque(maxlen=_FITS[-1][0] + _JUDGED_AHEAD)
+        self._errors = np.zeros(len(_FITS))
+        self._chunk: tuple[Array, Array] | None = None
+
+    @property
+    def newest(self) -> float:
+        """The time of the newest single target, s."""
+        return self._history[-1][0] if self._history else -np.inf
+
+    def push(self, t: float, q: Array) -> None:
+        """Adds a target (n,) for a time that is later than `newest`. It ends a chunk."""
+        self._chunk = None
+        history = self._history
+        while history and t - history[0][0] > _HISTORY_S:
+            history.popleft()
+        if history and self._is_jump(t, q):
+            history.clear()
+            self._errors[:] = 0.0
+        self._judge(t, q)
+        history.append((t, q))
+        self.rest = q
+
+    def push_chunk(self, t: Array, rows: Array) -> None:
+        """Replaces all targets from t[0] on by rows (K, n) at the times t (K,)."""
+        if self._chunk is not None:
+            earlier = self._chunk[0] < t[0]
+            t = np.concatenate([self._chunk[0][earlier], t])
+            rows = np.concatenate([self._chunk[1][earlier], rows])
+        self._chunk = (t, rows)
+        self._history.clear()
+        self.rest = rows[-1]
+
+    def rest_at(self, q: Array) -> None:
+        """Forgets all targets: the arm comes to rest, near q (n,)."""
+        self._history.clear()
+        self._chunk = None
+        self.rest = q
+
+    def knots(self, now: float) -> Knots:
+        """The wanted states after a time, s."""
+        if self._chunk is not None:
+            return self._interpolated(now)
+        step = self.interval
+        frames = [k for k in _JOIN_FRAMES if k == _JOIN_FRAMES[0] or k * step <= _MAX_JOIN_S]
+        times: Array = now + step * np.arange(1.0, frames[-1] + _FOLLOWED_FRAMES + 1.0)
+        joins = tuple(slice(k - 1, k + _FOLLOWED_FRAMES) for k in frames)
+        return Knots(times, *self._predicted(times), self.rest, joins)
+
+    @property
+    def interval(self) -> float:
+        """s between two single targets."""
+        if len(self._history) < _MIN_FOR_SLOPE:
+            return _DEFAULT_INTERVAL_S
+        times = [t for t, _ in self._history]
+        return min(max(float(np.median(np.diff(times))), _MIN_INTERVAL_S), _MAX_INTERVAL_S)
+
+    def _predicted(self, times: Array) -> tuple[Array, Array, Array]:
+        """Position, velocity and acceleration at times (K,), by a polynomial of least squares through the history."""
+        if len(self._history) < _MIN_FOR_SLOPE:
+            at_rest = np.zeros((len(times), len(self.rest)))
+            return self.rest + at_rest, at_rest, at_rest
+        newest = self._history[-1][0]
+        best = int(np.argmin(self._errors))
+        c = _fit(*self._last(0), *_FITS[best])
+        u = (times - newest)[:, None]
+        return c[0] + u * (c[1] + u * c[2]), c[1] + 2 * u * c[2], np.broadcast_to(2 * c[2], (len(times), c.shape[1]))
+
+    def _judge(self, t: float, q: Array) -> None:
+        """Compares a target with what each fit predicted some frames ago."""
+        if len(self._history) < _MIN_FOR_CURVATURE + _JUDGED_AHEAD:
+            return
+        times, rows = self._last(_JUDGED_AHEAD - 1)
+        u = t - times[-1]
+        errors = [np.sum((q - (c[0] + u * (c[1] + u * c[2]))) ** 2) for c in (_fit(times, rows, *fit) for fit in _FITS)]
+        self._errors = _FORGETTING * self._errors + errors
+
+    def _last(self, without: int) -> tuple[Array, Array]:
+        """Times (K,) and targets (K, n) of the history, without the newest ones."""
+        kept = list(self._history)[: len(self._history) - without]
+        return np.array([t for t, _ in kept]), np.array([q for _, q in kept])
+
+    def _is_jump(self, t: float, q: Array) -> bool:
+        """Whether a target does not continue the motion of the history."""
+        newest, last = self._history[-1]
+        if len(self._history) < _MIN_FOR_SCATTER:
+            return bool((np.abs(q - last) > self._v_max * (t - newest)).any())
+        times = np.array([each for each, _ in self._history])
+        fitted = self._predicted(np.append(times, t))[0]
+        few = slice(-_FITS[1][0], None)
+        scatter = np.sqrt(np.mean((fitted[:-1] - self._last(0)[1])[few] ** 2, axis=0))
+        possible = 0.5 * self._a_max * (t - newest) ** 2
+        return bool((np.abs(q - fitted[-1]) > np.maximum(_JUMP_FACTOR * scatter, _MIN_JUMP) + possible).any())
+
+    def _interpolated(self, now: float) -> Knots:
+        """The rows of the chunk that are still to come, with the derivatives of the parabola through each and its neighbors."""
+        assert self._chunk is not None
+        t, q = self._chunk
+        v, a = _parabolas(t, q)
+        v[-1] = 0.0  # the source may send nothing more
+        a[-1] = 0.0
+        step = float(np.median(np.diff(t))) if len(t) > 1 else _DEFAULT_INTERVAL_S
+        ahead = t > now + 0.5 * min(step, _MAX_INTERVAL_S)  # a row that is nearer could only be met by a jerk
+        first = max(int(ahead.argmax()) - 1, 0) if ahead.any() else len(t)
+        self._chunk = (t[first:], q[first:])
+        count = int(ahead.sum())
+        joins = tuple(slice(k, None) for k in (0, 1, 2, 4, 8) if k < count)
+        return Knots(t[ahead], q[ahead], v[ahead], a[ahead], self.rest, joins)
+
+
+def _fit(t: Array, q: Array, count: int, degree: int) -> Array:
+    """(3, n) coefficients of the least-squares polynomial through the last rows, of powers of the time since the last one."""
+    t = t[-count:]
+    q = q[-count:]
+    if len(t) < _MIN_FOR_CURVATURE:
+        degree = 1
+    coefficients = np.zeros((3, q.shape[1]))
+    coefficients[: degree + 1] = np.linalg.lstsq(np.vander(t - t[-1], degree + 1, increasing=True), q, rcond=None)[0]
+    return coefficients
+
+
+def _parabolas(t: Array, q: Array) -> tuple[Array, Array]:
+    """Velocity and acceleration (K, n) at each row, of the parabola through it and its neighbors; of the line at the ends."""
+    v = np.zeros_like(q)
+    a = np.zeros_like(q)
+    if len(t) < 2:
+        return v, a
+    h = np.diff(t)[:, None]
+    slope = np.diff(q, axis=0) / h
+    v[0] = slope[0]
+    v[-1] = slope[-1]
+    before, after = h[:-1], h[1:]
+    v[1:-1] = (after * slope[:-1] + before * slope[1:]) / (before + after)
+    a[1:-1] = 2 * (slope[1:] - slope[:-1]) / (before + after)
+    return v, a

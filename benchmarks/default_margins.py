@@ -1,0 +1,58 @@
+"""Delay margin and peak sensitivity of default gains at many configurations that neither their design nor `margins` uses.
+
+    python benchmarks/default_margins.py [--robots panda,fr3] [--poses 150]
+
+A cell has the least delay margin, ms, and the largest Ms. "declared": `armctl info` names the controller as an exception.
+"""
+
+from __future__ import annotations
+
+import argparse
+import warnings
+from pathlib import Path
+
+import numpy as np
+from markdown_table import titled_table
+
+import armctl
+from armctl.control import controller_by_name
+from armctl.control.margin_exceptions import margin_exceptions
+from armctl.design.linearization import Linearizer
+
+ROBOTS = "robot_arm_3dof,panda,fr3,ur5e,iiwa14,kinova_gen3"
+LAWS = ("pd-gravity", "computed-torque", "computed-torque-observer", "operational-space", "impedance")
+SEED = 777
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--robots", default=ROBOTS)
+    parser.add_argument("--poses", type=int, default=150)
+    parser.add_argument("--timestep", type=float, default=0.001)
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "default_margins.md")
+    args = parser.parse_args()
+    warnings.simplefilter("ignore", armctl.ArmctlWarning)
+    rows = []
+    for robot in args.robots.split(","):
+        arm = armctl.load(robot)
+        q = arm.limits.random(arm.limits.clamp(arm.home), args.poses, np.random.default_rng(SEED))
+        linearizer = Linearizer(arm, armctl.Plant(timestep=args.timestep))
+        rows.append([robot, *(cell(linearizer, law, q) for law in LAWS)])
+    title = f"Delay margin, ms / Ms, worst of {args.poses} configurations, control period {1e3 * args.timestep:g} ms"
+    text = titled_table(title, ["robot", *LAWS], rows) + "\n"
+    args.out.write_text(text, encoding="utf-8")
+    print(text)
+
+
+def cell(linearizer: Linearizer, law: str, configurations: np.ndarray) -> str:
+    """The worst margins of a controller."""
+    controller = controller_by_name(law, linearizer.arm)
+    found = [linearizer.loop_at(controller, q).coarse_margins() for q in configurations]
+    delay = min(each.delay.min() for each in found)
+    sensitivity = max(each.peak_sensitivity.max() for each in found)
+    is_declared = any(law in sentence for sentence in margin_exceptions(linearizer.arm))
+    return f"{1e3 * delay:.2f} / {sensitivity:.2f}{' declared' if is_declared else ''}"
+
+
+if __name__ == "__main__":
+    main()

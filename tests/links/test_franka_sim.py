@@ -1,0 +1,64 @@
+"""Random motions on franka-sim, which enforces the limits of Franka's controller: `make franka-sim` runs this.
+
+A command that the controller refuses although the check passed it is a fault of the check, unless ticks were lost meanwhile:
+the controller then continues the last rows, and the row after the gap is a step.
+"""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco_menagerie as menagerie
+import numpy as np
+import pytest
+from arms import arm_of
+
+import armctl
+
+PYTHON = Path(os.environ.get("FRANKA_SIM_PYTHON", Path(__file__).parents[2] / ".franka-sim" / "bin" / "python"))
+ADDRESS = "127.0.9.1"
+MOTIONS = 30  # at each speed
+COMMAND_REFUSED = "joint_motion_generator"
+
+pytestmark = pytest.mark.skipif(not PYTHON.is_file(), reason="`make franka-sim` makes the environment of the simulator")
+
+
+@pytest.fixture(scope="module")
+def address():
+    pytest.importorskip("pylibfranka")
+    arm_of("fr3")  # skips where its model is not installed
+    model = menagerie.get("franka_fr3").path / "fr3.xml"
+    command = [PYTHON, Path(__file__).with_name("franka_sim_server.py"), ADDRESS]
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | {"FR3_MJCF": str(model)}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment) as server:
+        assert server.stdout is not None
+        assert server.stdout.readline() == "ready\n"
+        yield ADDRESS
+        server.kill()
+
+
+@pytest.mark.parametrize("speed", [0.3, 0.8])
+def test_no_command_is_refused_that_the_check_passed(address: str, speed: float):
+    arm = armctl.load("fr3", tip="fr3_link7")  # the simulator's end effector
+    rng = np.random.default_rng(0)
+    refused = []
+    known: set[str] = set()  # the simulator repeats the errors of earlier motions
+    without_loss = 0
+    with armctl.Robot(arm, armctl.links.Franka(address, real_time=False), speed=speed, tip_speed=3.0) as robot:
+        low = robot.arm.limits.q_min + 0.1
+        high = robot.arm.limits.q_max - 0.1
+        for _ in range(MOTIONS):
+            lost = robot.lost_ticks
+            result = robot.move_j(np.clip(arm.limits.random(arm.home, 1, rng)[0], low, high))
+            if robot.lost_ticks == lost and result.log is not None and len(result.log):
+                without_loss += 1
+                new = [name for name in re.findall(r"\w+_\w+", result.reason) if name not in known]
+                known.update(new)
+                if new and new[0].startswith(COMMAND_REFUSED):
+                    refused.append(result.reason)
+            if robot.fault:
+                robot.recover()
+    print(f"speed {speed}: {without_loss} of {MOTIONS} motions without a lost tick, {len(refused)} refused", file=sys.stderr)
+    assert refused == []

@@ -1,0 +1,250 @@
+"""Streams: whatever arrives, the setpoints keep all limits; what moves smoothly is followed without lag."""
+
+import mujoco
+import numpy as np
+import pytest
+from arms import arm_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import armctl
+from armctl.core.trajectory import Setpoint
+
+DT = 2e-3
+RATE = 30.0
+
+
+@pytest.fixture(scope="module")
+def arm() -> armctl.Arm:
+    return arm_of("robot_arm_3dof")
+
+
+def assert_inside(arm: armctl.Arm, points: list[Setpoint]) -> None:
+    """Limits by differences of the setpoints themselves, and torques by MuJoCo."""
+    q, v, a = (np.array(x) for x in zip(*(point[:3] for point in points), strict=True))
+    limits = arm.limits
+    assert limits.contains(q, 1e-9)
+    assert (np.abs(v) <= limits.v_max * (1 + 1e-6)).all()
+    assert (np.abs(a) <= limits.a_max * (1 + 1e-6)).all()
+    assert (np.abs(np.diff(a, axis=0)) <= (1 + 1e-6) * DT * limits.j_max).all()
+    # Position and velocity belong together: a jerk below its limit leaves no more than this between them.
+    assert (np.abs(np.diff(q, axis=0) - 0.5 * DT * (v[1:] + v[:-1])) <= DT**3 / 12 * limits.j_max * (1 + 1e-6) + 1e-12).all()
+    data = mujoco.MjData(arm.model)
+    free = limits.tau_max + arm.model.dof_frictionloss[arm.dof_adr]
+    for k in range(0, len(q), 5):
+        data.qpos[:] = arm.home_qpos
+        data.qpos[arm.qpos_adr] = q[k]
+        data.qvel[arm.dof_adr] = v[k]
+        data.qacc[arm.dof_adr] = a[k]
+        mujoco.mj_inverse(arm.model, data)
+        torque = (data.qfrc_inverse + data.qfrc_constraint)[arm.dof_adr]
+        assert (np.abs(torque) <= free).all()
+
+
+def followed(arm: armctl.Arm, wanted, seconds: float, *, noise: float = 0.0, latency: float = 0.0):
+    """The greatest and the RMS distance from a moving target after one second, and the lag, s."""
+    stream = armctl.Stream(arm, wanted(0.0))
+    rng = np.random.default_rng(0)
+    points = []
+    errors = []
+    speeds = []
+    due = 0.0
+    while stream.t < seconds:
+        if stream.t >= due - 1e-9:
+            due += 1 / RATE
+            t = stream.t - latency
+            stream.push(t, wanted(t) + noise * rng.standard_normal(arm.n))
+        points.append(stream.step(DT))
+        if stream.t > 1.0:
+            errors.append(wanted(stream.t) - points[-1].q)
+            speeds.append((wanted(stream.t + 1e-4) - wanted(stream.t - 1e-4)) / 2e-4)
+    assert_inside(arm, points)
+    e, v = np.array(errors), np.array(speeds)
+    return np.abs(e).max(), np.sqrt((e**2).mean()), (v * e).sum() / (v**2).sum()
+
+
+def sine(arm: armctl.Arm, amplitude: float = 0.3, frequency: float = 0.3):
+    middle = 0.5 * (arm.limits.q_min + arm.limits.q_max)
+    return lambda t: middle + amplitude * np.sin(2 * np.pi * frequency * t + np.arange(arm.n))
+
+
+def test_a_moving_target_is_followed_without_lag(arm):
+    worst, rms, lag = followed(arm, sine(arm), 3.0)
+    assert worst < 3e-3
+    assert rms < 1e-3
+    assert abs(lag) < 5e-3
+
+
+def test_noise_of_the_targets_is_averaged(arm):
+    _, rms, lag = followed(arm, sine(arm), 4.0, noise=5e-3)
+    assert rms < 0.009  # stop to stop it is four times as much
+    assert abs(lag) < 1 / RATE
+
+
+def test_latency_is_predicted_away(arm):
+    _, rms, lag = followed(arm, sine(arm), 3.0, latency=0.1)
+    assert rms < 0.006
+    assert abs(lag) < 0.02
+
+
+def test_a_chunk_is_passed_at_its_times_and_the_arm_rests_at_its_end(arm):
+    times = 0.2 + 0.05 * np.arange(20)
+    rows = np.array([sine(arm, 0.2, 0.4)(t) for t in times])
+    stream = armctl.Stream(arm, sine(arm, 0.2, 0.4)(0.0))
+    stream.push_chunk(times, rows)
+    points = []
+    for time, row in zip(times[2:-1], rows[2:-1], strict=True):
+        while stream.t < time - 1e-9:
+            points.append(stream.step(DT))
+        assert stream.setpoint.q == pytest.approx(row, abs=1e-9)
+    while stream.time_left > 0.0:
+        points.append(stream.step(DT))
+    assert stream.setpoint.q == pytest.approx(rows[-1], abs=1e-7)
+    assert_inside(arm, points)
+
+
+def test_a_newer_chunk_replaces_the_older_one_from_its_first_time_on(arm):
+    stream = armctl.Stream(arm, arm.home)
+    stream.push_chunk(0.1 * np.arange(1, 11), arm.home + 0.02 * np.arange(1, 11)[:, None])
+    stream.step(0.25)
+    stream.push_chunk(0.1 * np.arange(5, 9), arm.home + 0.1 - 0.02 * np.arange(0, 4)[:, None])
+    points = [stream.step(DT) for _ in range(int(2.0 / DT))]
+    assert stream.setpoint.q == pytest.approx(arm.home + 0.04, abs=1e-7)
+    assert_inside(arm, points)
+
+
+def test_a_single_step_of_the_target_is_reached_at_rest(arm):
+    stream = armctl.Stream(arm, arm.home)
+    goal = arm.limits.clamp(arm.home + np.array([0.8, 0.3, -0.4]))
+    for _ in range(20):
+        stream.push(stream.t, arm.home)
+        stream.step(1 / RATE)
+    stream.push(stream.t, goal)
+    points = [stream.step(DT) for _ in range(int(2.0 / DT))]
+    assert stream.setpoint.q == pytest.approx(goal, abs=1e-7)
+    assert np.abs(stream.setpoint.v).max() < 1e-6
+    assert_inside(arm, points)
+
+
+@settings(max_examples=12, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_random_chunks_jumps_and_gaps_break_no_limit(arm, seed: int):
+    rng = np.random.default_rng(seed)
+    limits = arm.limits
+    stream = armctl.Stream(arm, arm.home)
+    points = [stream.setpoint]
+    for _ in range(25):
+        q = points[-1].q
+        match rng.integers(4):
+            case 0:
+                count = rng.integers(1, 30)
+                times = stream.t + rng.uniform(-0.2, 0.2) + rng.uniform(0.005, 0.1) * np.arange(count)
+                walk = rng.standard_normal((count, arm.n)) * rng.choice([0.001, 0.01, 0.1, 0.5])
+                stream.push_chunk(times, q + np.cumsum(walk, axis=0))
+            case 1:
+                stream.push(stream.t - rng.uniform(0.0, 0.1), q + rng.standard_normal(arm.n) * rng.choice([0.001, 0.1, 10.0]))
+            case 2:
+                stream.push(stream.t, rng.uniform(limits.q_min, limits.q_max))
+            case 3:
+                stream.stop()
+        points += [stream.step(DT) for _ in range(1 + int(rng.exponential(0.1) / DT))]
+    assert_inside(arm, points)
+    points += [stream.step(DT) for _ in range(1 + int(stream.time_left / DT))]
+    assert np.abs(points[-1].v).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda s: s.push(0.0, [np.nan, 0.0, 0.0]), r"q: element \[0\] is nan"),
+        (lambda s: s.push(np.nan, np.zeros(3)), "t: "),
+        (lambda s: s.push(0.0, [0.0, 0.0]), "q: "),
+        (lambda s: s.push(100.0, np.zeros(3)), "t: 100 s is more than 60 s ahead of the stream's time, 0 s"),
+        (lambda s: s.push_chunk([0.1, 0.1], np.zeros((2, 3))), "times: they must increase"),
+        (lambda s: s.push_chunk([0.1, 0.2], np.zeros((3, 3))), "rows: 3 rows for 2 times"),
+        (lambda s: s.push_chunk([], np.zeros((0, 3))), "times: a chunk has 1 to 1000 rows, got 0|rows"),
+        (lambda s: s.push_twist([np.inf, 0, 0]), "linear: "),
+        (lambda s: s.push_pose(0.0, [1.0, 2.0]), "target: "),
+        (lambda s: s.clutch([0, 0, 0]), "device: "),
+        (lambda s: s.step(-1.0), "dt: "),
+    ],
+)
+def test_bad_input_is_refused_in_one_sentence_and_changes_nothing(arm, call, message: str):
+    stream = armctl.Stream(arm, arm.home)
+    stream.push(0.0, arm.home + 0.1)
+    before = stream.setpoint, stream.time_left
+    with pytest.raises(armctl.InputError, match=message):
+        call(stream)
+    assert (stream.setpoint.q == before[0].q).all()
+    assert stream.time_left == before[1]
+
+
+def test_duplicates_and_reversed_times_are_dropped_and_counted(arm):
+    stream = armctl.Stream(arm, arm.home)
+    for t in (0.0, 0.0, -0.1):
+        stream.push(t, arm.home + 0.1)
+    report = stream.report
+    assert (report.targets, report.dropped) == (1, 2)
+
+
+def test_targets_outside_the_limits_are_moved_inside_and_counted(arm):
+    stream = armctl.Stream(arm, arm.home)
+    stream.push(0.0, np.full(arm.n, 100.0))
+    stream.step(5.0)
+    assert stream.report.clamped == 1
+    assert stream.setpoint.q == pytest.approx(arm.limits.q_max, abs=1e-7)
+
+
+def test_a_twist_moves_the_tip_and_ends_when_it_is_not_renewed(arm):
+    stream = armctl.Stream(arm, arm.home)
+    start = arm.fk(arm.home).position
+    points = []
+    for _ in range(20):
+        stream.push_twist([0.0, 0.0, -0.05])
+        points += [stream.step(DT) for _ in range(25)]
+    moved = arm.fk(stream.setpoint.q).position - start
+    assert moved == pytest.approx([0.0, 0.0, -0.05], abs=0.01)
+    points += [stream.step(DT) for _ in range(400)]
+    assert stream.time_left == 0.0
+    assert np.linalg.norm(arm.fk(stream.setpoint.q).position - start) < 0.07
+    assert_inside(arm, points)
+
+
+def test_a_clutch_moves_neither_hand_nor_arm():
+    arm = arm_of("redundant")
+    stream = armctl.Stream(arm, arm.home)
+    start = arm.fk(arm.home)
+    device = armctl.Pose([5.0, 6.0, 7.0], rpy=[0.1, 0.2, 0.3])
+    stream.clutch(device)
+    for k in range(40):
+        offset = 0.002 * k
+        stream.push_pose(stream.t, armctl.Pose(device.position + np.array([0.0, 0.0, offset]), device.quat))
+        stream.step(1 / RATE)
+    stream.step(2.0)
+    end = arm.fk(stream.setpoint.q)
+    assert end.position - start.position == pytest.approx([0.0, 0.0, 0.078], abs=1e-4)
+    assert end.rotation == pytest.approx(start.rotation, abs=1e-4)
+
+
+def test_the_arm_stops_before_an_obstacle_and_the_report_names_it(arm_before_a_wall):
+    arm = arm_before_a_wall
+    stream = armctl.Stream(arm, arm.home, avoid=True)
+    times = 0.05 * np.arange(1, 60)
+    stream.push_chunk(times, arm.home + np.outer(np.linspace(0, 1, 59), [1.2, 0.0, 0.0]))
+    points = [stream.step(DT) for _ in range(int(4.0 / DT))]
+    assert "wall" in stream.report.obstacle
+    assert np.abs(points[-1].v).max() < 1e-6
+    assert points[-1].q[0] > arm.home[0] + 0.1, "it moves as far as it is free"
+    assert_inside(arm, points)
+    data = mujoco.MjData(arm.model)
+    for point in points[::10]:
+        data.qpos[:] = arm.home_qpos
+        data.qpos[arm.qpos_adr] = point.q
+        mujoco.mj_forward(arm.model, data)
+        assert not any("wall" in {arm.model.geom(g).name for g in contact.geom} for contact in data.contact)
+
+
+@pytest.fixture
+def arm_before_a_wall(arm) -> armctl.Arm:
+    ahead = arm.fk(arm.home + np.array([0.8, 0.0, 0.0])).position
+    return armctl.load("robot_arm_3dof", scene=armctl.Scene().add_box("wall", [0.1, 0.1, 0.6], ahead))
