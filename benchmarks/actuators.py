@@ -27,8 +27,9 @@ from armctl import Controller
 TICK_S = 0.001
 RESONANCE_HZ = 8.0
 KICK_RAD = 1e-6  # the deviation that shows whether a loop is stable
-MAX_RATIO = 0.9  # of a vibration to the one 1.5 s before: of a limit cycle, in which motors saturate, it is 1
-HELD_S = 3.0
+MAX_RATIO = 0.9  # of a vibration to that of a second before
+LIMIT_CYCLE_RAD = 30 * KICK_RAD  # a vibration from such a kick grew to it, and is bounded by the torque limits only
+HELD_S = 2.0
 MAX_TICKS = 60
 
 
@@ -148,7 +149,7 @@ def is_growing(arm: armctl.Arm, law: Controller, q: np.ndarray, plant: armctl.Pl
         return True
     quarter = len(log) // 4
     before, after = (np.ptp(part, axis=0).max() for part in (log.q[quarter : 2 * quarter], log.q[-quarter:]))
-    return bool(after > 0.01 * KICK_RAD and after > MAX_RATIO * before)
+    return bool(after > LIMIT_CYCLE_RAD or (after > 0.01 * KICK_RAD and after > MAX_RATIO * before))
 
 
 def draw(folder: Path) -> None:
