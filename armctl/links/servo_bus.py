@@ -9,7 +9,10 @@ from typing import Any
 from armctl.core.errors import LinkError, NotInstalledError
 
 _BAUD = 1_000_000
-_READ, _WRITE, _SYNC_READ, _SYNC_WRITE = 2, 3, 0x82, 0x83
+_READ = 0x02
+_WRITE = 0x03
+_SYNC_READ = 0x82
+_SYNC_WRITE = 0x83
 _EVERYBODY = 0xFE
 _HEADER = b"\xff\xff"
 _OVERHEAD = 6  # bytes of an answer beside its data: header, servo, length, error, checksum

@@ -94,7 +94,8 @@ class SO101:
 
     def open(self) -> None:
         """Opens the port, checks servos and calibration, and switches the torque on where the joints are."""
-        self._bus = bus = ServoBus(self.port)
+        bus = ServoBus(self.port)
+        self._bus = bus
         self._began = time.monotonic()
         self._behind_since = np.full(len(self._ids), np.inf)
         self._checked = 0
