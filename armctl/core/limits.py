@@ -23,7 +23,7 @@ class Limits:
         j_max: Maximum jerk, rad/s^3.
         tau_max: Maximum torque, N m (N for a slide joint).
         stall_torque: Torque of a DC motor at rest and full voltage, N m. At a speed v it gives
-            |tau + stall_torque v / no_load_speed| <= stall_torque. `inf`, or left out, for a torque that no voltage limits.
+            `|tau + stall_torque v / no_load_speed| <= stall_torque`. `inf`, or left out, for a torque that no voltage limits.
         no_load_speed: Its speed at full voltage without a load, rad/s.
     """
 

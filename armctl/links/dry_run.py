@@ -88,7 +88,8 @@ class DryRun:
     Attributes:
         link: The link of the robot.
         rehearsals: What each command would have sent, in the order of time.
-        name, address, dt, envelope, rest_speed, settle, payload, passes_time: As of every link.
+        dt: s, the tick.
+        name, address, envelope, rest_speed, settle, payload, passes_time: As of every link.
     """
 
     passes_time = True

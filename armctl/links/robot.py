@@ -55,15 +55,14 @@ class Robot(Commands):
     the maker publishes. They are sent by a process of its own; where the program stops, fails or hangs, the arm brakes on its
     path. A fault of the robot stays until `recover`.
 
-    ```python
-    with armctl.Robot("fr3", armctl.links.Franka("172.16.0.2")) as robot:
-        result = robot.move_to([0.5, 0.2, 0.4])
-    ```
-
     Attributes:
         arm: The model, with the limits of the robot's motions.
         link: The link, as it was given.
         lost_ticks: Ticks that the stream lost until now.
+
+    Example:
+        >>> with armctl.Robot("fr3", armctl.links.Franka("172.16.0.2")) as robot:
+        ...     result = robot.move_to([0.5, 0.2, 0.4])
     """
 
     def __init__(
