@@ -53,7 +53,7 @@ class Notch:
         from scipy.signal import iirnotch
 
         b, a = iirnotch(_checked_frequency(self, self.frequency, dt), self.quality, fs=2 * math.pi / dt)
-        return np.concatenate([b, a])[None]
+        return np.concatenate([b, a], dtype=np.float64)[None]
 
 
 @dataclass(frozen=True)

@@ -269,9 +269,7 @@ class Loop:
         try:
             import control
         except ImportError:
-            raise NotInstalledError(
-                "to_control needs python-control; install it with: pip install 'mujoco-armctl[design]'"
-            ) from None
+            raise NotInstalledError.of_extra("to_control needs python-control", "design") from None
         names: dict[str, Any] = {"inputs": list(self.joint_names), "outputs": list(self.joint_names)}
         return control.StateSpace(self.A, self.B, self.C, self.D, self.dt, **names)
 
