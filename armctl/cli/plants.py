@@ -21,8 +21,9 @@ _WORDS = {
     "noise": "noise of encoders, times 1e-5 rad (1); velocities are position differences",
     "all": "payload, mass, friction, delay and noise at once",
 }
-_SINGLE = (Kind.NUMBER, Kind.WHOLE_NUMBER, Kind.WORD, Kind.FLAG)
-_ATTRIBUTES = {name: each for name, each in PLANT_ATTRIBUTES.items() if each.is_factor and each.kind in _SINGLE}
+_SINGLE = (Kind.NUMBER, Kind.PER_JOINT, Kind.WHOLE_NUMBER, Kind.WORD, Kind.FLAG)
+_FACTORS = {name: each for name, each in PLANT_ATTRIBUTES.items() if each.is_factor and each.kind in _SINGLE}
+_ATTRIBUTES = {name: each for name, each in _FACTORS.items() if _FACTORS.keys() >= set(each.only_with)}
 PLANTS = (*_WORDS, *_ATTRIBUTES)
 
 

@@ -96,6 +96,18 @@ def test_a_divergence_ends_in_a_verdict_with_its_log(bundled_motion):
 
 WITHOUT_DEFAULT = {
     "mass_scale": "1.1",
+    "coulomb_friction": "0.1",
+    "viscous_friction": "0.1",
+    "motor": "0.002",
+    "elasticity": "4000",
+    "elastic_damping": "0.02+elasticity=4000",
+    "rotor_inertia": "0.01+elasticity=4000",
+    "backlash": "1e-3",
+    "encoder_side": "link",
+    "jitter": "1",
+    "sensor_delay": "1",
+    "encoder_bits": "17",
+    "velocity": "true",
     "encoder_noise": "1e-5",
     "velocity_noise": "1e-3",
     "wrench_source": "torques",
