@@ -3,7 +3,7 @@
 import io
 import pickle
 import zipfile
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -71,7 +71,7 @@ FAULTS = {
     "one text for units": (lambda d: {"units": np.array("rad")}, "not a list of texts"),
     "a slowdown of text": (lambda d: {"slowed": np.array(["a", "b", "c"])}, "slowed"),
     "negative limits": (lambda d: {"v_max": -d["v_max"]}, "v_max"),
-    "limits of two joints": (lambda d: {k: d[k][:2] for k in ("q_min", "q_max", "v_max", "a_max", "j_max", "tau_max")}, "fit"),
+    "limits of two joints": (lambda d: {field.name: d[field.name][:2] for field in fields(armctl.Limits)}, "fit"),
     "another format": (lambda d: {"format": np.array(99)}, "format"),
     "an object": (lambda d: {"knots": np.array([None])}, "allow_pickle"),
 }
