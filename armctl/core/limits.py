@@ -132,18 +132,6 @@ class Limits:
             self.stall_torque, self.no_load_speed, where=np.isfinite(self.stall_torque), out=np.zeros_like(self.tau_max)
         )
 
-    def torque_shares(self, tau: Array, v: Array) -> Array:
-        """The share of what the motors can give at a speed, by torque and by voltage; above 1 is too much.
-
-        Args:
-            tau: (..., n) N m.
-            v: (..., n) rad/s.
-
-        Returns:
-            (..., n).
-        """
-        return np.maximum(np.abs(tau) / self.tau_max, np.abs(tau + self.voltage_damping * v) / self.stall_torque)
-
     def _positions(self, q: ArrayLike) -> Array:
         """(n,) or (T, n) float64; NaN is left to the caller, infinity is a position outside."""
         try:
@@ -153,6 +141,11 @@ class Limits:
         if positions.ndim not in (1, 2) or positions.shape[-1] != len(self.q_min):
             raise InputError(f"q: expected shape ({len(self.q_min)},) or (T, {len(self.q_min)}), got {positions.shape}")
         return positions
+
+
+def torque_shares(limits: Limits, tau: Array, v: Array) -> Array:
+    """(..., n) the shares of what the motors can give at (..., n) speeds, by torque and by voltage; above 1 is too much."""
+    return np.maximum(np.abs(tau) / limits.tau_max, np.abs(tau + limits.voltage_damping * v) / limits.stall_torque)
 
 
 def check_speed(speed: float) -> float:
