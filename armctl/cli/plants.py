@@ -17,7 +17,7 @@ _DEFAULT = {"payload": 1.0, "mass": 1.2, "friction": _FRICTION, "delay": 2.0, "n
 _WORDS = {
     "nominal": "the model",
     "mass": "factor on the links' masses (1.2)",
-    "friction": "Coulomb friction as a fraction of the torque limit, and half as much viscous friction per rad/s (0.02); or its law, coulomb or lugre",
+    "friction": "Coulomb friction as a fraction of the torque limit, half as much viscous per rad/s (0.02); or coulomb, lugre",
     "noise": "noise of encoders, times 1e-5 rad (1); velocities are position differences",
     "all": "payload, mass, friction, delay and noise at once",
 }
