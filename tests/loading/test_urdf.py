@@ -169,9 +169,7 @@ TWO_LINKS = (
 
 
 def test_a_tip_that_the_last_joint_cannot_move_is_said(load):
-    with pytest.warns(
-        armctl.ArmctlWarning, match="joint 'j2' cannot move the tip 'two'; pass tip= or tip_offset=, or add a link"
-    ):
+    with pytest.warns(armctl.ArmctlWarning, match="joint 'j2' cannot move the tip 'two'; pass tip= or"):
         arm = load(TWO_LINKS)
     assert not arm.jacobian(arm.home)[:3, -1].any()
 
