@@ -230,12 +230,15 @@ class LQR(ArmController):
         q = _symmetric(inverse.T @ Q @ inverse)
         r = _symmetric(L.T @ R @ L)
         try:
-            cholesky(r)
-            p = solve_discrete_are(a, b, q, r) if later is None else inverse.T @ later @ inverse
-            k = np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)
-            for _ in range(0 if later is None else ticks):
+            with np.errstate(all="ignore"):  # of weights beyond the range of floats, which the next lines find
+                cholesky(r)
+                p = solve_discrete_are(a, b, q, r) if later is None else inverse.T @ later @ inverse
                 k = np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)
-                p = _symmetric(q + a.T @ p @ (a - b @ k))
+                for _ in range(0 if later is None else ticks):
+                    k = np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a)
+                    p = _symmetric(q + a.T @ p @ (a - b @ k))
+            if not np.isfinite(k).all():
+                raise LinAlgError
         except (LinAlgError, ValueError):
             raise InputError(
                 "max_error, max_velocity, max_torque: no gains minimize the cost of these weights; every joint needs a finite "
