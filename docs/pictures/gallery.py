@@ -62,7 +62,9 @@ def load_chain(robot: str, chain: armctl.SerialChain) -> armctl.Arm:
 def options(robot: str, arms: list[armctl.Arm]) -> str:
     """What `armctl view` needs besides the name of a robot; it shows all arms of equal length if none is named."""
     tips = [arm.tip for arm in arms if arm.n == arms[0].n]
-    for words, tip, hold_base in (("", None, False), (" --hold-base", None, True), (f" --tip {tips[0]}", tips[0], False)):
+    held = " --hold-base"
+    one = f" --tip {tips[0]}"
+    for words, tip, hold_base in (("", None, False), (held, None, True), (one, tips[0], False), (one + held, tips[0], True)):
         with contextlib.suppress(armctl.ArmctlError):
             armctl.load(robot, tip=tip, hold_base=hold_base)
             return words
