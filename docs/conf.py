@@ -20,6 +20,7 @@ version = release = armctl.__version__
 extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "myst_parser"]
 exclude_patterns = ["_build"]
 default_role = "code"
+highlight_language = "text"  # what programs print is no code
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 
