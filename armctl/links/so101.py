@@ -56,7 +56,8 @@ class SO101:
 
     Attributes:
         port: The serial port.
-        name, address, dt, envelope, rest_speed, settle, payload, passes_time: As of every link.
+        dt: s, the tick.
+        name, address, envelope, rest_speed, settle, payload, passes_time: As of every link.
     """
 
     dt = 0.02
