@@ -217,8 +217,8 @@ class Robot(Commands):
     def follow(self, target: MovingTarget = TARGET, *, seconds: float = 10.0) -> Log:
         """Follows a moving target, as that of a Simulation; every motion to a goal is proved and checked before it is sent.
 
-        A goal to which no such motion leads is replaced by one on the way to it. If the targets stop coming, the arm comes to
-        rest at the last goal.
+        Where no such motion leads to a goal, the arm goes as far towards it as one does. If the targets stop coming, the arm
+        comes to rest at the last goal.
 
         Args:
             target: As for `Simulation.follow`. A body of the model stays where the model has it.
@@ -233,13 +233,11 @@ class Robot(Commands):
             LinkError: The robot reported a fault before.
         """
         seconds = number("seconds", seconds, 0.0)
-        return self._rehearsed(follow(self._arms, self.arm, target, seconds, self._accepts))
+        return self._rehearsed(follow(self._arms, self.arm, target, seconds, self._refusal))
 
-    def _accepts(self, pieces: Pieces) -> bool:
-        """Whether a motion to a goal of `follow` may be sent."""
-        if self._drive.refusal(pieces):
-            return False
-        return self._allows_contact or not self._contact(pieces)
+    def _refusal(self, pieces: Pieces) -> str:
+        """Why a motion of `follow` may not be sent; empty if it may."""
+        return self._drive.refusal(pieces) or ("" if self._allows_contact else self._contact(pieces))
 
     def _contact(self, pieces: Pieces) -> str:
         """What a motion touches; empty if it is proved free."""
