@@ -21,6 +21,7 @@ from .control.computed_torque import ComputedTorque as ComputedTorque
 from .control.computed_torque_learning import ComputedTorqueLearning as ComputedTorqueLearning
 from .control.computed_torque_observer import ComputedTorqueObserver as ComputedTorqueObserver
 from .control.computed_torque_qp import ComputedTorqueQP as ComputedTorqueQP
+from .control.elastic_feedback import ElasticFeedback as ElasticFeedback
 from .control.elastic_feedforward import ElasticFeedforward as ElasticFeedforward
 from .control.hybrid_force import HybridForce as HybridForce
 from .control.impedance import Impedance as Impedance

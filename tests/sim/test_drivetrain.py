@@ -48,6 +48,16 @@ def test_margins_with_a_plants_imperfections_are_those_of_its_simulation_to_the_
     assert grows(arm, law, loop, ticks + 1, plant)
 
 
+@pytest.mark.parametrize("plant", [armctl.Plant(), armctl.Plant(sensor_delay=1), armctl.Plant(motor=0.001)], ids=str)
+def test_the_margin_with_feedback_of_the_springs_is_that_of_its_simulation_to_the_tick(arm, plant):
+    plant = replace(plant, **SPRING)
+    law = armctl.ElasticFeedback(arm, **SPRING)
+    loop = armctl.linearize(arm, law, arm.home, plant)
+    ticks = int(loop.margins().delay_margin / loop.dt)
+    assert not grows(arm, law, loop, ticks, plant)
+    assert grows(arm, law, loop, ticks + 1, plant)
+
+
 def test_an_elastic_plant_moves_as_the_same_elastic_joint_of_a_file(load):
     with pytest.warns(armctl.ArmctlWarning):
         written = load(rotor_spring_link("a", 400.0, 0.0, 0.1).replace('mass="0.1"', 'mass="1e-9"'), FAST + motors("a"))
