@@ -19,7 +19,7 @@ from armctl.core.validation import Array, instance
 from armctl.robot.arm import Arm
 
 _RETURN_SHARE = 0.5  # of a resonance: the rate at which motors return from where they have yielded to, below that of vibrations
-# Of damping / rotor inertia, about the crossover of the motors' loop. At it, yielding at this rate costs a phase of as many rad.
+# Of damping / rotor inertia, about the crossover of the motors' loop, where yielding at this rate costs a phase of as many rad.
 _CROSSOVER_SHARE = 0.15
 _MAX_SHIFT = 2.0  # of the deflection by the torque limits: the integral need not move the motors further
 _MAX_RATIO = 1.0
