@@ -140,6 +140,7 @@ class Held:
     def __init__(self, law: Controller, holding_torque: np.ndarray):
         self.law = law
         self.holding_torque = holding_torque
+        self.needs_deflection = getattr(law, "needs_deflection", False)
         self.offset: np.ndarray | None = None
 
     def torque(self, state: armctl.State, setpoint: armctl.Setpoint) -> np.ndarray:
