@@ -57,6 +57,8 @@ from .core.trajectory import Trajectory as Trajectory
 from .design.arm_estimate import ArmEstimate as ArmEstimate
 from .design.arm_estimate import Validation as Validation
 from .design.arm_excitation import Excitation as Excitation
+from .design.elasticity import ElasticityEstimate as ElasticityEstimate
+from .design.elasticity import identify_elasticity as identify_elasticity
 from .design.excitation import excitation as excitation
 from .design.frequency_response import FrequencyResponse as FrequencyResponse
 from .design.frequency_response import frequency_response as frequency_response
