@@ -92,8 +92,10 @@ def _fitted(arm: Arm, log: Log, motors: Array, cutoff: float, from_torques: bool
     if rows.stop - rows.start < _SAMPLES_PER_PERIOD * _TRIMMED_PERIODS:
         raise InputError(f"log: {len(log) * log.dt:.3g} s are too short for {cutoff:.3g} Hz; record a longer motion")
     springs = _Springs(arm, cutoff, log.dt * stride, rows)
-    q, motors, tau = (low_pass(each, cutoff, log.dt)[::stride] for each in (log.q, motors, log.tau))
-    return springs.by_torques(q, tau) if from_torques else springs.by_deflections(q, motors - q)
+    q = low_pass(log.q, cutoff, log.dt)[::stride]
+    if from_torques:
+        return springs.by_torques(q, low_pass(log.tau, cutoff, log.dt)[::stride])
+    return springs.by_deflections(q, low_pass(motors, cutoff, log.dt)[::stride] - q)
 
 
 class _Springs:

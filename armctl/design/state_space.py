@@ -112,8 +112,8 @@ def _runs(arm: Arm, controller: Controller, q: Array, dt: float, continuous: boo
     def torques(law: Controller, deviations: Array) -> Array:
         rows = np.empty((len(deviations), n))
         for k, deviation in enumerate(deviations):
-            moved, v, deflection = deviation[:n], deviation[n : 2 * n].copy(), deviation[2 * n :].reshape(-1, n)
-            state = State(q + moved, v, k * dt, dt, continuous, None, deflection if len(deflection) else None)
+            springs = deviation[2 * n :].reshape(-1, n) if len(deviation) > 2 * n else None
+            state = State(q + deviation[:n], deviation[n : 2 * n].copy(), k * dt, dt, continuous, None, springs)
             try:
                 rows[k] = checked_torque(law.torque(state, setpoint), n)
             except Exception as error:
