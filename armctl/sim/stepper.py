@@ -381,6 +381,7 @@ class Stepper:
         touching = rows.contacts[-1][1] if rows.contacts else b""
         row = first
         count = rows.count
+        foresee = getattr(controller, "foresee", None)
         try:
             for row, setpoint in enumerate(zip(*(column[first:last] for column in rows.reference), strict=True), first):
                 v_rows[row] = data.qvel[self._dofs] if qvel is None else qvel
@@ -395,6 +396,8 @@ class Stepper:
                     wrench = self._measured_wrench(State(q_seen, v_seen, data.time, dt, continuous))
                     wrench_rows[row] = sensor.true
                 try:
+                    if foresee is not None:
+                        foresee(TickReference(*(column[row:] for column in rows.reference)))
                     tau = torque(new(State, (q_seen, v_seen, data.time, dt, continuous, wrench)), new(Setpoint, setpoint))
                     if not (type(tau) is ndarray and tau.dtype is _FLOAT64 and len(tau) == n):
                         tau = checked_torque(tau, n)
