@@ -47,6 +47,7 @@ CHAPTERS = {
     "control": "Control",
     "motion": "Motion",
     "planning": "Collision-free motion",
+    "stream": "Streams of targets",
     "render": "Pictures and videos",
     "sim": "Simulation",
     "links": "Robots",

@@ -97,9 +97,25 @@ class TickReference(NamedTuple):
         q = np.array(sampled[0], dtype=np.float64)  # copies: a user's trajectory may use its memory again
         v = np.array(sampled[1], dtype=np.float64)
         a = np.array(sampled[2], dtype=np.float64)
-        q[0] = q[1] - dt * v[1]
-        v_tick = v[1:] if continuous else np.diff(q, axis=0) / dt
-        return cls(q[1:-1], v[1:-1], a[1:-1], v_tick[:-1], np.diff(v_tick, axis=0) / dt)
+        return cls.between(q[1:], v[1:], a[1:], q[1] - dt * v[1], dt, continuous)
+
+    @classmethod
+    def between(cls, q: Array, v: Array, a: Array, before: Array, dt: float, continuous: bool = False) -> TickReference:
+        """Rows from setpoints one tick apart, each (K + 1, n), of which the last one is not a row.
+
+        Args:
+            q: rad.
+            v: rad/s.
+            a: rad/s^2.
+            before: (n,) rad, the position one tick before the first.
+            dt: s, the tick.
+            continuous: As for `of`.
+
+        Returns:
+            The rows.
+        """
+        v_tick = v if continuous else np.diff(np.vstack([before, q]), axis=0) / dt
+        return cls(q[:-1], v[:-1], a[:-1], v_tick[:-1], np.diff(v_tick, axis=0) / dt)
 
 
 def check_trajectory(trajectory: object, what: str = "trajectory") -> None:

@@ -30,7 +30,7 @@ from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.validation import Array, frozen, number, shown
 from armctl.design.frequency_response import standstill
 from armctl.design.linearization import Linearizer
-from armctl.design.loop import Loop
+from armctl.design.loop import Loop, coarse_margins_with, coarse_plant
 from armctl.design.margins import configurations, judged_loops
 from armctl.design.state_space import ComplexArray, linear_controller
 from armctl.robot.arm import Arm, check_arm
@@ -215,7 +215,7 @@ class _Bounds:
 
     def left(self, loop: Loop, plant: ComplexArray | None = None, reserve: float = 1.0) -> Array:
         """(2, n) what is left of the bounds on delay margin and Ms; -inf where the loop is unstable."""
-        found = loop.coarse_margins(plant)
+        found = loop.coarse_margins() if plant is None else coarse_margins_with(plant, loop)
         with np.errstate(divide="ignore"):
             delay = np.log(found.delay / (reserve * self.delay_margin))
             sensitivity = np.log(self.peak_sensitivity / (reserve * found.peak_sensitivity))
@@ -339,7 +339,7 @@ class _Design:
 
     def add(self, loops: Sequence[Loop]) -> None:
         """Adds the arms of some loops, at their configurations."""
-        self._cases += [_Case(self._linearizers[loop.plant], loop, loop.coarse_plant()) for loop in loops]
+        self._cases += [_Case(self._linearizers[loop.plant], loop, coarse_plant(loop)) for loop in loops]
 
     def start(self, family: _Family) -> Array | None:
         """Gains within the bounds, near the default ones; None if there are none among multiples of those."""

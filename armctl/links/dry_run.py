@@ -10,7 +10,7 @@ import numpy as np
 from armctl.core.errors import LinkError
 from armctl.core.log import Log
 from armctl.core.validation import Array
-from armctl.links.link import Link, Seen
+from armctl.links.link import Link, Seen, check_link
 
 _CLEARANCE_SAMPLES = 200
 
@@ -88,13 +88,19 @@ class DryRun:
     Attributes:
         link: The link of the robot.
         rehearsals: What each command would have sent, in the order of time.
-        name, address, dt, envelope, rest_speed, settle, payload, passes_time: As of every link.
+        dt: s, the tick.
+        name, address, envelope, rest_speed, settle, payload, passes_time: As of every link.
     """
 
     passes_time = True
 
     def __init__(self, link: Link):
-        """A rehearsal of what a program would send over a link that is not open yet."""
+        """A rehearsal of what a program would send over a link that is not open yet.
+
+        Raises:
+            InputError: It is no link.
+        """
+        check_link(link)
         self.link = link
         self.rehearsals: list[Rehearsal] = []
         self.name = f"dry run of {link.name}"

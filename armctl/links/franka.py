@@ -42,7 +42,8 @@ class Franka:
 
     Attributes:
         host: The address of the robot.
-        name, address, dt, envelope, rest_speed, settle, payload, passes_time: As of every link.
+        dt: s, the tick.
+        name, address, envelope, rest_speed, settle, payload, passes_time: As of every link.
     """
 
     dt = 1e-3

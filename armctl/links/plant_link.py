@@ -33,7 +33,8 @@ class PlantLink:
     Attributes:
         sent: How many rows it was sent.
         q_start: (n,) rad, where it stands when the link is opened.
-        name, address, dt, envelope, rest_speed, settle, payload, passes_time: As of every link.
+        dt: s, the tick.
+        name, address, envelope, rest_speed, settle, payload, passes_time: As of every link.
     """
 
     address = ""

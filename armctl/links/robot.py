@@ -24,7 +24,7 @@ from armctl.links.dry_run import DryRun, Rehearsal
 from armctl.links.envelope import envelope_of
 from armctl.links.hand import Hand
 from armctl.links.host import LinkHost
-from armctl.links.link import Link
+from armctl.links.link import Link, check_link
 from armctl.links.link_check import LinkCheck
 from armctl.links.link_drive import LinkDrive
 from armctl.links.model_check import model_refusal, tip_difference
@@ -55,15 +55,14 @@ class Robot(Commands):
     the maker publishes. They are sent by a process of its own; where the program stops, fails or hangs, the arm brakes on its
     path. A fault of the robot stays until `recover`.
 
-    ```python
-    with armctl.Robot("fr3", armctl.links.Franka("172.16.0.2")) as robot:
-        result = robot.move_to([0.5, 0.2, 0.4])
-    ```
-
     Attributes:
         arm: The model, with the limits of the robot's motions.
         link: The link, as it was given.
         lost_ticks: Ticks that the stream lost until now.
+
+    Example:
+        >>> with armctl.Robot("fr3", armctl.links.Franka("172.16.0.2")) as robot:
+        ...     result = robot.move_to([0.5, 0.2, 0.4])
     """
 
     def __init__(
@@ -93,6 +92,7 @@ class Robot(Commands):
             LinkError: The connection failed, another program has it, or the robot is not the model's.
         """
         model = robot if isinstance(robot, Arm) else load(robot)
+        check_link(link)
         tip_speed = number("tip_speed", tip_speed, 1e-3)
         payload = number("payload", payload, 0.0)
         self._allows_contact = flag("allow_contact", allow_contact)
@@ -217,8 +217,8 @@ class Robot(Commands):
     def follow(self, target: MovingTarget = TARGET, *, seconds: float = 10.0) -> Log:
         """Follows a moving target, as that of a Simulation; every motion to a goal is proved and checked before it is sent.
 
-        A goal to which no such motion leads is replaced by one on the way to it. If the targets stop coming, the arm comes to
-        rest at the last goal.
+        Where no such motion leads to a goal, the arm goes as far towards it as one does. If the targets stop coming, the arm
+        comes to rest at the last goal.
 
         Args:
             target: As for `Simulation.follow`. A body of the model stays where the model has it.
@@ -233,13 +233,11 @@ class Robot(Commands):
             LinkError: The robot reported a fault before.
         """
         seconds = number("seconds", seconds, 0.0)
-        return self._rehearsed(follow(self._arms, self.arm, target, seconds, self._accepts))
+        return self._rehearsed(follow(self._arms, self.arm, target, seconds, self._refusal))
 
-    def _accepts(self, pieces: Pieces) -> bool:
-        """Whether a motion to a goal of `follow` may be sent."""
-        if self._drive.refusal(pieces):
-            return False
-        return self._allows_contact or not self._contact(pieces)
+    def _refusal(self, pieces: Pieces) -> str:
+        """Why a motion of `follow` may not be sent; empty if it may."""
+        return self._drive.refusal(pieces) or ("" if self._allows_contact else self._contact(pieces))
 
     def _contact(self, pieces: Pieces) -> str:
         """What a motion touches; empty if it is proved free."""

@@ -5,38 +5,35 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from armctl.core.errors import InputError, LinkError, NotInstalledError
+from armctl.core.errors import InputError, LinkError
 from armctl.core.validation import Array, IntArray
 from armctl.links.envelope import Envelope, envelope_of
 from armctl.links.link import Seen
+from armctl.links.servo_bus import ServoBus
 from armctl.robot.arm import Arm, check_arm
 
 # Feetech's memory table of the STS3215.
-_BAUD = 1_000_000
-_MODEL = 777
+_MODEL = 3
+_STS3215 = 777
 _HOMING_OFFSET = 31
 _TORQUE = 40
 _GOAL = 42
-_PRESENT = 56  # position, speed, load: two bytes each, then voltage and temperature
-_PRESENT_SIZE = 8
+_PRESENT = 56  # position and speed: two bytes each
+_PRESENT_SIZE = 4
 _STATUS = 65
 _COUNTS = 4096  # per turn
 _STATUS_BITS = ("voltage", "angle sensor", "overheated", "overcurrent", "", "overload")
 
 _JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
-_TRIES = 3  # of a request: the bus of a busy computer loses an answer now and then
 _TRAVEL_TOLERANCE = 0.25  # of the model's range, by which the calibrated travel may differ
 _FULL_TURN_COUNTS = 4000  # a recorded travel of more is that of a joint without stops
 _BLOCKED_RAD = 0.25  # behind its goal for so long: a joint that is blocked
 _BLOCKED_S = 0.3
-_Answer = TypeVar("_Answer")
 
 
 class _Servo(NamedTuple):
@@ -59,7 +56,8 @@ class SO101:
 
     Attributes:
         port: The serial port.
-        name, address, dt, envelope, rest_speed, settle, payload, passes_time: As of every link.
+        dt: s, the tick.
+        name, address, envelope, rest_speed, settle, payload, passes_time: As of every link.
     """
 
     dt = 0.02
@@ -93,49 +91,38 @@ class SO101:
         self._middle = np.array([servo.middle for servo in servos])
         self._q_middle = 0.5 * (arm.limits.q_min + arm.limits.q_max)
         self._names = arm.joint_names
-        self._bus: Any = None
+        self._bus: ServoBus | None = None
 
     def open(self) -> None:
         """Opens the port, checks servos and calibration, and switches the torque on where the joints are."""
-        sdk = _sdk()
-        port = sdk.PortHandler(self.port)
-        try:
-            port.openPort()
-        except OSError as error:
-            raise LinkError(f"{self.port}: cannot be opened: {error.strerror or error}") from None
-        port.setBaudRate(_BAUD)
-        self._port = port
-        self._bus = sdk.PacketHandler(0)
-        self._reader = sdk.GroupSyncRead(port, self._bus, _PRESENT, _PRESENT_SIZE)
+        bus = ServoBus(self.port)
+        self._bus = bus
         self._began = time.monotonic()
         self._behind_since = np.full(len(self._ids), np.inf)
         self._checked = 0
         for servo, offset in zip(self._ids, self._offsets, strict=True):
-            if self._asked(lambda servo=servo: self._bus.ping(port, servo), servo) != _MODEL:
+            if bus.read(servo, _MODEL, 2) != _STS3215:
                 raise LinkError(f"{self.port}: servo {servo} is no STS3215")
-            found = _signed(self._asked(lambda servo=servo: self._bus.read2ByteTxRx(port, servo, _HOMING_OFFSET), servo), 11)
+            found = _signed(bus.read(servo, _HOMING_OFFSET, 2), 11)
             if found != offset:
                 raise LinkError(
                     f"{self.port}: servo {servo} has the homing offset {found}, the calibration file {offset}: it is that of "
                     "another arm, or this one was calibrated again"
                 )
-            self._reader.addParam(servo)
         counts = self._counts()
         self._write(counts)  # first: when its torque is switched on, a servo runs to its goal
         for servo in self._ids:
-            self._asked(lambda servo=servo: (0, *self._bus.write1ByteTxRx(port, servo, _TORQUE, 1)), servo)
+            bus.write(servo, _TORQUE, 1)
         self._told = self._angles(counts)
 
     def read(self) -> Seen:
         """The arm now."""
-        if self._bus is None:
-            raise LinkError(f"{self.port}: the link is not open; give it to an armctl.Robot")
-        counts = self._counts()
-        speeds = [_signed(self._reader.getData(servo, _PRESENT + 2, 2), 15) for servo in self._ids]
+        rows = self._present()
+        speeds = [_signed(int(speed), 15) for speed in rows[:, 1]]
         v = np.array(speeds) * (2.0 * np.pi / _COUNTS)
         return Seen(
             t=time.monotonic() - self._began,
-            q=self._angles(counts),
+            q=self._angles(rows[:, 0]),
             v=v,
             tau=np.full(len(v), np.nan),
             q_ref=self._told,
@@ -186,16 +173,25 @@ class SO101:
     def close(self) -> None:
         """Closes the port; the servos hold."""
         if self._bus is not None:
+            self._bus.close()
             self._bus = None
-            self._port.closePort()
 
     def _angles(self, counts: IntArray) -> Array:
         return self._q_middle + (counts - self._middle) * (2.0 * np.pi / _COUNTS)
 
+    def _open_bus(self) -> ServoBus:
+        if self._bus is None:
+            raise LinkError(f"{self.port}: the link is not open; give it to an armctl.Robot")
+        return self._bus
+
+    def _present(self) -> IntArray:
+        """Position and speed of each servo as its registers hold them, shape (n, 2)."""
+        data = self._open_bus().read_all(self._ids, _PRESENT, _PRESENT_SIZE)
+        return np.frombuffer(b"".join(data), "<u2").reshape(len(self._ids), -1).astype(np.int64)
+
     def _counts(self) -> IntArray:
         """The present positions."""
-        self._asked(lambda: (0, self._reader.txRxPacket(), 0), self._ids[0])
-        return np.array([self._reader.getData(servo, _PRESENT, 2) for servo in self._ids])
+        return self._present()[:, 0]
 
     def _write(self, counts: IntArray) -> None:
         """Writes the goals of all servos in one packet, which nobody answers."""
@@ -203,10 +199,7 @@ class SO101:
         if outside.any():
             joint = self._names[int(outside.argmax())]
             raise LinkError(f"{joint}: its servo would have to turn over its zero; calibrate it with its middle at half a turn")
-        writer = _sdk().GroupSyncWrite(self._port, self._bus, _GOAL, 2)
-        for servo, value in zip(self._ids, counts.tolist(), strict=True):
-            writer.addParam(servo, [value & 0xFF, value >> 8])
-        writer.txPacket()
+        self._open_bus().write_all(_GOAL, dict(zip(self._ids, counts.tolist(), strict=True)))
 
     def _hold_blocked(self, seen: Seen) -> None:
         """Holds the arm where it is if a joint stays far behind its goal: a servo that presses on burns out."""
@@ -224,27 +217,9 @@ class SO101:
         """What one servo reports; the next one at the next call, because a common reading does not tell."""
         servo = self._ids[self._checked % len(self._ids)]
         self._checked += 1
-        status = self._asked(lambda: self._bus.read1ByteTxRx(self._port, servo, _STATUS), servo)
+        status = self._open_bus().read(servo, _STATUS, 1)
         named = [name for bit, name in enumerate(_STATUS_BITS) if name and status >> bit & 1]
         return f"servo {servo}: {', '.join(named)}" if named else ""
-
-    def _asked(self, request: Callable[[], tuple[_Answer, int, int]], servo: int) -> _Answer:
-        """The answer to a request. Answers carry no number, so what came late is thrown away before the next try."""
-        result = 0
-        for _ in range(_TRIES):
-            try:
-                value, result, _ = request()
-                if result == 0:
-                    return value
-            except IndexError:  # of the SDK, by an answer to another request
-                result = _sdk().COMM_RX_CORRUPT
-            except OSError as error:
-                raise LinkError(f"{self.port}: {error.strerror or error}") from None
-            self._port.is_using = False
-            time.sleep(0.01)
-            self._port.ser.reset_input_buffer()
-        words = self._bus.getTxRxResult(result).removeprefix("[TxRxResult] ").rstrip("!")
-        raise LinkError(f"{self.port}: servo {servo} does not answer: {words}")
 
 
 def _read_calibration(path: Path, arm: Arm) -> list[_Servo]:
@@ -287,11 +262,3 @@ def _read_calibration(path: Path, arm: Arm) -> list[_Servo]:
 def _signed(value: int, sign_bit: int) -> int:
     """A number of a sign and a magnitude."""
     return -(value & ~(1 << sign_bit)) if value >> sign_bit & 1 else value
-
-
-def _sdk() -> Any:
-    """Feetech's client."""
-    try:
-        return import_module("scservo_sdk")
-    except ImportError:
-        raise NotInstalledError.of_extra("links to an SO-101 need feetech-servo-sdk", "so101") from None

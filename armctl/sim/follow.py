@@ -12,67 +12,43 @@ from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.target import Target
 from armctl.core.validation import Array, shown
-from armctl.ik import solve_ik
 from armctl.mjmodel.queries import object_id
 from armctl.motion.trajectory.piecewise import Pieces
 from armctl.robot.arm import Arm
 from armctl.sim.move import ControlledArms
-from armctl.sim.online_reference import OnlineReference
 from armctl.sim.recorder import ticks_for
 from armctl.stream.stream import Stream
 
 _FOLLOW_INTERVAL_S = 0.02  # between two readings of a moving target
-_GOAL_SHARES = (1.0, 0.5, 0.25, 0.12)  # of the way to a goal that are tried; shorter motions are slower
 
 MovingTarget = str | Callable[[float], Pose | ArrayLike]
 
 
 def follow(
-    arms: ControlledArms, arm: Arm, target: MovingTarget, seconds: float, accepts: Callable[[Pieces], bool] | None = None
+    arms: ControlledArms, arm: Arm, target: MovingTarget, seconds: float, refusal: Callable[[Pieces], str] | None = None
 ) -> Log:
     """Follows a body, or a function of the time, and reads it 50 times a second. Arguments as for `Simulation.follow`.
 
     Args:
-        accepts: Whether a motion to rest may be made. A goal to which none is accepted is replaced by nearer ones.
+        refusal: As for `Stream`.
     """
     drive = arms.drive
     data = drive.data
     target_at = _target_function(drive.model, data, target)
     ticks_for(seconds, drive.dt)
     begin = data.time
-    stream = Stream(arm, arms.start(arm.tip))
-    online = OnlineReference(arm, drive.dt, arms.start(arm.tip), continuous=drive.continuous)
+    stream = Stream(arm, arms.start(arm.tip), refusal=refusal)
     ticks = ticks_for(_FOLLOW_INTERVAL_S, drive.dt) - 1
     targets: dict[str, Array] = {}
     with arms.recording({arm.tip: seconds}, targets) as recorder:
         while not drive.failure and data.time - begin < seconds - 1e-9:
             goal = Target.read(target_at(data.time - begin))
             targets[arm.tip] = goal.numbers
-            if accepts is None:
-                stream.push_pose(stream.t, goal)
-                drive.run(arms.controllers[arm.tip], stream.reference(ticks, drive.dt, drive.continuous), recorder)
-            else:
-                accepted = _accepted(online, solve_ik(arm, goal, online.q).q, accepts)
-                drive.run(arms.controllers[arm.tip], online.next(ticks), recorder, accepted)
+            stream.push_pose(stream.t, goal)
+            to_rest = stream.pieces
+            drive.run(arms.controllers[arm.tip], stream.reference(ticks, drive.dt, drive.continuous), recorder, to_rest)
         targets[arm.tip] = Target.read(target_at(data.time - begin)).numbers
     return arms.logs[arm.tip]
-
-
-def _accepted(online: OnlineReference, goal: Array, accepts: Callable[[Pieces], bool]) -> Pieces:
-    """Takes the goal, or the farthest of some goals on the way to it, whose motion is accepted; the motion from now on."""
-    taken = online.pieces
-
-    def accept(pieces: Pieces) -> bool:
-        nonlocal taken
-        if accepts(pieces):
-            taken = pieces
-            return True
-        return False
-
-    for share in _GOAL_SHARES:
-        if online.go_to(online.q + share * (goal - online.q), accept):
-            break
-    return taken
 
 
 def _target_function(model: mujoco.MjModel, data: mujoco.MjData, target: MovingTarget) -> Callable[[float], Pose | ArrayLike]:

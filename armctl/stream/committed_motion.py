@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from armctl.core.validation import Array
-from armctl.motion.timing.otg import JointState, ProfileSolver
+from armctl.motion.timing.otg import JointState, Profile, ProfileSolver
 from armctl.motion.torque_limits import InverseDynamics
-from armctl.motion.trajectory.limit_check import is_inside
+from armctl.motion.trajectory.limit_check import POSITION_TOLERANCE, is_inside
 from armctl.motion.trajectory.piecewise import Pieces, basis, hermite, joined, sample
 from armctl.robot.arm import Arm
 from armctl.stream.timed_targets import Knots
 
 if TYPE_CHECKING:
-    from armctl._core import Hit
     from armctl.collision.checker import CollisionChecker
 
 # Factors on acceleration limits that are tried one after another where motors are too weak; squared for jerk.
@@ -24,44 +24,76 @@ _TORQUE_STEP_S = 0.01  # between samples of the torques
 _TORQUE_MARGIN = 0.02  # of the limits, for what is between the samples
 _CLEARANCE_M = 1e-3
 _MIN_SEGMENT_S = 1e-3
+_WAY_SHARES = (0.5, 0.25, 0.12, 0.0)  # of the way to a place that is refused; shorter motions are slower
+
+
+class Refused(NamedTuple):
+    """Why a motion is refused.
+
+    Attributes:
+        time: s into the motion, when the reason occurs; infinite if that is not known.
+        reason: What is in the way, for example.
+    """
+
+    time: float
+    reason: str
 
 
 class CommittedMotion:
-    """Plans motions of an arm that keep all limits, end at rest, and are free of contact if a checker is given."""
+    """Plans motions of an arm that keep all limits and end at rest, and that nobody refuses.
 
-    def __init__(self, arm: Arm, checker: CollisionChecker | None):
+    Attributes:
+        checker: Proves motions free of contact; None if contacts are allowed.
+        refusal: Why a motion, as polynomials from now on, may not be made; empty if it may. None if all may.
+        obstacle: Why the last motion that was wanted was refused; empty if it was not.
+    """
+
+    def __init__(self, arm: Arm, checker: CollisionChecker | None = None, refusal: Callable[[Pieces], str] | None = None):
         self._limits = arm.limits
         limits = arm.limits
         self._solvers = [ProfileSolver(limits.v_max, s * limits.a_max, s**2 * limits.j_max) for s in _SLOWER]
-        self._q_min = limits.q_min.tolist()
-        self._q_max = limits.q_max.tolist()
+        self._q_min = (limits.q_min - POSITION_TOLERANCE).tolist()
+        self._q_max = (limits.q_max + POSITION_TOLERANCE).tolist()
         self._dynamics = InverseDynamics(arm)
         self._tau_max = (1 - _TORQUE_MARGIN) * limits.tau_max
         self.checker = checker
+        self.refusal = refusal
         self.obstacle = ""
 
     def plan(self, start: JointState, now: float, knots: Knots) -> Pieces | None:
         """A motion from a state to the wanted ones, over times that begin at 0; None if none was found.
 
-        `obstacle` then names what is in the way: the motion stops before it, or there is none.
+        Where `obstacle` names what is in the way, the motion stops before it, or there is none.
         """
         self.obstacle = ""
         for solver in self._solvers:
             pieces = self._motion(solver, start, now, knots)
             if pieces is None or not self._is_feasible(pieces):
                 continue
-            hit = self._hit(pieces)
-            return pieces if hit is None else self._before(hit, solver, start, now, knots)
+            refused = self._refused(pieces)
+            return pieces if refused is None else self._before(refused, solver, start, now, knots)
+        return None
+
+    def to_rest(self, start: JointState, goal: Array) -> Pieces | None:
+        """The fastest motion to rest at a place (n,); None if it breaks a limit, or is refused for an `obstacle`."""
+        self.obstacle = ""
+        state = _lists(start)
+        for solver in self._solvers:
+            profile = self._profile(solver, state, goal)
+            if profile is not None and self._is_feasible(profile.pieces(state)):
+                pieces = profile.pieces(state)
+                refused = self._refused(pieces)
+                self.obstacle = "" if refused is None else refused.reason
+                return pieces if refused is None else None
         return None
 
     def stop(self, start: JointState) -> Pieces | None:
         """A stop from a state, as fast as the limits allow; None if none was found."""
+        state = _lists(start)
         for solver in self._solvers:
-            profile = solver.stop(_lists(start))
-            if profile is not None and profile.stays_inside(self._q_min, self._q_max):
-                pieces = profile.pieces(_lists(start))
-                if self._is_feasible(pieces):
-                    return pieces
+            profile = self._inside(solver.stop(state))
+            if profile is not None and self._is_feasible(profile.pieces(state)):
+                return profile.pieces(state)
         return None
 
     def _motion(self, solver: ProfileSolver, start: JointState, now: float, knots: Knots) -> Pieces | None:
@@ -84,8 +116,8 @@ class CommittedMotion:
             if time < _MIN_SEGMENT_S:
                 continue
             goal = JointState(knots.q[k].tolist(), knots.v[k].tolist(), self._zero)
-            profile = solver.solve(_lists(state), goal, shortest=time)
-            if profile is None or profile.duration > time * (1 + 1e-9) or not profile.stays_inside(self._q_min, self._q_max):
+            profile = self._inside(solver.solve(_lists(state), goal, shortest=time))
+            if profile is None or profile.duration > time * (1 + 1e-9):
                 continue
             part = profile.pieces(_lists(state))
             parts.append(part)
@@ -100,12 +132,17 @@ class CommittedMotion:
     def _ended(self, parts: list[Pieces], solver: ProfileSolver, rest: Array, start: JointState | None = None) -> Pieces | None:
         """The parts, and then the fastest motion to rest at a place, or if that leaves the limits the fastest stop."""
         state = _lists(end_state(parts[-1]) if parts else start)
-        goal = JointState(rest.tolist(), self._zero, self._zero)
-        for profile in (solver.solve(state, goal), solver.solve(state, goal, together=False), solver.stop(state)):
-            if profile is not None and profile.stays_inside(self._q_min, self._q_max):
-                last = profile.pieces(state)
-                return joined([*parts, last]) if parts else last
-        return None
+        profile = self._profile(solver, state, rest) or self._inside(solver.stop(state))
+        return None if profile is None else joined([*parts, profile.pieces(state)])
+
+    def _profile(self, solver: ProfileSolver, start: JointState, goal: Array) -> Profile | None:
+        """The fastest motion to rest at a place that stays inside the position limits; None if there is none."""
+        end = JointState(goal.tolist(), self._zero, self._zero)
+        return self._inside(solver.solve(start, end)) or self._inside(solver.solve(start, end, together=False))
+
+    def _inside(self, profile: Profile | None) -> Profile | None:
+        """The profile, if it stays inside the position limits."""
+        return profile if profile is not None and profile.stays_inside(self._q_min, self._q_max) else None
 
     def _is_feasible(self, pieces: Pieces) -> bool:
         """Whether a motion keeps all limits. A slower stop may come too late for the velocity limits of a fast arm."""
@@ -117,27 +154,36 @@ class CommittedMotion:
         times = np.union1d(pieces.knots, np.linspace(0.0, duration, 2 + int(duration / _TORQUE_STEP_S)))
         return bool((np.abs(self._dynamics.total(*sample(pieces, times))) <= self._tau_max).all())
 
-    def _hit(self, pieces: Pieces) -> Hit | None:
-        if self.checker is None or pieces.knots[-1] == 0.0:
+    def _refused(self, pieces: Pieces) -> Refused | None:
+        """Why a motion may not be made; None if it may."""
+        if pieces.knots[-1] == 0.0:
             return None
-        return self.checker.motion_hit(pieces.knots, pieces.coefficients, _CLEARANCE_M)
+        hit = None if self.checker is None else self.checker.motion_hit(pieces.knots, pieces.coefficients, _CLEARANCE_M)
+        if self.checker is not None and hit is not None:
+            first, second = self.checker.names(hit.pair)
+            return Refused(hit.time, f"{second} would touch {first}")
+        reason = "" if self.refusal is None else self.refusal(pieces)
+        return Refused(np.inf, reason) if reason else None
 
-    def _before(self, hit: Hit, solver: ProfileSolver, start: JointState, now: float, knots: Knots) -> Pieces | None:
-        """The longest of some beginnings of the motion after which the arm can stop free of contact; None if there is none."""
-        assert self.checker is not None
-        first, second = self.checker.names(hit.pair)
-        self.obstacle = f"{second} would touch {first}"
-        count = int(np.searchsorted(knots.t - now, hit.time))
-        for keep in dict.fromkeys((count - 1, count // 2, 0)):
-            if keep < 0:
-                continue
-            rest = knots.q[keep - 1] if keep else np.asarray(start.q)
-            joins = tuple(each for each in knots.joins if each.start < keep)
-            shorter = Knots(knots.t[:keep], knots.q[:keep], knots.v[:keep], knots.a[:keep], rest, joins)
+    def _before(self, refused: Refused, solver: ProfileSolver, start: JointState, now: float, knots: Knots) -> Pieces | None:
+        """The longest of some beginnings of the motion that end at rest and are not refused; None if there is none."""
+        self.obstacle = refused.reason
+        for shorter in _shorter(knots, start, int(np.searchsorted(knots.t - now, refused.time))):
             pieces = self._motion(solver, start, now, shorter)
-            if pieces is not None and self._is_feasible(pieces) and self._hit(pieces) is None:
+            if pieces is not None and self._is_feasible(pieces) and self._refused(pieces) is None:
                 return pieces
         return None
+
+
+def _shorter(knots: Knots, start: JointState, count: int) -> Iterator[Knots]:
+    """Beginnings of the wanted motion before one of its states, and then places on the way to its rest."""
+    for keep in (count - 1, count // 2):
+        if keep > 0 and (knots.q[keep - 1] != knots.rest).any():
+            joins = tuple(each for each in knots.joins if each.start < keep)
+            yield Knots(knots.t[:keep], knots.q[:keep], knots.v[:keep], knots.a[:keep], knots.q[keep - 1], joins)
+    q = np.asarray(start.q)
+    for share in _WAY_SHARES:
+        yield Knots.resting(q + share * (knots.rest - q))
 
 
 def end_state(pieces: Pieces) -> JointState:

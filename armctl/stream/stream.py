@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,11 +16,12 @@ from armctl.core.errors import InputError, LimitError
 from armctl.core.pose import Pose, rotation_from_vector
 from armctl.core.target import Target, TargetLike
 from armctl.core.trajectory import Setpoint, TickReference
-from armctl.core.validation import Array, flag, instance, matrix, number, vector
+from armctl.core.validation import Array, flag, instance, matrix, number, shown, vector
 from armctl.ik import DifferentialIk, solve_ik
 from armctl.motion.checks import planning_arm, start_state
 from armctl.motion.timing.otg import JointState
-from armctl.motion.trajectory.piecewise import Pieces, basis
+from armctl.motion.trajectory.path_stop import remaining
+from armctl.motion.trajectory.piecewise import Pieces, basis, standing
 from armctl.robot.arm import Arm
 from armctl.stream.committed_motion import CommittedMotion, end_state
 from armctl.stream.timed_targets import TimedTargets
@@ -52,7 +54,7 @@ class StreamReport:
         refused: How many pushes did not change the motion, because no motion within the limits was found.
         at_velocity_limit: Share of the ticks at which a joint had its greatest speed.
         at_acceleration_limit: Share of the ticks at which a joint had its greatest acceleration.
-        obstacle: What the arm stopped for at the last push; empty if nothing was in the way.
+        obstacle: What the arm stopped for at the last push, or why its motion was refused; empty if nothing was in the way.
     """
 
     lag_s: float
@@ -80,22 +82,35 @@ class Stream:
     ```
     """
 
-    def __init__(self, arm: Arm, q_start: ArrayLike | Setpoint, *, speed: float = 1.0, avoid: bool = False):
+    def __init__(
+        self,
+        arm: Arm,
+        q_start: ArrayLike | Setpoint,
+        *,
+        speed: float = 1.0,
+        avoid: bool = False,
+        refusal: Callable[[Pieces], str] | None = None,
+    ):
         """A stream whose time begins at 0.
 
         Args:
             q_start: (n,) rad, inside the limits; or a setpoint, from which the arm comes to rest.
             speed: Factor on the limits, in (0, 1].
             avoid: Whether each motion is proved free of contact with the scene as it is at home before it is taken.
+            refusal: Why a motion, given as polynomials from now on, may not be made; empty if it may. Where a motion is
+                refused, the arm moves as far towards it as a shorter one may be made.
 
         Raises:
-            InputError: A wrong length, a number that is not finite, or an arm without velocity, acceleration or jerk limits.
+            InputError: A wrong length or type, a number that is not finite, or an arm without limits on velocity,
+                acceleration or jerk.
             LimitError: A start outside the limits, or so fast that no stop inside them is possible.
         """
         self._arm = planning_arm(arm, number("speed", speed, 1e-3, 1.0))
         start = start_state(self._arm, q_start)
         checker = collision_checker(self._arm) if flag("avoid", avoid) else None
-        self._planner = CommittedMotion(self._arm, checker)
+        if refusal is not None and not callable(refusal):
+            raise InputError(f"refusal: expected a function of a motion's pieces, got {shown(refusal)}")
+        self._planner = CommittedMotion(self._arm, checker, refusal)
         self._targets = TimedTargets(start.q, self._arm.limits.v_max, self._arm.limits.a_max)
         self._limits = self._arm.limits
         self._v_limit = _AT_LIMIT * self._limits.v_max
@@ -130,6 +145,13 @@ class Stream:
     def time_left(self) -> float:
         """The time until the arm is at rest, s, if nothing more arrives."""
         return max(0.0, self._begin + self._duration - self._t)
+
+    @property
+    def pieces(self) -> Pieces:
+        """The motion from now on, up to rest, as polynomials."""
+        if self.time_left == 0.0:
+            return standing(self._rest)
+        return remaining(self._pieces, self._t - self._begin)
 
     @property
     def report(self) -> StreamReport:
@@ -318,11 +340,9 @@ class Stream:
         points = [self.setpoint, *(self.step(dt) for _ in range(ticks))]
         q = np.array([point.q for point in points])
         v = np.array([point.v for point in points])
-        a = np.array([point.a for point in points])
         before = q[0] - dt * v[0] if self._previous is None else self._previous
-        v_tick = v if continuous else np.diff(np.vstack([before, q]), axis=0) / dt
         self._previous = q[-2]
-        return TickReference(q[:-1], v[:-1], a[:-1], v_tick[:-1], np.diff(v_tick, axis=0) / dt)
+        return TickReference.between(q, v, np.array([point.a for point in points]), before, dt, continuous)
 
     def _time(self, what: str, t: float) -> float:
         time = number(what, t)
@@ -360,6 +380,7 @@ class Stream:
 
     def _take(self, pieces: Pieces) -> None:
         self._begin = self._t
+        self._pieces = pieces
         self._knots = pieces.knots.tolist()
         self._coefficients = pieces.coefficients
         self._last = len(self._knots) - 1

@@ -47,6 +47,12 @@ class Knots(NamedTuple):
     rest: Array
     joins: tuple[slice, ...]
 
+    @classmethod
+    def resting(cls, q: Array) -> Knots:
+        """No wanted state but rest at q (n,), as soon as possible."""
+        none = np.empty((0, len(q)))
+        return cls(np.empty(0), none, none, none, q, ())
+
 
 class TimedTargets:
     """The history of single targets, which is extrapolated, or the rows of a chunk, which are interpolated.

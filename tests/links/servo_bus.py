@@ -1,6 +1,7 @@
 """Simulated Feetech STS3215 servos on a pseudo-terminal, in a process: registers, packets, motion. No test by itself.
 
-`python servo_bus.py POSITION ...` prints the name of the port, then obeys lines: "block JOINT COUNTS", "mute", "show".
+`python servo_bus.py POSITION ...` prints the name of the port, then obeys lines: "block JOINT COUNTS", "garble COUNT" (of
+answers), "mute", "show".
 """
 
 import json
@@ -11,7 +12,7 @@ import sys
 import time
 import tty
 
-PING, READ, WRITE, SYNC_READ, SYNC_WRITE = 1, 2, 3, 0x82, 0x83
+READ, WRITE, SYNC_READ, SYNC_WRITE = 2, 3, 0x82, 0x83
 MODEL, OFFSET, TORQUE, GOAL, PRESENT, STATUS = 3, 31, 40, 42, 56, 65
 LAG_S = 0.05
 SPEED = 3400.0  # counts/s
@@ -48,9 +49,17 @@ class Servo:
         self.put(PRESENT + 2, abs(round(v)) | (0x8000 if v < 0 else 0))
 
 
+garbled = 0  # answers yet to be sent with a wrong byte
+
+
 def answer(master: int, number: int, servo: Servo, data: bytes) -> None:
+    global garbled
     body = bytes([number, len(data) + 2, servo.registers[STATUS]]) + data
-    os.write(master, b"\xff\xff" + body + bytes([~sum(body) & 0xFF]))
+    packet = bytearray(b"\xff\xff" + body + bytes([~sum(body) & 0xFF]))
+    if garbled:
+        garbled -= 1
+        packet[-2] ^= 0x40
+    os.write(master, packet)
 
 
 def handle(master: int, servos: dict[int, Servo], number: int, instruction: int, p: bytes) -> None:
@@ -70,6 +79,7 @@ def handle(master: int, servos: dict[int, Servo], number: int, instruction: int,
 
 
 def main() -> None:
+    global garbled
     servos = {i + 1: Servo(float(word)) for i, word in enumerate(sys.argv[1:])}
     master, slave = pty.openpty()
     tty.setraw(master)
@@ -91,6 +101,8 @@ def main() -> None:
             if words[0] == "block":
                 servo = servos[int(words[1])]
                 servo.barrier = servo.position + float(words[2])
+            elif words[0] == "garble":
+                garbled = int(words[1])
             elif words[0] == "mute":
                 muted = True
             else:

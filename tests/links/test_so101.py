@@ -13,7 +13,6 @@ from synthetic import Shape, serial_arm
 
 import armctl
 
-pytest.importorskip("scservo_sdk")
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
 COUNTS = 4096 / (2 * np.pi)
 START = np.array([2100, 1900, 2300, 2000, 2048])
@@ -103,6 +102,15 @@ def test_a_blocked_joint_holds_where_it_is(bus: Bus, arm: armctl.Arm, calibratio
         assert "recover" in robot.move_j(angles(START)).reason
         robot.recover()
         assert robot.move_j(angles(START))
+
+
+def test_a_garbled_answer_is_asked_for_again(bus: Bus, arm: armctl.Arm, calibration: Path):
+    with armctl.Robot(arm, armctl.links.SO101(arm, bus.port, calibration)) as robot:
+        bus.say("garble 2")
+        assert robot.move_j(angles(START) + 0.05)
+        bus.say("garble 99")
+        with pytest.raises(armctl.LinkError, match="servo 1 does not answer"):
+            robot.move_j(angles(START))
 
 
 def test_a_bus_that_falls_silent_is_a_fault(bus: Bus, arm: armctl.Arm, calibration: Path):

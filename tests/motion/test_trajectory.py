@@ -1,5 +1,6 @@
 """The trajectory as a value: files of any content, foreign motions, and calls with wrong arguments."""
 
+import dataclasses
 import io
 import pickle
 import zipfile
@@ -55,6 +56,7 @@ def changed(array: np.ndarray, at, value) -> np.ndarray:
     return array
 
 
+LIMITS = [field.name for field in dataclasses.fields(armctl.Limits)]
 FAULTS = {
     "decreasing knots": (lambda d: {"knots": d["knots"][::-1].copy()}, "must start at 0 and must not decrease"),
     "knots from 1 s": (lambda d: {"knots": d["knots"] + 1}, "must start at 0"),
@@ -71,7 +73,7 @@ FAULTS = {
     "one text for units": (lambda d: {"units": np.array("rad")}, "not a list of texts"),
     "a slowdown of text": (lambda d: {"slowed": np.array(["a", "b", "c"])}, "slowed"),
     "negative limits": (lambda d: {"v_max": -d["v_max"]}, "v_max"),
-    "limits of two joints": (lambda d: {k: d[k][:2] for k in ("q_min", "q_max", "v_max", "a_max", "j_max", "tau_max")}, "fit"),
+    "limits of two joints": (lambda d: {name: d[name][:2] for name in LIMITS}, "fit"),
     "another format": (lambda d: {"format": np.array(99)}, "format"),
     "an object": (lambda d: {"knots": np.array([None])}, "allow_pickle"),
 }

@@ -86,7 +86,9 @@ def test_out_of_reach_is_a_result_that_says_by_how_much(bundled: Arm, distance: 
     assert result.log is None
     assert "out of reach by" in result.reason
     reach = 0.3 + 0.25
-    assert float(result.reason.split()[4]) == pytest.approx(1e3 * (distance - reach), rel=1e-3)
+    value, unit = result.reason.split()[4:6]
+    scale = {"mm": 1e3, "m": 1.0}[unit.rstrip(";")]
+    assert float(value) == pytest.approx(scale * (distance - reach), rel=1.2e-3)
     assert np.array_equal(sim.state.q, before)
 
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 import armctl
 from armctl.core.trajectory import Setpoint
+from armctl.motion.trajectory.piecewise import sample
 
 DT = 2e-3
 RATE = 30.0
@@ -242,6 +243,44 @@ def test_the_arm_stops_before_an_obstacle_and_the_report_names_it(arm_before_a_w
         data.qpos[arm.qpos_adr] = point.q
         mujoco.mj_forward(arm.model, data)
         assert not any("wall" in {arm.model.geom(g).name for g in contact.geom} for contact in data.contact)
+
+
+def test_a_motion_that_is_refused_becomes_shorter_until_it_is_not_and_the_report_says_why(arm):
+    limit = arm.home[0] + 0.4
+    asked = []
+
+    def refusal(pieces) -> str:
+        asked.append(pieces)
+        times = np.linspace(0.0, pieces.knots[-1], 200)
+        return "joint 0 would turn too far" if sample(pieces, times).q[:, 0].max() > limit else ""
+
+    stream = armctl.Stream(arm, arm.home, refusal=refusal)
+    points = []
+    for k in range(90):
+        stream.push(stream.t, arm.home + np.array([0.02 * k, 0.0, 0.0]))
+        points += [stream.step(DT) for _ in range(16)]
+    assert asked
+    assert stream.report.obstacle == "joint 0 would turn too far"
+    points += [stream.step(DT) for _ in range(1000)]
+    assert limit - 0.05 < points[-1].q[0] <= max(point.q[0] for point in points) <= limit + 1e-9
+    assert_inside(arm, points)
+    stream.push(stream.t, arm.home)
+    assert stream.report.obstacle == ""
+
+
+def test_the_pieces_are_the_motion_from_now_on(arm):
+    stream = armctl.Stream(arm, arm.home)
+    assert stream.pieces.knots[-1] == 0.0
+    stream.push(stream.t, arm.home + 0.2)
+    stream.step(0.1)
+    pieces = stream.pieces
+    times = 0.01 * np.arange(1, 30)
+    ahead = sample(pieces, times)
+    points = [stream.step(0.01) for _ in times]
+    assert ahead.q == pytest.approx(np.array([point.q for point in points]), abs=1e-9)
+    assert ahead.v == pytest.approx(np.array([point.v for point in points]), abs=1e-9)
+    with pytest.raises(armctl.InputError, match="refusal: expected a function of a motion's pieces, got 5"):
+        armctl.Stream(arm, arm.home, refusal=5)
 
 
 @pytest.fixture
