@@ -30,6 +30,8 @@ from .control.interface import Controller as Controller
 from .control.interface import State as State
 from .control.lqr import LQR as LQR
 from .control.lqr import LQRGains as LQRGains
+from .control.mpc import MPC as MPC
+from .control.mpc import MPCCounts as MPCCounts
 from .control.operational_space import OperationalSpace as OperationalSpace
 from .control.pd import PD as PD
 from .control.pd_feedforward import PDFeedforward as PDFeedforward

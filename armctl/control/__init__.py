@@ -14,6 +14,7 @@ from armctl.control.hybrid_force import HybridForce
 from armctl.control.impedance import Impedance
 from armctl.control.interface import CompiledController, Controller, State, controller_name
 from armctl.control.lqr import LQR, LQRGains
+from armctl.control.mpc import MPC, MPCCounts
 from armctl.control.operational_space import OperationalSpace
 from armctl.control.pd import PD
 from armctl.control.pd_feedforward import PDFeedforward
@@ -33,6 +34,7 @@ CONTROLLERS: dict[str, Callable[[Arm], Controller]] = {
     "computed-torque-learning": ComputedTorqueLearning,
     "qp": ComputedTorqueQP,
     "lqr": LQR,
+    "mpc": MPC,
     "operational-space": OperationalSpace,
     "impedance": Impedance,
 }
@@ -52,6 +54,7 @@ def controller_by_name(name: str, arm: Arm) -> Controller:
 __all__ = [
     "CONTROLLERS",
     "LQR",
+    "MPC",
     "PD",
     "Admittance",
     "CompiledController",
@@ -66,6 +69,7 @@ __all__ = [
     "Impedance",
     "LQRGains",
     "LowPass",
+    "MPCCounts",
     "Notch",
     "OperationalSpace",
     "PDFeedforward",

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from armctl.control import (
     LQR,
+    MPC,
     PD,
     ComputedTorque,
     ComputedTorqueLearning,
@@ -254,6 +255,7 @@ _BANDWIDTH_LAWS: dict[str, tuple[Callable[..., Controller], float]] = {
     "operational-space": (OperationalSpace, DEFAULT_BANDWIDTH),
     "impedance": (Impedance, IMPEDANCE_BANDWIDTH),
     "qp": (ComputedTorqueQP, DEFAULT_BANDWIDTH),
+    "mpc": (MPC, DEFAULT_BANDWIDTH),
 }
 _OBSERVER_LAWS: dict[str, Callable[..., Controller]] = {
     "computed-torque-observer": ComputedTorqueObserver,

@@ -385,6 +385,7 @@ class Stepper:
         touching = rows.contacts[-1][1] if rows.contacts else b""
         row = first
         count = rows.count
+        foresee = getattr(controller, "foresee", None)
         try:
             for row, setpoint in enumerate(zip(*(column[first:last] for column in rows.reference), strict=True), first):
                 v_rows[row] = data.qvel[self._dofs] if qvel is None else qvel
@@ -402,6 +403,8 @@ class Stepper:
                     late = self._train.deflection(model, data) if disturbances is None else disturbances.deflection
                     deflection = read_only(late)
                 try:
+                    if foresee is not None:
+                        foresee(TickReference(*(column[row:] for column in rows.reference)))
                     state = new(State, (q_seen, v_seen, data.time, dt, continuous, wrench, deflection))
                     tau = torque(state, new(Setpoint, setpoint))
                     if not (type(tau) is ndarray and tau.dtype is _FLOAT64 and len(tau) == n):
