@@ -155,3 +155,17 @@ def test_the_rate_of_a_speed_override_changes_smoothly_and_its_progress_is_its_i
     assert rate[-1] == 0.25
     assert sum(step.progress for step in steps) == pytest.approx(dt * (rate.sum() + 0.5 * (1.0 - 0.25)), rel=1e-9)
     assert (np.abs(slope).max() * limits.v_max <= 0.4 * limits.a_max + 1e-12).all()
+
+
+def test_a_goal_for_which_the_motors_are_too_weak_is_refused_with_the_reason():
+    arm = armctl.load(BUNDLED)
+    weak = arm.with_limits(replace(arm.limits, tau_max=np.array([50.0, 3.4, 30.0])))
+    watched = RealTimeSession(weak)
+    watched.move_joints(np.array([0.5, -0.4, -0.5]))
+    for _ in range(100):
+        watched.advance()
+        while watched._follower.is_planning and watched._follower._answer is None:
+            time.sleep(1e-3)
+    assert watched.status.activity is Activity.BLOCKED
+    assert "holding still needs -3.4 N m" in watched.status.refusal
+    assert weak.limits.contains(watched.status.q)

@@ -1,39 +1,39 @@
-"""OnlineReference: the reference of an arm whose target changes while it moves."""
+"""FollowerReference: where an arm should be that follows a target: on its way to a joint goal, or on a planned path."""
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from armctl.core.errors import PlanError
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory
 from armctl.core.validation import Array
-from armctl.motion import OnlineMotion
-from armctl.motion.trajectory.piecewise import Pieces
+from armctl.motion.timing.otg import JointState
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
+from armctl.motion.trajectory.piecewise import Pieces, standing
 from armctl.robot.arm import Arm
 from armctl.sim.speed_override import Advance, SpeedOverride
+from armctl.stream.committed_motion import CommittedMotion
 
 
-class OnlineReference:
-    """A reference as rows for the tick loop, a few at a time: an online motion, whose goal may change, or a planned motion.
+class FollowerReference:
+    """A reference as rows for the tick loop, a few at a time. It always is on a motion that ends at rest.
 
     Attributes:
         arm: The arm, with the limits of the motions.
         q: (n,) rad, where the reference is now.
+        is_on_planned_path: Whether it follows a planned motion that has neither ended nor been stopped.
     """
 
-    def __init__(self, arm: Arm, dt: float, q: Array, *, acceleration_scale: float = 1.0, continuous: bool = False):
+    def __init__(self, arm: Arm, dt: float, q: Array, refusal: Callable[[Pieces], str], acceleration_scale: float = 1.0):
         """A reference that rests at q.
 
         Args:
             dt: s, the tick.
             q: (n,) rad, where it starts.
+            refusal: Why a motion to a joint goal may not be made; empty if it may.
             acceleration_scale: Factor on the acceleration limits; its square scales the jerk limits.
-            continuous: Whether the arm moves almost continuously between ticks, so that its velocity is not the difference of
-                two positions.
         """
         self._override = SpeedOverride(arm.limits)
         self._rate = 1.0
@@ -43,23 +43,18 @@ class OnlineReference:
             arm = arm.with_limits(replace(arm.limits, a_max=a_max, j_max=j_max))
         self.arm = arm
         self._dt = dt
-        self._continuous = continuous
+        self._planner = CommittedMotion(arm, refusal=refusal)
         self.stand(q)
 
     @property
-    def is_on_planned_path(self) -> bool:
-        """Whether it follows a planned motion that has neither ended nor been stopped."""
-        return self._planned is not None
+    def obstacle(self) -> str:
+        """Why the last joint goal was refused; empty if it was not."""
+        return self._planner.obstacle
 
     @property
     def is_at_rest(self) -> bool:
         """Whether it stands still until it gets another goal."""
-        return self._planned is None and self._motion.time_left == 0.0
-
-    @property
-    def pieces(self) -> Pieces:
-        """The online motion from now on, up to rest."""
-        return self._motion.pieces
+        return not self.is_on_planned_path and self._path_time >= self._motion.duration
 
     def stand(self, q: Array) -> None:
         """Rests at q, (n,) rad, from now on."""
@@ -75,57 +70,56 @@ class OnlineReference:
 
     def follow(self, trajectory: Trajectory) -> None:
         """Follows a planned motion, which starts where the reference rests."""
-        self._planned = trajectory
-        self._path_time = 0.0
+        self._take(trajectory)
+        self.is_on_planned_path = True
 
     def stop(self) -> None:
         """Stops on the planned path."""
-        if self._planned is not None:
+        if self.is_on_planned_path:
             self._is_stopping = True
             self._override.go_to(0.0)
 
-    def go_to(self, goal: Array, accepts: Callable[[Pieces], bool]) -> bool:
-        """Takes a goal, (n,) rad, if the motion there is accepted; otherwise the reference goes on as it was."""
-        return self._motion.go_to_if(goal, accepts)
-
-    def toward(self, goal: Array, ticks: int) -> TickReference:
-        """The next ticks of a motion to a goal, (n,) rad, where the reference is at rest."""
-        with contextlib.suppress(PlanError):  # the motion then stops; the next call plans again
-            self._motion.go_to(goal)
-        return self.next(ticks)
+    def go_to(self, goal: Array) -> bool:
+        """Goes to rest at a goal, (n,) rad, if the limits and the refusal allow; otherwise it goes on as it was."""
+        pieces = self._planner.to_rest(JointState(*self._motion(self._path_time)[:3]), goal)
+        if pieces is not None:
+            self._take(self._trajectory(pieces))
+        return pieces is not None
 
     def next(self, ticks: int) -> TickReference:
         """The next ticks."""
-        if self._planned is not None and (self._path_time >= self._planned.duration or self._has_stopped):
+        if self.is_on_planned_path and (self._path_time >= self._motion.duration or self._has_stopped):
             self._rest()
         steps = [self._setpoint(self._override.step(dt)) for dt in (0.0, *ticks * [self._dt])]
         q = np.array([step.q for step in steps])
         v = np.array([step.v for step in steps])
-        a = np.array([step.a for step in steps])
-        v_tick = v if self._continuous else np.diff(np.vstack([self._previous, q]), axis=0) / self._dt
+        rows = TickReference.between(q, v, np.array([step.a for step in steps]), self._previous, self._dt)
         self.q = q[-1]
         self._previous = q[-2]
-        return TickReference(q[:-1], v[:-1], a[:-1], v_tick[:-1], np.diff(v_tick, axis=0) / self._dt)
+        return rows
 
     @property
     def _has_stopped(self) -> bool:
         return self._is_stopping and self._override.rate == 0.0
 
     def _rest(self) -> None:
-        """Ends a planned motion: the reference stands at q."""
-        self._planned: Trajectory | None = None
-        self._path_time = 0.0
+        """Ends a motion: the reference stands at q."""
+        self.is_on_planned_path = False
         self._is_stopping = False
         self._override.jump_to(self._rate)
-        self._motion = OnlineMotion(self.arm, self.arm.limits.clamp(self.q))
+        self._take(self._trajectory(standing(self.arm.limits.clamp(self.q))))
+
+    def _take(self, motion: Trajectory) -> None:
+        self._motion = motion
+        self._path_time = 0.0
+
+    def _trajectory(self, pieces: Pieces) -> JointTrajectory:
+        return JointTrajectory(*pieces, self.arm.joint_names, self.arm.limits)
 
     def _setpoint(self, advance: Advance) -> Setpoint:
         """Where the reference is after some path time, with its derivatives by time."""
-        if self._planned is None:
-            point = self._motion.step(advance.progress)
-        else:
-            self._path_time += advance.progress
-            point = self._planned(self._path_time)
+        self._path_time += advance.progress
+        point = self._motion(self._path_time)
         rate = advance.rate
         if rate == 1.0 and advance.slope == 0.0:
             return point
