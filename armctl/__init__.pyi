@@ -27,6 +27,8 @@ from .control.impedance import Impedance as Impedance
 from .control.interface import CompiledController as CompiledController
 from .control.interface import Controller as Controller
 from .control.interface import State as State
+from .control.lqr import LQR as LQR
+from .control.lqr import LQRGains as LQRGains
 from .control.operational_space import OperationalSpace as OperationalSpace
 from .control.pd import PD as PD
 from .control.pd_feedforward import PDFeedforward as PDFeedforward

@@ -685,6 +685,13 @@ class ComputedTorque(Law):
 
     def __init__(self, of: ArmModel, **gains) -> None: ...
 
+class LQR(Law):
+    """
+    Linear quadratic regulator with integral action, at estimated positions and velocities.
+    """
+
+    def __init__(self, of: ArmModel, **gains) -> None: ...
+
 class ComputedTorqueObserver(Law):
     """Computed torque with a disturbance observer that estimates velocities."""
 

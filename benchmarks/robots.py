@@ -1,8 +1,8 @@
 """The makers' ratings of arms, loading times, and every chain of every installed robot with its limits and test results.
 
-    python benchmarks/robots.py [--poses 1000] [--out docs/robots.md]
+    python benchmarks/robots.py [--poses 1000]
 
-It writes the page `docs/robots.md`. A robot is installed if MENAGERIE_ROOT or the cache of `mujoco-menagerie` holds it.
+It writes the tables of `docs/robots.md`. A robot is installed if MENAGERIE_ROOT or the cache of `mujoco-menagerie` holds it.
 """
 
 from __future__ import annotations
@@ -26,34 +26,7 @@ import armctl
 BUNDLED = "robot_arm_3dof"
 STEP = 0.2  # rad, m: how far the joints move from home in the tracking runs
 POSITION_TOLERANCE_M = 1e-5  # of solve_ik
-PAGE = Path(__file__).parent.parent / "docs" / "robots.md"
-HEAD = """# Robots
-
-## Ratings
-
-What the makers publish about the arms of MuJoCo Menagerie, with the source. An arm without a data sheet in
-armctl has the limits of its model and the default speed of 2 rad/s. `armctl info NAME` compares the rated payload
-with what the torque limits of the model hold.
-
-{ratings}
-
-## Loading
-
-CPU time of `armctl.load` and of MuJoCo's own compilation of the same file, the least of {runs} runs each in turn, with MuJoCo's
-cache of meshes cleared before each run. armctl compiles twice and compares its model with MuJoCo's.
-
-{loading}
-
-## Chains
-
-Every serial chain of the robots that were installed when this page was made, by `python benchmarks/robots.py`. The command
-`armctl chains NAME` finds them; `load(NAME, base=..., tip=..., hold_base=True)` loads one.
-
-- IK: of {poses} poses, each of some configuration inside the limits, the share that `solve_ik` solves within 1e-5 m.
-- PD, computed torque: the joint errors on a motion of up to {step} rad from home, RMS for PD, the largest for computed torque.
-- Joints in brackets follow the one before them: an equality ties them to it.
-
-"""
+RESULTS = Path(__file__).parent / "results"
 LOADING_COLUMNS = ("robot", "load, s", "MuJoCo alone, s", "ratio")
 LOADING_RUNS = 3
 RATINGS_COLUMNS = ("robot", "payload, kg", "reach, m", "joint speeds, deg/s", "source")
@@ -165,10 +138,9 @@ def cold_seconds(call: Callable[[], object]) -> float:
     return time.process_time() - began
 
 
-def page(poses: int) -> str:
-    """The whole page."""
-    installed = installed_robots()
-    text = HEAD.format(poses=poses, step=STEP, runs=LOADING_RUNS, ratings=ratings(), loading=loading(installed))
+def tested(installed: list[menagerie.Robot], poses: int) -> str:
+    """A table for each robot, with a row for each chain, and the chains that are refused."""
+    text = ""
     for robot in (BUNDLED, *(f"{each.name}/{each.default_model}" for each in installed)):
         chains = armctl.chains(robot)
         rows = []
@@ -190,9 +162,9 @@ def page(poses: int) -> str:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--poses", type=int, default=1000)
-    parser.add_argument("--out", type=Path, default=PAGE)
     args = parser.parse_args()
+    robots = installed_robots()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", armctl.ArmctlWarning)
-        args.out.write_text(page(args.poses), encoding="utf-8")
-    print(f"written: {args.out}")
+        for name, text in {"ratings": ratings(), "loading": loading(robots), "chains": tested(robots, args.poses)}.items():
+            (RESULTS / f"robots_{name}.md").write_text(text.rstrip() + "\n", encoding="utf-8")

@@ -144,9 +144,9 @@ def cxx_mutants(file: Path) -> list[Mutant]:
 
 def files_of(subpackage: str, since: str | None) -> list[Path]:
     """The files of a subpackage, or of those only the ones that changed since a revision."""
-    suffix = ".cpp" if subpackage == CXX else ".py"
+    suffix = "[ch]pp" if subpackage == CXX else "py"
     folder = WORK / "armctl" / subpackage
-    files = sorted(path.relative_to(WORK) for path in folder.rglob(f"*{suffix}") if "bindings" not in path.parts)
+    files = sorted(path.relative_to(WORK) for path in folder.rglob(f"*.{suffix}") if "bindings" not in path.parts)
     if since is None:
         return files
     command = ["git", "diff", "--name-only", since]
@@ -197,7 +197,7 @@ def is_found(mutant: Mutant) -> bool:
     original = target.read_text(encoding="utf-8")
     target.write_text(mutant.text, encoding="utf-8")
     try:
-        is_cxx = mutant.file.suffix == ".cpp"
+        is_cxx = mutant.file.suffix != ".py"
         if is_cxx and not run(build)[0]:
             return True
         passes, output = run([*PYTEST, *tests_of(mutant)])

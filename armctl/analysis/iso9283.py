@@ -33,7 +33,7 @@ from armctl.core.pose import Pose
 from armctl.core.validation import Array, integer, number
 from armctl.ik import solve_ik
 from armctl.motion import JointTrajectory, move_j, move_l, move_path
-from armctl.robot.arm import Arm
+from armctl.robot.arm import Arm, check_arm
 from armctl.sim.plant import NOMINAL, Plant, Push
 from armctl.sim.simulate import simulate
 from armctl.sim.simulation import Simulation
@@ -198,6 +198,7 @@ def iso9283_cycles(
         PlanError: The arm cannot work in any cube around its home.
         UnknownNameError: There is no such controller.
     """
+    check_arm(arm)
     cycles = integer("cycles", cycles, 2)
     path_cycles = integer("path_cycles", path_cycles, 2)
     speed = number("speed", speed, 1e-3, 1.0)

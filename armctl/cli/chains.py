@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 
-from armctl.cli.common import DONE, Commands, add_command, add_json, add_robot, print_result
+from armctl.cli import common
 
 
-def add(commands: Commands) -> None:
+def add(commands: common.Commands) -> None:
     """Adds the command to the parser."""
-    parser = add_command(commands, "chains", run, "list every serial chain of a robot: arms, legs, fingers")
-    add_robot(parser)
-    add_json(parser)
+    parser = common.add_command(commands, "chains", run, "list every serial chain of a robot: arms, legs, fingers")
+    common.add_robot(parser)
+    common.add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -22,5 +22,5 @@ def run(args: argparse.Namespace) -> int:
     from armctl.loading.load import chains
 
     found = chains(args.robot)
-    print_result(args, describe_chains(args.robot, found), [asdict(chain) for chain in found])
-    return DONE
+    common.print_result(args, describe_chains(args.robot, found), [asdict(chain) for chain in found])
+    return common.DONE

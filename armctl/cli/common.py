@@ -31,6 +31,7 @@ CONTROLLER_NAMES = (
     "computed-torque-observer",
     "computed-torque-learning",
     "qp",
+    "lqr",
     "operational-space",
     "impedance",
 )

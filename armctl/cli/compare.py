@@ -10,27 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from armctl.cli.common import (
-    CONTROLLERS_HELP,
-    DONE,
-    PLANTS_HELP,
-    Commands,
-    add_arm,
-    add_command,
-    add_json,
-    add_save,
-    add_speed,
-    add_timestep,
-    controllers_from,
-    load_arm,
-    names,
-    one_number,
-    print_result,
-    save_report,
-    say_written,
-    speed_from,
-    timestep_from,
-)
+from armctl.cli import common
 
 if TYPE_CHECKING:
     from armctl.analysis.report import Report
@@ -41,17 +21,17 @@ if TYPE_CHECKING:
 _MAX_PREFIX_CHARACTERS = 120  # file systems allow 255 bytes for a name
 
 
-def add(commands: Commands) -> None:
+def add(commands: common.Commands) -> None:
     """Adds the command to the parser."""
-    parser = add_command(commands, "compare", run, "follow the same motion under several controllers")
-    add_arm(parser)
+    parser = common.add_command(commands, "compare", run, "follow the same motion under several controllers")
+    common.add_arm(parser)
     parser.add_argument(
         "--controllers",
         default="pd,computed-torque",
         metavar="A,B,...",
-        help=f"all, or of {CONTROLLERS_HELP} (default %(default)s)",
+        help=f"all, or of {common.CONTROLLERS_HELP} (default %(default)s)",
     )
-    parser.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{PLANTS_HELP} (default nominal)")
+    parser.add_argument("--plants", default="nominal", metavar="A,B,...", help=f"{common.PLANTS_HELP} (default nominal)")
     parser.add_argument(
         "--encoder-noise",
         metavar="RAD",
@@ -70,29 +50,29 @@ def add(commands: Commands) -> None:
         metavar="S",
         help="tune every controller to this delay margin first, as armctl tune does (default: its default gains)",
     )
-    add_timestep(parser)
+    common.add_timestep(parser)
     parser.add_argument(
         "--workers", type=int, default=os.cpu_count() or 1, help="number of threads (default one per processor core)"
     )
-    add_speed(parser)
-    add_json(parser)
-    add_save(parser)
+    common.add_speed(parser)
+    common.add_json(parser)
+    common.add_save(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Runs the command."""
-    speed = speed_from(args.speed)
+    speed = common.speed_from(args.speed)
     from armctl.analysis.comparison import compare, out_and_back, remarks
     from armctl.analysis.comparison_html import write_comparison
     from armctl.analysis.report import report_table
     from armctl.cli.plants import plant_by_name
     from armctl.core.validation import number
 
-    arm = load_arm(args)
-    timestep = timestep_from(args)
-    controllers = controllers_from(args.controllers)
-    noise = number("encoder_noise", one_number("encoder_noise", args.encoder_noise), 0.0)
-    plants = [_with_encoder(plant_by_name(name, arm, timestep), noise) for name in names(args.plants)]
+    arm = common.load_arm(args)
+    timestep = common.timestep_from(args)
+    controllers = common.controllers_from(args.controllers)
+    noise = number("encoder_noise", common.one_number("encoder_noise", args.encoder_noise), 0.0)
+    plants = [_with_encoder(plant_by_name(name, arm, timestep), noise) for name in common.names(args.plants)]
     for folder in filter(None, (args.report, args.save)):
         folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be made is reported before the runs
     laws, notes = _tuned(args, arm, controllers, plants) if args.delay_margin else (controllers, [])
@@ -100,14 +80,14 @@ def run(args: argparse.Namespace) -> int:
     notes += remarks(reports)
     if notes:
         notes.append("")
-    print_result(args, "\n".join([*notes, report_table(reports).text(keys=2)]), [r.to_dict() for r in reports])
+    common.print_result(args, "\n".join([*notes, report_table(reports).text(keys=2)]), [r.to_dict() for r in reports])
     if args.save:
         for report, prefix in zip(reports, _file_prefixes(reports), strict=True):
-            save_report(report, args.save, prefix)
+            common.save_report(report, args.save, prefix)
     if args.report:
         for path in write_comparison(reports, args.report, "All joints out and back", film_of=arm):
-            say_written(path)
-    return DONE
+            common.say_written(path)
+    return common.DONE
 
 
 def _tuned(
@@ -117,7 +97,7 @@ def _tuned(
     from armctl.core.progress import progress_bar
     from armctl.design.tuning import LAWS, tune
 
-    delay_margin = one_number("delay_margin", args.delay_margin)
+    delay_margin = common.one_number("delay_margin", args.delay_margin)
     controllers: list[Controller | str] = []
     notes: list[str] = []
     with progress_bar("tune", len(names), "controllers") as bar:

@@ -6,27 +6,16 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from armctl.cli.common import (
-    DONE,
-    NOT_REACHED,
-    Commands,
-    add_arm,
-    add_command,
-    add_json,
-    load_arm,
-    one_number,
-    print_result,
-    say_written,
-)
+from armctl.cli import common
 from armctl.core.errors import InputError
 
 _QUANTITIES = ("t", "q", "tau")
 
 
-def add(commands: Commands) -> None:
+def add(commands: common.Commands) -> None:
     """Adds the command to the parser."""
-    parser = add_command(commands, "identify", run, "identify inertia and friction of an arm from a recording")
-    add_arm(parser)
+    parser = common.add_command(commands, "identify", run, "identify inertia and friction of an arm from a recording")
+    common.add_arm(parser)
     parser.add_argument("file", type=Path, help="the recording: a .csv of t, q and tau, or a log of armctl (.npz)")
     parser.add_argument("--friction", default="coulomb+viscous", help="none, coulomb+viscous (the default) or stribeck")
     parser.add_argument("--columns", nargs="+", metavar="QUANTITY=NAME", help="columns, such as t=time q=pos* tau=torque*")
@@ -36,7 +25,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--page", type=Path, metavar="FILE", help="write the torques and figures into this .html")
     parser.add_argument("--mjcf", type=Path, metavar="FILE", help="write the robot with the result into this .xml")
     parser.add_argument("--urdf", type=Path, metavar="FILE", help="write the chain with the result into this .urdf")
-    add_json(parser)
+    common.add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -47,22 +36,22 @@ def run(args: argparse.Namespace) -> int:
 
     columns = _table("columns", args.columns)
     units = _table("units", args.units)
-    holdout = one_number("holdout", args.holdout)
-    arm = load_arm(args)
+    holdout = common.one_number("holdout", args.holdout)
+    arm = common.load_arm(args)
     units = {"q": arm.units, "tau": arm.torque_units, **units}
     is_log = args.file.suffix in (".npz", ".parquet")
     log = Log.load(args.file) if is_log else Log.from_csv(args.file, columns, units=units, robot=arm.name)
     estimate = identify(arm, log, args.friction, not args.any_inertia, holdout=holdout)
-    print_result(args, str(estimate), estimate.to_dict(), estimate.reason)
+    common.print_result(args, str(estimate), estimate.to_dict(), estimate.reason)
     if args.page:
-        say_written(identification_page(estimate, args.page))
+        common.say_written(identification_page(estimate, args.page))
     if not estimate:
-        return NOT_REACHED
+        return common.NOT_REACHED
     if args.mjcf:
-        say_written(estimate.to_mjcf(args.mjcf, args.robot))
+        common.say_written(estimate.to_mjcf(args.mjcf, args.robot))
     if args.urdf:
-        say_written(estimate.to_urdf(args.urdf))
-    return DONE
+        common.say_written(estimate.to_urdf(args.urdf))
+    return common.DONE
 
 
 def _table(what: str, words: Sequence[str] | None) -> dict[str, str]:

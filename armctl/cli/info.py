@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import argparse
 
-from armctl.cli.common import DONE, Commands, add_arm, add_command, add_json, load_arm, print_result
+from armctl.cli import common
 
 
-def add(commands: Commands) -> None:
+def add(commands: common.Commands) -> None:
     """Adds the command to the parser."""
-    parser = add_command(commands, "info", run, "show a robot's joints and limits")
-    add_arm(parser)
-    add_json(parser)
+    parser = common.add_command(commands, "info", run, "show a robot's joints and limits")
+    common.add_arm(parser)
+    common.add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Runs the command."""
     from armctl.analysis.describe import describe, facts
 
-    arm = load_arm(args)
-    print_result(args, describe(arm), facts(arm))
-    return DONE
+    arm = common.load_arm(args)
+    common.print_result(args, describe(arm), facts(arm))
+    return common.DONE

@@ -5,43 +5,30 @@ from __future__ import annotations
 import argparse
 import sys
 
-from armctl.cli.common import (
-    CONTROLLERS_HELP,
-    DONE,
-    NOT_REACHED,
-    PLANTS_HELP,
-    Commands,
-    add_arm,
-    add_command,
-    add_json,
-    add_speed,
-    add_timestep,
-    load_arm,
-    print_result,
-    speed_from,
-    timestep_from,
-)
+from armctl.cli import common
 
 _STANDARD_SPEEDS = (1.0, 0.5, 0.1)
 
 
-def add(commands: Commands) -> None:
+def add(commands: common.Commands) -> None:
     """Adds the command to the parser."""
-    parser = add_command(commands, "iso9283", run, "measure the performance criteria of ISO 9283")
-    add_arm(parser)
-    parser.add_argument("--controller", default="computed-torque-observer", help=f"{CONTROLLERS_HELP} (default %(default)s)")
-    parser.add_argument("--plant", default="noise", metavar="A+B", help=f"{PLANTS_HELP} (default noise)")
+    parser = common.add_command(commands, "iso9283", run, "measure the performance criteria of ISO 9283")
+    common.add_arm(parser)
+    parser.add_argument(
+        "--controller", default="computed-torque-observer", help=f"{common.CONTROLLERS_HELP} (default %(default)s)"
+    )
+    parser.add_argument("--plant", default="noise", metavar="A+B", help=f"{common.PLANTS_HELP} (default noise)")
     parser.add_argument("--identify", action="store_true", help="identify the payload first; the controller then uses it")
     parser.add_argument("--cycles", type=int, default=30, help="number of cycles through the five poses (default 30)")
-    add_timestep(parser)
+    common.add_timestep(parser)
     parser.add_argument("--all-speeds", action="store_true", help="at 100, 50 and 10 %% of the speed, as in the standard")
-    add_speed(parser)
-    add_json(parser)
+    common.add_speed(parser)
+    common.add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Runs the command."""
-    speed = speed_from(args.speed)
+    speed = common.speed_from(args.speed)
     from armctl.analysis.iso9283 import iso9283_cycles
     from armctl.cli.plants import plant_by_name
     from armctl.control import controller_by_name
@@ -49,9 +36,9 @@ def run(args: argparse.Namespace) -> int:
     from armctl.design.payload import identify_payload
     from armctl.sim.simulate import simulate
 
-    arm = load_arm(args)
+    arm = common.load_arm(args)
     known = arm
-    plant = plant_by_name(args.plant, arm, timestep_from(args))
+    plant = plant_by_name(args.plant, arm, common.timestep_from(args))
     if args.identify:
         found = identify_payload(arm, simulate(arm, args.controller, excitation(arm), plant))
         print(f"armctl: {found}", file=sys.stderr)
@@ -63,5 +50,5 @@ def run(args: argparse.Namespace) -> int:
     ]
     data = {"speeds": [result.to_dict() for result in results]} if args.all_speeds else results[0].to_dict()
     reason = next((result.reason for result in results if not result), "")
-    print_result(args, "\n\n".join(map(str, results)), data, reason)
-    return DONE if all(results) else NOT_REACHED
+    common.print_result(args, "\n\n".join(map(str, results)), data, reason)
+    return common.DONE if all(results) else common.NOT_REACHED

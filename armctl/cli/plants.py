@@ -17,11 +17,11 @@ _DEFAULT = {"payload": 1.0, "mass": 1.2, "friction": _FRICTION, "delay": 2.0, "n
 _WORDS = {
     "nominal": "the model",
     "mass": "factor on the links' masses (1.2)",
-    "friction": "Coulomb friction as a fraction of the torque limit, and half as much viscous friction per rad/s (0.02)",
+    "friction": "Coulomb friction as a fraction of the torque limit, half as much viscous per rad/s (0.02); or coulomb, lugre",
     "noise": "noise of encoders, times 1e-5 rad (1); velocities are position differences",
     "all": "payload, mass, friction, delay and noise at once",
 }
-_SINGLE = (Kind.NUMBER, Kind.WHOLE_NUMBER, Kind.WORD, Kind.FLAG)
+_SINGLE = (Kind.NUMBER, Kind.WHOLE_NUMBER, Kind.PER_JOINT, Kind.WORD, Kind.FLAG)
 _ATTRIBUTES = {name: each for name, each in PLANT_ATTRIBUTES.items() if each.is_factor and each.kind in _SINGLE}
 PLANTS = (*_WORDS, *_ATTRIBUTES)
 
@@ -48,7 +48,8 @@ def _with(plant: Plant, name: str, value: str, arm: Arm) -> Plant:
         if value:
             raise InputError(f"{name!r} takes no value")
         return plant if name == "nominal" else replace(plant, **{name: True})
-    if name in _ATTRIBUTES and _ATTRIBUTES[name].kind is Kind.WORD:
+    attribute = PLANT_ATTRIBUTES.get(name)
+    if attribute is not None and attribute.kind is Kind.WORD and (name not in _WORDS or value in attribute.words):
         return replace(plant, **{name: value})
     amount = _number(name, value)
     if name == "friction":

@@ -7,46 +7,29 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from armctl.cli.common import (
-    CONTROLLERS_HELP,
-    DONE,
-    NOT_REACHED,
-    Commands,
-    add_arm,
-    add_command,
-    add_json,
-    add_save,
-    add_speed,
-    load_arm,
-    numbers,
-    one_number,
-    print_result,
-    save_report,
-    say_written,
-    speed_from,
-)
+from armctl.cli import common
 from armctl.core.errors import InputError, LimitError
 
 
-def add(commands: Commands) -> None:
+def add(commands: common.Commands) -> None:
     """Adds the command to the parser."""
-    parser = add_command(commands, "reach", run, "move the tip to a target and report")
-    add_arm(parser)
+    parser = common.add_command(commands, "reach", run, "move the tip to a target and report")
+    common.add_arm(parser)
     parser.add_argument("--target", nargs="+", metavar="N", help="x y z in m, optionally with roll pitch yaw in rad")
     parser.add_argument(
         "--allow", action="append", default=[], metavar="A,B", help="two bodies or geoms that may touch, such as cube,table"
     )
-    parser.add_argument("--controller", default="computed-torque", help=f"{CONTROLLERS_HELP} (default %(default)s)")
+    parser.add_argument("--controller", default="computed-torque", help=f"{common.CONTROLLERS_HELP} (default %(default)s)")
     parser.add_argument("--video", type=Path, metavar="FILE", help="film the run into this .mp4 or .gif")
     parser.add_argument("--video-speed", metavar="X", default="1", help="speed of the film; 0.5 is slow motion (default 1)")
-    add_speed(parser)
-    add_json(parser)
-    add_save(parser)
+    common.add_speed(parser)
+    common.add_json(parser)
+    common.add_save(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Runs the command."""
-    speed = speed_from(args.speed)
+    speed = common.speed_from(args.speed)
     from armctl.analysis.report import Report
     from armctl.core.validation import number
     from armctl.render import film_path
@@ -54,21 +37,21 @@ def run(args: argparse.Namespace) -> int:
 
     if args.video:
         film_path(args.video, "video")
-    video_speed = number("video_speed", one_number("video_speed", args.video_speed), 0.01, 100.0)
+    video_speed = number("video_speed", common.one_number("video_speed", args.video_speed), 0.01, 100.0)
     allow = [_pair(words) for words in args.allow]
-    simulation = Simulation(load_arm(args), args.controller)
+    simulation = Simulation(common.load_arm(args), args.controller)
     target = simulation.target if args.target is None else _target(args.target)
     result = simulation.move_to(target, speed=speed, allow=allow)
     if result.log is None:
-        print_result(args, str(result), None, result.reason)
-        return NOT_REACHED
+        common.print_result(args, str(result), None, result.reason)
+        return common.NOT_REACHED
     report = Report.from_log(result.log)
-    print_result(args, str(report), report.to_dict(), result.reason or report.reason)
+    common.print_result(args, str(report), report.to_dict(), result.reason or report.reason)
     if args.save:
-        save_report(report, args.save, "")
+        common.save_report(report, args.save, "")
     if args.video:
-        say_written(simulation.record(args.video, speed=video_speed))
-    return DONE if result and report else NOT_REACHED
+        common.say_written(simulation.record(args.video, speed=video_speed))
+    return common.DONE if result and report else common.NOT_REACHED
 
 
 def _pair(words: str) -> tuple[str, str]:
@@ -81,7 +64,7 @@ def _pair(words: str) -> tuple[str, str]:
 def _target(words: Sequence[str]):
     from armctl.core.pose import Pose
 
-    values = numbers("target", words)
+    values = common.numbers("target", words)
     if len(values) not in (3, 6):
         raise InputError(f"target: expected x y z or x y z roll pitch yaw, got {len(values)} numbers")
     angle = max(values[3:], key=abs, default=0.0)

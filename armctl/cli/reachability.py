@@ -5,31 +5,20 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from armctl.cli.common import (
-    DONE,
-    NOT_REACHED,
-    Commands,
-    add_arm,
-    add_command,
-    add_json,
-    load_arm,
-    one_number,
-    print_result,
-    say_written,
-)
+from armctl.cli import common
 
 
-def add(commands: Commands) -> None:
+def add(commands: common.Commands) -> None:
     """Adds the command to the parser."""
-    parser = add_command(
+    parser = common.add_command(
         commands, "reachability", run, "compute the points that an arm reaches, and with how many orientations"
     )
-    add_arm(parser)
+    common.add_arm(parser)
     parser.add_argument("--spacing", help="m, between the points (default an eighth of the arm's length)")
     parser.add_argument("--orientations", type=int, help="at each point (default 32, or 0 with fewer than six joints)")
     parser.add_argument("--out", type=Path, metavar="FILE.npz", help="write all figures")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw slices into a .png, .svg or .pdf")
-    add_json(parser)
+    common.add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -42,13 +31,13 @@ def run(args: argparse.Namespace) -> int:
         file_path("out", args.out, (".npz",))
     if args.plot is not None:
         file_path("plot", args.plot, ENDINGS)
-    spacing = None if args.spacing is None else one_number("spacing", args.spacing)
-    found = reachability(load_arm(args), spacing, args.orientations)
-    print_result(args, str(found), found.to_dict(), found.reason)
+    spacing = None if args.spacing is None else common.one_number("spacing", args.spacing)
+    found = reachability(common.load_arm(args), spacing, args.orientations)
+    common.print_result(args, str(found), found.to_dict(), found.reason)
     if args.out is not None:
         found.save(args.out)
-        say_written(args.out)
+        common.say_written(args.out)
     if args.plot is not None:
         found.plot(args.plot)
-        say_written(args.plot)
-    return DONE if found else NOT_REACHED
+        common.say_written(args.plot)
+    return common.DONE if found else common.NOT_REACHED

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from armctl.cli.common import DONE, NOT_REACHED, Commands, add_command, add_json, one_number, print_result
+from armctl.cli import common
 from armctl.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 _MODELS = {"franka": "fr3", "so101": "so101", "plant": "robot_arm_3dof"}
 
 
-def add(commands: Commands) -> None:
+def add(commands: common.Commands) -> None:
     """Adds the command to the parser."""
-    parser = add_command(commands, "robot", run, "check the connection to a robot: its model, its period, lost ticks")
+    parser = common.add_command(commands, "robot", run, "check the connection to a robot: its model, its period, lost ticks")
     parser.add_argument("action", choices=["check"], help="hold the position, and measure")
     parser.add_argument("host", help="address of a Franka, serial port of an SO-101, any word for a simulated plant")
     parser.add_argument("--link", choices=list(_MODELS), default="franka", help="which robot (default %(default)s)")
@@ -28,13 +28,13 @@ def add(commands: Commands) -> None:
     parser.add_argument("--payload", metavar="KG", default="0", help="that the robot is set to, in kg (default 0)")
     parser.add_argument("--seconds", metavar="S", default="10", help="how long (default 10)")
     parser.add_argument("--no-real-time", action="store_true", help="without real-time priority, for a simulated Franka")
-    add_json(parser)
+    common.add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Runs the command."""
-    seconds = one_number("seconds", args.seconds)
-    payload = one_number("payload", args.payload)
+    seconds = common.one_number("seconds", args.seconds)
+    payload = common.one_number("payload", args.payload)
     from armctl.links.robot import Robot
     from armctl.loading.load import load
 
@@ -42,8 +42,8 @@ def run(args: argparse.Namespace) -> int:
     with Robot(arm, _link(args, arm, payload), payload=payload) as robot:
         check = robot.check(seconds)
     figures = {name: None if value != value else value for name, value in asdict(check).items()}  # JSON has no NaN
-    print_result(args, str(check), figures, check.reason)
-    return DONE if check else NOT_REACHED
+    common.print_result(args, str(check), figures, check.reason)
+    return common.DONE if check else common.NOT_REACHED
 
 
 def _link(args: argparse.Namespace, arm: Arm, payload: float) -> Link:

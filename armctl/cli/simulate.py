@@ -5,29 +5,17 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from armctl.cli.common import (
-    DONE,
-    NOT_REACHED,
-    Commands,
-    add_arm,
-    add_command,
-    add_json,
-    load_arm,
-    numbers,
-    one_number,
-    print_result,
-    say_written,
-)
+from armctl.cli import common
 
 
-def add(commands: Commands) -> None:
+def add(commands: common.Commands) -> None:
     """Adds the command to the parser."""
-    parser = add_command(commands, "simulate", run, "simulate the arm under constant motor controls")
-    add_arm(parser)
+    parser = common.add_command(commands, "simulate", run, "simulate the arm under constant motor controls")
+    common.add_arm(parser)
     parser.add_argument("--ctrl", nargs="+", required=True, metavar="N", help="one control per motor; torque = gear x control")
     parser.add_argument("--seconds", default="2", help="how long, s (default 2)")
     parser.add_argument("--plot", type=Path, metavar="PATH", help="draw the run: a picture, or a folder for it")
-    add_json(parser)
+    common.add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -40,13 +28,15 @@ def run(args: argparse.Namespace) -> int:
 
     if args.plot is not None and args.plot.suffix and not args.plot.is_dir():
         file_path("plot", args.plot, ENDINGS)
-    log = Simulation(load_arm(args)).apply_ctrl(numbers("ctrl", args.ctrl), one_number("seconds", args.seconds))
+    log = Simulation(common.load_arm(args)).apply_ctrl(
+        common.numbers("ctrl", args.ctrl), common.one_number("seconds", args.seconds)
+    )
     columns = {"q": log.q, "v": log.v, "tau": log.tau}
     joints = {k: dict(zip(log.joint_names, column[-1].round(6).tolist(), strict=True)) for k, column in columns.items()}
     last = {"t": log.t[-1], **joints, "tip": log.tip[-1].round(6).tolist()}
-    print_result(args, describe_end(log), last, log.failure)
+    common.print_result(args, describe_end(log), last, log.failure)
     if args.plot:
         picture = args.plot if args.plot.suffix in ENDINGS else args.plot / f"{args.robot.replace('/', '_')}.png"
         four_panels(log, picture)
-        say_written(picture)
-    return NOT_REACHED if log.failure else DONE
+        common.say_written(picture)
+    return common.NOT_REACHED if log.failure else common.DONE

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from armctl.cli.common import DONE, NOT_REACHED, Commands, add_command, add_json, print_result, say_written
+from armctl.cli import common
 from armctl.core.errors import InputError, NotInstalledError
 
 if TYPE_CHECKING:
@@ -19,9 +19,11 @@ if TYPE_CHECKING:
 _CONNECT_TIMEOUT_S = 30
 
 
-def add(commands: Commands) -> None:
+def add(commands: common.Commands) -> None:
     """Adds the command to the parser."""
-    parser = add_command(commands, "study", run, "simulate many runs over factors and controllers; a second start continues")
+    parser = common.add_command(
+        commands, "study", run, "simulate many runs over factors and controllers; a second start continues"
+    )
     parser.add_argument("file", type=Path, help="the study, a .toml file with the arguments of armctl.Study")
     parser.add_argument(
         "--folder", type=Path, default=Path(), metavar="DIR", help="folder of NAME.sqlite (default the current one)"
@@ -31,7 +33,7 @@ def add(commands: Commands) -> None:
     place.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster, such as tcp://10.0.0.1:8786")
     parser.add_argument("--metric", default="tip_rms_m", help="the metric of the table and the plots (default %(default)s)")
     parser.add_argument("--save", type=Path, metavar="DIR", help="write the table (Parquet) and plots into this folder")
-    add_json(parser)
+    common.add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -50,25 +52,25 @@ def run(args: argparse.Namespace) -> int:
         raise
     summary = result.summary([args.metric])
     reason = "" if summary.ok else f"{summary.reason}\n\n"
-    print_result(args, f"{reason}{summary.table().text()}", summary.to_dict(), result.reason)
+    common.print_result(args, f"{reason}{summary.table().text()}", summary.to_dict(), result.reason)
     if args.save:
         _save(result, args.save, args.metric)
-    return DONE if result else NOT_REACHED
+    return common.DONE if result else common.NOT_REACHED
 
 
 def _save(result: StudyResult, folder: Path, metric: str) -> None:
     name = result.study.name
-    say_written(result.save(folder / f"{name}.parquet"))
+    common.say_written(result.save(folder / f"{name}.parquet"))
     numeric = result.numeric_factors
     if numeric:
         for plot, kind in ((result.plot_quantiles, "quantiles"), (result.plot_tornado, "tornado")):
             path = folder / f"{name}-{kind}.png"
             plot(path, metric)
-            say_written(path)
+            common.say_written(path)
     if len(numeric) > 1:
         path = folder / f"{name}-success.png"
         result.plot_success(path)
-        say_written(path)
+        common.say_written(path)
 
 
 @contextmanager

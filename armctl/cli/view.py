@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from armctl.cli.common import CONTROLLERS_HELP, DONE, Commands, add_arm, add_command, load_arm
+from armctl.cli import common
 from armctl.core.errors import InputError, ModelError
 
 if TYPE_CHECKING:
@@ -24,12 +24,14 @@ _M_MMAP_THRESHOLD = -3  # mallopt(3)
 _LARGE_BUFFER_BYTES = 128 * 1024
 
 
-def add(commands: Commands) -> None:
+def add(commands: common.Commands) -> None:
     """Adds the command to the parser."""
-    parser = add_command(commands, "view", run, "drag a target in the browser; the arm follows it")
-    add_arm(parser, several_scenes=True)
+    parser = common.add_command(commands, "view", run, "drag a target in the browser; the arm follows it")
+    common.add_arm(parser, several_scenes=True)
     parser.add_argument(
-        "--controller", default="computed-torque", help=f"the first controller, of {CONTROLLERS_HELP} (default %(default)s)"
+        "--controller",
+        default="computed-torque",
+        help=f"the first controller, of {common.CONTROLLERS_HELP} (default %(default)s)",
     )
     parser.add_argument(
         "--port", type=int, default=8080, help="port of the page; the next free one if it is in use (default 8080)"
@@ -69,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
             allowed_hosts=args.allow_host,
             title=f"{Path(args.robot).stem} - armctl",
         )
-    return DONE
+    return common.DONE
 
 
 def _scenes(paths: Sequence[str]) -> dict[str, str | None]:
@@ -85,7 +87,7 @@ def _load(args: argparse.Namespace, scene: str | None = None) -> tuple[Arm, ...]
 
     args = argparse.Namespace(**{**vars(args), "scene": scene})
     try:
-        return (load_arm(args),)
+        return (common.load_arm(args),)
     except ModelError:
         found = [chain for chain in chains(args.robot) if chain.ok]
         tips = [chain.tip for chain in found if len(chain.joint_names) == len(found[0].joint_names)]

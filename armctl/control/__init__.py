@@ -12,6 +12,7 @@ from armctl.control.elastic_feedforward import ElasticFeedforward
 from armctl.control.hybrid_force import HybridForce
 from armctl.control.impedance import Impedance
 from armctl.control.interface import CompiledController, Controller, State, controller_name
+from armctl.control.lqr import LQR, LQRGains
 from armctl.control.operational_space import OperationalSpace
 from armctl.control.pd import PD
 from armctl.control.pd_feedforward import PDFeedforward
@@ -30,6 +31,7 @@ CONTROLLERS: dict[str, Callable[[Arm], Controller]] = {
     "computed-torque-observer": ComputedTorqueObserver,
     "computed-torque-learning": ComputedTorqueLearning,
     "qp": ComputedTorqueQP,
+    "lqr": LQR,
     "operational-space": OperationalSpace,
     "impedance": Impedance,
 }
@@ -48,6 +50,7 @@ def controller_by_name(name: str, arm: Arm) -> Controller:
 
 __all__ = [
     "CONTROLLERS",
+    "LQR",
     "PD",
     "Admittance",
     "CompiledController",
@@ -59,6 +62,7 @@ __all__ = [
     "ElasticFeedforward",
     "HybridForce",
     "Impedance",
+    "LQRGains",
     "LowPass",
     "Notch",
     "OperationalSpace",

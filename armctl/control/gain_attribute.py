@@ -11,7 +11,7 @@ from armctl.control.gains import MAX_BANDWIDTH, gain
 from armctl.control.interface import CompiledController
 from armctl.control.task_space import POSE_SIZE
 from armctl.core.errors import InputError
-from armctl.core.validation import Array, choice, number
+from armctl.core.validation import Array, as_array, choice, number
 
 _Checked = TypeVar("_Checked")
 
@@ -81,10 +81,8 @@ def tip_bound() -> Gain[Array]:
     """(6,) numbers of at least 0, of which some may be infinite; one number applies to all directions."""
 
     def check(name: str, value: Any, _n: int) -> Array:
-        try:
-            is_infinite = np.isposinf(value)
-        except TypeError:
-            is_infinite = np.False_
+        given = as_array(name, value)
+        is_infinite = np.isposinf(given) if given.dtype.kind == "f" else np.False_
         if not np.any(is_infinite):
             return gain(name, value, POSE_SIZE)
         bounds = gain(name, np.where(is_infinite, 0.0, value), POSE_SIZE)

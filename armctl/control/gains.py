@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError, ModelError
+from armctl.core.limits import smallest_configuration
 from armctl.core.validation import Array, frozen, number, vector
 from armctl.robot.arm import Arm
-from armctl.robot.configuration_search import smallest_configuration
 from armctl.robot.dynamics import Dynamics
 
 DEFAULT_BANDWIDTH = 30.0  # rad/s, of controllers that compensate the inertia

@@ -14,7 +14,7 @@ import numpy as np
 from armctl import _core
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Setpoint
-from armctl.core.validation import Array, flag, instance, integer, number, shown
+from armctl.core.validation import Array, as_array, flag, instance, integer, number, shown
 
 WRENCH_SIZE = 6
 MAX_PERIOD_S = 1.0  # of control
@@ -297,7 +297,7 @@ def measured_wrench(state: State, controller: str) -> Array:
     """
     if state.wrench is None:
         raise InputError(f"state.wrench: {controller} needs the measured wrench (6,); a Simulation measures it")
-    if np.shape(state.wrench) != (WRENCH_SIZE,):
+    if as_array("state.wrench", state.wrench).shape != (WRENCH_SIZE,):
         raise InputError(f"state.wrench: {controller} needs the measured wrench (6,), got {shown(state.wrench)}")
     return np.ascontiguousarray(state.wrench, dtype=np.float64)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -91,7 +91,7 @@ class LowPass:
 
 
 def _filters(name: str, value: Any, _n: int) -> tuple[Notch | LowPass, ...]:
-    filters = tuple(value) if isinstance(value, Iterable) else (value,)
+    filters = tuple(value) if isinstance(value, Sequence) else (value,)
     if not 1 <= len(filters) <= _MAX_FILTERS:
         raise InputError(f"{name}: expected 1 to {_MAX_FILTERS} filters, got {len(filters)}")
     for each in filters:
@@ -114,7 +114,7 @@ class TorqueFilter(ControllerAround):
 
     filters: Gain[tuple[Notch | LowPass, ...]] = Gain(_filters)
 
-    def __init__(self, arm: Arm, controller: Controller, filters: Notch | LowPass | Iterable[Notch | LowPass]):
+    def __init__(self, arm: Arm, controller: Controller, filters: Notch | LowPass | Sequence[Notch | LowPass]):
         """A controller with filtered torques.
 
         Args:

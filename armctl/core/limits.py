@@ -1,7 +1,8 @@
-"""Limits: the ranges of the joints, and their greatest speed, acceleration, jerk and torque."""
+"""Limits: the ranges of the joints, and their greatest speed, acceleration, jerk and torque; a search within the ranges."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -9,6 +10,11 @@ from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
 from armctl.core.validation import Array, instance, number, shown, vector
+
+# Of the search for a configuration.
+_FIRST_STEP = 0.2  # of the range of each joint, and at most of a turn
+_DISTANCE_FROM_LIMITS = 0.01  # of the range: controllers that respect limits act differently there
+_GROWTH = 1.5  # of the step after a success, and to the power of -1/4 after a failure: Rechenberg's rule of 1/5 of successes
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,18 +132,6 @@ class Limits:
             self.stall_torque, self.no_load_speed, where=np.isfinite(self.stall_torque), out=np.zeros_like(self.tau_max)
         )
 
-    def torque_shares(self, tau: Array, v: Array) -> Array:
-        """The share of what the motors can give at a speed, by torque and by voltage; above 1 is too much.
-
-        Args:
-            tau: (..., n) N m.
-            v: (..., n) rad/s.
-
-        Returns:
-            (..., n).
-        """
-        return np.maximum(np.abs(tau) / self.tau_max, np.abs(tau + self.voltage_damping * v) / self.stall_torque)
-
     def _positions(self, q: ArrayLike) -> Array:
         """(n,) or (T, n) float64; NaN is left to the caller, infinity is a position outside."""
         try:
@@ -149,6 +143,48 @@ class Limits:
         return positions
 
 
+def torque_shares(limits: Limits, tau: Array, v: Array) -> Array:
+    """(..., n) the shares of what the motors can give at (..., n) speeds, by torque and by voltage; above 1 is too much."""
+    return np.maximum(np.abs(tau) / limits.tau_max, np.abs(tau + limits.voltage_damping * v) / limits.stall_torque)
+
+
 def check_speed(speed: float) -> float:
     """A caller's `speed` argument as a float in (0, 1]; raises InputError."""
     return number("speed", speed, 1e-6, 1.0)
+
+
+def smallest_configuration(
+    limits: Limits, score: Callable[[Array], float], starts: Sequence[Array], steps: int, rng: np.random.Generator
+) -> Array:
+    """The configuration with the smallest score that random steps find, without gradients.
+
+    An evolution strategy of one parent and one child from each start (Rechenberg, Evolutionsstrategie, 1973).
+
+    Args:
+        limits: Of the configurations.
+        score: A figure of a configuration (n,) rad; one that is not finite is no improvement.
+        starts: Configurations, rad.
+        steps: Evaluations per start, besides that of the start.
+    """
+    width = np.minimum(limits.q_max - limits.q_min, 2 * np.pi)
+    low = limits.q_min + _DISTANCE_FROM_LIMITS * width
+    high = limits.q_max - _DISTANCE_FROM_LIMITS * width
+    best = starts[0]
+    least = np.inf
+    for start in starts:
+        q = start
+        value = score(q)
+        step = _FIRST_STEP
+        for _ in range(steps):
+            child = np.clip(q + step * width * rng.standard_normal(len(q)), low, high)
+            childs = score(child)
+            if childs < value:
+                q = child
+                value = childs
+                step *= _GROWTH
+            else:
+                step *= _GROWTH**-0.25
+        if value < least:
+            best = q
+            least = value
+    return best

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import ArmctlWarning, InputError
-from armctl.core.validation import Array, array, frozen, instance, matrix, shown, vector
+from armctl.core.validation import Array, array, as_array, frozen, instance, matrix, shown, vector
 
 
 class Pose:
@@ -46,7 +46,7 @@ class Pose:
         """
         if quat is not None and rpy is not None:
             raise InputError("Pose: both quat and rpy given; give one")
-        if quat is not None and np.shape(quat) == (3, 3):
+        if quat is not None and as_array("quat", quat).shape == (3, 3):
             raise InputError("quat: a (3, 3) array is no quaternion; Pose.from_rotation takes a rotation matrix")
         if rpy is not None:
             angles = vector("rpy", rpy, 3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Iterable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -110,7 +110,7 @@ def array(what: str, value: ArrayLike, ndim: int, *, finite: bool = True) -> Arr
         InputError: The value has another shape, is not numeric, or is not finite.
     """
     try:
-        given = np.asarray(value)
+        given = as_array(what, value)
         if given.dtype.kind not in "fiu" and not _holds_real_numbers(given):
             raise TypeError
         out = np.array(given, dtype=np.float64)
@@ -124,6 +124,14 @@ def array(what: str, value: ArrayLike, ndim: int, *, finite: bool = True) -> Arr
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(out))[0])
         raise InputError(f"{what}: element {list(where)} is {out[where]}, expected a finite number")
     return frozen(out)
+
+
+def as_array(what: str, value: object) -> NDArray[Any]:
+    """What NumPy makes of an argument, of any type; InputError if it makes nothing."""
+    try:
+        return np.asarray(value)
+    except Exception:  # a caller's object may raise anything while NumPy converts it
+        raise InputError(f"{what}: {shown(value)} is not an array of numbers") from None
 
 
 def _holds_real_numbers(given: NDArray[np.generic]) -> bool:

@@ -125,8 +125,9 @@ struct ArmModel {
 
     size_t n() const { return drives.size(); }
     double ratio(size_t joint, size_t i) const { return ratios[joint * n() + i]; }
-    // Linear damping that a step evaluates at its end, times the step: it acts as an additional inertia, kg m^2.
-    double step_inertia(size_t i) const { return has_implicit_damping ? step * drives[i].damping.linear : 0.0; }
+    // Linear damping that is evaluated at the end of the period, times the period: it acts as an additional inertia, kg m^2. So it
+    // is in estimates of continuous motion, too: evaluated in the middle, large damping would let the velocity alternate.
+    double step_inertia(size_t i) const { return (2.0 * half_step + (has_implicit_damping ? step : 0.0)) * drives[i].damping.linear; }
 
     std::vector<Joint> joints;
     std::vector<Drive> drives;

@@ -134,7 +134,7 @@ public:
         }
     }
 
-    // Adds to a mass matrix what linear damping that is implicit in velocity adds to the inertia in one step.
+    // Adds to a mass matrix what linear damping that is evaluated at the end of the period adds to the inertia.
     void add_step_inertia(MatrixResult M) const {
         for (size_t i = 0; i < M.rows; ++i) { M(i, i) += model_->step_inertia(i); }
     }

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from armctl.core.atomic import file_path, write_text
 from armctl.core.errors import InputError
-from armctl.core.validation import Array, shown, vector
+from armctl.core.validation import Array, as_array, shown, vector
 from armctl.design.identified_model import consistent_model, edited_spec, urdf_text
 from armctl.design.regressor import FrictionShape
 from armctl.robot.arm import Arm, check_arm
@@ -168,9 +168,9 @@ class ArmEstimate:
         Raises:
             InputError: A wrong shape, a number that is not finite, or as for `applied_to`.
         """
-        shape = np.shape(q)
-        if len(shape) not in (1, 2) or not (shape == np.shape(v) == np.shape(a)):
-            raise InputError(f"q, v, a: need three arrays of one shape, got {shape}, {np.shape(v)} and {np.shape(a)}")
+        shape, *others = [as_array(name, value).shape for name, value in zip("qva", (q, v, a), strict=True)]
+        if len(shape) not in (1, 2) or others != [shape, shape]:
+            raise InputError(f"q, v, a: need three arrays of one shape, got {shape}, {others[0]} and {others[1]}")
         known = self.applied_to(self.arm)
         states = [
             [vector(name, row, self.arm.n) for row in np.atleast_2d(value)]

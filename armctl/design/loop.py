@@ -143,21 +143,9 @@ class Loop:
         modes = np.column_stack([rates.imag, -rates.real / np.abs(rates)])
         return modes[modes[:, 1].argsort()]
 
-    def coarse_margins(self, plant: ComplexArray | None = None) -> CoarseMargins:
-        """The margins of single eigenvalues and joints, accurate to 1 % in a fraction of the time.
-
-        Args:
-            plant: `coarse_plant` of this arm, if it is known.
-        """
-        frequencies = coarse_grid(self.dt)
-        z = np.exp(1j * frequencies * self.dt)
-        transfer = -self._law.transfer(z) @ (self.coarse_plant() if plant is None else plant)
-        return coarse_margins(self.system, frequencies, transfer)
-
-    def coarse_plant(self) -> ComplexArray:
-        """The transfer function of arm and delay from torques to measured positions and velocities, on `coarse_grid`."""
-        z = np.exp(1j * coarse_grid(self.dt) * self.dt)
-        return self._arm.transfer(z) * z[:, None, None] ** -self.delay
+    def coarse_margins(self) -> CoarseMargins:
+        """The margins of single eigenvalues and joints, accurate to 1 % in a fraction of the time."""
+        return coarse_margins_with(coarse_plant(self), self)
 
     def with_law(self, law: StateSpace) -> Loop:
         """The same arm with another linear controller.
@@ -306,3 +294,15 @@ def draw_loop(figure: Figure, loop: Loop) -> None:
     compliance.set_xlabel("frequency, Hz")
     figure.legend(loc="outside lower center", ncols=min(loop.n, 8))
     figure.suptitle(f"{loop.robot}, {loop.controller}, {loop.plant}", fontweight="bold", x=0.01, ha="left")
+
+
+def coarse_margins_with(plant: ComplexArray, loop: Loop) -> CoarseMargins:
+    """`Loop.coarse_margins`, where the `coarse_plant` of its arm is known."""
+    frequencies = coarse_grid(loop.dt)
+    return coarse_margins(loop.system, frequencies, -loop._law.transfer(np.exp(1j * frequencies * loop.dt)) @ plant)
+
+
+def coarse_plant(loop: Loop) -> ComplexArray:
+    """The transfer function of arm and delay from torques to measured positions and velocities, on `coarse_grid`."""
+    z = np.exp(1j * coarse_grid(loop.dt) * loop.dt)
+    return loop._arm.transfer(z) * z[:, None, None] ** -loop.delay

@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike
 
 from armctl.control import Controller, controller_name
 from armctl.core.errors import InputError
+from armctl.core.limits import smallest_configuration
 from armctl.core.validation import Array, frozen, integer, matrix, shown
 from armctl.design.linearization import Linearizer
 from armctl.design.loop import Loop
 from armctl.design.stability import CoarseMargins, LoopMargins
 from armctl.robot.arm import Arm, check_arm
-from armctl.robot.configuration_search import smallest_configuration
 from armctl.sim.move import read_controller
 from armctl.sim.plant import NOMINAL, Plant, read_plant
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.control import (
+    LQR,
     PD,
     ComputedTorque,
     ComputedTorqueLearning,
@@ -29,7 +30,7 @@ from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.validation import Array, frozen, number, shown
 from armctl.design.frequency_response import standstill
 from armctl.design.linearization import Linearizer
-from armctl.design.loop import Loop
+from armctl.design.loop import Loop, coarse_margins_with, coarse_plant
 from armctl.design.margins import configurations, judged_loops
 from armctl.design.state_space import ComplexArray, linear_controller
 from armctl.robot.arm import Arm, check_arm
@@ -143,9 +144,9 @@ def tune(
 
     What is minimal is the root mean square of the displacements of the joints at 1 Hz, by disturbance torques in proportion to
     the torque limits. All gains of the law are free: stiffness and damping of each joint of PD; bandwidth, damping
-    ratio and the observer's bandwidth of laws with a model. Sequential linear programming finds them for configurations of the
-    design. They are then judged like in `margins`, with its search for the worst configuration. Each configuration that
-    violates a bound becomes one of the design, which is repeated.
+    ratio and the observer's bandwidth of laws with a model; bandwidths and integral time of LQR. Sequential linear programming
+    finds them for configurations of the design. They are then judged like in `margins`, with its search for the worst
+    configuration. Each configuration that violates a bound becomes one of the design, which is repeated.
 
     Args:
         law: The name of a controller whose gains can be tuned: all but "computed-torque-textbook".
@@ -214,7 +215,7 @@ class _Bounds:
 
     def left(self, loop: Loop, plant: ComplexArray | None = None, reserve: float = 1.0) -> Array:
         """(2, n) what is left of the bounds on delay margin and Ms; -inf where the loop is unstable."""
-        found = loop.coarse_margins(plant)
+        found = loop.coarse_margins() if plant is None else coarse_margins_with(plant, loop)
         with np.errstate(divide="ignore"):
             delay = np.log(found.delay / (reserve * self.delay_margin))
             sensitivity = np.log(self.peak_sensitivity / (reserve * found.peak_sensitivity))
@@ -258,7 +259,7 @@ _OBSERVER_LAWS: dict[str, Callable[..., Controller]] = {
     "computed-torque-observer": ComputedTorqueObserver,
     "computed-torque-learning": ComputedTorqueLearning,
 }
-LAWS = (*_PD_LAWS, *_BANDWIDTH_LAWS, *_OBSERVER_LAWS)
+LAWS = (*_PD_LAWS, *_BANDWIDTH_LAWS, *_OBSERVER_LAWS, "lqr")
 
 
 def _family(arm: Arm, law: str, dt: float) -> _Family:
@@ -290,6 +291,15 @@ def _family(arm: Arm, law: str, dt: float) -> _Family:
         return _Family(
             3, ((0, 1, 2),), limits, range(2, 3), np.array([1.0, 0.0, 1.0]), observed, lambda **gains: make(arm, **gains)
         )
+    if law == "lqr":
+        default_lqr = LQR(arm).effective_gains(dt)
+
+        def quadratic(x: Array) -> dict[str, float | Array]:
+            return {name: default_lqr[name] * float(np.exp(each)) for name, each in zip(default_lqr, x, strict=True)}
+
+        free = np.tile([-np.inf, np.inf], (3, 1))
+        scaling = np.array([1.0, 1.0, -1.0])
+        return _Family(3, ((0, 1, 2),), free, range(0), scaling, quadratic, lambda **gains: LQR(arm, **gains))
     make, bandwidth = _BANDWIDTH_LAWS[law]
 
     def with_bandwidth(x: Array) -> dict[str, float | Array]:
@@ -329,7 +339,7 @@ class _Design:
 
     def add(self, loops: Sequence[Loop]) -> None:
         """Adds the arms of some loops, at their configurations."""
-        self._cases += [_Case(self._linearizers[loop.plant], loop, loop.coarse_plant()) for loop in loops]
+        self._cases += [_Case(self._linearizers[loop.plant], loop, coarse_plant(loop)) for loop in loops]
 
     def start(self, family: _Family) -> Array | None:
         """Gains within the bounds, near the default ones; None if there are none among multiples of those."""

@@ -7,8 +7,8 @@ from typing import Any
 import gymnasium
 
 from armctl.core.errors import InputError
-from armctl.core.validation import flag, integer
-from armctl.envs.batch import Batch, as_array
+from armctl.core.validation import as_array, flag, integer
+from armctl.envs.batch import Batch
 from armctl.envs.screen import Screen
 from armctl.envs.source import Robot
 from armctl.envs.spaces import action_space, observation_space

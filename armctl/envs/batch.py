@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.core.errors import InputError
-from armctl.core.validation import BoolArray, choice, flag, integer, shown
+from armctl.core.validation import BoolArray, as_array, choice, flag, integer, shown
 from armctl.envs.actions import read_mode
 from armctl.envs.observation import Observations, Observer
 from armctl.envs.randomization import Randomization
@@ -186,11 +186,3 @@ class Batch:
         if self.task.moves_goal:
             ahead = self.task.goals_at(self.goal_number, self.steps + 1)
             np.divide(ahead - self.goal, self.step_time, out=self._goal_velocity)
-
-
-def as_array(what: str, value: Any) -> NDArray[Any]:
-    """What NumPy makes of an argument; InputError if it makes nothing."""
-    try:
-        return np.asarray(value)
-    except Exception:  # an object's own conversion may raise anything
-        raise InputError(f"{what}: {shown(value)} is not an array of numbers") from None

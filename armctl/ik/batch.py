@@ -15,7 +15,7 @@ from armctl._core import Constraint
 from armctl.core.errors import InputError
 from armctl.core.pose import Pose
 from armctl.core.progress import progress_bar
-from armctl.core.validation import Array, IntArray, array, frozen, integer, matrix, shown
+from armctl.core.validation import Array, IntArray, array, as_array, frozen, integer, matrix
 from armctl.ik import lm
 from armctl.ik.problem import Problem, constraint_of, read_problem
 from armctl.ik.result import IkBatch, failure_reason
@@ -141,11 +141,7 @@ def _read_targets(targets: Sequence[Pose] | ArrayLike, free_axis: str | None) ->
             raise InputError(f"targets: {len(poses)} of {len(targets)} are Poses, expected all or none")
         return constraint_of(True, free_axis), np.array([T.rows for T in poses]).reshape(-1, 12)
     numbers = cast(ArrayLike, targets)
-    try:
-        dimensions = np.ndim(numbers)
-    except Exception:  # a caller's object may raise anything while NumPy converts it
-        raise InputError(f"targets: {shown(targets)} is not an array of numbers") from None
-    if dimensions == 3:
+    if as_array("targets", numbers).ndim == 3:
         return constraint_of(True, free_axis), _read_transforms(array("targets", numbers, 3))
     points = matrix("targets", numbers, 3) if np.size(numbers) else np.empty((0, 3))
     return constraint_of(False, free_axis), np.concatenate([np.zeros((len(points), 9)), points], axis=1)

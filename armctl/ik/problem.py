@@ -15,7 +15,7 @@ from armctl.core.errors import InputError
 from armctl.core.limits import Limits
 from armctl.core.pose import Pose
 from armctl.core.target import Target, TargetLike
-from armctl.core.validation import Array, BoolArray, IntArray, choice, frozen, integer, matrix, number, shown, vector
+from armctl.core.validation import Array, BoolArray, IntArray, as_array, choice, frozen, integer, matrix, number, vector
 from armctl.ik.geometry import ClosedForm, Hinges, closed_form_of
 from armctl.robot.arm import Arm, check_arm
 from armctl.robot.core_model import tips
@@ -203,11 +203,7 @@ def read_starts(arm: Arm, q0: ArrayLike | None, count: int) -> Array:
     """Where to start for each of `count` targets, (count, n), read-only."""
     if q0 is None:
         return arm.home[None] if count == 1 else np.broadcast_to(arm.home, (count, arm.n))
-    try:
-        dimensions = np.ndim(q0)
-    except Exception:  # an object's own conversion may raise anything
-        raise InputError(f"q0: {shown(q0)} is not an array of numbers") from None
-    if dimensions < 2:
+    if as_array("q0", q0).ndim < 2:
         start = arm.checked("q0", q0)
         return start[None] if count == 1 else np.broadcast_to(start, (count, arm.n))
     rows = matrix("q0", q0, arm.n)

@@ -10,7 +10,7 @@ import numpy as np
 from armctl.core.errors import LinkError
 from armctl.core.log import Log
 from armctl.core.validation import Array
-from armctl.links.link import Link, Seen
+from armctl.links.link import Link, Seen, check_link
 
 _CLEARANCE_SAMPLES = 200
 
@@ -95,7 +95,12 @@ class DryRun:
     passes_time = True
 
     def __init__(self, link: Link):
-        """A rehearsal of what a program would send over a link that is not open yet."""
+        """A rehearsal of what a program would send over a link that is not open yet.
+
+        Raises:
+            InputError: It is no link.
+        """
+        check_link(link)
         self.link = link
         self.rehearsals: list[Rehearsal] = []
         self.name = f"dry run of {link.name}"

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
-from armctl.core.validation import Array
+from armctl.core.validation import Array, instance
 from armctl.links.envelope import Envelope
 
 
@@ -28,6 +28,7 @@ class Seen(NamedTuple):
     fault: str = ""
 
 
+@runtime_checkable
 class Link(Protocol):
     """The way to one robot. It is made without a connection and pickled; `open` connects, in the process that streams.
 
@@ -88,3 +89,8 @@ class Link(Protocol):
     def close(self) -> None:
         """Disconnects."""
         ...
+
+
+def check_link(link: Link) -> None:
+    """Raises InputError if an argument `link` is none."""
+    instance("link", link, Link, "armctl.links.Franka('172.16.0.2') is one")

@@ -24,7 +24,7 @@ from armctl.links.dry_run import DryRun, Rehearsal
 from armctl.links.envelope import envelope_of
 from armctl.links.hand import Hand
 from armctl.links.host import LinkHost
-from armctl.links.link import Link
+from armctl.links.link import Link, check_link
 from armctl.links.link_check import LinkCheck
 from armctl.links.link_drive import LinkDrive
 from armctl.links.model_check import model_refusal, tip_difference
@@ -92,6 +92,7 @@ class Robot(Commands):
             LinkError: The connection failed, another program has it, or the robot is not the model's.
         """
         model = robot if isinstance(robot, Arm) else load(robot)
+        check_link(link)
         tip_speed = number("tip_speed", tip_speed, 1e-3)
         payload = number("payload", payload, 0.0)
         self._allows_contact = flag("allow_contact", allow_contact)

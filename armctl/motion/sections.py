@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import PlanError
+from armctl.core.limits import torque_shares
 from armctl.core.validation import Array, IntArray, number
 from armctl.motion.timing.path_timing import Fractions, slowed_down
 from armctl.motion.timing.speed_bounds import TorqueRows
@@ -174,7 +175,7 @@ class _SectionTorques:
         worst = _Needed(0.0, 0)
         for s, q, v, a in self._samples(pieces):
             for k, here in self._sections(s):
-                shares = self._limits.torque_shares(self._dynamics[k].total(q[here], v[here], a[here]), v[here])
+                shares = torque_shares(self._limits, self._dynamics[k].total(q[here], v[here], a[here]), v[here])
                 joint = int(shares.max(axis=0).argmax())
                 worst = max(worst, _Needed(float(shares[:, joint].max()), joint))
         return worst

@@ -14,6 +14,7 @@ import numpy as np
 
 from armctl import _core
 from armctl.core.errors import PlanError
+from armctl.core.limits import torque_shares
 from armctl.core.trajectory import Trajectory, check_motion
 from armctl.core.validation import Array
 from armctl.motion.timing.path_timing import slowed_down
@@ -96,7 +97,7 @@ def check_torque(arm: Arm, trajectory: Trajectory) -> TorqueCheck:
     for times in sample_times(trajectory):
         q, v, a = trajectory.sample(times)[:3]
         torques = inverse_dynamics.total(q, v, a)
-        shares = arm.limits.torque_shares(torques, v)
+        shares = torque_shares(arm.limits, torques, v)
         ratios = np.maximum(ratios, shares.max(axis=0))
         k, i = np.unravel_index(int(shares.argmax()), shares.shape)
         if not shares[k, i] <= worst[0]:

@@ -263,7 +263,7 @@ class Commands:
         Args:
             target: The name of a body of the model, whose position is followed; or a function of the time since the start, s,
                 that returns T_world_tip or (3,) m.
-            seconds: How long, s.
+            seconds: How long, s, at least a tick.
 
         Returns:
             Every tick of it. `log.target` is the target at the end, which `Report` compares with the tip.
@@ -273,7 +273,7 @@ class Commands:
             UnknownNameError: The model has no such body.
             SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
-        return follow(self._arms, self.arm, target, number("seconds", seconds, 0.0))
+        return follow(self._arms, self.arm, target, number("seconds", seconds, self._arms.drive.dt))
 
     def record(
         self, path: str | os.PathLike[str], *, size: tuple[int, int] = (640, 480), quality: str = "fast", speed: float = 1.0

@@ -263,13 +263,6 @@ class Plant:
         in_steps = self.continuous or self.encoder_bits > 0
         return in_steps and self.velocity == "differenced" and self.velocity_noise is None
 
-    def steps_in_python(self, train: Drivetrain) -> bool:
-        """Whether what is measured or commanded needs a tick loop in Python, which takes longer."""
-        names = ("jitter", "sensor_delay", "encoder_bits")
-        return any(self._differs(name) for name in names) or bool(
-            train.rotors or (train.springs and self.encoder_side == "link")
-        )
-
     def model(self, arm: Arm) -> mujoco.MjModel:
         """The MuJoCo model of this plant.
 
@@ -321,6 +314,12 @@ class Brake:
             getattr(self._model, name)[:] = values
         self._model.opt.tolerance = self._tolerance
         brake(self._model, np.setdiff1d(self._dofs, dofs))
+
+
+def steps_in_python(plant: Plant, train: Drivetrain) -> bool:
+    """Whether what is measured or commanded needs a tick loop in Python, which takes longer."""
+    late_or_coarse = plant.jitter or plant.sensor_delay or plant.encoder_bits
+    return bool(late_or_coarse or train.rotors or (train.springs and plant.encoder_side == "link"))
 
 
 def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: Sequence[Arm]) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
-from armctl.core.validation import Array, choice, instance, integer, number, vector
+from armctl.core.validation import Array, as_array, choice, instance, integer, number, vector
 
 _FIELD_KEY = "plant attribute"
 
@@ -121,7 +121,7 @@ def _is_left_out(value: object) -> bool:
 
 
 def _per_joint(name: str, value: ArrayLike, low: float) -> Array:
-    values = vector(name, [value] if np.ndim(value) == 0 else value)  # type: ignore[list-item]
+    values = vector(name, [value] if as_array(name, value).ndim == 0 else value)  # type: ignore[list-item]
     if not len(values):
         raise InputError(f"{name}: expected one number, or one for each joint, got none")
     if values.min() < low:

@@ -27,7 +27,7 @@ from armctl.robot.arm import Arm
 from armctl.sim.compiled_loop import CompiledLoop
 from armctl.sim.disturbances import Disturbances
 from armctl.sim.drivetrain import Drivetrain, drivetrain_of, new_model, structure_of
-from armctl.sim.plant import DIVERGED_SPEED, Brake, Plant, apply_plant, held_dofs
+from armctl.sim.plant import DIVERGED_SPEED, Brake, Plant, apply_plant, held_dofs, steps_in_python
 from armctl.sim.recorder import Recorder, ReferenceTips, TickRows
 from armctl.sim.wrench_sensor import WrenchSensor
 
@@ -139,7 +139,7 @@ class Stepper:
         apply_plant(self.model, self.data, plant, arms)
         self.plant = plant
         self.description = str(plant)
-        self._steps_in_python = plant.steps_in_python(self._train)
+        self._steps_in_python = steps_in_python(plant, self._train)
         self._brake = Brake(self.model, self._held_dofs)
         self._released = np.zeros(0, dtype=np.int64)
         self.continuous = bool(self.model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4))

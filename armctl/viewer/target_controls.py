@@ -81,7 +81,7 @@ class TargetControls:
 
         async def aim(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                self._aim(Pose(self._position.value, rpy=self._rpy.value))
+                self._aim(Pose(self._position.value, rpy=np.remainder(self._rpy.value, 2 * np.pi)))
 
         async def set_oriented(event: viser.GuiEvent) -> None:
             self._session.set_oriented(oriented.value)

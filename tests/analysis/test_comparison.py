@@ -12,6 +12,8 @@ from armctl.analysis.comparison import out_and_back, remarks
 from armctl.analysis.comparison_html import write_comparison
 from armctl.analysis.report import best_cells, report_table, table
 from armctl.cli.plants import PLANTS, plant_by_name
+from armctl.sim.plant import PLANT_ATTRIBUTES
+from armctl.sim.plant_attribute import Kind
 
 
 class Explodes:
@@ -94,22 +96,21 @@ def test_a_divergence_ends_in_a_verdict_with_its_log(bundled_motion):
     assert np.isfinite(report.log.tau).all()
 
 
-WITHOUT_DEFAULT = {
-    "mass_scale": "1.1",
-    "encoder_noise": "1e-5",
-    "velocity_noise": "1e-3",
-    "wrench_source": "torques",
-    "force_noise": "0.1",
-    "moment_noise": "0.01",
-    "wrench_delay": "2",
-    "timestep": "0.001",
-}
+def words_for(name: str) -> str:
+    """A name with a value that differs from the nominal one, and what it needs to matter, from the table of attributes."""
+    attribute = PLANT_ATTRIBUTES.get(name)
+    if attribute is None or attribute.kind is Kind.FLAG:
+        return name
+    others = [word for word in attribute.words if word != attribute.default]
+    default = attribute.default or 0
+    value = others[0] if others else min(attribute.high, max(attribute.low, default + 1))
+    needed = f"+{words_for(attribute.only_with[0])}" if attribute.only_with else ""
+    return f"{name}={value:g}{needed}" if not others else f"{name}={value}{needed}"
 
 
 @pytest.mark.parametrize("name", PLANTS)
 def test_every_plant_has_its_name(bundled, name):
-    plant = plant_by_name(f"{name}={WITHOUT_DEFAULT[name]}" if name in WITHOUT_DEFAULT else name, bundled)
-    assert (str(plant) == "nominal") == (name == "nominal")
+    assert (str(plant_by_name(words_for(name), bundled)) == "nominal") == (name == "nominal")
 
 
 def test_the_attributes_of_a_plant_are_words_of_the_command_line(bundled):

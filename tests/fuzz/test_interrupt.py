@@ -25,15 +25,14 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
 def interrupted_after(delay: float, argv: list[str], *, ignored_by_parent: bool) -> tuple[int, str]:
     """Runs a command, sends SIGINT to all of its processes after a delay, and returns its status and its stderr."""
-    ignore = (lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)) if ignored_by_parent else None
+    parent = ["sh", "-c", 'trap "" INT; exec "$0" "$@"'] if ignored_by_parent else []
     process = subprocess.Popen(
-        [sys.executable, "-c", CODE, *argv],
+        [*parent, sys.executable, "-c", CODE, *argv],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         env=os.environ | {"PYTHONPATH": ":".join(sys.path)},
         start_new_session=True,
-        preexec_fn=ignore,
     )
     assert process.stdout is not None
     assert process.stdout.readline() == "ready\n"

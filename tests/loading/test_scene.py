@@ -202,6 +202,21 @@ def in_hall(tmp_path, scene):
     return armctl.load(path, scene=scene)
 
 
+def test_a_table_under_the_base_that_a_link_cuts_wherever_the_arm_is_gives_a_warning_and_no_force(tmp_path):
+    table = armctl.Scene().add_box("table", [1.0, 1.0, 0.1], at=[0.0, 0.0, -0.05])
+    with pytest.warns(armctl.ArmctlWarning, match="table overlaps with turret wherever the arm is; their contact is left out"):
+        in_hall(tmp_path, table)
+
+
+def test_an_object_above_the_base_keeps_its_contact_though_no_motion_avoids_it(tmp_path):
+    crate = armctl.Scene().add_box("crate", [1.0, 1.0, 0.2], at=[0.0, 0.0, 0.05])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        arm = in_hall(tmp_path, crate)
+    log = armctl.simulate(arm, "pd", armctl.move_j(arm, [0, 0], [0, 0]))
+    assert "turret" in {contact.body for contact in log.contacts}
+
+
 def test_a_floor_that_a_link_cuts_wherever_the_arm_is_gives_a_warning_and_no_force(tmp_path):
     scene = tmp_path / "hall.xml"
     scene.write_text(HALL.format(height=0))

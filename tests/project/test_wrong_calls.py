@@ -67,6 +67,19 @@ CALLS: dict[str, tuple[Callable[[], object], str]] = {
         lambda: armctl.Report.from_log(armctl.Simulation(arm()).log),
         "got None; .* every move of a Sim",
     ),  # type: ignore
+    "no time to follow": (
+        lambda: armctl.Simulation(arm()).follow(lambda t: [0.3, 0.0, 0.5], seconds=0.0),
+        r"seconds: expected a number at least 0\.00",
+    ),
+    "an arm's name to the cycles of the standard": (lambda: armctl.iso9283_cycles(arm().name), "arm: expected Arm, got .*"),  # type: ignore
+    "filters in an array": (
+        lambda: armctl.TorqueFilter(arm(), armctl.PD(arm()), np.array(1.0)),  # type: ignore
+        "filters: .* is no filter; armctl.Notch",
+    ),
+    "rows of many lengths": (
+        lambda: armctl.Impedance(arm(), error_max=[[1.0], [1.0, 2.0]]),
+        "error_max: .* is not an array of numbers",
+    ),
     "no path": (lambda: move_path(arm(), arm().home, None), "path: expected a list of .* got None"),  # type: ignore
 }
 

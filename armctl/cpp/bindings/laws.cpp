@@ -12,6 +12,7 @@
 #include "../laws/computed_torque_qp.hpp"
 #include "../laws/hybrid_force.hpp"
 #include "../laws/impedance.hpp"
+#include "../laws/lqr.hpp"
 #include "../laws/operational_space.hpp"
 #include "../laws/pd.hpp"
 #include "../laws/torque_filter.hpp"
@@ -86,6 +87,7 @@ void bind_without_model(nb::module_& module) {
 
 void bind_computed_torque(nb::module_& module) {
     bind<ComputedTorque>(module, "ComputedTorque", "Computed torque; with weights of an estimate, at estimated positions and velocities.");
+    bind<LQR>(module, "LQR", "Linear quadratic regulator with integral action, at estimated positions and velocities.");
     bind<ComputedTorqueObserver>(module, "ComputedTorqueObserver", "Computed torque with a disturbance observer that estimates velocities.")
         .def_prop_ro(
             "disturbance",

@@ -11,7 +11,7 @@ namespace armctl {
 //
 // The textbook form inverts the differential equation, with a model of continuous time. The other form inverts the motion over
 // one control period, with the model of that period and a reference that is differenced on the tick grid.
-class ComputedTorque final : public Law {
+class ComputedTorque : public Law {
 public:
     // The gains are the members below and those of EstimateWeights; without weights, q and v are the measured ones.
     ComputedTorque(const Model& model, const Arguments& gains) : ComputedTorque(model, gains, EstimateWeights(gains)) {}
@@ -21,8 +21,11 @@ public:
         const Vector v_ref = textbook_ ? setpoint.v : setpoint.v_tick;
         const Vector a_ref = textbook_ ? setpoint.a : setpoint.a_tick;
         for (size_t i = 0; i < tau.size(); ++i) {
+            error_[i] = setpoint.q[i] - state.q[i];
             error_rate_[i] = v_ref[i] - state.v[i];
-            correction_[i] = stiffness_ * (setpoint.q[i] - state.q[i]) + damping_ * error_rate_[i];
+        }
+        correct(setpoint.q);
+        for (size_t i = 0; i < tau.size(); ++i) {
             acceleration_[i] = a_ref[i] + correction_[i];
             added_torque_[i] = added_inertia_[i] * correction_[i];
         }
@@ -42,14 +45,29 @@ public:
     Vector correction() const { return correction_; }
     Vector added_torque() const { return added_torque_; }
 
-private:
-    // The memory: whether there was a tick, then the estimate.
-    ComputedTorque(const Model& model, const Arguments& gains, const EstimateWeights& weights)
-        : Law(model->n(), weights.position > 0.0 && weights.dt > 0.0 ? 1 + 3 * model->n() : 0), stiffness_(gains.gain("stiffness")),
-          damping_(gains.gain("damping")), added_inertia_(gains.gains(joints(), "added_inertia")), weights_(weights),
-          torque_limit_(gains.limits(joints(), "torque_limit")), textbook_(gains.flag("textbook")), dynamics_(model) {}
+protected:
+    // The memory: whether there was a tick, then the estimate, and further numbers for a derived law.
+    ComputedTorque(const Model& model, const Arguments& gains, const EstimateWeights& weights, size_t further_memory = 0)
+        : Law(model->n(), estimate_size(model->n(), weights) + further_memory), estimate_size_(estimate_size(model->n(), weights)),
+          stiffness_(gains.gain("stiffness")), damping_(gains.gain("damping")), added_inertia_(gains.gains(joints(), "added_inertia")),
+          weights_(weights), torque_limit_(gains.limits(joints(), "torque_limit")), textbook_(gains.flag("textbook")), dynamics_(model) {}
 
-    bool is_estimated() { return !memory().empty(); }
+    // Finds the acceleration of the feedback.
+    virtual void correct([[maybe_unused]] Vector q_ref) {
+        for (size_t i = 0; i < joints(); ++i) { correction_[i] = stiffness_ * error_[i] + damping_ * error_rate_[i]; }
+    }
+
+    Vector torque_limit() const { return torque_limit_; }  // (n,) N m, of the motors
+    Result further_memory() { return memory().subspan(estimate_size_); }
+
+    Numbers error_ = zeros(), error_rate_ = zeros();  // of the last tick
+    Numbers correction_ = zeros();
+
+private:
+    static size_t estimate_size(size_t n, const EstimateWeights& weights) {
+        return weights.position > 0.0 && weights.dt > 0.0 ? 1 + 3 * n : 0;
+    }
+    bool is_estimated() const { return estimate_size_ > 0; }
     MotionEstimate estimate() {
         const size_t n = joints();
         return {memory(1, n), memory(1 + n, n), memory(1 + 2 * n, n)};
@@ -80,6 +98,7 @@ private:
         for (size_t i = 0; i < tau.size(); ++i) { acceleration[i] = acceleration_[i] + further_acceleration_[i]; }
     }
 
+    size_t estimate_size_;
     double stiffness_;       // 1/s^2
     double damping_;         // 1/s
     Numbers added_inertia_;  // (n,) kg m^2, with which the feedback of joints of negligible inertia acts
@@ -87,7 +106,7 @@ private:
     Numbers torque_limit_;  // (n,) N m, of the motors, for the estimate
     bool textbook_;
     Dynamics dynamics_;
-    Numbers correction_ = zeros(), acceleration_ = zeros(), error_rate_ = zeros(), added_torque_ = zeros();
+    Numbers acceleration_ = zeros(), added_torque_ = zeros();
     Numbers further_acceleration_ = zeros();
     DenseMatrix inertia_{joints(), joints()};
 };

@@ -35,21 +35,11 @@ class Content(NamedTuple):
 
 def checked_path(path: str | os.PathLike[str], suffix: str, other: str) -> Path:
     """A caller's path, with the suffix added if it has none; another suffix raises InputError that names the method `other`."""
-    file = _as_path(path)
+    file = file_path("path", path)
     if not file.suffix:
         return file.with_name(file.name + suffix)
     if file.suffix.lower() != suffix:
         raise InputError(f"path: {shown(file.name)} does not end in {suffix}; for another format see {other}")
-    return file
-
-
-def _as_path(path: str | os.PathLike[str]) -> Path:
-    try:
-        file = Path(path)
-    except TypeError:
-        raise InputError(f"path: {shown(path)} is not a path; give a file name") from None
-    if not file.name or "\0" in str(file):
-        raise InputError(f"path: {str(path)!r:.80} is not the name of a file")
     return file
 
 
@@ -153,7 +143,7 @@ def plot(
     figure.axes[-1].set_xlabel("time, s")
     if path is not None:
         formats = figure.canvas.get_supported_filetypes()
-        file = _as_path(path)
+        file = file_path("path", path)
         if file.suffix[1:].lower() not in formats:
             raise InputError(
                 f"path: {shown(file.name)} is not the name of a picture; it must end in one of {', '.join(formats)}"
