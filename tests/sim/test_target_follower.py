@@ -161,11 +161,11 @@ def test_a_goal_for_which_the_motors_are_too_weak_is_refused_with_the_reason():
     arm = armctl.load(BUNDLED)
     weak = arm.with_limits(replace(arm.limits, tau_max=np.array([50.0, 3.4, 30.0])))
     watched = RealTimeSession(weak)
-    watched.move_joints(np.array([0.5, -0.4, -0.5]))
+    watched.move_joints(np.array([0.5, 0.0, 0.0]))
     for _ in range(100):
         watched.advance()
         while watched._follower.is_planning and watched._follower._answer is None:
             time.sleep(1e-3)
     assert watched.status.activity is Activity.BLOCKED
-    assert "holding still needs -3.4 N m" in watched.status.refusal
+    assert "the limit is 3.4 N m; take a lighter payload" in watched.status.refusal
     assert weak.limits.contains(watched.status.q)
