@@ -14,6 +14,7 @@ from armctl.core.target import Target
 from armctl.core.trajectory import TickReference, Trajectory
 from armctl.core.validation import Array, frozen
 from armctl.ik import DifferentialIk, solve_ik
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import Pieces
 from armctl.planning.path import FreeSpace
 from armctl.robot.arm import Arm
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 
 _IK_AT_REST_SPEED = 1e-2  # rad/s: differential IK has converged
 _MIN_IMPROVEMENT_M = 0.01  # an unreachable target changes the posture only if the new one is nearer by this much
-_ACCELERATION_SCALE = 0.3  # a target moved by hand jerks; the jerk limits are scaled by its square
 _CLEARANCE_M = 1e-3  # of a reference that follows live: half of what a planned path keeps
 PATH_POINTS = 100
 
@@ -84,7 +84,7 @@ class TargetFollower:
         """
         self.arm = arm
         self.obstacles = obstacles
-        self.reference = FollowerReference(arm, dt, arm.home, self._refusal, _ACCELERATION_SCALE)
+        self.reference = FollowerReference(arm, dt, arm.home, self._refusal)
         self.oriented = arm.n >= 6
         self.avoiding = True
         self._dt = dt
@@ -270,6 +270,7 @@ class TargetFollower:
         if self.reference.is_at_rest:
             self._request = None
             self._finished = True
+            assert isinstance(trajectory, JointTrajectory)
             self.reference.follow(trajectory)
 
 
