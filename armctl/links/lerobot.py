@@ -111,7 +111,8 @@ class LeRobotArm:
 
     def disconnect(self) -> None:
         """Ends the stream: the arm comes to rest, and the robot's `log` is made. Without a connection, nothing."""
-        run, self._run = self._run, None
+        run = self._run
+        self._run = None
         if run is not None:
             run.__exit__(None, None, None)
 

@@ -17,7 +17,7 @@ from armctl.mjmodel.queries import object_id
 from armctl.motion.trajectory.piecewise import Pieces
 from armctl.robot.arm import Arm
 from armctl.sim.move import ControlledArms
-from armctl.sim.recorder import ticks_for
+from armctl.sim.recorder import Recorder, ticks_for
 from armctl.stream.stream import Stream
 
 _FOLLOW_INTERVAL_S = 0.02  # between two readings of a moving target
@@ -52,12 +52,14 @@ class StreamRun:
         self._tip = arm.tip
         self._recording = arms.recording(self._durations, targets)
         self._due = 0.0
+        self._recorder: Recorder | None = None
 
     def __enter__(self) -> StreamRun:
         self._recorder = self._recording.__enter__()
         return self
 
     def __exit__(self, *exception: Any) -> None:
+        self._recorder = None
         self._durations[self._tip] = self.stream.t
         self._recording.__exit__(*exception)
 
@@ -71,9 +73,11 @@ class StreamRun:
             Why the run ended; empty if it goes on.
 
         Raises:
-            InputError: A negative time, or one that is too long for a log.
+            InputError: A negative time, one that is too long for a log, or a call outside the `with`.
             SimulationError: The controller failed, or the run ended before.
         """
+        if self._recorder is None:
+            raise InputError("advance: nothing runs yet; use `with sim.streaming() as run:`")
         dt = self._drive.dt
         self._due += number("seconds", seconds, 0.0)
         ticks = ticks_for(max(self._due - self.stream.t, 0.0) + dt / 2, dt) - 2
