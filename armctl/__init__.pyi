@@ -119,6 +119,7 @@ from .render.video import still as still
 from .robot.actuation import Actuation as Actuation
 from .robot.arm import Arm as Arm
 from .sim.commands import PathMoveOptions as PathMoveOptions
+from .sim.follow import StreamRun as StreamRun
 from .sim.gripper.gripper import Gripper as Gripper
 from .sim.gripper.gripper import GripResult as GripResult
 from .sim.plant import Plant as Plant
