@@ -52,7 +52,7 @@ $(VENV)/run.stamp: pyproject.toml
 	@$(BIN)/python -m pip install --quiet $$($(PYTHON) packaging/build_backend/requirements.py) || { \
 	  echo "pip could not install the tools that build the compiled core; its reason is above."; exit 1; }
 	@$(BUILD_CORE)
-	@echo "installing armctl, its dependencies and the viewer into $(VENV): once, half a minute to two minutes"
+	@echo "installing armctl, its dependencies and the viewer into $(VENV): once, 1 GB, half a minute to two minutes"
 	@# A distribution called armctl would share the package's files and the command with mujoco-armctl.
 	@$(BIN)/python -m pip uninstall --quiet --quiet --yes armctl
 	@$(BIN)/python -m pip install --quiet --no-build-isolation --editable '.[view]' || { \
@@ -60,7 +60,7 @@ $(VENV)/run.stamp: pyproject.toml
 	@touch $@
 
 $(VENV)/dev.stamp: $(VENV)/run.stamp
-	@echo "installing what the tests need into $(VENV): once, half a minute"
+	@echo "installing what the tests need into $(VENV): once, 1.7 GB more, half a minute"
 	@$(BIN)/python -m pip install --quiet --no-build-isolation --editable '.[dev]' || { \
 	  echo "pip could not install the tools that pyproject.toml names under dev; its reason is above."; exit 1; }
 	@touch $@

@@ -36,5 +36,12 @@ def _open_viewer(arm: Any) -> Any:
     return Viewer(arm)
 
 
+def _instability(*case: Any) -> str:
+    from armctl.design.linearization import instability
+
+    return instability(*case)
+
+
 hooks.open_viewer = _open_viewer
+hooks.instability = _instability
 warn_if_foreign_armctl_is_installed()

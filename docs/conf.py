@@ -20,6 +20,7 @@ version = release = armctl.__version__
 extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "myst_parser"]
 exclude_patterns = ["_build"]
 default_role = "code"
+highlight_language = "text"  # what programs print is no code
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 
@@ -33,7 +34,10 @@ napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 
 html_theme = "furo"
-html_title = "armctl"
+html_title = f"armctl {version}"
+html_static_path = ["_static"]
+html_css_files = ["pages.css"]
+html_extra_path = ["../llms.txt"]  # for coding assistants: tasks, and the call for each
 html_show_copyright = False
 
 # One chapter per subpackage that has public names, in the order of the layers.

@@ -91,7 +91,10 @@ def _name(report: Report) -> str:
 
 
 class Comparison(list[Report]):
-    """The reports of `compare`, plant by plant. A notebook shows a table for each plant, with the best values marked."""
+    """The reports of `compare`, plant by plant. `print` shows a table, a notebook one for each plant with the best values."""
+
+    def __str__(self) -> str:
+        return report_table(self).text(keys=2)
 
     def plants(self) -> dict[str, list[Report]]:
         """The reports of each plant."""

@@ -16,7 +16,7 @@ from armctl.core.errors import InputError
 from armctl.core.log import Contact, Log
 from armctl.core.tables import Table
 from armctl.core.target import ANGLE_TOLERANCE, TOLERANCE
-from armctl.core.units import length_text
+from armctl.core.units import above_text, length_text
 from armctl.core.validation import Array, BoolArray, instance, number, shown
 
 _MAX_CONTACTS_SHOWN = 3
@@ -296,7 +296,7 @@ def _reason(log: Log, final: float, angle: float, tolerance: float, angle_tolera
     if log.failure:
         return log.failure
     if not final <= tolerance:
-        return f"the tip ended {length_text(final)} from its goal ({length_text(tolerance)} allowed)"
+        return f"the tip ended {above_text(final, tolerance)} from its goal ({length_text(tolerance)} allowed)"
     if not angle <= angle_tolerance:
         return f"the tip ended {angle:.3g} rad from its orientation ({angle_tolerance:g} rad allowed)"
     return ""

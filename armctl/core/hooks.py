@@ -7,3 +7,4 @@ from typing import Any
 
 # Opens the browser page that observes a simulation; takes an Arm and returns a `sim.stepper.Observer`.
 open_viewer: Callable[[Any], Any] | None = None
+instability: Callable[..., str]  # of an arm, a controller, a configuration and a plant: what a reason says besides

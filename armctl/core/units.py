@@ -20,6 +20,12 @@ def label(units: Iterable[str], per: str = "") -> str:
     return " or ".join(unit + per for unit in dict.fromkeys(units))
 
 
+def above_text(metres: float, bound: float) -> str:
+    """A length beside its bound in a sentence: "just over 1 mm" where a larger one would read as the bound itself."""
+    text = length_text(metres)
+    return f"just over {text}" if metres > bound and text == length_text(bound) else text
+
+
 def length_text(metres: float) -> str:
     """A length of three digits for a sentence or a table: "<1 nm", "12 nm", "3.45 mm" or "2.07 m"."""
     if metres < 1e-9:

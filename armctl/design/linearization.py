@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control import Controller, controller_name
-from armctl.core.errors import InputError
+from armctl.control import CompiledController, Controller, controller_name
+from armctl.core.errors import ArmctlError, InputError
 from armctl.core.validation import Array, integer, number
 from armctl.design.loop import MAX_DELAY_TICKS, Loop
 from armctl.design.state_space import StateSpace, linear_controller
@@ -75,6 +75,16 @@ def linear_arm(arm: Arm, q: ArrayLike, plant: Plant | None = None) -> LinearArm:
     """
     check_arm(arm)
     return Linearizer(arm, read_plant(plant)).arm_at(arm.checked("q", q))
+
+
+def instability(arm: Arm, controller: Controller, q: Array, plant: Plant) -> str:
+    """What the reason of a failed run says besides if the loop is unstable. Only compiled laws are called outside of runs."""
+    try:
+        if not isinstance(controller, CompiledController) or (loop := linearize(arm, controller, q, plant)).robustness():
+            return ""
+    except ArmctlError:
+        return ""
+    return f"; the loop of {controller_name(controller)} is unstable at its period of {1e3 * loop.dt:g} ms: lower its gains"
 
 
 def linearize(arm: Arm, controller: Controller | str, q: ArrayLike, plant: Plant | None = None, delay: float = 0.0) -> Loop:

@@ -13,7 +13,7 @@ from armctl.loading.actuators import actuator_notes, dc_motors
 from armctl.loading.catalog import Source
 from armctl.loading.chain import chain_to, end_note, find_chain
 from armctl.loading.limits import JointData, datasheet_limits, torque_limits
-from armctl.loading.tip import Tip, named_body, named_tip, tip_of_chain
+from armctl.loading.tip import Tip, axis_note, named_body, named_tip, tip_of_chain
 from armctl.loading.urdf import speed_limits
 from armctl.mjmodel.dc_motor import DcMotor
 from armctl.mjmodel.queries import Joints, body_name, is_below, joint_name
@@ -82,7 +82,7 @@ def describe_arms(source: Source, analysis: Transmissions, ends: Sequence[ArmEnd
     chains = [find_ends(source, analysis, each) for each in ends]
     check_independent(analysis, [joints for joints, _ in chains])
     return [
-        _described(source, analysis, joints, tip.moved(each.tip_offset))
+        _described(source, analysis, joints, tip.moved(each.tip_offset), each.tip is None)
         for (joints, tip), each in zip(chains, ends, strict=True)
     ]
 
@@ -123,7 +123,7 @@ def check_independent(analysis: Transmissions, chains: Sequence[Joints]) -> None
             raise ModelError(reason)
 
 
-def _described(source: Source, analysis: Transmissions, joints: Joints, tip: Tip) -> ArmPlan:
+def _described(source: Source, analysis: Transmissions, joints: Joints, tip: Tip, chosen: bool) -> ArmPlan:
     model = analysis.model
     transmissions = analysis.of_chain(joints)
     datasheet = speed_limits(source.urdf, model, transmissions) or datasheet_limits(source.row, len(transmissions))
@@ -138,7 +138,7 @@ def _described(source: Source, analysis: Transmissions, joints: Joints, tip: Tip
         datasheet=datasheet,
         tau_max=torques.tau_max,
         tau_source=torques.source,
-        notes=(*torques.notes, *warned, *end_note(analysis, joints)),
+        notes=(*torques.notes, *warned, *end_note(analysis, joints), *(axis_note(model, joints, tip) if chosen else [])),
         quiet_notes=tuple(quiet),
     )
 

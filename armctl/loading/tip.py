@@ -10,7 +10,7 @@ import mujoco
 from armctl.core.errors import UnknownNameError
 from armctl.core.pose import Pose
 from armctl.core.validation import instance
-from armctl.mjmodel.queries import Joints, body_name, is_below, object_id, welded_behind
+from armctl.mjmodel.queries import Joints, body_name, is_below, joint_name, object_id, welded_behind
 
 _TIP_WORDS = ("pinch", "grasp", "tcp", "attachment", "tool", "effector", "eef", "ee", "tip", "flange", "gripper")
 _SENSOR_NAME = re.compile(r"imu|cam|force|torque|sensor", re.IGNORECASE)
@@ -58,6 +58,14 @@ def tip_on(model: mujoco.MjModel, body: int) -> Tip:
         return named_tip(model, model.geom(balls[0]).name)
     end = _end_body(model, bodies)
     return Tip(body_name(model, end), end, Pose([0.0, 0.0, 0.0]))
+
+
+def axis_note(model: mujoco.MjModel, joints: Joints, tip: Tip) -> list[str]:
+    """One sentence if the last joint of a chain cannot move its tip, which is the origin of its own link; or none."""
+    last = joints[-1]
+    sentence = f"joint {joint_name(model, last)!r} cannot move the tip {tip.name!r}; pass tip= or tip_offset=, or add a link"
+    turns = model.jnt_type[last] == mujoco.mjtJoint.mjJNT_HINGE and tip.body == model.jnt_bodyid[last]
+    return [sentence] if turns and not (tip.T_body_tip.position - model.jnt_pos[last]).any() else []
 
 
 def named_tip(model: mujoco.MjModel, name: str) -> Tip:

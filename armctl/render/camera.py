@@ -35,7 +35,7 @@ def fitted_camera(arm: Arm, states: Sequence[mujoco.MjData], path: Array, aspect
     corners = np.concatenate([*(box_corners(arm, data) for data in states), path])
     azimuth = np.radians(model.vis.global_.azimuth)
     elevation = np.radians(model.vis.global_.elevation)
-    cameras = [_fit(model, corners, azimuth + turn, elevation, aspect) for turn in _TURNS_RAD]
+    cameras = [fitted_view(model, corners, azimuth + turn, elevation, aspect) for turn in _TURNS_RAD]
     return cameras[int(np.argmax([_visibility(model, states, path, camera) for camera in cameras]))]
 
 
@@ -59,7 +59,7 @@ def _geoms(arm: Arm) -> IntArray:
     return np.flatnonzero(drawn & (model.body_rootid[model.geom_bodyid] == root))
 
 
-def _fit(model: mujoco.MjModel, points: Array, azimuth: float, elevation: float, aspect: float) -> mujoco.MjvCamera:
+def fitted_view(model: mujoco.MjModel, points: Array, azimuth: float, elevation: float, aspect: float) -> mujoco.MjvCamera:
     """The nearest camera with a direction that has all points in its picture."""
     forward, right, up = axes(azimuth, elevation)
     depth = points @ forward

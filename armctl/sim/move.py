@@ -12,13 +12,14 @@ import numpy as np
 
 from armctl.collision.clearance import clearance_of
 from armctl.control import Controller, State, controller_by_name, controller_name
+from armctl.core import hooks
 from armctl.core.errors import InputError, ModelError, PlanError
 from armctl.core.log import Log, SimulationError
 from armctl.core.pose import Pose
 from armctl.core.result import MoveResult
 from armctl.core.target import Target
 from armctl.core.trajectory import Setpoint, TickReference, Trajectory, check_motion
-from armctl.core.units import length_text
+from armctl.core.units import above_text, length_text
 from armctl.core.validation import Array, shown
 from armctl.ik import solve_ik
 from armctl.motion import JointTrajectory, move_j
@@ -27,7 +28,7 @@ from armctl.planning.path import FreeSpace
 from armctl.robot.arm import Arm
 from armctl.sim.drive import Drive
 from armctl.sim.recorder import Recorder, RunInfo, ticks_for
-from armctl.sim.stepper import ControllerFailure, checked_torque
+from armctl.sim.stepper import ControllerFailure, Stepper, checked_torque
 from armctl.sim.wrench_sensor import WRENCH_SIZE
 
 if TYPE_CHECKING:
@@ -300,10 +301,14 @@ class ControlledArms:
         reason = move.refusal or self.drive.failure
         if not reason and not move.target.is_reached(self.tip_pose(tip)):
             allowed = f"{length_text(move.target.tolerance)} and {move.target.angle_tolerance:g} rad are allowed"
-            reason = f"the tip is {length_text(position_error)} and {orientation_error:.3g} rad from the target, {allowed}"
+            off = above_text(position_error, move.target.tolerance)
+            reason = f"the tip is {off} and {orientation_error:.3g} rad from the target, {allowed}"
             reason = "; ".join([reason, *map(str, log.contacts[:_MAX_CONTACTS_IN_REASON])])
         if not reason and not self._is_still(tip):
             reason = f"the arm has not come to rest within {_SETTLE_TIMEOUT_S:g} s"
+        if reason and not move.refusal and isinstance(self.drive, Stepper):
+            q = self.drive.q_ref[self._slices[tip]]
+            reason += hooks.instability(self.arms[tip], self.controllers[tip], q, self.drive.plant)
         return MoveResult(
             ok=not reason,
             position_error=position_error,

@@ -1,27 +1,31 @@
 """Draws the page of all robots afresh: `python docs/pictures/gallery.py` writes docs/gallery.md and docs/pictures/robots/.
 
-It draws the bundled arm and every robot of Menagerie that needs no download, at its home, with one tip marked.
+It draws the bundled arm and every robot of Menagerie that needs no download, at its home.
 """
 
-import tempfile
+import contextlib
+import copy
 import warnings
 from pathlib import Path
 
+import mujoco
 import mujoco_menagerie as menagerie
+import numpy as np
 from PIL import Image
 
 import armctl
 from armctl.loading.catalog import BUNDLED
+from armctl.render.camera import box_corners, fitted_view
 
 DOCS = Path(__file__).resolve().parents[1]
 FOLDER = DOCS / "pictures" / "robots"
-WIDTH_PIXELS = 400
-HEIGHT_PIXELS = 400
+SIZE_PIXELS = 400
+TURN_RAD = np.radians(35.0)  # from the model's own azimuth: neither from the front nor from the side
+ELEVATION_RAD = np.radians(-20.0)
 HEAD = """# Gallery
 
-Pictures of the robots that armctl was tested with, as `armctl.load` returns them, at their home configuration, with the
-target marker at one tip. Other robots of MuJoCo Menagerie load in the same way, and so does [your own](your-robot.md).
-[Robots](robots.md) lists every chain with its limits and test results; `armctl robots` prints the names.
+Robots that armctl was tested with, as `armctl.load` returns them, at home. Others of MuJoCo Menagerie load in the same way, and
+so does [your own](your-robot.md); `armctl robots` prints the names, and [Robots, measured](robots.md) lists every chain.
 
 """
 
@@ -33,12 +37,21 @@ def installed_robots() -> list[str]:
     return [BUNDLED, *here]
 
 
-def draw(arm: armctl.Arm, path: Path) -> None:
-    """A small picture of an arm at home."""
-    log = armctl.simulate(arm, "computed-torque", armctl.move_j(arm, arm.home, arm.home), dwell=0.01)
-    with tempfile.TemporaryDirectory() as folder:
-        large = armctl.still(log, arm, Path(folder) / "still.png", size=(2 * WIDTH_PIXELS, 2 * HEIGHT_PIXELS))
-        Image.open(large).resize((WIDTH_PIXELS, HEIGHT_PIXELS)).save(path, quality=80)
+def draw(arms: list[armctl.Arm], path: Path) -> None:
+    """A small picture of a robot at home, with all of its arms in it and without the target marker."""
+    model = copy.copy(arms[0].model)
+    markers = np.flatnonzero(model.body_mocapid >= 0)
+    model.geom_rgba[np.isin(model.geom_bodyid, markers), 3] = 0.0
+    model.vis.global_.offwidth = model.vis.global_.offheight = 2 * SIZE_PIXELS
+    data = mujoco.MjData(model)
+    data.qpos[:] = arms[0].qpos(arms[0].home)
+    mujoco.mj_forward(model, data)
+    corners = np.concatenate([box_corners(arm, data) for arm in arms])
+    camera = fitted_view(model, corners, np.radians(model.vis.global_.azimuth) + TURN_RAD, ELEVATION_RAD, 1.0)
+    with mujoco.Renderer(model, 2 * SIZE_PIXELS, 2 * SIZE_PIXELS) as renderer:
+        renderer.update_scene(data, camera)
+        large = Image.fromarray(renderer.render())
+    large.resize((SIZE_PIXELS, SIZE_PIXELS)).save(path, quality=80)
 
 
 def load_chain(robot: str, chain: armctl.SerialChain) -> armctl.Arm:
@@ -46,24 +59,34 @@ def load_chain(robot: str, chain: armctl.SerialChain) -> armctl.Arm:
     return armctl.load(robot, tip=chain.tip, base=None if chain.base == "world" else chain.base, hold_base=True)
 
 
-def section(robot: str) -> str:
-    """The heading, picture and arms of a robot; empty if nothing on it can be an arm."""
+def options(robot: str, arms: list[armctl.Arm]) -> str:
+    """What `armctl view` needs besides the name of a robot; it shows all arms of equal length if none is named."""
+    tips = [arm.tip for arm in arms if arm.n == arms[0].n]
+    held = " --hold-base"
+    one = f" --tip {tips[0]}"
+    for words, tip, hold_base in (("", None, False), (held, None, True), (one, tips[0], False), (one + held, tips[0], True)):
+        with contextlib.suppress(armctl.ArmctlError):
+            armctl.load(robot, tip=tip, hold_base=hold_base)
+            return words
+        if tip is None and len(tips) > 1:
+            with contextlib.suppress(armctl.ArmctlError):
+                armctl.load_arms(robot, tips, hold_base=hold_base)
+                return words
+    raise ValueError(f"{robot}: no command shows it")
+
+
+def cell(robot: str) -> str:
+    """The picture, name, joints and command of a robot; empty if nothing on it can be an arm."""
     arms = [load_chain(robot, chain) for chain in armctl.chains(robot) if chain.ok]
     if not arms:
         return ""
-    picture = FOLDER / f"{robot}.webp"
-    draw(arms[0], picture)
-    chains = "\n".join(f"- `{arm.tip}`: {arm.n} joint{'s' if arm.n > 1 else ''}" for arm in arms)
-    return f"""## {robot}
-
-```{{image}} pictures/robots/{picture.name}
-:alt: {robot} at its home
-:width: 300px
-```
-
-Tips:
-
-{chains}
+    draw(arms, FOLDER / f"{robot}.webp")
+    name = "armctl's bundled arm" if robot == BUNDLED else menagerie.get(robot).display_name
+    joints = f"{arms[0].n} joints" if len(arms) == 1 else f"{len(arms)} chains"
+    return f""":::{{container}}
+![{name}](pictures/robots/{robot}.webp)
+**{name}**, {joints}: `armctl view {robot}{options(robot, arms)}`
+:::
 """
 
 
@@ -71,5 +94,6 @@ if __name__ == "__main__":
     FOLDER.mkdir(exist_ok=True)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", armctl.ArmctlWarning)
-        sections = [section(robot) for robot in installed_robots()]
-    (DOCS / "gallery.md").write_text(HEAD + "\n".join(filter(None, sections)), encoding="utf-8")
+        cells = [cell(robot) for robot in installed_robots()]
+    grid = "\n".join(filter(None, cells))
+    (DOCS / "gallery.md").write_text(f"{HEAD}::::{{container}} gallery\n{grid}::::\n", encoding="utf-8")

@@ -186,3 +186,12 @@ def test_margins_are_those_of_each_pair(bundled):
     assert np.isnan(without.peak_sensitivity)
     assert "Ms" in table([with_margins])
     assert "Ms" not in table([without])
+
+
+def test_a_printed_comparison_is_the_table_of_the_command_line(bundled_motion):
+    bundled, motion = bundled_motion
+    reports = armctl.compare(bundled, ["pd", "computed-torque"], motion, poses=0)
+    lines = str(reports).splitlines()
+    assert lines[0].startswith("controller")
+    assert [sum(line.startswith(name) for line in lines) for name in ("pd ", "computed-torque ")] == [2, 2]
+    assert max(map(len, lines)) <= 80

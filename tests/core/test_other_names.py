@@ -7,7 +7,7 @@ import pytest
 from arms import arm_of
 
 import armctl
-from armctl.core.units import length_text
+from armctl.core.units import above_text, length_text
 
 
 @pytest.mark.parametrize(("name", "use"), [("q", "sim.state.q"), ("open_gripper", "sim.gripper.open()")])
@@ -83,3 +83,10 @@ def test_a_rotation_matrix_in_the_place_of_a_quaternion_names_the_other_construc
 )
 def test_a_length_has_one_form(metres: float, text: str):
     assert length_text(metres) == text
+
+
+@pytest.mark.parametrize(
+    ("metres", "text"), [(1.02e-3, "1.02 mm"), (1.0001e-3, "just over 1 mm"), (1e-3, "1 mm"), (0.9999e-3, "1 mm")]
+)
+def test_a_length_beside_its_bound_does_not_read_as_the_bound(metres: float, text: str):
+    assert above_text(metres, 1e-3) == text

@@ -161,3 +161,24 @@ def test_the_nearest_inertia_keeps_the_axes_and_every_moment_that_is_possible():
     assert found == pytest.approx(turn @ np.diag(kept.sum() - kept) @ turn.T, abs=1e-9)
     possible = turn @ np.diag([1.0, 2.0, 2.9]) @ turn.T
     assert nearest_inertia(possible) is possible
+
+
+TWO_LINKS = (
+    f'<robot name="r"><link name="base"/>{"".join(LINK.format(k, INERTIA, "") for k in ("one", "two"))}{FIRST}{SECOND}</robot>'
+)
+
+
+def test_a_tip_that_the_last_joint_cannot_move_is_said(load):
+    with pytest.warns(armctl.ArmctlWarning, match="joint 'j2' cannot move the tip 'two'; pass tip= or"):
+        arm = load(TWO_LINKS)
+    assert not arm.jacobian(arm.home)[:3, -1].any()
+
+
+def test_nothing_is_said_of_a_tip_that_the_last_joint_moves_or_that_was_given(tmp_path: Path, recwarn: pytest.WarningsRecorder):
+    path = tmp_path / "r.urdf"
+    path.write_text(TWO_LINKS)
+    armctl.load(path, tip="two")
+    armctl.load(path, tip_offset=armctl.Pose([0.1, 0.0, 0.0]))
+    path.write_text(urdf(FIRST, SECOND, THIRD, TOOL))
+    armctl.load(path)
+    assert not [each for each in recwarn if "cannot move" in str(each.message)]

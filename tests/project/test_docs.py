@@ -13,7 +13,7 @@ import armctl
 from armctl.cli.main import _parser
 
 ROOT = Path(__file__).parents[2]
-PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
+PAGES = [*ROOT.glob("*.md"), ROOT / "llms.txt", *(ROOT / "docs").glob("*.md")]
 TEXTS = {page.relative_to(ROOT): page.read_text(encoding="utf-8") for page in PAGES}
 
 

@@ -138,3 +138,15 @@ def test_a_move_ends_only_when_all_joints_rest(seven_joints):
     last = [int(np.flatnonzero(joint)[-1]) for joint in moving.T]
     assert last[-1] > max(last[:-1]) + 100
     assert np.abs(sim.state.v).max() < 1e-3
+
+
+def test_the_reason_of_a_failed_move_names_an_unstable_loop(bundled):
+    result = armctl.Simulation(bundled, armctl.ComputedTorque(bundled, bandwidth=1000.0)).move_to([0.3, 0.2, 0.3])
+    assert not result
+    assert result.reason.endswith("the loop of computed-torque is unstable at its period of 2 ms: lower its gains")
+
+
+def test_the_reason_of_a_failed_move_with_a_stable_loop_says_nothing_of_it(bundled):
+    result = armctl.Simulation(bundled, armctl.PD(bundled, stiffness=100.0, damping=20.0)).move_to([0.3, 0.2, 0.3])
+    assert not result
+    assert "unstable" not in result.reason
