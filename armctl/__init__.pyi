@@ -21,6 +21,7 @@ from .control.computed_torque import ComputedTorque as ComputedTorque
 from .control.computed_torque_learning import ComputedTorqueLearning as ComputedTorqueLearning
 from .control.computed_torque_observer import ComputedTorqueObserver as ComputedTorqueObserver
 from .control.computed_torque_qp import ComputedTorqueQP as ComputedTorqueQP
+from .control.elastic_feedback import ElasticFeedback as ElasticFeedback
 from .control.elastic_feedforward import ElasticFeedforward as ElasticFeedforward
 from .control.hybrid_force import HybridForce as HybridForce
 from .control.impedance import Impedance as Impedance
@@ -29,6 +30,8 @@ from .control.interface import Controller as Controller
 from .control.interface import State as State
 from .control.lqr import LQR as LQR
 from .control.lqr import LQRGains as LQRGains
+from .control.mpc import MPC as MPC
+from .control.mpc import MPCCounts as MPCCounts
 from .control.operational_space import OperationalSpace as OperationalSpace
 from .control.pd import PD as PD
 from .control.pd_feedforward import PDFeedforward as PDFeedforward
@@ -58,6 +61,8 @@ from .core.trajectory import Trajectory as Trajectory
 from .design.arm_estimate import ArmEstimate as ArmEstimate
 from .design.arm_estimate import Validation as Validation
 from .design.arm_excitation import Excitation as Excitation
+from .design.elasticity import ElasticityEstimate as ElasticityEstimate
+from .design.elasticity import identify_elasticity as identify_elasticity
 from .design.excitation import excitation as excitation
 from .design.frequency_response import FrequencyResponse as FrequencyResponse
 from .design.frequency_response import frequency_response as frequency_response

@@ -625,7 +625,8 @@ class Law:
         """
         The torque for the coming control period, written into tau (n,) N m.
 
-        `reference` has the (5, n) rows q, v, a, v_tick, a_tick of a setpoint.
+        `reference` has the (5, n) rows q, v, a, v_tick, a_tick of a setpoint; k rows each of q, v_tick and a_tick of the ticks
+        from this one on may follow, if they are known.
         `wrench` (6,) is not read by a law that does not need it.
         """
 
@@ -725,6 +726,18 @@ class ComputedTorqueQP(Law):
         """
         H, M, lower and upper of the last tick's program, as for `solve_program` with f = 0, and the torque (n,) N m without
         limits; None if the torque was not limited.
+        """
+
+class MPC(ComputedTorqueQP):
+    """
+    Model predictive control within limits of torque, velocity and position.
+    """
+
+    def __init__(self, of: ArmModel, **gains) -> None: ...
+    @property
+    def counts(self) -> NDArray[numpy.float64]:
+        """
+        Ticks: all, those that needed a plan, and those without one; a part of the memory.
         """
 
 UNBOUNDED: float = 1e30

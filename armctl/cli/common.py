@@ -32,6 +32,7 @@ CONTROLLER_NAMES = (
     "computed-torque-learning",
     "qp",
     "lqr",
+    "mpc",
     "operational-space",
     "impedance",
 )

@@ -8,11 +8,13 @@ from armctl.control.computed_torque import ComputedTorque
 from armctl.control.computed_torque_learning import ComputedTorqueLearning
 from armctl.control.computed_torque_observer import ComputedTorqueObserver
 from armctl.control.computed_torque_qp import ComputedTorqueQP
+from armctl.control.elastic_feedback import ElasticFeedback
 from armctl.control.elastic_feedforward import ElasticFeedforward
 from armctl.control.hybrid_force import HybridForce
 from armctl.control.impedance import Impedance
 from armctl.control.interface import CompiledController, Controller, State, controller_name
 from armctl.control.lqr import LQR, LQRGains
+from armctl.control.mpc import MPC, MPCCounts
 from armctl.control.operational_space import OperationalSpace
 from armctl.control.pd import PD
 from armctl.control.pd_feedforward import PDFeedforward
@@ -32,6 +34,7 @@ CONTROLLERS: dict[str, Callable[[Arm], Controller]] = {
     "computed-torque-learning": ComputedTorqueLearning,
     "qp": ComputedTorqueQP,
     "lqr": LQR,
+    "mpc": MPC,
     "operational-space": OperationalSpace,
     "impedance": Impedance,
 }
@@ -51,6 +54,7 @@ def controller_by_name(name: str, arm: Arm) -> Controller:
 __all__ = [
     "CONTROLLERS",
     "LQR",
+    "MPC",
     "PD",
     "Admittance",
     "CompiledController",
@@ -59,11 +63,13 @@ __all__ = [
     "ComputedTorqueObserver",
     "ComputedTorqueQP",
     "Controller",
+    "ElasticFeedback",
     "ElasticFeedforward",
     "HybridForce",
     "Impedance",
     "LQRGains",
     "LowPass",
+    "MPCCounts",
     "Notch",
     "OperationalSpace",
     "PDFeedforward",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from armctl import _core
 from armctl.control.computed_torque import ComputedTorque
 from armctl.control.gains import DEFAULT_BANDWIDTH
@@ -56,21 +58,24 @@ class ComputedTorqueQP(ComputedTorque):
 
     def _make_law(self, dt: float, continuous: bool) -> _core.Law:
         """A law with the present gains, at the start of a run."""
+        return _core.ComputedTorqueQP(self._model(dt, continuous), **self._law_gains(dt, continuous))
+
+    def _law_gains(self, dt: float, continuous: bool) -> dict[str, Any]:
+        """Arguments of the compiled law."""
         limits = self._arm.limits
-        return _core.ComputedTorqueQP(
-            self._model(dt, continuous),
-            stiffness=self.bandwidth**2,
-            damping=2 * self.damping_ratio * self.bandwidth,
-            added_inertia=self.added_inertia(dt),
-            q_min=limits.q_min,
-            q_max=limits.q_max,
-            v_max=limits.v_max,
-            a_max=limits.a_max,
-            torque_limit=limits.tau_max,
-            position_weight=0.0,
-            velocity_weight=0.0,
-            textbook=False,
-            length=arm_length(self._arm),
-            dt=dt,
-            continuous=continuous,
-        )
+        return {
+            "stiffness": self.bandwidth**2,
+            "damping": 2 * self.damping_ratio * self.bandwidth,
+            "added_inertia": self.added_inertia(dt),
+            "q_min": limits.q_min,
+            "q_max": limits.q_max,
+            "v_max": limits.v_max,
+            "a_max": limits.a_max,
+            "torque_limit": limits.tau_max,
+            "position_weight": 0.0,
+            "velocity_weight": 0.0,
+            "textbook": False,
+            "length": arm_length(self._arm),
+            "dt": dt,
+            "continuous": continuous,
+        }

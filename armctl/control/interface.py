@@ -35,6 +35,8 @@ class State(NamedTuple):
             period is one step of the simulator.
         wrench: (6,) N and N m, the measured wrench of the environment on the tip: force first, world axes, at the tip. None if
             nobody measures it: a simulation does for controllers with the attribute `needs_wrench = True`.
+        deflection: (2, n) rad and rad/s, of the springs of elastic joints, motor minus link, as joint torque sensors give it.
+            None if nobody measures it: a simulation does for controllers with the attribute `needs_deflection = True`.
     """
 
     q: Array
@@ -43,6 +45,7 @@ class State(NamedTuple):
     dt: float = 0.0
     continuous: bool = False
     wrench: Array | None = None
+    deflection: Array | None = None
 
 
 @runtime_checkable
@@ -140,6 +143,7 @@ class CompiledController(ABC):
         self._clock = Clock()
         self._law: _core.Law | None = None
         self._period: tuple[float, bool] | None = None
+        self._ahead: tuple[Array, ...] = ()  # the reference of the next ticks, of a law that plans
 
     def __setattr__(self, name: str, value: object) -> None:
         """Sets an attribute; a public one is a gain, so the law is made anew, with the same memory, when it is next needed."""
@@ -266,7 +270,11 @@ class CompiledController(ABC):
         law = self.begin(state)
         wrench = measured_wrench(state, controller_name(self)) if self.needs_wrench else _NO_WRENCH
         tau = rows[7]
-        law.torque(rows[0], rows[1], rows[2:7], wrench, tau)
+        reference = rows[2:7]
+        if self._ahead:
+            reference = np.vstack([reference, *self._ahead])
+            self._ahead = ()
+        law.torque(rows[0], rows[1], reference, wrench, tau)
         return tau
 
 

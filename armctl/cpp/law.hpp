@@ -22,6 +22,10 @@ struct Setpoint {
     Vector a;       // (n,) rad/s^2
     Vector v_tick;  // (n,) rad/s, mean velocity over the coming control period
     Vector a_tick;  // (n,) rad/s^2, the change of v_tick over the control period
+    // Rows of q, v_tick and a_tick from this tick on, (k, n), as far as they are known; none where they are not.
+    Matrix q_ahead{};
+    Matrix v_ahead{};
+    Matrix a_ahead{};
 };
 
 // A control law. Its calls use memory and scratch of the object: one thread at a time, and one arm.

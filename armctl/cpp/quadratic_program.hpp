@@ -2,7 +2,7 @@
 //
 //     minimize x H x / 2 + f x    subject to    lower <= (x, M x) <= upper,
 //
-// with x (n,), H (n, n) positive definite, M (n, n) without zero rows, and bounds (2n,).
+// with x (n,), H (n, n) positive definite, M (m, n) without zero rows, and bounds (n + m,).
 //
 // The method is that of Goldfarb and Idnani, "A numerically stable dual method for solving strictly convex quadratic programs",
 // Mathematical Programming 27 (1983), on the least-distance form that daqp uses too (Arnström, Bemporad, Axehill, "A dual
@@ -27,15 +27,16 @@ constexpr double unbounded = 1e30;  // of bounds that the solution does not reac
 struct QuadraticProgram {
     Matrix H;      // (n, n), of which the lower triangle counts
     Vector f;      // (n,)
-    Matrix M;      // (n, n)
-    Vector lower;  // (2n,) bounds of x and of M x; -`unbounded` where there is none
-    Vector upper;  // (2n,)
+    Matrix M;      // (m, n)
+    Vector lower;  // (n + m,) bounds of x and of M x; -`unbounded` where there is none
+    Vector upper;  // (n + m,)
 };
 
 // The solver with its scratch memory: one object for each thread.
 class ActiveSetSolver {
 public:
-    explicit ActiveSetSolver(size_t n) : n_(n), active_(n) {}
+    explicit ActiveSetSolver(size_t n) : ActiveSetSolver(n, n) {}
+    ActiveSetSolver(size_t n, size_t m) : n_(n), rows_(n + m), active_(n) {}
 
     // Solves the program, and tells whether there is a solution. False if the constraints contradict each other, and after too
     // many changes of the active set, which no test found. If a number of the program is not finite, the result is arbitrary.
@@ -76,20 +77,23 @@ private:
         factor_.set(program.H);
         factorize(factor_);
         take_roots(factor_);
-        for (size_t i = 0; i < n_; ++i) {
-            start_[i] = -program.f[i];
-            std::ranges::fill(normals_.row(i), 0.0);
-            normals_(i, i) = 1.0;
-            copy(program.M.row(i), normals_.row(n_ + i));
-            forward_substitute(factor_, normals_.row(i), i);
-            forward_substitute(factor_, normals_.row(n_ + i));
-        }
+        for (size_t i = 0; i < n_; ++i) { start_[i] = -program.f[i]; }
         forward_substitute(factor_, start_);
-        for (size_t row = 0; row < 2 * n_; ++row) {
-            const double scale = 1.0 / std::sqrt(dot(normals_.row(row), normals_.row(row)));
-            for (double& number : normals_.row(row)) { number *= scale; }
+        for (size_t row = 0; row < rows_; ++row) {
             const double lower = program.lower[row];
             const double upper = program.upper[row];
+            is_free_[row] = lower <= -unbounded && upper >= unbounded;
+            if (is_free_[row]) { continue; }
+            if (row < n_) {
+                std::ranges::fill(normals_.row(row), 0.0);
+                normals_(row, row) = 1.0;
+                forward_substitute(factor_, normals_.row(row), row);
+            } else {
+                copy(program.M.row(row - n_), normals_.row(row));
+                forward_substitute(factor_, normals_.row(row));
+            }
+            const double scale = 1.0 / std::sqrt(dot(normals_.row(row), normals_.row(row)));
+            for (double& number : normals_.row(row)) { number *= scale; }
             low_[row] = scale * lower;
             high_[row] = scale * upper;
             if (lower - upper > contradiction * (std::abs(lower) + std::abs(upper))) { return false; }
@@ -103,7 +107,7 @@ private:
         std::optional<Entering> entering;
         double multiplier = 0.0;  // of the entering constraint
         bool is_exact = true;
-        for (size_t change = 0; change < max_changes * 2 * n_; ++change) {
+        for (size_t change = 0; change < max_changes * rows_; ++change) {
             if (!entering) {
                 entering = most_violated();
                 multiplier = 0.0;
@@ -146,7 +150,7 @@ private:
     void begin_without_constraints() {
         count_ = 0;
         copy(start_, point_);
-        std::ranges::fill(tolerances_, rounding);
+        for (size_t row = 0; row < rows_; ++row) { tolerances_[row] = is_free_[row] ? infinity : rounding; }
         set_identity(basis_);
     }
 
@@ -155,7 +159,7 @@ private:
         const double distance = std::sqrt(dot(point_, point_));
         double largest = 0.0;
         std::optional<Entering> found;
-        for (size_t row = 0; row < 2 * n_; ++row) {
+        for (size_t row = 0; row < rows_; ++row) {
             if (tolerances_[row] == infinity) { continue; }
             const double position = dot(normals_.row(row), point_);
             const double below = low_[row] - position;
@@ -259,17 +263,20 @@ private:
     }
 
     size_t n_;
+    size_t rows_;                 // of the constraints
     DenseMatrix factor_{n_, n_};  // L
-    DenseMatrix normals_{2 * n_, n_};
-    DenseMatrix basis_{n_, n_};                    // P: its first rows span the normals of the active constraints
-    DenseMatrix triangle_{n_, n_};                 // T: its row j gives the normal of active constraint j in the basis
-    Numbers low_ = Numbers(2 * n_), high_ = low_;  // bounds, scaled with the normals
-    Numbers tolerances_ = Numbers(2 * n_);         // relative violation, from which a constraint enters; infinite while it is active
-    Numbers start_ = Numbers(n_);                  // y0
-    Numbers point_ = Numbers(n_);                  // y
-    Numbers coordinates_ = Numbers(n_);            // in the basis
-    Numbers rates_ = Numbers(n_);                  // at which the multipliers decrease, per increase of that of the entering constraint
-    std::vector<ActiveConstraint> active_;         // (n,), of which the first `count_` count
+    DenseMatrix normals_{rows_, n_};
+    DenseMatrix basis_{n_, n_};                   // P: its first rows span the normals of the active constraints
+    DenseMatrix triangle_{n_, n_};                // T: its row j gives the normal of active constraint j in the basis
+    Numbers low_ = Numbers(rows_), high_ = low_;  // bounds, scaled with the normals
+    Numbers tolerances_ =
+        Numbers(rows_);  // relative violation, from which a constraint enters; infinite while it is active, and without bounds
+    std::vector<bool> is_free_ = std::vector<bool>(rows_);  // rows without bounds
+    Numbers start_ = Numbers(n_);                           // y0
+    Numbers point_ = Numbers(n_);                           // y
+    Numbers coordinates_ = Numbers(n_);                     // in the basis
+    Numbers rates_ = Numbers(n_);           // at which the multipliers decrease, per increase of that of the entering constraint
+    std::vector<ActiveConstraint> active_;  // (n,), of which the first `count_` count
     size_t count_ = 0;
 };
 

@@ -27,6 +27,7 @@ struct MatrixSpan {
 
     Number& operator()(size_t row, size_t column) const { return data[row * columns + column]; }
     std::span<Number> row(size_t index) const { return {data + index * columns, columns}; }
+    MatrixSpan from(size_t first) const { return {data + first * columns, rows - first, columns}; }
     Column column(size_t index) const { return {data + index, columns}; }
     std::span<Number> numbers() const { return {data, rows * columns}; }
 

@@ -75,7 +75,9 @@ struct Ticks {
     Vector times;         // (last - first,) s, for the sensor
     Matrix wrench_noise;  // (last - first, 6)
 
-    Setpoint setpoint(size_t row) const { return {q.row(row), v.row(row), a.row(row), v_tick.row(row), a_tick.row(row)}; }
+    Setpoint setpoint(size_t row) const {
+        return {q.row(row), v.row(row), a.row(row), v_tick.row(row), a_tick.row(row), q.from(row), v_tick.from(row), a_tick.from(row)};
+    }
 };
 
 // The loop of one simulation. It is used by one thread at a time: a call while another runs throws InputError.

@@ -159,10 +159,10 @@ class Robot(Commands):
             The check: ok if no more than one tick in a hundred was lost.
 
         Raises:
-            InputError: The time is not above 0.
+            InputError: The time is less than a tick or more than an hour.
             LinkError: The robot reported a fault before.
         """
-        seconds = number("seconds", seconds, self.dt)
+        seconds = number("seconds", seconds, self.dt, 3600.0)
         T_base_tip = self._host.tip()
         difference = np.nan if T_base_tip is None else tip_difference(self.arm, self._host.read().q, T_base_tip)
         lost = self._drive.lost

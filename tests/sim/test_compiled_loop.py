@@ -53,6 +53,8 @@ class InPython:
         self._controller = controller
         self.name = controller_name(controller)
         self.needs_wrench = getattr(controller, "needs_wrench", False)
+        if isinstance(controller, armctl.MPC):
+            self.foresee = controller.foresee
 
     def torque(self, state, setpoint):
         return self._controller.torque(state, setpoint)

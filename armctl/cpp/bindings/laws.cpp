@@ -13,6 +13,7 @@
 #include "../laws/hybrid_force.hpp"
 #include "../laws/impedance.hpp"
 #include "../laws/lqr.hpp"
+#include "../laws/mpc.hpp"
 #include "../laws/operational_space.hpp"
 #include "../laws/pd.hpp"
 #include "../laws/torque_filter.hpp"
@@ -42,17 +43,30 @@ void bind_law(nb::module_& module) {
             "torque",
             [](Law& self, const In& q, const In& v, const In& reference, const In& wrench, const Out& tau) {
                 const size_t n = self.joints();
-                const Matrix rows = reference.matrix(5, n, "reference");
+                const size_t count = reference.length("reference");
+                const size_t known = count < 5 ? 0 : (count - 5) / 3;
+                const Matrix rows = reference.matrix(5 + 3 * known, n, "reference");
                 const State state{
                     .q = q.vector(n, "q"),
                     .v = v.vector(n, "v"),
                     .wrench = self.needs_wrench() ? wrench.vector(6, "wrench") : Vector(),
                 };
-                self.torque(state, {rows.row(0), rows.row(1), rows.row(2), rows.row(3), rows.row(4)}, tau.vector(n, "tau"));
+                const Setpoint setpoint{
+                    .q = rows.row(0),
+                    .v = rows.row(1),
+                    .a = rows.row(2),
+                    .v_tick = rows.row(3),
+                    .a_tick = rows.row(4),
+                    .q_ahead = {rows.row(5).data(), known, n},
+                    .v_ahead = {rows.row(5 + known).data(), known, n},
+                    .a_ahead = {rows.row(5 + 2 * known).data(), known, n},
+                };
+                self.torque(state, setpoint, tau.vector(n, "tau"));
             },
             "q"_a, "v"_a, "reference"_a, "wrench"_a, "tau"_a,
             "The torque for the coming control period, written into tau (n,) N m.\n\n"
-            "`reference` has the (5, n) rows q, v, a, v_tick, a_tick of a setpoint.\n"
+            "`reference` has the (5, n) rows q, v, a, v_tick, a_tick of a setpoint; k rows each of q, v_tick and a_tick of the ticks\n"
+            "from this one on may follow, if they are known.\n"
             "`wrench` (6,) is not read by a law that does not need it.")
         .def_prop_ro(
             "memory", [](nb::handle_t<Law> self) { return view(nb::cast<Law&>(self).memory(), self); },
@@ -125,19 +139,24 @@ void bind_qp(nb::module_& module) {
             },
             "H, M, lower and upper of the last tick's program, as for `solve_program` with f = 0, and the torque (n,) N m without\n"
             "limits; None if the torque was not limited.");
+    bind<MPC, ComputedTorqueQP>(module, "MPC", "Model predictive control within limits of torque, velocity and position.")
+        .def_prop_ro(
+            "counts", [](nb::handle_t<MPC> self) { return view(nb::cast<MPC&>(self).counts(), self); },
+            "Ticks: all, those that needed a plan, and those without one; a part of the memory.");
     module.attr("UNBOUNDED") = unbounded;
     module.def(
         "solve_program",
         [](const In& H, const In& f, const In& M, const In& lower, const In& upper, const Out& x) {
             const size_t n = x.length("x");
+            const size_t m = M.length("M");
             const QuadraticProgram program{
                 .H = H.matrix(n, n, "H"),
                 .f = f.vector(n, "f"),
-                .M = M.matrix(n, n, "M"),
-                .lower = lower.vector(2 * n, "lower"),
-                .upper = upper.vector(2 * n, "upper"),
+                .M = M.matrix(m, n, "M"),
+                .lower = lower.vector(n + m, "lower"),
+                .upper = upper.vector(n + m, "upper"),
             };
-            return ActiveSetSolver(n).solve(program, x.vector(n, "x"));
+            return ActiveSetSolver(n, m).solve(program, x.vector(n, "x"));
         },
         "H"_a, "f"_a, "M"_a, "lower"_a, "upper"_a, "x"_a,
         "Minimizes x H x / 2 + f x subject to lower <= (x, M x) <= upper; whether there is a solution, which is written into x.");

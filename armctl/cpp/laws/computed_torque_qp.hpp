@@ -13,14 +13,15 @@ namespace armctl {
 // in which rotations weigh less than translations, and the joints decide what the tip leaves open. If the limits contradict
 // each other, the torque limits hold and the violation of the others is minimal. If that is impossible too, because other
 // limits, which a_desired respects, contradict the torque limits, the torque of a_desired is clipped.
-class ComputedTorqueQP final : public Law {
+class ComputedTorqueQP : public Law {
 public:
     // The gains are those of ComputedTorque and the members below. `q_min` and `q_max` may be infinite.
-    ComputedTorqueQP(const Model& model, const Arguments& gains)
-        : Law(model->n()), stiffness_(gains.gain("stiffness")), damping_(gains.gain("damping")), q_min_(positions(gains, "q_min")),
-          q_max_(positions(gains, "q_max")), v_max_(gains.limits(joints(), "v_max")), a_max_(gains.limits(joints(), "a_max")),
-          tau_max_(gains.limits(joints(), "torque_limit")), length_(gains.gain("length")), dt_(gains.gain("dt")),
-          mean_share_(gains.flag("continuous") ? 0.5 : 0.0), unlimited_(model, gains), dynamics_(at_start(*model)), solver_(joints()) {}
+    ComputedTorqueQP(const Model& model, const Arguments& gains, size_t memory_size = 0)
+        : Law(model->n(), memory_size), stiffness_(gains.gain("stiffness")), damping_(gains.gain("damping")),
+          q_min_(positions(gains, "q_min")), q_max_(positions(gains, "q_max")), v_max_(gains.limits(joints(), "v_max")),
+          a_max_(gains.limits(joints(), "a_max")), tau_max_(gains.limits(joints(), "torque_limit")), length_(gains.gain("length")),
+          dt_(gains.gain("dt")), mean_share_(gains.flag("continuous") ? 0.5 : 0.0), unlimited_(model, gains), dynamics_(at_start(*model)),
+          solver_(joints()) {}
 
     void torque(const State& state, const Setpoint& setpoint, Result tau) override {
         is_limited_ = make_program(state, setpoint, tau);
@@ -46,6 +47,27 @@ public:
     Vector lower() const { return lower_; }    // (2n,) bounds of x and M x
     Vector upper() const { return upper_; }    // (2n,)
     Vector torque() const { return torque_; }  // (n,) N m, without limits
+
+protected:
+    // Changes the desired acceleration and the torque before the limits of this tick; M_ and H_ are those of this tick.
+    virtual void plan(const State&, const Setpoint&, Result) {}
+
+    DenseMatrix square() const { return {joints(), joints()}; }
+
+    double stiffness_;   // 1/s^2
+    double damping_;     // 1/s
+    Numbers q_min_;      // rad
+    Numbers q_max_;      // rad
+    Numbers v_max_;      // rad/s
+    Numbers a_max_;      // rad/s^2
+    Numbers tau_max_;    // N m
+    double length_;      // of the arm, m, by which rotations of the tip and motions of the joints are converted to distances
+    double dt_;          // s; in continuous time, 0, there are only torque limits
+    double mean_share_;  // of the present velocity in the mean one of the period: 0.5 if the arm moves continuously, else 0
+    ComputedTorque unlimited_;
+    Dynamics dynamics_;          // at the start of the control period
+    Numbers desired_ = zeros();  // acceleration
+    DenseMatrix J_{6, joints()}, H_ = square(), M_ = square(), factors_ = square();
 
 private:
     // Weights of a deviation from the desired acceleration, relative to that of the tip's position: the joints decide only what
@@ -86,6 +108,7 @@ private:
         for (size_t i = 0; i < joints(); ++i) { feedback += (desired_[i] - a_ref[i]) * (desired_[i] - a_ref[i]); }
         set_metric();
         follow_tip(feedback, tau);
+        plan(state, setpoint, tau);
         return find_bounds(state, tau);
     }
 
@@ -218,26 +241,10 @@ private:
         }
     }
 
-    DenseMatrix square() const { return {joints(), joints()}; }
-
-    double stiffness_;   // 1/s^2
-    double damping_;     // 1/s
-    Numbers q_min_;      // rad
-    Numbers q_max_;      // rad
-    Numbers v_max_;      // rad/s
-    Numbers a_max_;      // rad/s^2
-    Numbers tau_max_;    // N m
-    double length_;      // of the arm, m, by which rotations of the tip and motions of the joints are converted to distances
-    double dt_;          // s; in continuous time, 0, there are only torque limits
-    double mean_share_;  // of the present velocity in the mean one of the period: 0.5 if the arm moves continuously, else 0
-    ComputedTorque unlimited_;
-    Dynamics dynamics_;  // at the start of the control period
     ActiveSetSolver solver_;
     bool is_limited_ = false;
-    Numbers desired_ = zeros();  // acceleration
-    Numbers offset_ = zeros();   // J^T c: c is what the tip's acceleration lacks of its own feedback law
-    Numbers torque_ = zeros();   // without limits
-    DenseMatrix J_{6, joints()}, H_ = square(), M_ = square(), factors_ = square();
+    Numbers offset_ = zeros();  // J^T c: c is what the tip's acceleration lacks of its own feedback law
+    Numbers torque_ = zeros();  // without limits
     Numbers lower_ = Numbers(2 * joints()), upper_ = Numbers(2 * joints());
     // The program with costs in the place of bounds that contradict others.
     DenseMatrix relaxed_H_ = square();

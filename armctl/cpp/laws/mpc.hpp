@@ -1,0 +1,253 @@
+// Model predictive control: computed torque whose acceleration is planned over a horizon, within the limits of the arm.
+#pragma once
+#include "computed_torque_qp.hpp"
+
+namespace armctl {
+
+// a = a_ref + stiffness e + damping e_dot + c, where c is linear in each block of the horizon: if it were constant, the feedback
+// would move the torque of a long block out of its limits.
+//
+// Computed torque makes every joint a double integrator, so errors depend linearly on c, with coefficients that do not change.
+// Stiffness and damping are the optimal feedback of a quadratic cost of errors and accelerations without limits, so c = 0 is then
+// optimal, and what the limits add to the cost is a sum of squares of c (Rossiter, Kouvaritakis, Rice, "A numerically robust
+// state-space approach to stable-predictive control strategies", Automatica 34, 1998). The plan minimizes it, with the deviation
+// of the tip as the measure of c, subject to
+//
+//     -tau_max <= M a + h <= tau_max,    -v_max <= v <= v_max,    q_min <= q <= q_max
+//
+// the torques at the first tick of each block, the others at its last one, for M and h of the motion that c = 0 gives. The
+// program of ComputedTorqueQP then keeps the limits of the tick itself, and brakes before the end of a joint's range.
+class MPC final : public ComputedTorqueQP {
+public:
+    // The gains are those of ComputedTorqueQP, `blocks` (k,), the ticks of each block, at least 2, and `torque_rate` (n,) N m/s.
+    MPC(const Model& model, const Arguments& gains)
+        : ComputedTorqueQP(model, gains, memory_size(model->n(), gains.length("blocks"))), period_(model),
+          torque_rate_(gains.limits(joints(), "torque_rate")),
+          ticks_(gains.integers(gains.length("blocks"), "blocks").begin(), gains.integers(gains.length("blocks"), "blocks").end()),
+          solver_(size(), 3 * size()) {
+        predict(gains.flag("continuous") ? 0.5 : 1.0);
+    }
+
+    void torque(const State& state, const Setpoint& setpoint, Result tau) override {
+        ComputedTorqueQP::torque(state, attainable(setpoint), tau);
+        const Result last = memory(counters, joints());
+        for (size_t i = 0; i < joints(); ++i) {
+            const double change = torque_rate_[i] * dt_;
+            if (memory()[0] > 0.0 && std::abs(tau[i] - last[i]) > change) { tau[i] = last[i] + clipped(tau[i] - last[i], change); }
+            tau[i] = clipped(tau[i], tau_max_[i]);  // a plan on a limit exceeds it by rounding
+            last[i] = tau[i];
+        }
+        memory()[0] += 1.0;
+    }
+
+    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
+
+    // Counts of ticks: all, those that needed a plan, and those without one.
+    Result counts() { return memory(0, counters); }
+
+private:
+    static constexpr size_t counters = 3;
+    static constexpr double joint_weight = 0.1;  // of c in the measure of the tip, as in ComputedTorqueQP; less bends the arm far
+    // Limits of velocity and position that are farther away than this share of their range are not part of the program.
+    static constexpr double near_limit = 0.15;
+    static constexpr double tolerance = 1e-9;  // relative, of a limit
+
+    // Errors of a joint at a node, relative to those at the start or to a block's c.
+    struct Response {
+        double error = 0.0;
+        double rate = 0.0;
+        double acceleration = 0.0;  // of the feedback, with c
+    };
+
+    // The first or the last tick of a block.
+    struct Node {
+        size_t tick;
+        Response of_error;
+        Response of_rate;
+        std::vector<Response> of_blocks;
+    };
+
+    // The setpoint within the range of the joints.
+    Setpoint attainable(const Setpoint& setpoint) {
+        Setpoint result = setpoint;
+        for (size_t i = 0; i < joints(); ++i) {
+            q_target_[i] = std::min(std::max(setpoint.q[i], q_min_[i]), q_max_[i]);
+            const bool is_inside = q_target_[i] == setpoint.q[i];
+            v_target_[i] = is_inside ? setpoint.v_tick[i] : 0.0;
+            a_target_[i] = is_inside ? setpoint.a_tick[i] : 0.0;
+        }
+        result.q = q_target_;
+        result.v_tick = v_target_;
+        result.a_tick = a_target_;
+        return result;
+    }
+
+    static size_t memory_size(size_t n, size_t blocks) { return counters + n + n * blocks; }
+    size_t blocks() const { return ticks_.size(); }
+    size_t size() const { return blocks() * joints(); }
+    Result c() { return memory(counters + joints(), size()); }  // of each block, from the last solution
+
+    // The responses of errors, by the difference equation of a joint in closed loop, and the cost of c.
+    void predict(double position_step) {
+        size_t first = 0;
+        for (const size_t ticks : ticks_) {
+            for (const size_t tick : {first, first + ticks - 1}) {
+                Node node{
+                    .tick = tick,
+                    .of_error = response(tick, {.error = 1.0}, blocks(), position_step),
+                    .of_rate = response(tick, {.rate = 1.0}, blocks(), position_step),
+                    .of_blocks = {},
+                };
+                for (size_t block = 0; block < blocks(); ++block) { node.of_blocks.push_back(response(tick, {}, block, position_step)); }
+                nodes_.push_back(node);
+            }
+            first += ticks;
+        }
+        for (size_t tick = 0; tick < first; ++tick) {
+            for (size_t i = 0; i < blocks(); ++i) {
+                for (size_t j = 0; j < blocks(); ++j) { squares_(i, j) += weight(i, tick) * weight(j, tick); }
+            }
+        }
+    }
+
+    // Of a block's c at a tick: c is linear between the starts of the blocks, and constant in the last one.
+    double weight(size_t block, size_t tick) const {
+        size_t start = 0;
+        for (size_t k = 0; k < blocks(); start += ticks_[k], ++k) {
+            const double share = (static_cast<double>(tick) - static_cast<double>(start)) / static_cast<double>(ticks_[k]);
+            if (share >= 1.0 || share < 0.0) { continue; }
+            if (k == block) { return k + 1 < blocks() ? 1.0 - share : 1.0; }
+            if (k + 1 == block) { return share; }
+        }
+        return 0.0;
+    }
+
+    // At a tick, from errors at the start, with the weight of a block as c, if there is such a block.
+    Response response(size_t tick, Response at, size_t block, double position_step) const {
+        for (size_t k = 0;; ++k) {
+            at.acceleration = stiffness_ * at.error + damping_ * at.rate + weight(block, k);
+            if (k == tick) { return at; }
+            at.error += dt_ * at.rate - position_step * dt_ * dt_ * at.acceleration;
+            at.rate -= dt_ * at.acceleration;
+        }
+    }
+
+    void plan(const State& state, const Setpoint& setpoint, Result tau) override {
+        if (dt_ == 0.0) { return; }
+        for (size_t i = 0; i < joints(); ++i) {
+            error_[i] = setpoint.q[i] - state.q[i];
+            rate_[i] = setpoint.v_tick[i] - state.v[i];
+        }
+        const bool is_far = approaches_too_fast();
+        bool is_limited = is_far;
+        for (size_t k = 0; k < nodes_.size() && !is_far; ++k) { is_limited = add_node(k, setpoint, tau) || is_limited; }
+        if (!is_limited) {
+            std::ranges::fill(c(), 0.0);
+            return;
+        }
+        memory()[1] += 1.0;
+        if (is_far || !solver_.solve(program(), c())) {
+            memory()[2] += 1.0;
+            std::ranges::fill(c(), 0.0);
+            return;
+        }
+        for (size_t i = 0; i < joints(); ++i) { desired_[i] += c()[i]; }
+        for (size_t i = 0; i < joints(); ++i) { tau[i] = dot(M_.row(i), c().first(joints()), tau[i]); }
+    }
+
+    // Adds the rows of a node to the program: whether c = 0 exceeds a limit there.
+    bool add_node(size_t k, const Setpoint& setpoint, Vector tau) {
+        const size_t n = joints();
+        const Node& node = nodes_[k];
+        for (size_t i = 0; i < n; ++i) {
+            double q_ref = setpoint.q[i] + static_cast<double>(node.tick) * dt_ * setpoint.v_tick[i];
+            double v_ref = setpoint.v_tick[i];
+            double a_ref = node.tick == 0 ? setpoint.a_tick[i] : 0.0;
+            if (setpoint.q_ahead.rows > 0) {
+                const size_t row = std::min(node.tick, setpoint.q_ahead.rows - 1);
+                q_ref = setpoint.q_ahead(row, i);
+                v_ref = setpoint.v_ahead(row, i);
+                a_ref = node.tick == row ? setpoint.a_ahead(row, i) : 0.0;
+            }
+            q_ref = std::min(std::max(q_ref, q_min_[i]), q_max_[i]);
+            v_ref_[i] = v_ref;
+            a_ref_[i] = a_ref;
+            q_[i] = q_ref - node.of_error.error * error_[i] - node.of_rate.error * rate_[i];
+            v_[i] = v_ref - node.of_error.rate * error_[i] - node.of_rate.rate * rate_[i];
+            a_[i] = a_ref + node.of_error.acceleration * error_[i] + node.of_rate.acceleration * rate_[i];
+        }
+        if (k == 0) {
+            copy(tau, tau_);
+            inertia_ = M_;
+        } else if (k % 2 == 0) {
+            period_.inverse_dynamics(q_, v_, a_, tau_);
+            period_.add_friction(v_ref_, a_ref_, tau_);
+            period_.mass_matrix(inertia_);
+            period_.add_step_inertia(inertia_);
+        }
+        const bool is_last = k % 2 == 1;
+        const size_t block = k / 2;
+        bool is_limited = false;
+        for (size_t i = 0; i < n; ++i) {
+            const size_t row = block * 3 * n + i;
+            if (k % 2 == 0) {
+                for (size_t each = 0; each < blocks(); ++each) {
+                    const double acceleration = node.of_blocks[each].acceleration;
+                    for (size_t j = 0; j < n; ++j) { rows_(row, each * n + j) = acceleration * inertia_(i, j); }
+                }
+                is_limited = set_bounds(row, -tau_max_[i] - tau_[i], tau_max_[i] - tau_[i]) || is_limited;
+                continue;
+            }
+            for (size_t each = 0; each < blocks(); ++each) {
+                rows_(row + n, each * n + i) = node.of_blocks[each].rate;
+                rows_(row + 2 * n, each * n + i) = node.of_blocks[each].error;
+            }
+            is_limited = set_bounds(row + n, v_[i] - v_max_[i], v_[i] + v_max_[i], near_limit) || is_limited;
+            is_limited = set_bounds(row + 2 * n, q_[i] - q_max_[i], q_[i] - q_min_[i], near_limit) || is_limited;
+        }
+        return is_limited;
+    }
+
+    // Bounds of a row; whether zero is outside. A row that is farther from both than a share of their distance is left out.
+    bool set_bounds(size_t row, double lower, double upper, double near_share = 1.0) {
+        const double near = near_share * (upper - lower);
+        const bool is_near = lower > -near || upper < near;
+        lower_[size() + row] = is_near ? std::max(lower, -unbounded) : -unbounded;
+        upper_[size() + row] = is_near ? std::min(upper, unbounded) : unbounded;
+        return lower > tolerance || upper < -tolerance;
+    }
+
+    QuadraticProgram program() {
+        const size_t n = joints();
+        for (size_t row = 0; row < size(); ++row) {
+            for (size_t column = 0; column < size(); ++column) {
+                const double metric =
+                    H_(row % n, column % n) + (row % n == column % n ? joint_weight * joint_weight * length_ * length_ : 0.0);
+                cost_(row, column) = squares_(row / n, column / n) * metric;
+            }
+        }
+        return {.H = cost_, .f = no_cost_, .M = rows_, .lower = lower_, .upper = upper_};
+    }
+
+    // Whether the feedback of an error asks for more than the limit of velocity. The motion without c is then so far from any that
+    // is possible that a linear model along it means nothing.
+    bool approaches_too_fast() const {
+        for (size_t i = 0; i < joints(); ++i) {
+            if (stiffness_ * std::abs(error_[i]) > damping_ * v_max_[i]) { return true; }
+        }
+        return false;
+    }
+
+    Dynamics period_;            // of the control period
+    Numbers torque_rate_;        // (n,) N m/s
+    std::vector<size_t> ticks_;  // of each block
+    std::vector<Node> nodes_;
+    ActiveSetSolver solver_;
+    DenseMatrix squares_{blocks(), blocks()};  // of the weights of two blocks, summed over the horizon
+    DenseMatrix inertia_ = square(), cost_{size(), size()}, rows_{3 * size(), size()};
+    Numbers q_target_ = zeros(), v_target_ = zeros(), a_target_ = zeros();
+    Numbers error_ = zeros(), rate_ = zeros(), q_ = zeros(), v_ = zeros(), a_ = zeros(), v_ref_ = zeros(), a_ref_ = zeros(), tau_ = zeros();
+    Numbers no_cost_ = Numbers(size()), lower_ = Numbers(4 * size(), -unbounded), upper_ = Numbers(4 * size(), unbounded);
+};
+
+}  // namespace armctl

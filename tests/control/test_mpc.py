@@ -1,0 +1,149 @@
+"""Model predictive control: the plan of a horizon within limits."""
+
+from dataclasses import replace
+
+import daqp
+import numpy as np
+import pytest
+from synthetic import BENT, serial_arm
+
+import armctl
+from armctl._core import UNBOUNDED, solve_program
+
+
+@pytest.fixture
+def arm(tmp_path):
+    return serial_arm(tmp_path, BENT["redundant"])
+
+
+class Clipped:
+    """Computed torque, clipped."""
+
+    def __init__(self, arm):
+        self.law = armctl.ComputedTorque(arm)
+        self.tau_max = arm.limits.tau_max
+
+    def torque(self, state, setpoint):
+        return np.clip(self.law.torque(state, setpoint), -self.tau_max, self.tau_max)
+
+
+def weakened(arm, motion, share):
+    """The arm with motors that give a share of the torque that a motion needs beyond keeping its speed."""
+    setpoints = motion.sample(np.arange(0.0, motion.duration, 0.002))
+    steady = np.max([np.abs(arm.inverse_dynamics(q, v, 0 * v)) for q, v in zip(setpoints.q, setpoints.v, strict=True)], axis=0)
+    needed = np.max([np.abs(arm.inverse_dynamics(q, v, a)) for q, v, a in zip(*setpoints[:3], strict=True)], axis=0)
+    return arm.with_limits(replace(arm.limits, tau_max=steady + share * (needed - steady)))
+
+
+def run(arm, law, motion):
+    return armctl.simulate(arm, law, motion, armctl.Plant(timestep=0.001), dwell=0.5)
+
+
+def tip_rms(log):
+    return np.sqrt(np.mean(np.sum((log.tip - log.tip_ref) ** 2, axis=1)))
+
+
+def random_motion(arm, seed):
+    return armctl.move_j(arm, *arm.limits.random(arm.home, 2, np.random.default_rng(seed)))
+
+
+def test_without_limits_it_is_computed_torque_with_the_same_feedback(arm):
+    strong = arm.with_limits(replace(arm.limits, tau_max=np.full(arm.n, 1e6), v_max=np.full(arm.n, 1e3)))
+    state = armctl.State(arm.home + 0.01, np.full(arm.n, 0.1), 0.0, 0.001)
+    setpoint = armctl.Setpoint(arm.home, np.zeros(arm.n), np.zeros(arm.n))
+    law = armctl.MPC(strong)
+    assert np.array_equal(law.torque(state, setpoint), armctl.ComputedTorqueQP(strong).torque(state, setpoint))
+    assert law.counts == (1, 0, 0)
+
+
+@pytest.mark.parametrize("seed", [21, 22, 23])
+def test_with_weak_motors_the_error_of_the_tip_is_a_third(arm, seed):
+    motion = random_motion(arm, seed)
+    weak = weakened(arm, motion, 0.7)
+    law = armctl.MPC(weak)
+    log = run(weak, law, motion)
+    assert law.counts.planned > 0
+    assert law.counts.unplanned == 0
+    assert tip_rms(log) <= tip_rms(run(weak, Clipped(weak), motion)) / 3
+    assert (np.abs(log.tau_cmd) <= weak.limits.tau_max).all()
+    assert weak.limits.contains(log.q, tolerance=1e-6)
+
+
+def test_the_arm_accelerates_before_the_torque_is_missing(arm):
+    motion = random_motion(arm, 21)
+    weak = weakened(arm, motion, 0.7)
+    log = run(weak, "mpc", motion)
+    direction = log.q_ref[-1] - log.q_ref[0]
+    lead = (log.q - log.q_ref) @ direction
+    first = np.flatnonzero(np.abs(lead) > 1e-4)[0]
+    assert lead[first] > 0.0
+
+
+def test_a_reference_outside_of_the_joint_limits_leaves_the_arm_inside(arm):
+    """A target beyond the limits, as a jump: no preview, and torques far beyond the limits."""
+    far = armctl.Setpoint(arm.limits.q_max + 0.5, np.zeros(arm.n), np.zeros(arm.n))
+
+    class Jump:
+        duration = 2.0
+
+        def __call__(self, t):
+            return far
+
+        def sample(self, times):
+            return armctl.Setpoint(*(np.tile(each, (len(times), 1)) for each in far[:3]))
+
+    simulation = armctl.Simulation(arm, "mpc", armctl.Plant(timestep=0.001))
+    log = simulation.run(Jump())
+    assert not log.failure
+    assert arm.limits.contains(log.q, tolerance=1e-6)
+    assert (np.abs(log.tau_cmd) <= arm.limits.tau_max).all()
+    assert np.abs(log.v[-1]).max() < 0.05
+
+
+def test_without_a_plan_the_limits_of_the_tick_hold(arm):
+    """Limits of velocity that contradict those of torque: the arm is faster than it may be."""
+    slow = arm.with_limits(replace(arm.limits, v_max=np.full(arm.n, 0.05), tau_max=1.1 * np.abs(arm.gravity(arm.home)) + 0.05))
+    law = armctl.MPC(slow)
+    simulation = armctl.Simulation(slow, law, armctl.Plant(timestep=0.001))
+    simulation.reset(arm.home, np.full(arm.n, 0.3))
+    log = simulation.run(armctl.move_j(slow, arm.home, arm.home + 0.005))
+    assert not log.failure
+    assert law.counts.unplanned > 0
+    assert law.counts.ticks >= law.counts.planned >= law.counts.unplanned
+    assert (np.abs(log.tau_cmd) <= slow.limits.tau_max).all()
+
+
+def test_the_torque_rate_is_limited(arm):
+    law = armctl.MPC(arm, torque_rate=20.0)
+    log = run(arm, law, random_motion(arm, 1))
+    assert np.abs(np.diff(log.tau_cmd, axis=0)).max() <= 0.02 * (1 + 1e-9)
+
+
+def test_the_program_may_have_more_rows_than_unknowns():
+    rng = np.random.default_rng(2)
+    for _ in range(30):
+        n, m = 4, 11
+        L = rng.normal(size=(n, n))
+        H = L @ L.T + 0.1 * np.eye(n)
+        f = rng.normal(size=n)
+        M = rng.normal(size=(m, n))
+        middle = M @ rng.normal(size=n)
+        lower = np.concatenate([np.full(n, -UNBOUNDED), middle - 0.1])
+        upper = np.concatenate([np.full(n, UNBOUNDED), middle + 0.1])
+        x = np.empty(n)
+        assert solve_program(H, f, M, lower, upper, x)
+        expected, _, status, _ = daqp.solve(H, f, M, upper, lower)
+        assert status == 1
+        assert np.abs(x - expected).max() < 1e-7
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"horizon": 0.0}, "horizon: expected a number in"),
+        ({"torque_rate": -1.0}, "torque_rate: every value must be at least 0"),
+    ],
+)
+def test_wrong_arguments_are_explained(arm, wrong, message):
+    with pytest.raises(armctl.InputError, match=message):
+        armctl.MPC(arm, **wrong)
