@@ -45,7 +45,7 @@ _DESIGN_POSES = 10
 _DESIGN_POSES_WITH_MODEL = 2
 # Of the bounds, in the design, whose margins are accurate to the first of them. The others follow where configurations that the
 # design did not know violated a bound.
-_RESERVES = (1.003, 1.015, 1.04)
+_RESERVES = (1.003, 1.015, 1.04, 1.08, 1.15)
 _SCALES = (1.0, 1.4, 0.7, 2.0, 0.5, 2.8, 0.35, 4.0, 0.25, 8.0, 0.125, 16.0, 0.0625)  # of all gains, where a design may begin
 _BISECTIONS = 6  # to come back within the bounds
 _DAMPING_RATIOS = (0.5, 2.0)  # of laws with a model: their errors shall not oscillate
