@@ -82,7 +82,7 @@ def describe_arms(source: Source, analysis: Transmissions, ends: Sequence[ArmEnd
     chains = [find_ends(source, analysis, each) for each in ends]
     check_independent(analysis, [joints for joints, _ in chains])
     return [
-        _described(source, analysis, joints, tip.moved(each.tip_offset), each.tip is None)
+        _described(source, analysis, joints, tip.moved(each.tip_offset), each.tip is None and source.urdf is not None)
         for (joints, tip), each in zip(chains, ends, strict=True)
     ]
 

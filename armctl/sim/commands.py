@@ -279,11 +279,11 @@ class Commands:
     def streaming(self) -> StreamRun:
         """Opens a stream of targets, from a policy or a device, for a `with`.
 
-        ```python
-        with sim.streaming() as run:
-            run.stream.push(run.stream.t, q)
-            run.advance(1 / 30)
-        ```
+        Example::
+
+            with sim.streaming() as run:
+                run.stream.push(run.stream.t, q)
+                run.advance(1 / 30)
 
         Returns:
             The run: its `stream` takes targets, and its `advance` lets time pass.
