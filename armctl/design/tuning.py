@@ -300,8 +300,7 @@ def _family(arm: Arm, law: str, dt: float) -> _Family:
             return {name: default_lqr[name] * float(np.exp(each)) for name, each in zip(default_lqr, x, strict=True)}
 
         free = np.tile([-np.inf, np.inf], (3, 1))
-        scaling = np.array([1.0, 1.0, -1.0])
-        return _Family(3, ((0, 1, 2),), free, range(0), scaling, quadratic, lambda **gains: LQR(arm, **gains))
+        return _Family(3, ((0, 1, 2),), free, range(0), np.array([1, 1, -1]), quadratic, lambda **gains: LQR(arm, **gains))
     make, bandwidth = _BANDWIDTH_LAWS[law]
 
     def with_bandwidth(x: Array) -> dict[str, float | Array]:
