@@ -21,6 +21,7 @@ from .control.computed_torque import ComputedTorque as ComputedTorque
 from .control.computed_torque_learning import ComputedTorqueLearning as ComputedTorqueLearning
 from .control.computed_torque_observer import ComputedTorqueObserver as ComputedTorqueObserver
 from .control.computed_torque_qp import ComputedTorqueQP as ComputedTorqueQP
+from .control.elastic_feedback import ElasticFeedback as ElasticFeedback
 from .control.elastic_feedforward import ElasticFeedforward as ElasticFeedforward
 from .control.hybrid_force import HybridForce as HybridForce
 from .control.impedance import Impedance as Impedance
@@ -60,6 +61,8 @@ from .core.trajectory import Trajectory as Trajectory
 from .design.arm_estimate import ArmEstimate as ArmEstimate
 from .design.arm_estimate import Validation as Validation
 from .design.arm_excitation import Excitation as Excitation
+from .design.elasticity import ElasticityEstimate as ElasticityEstimate
+from .design.elasticity import identify_elasticity as identify_elasticity
 from .design.excitation import excitation as excitation
 from .design.frequency_response import FrequencyResponse as FrequencyResponse
 from .design.frequency_response import frequency_response as frequency_response
@@ -116,6 +119,7 @@ from .render.video import still as still
 from .robot.actuation import Actuation as Actuation
 from .robot.arm import Arm as Arm
 from .sim.commands import PathMoveOptions as PathMoveOptions
+from .sim.follow import StreamRun as StreamRun
 from .sim.gripper.gripper import Gripper as Gripper
 from .sim.gripper.gripper import GripResult as GripResult
 from .sim.plant import Plant as Plant

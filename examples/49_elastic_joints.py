@@ -9,7 +9,8 @@ springs = {"elasticity": 500.0, "rotor_inertia": 0.2}  # N m/rad between each mo
 plant = armctl.Plant(**springs, timestep=0.001)
 motion = armctl.move_j(arm, arm.home, arm.home + np.array([0.0, 0.3, 0.3]), speed=0.5)
 
-for law in (armctl.PDGravity(arm), armctl.ComputedTorque(arm), armctl.ElasticFeedforward(arm, **springs)):
+rigid = [armctl.PDGravity(arm), armctl.ComputedTorque(arm)]
+for law in [*rigid, armctl.ElasticFeedforward(arm, **springs), armctl.ElasticFeedback(arm, **springs)]:
     loop = armctl.linearize(arm, law, motion(motion.duration).q, plant)
     log = armctl.simulate(arm, law, motion, plant, dwell=1.0)
     report = armctl.Report.from_log(log)

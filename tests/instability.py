@@ -13,15 +13,19 @@ from armctl.design.loop import Loop
 DEVIATION = 1e-6  # rad, small enough for the linear model
 
 
-def grows(arm: armctl.Arm, controller: str, loop: Loop, ticks: int, plant: armctl.Plant | None = None) -> bool:
+def grows(
+    arm: armctl.Arm, controller: armctl.Controller | str, loop: Loop, ticks: int, plant: armctl.Plant | None = None
+) -> bool:
     """Simulates a controller that holds the arm near a loop's configuration, with a delay of some ticks."""
     radius = loop.delayed(ticks).margins().spectral_radius
     steps = int(np.clip(8 / abs(np.log(radius)), 1000, 30000))
     plant = replace(plant or armctl.Plant(), timestep=loop.dt, delay=ticks)
-    held = Excited(controller_by_name(controller, arm), loop.holding_torque, 0, np.zeros(1))
+    law = controller_by_name(controller, arm) if isinstance(controller, str) else controller
+    held = Excited(law, loop.holding_torque, 0, np.zeros(1))
     rest = np.zeros(arm.n)
     # The torque that is added for equilibrium follows from the first call: here at the configuration itself, before the kick.
-    held.torque(armctl.State(loop.q, rest, -1.0, loop.dt), Setpoint(loop.q, rest, rest, rest, rest))
+    state = armctl.State(loop.q, rest, -1.0, loop.dt, deflection=np.zeros((2, arm.n)))
+    held.torque(state, Setpoint(loop.q, rest, rest, rest, rest))
     sim = armctl.Simulation(arm, held, plant)
     kick = np.random.default_rng(0).normal(size=arm.n) * DEVIATION
     sim.reset(loop.q + kick)

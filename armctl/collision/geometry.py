@@ -333,13 +333,13 @@ def _frames(model: mujoco.MjModel, data: mujoco.MjData, order: Sequence[int], he
 
 
 def _moving_pairs(model: mujoco.MjModel, frames: Frames) -> IntArray:
-    """The convex pairs that the motion of the arm can change; planes first, then the geom that is nearer to the base."""
+    """The convex pairs that the motion of the arm can change; the geom that is nearer to the base first, as planes are."""
     pairs = colliding_pairs(model)
     frame = frames.of_body[model.geom_bodyid]
     convex = np.isin(model.geom_type, _CONVEX)
     pairs = pairs[(frame[pairs[:, 0]] != frame[pairs[:, 1]]) & convex[pairs].all(axis=1)]
-    rank = 2 * frames.depths()[frame] - (model.geom_type == _PLANE)
-    swap = rank[pairs[:, 0]] > rank[pairs[:, 1]]
+    depths = frames.depths()[frame]
+    swap = depths[pairs[:, 0]] > depths[pairs[:, 1]]
     pairs[swap] = pairs[swap][:, ::-1]
     return pairs
 

@@ -8,6 +8,7 @@ from armctl.control.computed_torque import ComputedTorque
 from armctl.control.computed_torque_learning import ComputedTorqueLearning
 from armctl.control.computed_torque_observer import ComputedTorqueObserver
 from armctl.control.computed_torque_qp import ComputedTorqueQP
+from armctl.control.elastic_feedback import ElasticFeedback
 from armctl.control.elastic_feedforward import ElasticFeedforward
 from armctl.control.hybrid_force import HybridForce
 from armctl.control.impedance import Impedance
@@ -62,6 +63,7 @@ __all__ = [
     "ComputedTorqueObserver",
     "ComputedTorqueQP",
     "Controller",
+    "ElasticFeedback",
     "ElasticFeedforward",
     "HybridForce",
     "Impedance",

@@ -61,6 +61,11 @@ class ControllerAround(CompiledController):
         return bool(getattr(self.controller, "needs_wrench", False))
 
     @property
+    def needs_deflection(self) -> bool:
+        """Whether the controller needs the deflection of elastic joints."""
+        return bool(getattr(self.controller, "needs_deflection", False))
+
+    @property
     def is_compiled(self) -> bool:
         """Whether the law of the controller is compiled."""
         return has_compiled_law(self.controller, self.n) and type(self).torque is ControllerAround.torque

@@ -88,10 +88,18 @@ class ElasticFeedforward(PD):
             InputError: An argument is no `State` or no `Setpoint`, or has a wrong length.
         """
         instance("state", state, State, "armctl.State(q, v) is one")
-        a = np.asarray(setpoint.a)
+        zero = np.zeros(self.n)
+        return self._motor_torque(state, setpoint, self._spring_torque(setpoint), zero, zero)
+
+    def _spring_torque(self, setpoint: Setpoint) -> Array:
+        """(n,) N m, by which the springs move the links along their reference."""
         # The model of a rigid arm has the motors' inertia as armature, and their damping, which move with the motors here.
-        rigid = self._arm.inverse_dynamics(setpoint.q, setpoint.v, a)
-        spring = rigid - self._model_inertia * a - self._passive.damping_torque(np.asarray(setpoint.v))
+        rigid = self._arm.inverse_dynamics(setpoint.q, setpoint.v, setpoint.a)
+        return rigid - self._model_inertia * setpoint.a - self._passive.damping_torque(np.asarray(setpoint.v))
+
+    def _motor_torque(self, state: State, setpoint: Setpoint, spring: Array, shift: Array, shift_rate: Array) -> Array:
+        """(n,) N m, so that the motors follow where the springs have these torques, besides a shift, rad, and its rate."""
+        a = np.asarray(setpoint.a)
         if not self._reference_clock.follows(state) or self._past is None:
             self._past = (spring, spring)
         last, before = self._past
@@ -101,7 +109,7 @@ class ElasticFeedforward(PD):
         v = setpoint.v + (spring - last) / dt / self.elasticity
         acceleration = a + (spring - 2 * last + before) / dt**2 / self.elasticity
         tau = spring + self.rotor_inertia * acceleration + self._passive.damping_torque(v)
-        tau += self.stiffness * (q - state.q) + self.damping * (v - state.v)
+        tau += self.stiffness * (q + shift - state.q) + self.damping * (v + shift_rate - state.v)
         if self.friction:
             tau += self._loss * np.clip(v / _REVERSAL_SPEED, -1.0, 1.0)
         return vector("torque", tau, self.n, finite=False)

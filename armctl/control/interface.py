@@ -35,6 +35,8 @@ class State(NamedTuple):
             period is one step of the simulator.
         wrench: (6,) N and N m, the measured wrench of the environment on the tip: force first, world axes, at the tip. None if
             nobody measures it: a simulation does for controllers with the attribute `needs_wrench = True`.
+        deflection: (2, n) rad and rad/s, of the springs of elastic joints, motor minus link, as joint torque sensors give it.
+            None if nobody measures it: a simulation does for controllers with the attribute `needs_deflection = True`.
     """
 
     q: Array
@@ -43,6 +45,7 @@ class State(NamedTuple):
     dt: float = 0.0
     continuous: bool = False
     wrench: Array | None = None
+    deflection: Array | None = None
 
 
 @runtime_checkable

@@ -15,7 +15,7 @@ from armctl.control.interface import checked_period
 from armctl.control.observer_gains import feedback_estimate
 from armctl.core.errors import InputError
 from armctl.core.trajectory import Trajectory, check_motion
-from armctl.core.validation import Array, frozen
+from armctl.core.validation import Array, frozen, number
 from armctl.robot.arm import Arm
 
 _STEP = 1e-5  # rad, rad/s and rad/s^2, of the central differences of inverse dynamics
@@ -262,7 +262,11 @@ class LQR(ArmController):
 
         Returns:
             One number for each name.
+
+        Raises:
+            InputError: The control period is not a number of at least 0.
         """
+        dt = number("dt", dt, 0.0)
         bandwidth = self.bandwidth
         if bandwidth is None:
             bandwidth = _BANDWIDTH_TIMES_DELAY / required_delay(dt, self.delay_margin)

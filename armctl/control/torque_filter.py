@@ -157,7 +157,7 @@ class TorqueFilter(ControllerAround):
 
 def _checked_frequency(filter_: Notch | LowPass, frequency: float, dt: float) -> float:
     """A frequency that a filter with this control period can have."""
-    highest = math.pi / dt if dt > 0.0 else 0.0
+    highest = math.pi / dt if number("dt", dt, 0.0) > 1e-12 else 0.0
     if not frequency < highest:
         raise InputError(f"{filter_}: the frequency must be below pi / dt = {highest:g} rad/s")
     return frequency

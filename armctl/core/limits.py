@@ -16,6 +16,8 @@ _FIRST_STEP = 0.2  # of the range of each joint, and at most of a turn
 _DISTANCE_FROM_LIMITS = 0.01  # of the range: controllers that respect limits act differently there
 _GROWTH = 1.5  # of the step after a success, and to the power of -1/4 after a failure: Rechenberg's rule of 1/5 of successes
 
+_MAX_SAMPLES = 10**7  # in one array; more is a mistake, and takes gigabytes
+
 
 @dataclass(frozen=True, eq=False)
 class Limits:
@@ -97,11 +99,11 @@ class Limits:
             (count, n) rad.
 
         Raises:
-            InputError: `around` is not a configuration, the count is not an integer of at least 0, or rng is not a Generator.
+            InputError: `around` is not a configuration, the count is no integer from 0 to 10 million, or rng is no Generator.
         """
         instance("rng", rng, np.random.Generator, "numpy.random.default_rng(0) is one")
         instance("count", count, (int, np.integer), "give an integer")
-        number("count", count, 0)
+        number("count", count, 0, _MAX_SAMPLES)
         around = self.clamp(around)
         bounded = np.isfinite(self.q_max - self.q_min)
         low = np.where(bounded, self.q_min, np.maximum(self.q_min, around - np.pi))

@@ -112,7 +112,7 @@ class TickReference(NamedTuple):
             continuous: As for `of`.
 
         Returns:
-            The rows.
+            K rows, with the differences of the positions (of v, where the arm moves continuously).
         """
         v_tick = v if continuous else np.diff(np.vstack([before, q]), axis=0) / dt
         return cls(q[:-1], v[:-1], a[:-1], v_tick[:-1], np.diff(v_tick, axis=0) / dt)

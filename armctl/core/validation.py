@@ -72,13 +72,14 @@ def vector(what: str, value: ArrayLike, length: int | None = None, *, finite: bo
     return out
 
 
-def matrix(what: str, value: ArrayLike, columns: int) -> Array:
+def matrix(what: str, value: ArrayLike, columns: int, *, finite: bool = True) -> Array:
     """Checks rows of numbers and copies them into a read-only matrix.
 
     Args:
         what: The name of the argument, for the error.
         value: (k, columns) numbers.
         columns: The required length of each row.
+        finite: Whether NaN and infinity are rejected.
 
     Returns:
         (k, columns) float64, read-only.
@@ -86,7 +87,7 @@ def matrix(what: str, value: ArrayLike, columns: int) -> Array:
     Raises:
         InputError: The value has another shape, is not numeric, or is not finite.
     """
-    out = array(what, value, 2)
+    out = array(what, value, 2, finite=finite)
     if out.shape[1] != columns:
         raise InputError(f"{what}: expected rows of {columns} numbers, got {out.shape[1]}")
     return out

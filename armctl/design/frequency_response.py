@@ -98,6 +98,7 @@ class Excited:
 
     def __init__(self, controller: Controller, holding_torque: Array, joint: int, signal: Array):
         self.name = controller_name(controller)
+        self.needs_deflection = getattr(controller, "needs_deflection", False)
         self.commands: list[float] = []
         self._controller = controller
         self._holding_torque = holding_torque

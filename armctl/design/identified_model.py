@@ -100,7 +100,7 @@ def urdf_text(arm: Arm) -> str:
     """The chain of an arm as URDF: every joint turns about, or slides along, the z axis of its link's frame."""
     pin_model = arm.pinocchio_model.pin_model
     limits = arm.limits
-    root = ET.Element("robot", name=arm.model.names[1:].split(b"\0")[0].decode(errors="replace") or "arm")
+    root = ET.Element("robot", name=arm.name)
     ET.SubElement(root, "link", name="base")
     damping = arm.model.dof_damping[arm.dof_adr]
     friction = arm.model.dof_frictionloss[arm.dof_adr]

@@ -172,6 +172,9 @@ class Linearizer:
         if abs(delay / self.dt - ticks) > _WHOLE_TICK_TOLERANCE:
             raise InputError(f"delay: expected a whole number of control periods of {self.dt:g} s, got {delay:g} s")
         linear = self.arm_at(q)
+        if getattr(controller, "needs_deflection", False):
+            links, motors = self._sides(len(linear.A))
+            linear = linear._replace(C=np.vstack([linear.C, motors - links]))
         system, added = _sensed(linear, self.plant)
         return Loop(
             robot=arm.name,
@@ -254,22 +257,23 @@ class Linearizer:
 def _sensed(arm: LinearArm, plant: Plant) -> tuple[StateSpace, int]:
     """An arm with its sensors, and how many states they add: differenced positions, and measurements that are late."""
     size = len(arm.A)
-    n = len(arm.C) // 2
+    n = arm.B.shape[1]
+    signals = len(arm.C)
     is_differenced = plant.differences_positions
-    added = n * is_differenced + 2 * n * plant.sensor_delay
+    added = n * is_differenced + signals * plant.sensor_delay
     A = np.zeros((size + added, size + added))
     A[:size, :size] = arm.A
-    output = np.zeros((2 * n, size + added))
+    output = np.zeros((signals, size + added))
     output[:, :size] = arm.C
     first = size
     if is_differenced:
         A[first : first + n] = output[:n]
-        output[n:] = output[:n] / arm.dt
-        output[n:, first : first + n] -= np.eye(n) / arm.dt
+        output[n : 2 * n] = output[:n] / arm.dt
+        output[n : 2 * n, first : first + n] -= np.eye(n) / arm.dt
         first += n
     for _ in range(plant.sensor_delay):
-        A[first : first + 2 * n] = output
+        A[first : first + signals] = output
         output = np.zeros_like(output)
-        output[:, first : first + 2 * n] = np.eye(2 * n)
-        first += 2 * n
-    return StateSpace(A, np.vstack([arm.B, np.zeros((added, n))]), output, np.zeros((2 * n, n))), added
+        output[:, first : first + signals] = np.eye(signals)
+        first += signals
+    return StateSpace(A, np.vstack([arm.B, np.zeros((added, n))]), output, np.zeros((signals, n))), added

@@ -225,10 +225,11 @@ class Loop:
         n = self.n
         outputs = np.vstack([self._arm.C, self._position])
         inputs = np.hstack([self._arm.B, self._push])
-        arm = StateSpace(self._arm.A, inputs, outputs, np.zeros((3 * n, 2 * n))).transfer(z)
+        arm = StateSpace(self._arm.A, inputs, outputs, np.zeros((len(outputs), 2 * n))).transfer(z)
         law = self._law.transfer(z) * z[:, None, None] ** -self.delay
-        seen = np.linalg.solve(np.eye(2 * n) - arm[:, : 2 * n, :n] @ law, arm[:, : 2 * n, n:])
-        closed = arm[:, 2 * n :, n:] + arm[:, 2 * n :, :n] @ law @ seen
+        signals = len(self._arm.C)
+        seen = np.linalg.solve(np.eye(signals) - arm[:, :signals, :n] @ law, arm[:, :signals, n:])
+        closed = arm[:, signals:, n:] + arm[:, signals:, :n] @ law @ seen
         return np.asarray(closed, dtype=np.complex128)
 
     def plot(self, path: str | os.PathLike[str] | None = None) -> Path | None:

@@ -162,8 +162,7 @@ def configurations(arm: Arm, poses: int | ArrayLike) -> Array:
     """(k, n) rad, the configurations at which a controller is judged: home and random ones, or the given ones, checked."""
     if _dimensions(poses) > 0:
         given = matrix("poses", poses, arm.n)  # type: ignore[arg-type]
-        if not len(given):
-            raise InputError("poses: expected at least one configuration, got none")
+        integer("poses", len(given), 1, _MAX_POSES)
         return np.array([arm.checked("poses", q) for q in given])
     count = integer("poses", poses, 1, _MAX_POSES)  # type: ignore[arg-type]
     home = arm.limits.clamp(arm.home)

@@ -65,6 +65,8 @@ class StateSpace:
 def linear_controller(arm: Arm, controller: Controller, q: Array, dt: float, continuous: bool) -> StateSpace:
     """The linear model of a controller that holds an arm at q: from measured positions and velocities (2n) to torques (n).
 
+    Positions and velocities of deflections follow, if the controller needs them.
+
     The controller is called like in a simulation, on a copy of it, so its memory need not be known: the model follows from the
     responses to an impulse in each measured signal, after Ho and Kalman (1966) in the balanced form of Kung (1978). At last the
     model is compared with the controller on a random signal.
@@ -78,8 +80,9 @@ def linear_controller(arm: Arm, controller: Controller, q: Array, dt: float, con
         run = _runs(arm, controller, q, dt, continuous)
     error = np.inf
     for horizon, scale in product(_HORIZONS_TICKS, _IMPULSE_SCALES):
-        sizes = scale * np.repeat([_POSITION_IMPULSE, _VELOCITY_IMPULSE], arm.n)
-        model = _realization(_impulse_responses(run, sizes, horizon))
+        sides = 2 if getattr(controller, "needs_deflection", False) else 1
+        sizes = scale * np.tile(np.repeat([_POSITION_IMPULSE, _VELOCITY_IMPULSE], arm.n), sides)
+        model = _realization(_impulse_responses(run, sizes, horizon, arm.n))
         error = _model_error(run, model, sizes, 3 * horizon)
         if error <= _MAX_MODEL_ERROR:
             return model
@@ -109,7 +112,8 @@ def _runs(arm: Arm, controller: Controller, q: Array, dt: float, continuous: boo
     def torques(law: Controller, deviations: Array) -> Array:
         rows = np.empty((len(deviations), n))
         for k, deviation in enumerate(deviations):
-            state = State(q + deviation[:n], deviation[n:].copy(), k * dt, dt, continuous)
+            springs = deviation[2 * n :].reshape(-1, n) if len(deviation) > 2 * n else None
+            state = State(q + deviation[:n], deviation[n : 2 * n].copy(), k * dt, dt, continuous, None, springs)
             try:
                 rows[k] = checked_torque(law.torque(state, setpoint), n)
             except Exception as error:
@@ -125,7 +129,7 @@ def _runs(arm: Arm, controller: Controller, q: Array, dt: float, continuous: boo
     except Exception:
         original = None
     law = controller if original is None else copy.deepcopy(original, dict(shared))
-    probe = np.full((4, 2 * n), _POSITION_IMPULSE)
+    probe = np.full((4, 4 * n), _POSITION_IMPULSE)
     if np.array_equal(torques(law, probe), torques(law, probe)):
         return lambda deviations: torques(law, deviations)
     if original is None:
@@ -155,10 +159,10 @@ def _compiled_runs(law: _core.Law, q: Array) -> _Run:
     return torques
 
 
-def _impulse_responses(run: _Run, sizes: Array, horizon: int) -> Array:
-    """(horizon, n, 2n), the torques after an impulse in each measured signal, divided by its size, one of (2n,)."""
+def _impulse_responses(run: _Run, sizes: Array, horizon: int, n: int) -> Array:
+    """(horizon, n, 2n or 4n), the torques after an impulse in each measured signal, divided by its size."""
     warm_up = horizon // 2  # until the first ticks after a start, which are different, have passed
-    responses = np.empty((horizon, len(sizes) // 2, len(sizes)))
+    responses = np.empty((horizon, n, len(sizes)))
     for column, size in enumerate(sizes):
         deviations = np.zeros((warm_up + horizon, len(sizes)))
         deviations[warm_up, column] = size

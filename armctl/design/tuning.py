@@ -47,11 +47,11 @@ _DESIGN_POSES_WITH_MODEL = 2
 # design did not know violated a bound.
 _RESERVES = (1.003, 1.015, 1.04)
 _SCALES = (1.0, 1.4, 0.7, 2.0, 0.5, 2.8, 0.35, 4.0, 0.25, 8.0, 0.125, 16.0, 0.0625)  # of all gains, where a design may begin
-_SHRINKS = 20  # of all gains by 5 %, to come back within the bounds
+_BISECTIONS = 6  # to come back within the bounds
 _DAMPING_RATIOS = (0.5, 2.0)  # of laws with a model: their errors shall not oscillate
 _RATIOS = (1.0, 0.5, 0.25, 0.1)  # of the stiffness of PD and of the observer's bandwidth, there
 # Sequential linear programming. Steps are those of the logarithms of the gains.
-_ITERATIONS = 8
+_ITERATIONS = 6
 _FURTHER_ITERATIONS = 3  # of a design that is repeated
 _FIRST_STEP = 0.3
 _MAX_STEP = 1.0
@@ -190,7 +190,7 @@ def tune(
     worst: list[Loop] = []
     for reserve in _RESERVES:
         judge.design.reserve = reserve
-        x = judge.design.start(family) if x is None else judge.design.shrunk(family, x)
+        x = judge.design.start(family) if x is None else judge.design.restored(family, x)
         if x is None:
             break
         x = judge.design.improved(family, x, _FURTHER_ITERATIONS if worst else _ITERATIONS)
@@ -351,13 +351,20 @@ class _Design:
                 return x
         return None
 
-    def shrunk(self, family: _Family, x: Array) -> Array | None:
-        """The gains, or lower ones, that are within the bounds; None if there are none."""
-        for _ in range(_SHRINKS):
-            if self._is_feasible(family.controller(x)):
-                return x
-            x = x + np.log(0.95) * family.scaling
-        return self.start(family)
+    def restored(self, family: _Family, x: Array) -> Array | None:
+        """The gains, or the nearest ones within the bounds on the way to where a design begins; None if there are none."""
+        if self._is_feasible(family.controller(x)):
+            return x
+        within = self.start(family)
+        if within is None:
+            return None
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (within + x)
+            if self._is_feasible(family.controller(middle)):
+                within = middle
+            else:
+                x = middle
+        return within
 
     def improved(self, family: _Family, x: Array, iterations: int) -> Array:
         """The gains with the least displacement that sequential linear programming finds from gains within the bounds.
@@ -472,12 +479,10 @@ class _Judge:
 
     def violating(self, loops: Sequence[Loop]) -> list[Loop]:
         """Those that violate a bound."""
-        return [loop for loop in loops if not self._accepts(loop)]
-
-    def _accepts(self, loop: Loop) -> bool:
-        found = loop.robustness()
-        bounds = self._bounds
-        return found.delay_margin >= bounds.delay_margin and found.peak_sensitivity <= bounds.peak_sensitivity
+        delay = self._bounds.delay_margin
+        peak = self._bounds.peak_sensitivity
+        found = [(loop, loop.robustness()) for loop in loops]
+        return [loop for loop, each in found if not (each.delay_margin >= delay and each.peak_sensitivity <= peak)]
 
     def figures(self, controller: Controller, loops: Sequence[Loop]) -> LoopFigures:
         """The worst figures of a controller's loops."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from armctl.core.atomic import file_path
 from armctl.core.errors import ArmctlError, InputError
@@ -28,6 +29,8 @@ _MAX_FAILURES = 20  # in a row
 _FREQUENCY_TOLERANCE = 1e-6  # relative
 _CARTESIAN = ("x", "y", "z", "rotation_x", "rotation_y", "rotation_z")
 
+_Policy = Callable[[Any], ArrayLike]
+
 
 @dataclass(frozen=True)
 class DemonstrationsResult:
@@ -38,7 +41,7 @@ class DemonstrationsResult:
         folder: The data set.
         episodes: How many episodes it has.
         frames: How many frames.
-        failures: Episodes that the expert did not solve; they are not in the data set.
+        failures: Episodes that the policy did not solve; they are not in the data set.
         reason: Why it is not ok, in words; empty if it is.
     """
 
@@ -81,11 +84,16 @@ class _Recording:
 
 
 def save_demonstrations(
-    env: gymnasium.Env, folder: str | os.PathLike[str], episodes: int, *, seed: int = 0
+    env: gymnasium.Env,
+    folder: str | os.PathLike[str],
+    episodes: int,
+    *,
+    seed: int = 0,
+    policy: _Policy | None = None,
 ) -> DemonstrationsResult:
-    """Saves episodes of the scripted expert as a data set in the format LeRobotDataset v3.0.
+    """Saves episodes of the scripted expert, or of a teleoperator, as a data set in the format LeRobotDataset v3.0.
 
-    Each frame has the observation, the action that the expert takes then, and the reward and success after it; with
+    Each frame has the observation, the action that is taken then, and the reward and success after it; with
     `render_mode="rgb_array"` also a picture. An episode ends when the goal is held for a quarter of a second, in Track at the
     horizon. Only solved episodes are saved. The same seed gives the same episodes.
 
@@ -94,6 +102,7 @@ def save_demonstrations(
         folder: The data set; it does not exist yet.
         episodes: How many.
         seed: That of the first episode; the next numbers are those of the following ones.
+        policy: Returns the action (k,) for an observation, such as that of a joystick; the scripted expert if left out.
 
     Returns:
         How it ended; it gives up after twenty failures in a row.
@@ -106,6 +115,8 @@ def save_demonstrations(
     own = getattr(env, "unwrapped", env)
     if not isinstance(own, ArmEnv):
         raise InputError(f"env: {shown(env)} is no single environment of armctl; armctl.envs.ArmEnv('panda') is one")
+    if policy is not None and not callable(policy):
+        raise InputError(f"policy: expected a function of an observation, got {shown(policy)}")
     final = file_path("folder", folder)
     if final.exists():
         raise InputError(f"folder: {str(final)!r:.150} exists already; give another name")
@@ -116,7 +127,7 @@ def save_demonstrations(
     try:
         temporary.mkdir(parents=True)
         writer = _writer(own, temporary, screen)
-        failures = _record(own, writer, screen, episodes, seed)
+        failures = _record(own, writer, screen, episodes, seed, policy)
         if writer.episodes:
             writer.finish()
             os.replace(temporary, final)
@@ -126,13 +137,15 @@ def save_demonstrations(
         with suppress(OSError):
             shutil.rmtree(temporary, ignore_errors=True)
     ok = writer.episodes == episodes
-    reason = "" if ok else f"the expert failed in {_MAX_FAILURES} episodes in a row"
+    reason = "" if ok else f"the policy failed in {_MAX_FAILURES} episodes in a row"
     return DemonstrationsResult(ok, final, writer.episodes, writer.frames, failures, reason)
 
 
-def _record(env: ArmEnv, writer: LeRobotWriter, screen: Screen | None, episodes: int, seed: int) -> int:
+def _record(env: ArmEnv, writer: LeRobotWriter, screen: Screen | None, episodes: int, seed: int, policy: _Policy | None) -> int:
     """Records episodes; returns how many failed."""
-    policy = ExpertPolicy(env)
+    if policy is None:
+        expert = ExpertPolicy(env)
+        policy = lambda _: expert()  # noqa: E731
     failures = 0
     failures_in_a_row = 0
     with progress_bar("demonstrations", episodes, "episodes") as progress:
@@ -150,8 +163,8 @@ def _record(env: ArmEnv, writer: LeRobotWriter, screen: Screen | None, episodes:
     return failures
 
 
-def _play(env: ArmEnv, policy: ExpertPolicy, screen: Screen | None, seed: int) -> _Recording | None:
-    """An episode; None if the expert does not solve it."""
+def _play(env: ArmEnv, policy: _Policy, screen: Screen | None, seed: int) -> _Recording | None:
+    """An episode; None if the policy does not solve it."""
     batch = env.batch
     held = 0
     held_at_end = max(1, int(batch.task.held_fraction * batch.horizon))
@@ -159,7 +172,7 @@ def _play(env: ArmEnv, policy: ExpertPolicy, screen: Screen | None, seed: int) -
     observation, _ = env.reset(seed=seed)
     truncated = False
     while not truncated:
-        action = policy()
+        action = np.asarray(policy(observation), np.float32)
         recording.observations.append(observation["observation"] if isinstance(observation, dict) else observation)
         recording.actions.append(action)
         if screen is not None:

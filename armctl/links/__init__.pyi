@@ -1,6 +1,7 @@
 from .dry_run import Rehearsal as Rehearsal
 from .franka import Franka as Franka
 from .hand import Hand as Hand
+from .lerobot import LeRobotArm as LeRobotArm
 from .link import Link as Link
 from .link import Seen as Seen
 from .link_check import LinkCheck as LinkCheck

@@ -166,7 +166,7 @@ class DryRun:
         Raises:
             LinkError: The action would move the hand.
         """
-        if action != "read":
+        if not isinstance(action, str) or action != "read":
             raise LinkError("gripper: a dry run does not move the hand")
         return self.link.hand(action)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armctl.core.limits import Limits, check_speed
-from armctl.core.validation import Array
+from armctl.core.validation import Array, instance, integer, matrix, number
 
 # Shares of the maker's limits that motions are planned with. The rest is for a lost tick: the robot continues the last rows,
 # and the next row is then a step of acceleration.
@@ -44,8 +44,9 @@ class Envelope:
                 any speed.
 
         Raises:
-            InputError: The speed is not in (0, 1].
+            InputError: The speed is not in (0, 1], or these are no limits.
         """
+        instance("arm", arm, Limits, "armctl.load('panda').limits are some")
         speed = check_speed(speed)
         maker = self.limits
         return replace(
@@ -65,7 +66,11 @@ class Envelope:
 
         Returns:
             The lowest and the highest ones, each (T, n) rad/s.
+
+        Raises:
+            InputError: The positions are not (T, n) numbers.
         """
+        q = matrix("q", q, len(self.limits.q_min), finite=False)
         highest = np.broadcast_to(self.limits.v_max, q.shape)
         lowest = -highest
         if self.speed_offset is not None and self.stopping_acceleration is not None:
@@ -82,8 +87,14 @@ class Envelope:
             rows: (T, n) rad, one each tick.
             before: (3, n) rad, what was sent before them.
             dt: s, the tick.
+
+        Raises:
+            InputError: An argument has another shape, or the tick is not above 0.
         """
+        rows, before = (matrix("rows", each, len(self.limits.q_min), finite=False) for each in (rows, before))
+        integer("before: rows", len(before), 3, 3)
         q = np.vstack([before, rows])
+        dt = number("dt", dt, 1e-9)
         v = np.diff(q, axis=0) / dt
         a = np.diff(v, axis=0) / dt
         j = np.diff(a, axis=0) / dt

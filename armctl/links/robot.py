@@ -35,7 +35,7 @@ from armctl.motion import JointTrajectory
 from armctl.motion.trajectory.piecewise import Pieces, sample
 from armctl.robot.arm import Arm
 from armctl.sim.commands import Commands
-from armctl.sim.follow import MovingTarget, follow
+from armctl.sim.follow import MovingTarget
 from armctl.sim.move import ControlledArms, PlannedMove
 
 if TYPE_CHECKING:
@@ -159,10 +159,10 @@ class Robot(Commands):
             The check: ok if no more than one tick in a hundred was lost.
 
         Raises:
-            InputError: The time is not above 0.
+            InputError: The time is less than a tick or more than an hour.
             LinkError: The robot reported a fault before.
         """
-        seconds = number("seconds", seconds, self.dt)
+        seconds = number("seconds", seconds, self.dt, 3600.0)
         T_base_tip = self._host.tip()
         difference = np.nan if T_base_tip is None else tip_difference(self.arm, self._host.read().q, T_base_tip)
         lost = self._drive.lost
@@ -232,8 +232,7 @@ class Robot(Commands):
             UnknownNameError: The model has no such body.
             LinkError: The robot reported a fault before.
         """
-        seconds = number("seconds", seconds, 0.0)
-        return self._rehearsed(follow(self._arms, self.arm, target, seconds, self._refusal))
+        return self._rehearsed(super().follow(target, seconds=seconds))
 
     def _refusal(self, pieces: Pieces) -> str:
         """Why a motion of `follow` may not be sent; empty if it may."""

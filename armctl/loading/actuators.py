@@ -14,7 +14,19 @@ from armctl.mjmodel.dc_motor import DcMotor, dc_motor, is_dc_motor
 from armctl.mjmodel.queries import Joints, joint_name
 from armctl.mjmodel.transmissions import Transmission, Transmissions
 
-# What becomes of each attribute of the actuators in MJCF. A test compares the table with MuJoCo's own schema.
+# What becomes of each attribute of actuators, joints and sensors in MJCF. A test compares the tables with MuJoCo's own schema.
+JOINT_ATTRIBUTES = {
+    "kept": "name class group user type pos axis ref margin solimplimit solreflimit",
+    "a limit of the arm": "limited range actuatorfrclimited actuatorfrcrange",
+    "in the model of controllers": (
+        "armature damping frictionloss solimpfriction solreffriction stiffness springref springdamper actuatorgravcomp"
+    ),
+    "simulated, and named by a warning": "springyield",
+}
+SENSOR_ATTRIBUTES = {
+    "kept": "name class user cutoff noise joint actuator",
+    "named by a warning, since controllers read the joints": "delay interval nsample interp",
+}
 ATTRIBUTES = {
     "kept": "name class group user joint jointinparent tendon gear armature damping nsample interp delay",
     "a limit of the arm": "forcelimited forcerange nominal resistance motorconst saturation ctrllimited ctrlrange",

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.core.errors import InputError, LimitError, PlanError
+from armctl.core.errors import LimitError, PlanError
 from armctl.core.trajectory import Setpoint
-from armctl.core.validation import Array, number, shown
+from armctl.core.validation import Array, number
 from armctl.motion.checks import planning_arm, start_state
 from armctl.motion.timing.otg import JointState, Profile, ProfileSolver
 from armctl.motion.trajectory.path_stop import remaining
@@ -86,30 +84,6 @@ class OnlineMotion:
         raise PlanError(
             "go_to: no motion inside the limits leads to the goal from this state; the arm stops, call go_to again at rest"
         )
-
-    def go_to_if(self, q: ArrayLike, accepts: Callable[[Pieces], bool]) -> bool:
-        """Sets a new goal if the motion to it is accepted; otherwise the motion does not change.
-
-        Args:
-            q: (n,) rad, inside the limits.
-            accepts: Whether a motion, given as polynomials from now on, may be made: `check_clearance` proves one, for example.
-
-        Returns:
-            Whether the goal was accepted. It is also rejected if no motion inside the limits leads to it.
-
-        Raises:
-            InputError: A wrong length, a number that is not finite, or no function.
-            LimitError: A position outside the limits.
-        """
-        if not callable(accepts):
-            raise InputError(f"accepts: expected a function of a motion's pieces, got {shown(accepts)}")
-        goal = self._checked(q)
-        start = self._state(self._t)
-        profile = self._profile_to(start, goal)
-        if profile is None or not accepts(profile.pieces(start)):
-            return False
-        self._take(start, goal, profile)
-        return True
 
     def stop(self) -> None:
         """Stops as soon as the limits allow."""

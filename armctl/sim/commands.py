@@ -21,8 +21,9 @@ from armctl.core.trajectory import Trajectory
 from armctl.core.validation import Array, flag, number, shown
 from armctl.mjmodel.target_marker import TARGET, set_target, target_pose
 from armctl.motion import Arc, JointTrajectory, Line, PathOptions, move_c, move_j, move_l, move_path
+from armctl.motion.trajectory.piecewise import Pieces
 from armctl.planning.path import FreeSpace
-from armctl.sim.follow import follow
+from armctl.sim.follow import StreamRun, follow
 from armctl.sim.move import ControlledArms, PlannedMove, plan_free, plan_move, plan_to
 from armctl.sim.obstacles import Obstacles
 
@@ -273,7 +274,28 @@ class Commands:
             UnknownNameError: The model has no such body.
             SimulationError: The controller failed; `error.log` contains the ticks until then.
         """
-        return follow(self._arms, self.arm, target, number("seconds", seconds, self._arms.drive.dt))
+        return follow(self._arms, self.arm, target, number("seconds", seconds, self._arms.drive.dt), self._refusal)
+
+    def streaming(self) -> StreamRun:
+        """Opens a stream of targets, from a policy or a device, for a `with`.
+
+        ```python
+        with sim.streaming() as run:
+            run.stream.push(run.stream.t, q)
+            run.advance(1 / 30)
+        ```
+
+        Returns:
+            The run: its `stream` takes targets, and its `advance` lets time pass.
+
+        Raises:
+            LimitError: The arm is outside its limits.
+        """
+        return StreamRun(self._arms, self.arm, self._refusal)
+
+    def _refusal(self, pieces: Pieces) -> str:
+        """Why a motion of a stream may not be made; empty if it may."""
+        return ""
 
     def record(
         self, path: str | os.PathLike[str], *, size: tuple[int, int] = (640, 480), quality: str = "fast", speed: float = 1.0

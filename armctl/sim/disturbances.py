@@ -33,6 +33,7 @@ class Disturbances:
         push: (6,) N and N m, the wrench of the pushes in the last tick; both loops write it.
         last_position: (n,) rad, the true positions of the last tick, NaN at the first one; None if no velocity is differenced.
         delay: What delays the commands; both loops use it.
+        deflection: (2, n) of the springs, as measured at this tick.
     """
 
     def __init__(
@@ -55,7 +56,7 @@ class Disturbances:
         is_slide = np.array([unit == "m" for unit in train.actuation.units])
         turn = np.where(is_slide, 1.0, 2 * np.pi)
         self._step = turn / 2**plant.encoder_bits if plant.encoder_bits else None
-        self._late: deque[tuple[Array, Array]] = deque(maxlen=plant.sensor_delay + 1)
+        self._late: deque[tuple[Array, Array, Array]] = deque(maxlen=plant.sensor_delay + 1)
         self._jitter = np.random.default_rng([plant.seed, 1])
         self._commands: deque[Array] = deque(maxlen=plant.delay + plant.jitter + 1)
         self._age = 0
@@ -68,6 +69,7 @@ class Disturbances:
         self.push = np.zeros(6)
         # Without a velocity sensor, a law gets the difference of two positions. In a step of MuJoCo that is the velocity.
         self.last_position = np.full(n, np.nan) if plant.differences_positions else None
+        self.deflection = np.zeros((2, n))
         self.delay = _core.Delay(n, plant.delay)
         self.delay.restart(plant.delay)
         self._rng = np.random.default_rng(plant.seed)
@@ -99,8 +101,10 @@ class Disturbances:
             difference = (seen - self.last_position) / self._dt + (noise[1] if self._step is None else 0.0)
             measured_v = np.where(np.isnan(difference), measured_v, difference)
             self.last_position[:] = seen
-        self._late.append((measured_q, measured_v))
-        return self._late[0]
+        deflection = train.deflection(self._model, data) if train.extra_joints else self.deflection
+        self._late.append((measured_q, measured_v, deflection))
+        measured_q, measured_v, self.deflection = self._late[0]
+        return measured_q, measured_v
 
     def driven(self, tau: Array, q: Array, v: Array) -> Array:
         """Applies the pushes and the plant's joint torque of this moment, and returns what the motors receive for a command.

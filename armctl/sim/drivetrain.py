@@ -87,6 +87,12 @@ class Drivetrain:
             result[self.owners] += values[of_joint[list(self.springs)]]
         return result
 
+    def deflection(self, model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+        """(2, n) positions and speeds of the motors minus those of the links."""
+        motors = np.array([data.qpos[self.motor_qpos], data.qvel[self.motor_dof]])
+        positions = self.link_positions(model, data.qpos, self.actuation.qpos_adr, model.jnt_qposadr)
+        return motors - [positions, self.link_positions(model, data.qvel, self.actuation.dof_adr, model.jnt_dofadr)]
+
     def settle(self, model: mujoco.MjModel, data: mujoco.MjData) -> Array:
         """Puts springs, windings and delayed commands where they are if the motors have held the arm still, in place.
 

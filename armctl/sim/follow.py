@@ -1,8 +1,9 @@
-"""follow: an arm after a moving target, for a given time."""
+"""StreamRun: an arm on a stream of targets, and follow: after a moving target, for a given time."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import mujoco
 from numpy.typing import ArrayLike
@@ -11,12 +12,12 @@ from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.target import Target
-from armctl.core.validation import Array, shown
+from armctl.core.validation import Array, number, shown
 from armctl.mjmodel.queries import object_id
 from armctl.motion.trajectory.piecewise import Pieces
 from armctl.robot.arm import Arm
 from armctl.sim.move import ControlledArms
-from armctl.sim.recorder import ticks_for
+from armctl.sim.recorder import Recorder, ticks_for
 from armctl.stream.stream import Stream
 
 _FOLLOW_INTERVAL_S = 0.02  # between two readings of a moving target
@@ -24,29 +25,86 @@ _FOLLOW_INTERVAL_S = 0.02  # between two readings of a moving target
 MovingTarget = str | Callable[[float], Pose | ArrayLike]
 
 
+class StreamRun:
+    """An arm on a stream of targets, in a `with`; `Simulation.streaming` makes it. The log is made when the block ends.
+
+    Attributes:
+        stream: Where targets are pushed.
+    """
+
+    def __init__(
+        self,
+        arms: ControlledArms,
+        arm: Arm,
+        refusal: Callable[[Pieces], str] | None = None,
+        targets: Mapping[str, Array] | None = None,
+    ):
+        """A run that begins where the arm's last reference ended.
+
+        Args:
+            refusal: As for `Stream`.
+            targets: (7,) of each arm, for the log; changes until the end of the run count. None for no targets.
+        """
+        self.stream = Stream(arm, arms.start(arm.tip), refusal=refusal)
+        self._drive = arms.drive
+        self._controller = arms.controllers[arm.tip]
+        self._durations: dict[str, float] = {}
+        self._tip = arm.tip
+        self._recording = arms.recording(self._durations, targets)
+        self._due = 0.0
+        self._recorder: Recorder | None = None
+
+    def __enter__(self) -> StreamRun:
+        self._recorder = self._recording.__enter__()
+        return self
+
+    def __exit__(self, *exception: Any) -> None:
+        self._recorder = None
+        self._durations[self._tip] = self.stream.t
+        self._recording.__exit__(*exception)
+
+    def advance(self, seconds: float) -> str:
+        """Lets the arm go on along its motion. A robot leaves some time for the next targets.
+
+        Args:
+            seconds: How long, s; what is left of a tick counts the next time.
+
+        Returns:
+            Why the run ended; empty if it goes on.
+
+        Raises:
+            InputError: A negative time, one that is too long for a log, or a call outside the `with`.
+            SimulationError: The controller failed, or the run ended before.
+        """
+        if self._recorder is None:
+            raise InputError("advance: nothing runs yet; use `with sim.streaming() as run:`")
+        dt = self._drive.dt
+        self._due += number("seconds", seconds, 0.0)
+        ticks = ticks_for(max(self._due - self.stream.t, 0.0) + dt / 2, dt) - 2
+        if ticks > 0:
+            to_rest = self.stream.pieces
+            reference = self.stream.reference(ticks, dt, self._drive.continuous)
+            self._drive.run(self._controller, reference, self._recorder, to_rest)
+        return self._drive.failure
+
+
 def follow(
     arms: ControlledArms, arm: Arm, target: MovingTarget, seconds: float, refusal: Callable[[Pieces], str] | None = None
 ) -> Log:
-    """Follows a body, or a function of the time, and reads it 50 times a second. Arguments as for `Simulation.follow`.
-
-    Args:
-        refusal: As for `Stream`.
-    """
+    """Follows a body, or a function of the time, and reads it 50 times a second. Arguments as for `Simulation.follow`."""
     drive = arms.drive
     data = drive.data
     target_at = _target_function(drive.model, data, target)
     ticks_for(seconds, drive.dt)
     begin = data.time
-    stream = Stream(arm, arms.start(arm.tip), refusal=refusal)
-    ticks = ticks_for(_FOLLOW_INTERVAL_S, drive.dt) - 1
+    interval = max(_FOLLOW_INTERVAL_S, drive.dt)
     targets: dict[str, Array] = {}
-    with arms.recording({arm.tip: seconds}, targets) as recorder:
+    with StreamRun(arms, arm, refusal, targets) as run:
         while not drive.failure and data.time - begin < seconds - 1e-9:
             goal = Target.read(target_at(data.time - begin))
             targets[arm.tip] = goal.numbers
-            stream.push_pose(stream.t, goal)
-            to_rest = stream.pieces
-            drive.run(arms.controllers[arm.tip], stream.reference(ticks, drive.dt, drive.continuous), recorder, to_rest)
+            run.stream.push_pose(run.stream.t, goal)
+            run.advance(interval)
         targets[arm.tip] = Target.read(target_at(data.time - begin)).numbers
     return arms.logs[arm.tip]
 

@@ -324,6 +324,7 @@ class _JointController:
         self._slices = slices
         self._wrenches = wrenches
         self.needs_wrench = any(getattr(controller, "needs_wrench", False) for controller in controllers.values())
+        self.needs_deflection = any(getattr(controller, "needs_deflection", False) for controller in controllers.values())
 
     def torque(self, state: State, setpoint: Setpoint) -> Array:
         """The torques of all arms.
@@ -337,7 +338,9 @@ class _JointController:
             reference = Setpoint(*(None if column is None else column[own] for column in setpoint))  # type: ignore[arg-type]
             wrench = None if state.wrench is None else state.wrench[self._wrenches[tip]]
             try:
-                torque = controller.torque(state._replace(q=state.q[own], v=state.v[own], wrench=wrench), reference)
+                deflection = None if state.deflection is None else state.deflection[:, own]
+                seen = state._replace(q=state.q[own], v=state.v[own], wrench=wrench, deflection=deflection)
+                torque = controller.torque(seen, reference)
                 torques[own] = checked_torque(torque, own.stop - own.start)
             except Exception as error:
                 raise ControllerFailure(controller, tip) from error

@@ -183,7 +183,9 @@ class Stepper:
         """The true state of all arms now."""
         q = self.data.qpos[self.actuation.qpos_adr]
         v = self.data.qvel[self.actuation.dof_adr]
-        return State(q, v, float(self.data.time), self.dt, self.continuous, self._wrench_sensor.read(self._push))
+        wrench = self._wrench_sensor.read(self._push)
+        deflection = self._train.deflection(self.model, self.data)
+        return State(q, v, float(self.data.time), self.dt, self.continuous, wrench, deflection)
 
     @property
     def measured_state(self) -> State:
@@ -191,7 +193,7 @@ class Stepper:
         state = self.state
         if self._disturbances is not None:
             q, v = self._measure(state.q, state.v)
-            state = state._replace(q=q, v=v)
+            state = state._replace(q=q, v=v, deflection=self._disturbances.deflection)
         return state._replace(wrench=self._measured_wrench(state))
 
     def tip_pose(self, arm: Arm) -> Pose:
@@ -377,6 +379,8 @@ class Stepper:
         sensor = self._wrench_sensor if getattr(controller, "needs_wrench", False) else None
         wrench_rows = None if sensor is None else rows.with_wrench(len(sensor.true))
         wrench = None
+        needs_deflection = getattr(controller, "needs_deflection", False)
+        deflection = None
         new = tuple.__new__  # a NamedTuple's own constructor takes twice as long
         touching = rows.contacts[-1][1] if rows.contacts else b""
         row = first
@@ -395,10 +399,14 @@ class Stepper:
                 if sensor is not None and wrench_rows is not None:
                     wrench = self._measured_wrench(State(q_seen, v_seen, data.time, dt, continuous))
                     wrench_rows[row] = sensor.true
+                if needs_deflection:
+                    late = self._train.deflection(model, data) if disturbances is None else disturbances.deflection
+                    deflection = read_only(late)
                 try:
                     if foresee is not None:
                         foresee(TickReference(*(column[row:] for column in rows.reference)))
-                    tau = torque(new(State, (q_seen, v_seen, data.time, dt, continuous, wrench)), new(Setpoint, setpoint))
+                    state = new(State, (q_seen, v_seen, data.time, dt, continuous, wrench, deflection))
+                    tau = torque(state, new(Setpoint, setpoint))
                     if not (type(tau) is ndarray and tau.dtype is _FLOAT64 and len(tau) == n):
                         tau = checked_torque(tau, n)
                     command[:] = tau

@@ -152,7 +152,9 @@ class CommittedMotion:
         """Whether the motors can follow, at the knots, where accelerations are extreme, and between them."""
         duration = float(pieces.knots[-1])
         times = np.union1d(pieces.knots, np.linspace(0.0, duration, 2 + int(duration / _TORQUE_STEP_S)))
-        return bool((np.abs(self._dynamics.total(*sample(pieces, times))) <= self._tau_max).all())
+        torques = np.abs(self._dynamics.total(*sample(pieces, times)))
+        # A motor that cannot even hold its joint here must not keep the arm from moving to where it can.
+        return bool((torques <= np.maximum(self._tau_max, torques[0])).all())
 
     def _refused(self, pieces: Pieces) -> Refused | None:
         """Why a motion may not be made; None if it may."""

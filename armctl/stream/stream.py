@@ -16,7 +16,7 @@ from armctl.core.errors import InputError, LimitError
 from armctl.core.pose import Pose, rotation_from_vector
 from armctl.core.target import Target, TargetLike
 from armctl.core.trajectory import Setpoint, TickReference
-from armctl.core.validation import Array, flag, instance, matrix, number, shown, vector
+from armctl.core.validation import Array, flag, instance, integer, matrix, number, shown, vector
 from armctl.ik import DifferentialIk, solve_ik
 from armctl.motion.checks import planning_arm, start_state
 from armctl.motion.timing.otg import JointState
@@ -28,6 +28,7 @@ from armctl.stream.timed_targets import TimedTargets
 
 MAX_ROWS = 1000  # of a chunk
 _MAX_AHEAD_S = 60.0  # of a target: a later one has a wrong clock
+_MAX_TICKS = 1_000_000  # in one answer
 _HISTORY_TICKS = 2000  # of past setpoints, with which late targets are compared
 _AT_LIMIT = 0.999  # share of a limit
 _TICKS_PER_LIMIT_CHECK = 8  # a tick takes a third longer with a check
@@ -336,8 +337,11 @@ class Stream:
 
         Returns:
             The setpoints from now on.
+
+        Raises:
+            InputError: The number of ticks is not from 1 to 1 million, or the tick not above 0.
         """
-        points = [self.setpoint, *(self.step(dt) for _ in range(ticks))]
+        points = [self.setpoint, *(self.step(dt) for _ in range(integer("ticks", ticks, 1, _MAX_TICKS)))]
         q = np.array([point.q for point in points])
         v = np.array([point.v for point in points])
         before = q[0] - dt * v[0] if self._previous is None else self._previous

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from synthetic import BENT, SHAPES, Shape, serial_arm
@@ -9,6 +10,7 @@ from synthetic import BENT, SHAPES, Shape, serial_arm
 import armctl
 from armctl.control.gains import extra_inertia, sample_configurations
 from armctl.control.observer_gains import max_held_payload
+from armctl.control.task_space import arm_length
 from armctl.core.trajectory import Setpoint
 
 DT = 0.001
@@ -101,3 +103,13 @@ def test_the_payload_that_the_motors_hold_is_the_largest_one(tmp_path, name):
 
     assert held > 0.1
     assert share(0.999 * held) < 1.0 < share(1.001 * held)
+
+
+@pytest.mark.parametrize("shape", [*SHAPES.values(), *BENT.values()], ids=[*SHAPES, *BENT])
+def test_the_length_of_an_arm_is_that_of_its_segments_in_mujoco(tmp_path, shape):
+    arm = serial_arm(tmp_path, shape)
+    data = mujoco.MjData(arm.model)
+    mujoco.mj_kinematics(arm.model, data)
+    joints = [int(np.flatnonzero(arm.model.jnt_dofadr == dof)[0]) for dof in arm.dof_adr]
+    points = [*data.xanchor[joints], data.site("tip").xpos]
+    assert arm_length(arm) == pytest.approx(np.linalg.norm(np.diff(points, axis=0), axis=1).sum(), abs=1e-12)

@@ -1,4 +1,6 @@
-"""The law for elastic joints: the margins of PD, a small part of its error, and friction that turns with the motion."""
+"""The laws for elastic joints: the margins of PD, a small part of its error, and friction that turns with the motion."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -39,6 +41,54 @@ def test_it_follows_with_a_tenth_of_the_error_of_pd_at_the_same_margins(arm):
     assert margins[1].delay_margin == pytest.approx(margins[0].delay_margin, rel=1e-4)
     assert margins[1].peak_sensitivity == pytest.approx(margins[0].peak_sensitivity, rel=1e-4)
     assert errors(arm, law, plant) < 0.1 * errors(arm, pd, plant)
+
+
+def test_feedback_of_the_springs_follows_with_a_tenth_of_the_error_of_pd_at_the_same_margin(arm):
+    plant, stiffness, rotor = elastic(arm)
+    law = armctl.ElasticFeedback(arm, stiffness, rotor)
+    margin = armctl.linearize(arm, law, arm.home, plant).margins().delay_margin
+    share = 0.95
+    while armctl.linearize(arm, pd_of(arm, share), arm.home, plant).margins().delay_margin < margin:
+        share *= 0.9
+    assert errors(arm, law, plant) < 0.1 * errors(arm, pd_of(arm, share), plant)
+
+
+def pd_of(arm, share):
+    """PD with a share of the default gains."""
+    gains = armctl.PD(arm)
+    return armctl.PD(arm, stiffness=share * gains.stiffness, damping=share * gains.damping)
+
+
+def test_feedback_of_the_springs_damps_links_and_removes_what_wrong_springs_leave(arm):
+    plant, stiffness, rotor = elastic(arm)
+    laws = armctl.ElasticFeedforward, armctl.ElasticFeedback
+    ratios = [armctl.linearize(arm, law(arm, stiffness, rotor), arm.home, plant).modes()[:, 1].min() for law in laws]
+    assert ratios[1] > max(ratios[0], 0.09)
+    motion = armctl.move_j(arm, arm.home, arm.limits.clamp(arm.home + 0.3))
+    logs = [armctl.simulate(arm, law(arm, 1.25 * stiffness, rotor), motion, plant, dwell=4.0) for law in laws]
+    ends = [np.abs(log.q - log.q_ref)[-1].max() for log in logs]
+    assert ends[1] < max(0.1 * ends[0], 1e-6)
+
+
+def test_a_deflection_is_as_late_as_other_measurements(arm):
+    plant, stiffness, rotor = elastic(arm)
+    seen = []
+
+    class Watching(armctl.ElasticFeedback):
+        def torque(self, state, setpoint):
+            seen.append((state.q - state.deflection[0]).copy())
+            return super().torque(state, setpoint)
+
+    motion = armctl.move_j(arm, arm.home, arm.limits.clamp(arm.home + 0.3))
+    log = armctl.simulate(arm, Watching(arm, stiffness, rotor), motion, replace(plant, sensor_delay=2))
+    assert np.array(seen)[2:] == pytest.approx(log.q[:-2], abs=1e-12)
+
+
+def test_feedback_of_the_springs_without_their_deflection_is_refused(arm):
+    rest = np.zeros(arm.n)
+    setpoint = armctl.Setpoint(arm.home, rest, rest, rest, rest)
+    with pytest.raises(armctl.InputError, match=r"state\.deflection: elastic-feedback needs"):
+        armctl.ElasticFeedback(arm, 100.0, 0.1).torque(armctl.State(arm.home, rest, 0.0, DT), setpoint)
 
 
 def test_at_rest_the_link_is_at_its_reference(arm):

@@ -3,6 +3,7 @@
 import copy
 import json
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -126,8 +127,17 @@ def test_a_written_urdf_is_the_identified_arm(planar, tmp_path):
     arm, _, found = planar
     known = found.applied_to(arm)
     q = arm.home + 0.1
-    written = armctl.load(found.to_urdf(tmp_path / "arm.urdf"), tip="tip")
+    path = found.to_urdf(tmp_path / "arm.urdf")
+    assert ElementTree.parse(path).getroot().get("name") == "serial"
+    written = armctl.load(path, tip="tip")
     assert written.gravity(q) == pytest.approx(known.gravity(q), abs=1e-6)
+    rotors = np.diag(known.model.dof_armature[known.dof_adr] - written.model.dof_armature[written.dof_adr])
+    assert written.mass_matrix(q) + rotors == pytest.approx(known.mass_matrix(q), abs=1e-9)
+    assert written.coriolis(q, q + 0.3) == pytest.approx(known.coriolis(q, q + 0.3), abs=1e-9)
+    damping = known.model.dof_damping[known.dof_adr]
+    assert written.model.dof_damping[written.dof_adr] == pytest.approx(damping)
+    for bound in ("q_min", "q_max", "v_max", "tau_max"):
+        assert getattr(written.limits, bound) == pytest.approx(getattr(known.limits, bound)), bound
     assert written.fk(q).position == pytest.approx(known.fk(q).position, abs=1e-9)
 
 

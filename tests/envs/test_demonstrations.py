@@ -142,6 +142,31 @@ def test_files_are_numbered_when_they_are_full(tmp_path, monkeypatch):
     assert json.loads((tmp_path / "meta/info.json").read_text())["video_path"] is None
 
 
+def test_the_actions_of_a_policy_are_recorded_and_their_replay_ends_in_the_same_state(tmp_path):
+    env = armctl.envs.ArmEnv("robot_arm_3dof", "Reach", "cartesian_delta")
+    to_goal = env.batch.observer.columns["to_goal"]
+    seen = []
+
+    def policy(observation):
+        seen.append(observation)
+        return np.clip(6.0 * observation[to_goal].astype(float), -1.0, 1.0)
+
+    result = armctl.envs.save_demonstrations(env, tmp_path / "data", 1, seed=5, policy=policy)
+    assert result, result.reason
+    rows = pq.read_table(tmp_path / "data/data/chunk-000/file-000.parquet")
+    assert np.array_equal(np.array(rows["observation.state"].to_pylist(), np.float32), np.array(seen))
+    observation, _ = env.reset(seed=5)
+    successes = []
+    for action, expected in zip(rows["action"].to_pylist(), seen, strict=True):
+        assert np.array_equal(observation, expected)
+        observation, _, _, _, information = env.step(np.array(action, np.float32))
+        successes.append(information["is_success"])
+    assert successes == rows["next.success"].to_pylist()
+    assert successes[-1]
+    with pytest.raises(armctl.InputError, match="policy: expected a function of an observation, got 'joystick'"):
+        armctl.envs.save_demonstrations(env, tmp_path / "more", 1, policy="joystick")
+
+
 def test_wrong_calls_leave_nothing_behind(env, tmp_path, monkeypatch):
     with pytest.raises(armctl.InputError, match="exists already"):
         armctl.envs.save_demonstrations(env, tmp_path, 1)

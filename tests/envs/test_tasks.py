@@ -1,5 +1,7 @@
 """All tasks: what Gymnasium asks, what is randomized, what counts, and experts that solve them."""
 
+import contextlib
+
 import gymnasium
 import mujoco
 import numpy as np
@@ -140,6 +142,30 @@ def test_a_seed_gives_the_same_bits_on_any_number_of_threads(gripping, task):
         seen.append([first, *steps])
         env.close()
     assert np.array_equal(*seen)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_each_environment_of_several_is_the_single_one_with_its_seed(gripping, task):
+    """Observations, rewards and ends, also in the episodes that follow; the noise and the delay differ in each episode."""
+    robot = gripping if task in ON_A_TABLE else ROBOT
+    ranges = RANGES if task in ON_A_TABLE else {name: RANGES[name] for name in ("encoder_noise", "delay")}
+    options = {"randomize": ranges, "horizon": 3}
+    envs = armctl.envs.ArmVectorEnv(robot, task, "joint_delta", 3, **options)
+    observations, _ = envs.reset(seed=20)
+    actions = np.random.default_rng(1).uniform(-1.0, 1.0, (7, *envs.action_space.shape))
+    seen = [envs.step(each) for each in actions]
+    envs.close()
+    assert not np.array_equal(observations[0], observations[1])
+    assert sum(bool(ended[1] or cut[1]) for _, _, ended, cut, _ in seen) >= 2
+    with contextlib.closing(armctl.envs.ArmEnv(robot, task, "joint_delta", **options)) as env:
+        assert np.array_equal(env.reset(seed=21)[0], observations[1])
+        for action, (after, rewards, ended, cut, infos) in zip(actions[:, 1], seen, strict=True):
+            observation, reward, is_ended, is_cut, _ = env.step(action)
+            assert (reward, is_ended, is_cut) == (rewards[1], ended[1], cut[1])
+            if is_ended or is_cut:
+                assert np.array_equal(observation, infos["final_obs"][1])
+                observation, _ = env.reset()
+            assert np.array_equal(observation, after[1])
 
 
 def test_a_touched_obstacle_costs_and_rules_success_out(make):

@@ -111,7 +111,11 @@ def world() -> dict[str, object]:
     sim = armctl.Simulation(arm, "pd")
     log = armctl.simulate(arm, "pd", motion)
     setpoint = armctl.Setpoint(arm.home, np.zeros(3), np.zeros(3))
+    link = armctl.links.PlantLink(arm)
+    dry_run = armctl.DryRun(link)
+    dry_run.open()
     return {
+        "Actuation": arm.actuation,
         "Admittance": armctl.Admittance(arm),
         "Arm": arm,
         "Arc": armctl.Arc([0.3, 0.1, 0.5], [0.3, 0.2, 0.5]),
@@ -120,14 +124,21 @@ def world() -> dict[str, object]:
         "ComputedTorqueObserver": armctl.ComputedTorqueObserver(arm),
         "ComputedTorqueQP": armctl.ComputedTorqueQP(arm),
         "DifferentialIk": armctl.DifferentialIk(arm),
+        "DryRun": dry_run,
+        "ElasticFeedforward": armctl.ElasticFeedforward(arm, 1e4, 0.1),
+        "Envelope": armctl.Envelope("a page", arm.limits),
         "Gripper": gripping.gripper,
         "HybridForce": armctl.HybridForce(arm, {"z": 1.0}),
         "IkResult": armctl.solve_ik(arm, arm.fk(arm.home)),
         "Impedance": armctl.Impedance(arm),
+        "IterativeLearning": armctl.IterativeLearning(arm, motion),
         "JointTrajectory": motion,
+        "LQR": armctl.LQR(arm),
         "Limits": arm.limits,
         "Line": armctl.Line([0.3, 0.1, 0.5]),
         "Log": log,
+        "LowPass": armctl.LowPass(300.0),
+        "Notch": armctl.Notch(50.0),
         "Loop": armctl.linearize(arm, "pd", arm.home),
         "OnlineMotion": armctl.OnlineMotion(arm, arm.home),
         "OperationalSpace": armctl.OperationalSpace(arm),
@@ -142,9 +153,12 @@ def world() -> dict[str, object]:
         "Scene": armctl.Scene().add_ball("ball", 0.02, [0.5, 0.5, 0.1]),
         "Setpoint": setpoint,
         "Simulation": sim,
+        "Robot": armctl.Robot(arm, armctl.links.PlantLink(arm)),
         "State": armctl.State(setpoint.q, setpoint.v),
+        "Stream": armctl.Stream(arm, arm.home),
         "Target": armctl.Target.read(arm.fk(arm.home)),
         "Team": armctl.Team([arm]),
+        "TorqueFilter": armctl.TorqueFilter(arm, armctl.PD(arm), armctl.Notch(50.0)),
         "TorqueRateLimit": armctl.TorqueRateLimit(arm, armctl.PD(arm), 100.0),
         "envs.ArmEnv": env,
         "envs.ArmVectorEnv": envs,

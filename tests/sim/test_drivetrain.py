@@ -3,6 +3,7 @@
 import pickle
 from dataclasses import replace
 
+import instability
 import mujoco
 import numpy as np
 import pytest
@@ -44,6 +45,26 @@ def test_margins_with_a_plants_imperfections_are_those_of_its_simulation_to_the_
         assert grows(arm, law, loop, 0, plant)
         return
     ticks = int(found.delay_margin / loop.dt)
+    assert not grows(arm, law, loop, ticks, plant)
+    assert grows(arm, law, loop, ticks + 1, plant)
+
+
+@pytest.mark.parametrize("law", ["pd", "computed-torque-observer"])
+def test_margins_hold_to_the_tick_with_steps_of_an_encoder_below_the_deviation(arm, law, monkeypatch):
+    monkeypatch.setattr(instability, "DEVIATION", 1e-3)
+    plant = armctl.Plant(encoder_bits=26)
+    loop = armctl.linearize(arm, law, arm.home, plant)
+    ticks = int(loop.margins().delay_margin / loop.dt)
+    assert not grows(arm, law, loop, ticks, plant)
+    assert grows(arm, law, loop, ticks + 1, plant)
+
+
+@pytest.mark.parametrize("plant", [armctl.Plant(), armctl.Plant(sensor_delay=1), armctl.Plant(motor=0.001)], ids=str)
+def test_the_margin_with_feedback_of_the_springs_is_that_of_its_simulation_to_the_tick(arm, plant):
+    plant = replace(plant, **SPRING)
+    law = armctl.ElasticFeedback(arm, **SPRING)
+    loop = armctl.linearize(arm, law, arm.home, plant)
+    ticks = int(loop.margins().delay_margin / loop.dt)
     assert not grows(arm, law, loop, ticks, plant)
     assert grows(arm, law, loop, ticks + 1, plant)
 

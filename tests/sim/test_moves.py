@@ -93,6 +93,32 @@ def test_it_follows_a_point_that_moves(sim):
     assert np.abs(log.q - log.q_ref).max() < 1e-3
 
 
+def test_a_stream_moves_the_arm_tick_by_tick_and_leaves_a_log(sim):
+    begin = sim.data.time
+    home = sim.state.q
+    frame = 1 / 30  # no whole number of ticks
+    with sim.streaming() as run:
+        for k in range(60):
+            times = run.stream.t + frame * np.arange(1, 9)
+            run.stream.push_chunk(times, home + 0.1 * np.sin(2.0 * times)[:, None])
+            assert run.advance(frame) == ""
+            assert run.stream.t == pytest.approx((k + 1) * frame, abs=0.51 * sim.dt)
+        with pytest.raises(armctl.InputError, match="seconds: "):
+            run.advance(-1.0)
+    log = sim.log
+    assert sim.data.time - begin == pytest.approx(2.0, abs=sim.dt)
+    assert log.motion_duration == pytest.approx(2.0, abs=sim.dt)
+    wanted = home + 0.1 * np.sin(2.0 * log.t)[:, None]
+    assert np.abs(log.q - wanted)[500:].max() < 5e-3  # a frame late it would be 6.7e-3
+    assert run.stream.report.refused == 0
+    with pytest.raises(armctl.InputError, match="advance: nothing runs yet; use `with sim"):
+        run.advance(frame)
+    with sim.streaming() as run:
+        run.stream.push(0.0, home)
+        run.advance(2.0)
+    assert sim.state.q == pytest.approx(home, abs=1e-4)
+
+
 def test_it_follows_the_target_wherever_it_is_put(sim):
     body = sim.model.body("target").mocapid[0]
     sim.data.mocap_pos[body] = sim.tip.position + np.array([0.05, 0.1, -0.1])

@@ -10,7 +10,8 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_all_start_methods, get_context
 from pathlib import Path
 
 import mujoco
@@ -188,6 +189,13 @@ def test_a_client_that_is_killed_loses_no_finished_run(study, finished, toml, tm
     result = study().run(Inline(made.extend), folder=tmp_path)
     assert len(made) == 32 - len(kept)
     assert digests(result) == digests(finished)
+
+
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+@pytest.mark.parametrize("method", sorted({"fork", "spawn"}.intersection(get_all_start_methods())))
+def test_processes_find_what_one_thread_finds(study, finished, tmp_path, method: str):
+    with ProcessPoolExecutor(1, get_context(method)) as executor:
+        assert digests(study().run(executor, folder=tmp_path)) == digests(finished)
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")

@@ -8,26 +8,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armctl._core import Hit
 from armctl.core.latest_worker import LatestWorker
 from armctl.core.pose import Pose
 from armctl.core.target import Target
 from armctl.core.trajectory import TickReference, Trajectory
 from armctl.core.validation import Array, frozen
 from armctl.ik import DifferentialIk, solve_ik
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import Pieces
 from armctl.planning.path import FreeSpace
 from armctl.robot.arm import Arm
 from armctl.sim.move import PlannedMove, plan_free
 from armctl.sim.obstacles import Obstacles
-from armctl.sim.online_reference import OnlineReference
+from armctl.sim.realtime.follower_reference import FollowerReference
 
 if TYPE_CHECKING:
     from armctl.collision.checker import CollisionChecker
 
 _IK_AT_REST_SPEED = 1e-2  # rad/s: differential IK has converged
 _MIN_IMPROVEMENT_M = 0.01  # an unreachable target changes the posture only if the new one is nearer by this much
-_ACCELERATION_SCALE = 0.3  # a target moved by hand jerks; the jerk limits are scaled by its square
 _CLEARANCE_M = 1e-3  # of a reference that follows live: half of what a planned path keeps
 PATH_POINTS = 100
 
@@ -85,7 +84,7 @@ class TargetFollower:
         """
         self.arm = arm
         self.obstacles = obstacles
-        self.reference = OnlineReference(arm, dt, arm.home, acceleration_scale=_ACCELERATION_SCALE)
+        self.reference = FollowerReference(arm, dt, arm.home, self._refusal)
         self.oriented = arm.n >= 6
         self.avoiding = True
         self._dt = dt
@@ -93,7 +92,6 @@ class TargetFollower:
         self._worker: LatestWorker | None = None
         self._checker: CollisionChecker | None = None
         self._clearance = _CLEARANCE_M
-        self._hit: Hit | None = None
         self.stand(arm.home, arm.home)
 
     def close(self) -> None:
@@ -215,26 +213,23 @@ class TargetFollower:
 
     def _approach(self, q: Array) -> bool:
         """Moves towards q if the motion there is free. If it is not, plans another one, unless the target is held."""
-        self._hit = None
-        if self.reference.go_to(q, self._is_free):
+        if self.reference.go_to(q):
             self.joint_goal = q
             self.refusal = ""
             return True
-        if self._hit is None:  # no motion inside the limits leads there from this state; from rest there is one
-            return False
-        assert self._checker is not None
+        obstacle = self.reference.obstacle
         if self._held:
-            first, second = self._checker.names(self._hit.pair)
-            self.refusal = f"{first} and {second} would touch; release the target to plan around"
-        else:
+            self.refusal = f"{obstacle}; release the target to plan around" if obstacle else ""
+        elif self._checker is not None and (obstacle or self.reference.is_at_rest):
             self._plan(self._wanted)
-        return False
+        return False  # without an obstacle, no motion inside the limits leads there from this state; from rest there may be one
 
-    def _is_free(self, pieces: Pieces) -> bool:
-        if self._checker is None or pieces.knots[-1] == 0.0:
-            return True
-        self._hit = self._checker.motion_hit(pieces.knots, pieces.coefficients, self._clearance)
-        return self._hit is None
+    def _refusal(self, pieces: Pieces) -> str:
+        """What a motion would touch; empty if it is free."""
+        if self._checker is None:
+            return ""
+        hit = self._checker.motion_hit(pieces.knots, pieces.coefficients, self._clearance)
+        return "" if hit is None else "{} and {} would touch".format(*self._checker.names(hit.pair))
 
     def _plan(self, goal: Target | Array | None) -> None:
         """Plans a path from the joint goal, where the reference comes to rest, in another thread."""
@@ -275,6 +270,7 @@ class TargetFollower:
         if self.reference.is_at_rest:
             self._request = None
             self._finished = True
+            assert isinstance(trajectory, JointTrajectory)
             self.reference.follow(trajectory)
 
 
