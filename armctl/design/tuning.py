@@ -9,21 +9,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armctl.control import (
-    LQR,
-    MPC,
-    PD,
-    ComputedTorque,
-    ComputedTorqueLearning,
-    ComputedTorqueObserver,
-    ComputedTorqueQP,
-    Controller,
-    Impedance,
-    OperationalSpace,
-    PDFeedforward,
-    PDGravity,
-    controller_by_name,
-)
+from armctl.control import CONTROLLERS, LQR, PD, Controller, controller_by_name
 from armctl.control.gains import DEFAULT_BANDWIDTH, margin_gains, sample_configurations
 from armctl.control.impedance import IMPEDANCE_BANDWIDTH
 from armctl.control.observer_gains import observer_gains
@@ -45,7 +31,7 @@ _DESIGN_POSES = 10
 _DESIGN_POSES_WITH_MODEL = 2
 # Of the bounds, in the design, whose margins are accurate to the first of them. The others follow where configurations that the
 # design did not know violated a bound.
-_RESERVES = (1.003, 1.015, 1.04)
+_RESERVES = (1.003, 1.015, 1.04, 1.08, 1.15)
 _SCALES = (1.0, 1.4, 0.7, 2.0, 0.5, 2.8, 0.35, 4.0, 0.25, 8.0, 0.125, 16.0, 0.0625)  # of all gains, where a design may begin
 _BISECTIONS = 6  # to come back within the bounds
 _DAMPING_RATIOS = (0.5, 2.0)  # of laws with a model: their errors shall not oscillate
@@ -249,22 +235,20 @@ class _Family:
         return self.make(**self.gains(x))
 
 
-_PD_LAWS: dict[str, Callable[..., Controller]] = {"pd": PD, "pd-feedforward": PDFeedforward, "pd-gravity": PDGravity}
-_BANDWIDTH_LAWS: dict[str, tuple[Callable[..., Controller], float]] = {
-    "computed-torque": (ComputedTorque, DEFAULT_BANDWIDTH),
-    "operational-space": (OperationalSpace, DEFAULT_BANDWIDTH),
-    "impedance": (Impedance, IMPEDANCE_BANDWIDTH),
-    "qp": (ComputedTorqueQP, DEFAULT_BANDWIDTH),
-    "mpc": (MPC, DEFAULT_BANDWIDTH),
+_PD_LAWS = ("pd", "pd-feedforward", "pd-gravity")
+_BANDWIDTH_LAWS = {
+    "computed-torque": DEFAULT_BANDWIDTH,
+    "operational-space": DEFAULT_BANDWIDTH,
+    "impedance": IMPEDANCE_BANDWIDTH,
+    "qp": DEFAULT_BANDWIDTH,
+    "mpc": DEFAULT_BANDWIDTH,
 }
-_OBSERVER_LAWS: dict[str, Callable[..., Controller]] = {
-    "computed-torque-observer": ComputedTorqueObserver,
-    "computed-torque-learning": ComputedTorqueLearning,
-}
+_OBSERVER_LAWS = ("computed-torque-observer", "computed-torque-learning")
 LAWS = (*_PD_LAWS, *_BANDWIDTH_LAWS, *_OBSERVER_LAWS, "lqr")
 
 
 def _family(arm: Arm, law: str, dt: float) -> _Family:
+    make: Callable[..., Controller] = CONTROLLERS[law]
     if law in _PD_LAWS:
         default = margin_gains(arm, dt)
         n = arm.n
@@ -277,7 +261,7 @@ def _family(arm: Arm, law: str, dt: float) -> _Family:
 
         joints = tuple((i, n + i) for i in range(n))
         free = np.tile([-np.inf, np.inf], (2 * n, 1))
-        return _Family(2 * n, joints, free, range(n), np.repeat([2.0, 1.0], n), pd, lambda **gains: _PD_LAWS[law](arm, **gains))
+        return _Family(2 * n, joints, free, range(n), np.repeat([2.0, 1.0], n), pd, lambda **gains: make(arm, **gains))
     if law in _OBSERVER_LAWS:
         of_margins = observer_gains(arm, dt)
 
@@ -288,7 +272,6 @@ def _family(arm: Arm, law: str, dt: float) -> _Family:
                 "observer_bandwidth": of_margins.disturbance * float(np.exp(x[2])),
             }
 
-        make = _OBSERVER_LAWS[law]
         limits = np.array([[-np.inf, np.inf], np.log(_DAMPING_RATIOS) - np.log(of_margins.damping_ratio), [-np.inf, np.inf]])
         return _Family(
             3, ((0, 1, 2),), limits, range(2, 3), np.array([1.0, 0.0, 1.0]), observed, lambda **gains: make(arm, **gains)
@@ -300,9 +283,8 @@ def _family(arm: Arm, law: str, dt: float) -> _Family:
             return {name: default_lqr[name] * float(np.exp(each)) for name, each in zip(default_lqr, x, strict=True)}
 
         free = np.tile([-np.inf, np.inf], (3, 1))
-        scaling = np.array([1.0, 1.0, -1.0])
-        return _Family(3, ((0, 1, 2),), free, range(0), scaling, quadratic, lambda **gains: LQR(arm, **gains))
-    make, bandwidth = _BANDWIDTH_LAWS[law]
+        return _Family(3, ((0, 1, 2),), free, range(0), np.array([1, 1, -1]), quadratic, lambda **gains: LQR(arm, **gains))
+    bandwidth = _BANDWIDTH_LAWS[law]
 
     def with_bandwidth(x: Array) -> dict[str, float | Array]:
         return {"bandwidth": bandwidth * float(np.exp(x[0])), "damping_ratio": float(np.exp(x[1]))}

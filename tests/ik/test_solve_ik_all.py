@@ -370,3 +370,13 @@ def test_no_solution_is_lost_where_the_start_is_at_a_limit(tmp_path, name: str):
         counts = [len(solve_ik_all(arm, target, q0=share * arm.limits.q_max)) for share in (-0.99, 0.0, 0.99)]
         assert counts == [counts[1]] * 3
         assert counts[1] > 1
+
+
+def test_any_whole_number_of_at_least_zero_is_a_seed(tmp_path):
+    arm = arm_of(tmp_path, "seven joints", "-2.8 2.8")
+    target = arm.fk(GENERIC)
+    for seed in (2**63 - 1, 2**63, 2**64 + 1):
+        found = solve_ik_all(arm, target, 8, GENERIC, seed=seed)
+        same = solve_ik_all(arm, target, 8, GENERIC, seed=seed % 2**63)
+        assert len(found)
+        assert np.array_equal([each.q for each in found], [each.q for each in same])

@@ -143,6 +143,20 @@ def test_a_suffix_of_another_format_is_rejected(bundled, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.csv"]
 
 
+def test_a_plot_names_its_axes_and_draws_every_joint(bundled):
+    motion = move(bundled)
+    axes = motion.plot().axes
+    labels = ["position, rad", "velocity / limit", "acceleration / limit", "jerk / limit"]
+    assert [each.get_ylabel() for each in axes] == labels
+    assert [each.get_xlabel() for each in axes] == ["", "", "", "time, s"]
+    for each, bounds in zip(axes, [np.ones(3), bundled.limits.v_max, bundled.limits.a_max], strict=False):
+        kind = axes.index(each)
+        for joint, line in enumerate(each.lines):
+            t, drawn = line.get_data()
+            assert drawn == pytest.approx(motion.sample(t)[kind][:, joint] / bounds[joint])
+        assert len(each.lines) == 3
+
+
 def test_saving_replaces_a_file_whole_or_not_at_all(bundled, tmp_path, monkeypatch):
     file = move(bundled).save(tmp_path / "motion.npz")
     before = file.read_bytes()
