@@ -168,9 +168,10 @@ class ArmEstimate:
         Raises:
             InputError: A wrong shape, a number that is not finite, or as for `applied_to`.
         """
-        shape, *others = [as_array(name, value).shape for name, value in zip("qva", (q, v, a), strict=True)]
-        if len(shape) not in (1, 2) or others != [shape, shape]:
-            raise InputError(f"q, v, a: need three arrays of one shape, got {shape}, {others[0]} and {others[1]}")
+        shapes = [as_array(name, value).shape for name, value in zip("qva", (q, v, a), strict=True)]
+        shape = shapes[0]
+        if len(shape) not in (1, 2) or shapes != [shape, shape, shape]:
+            raise InputError(f"q, v, a: need three arrays of one shape, got {shapes[0]}, {shapes[1]} and {shapes[2]}")
         known = self.applied_to(self.arm)
         states = [
             [vector(name, row, self.arm.n) for row in np.atleast_2d(value)]

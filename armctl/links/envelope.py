@@ -91,7 +91,8 @@ class Envelope:
         Raises:
             InputError: An argument has another shape, or the tick is not above 0.
         """
-        rows, before = (matrix("rows", each, len(self.limits.q_min), finite=False) for each in (rows, before))
+        rows = matrix("rows", rows, len(self.limits.q_min), finite=False)
+        before = matrix("before", before, len(self.limits.q_min), finite=False)
         integer("before: rows", len(before), 3, 3)
         q = np.vstack([before, rows])
         dt = number("dt", dt, 1e-9)

@@ -154,6 +154,7 @@ class Stepper:
         self.data = mujoco.MjData(model)
         self.actuation = train.actuation
         self._train = train
+        self._is_elastic = bool(train.extra_joints)
         self._joints = _index(self.actuation.qpos_adr)
         self._dofs = _index(self.actuation.dof_adr)
         self._motors = _index(self.actuation.ctrl_adr)
@@ -184,7 +185,7 @@ class Stepper:
         q = self.data.qpos[self.actuation.qpos_adr]
         v = self.data.qvel[self.actuation.dof_adr]
         wrench = self._wrench_sensor.read(self._push)
-        deflection = self._train.deflection(self.model, self.data)
+        deflection = self._train.deflection(self.model, self.data) if self._is_elastic else np.zeros((2, self.n))
         return State(q, v, float(self.data.time), self.dt, self.continuous, wrench, deflection)
 
     @property
