@@ -50,7 +50,7 @@ def margin_exceptions(arm: Arm) -> tuple[str, ...]:
 
 
 def _pd_peak_sensitivity(arm: Arm, dt: float) -> float:
-    """The largest sensitivity of a joint under the default PD with gravity compensation, the other joints closed.
+    """The largest sensitivity of a joint under the default PD, with and without gravity compensation, the other joints closed.
 
     In continuous time, with a delay of half a control period; at sampled configurations. 1 if gravity plays no role.
     """
@@ -62,9 +62,10 @@ def _pd_peak_sensitivity(arm: Arm, dt: float) -> float:
     for w in np.geomspace(_MIN_FREQUENCY, 1 / dt, _FREQUENCIES):
         s = 1j * w
         compliance = np.linalg.inv(s * s * sampled.mass + sampled.gravity_stiffness + s * np.diag(sampled.damping))
-        feedback = np.diag(gains.stiffness + s * gains.damping) - sampled.gravity_stiffness
-        sensitivity = np.linalg.inv(np.eye(arm.n) + feedback @ compliance * np.exp(-0.5 * s * dt))
-        largest = max(largest, float(np.abs(np.diagonal(sensitivity, axis1=1, axis2=2)).max()))
+        pd = np.diag(gains.stiffness + s * gains.damping)
+        for feedback in (pd, pd - sampled.gravity_stiffness):
+            sensitivity = np.linalg.inv(np.eye(arm.n) + feedback @ compliance * np.exp(-0.5 * s * dt))
+            largest = max(largest, float(np.abs(np.diagonal(sensitivity, axis1=1, axis2=2)).max()))
     return largest
 
 
