@@ -166,6 +166,19 @@ def test_a_joint_that_follows_another_moves_with_its_leader(load):
     assert answers == {True, False}
 
 
+def test_one_link_of_two_shapes_touches_one_obstacle(load):
+    ball = '<geom name="ball" size="0.02" pos="0.05 0 0.05"/>'
+    hand = '<geom name="hand" type="box" size="0.02 0.02 0.02" pos="0.1 0 0.1"/>'
+    arm = load(limb("a", inside=ball + hand) + '<geom name="wall" type="box" size="1 0.01 1" pos="0 -0.07 0"/>', motors("a"))
+    checker = collision_checker(arm)
+    touched = set()
+    for q in configurations(arm, 200):
+        names = {arm.model.geom(geom).name for contact in placed(arm, q).contact if contact.dist < 0.0 for geom in contact.geom}
+        assert (checker.hit(q) >= 0) == bool(names)
+        touched |= names or {"nothing"}
+    assert touched == {"ball", "hand", "wall", "nothing"}
+
+
 def test_allowed_pairs_are_left_out_by_the_names_of_bodies_or_geoms(arm):
     checker = CollisionChecker(arm, allow=[("link5", "plate"), ("post", "link4")])
     named = {frozenset(checker.names(p)) for p in range(len(checker.geometry.pairs))}
