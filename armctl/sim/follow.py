@@ -12,10 +12,10 @@ from armctl.core.errors import InputError, UnknownNameError
 from armctl.core.log import Log
 from armctl.core.pose import Pose
 from armctl.core.target import Target
-from armctl.core.validation import Array, number, shown
+from armctl.core.validation import Array, instance, number, shown
 from armctl.mjmodel.queries import object_id
 from armctl.motion.trajectory.piecewise import Pieces
-from armctl.robot.arm import Arm
+from armctl.robot.arm import Arm, check_arm
 from armctl.sim.move import ControlledArms
 from armctl.sim.recorder import Recorder, ticks_for
 from armctl.stream.stream import Stream
@@ -44,7 +44,12 @@ class StreamRun:
         Args:
             refusal: As for `Stream`.
             targets: (7,) of each arm, for the log; changes until the end of the run count. None for no targets.
+
+        Raises:
+            InputError: An argument of another type.
         """
+        instance("arms", arms, ControlledArms, "Simulation.streaming() makes a StreamRun of its arms")
+        check_arm(arm)
         self.stream = Stream(arm, arms.start(arm.tip), refusal=refusal)
         self._drive = arms.drive
         self._controller = arms.controllers[arm.tip]

@@ -10,8 +10,8 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
-from multiprocessing import get_all_start_methods, get_context
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from multiprocessing import get_all_start_methods
 from pathlib import Path
 
 import mujoco
@@ -191,11 +191,24 @@ def test_a_client_that_is_killed_loses_no_finished_run(study, finished, toml, tm
     assert digests(result) == digests(finished)
 
 
-@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+# In a process of its own: one that has imported JAX cannot be forked.
+STARTING_PROCESSES = """
+import sys, armctl
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+if __name__ == "__main__":
+    study = armctl.Study.from_file(sys.argv[1])
+    with ProcessPoolExecutor(1, get_context(sys.argv[3])) as executor:
+        study.run(executor, folder=sys.argv[2])
+"""
+
+
 @pytest.mark.parametrize("method", sorted({"fork", "spawn"}.intersection(get_all_start_methods())))
-def test_processes_find_what_one_thread_finds(study, finished, tmp_path, method: str):
-    with ProcessPoolExecutor(1, get_context(method)) as executor:
-        assert digests(study().run(executor, folder=tmp_path)) == digests(finished)
+def test_processes_find_what_one_thread_finds(study, finished, toml, tmp_path, method: str):
+    (tmp_path / "trial.toml").write_text(toml)
+    (tmp_path / "main.py").write_text(STARTING_PROCESSES)
+    subprocess.run([sys.executable, tmp_path / "main.py", tmp_path / "trial.toml", tmp_path, method], check=True)
+    assert digests(study().result(tmp_path)) == digests(finished)
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
