@@ -13,7 +13,7 @@ from armctl.collision.geometry import Geometry, build_geometry, colliding_pairs,
 from armctl.collision.interface import KeptAxis, MovingJoints, NearPairs
 from armctl.core.errors import InputError, ModelError, UnknownNameError
 from armctl.core.validation import Array, BoolArray
-from armctl.mjmodel.queries import geom_owner_name, is_below, last_joint_above, name_of, object_id
+from armctl.mjmodel.queries import geom_owner_name, is_below, last_joint_above, name_of, object_id, stands_alone
 
 SAMPLES = 64
 _UNIT_KNOTS = np.array([0.0, 1.0])
@@ -256,13 +256,16 @@ class CollisionChecker:
         return hits.astype(bool)
 
     def _touch_by_design(self) -> BoolArray:
-        """(K,) pairs that touch at home and at every sample, or at home between neighboring frames."""
+        """(K,) pairs that touch at home and at every sample, or at home between neighboring frames of the robot itself."""
         at_home = self._all_hits(self._home)
         always = at_home.copy()
         for q in self._limits.random(self._home, SAMPLES, np.random.default_rng(0)):
             always &= self._all_hits(q)
         joints_between = self.geometry.joints_between
-        are_neighbors = np.array([len(joints_between(p)) == 1 for p in range(len(at_home))], bool)
+        bodies = self._model.geom_bodyid[self.geometry.geom_ids[self.geometry.pairs]].tolist()
+        are_neighbors = np.array(
+            [len(joints_between(p)) == 1 and not stands_alone(self._model, *bodies[p]) for p in range(len(at_home))], bool
+        )
         return always | (at_home & are_neighbors)
 
     def _proved_by_one_joint(self) -> BoolArray:

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from armctl.loading.home import home_qpos
-from armctl.mjmodel.queries import Joints, is_below, last_joint_above
+from armctl.mjmodel.queries import Joints, last_joint_above, stands_alone
 
 _RANDOM_CONFIGURATIONS = 20
 _LEVEL_M = 1e-3  # a surface that is drawn at the height of the base may differ from it by this much
@@ -25,7 +25,7 @@ def overlapping_neighbors(model: mujoco.MjModel, joints: Joints) -> list[tuple[s
     for first, second in touching:
         names = (model.body(first).name, model.body(second).name)
         is_pair = first > 0 and all(names) and abs(above[first] - above[second]) == 1
-        if is_pair and not _stands_alone(model, *sorted((first, second), key=above.__getitem__)):
+        if is_pair and not stands_alone(model, *sorted((first, second), key=above.__getitem__)):
             pairs.append(names)
     return pairs
 
@@ -43,7 +43,7 @@ def unavoidable_contacts(model: mujoco.MjModel, joints: Joints) -> list[tuple[st
         ground, other = sorted(geoms, key=lambda geom: above[model.geom_bodyid[geom]])
         body = int(model.geom_bodyid[ground])
         link = int(model.geom_bodyid[other])
-        is_pair = above[body] < 0 <= above[link] and all(_body_names(model, body, link)) and _stands_alone(model, body, link)
+        is_pair = above[body] < 0 <= above[link] and all(_body_names(model, body, link)) and stands_alone(model, body, link)
         if is_pair and _carries(model, data, ground, int(model.jnt_bodyid[joints[0]])):
             pairs.add((min(body, link), max(body, link)))
     rng = np.random.default_rng(0)
@@ -66,11 +66,6 @@ def _carries(model: mujoco.MjModel, data: mujoco.MjData, geom: int, first_link: 
     turned = data.geom_xmat[geom].reshape(3, 3).T @ axis
     front = (data.geom_xpos[geom] - data.xpos[base]) @ axis + turned @ center + np.abs(turned) @ half_sizes
     return bool(front <= _LEVEL_M)
-
-
-def _stands_alone(model: mujoco.MjModel, body: int, link: int) -> bool:
-    """Whether a body is fixed, and not a part of the robot that carries a link."""
-    return model.body_weldid[body] == 0 and (body == 0 or not is_below(model, link, body))
 
 
 def _body_names(model: mujoco.MjModel, first: int, second: int) -> tuple[str, str]:

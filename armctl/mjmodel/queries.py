@@ -136,6 +136,11 @@ def is_below(model: mujoco.MjModel, body: int, base: int) -> bool:
     return body == base
 
 
+def stands_alone(model: mujoco.MjModel, body: int, link: int) -> bool:
+    """Whether a body is fixed, and not a part of the robot that carries a link."""
+    return bool(model.body_weldid[body] == 0 and (body == 0 or not is_below(model, link, body)))
+
+
 def welded_behind(model: mujoco.MjModel, body: int) -> list[int]:
     """A body and its descendants without a joint between, in the model's order."""
     rigid = [body]

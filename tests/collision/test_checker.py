@@ -166,10 +166,13 @@ def test_a_joint_that_follows_another_moves_with_its_leader(load):
     assert answers == {True, False}
 
 
-def test_one_link_of_two_shapes_touches_one_obstacle(load):
+@pytest.mark.parametrize(
+    "wall", ['size="1 0.01 1" pos="0 -0.07 0"', 'size="0.01 1 1" pos="0.15 0 0"'], ids=["aside", "touched at home"]
+)
+def test_one_link_of_two_shapes_touches_one_obstacle(load, wall: str):
     ball = '<geom name="ball" size="0.02" pos="0.05 0 0.05"/>'
     hand = '<geom name="hand" type="box" size="0.02 0.02 0.02" pos="0.1 0 0.1"/>'
-    arm = load(limb("a", inside=ball + hand) + '<geom name="wall" type="box" size="1 0.01 1" pos="0 -0.07 0"/>', motors("a"))
+    arm = load(limb("a", inside=ball + hand) + f'<geom name="wall" type="box" {wall}/>', motors("a"))
     checker = collision_checker(arm)
     touched = set()
     for q in configurations(arm, 200):
