@@ -13,6 +13,11 @@ if not os.environ.get("DISPLAY"):
 import importlib.util
 import sys
 
+if sanitized := os.environ.get("ARMCTL_SANITIZED_CORE"):  # `make sanitize` tests another build of the compiled core
+    spec = importlib.util.spec_from_file_location("armctl._core", sanitized)
+    sys.modules["armctl._core"] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(sys.modules["armctl._core"])
+
 import hypothesis
 import pytest
 from arms import ARMS, MISSING, ROBOTS, arm_of
@@ -20,11 +25,6 @@ from robot_notes import RobotNotes, test_id
 from synthetic import mjcf
 
 import armctl
-
-if sanitized := os.environ.get("ARMCTL_SANITIZED_CORE"):  # `make sanitize` tests another build of the compiled core
-    spec = importlib.util.spec_from_file_location("armctl._core", sanitized)
-    sys.modules["armctl._core"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(sys.modules["armctl._core"])
 
 hypothesis.settings.register_profile("armctl", deadline=None, derandomize=True, print_blob=True)
 hypothesis.settings.load_profile("armctl")

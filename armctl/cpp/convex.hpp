@@ -25,7 +25,7 @@ struct Geom {
     size_t first_vertex = 0;
     size_t last_vertex = 0;
     // Of an ellipsoid: its axes times its half sizes.
-    Rotation semi_axes;
+    Rotation semi_axes{};
     // Of a plane, which is where dot(normal, x) = offset. Planes stand still.
     double offset = 0.0;
 

@@ -185,7 +185,6 @@ private:
             period_.mass_matrix(inertia_);
             period_.add_step_inertia(inertia_);
         }
-        const bool is_last = k % 2 == 1;
         const size_t block = k / 2;
         bool is_limited = false;
         for (size_t i = 0; i < n; ++i) {
