@@ -38,7 +38,6 @@ class CollisionChecker:
 
     Attributes:
         geometry: The geoms and pairs.
-        not_convex: Names of height fields and other geoms that no proof covers.
     """
 
     def __init__(
@@ -71,7 +70,7 @@ class CollisionChecker:
         self._set(geometry.with_pairs(np.array(keep, bool)))
         self._set(self.geometry.with_pairs(~self._touch_by_design()))
         self._set(self.geometry.with_pairs(~self._proved_by_one_joint()))
-        self.not_convex = self._not_convex_geoms()
+        self.not_convex = self._not_convex_geoms()  # names of height fields and other geoms that no proof covers
 
     def proof(self, keep: KeptAxis | None = None) -> ClearanceProof:
         """The proofs of this thread, with an axis that must keep its direction."""

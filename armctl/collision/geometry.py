@@ -34,15 +34,10 @@ _ROUNDING = 1.0 + 1e-12  # bounding spheres are computed with rounding errors
 
 
 class Edges(NamedTuple):
-    """Which vertices of a hull share an edge.
+    """Which vertices of a hull share an edge."""
 
-    Attributes:
-        counts: (P,) how many neighbors each vertex has.
-        neighbors: The neighbors of the first vertex, then those of the second, and so on.
-    """
-
-    counts: IntArray
-    neighbors: IntArray
+    counts: IntArray  # (P,) how many neighbors each vertex has
+    neighbors: IntArray  # the neighbors of the first vertex, then those of the second, and so on
 
     @classmethod
     def unknown(cls, vertices: Array) -> Edges:
@@ -51,53 +46,30 @@ class Edges(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """One geom at the reference configuration.
+    """One geom at the reference configuration."""
 
-    Attributes:
-        kind: How the core finds its support points.
-        frame: The frame that moves it, 0 if it stands.
-        position: (3,) m, of the geom.
-        rotation: (3, 3) of the geom.
-        size: (3,) m, half sizes of a box or an ellipsoid; radius and half length of a cylinder.
-        vertices: (P, 3) m, of a hull or a box.
-        inflation: m by which the vertices are inflated: the radius of a sphere or capsule.
-        center: (3,) m, of its bounding sphere.
-        bound: m, the radius of its bounding sphere.
-        edges: The edges of a mesh, by which the core searches large hulls.
-    """
-
-    kind: ShapeKind
-    frame: int
-    position: Array
-    rotation: Array
-    size: Array
-    vertices: Array
-    inflation: float
-    center: Array
-    bound: float
-    edges: Edges
+    kind: ShapeKind  # how the core finds its support points
+    frame: int  # the frame that moves it, 0 if it stands
+    position: Array  # (3,) m, of the geom
+    rotation: Array  # (3, 3) of the geom
+    size: Array  # (3,) m, half sizes of a box or an ellipsoid; radius and half length of a cylinder
+    vertices: Array  # (P, 3) m, of a hull or a box
+    inflation: float  # m by which the vertices are inflated: the radius of a sphere or capsule
+    center: Array  # (3,) m, of its bounding sphere
+    bound: float  # m, the radius of its bounding sphere
+    edges: Edges  # the edges of a mesh, by which the core searches large hulls
 
 
 class Frames(NamedTuple):
-    """One frame for each of the m joints that move, numbered from 1; frame 0 is the world.
+    """One frame for each of the m joints that move, numbered from 1; frame 0 is the world."""
 
-    Attributes:
-        axes: (m, 3) of the joints, in the world at the reference configuration.
-        anchors: (m, 3) m, a point on each axis.
-        slides: (m,) whether a joint slides.
-        references: (m,) rad, the joint positions of the reference configuration.
-        parents: (m,) the frames above.
-        joints: (m,) the row of each joint in the joint map.
-        of_body: (nbody,) the frame of each body.
-    """
-
-    axes: Array
-    anchors: Array
-    slides: IntArray
-    references: Array
-    parents: IntArray
-    joints: IntArray
-    of_body: IntArray
+    axes: Array  # (m, 3) of the joints, in the world at the reference configuration
+    anchors: Array  # (m, 3) m, a point on each axis
+    slides: IntArray  # (m,) whether a joint slides
+    references: Array  # (m,) rad, the joint positions of the reference configuration
+    parents: IntArray  # (m,) the frames above
+    joints: IntArray  # (m,) the row of each joint in the joint map
+    of_body: IntArray  # (nbody,) the frame of each body
 
     def depths(self) -> IntArray:
         """(m + 1,) how many frames are above each, the world included."""
@@ -117,23 +89,14 @@ class Frames(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """What an arm could touch, and the model of it in the compiled core.
+    """What an arm could touch, and the model of it in the compiled core."""
 
-    Attributes:
-        geom_ids: (G,) the model's geoms in the order of the shapes.
-        shapes: Their shapes.
-        frames: What moves them.
-        arrays: What the core takes, without the pairs.
-        core: The model in the core.
-        pairs: (K, 2) the shapes of each pair, in the order of the groups: the geoms of a frame, or one that stands.
-    """
-
-    geom_ids: IntArray
-    shapes: Sequence[Shape]
-    frames: Frames
-    arrays: dict[str, Any]
-    core: CollisionModel
-    pairs: IntArray
+    geom_ids: IntArray  # (G,) the model's geoms in the order of the shapes
+    shapes: Sequence[Shape]  # their shapes
+    frames: Frames  # what moves them
+    arrays: dict[str, Any]  # what the core takes, without the pairs
+    core: CollisionModel  # the model in the core
+    pairs: IntArray  # (K, 2) the shapes of each pair, in the order of the groups: the geoms of a frame, or one that stands
 
     def with_pairs(self, keep: BoolArray) -> Geometry:
         """The same geometry with fewer pairs.

@@ -41,31 +41,18 @@ class MovingJoints(Protocol):
 
 
 class KeptAxis(NamedTuple):
-    """An axis of the tip that keeps its direction.
+    """An axis of the tip that keeps its direction."""
 
-    Attributes:
-        name: "x", "y" or "z".
-        q: (n,) rad, where it has the direction that it keeps.
-        direction: (3,) of the world.
-        within: rad that it may tilt.
-    """
-
-    name: str
+    name: str  # "x", "y" or "z"
     body: int
-    q: Array
-    direction: Array
-    within: float
+    q: Array  # (n,) rad, where it has the direction that it keeps
+    direction: Array  # (3,) of the world
+    within: float  # rad that it may tilt
 
 
 class NearPairs(NamedTuple):
-    """Pairs that are close.
+    """Pairs that are close."""
 
-    Attributes:
-        pairs: (k,) their rows in the checker's geometry.
-        distances: m, (k,) negative where a pair overlaps.
-        gradients: m/rad, (k, n) the derivatives of the distances by the joints.
-    """
-
-    pairs: IntArray
-    distances: Array
-    gradients: Array
+    pairs: IntArray  # (k,) their rows in the checker's geometry
+    distances: Array  # m, (k,) negative where a pair overlaps
+    gradients: Array  # m/rad, (k, n) the derivatives of the distances by the joints

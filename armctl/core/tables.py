@@ -15,15 +15,10 @@ _MAX_CELL = 36  # columns; longer cells are wrapped
 
 @dataclass(frozen=True)
 class Table:
-    """A header and rows of text, all of one length.
+    """A header and rows of text, all of one length."""
 
-    Attributes:
-        header: The names of the columns.
-        rows: The cells, row by row.
-    """
-
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
+    header: Sequence[str]  # the names of the columns
+    rows: Sequence[Sequence[str]]  # the cells, row by row
 
     def markdown(self) -> str:
         """The table in GitHub's Markdown; a `|` in a cell is escaped."""

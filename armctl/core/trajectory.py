@@ -64,21 +64,13 @@ class Trajectory(Protocol):
 
 
 class TickReference(NamedTuple):
-    """A trajectory on the tick grid: rows for a `Setpoint`, each (K, n).
+    """A trajectory on the tick grid: rows for a `Setpoint`, each (K, n)."""
 
-    Attributes:
-        q: Position, rad (m for a slide joint).
-        v: Velocity, rad/s.
-        a: Acceleration, rad/s^2.
-        v_tick: The sampled velocity, rad/s.
-        a_tick: The forward difference of v_tick, rad/s^2.
-    """
-
-    q: Array
-    v: Array
-    a: Array
-    v_tick: Array
-    a_tick: Array
+    q: Array  # position, rad (m for a slide joint)
+    v: Array  # velocity, rad/s
+    a: Array  # acceleration, rad/s^2
+    v_tick: Array  # the sampled velocity, rad/s
+    a_tick: Array  # the forward difference of v_tick, rad/s^2
 
     @classmethod
     def of(cls, trajectory: Trajectory, dt: float, ticks: int, continuous: bool = False) -> TickReference:

@@ -19,19 +19,12 @@ _STOP_MARGIN = 1e-3  # of the range of a joint
 
 @dataclass(frozen=True)
 class ActionMode:
-    """How the controller uses an action, whose numbers are in [-1, 1].
+    """How the controller uses an action, whose numbers are in [-1, 1]."""
 
-    Attributes:
-        kind: What the compiled step calls it.
-        joint_scale: Fraction of the way at full speed that a full action moves the target of a joint in a step.
-        position_scale: m, of a full action.
-        rotation_scale: rad, of a full action.
-    """
-
-    kind: _core.ActionMode
-    joint_scale: float = 0.5
-    position_scale: float = 0.0
-    rotation_scale: float = 0.0
+    kind: _core.ActionMode  # what the compiled step calls it
+    joint_scale: float = 0.5  # fraction of the way at full speed that a full action moves the target of a joint in a step
+    position_scale: float = 0.0  # m, of a full action
+    rotation_scale: float = 0.0  # rad, of a full action
 
     def size(self, arm: Arm) -> int:
         """The numbers of an action: one a joint, or 6 of the tip (3 where the arm has fewer than 6 joints)."""

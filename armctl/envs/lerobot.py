@@ -38,15 +38,10 @@ Statistics = dict[str, NDArray[Any]]
 
 
 class Feature(NamedTuple):
-    """A quantity of each frame.
+    """A quantity of each frame."""
 
-    Attributes:
-        dtype: "float32", "int64" or "bool".
-        names: Of its numbers; None for a single number.
-    """
-
-    dtype: str
-    names: Sequence[str] | None = None
+    dtype: str  # "float32", "int64" or "bool"
+    names: Sequence[str] | None = None  # of its numbers; None for a single number
 
     def info(self) -> dict[str, Any]:
         """The feature in `info.json`."""
@@ -58,12 +53,7 @@ class Feature(NamedTuple):
 
 
 class LeRobotWriter:
-    """Writes a data set episode by episode; `finish` writes what describes it.
-
-    Attributes:
-        episodes: Episodes so far.
-        frames: Frames so far.
-    """
+    """Writes a data set episode by episode; `finish` writes what describes it."""
 
     def __init__(
         self, folder: Path, *, frames_per_second: int, robot: str, features: Mapping[str, Feature], size: tuple[int, int] | None
@@ -90,8 +80,8 @@ class LeRobotWriter:
                 import av  # noqa: F401
             except ImportError:
                 raise NotInstalledError.of_extra("films of episodes need an encoder", "view") from None
-        self.episodes = 0
-        self.frames = 0
+        self.episodes = 0  # episodes so far
+        self.frames = 0  # frames so far
         self._folder = folder
         self._rate = frames_per_second
         self._robot = robot

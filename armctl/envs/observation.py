@@ -18,10 +18,6 @@ class Observer:
     An observation has the positions and velocities of the joints, how far their targets are, the tip, what belongs to the task
     (opening of the gripper; object, its vertical axis, its velocity, and the vector to it from the tip; obstacle and the vector
     to it; velocity of the goal), the goal, and the vector from the controlled point to the goal.
-
-    Attributes:
-        columns: Where each quantity is.
-        size: The numbers of an observation.
     """
 
     def __init__(self, task: Task, rows: Rows):
@@ -42,8 +38,9 @@ class Observer:
             widths["goal_velocity"] = 3
         widths |= {"goal": 3, "to_goal": 3}
         ends = np.cumsum(list(widths.values())).tolist()
+        # Where each quantity is
         self.columns = {name: slice(end - width, end) for (name, width), end in zip(widths.items(), ends, strict=True)}
-        self.size: int = ends[-1]
+        self.size: int = ends[-1]  # the numbers of an observation
         self._achieved = self.columns["object" if task.object else "tip"]
         self._rows = rows
         self._numbers = np.zeros((rows.count, self.size))

@@ -19,30 +19,19 @@ _OF_OBJECT = ("object_size", "object_mass", "object_friction")
 
 
 class ObjectFactors(NamedTuple):
-    """How the loose object differs from its model.
+    """How the loose object differs from its model."""
 
-    Attributes:
-        object_size: Factor on its lengths.
-        object_mass: kg; None for that of the model.
-        object_friction: Coefficient of friction; None for that of the model.
-    """
-
-    object_size: float = 1.0
-    object_mass: float | None = None
-    object_friction: float | None = None
+    object_size: float = 1.0  # factor on its lengths
+    object_mass: float | None = None  # kg; None for that of the model
+    object_friction: float | None = None  # coefficient of friction; None for that of the model
 
 
 @dataclass(frozen=True)
 class Randomization:
-    """Ranges from which each episode draws.
+    """Ranges from which each episode draws."""
 
-    Attributes:
-        plant: Ranges of attributes of a plant.
-        object: Ranges of attributes of the loose object.
-    """
-
-    plant: Mapping[str, Range]
-    object: Mapping[str, Range]
+    plant: Mapping[str, Range]  # ranges of attributes of a plant
+    object: Mapping[str, Range]  # ranges of attributes of the loose object
 
     @classmethod
     def read(cls, ranges: object, *, has_object: bool) -> Randomization:

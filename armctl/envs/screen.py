@@ -17,15 +17,10 @@ RENDER_MODES = ("rgb_array", "human")
 
 
 class SceneState(NamedTuple):
-    """Where everything in a scene is.
+    """Where everything in a scene is."""
 
-    Attributes:
-        qpos: (nq,) positions.
-        mocap_pos: (nmocap, 3) m, of the marker of the goal and of the obstacle.
-    """
-
-    qpos: Array
-    mocap_pos: Array
+    qpos: Array  # (nq,) positions
+    mocap_pos: Array  # (nmocap, 3) m, of the marker of the goal and of the obstacle
 
 
 class Screen:

@@ -12,9 +12,6 @@ class Signals:
     """Noise of what is measured on several copies of an arm in the next step.
 
     The velocity is differenced from the measured positions, as that of `Plant` without a velocity sensor.
-
-    Attributes:
-        noise: (count, ticks, 2, n) rad and rad/s, on measured positions and velocities; empty if there is none.
     """
 
     def __init__(self, count: int, ticks: int, n: int, dt: float, *, is_noisy: bool):
@@ -26,6 +23,7 @@ class Signals:
             dt: s, the control period.
             is_noisy: Whether there will be noise.
         """
+        # (count, ticks, 2, n) rad and rad/s, on measured positions and velocities; empty if there is none
         self.noise = np.zeros((count if is_noisy else 0, ticks, 2, n))
         self._dt = dt
         self._deviation = np.zeros(count)

@@ -39,19 +39,12 @@ _MUJOCO_ERRORS = (ValueError, OSError, mujoco.FatalError, mujoco.UnexpectedError
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Where a robot's description is.
+    """Where a robot's description is."""
 
-    Attributes:
-        name: What the arm will be called.
-        path: Its MJCF or URDF file; None for a specification.
-        row: Its data-sheet row, or None.
-        spec: A specification that a caller gave; None for a file.
-    """
-
-    name: str
-    path: Path | None
-    row: Row | None = None
-    spec: mujoco.MjSpec | None = None
+    name: str  # what the arm will be called
+    path: Path | None  # its MJCF or URDF file; None for a specification
+    row: Row | None = None  # its data-sheet row, or None
+    spec: mujoco.MjSpec | None = None  # a specification that a caller gave; None for a file
 
     @cached_property
     def urdf(self) -> UrdfFile | None:

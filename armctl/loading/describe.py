@@ -22,44 +22,26 @@ from armctl.mjmodel.transmissions import Transmission, Transmissions
 
 @dataclass(frozen=True, eq=False)
 class ArmEnds:
-    """Where an arm begins and ends, as the caller names it.
+    """Where an arm begins and ends, as the caller names it."""
 
-    Attributes:
-        tip: The name of the site, body or geom at the end; None for the one that armctl finds.
-        base: The name of the body that the arm stands on; None for the world.
-        tip_offset: The tip in that element's frame; None for the frame itself.
-    """
-
-    tip: str | None = None
-    base: str | None = None
-    tip_offset: Pose | None = None
+    tip: str | None = None  # the name of the site, body or geom at the end; None for the one that armctl finds
+    base: str | None = None  # the name of the body that the arm stands on; None for the world
+    tip_offset: Pose | None = None  # the tip in that element's frame; None for the frame itself
 
 
 @dataclass(frozen=True, eq=False)
 class ArmPlan:
-    """What one arm of a model will be.
+    """What one arm of a model will be."""
 
-    Attributes:
-        joints: The joints from the base to the tip, without the springs of elastic joints.
-        transmissions: What moves each of its n joints.
-        dc_motors: The DC motor of each of them, or None.
-        tip: Its tip, in the body's number of the model that is described.
-        datasheet: Limits from a data sheet or a URDF, or None.
-        tau_max: (n,) N m.
-        tau_source: Where the torque limits come from.
-        notes: What had to be assumed, one sentence each.
-        quiet_notes: What needs no warning, one sentence each.
-    """
-
-    joints: Joints
-    transmissions: tuple[Transmission, ...]
-    dc_motors: tuple[DcMotor | None, ...]
-    tip: Tip
-    datasheet: JointData | None
-    tau_max: Array
-    tau_source: str
-    notes: tuple[str, ...]
-    quiet_notes: tuple[str, ...]
+    joints: Joints  # the joints from the base to the tip, without the springs of elastic joints
+    transmissions: tuple[Transmission, ...]  # what moves each of its n joints
+    dc_motors: tuple[DcMotor | None, ...]  # the DC motor of each of them, or None
+    tip: Tip  # its tip, in the body's number of the model that is described
+    datasheet: JointData | None  # limits from a data sheet or a URDF, or None
+    tau_max: Array  # (n,) N m
+    tau_source: str  # where the torque limits come from
+    notes: tuple[str, ...]  # what had to be assumed, one sentence each
+    quiet_notes: tuple[str, ...]  # what needs no warning, one sentence each
 
     def with_tip_body(self, body: int) -> ArmPlan:
         """The same plan for a model in which the tip's body has another number."""

@@ -26,36 +26,22 @@ _TORQUE_SAMPLES = 50  # configurations in which gravity is evaluated
 
 @dataclass(frozen=True)
 class JointData:
-    """Limits of joints that the compiled model does not contain: from a data sheet or a URDF.
+    """Limits of joints that the compiled model does not contain: from a data sheet or a URDF."""
 
-    Attributes:
-        source: Where they are published.
-        v_max: (n,) rad/s, or None.
-        a_max: (n,) rad/s^2, or None.
-        j_max: (n,) rad/s^3, or None.
-        tau_max: (n,) N m, or None.
-    """
-
-    source: str
-    v_max: Array | None = None
-    a_max: Array | None = None
-    j_max: Array | None = None
-    tau_max: Array | None = None
+    source: str  # where they are published
+    v_max: Array | None = None  # (n,) rad/s, or None
+    a_max: Array | None = None  # (n,) rad/s^2, or None
+    j_max: Array | None = None  # (n,) rad/s^3, or None
+    tau_max: Array | None = None  # (n,) N m, or None
 
 
 @dataclass(frozen=True)
 class TorqueLimits:
-    """The torque limits of an arm.
+    """The torque limits of an arm."""
 
-    Attributes:
-        tau_max: (n,) N m.
-        source: Where they come from.
-        notes: The assumptions made, one sentence each.
-    """
-
-    tau_max: Array
-    source: str
-    notes: tuple[str, ...]
+    tau_max: Array  # (n,) N m
+    source: str  # where they come from
+    notes: tuple[str, ...]  # the assumptions made, one sentence each
 
 
 def datasheet_limits(row: Row | None, n: int) -> JointData | None:

@@ -23,18 +23,12 @@ _MAX_NAMES_CHARACTERS = 200  # of links in a note
 
 @dataclass(frozen=True, eq=False)
 class PreparedModel:
-    """A model with torque motors.
-
-    Attributes:
-        plans: The arms; their bodies are numbered as in this model.
-        notes: What was changed besides the motors, one sentence each; they are reported as warnings.
-        quiet_notes: Changes that need no warning, one sentence each.
-    """
+    """A model with torque motors."""
 
     model: mujoco.MjModel
-    plans: tuple[ArmPlan, ...]
-    notes: tuple[str, ...]
-    quiet_notes: tuple[str, ...]
+    plans: tuple[ArmPlan, ...]  # the arms; their bodies are numbered as in this model
+    notes: tuple[str, ...]  # what was changed besides the motors, one sentence each; they are reported as warnings
+    quiet_notes: tuple[str, ...]  # changes that need no warning, one sentence each
 
 
 def make_arm_model(

@@ -26,11 +26,7 @@ _DEFAULT = mujoco.MjSpec().default.geom
 
 
 class SceneFile:
-    """The bodies, geoms and joints of an MJCF file; what has a free joint is loose.
-
-    Attributes:
-        is_loose: Whether anything in it is loose.
-    """
+    """The bodies, geoms and joints of an MJCF file; what has a free joint is loose."""
 
     def __init__(self, path: str | os.PathLike[str]):
         """Reads a scene.
@@ -54,7 +50,7 @@ class SceneFile:
             what = f"the actuator {actuator_name(model, 0)!r}" if model.nactuator else "a tendon"
             raise ModelError(f"scene: {path} has {what}, so it is a robot; a scene has only bodies, geoms and joints")
         self.bodies = [body.name for body in self._spec.bodies[1:] if body.name]
-        self.is_loose = bool((model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).any())
+        self.is_loose = bool((model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).any())  # whether anything in it is loose
 
     def build(self, spec: mujoco.MjSpec, contact: Mapping[str, object]) -> None:
         """Adds everything in it to a specification, except options, sensors and keyframes: the robot's are used.

@@ -23,17 +23,12 @@ _QPOS_SIZES = {mujoco.mjtJoint.mjJNT_FREE: 7, mujoco.mjtJoint.mjJNT_BALL: 4}
 
 @dataclass(frozen=True, eq=False)
 class Srdf:
-    """What an SRDF says about a robot.
-
-    Attributes:
-        disabled: The pairs of links whose contacts are switched off, each sorted by name.
-        groups: The base link and the tip link of each group that is a chain.
-        states: Positions of joints, rad or m, in each named state; those of several groups are merged.
-    """
+    """What an SRDF says about a robot."""
 
     path: Path
-    disabled: frozenset[tuple[str, str]]
-    groups: dict[str, tuple[str, str]]
+    disabled: frozenset[tuple[str, str]]  # the pairs of links whose contacts are switched off, each sorted by name
+    groups: dict[str, tuple[str, str]]  # the base link and the tip link of each group that is a chain
+    # Positions of joints, rad or m, in each named state; those of several groups are merged
     states: dict[str, dict[str, float]]
 
     @property

@@ -19,19 +19,12 @@ _ZERO_INERTIA = {"ixx": "0", "ixy": "0", "ixz": "0", "iyy": "0", "iyz": "0", "iz
 
 @dataclass(frozen=True, eq=False)
 class UrdfFile:
-    """A URDF as XML.
+    """A URDF as XML."""
 
-    Attributes:
-        path: The file; its meshes are searched from here.
-        root: The element <robot>, with xacro expanded. Prefixes are part of the names.
-        text: What MuJoCo reads instead of the file; None if it can read the file itself.
-        notes: What was changed in the text, one sentence each.
-    """
-
-    path: Path
-    root: ElementTree.Element
-    text: str | None = None
-    notes: tuple[str, ...] = ()
+    path: Path  # the file; its meshes are searched from here
+    root: ElementTree.Element  # the element <robot>, with xacro expanded. Prefixes are part of the names.
+    text: str | None = None  # what MuJoCo reads instead of the file; None if it can read the file itself
+    notes: tuple[str, ...] = ()  # what was changed in the text, one sentence each
 
 
 def is_urdf(path: Path) -> bool:

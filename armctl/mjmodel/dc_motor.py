@@ -29,20 +29,13 @@ _NO_STIFFNESS = 1e-30  # of bristles; MuJoCo requires a number above 0 where the
 
 @dataclass(frozen=True)
 class DcMotor:
-    """A motor with a winding, seen from its joint. It gives the torque |tau + tau_stall v / v_no_load| <= tau_stall.
+    """A motor with a winding, seen from its joint. It gives the torque |tau + tau_stall v / v_no_load| <= tau_stall."""
 
-    Attributes:
-        actuator: Its number.
-        voltage: V, the greatest one at its terminals; infinite if nothing limits it.
-        stall_torque: N m, at rest and full voltage.
-        no_load_speed: rad/s, at full voltage without a load.
-        features: What else the file gives it, one phrase each: it acts in simulation, and no controller models it.
-    """
-
-    actuator: int
-    voltage: float
-    stall_torque: float
-    no_load_speed: float
+    actuator: int  # its number
+    voltage: float  # V, the greatest one at its terminals; infinite if nothing limits it
+    stall_torque: float  # N m, at rest and full voltage
+    no_load_speed: float  # rad/s, at full voltage without a load
+    # What else the file gives it, one phrase each: it acts in simulation, and no controller models it
     features: tuple[str, ...]
 
 

@@ -71,17 +71,11 @@ class Via:
 
 
 class SectionLimits(NamedTuple):
-    """Checked limits of a section.
+    """Checked limits of a section."""
 
-    Attributes:
-        speed: Fraction of the planned speed.
-        acceleration: Fraction of the acceleration limits.
-        payload: kg.
-    """
-
-    speed: float
-    acceleration: float
-    payload: float
+    speed: float  # fraction of the planned speed
+    acceleration: float  # fraction of the acceleration limits
+    payload: float  # kg
 
 
 NO_LIMITS = SectionLimits(1.0, 1.0, 0.0)

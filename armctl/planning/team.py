@@ -32,24 +32,15 @@ _MAX_STRETCHES = 60
 
 @dataclass(frozen=True, eq=False)
 class ArmGroup:
-    """Several arms as one: their joints one after another. It has what planning needs of an Arm.
-
-    Attributes:
-        joint_names: The N joints.
-        joint_map: How they move all joints that are coupled to them.
-        limits: Their limits.
-        units: What each is measured in.
-        home: (N,) rad.
-        home_qpos: (nq,) the whole model at home.
-    """
+    """Several arms as one: their joints one after another. It has what planning needs of an Arm."""
 
     model: mujoco.MjModel
-    joint_names: tuple[str, ...]
-    joint_map: JointMap
-    limits: Limits
-    units: tuple[str, ...]
-    home: Array
-    home_qpos: Array
+    joint_names: tuple[str, ...]  # the N joints
+    joint_map: JointMap  # how they move all joints that are coupled to them
+    limits: Limits  # their limits
+    units: tuple[str, ...]  # what each is measured in
+    home: Array  # (N,) rad
+    home_qpos: Array  # (nq,) the whole model at home
 
     @classmethod
     def of(cls, arms: Sequence[Arm], speed: float = 1.0) -> ArmGroup:

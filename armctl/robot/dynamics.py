@@ -27,14 +27,10 @@ class Integrator:
     """Which forces MuJoCo's integrator evaluates at the velocity at the end of a step.
 
     Source: MuJoCo documentation, Computation, "Numerical integration".
-
-    Attributes:
-        implicit_damping: Joint damping: Euler (unless `eulerdamp` is disabled), implicitfast and implicit.
-        implicit_coriolis: Coriolis and centrifugal forces: implicit.
     """
 
-    implicit_damping: bool
-    implicit_coriolis: bool
+    implicit_damping: bool  # joint damping: Euler (unless `eulerdamp` is disabled), implicitfast and implicit
+    implicit_coriolis: bool  # coriolis and centrifugal forces: implicit
 
     @classmethod
     def of(cls, model: mujoco.MjModel) -> Integrator:
@@ -61,11 +57,6 @@ class Dynamics:
     """The equations of motion of an arm; everything outside its chain stands still.
 
     An object has its own scratch memory: use it in one thread at a time.
-
-    Attributes:
-        damping: (n,) N m s/rad, linear viscous damping of the joints.
-        friction_loss: (n,) N m, dry friction of the joints.
-        has_friction: Whether any joint has dry friction.
     """
 
     def __init__(self, model: mujoco.MjModel, pinocchio_model: PinocchioModel):
@@ -83,9 +74,9 @@ class Dynamics:
         self._is_damped = passive.is_damped
         self._has_nonlinear_damping = passive.has_nonlinear_damping
         self._dry_friction = DryFriction.of(model, joint_map)
-        self.damping = passive.damping
-        self.friction_loss = self._dry_friction.loss
-        self.has_friction = bool(self.friction_loss.any())
+        self.damping = passive.damping  # (n,) N m s/rad, linear viscous damping of the joints
+        self.friction_loss = self._dry_friction.loss  # (n,) N m, dry friction of the joints
+        self.has_friction = bool(self.friction_loss.any())  # whether any joint has dry friction
         self._model = pinocchio_model.pin_model
         self._data = self._model.createData()
         # In LOCAL, the faster one, Pinocchio adds mimic joints to what an earlier call left behind.

@@ -19,22 +19,14 @@ class JointMap:
     """All m joints that an arm moves: the chain's, from the base to the tip, then those outside it that follow one of these.
 
     Their positions are `ratio @ q + offset`, of the arm's n. In a plain chain no joint follows another, and m = n.
-
-    Attributes:
-        joints: Their numbers.
-        leaders: Which of them the arm's n are.
-        ratio: (m, n).
-        offset: (m,) rad.
-        qpos_adr: (m,) where they are in `MjData.qpos`.
-        dof_adr: (m,) where they are in `MjData.qvel`.
     """
 
-    joints: Joints
-    leaders: IntArray
-    ratio: Array
-    offset: Array
-    qpos_adr: IntArray
-    dof_adr: IntArray
+    joints: Joints  # their numbers
+    leaders: IntArray  # which of them the arm's n are
+    ratio: Array  # (m, n)
+    offset: Array  # (m,) rad
+    qpos_adr: IntArray  # (m,) where they are in `MjData.qpos`
+    dof_adr: IntArray  # (m,) where they are in `MjData.qvel`
 
     @property
     def is_plain(self) -> bool:

@@ -34,25 +34,17 @@ class _Memory(threading.local):
 
 @dataclass(frozen=True, eq=False)
 class PinocchioModel:
-    """Kinematics and inertia of a chain of k joints, moved by an arm's n, and the tip behind the last of them.
+    """Kinematics and inertia of a chain of k joints, moved by an arm's n, and the tip behind the last of them."""
 
-    Attributes:
-        joint_map: How the n move the chain's joints, and what else; k = n where no joint follows another.
-        pin_model: The Pinocchio model; its frame `tip_frame` is the tip.
-        tip_frame: Index of the tip's frame.
-        placements: (k, 4, 4), each joint's frame at zero in the frame of the joint before it (the first one's in the world).
-        is_slide: (k,) bool, True where the joint slides along its z axis instead of turning about it.
-        T_last_tip: (4, 4), the tip in the last joint's frame.
-        gravity_support: A second Pinocchio model that carries only what gravity compensation in the MuJoCo model lifts
-            (`gravcomp`), or None where nothing is lifted.
-    """
-
-    joint_map: JointMap
-    pin_model: pin.Model
-    tip_frame: int
+    joint_map: JointMap  # how the n move the chain's joints, and what else; k = n where no joint follows another
+    pin_model: pin.Model  # the Pinocchio model; its frame `tip_frame` is the tip
+    tip_frame: int  # index of the tip's frame
+    # (k, 4, 4), each joint's frame at zero in the frame of the joint before it (the first one's in the world)
     placements: Array
-    is_slide: BoolArray
-    T_last_tip: Array
+    is_slide: BoolArray  # (k,) bool, True where the joint slides along its z axis instead of turning about it
+    T_last_tip: Array  # (4, 4), the tip in the last joint's frame
+    # A second Pinocchio model that carries only what gravity compensation in the MuJoCo model lifts (`gravcomp`), or None where
+    # nothing is lifted
     gravity_support: pin.Model | None
 
     @property

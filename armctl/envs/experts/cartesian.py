@@ -19,14 +19,10 @@ _MAX_TURN = 0.5  # rad, of a joint in a step: more is another branch of the kine
 
 
 class CartesianExpert(Expert):
-    """A policy that commands positions of the end of the tool.
-
-    Attributes:
-        position: (3,) m, the commanded position.
-    """
+    """A policy that commands positions of the end of the tool."""
 
     table: Table
-    position: Array
+    position: Array  # (3,) m, the commanded position
 
     def __init__(self, batch: Batch, row: int):
         """A policy that waits for the start of an episode."""

@@ -16,23 +16,14 @@ ACTIONS = ("joint_target", "joint_delta", "cartesian_delta")
 
 
 class Command(NamedTuple):
-    """What an expert wants at the end of the next step.
+    """What an expert wants at the end of the next step."""
 
-    Attributes:
-        q: (n,) rad, the targets of the joints.
-        opening: Of the gripper, from closed (0) to open (1).
-    """
-
-    q: Array
-    opening: float = 1.0
+    q: Array  # (n,) rad, the targets of the joints
+    opening: float = 1.0  # of the gripper, from closed (0) to open (1)
 
 
 class Expert(ABC):
-    """A scripted policy of one row of a batch. A subclass is one file and one row of `EXPERTS`.
-
-    Attributes:
-        row: Which row.
-    """
+    """A scripted policy of one row of a batch. A subclass is one file and one row of `EXPERTS`."""
 
     def __init__(self, batch: Batch, row: int):
         """A policy that waits for the start of an episode.
@@ -44,7 +35,7 @@ class Expert(ABC):
             InputError: The actions of the batch are not those of experts.
         """
         self.batch = batch
-        self.row = row
+        self.row = row  # which row
         self.arm = batch.arm
         if batch.action not in ACTIONS:
             raise InputError(f"action: experts act by {', '.join(ACTIONS)}, and the environment takes {batch.action}")

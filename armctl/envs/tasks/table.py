@@ -38,27 +38,16 @@ _MAX_SCENES = 8  # that are built to look for contacts
 
 
 class Table(NamedTuple):
-    """A table in front of an arm.
+    """A table in front of an arm."""
 
-    Attributes:
-        center: (3,) m, of the area, on top of the table.
-        radius: m, of the area.
-        low: m, height of the end of the tool above the table when it works there.
-        lift: m, height of the end of the tool above the table when it moves.
-        tool: The tool, which points down.
-        tilt: rad, by which it points away from the base.
-        base: (2,) m, the place of the first joint.
-        q: (n,) rad, with the end of the tool above the center at its greatest height.
-    """
-
-    center: Array
-    radius: float
-    low: float
-    lift: float
-    tool: Tool
-    tilt: float
-    base: Array
-    q: Array
+    center: Array  # (3,) m, of the area, on top of the table
+    radius: float  # m, of the area
+    low: float  # m, height of the end of the tool above the table when it works there
+    lift: float  # m, height of the end of the tool above the table when it moves
+    tool: Tool  # the tool, which points down
+    tilt: float  # rad, by which it points away from the base
+    base: Array  # (2,) m, the place of the first joint
+    q: Array  # (n,) rad, with the end of the tool above the center at its greatest height
 
     def place(self, rng: np.random.Generator, height: float) -> Array:
         """(3,) m, a random point of the area, at a height above the table."""
@@ -79,19 +68,12 @@ class Table(NamedTuple):
 
 
 class Cylinder(NamedTuple):
-    """An upright cylinder.
+    """An upright cylinder."""
 
-    Attributes:
-        radius: m.
-        height: m.
-        mass: kg.
-        friction: Coefficient of friction, with everything.
-    """
-
-    radius: float
-    height: float
-    mass: float
-    friction: float
+    radius: float  # m
+    height: float  # m
+    mass: float  # kg
+    friction: float  # coefficient of friction, with everything
 
 
 class _SceneWithCylinder(Scene):

@@ -24,19 +24,12 @@ _MAX_DISTANCE = 1.0  # m, up to which the distance of jaws is computed
 
 
 class Tool(NamedTuple):
-    """The end of an arm.
+    """The end of an arm."""
 
-    Attributes:
-        axis: "x", "y" or "z": the axis of the tip along which the tool points.
-        sign: 1 or -1, the direction on it.
-        overhang: m, how far the tool extends beyond the tip.
-        radius: m, how far the end of the tool extends to the sides of the tip.
-    """
-
-    axis: str
-    sign: float
-    overhang: float
-    radius: float
+    axis: str  # "x", "y" or "z": the axis of the tip along which the tool points
+    sign: float  # 1 or -1, the direction on it
+    overhang: float  # m, how far the tool extends beyond the tip
+    radius: float  # m, how far the end of the tool extends to the sides of the tip
 
     @property
     def end(self) -> Array:

@@ -29,17 +29,11 @@ _PLOT_SAMPLES = 1000
 
 @dataclass(frozen=True)
 class Slowdown:
-    """Where the motors made a motion slower than its limits on speed, acceleration and jerk allow.
+    """Where the motors made a motion slower than its limits on speed, acceleration and jerk allow."""
 
-    Attributes:
-        factor: How many times longer the motion takes.
-        joint: The joint that would have needed the largest share of its torque limit.
-        torque_ratio: That share.
-    """
-
-    factor: float
-    joint: str
-    torque_ratio: float
+    factor: float  # how many times longer the motion takes
+    joint: str  # the joint that would have needed the largest share of its torque limit
+    torque_ratio: float  # that share
 
     def __str__(self) -> str:
         return f"{self.factor:.3f} times longer, since {self.joint} would need {100 * self.torque_ratio:.0f} % of its torque"

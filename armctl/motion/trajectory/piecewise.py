@@ -15,15 +15,10 @@ _JOIN_TOLERANCE = 1e-6  # relative to a value of at least 1; generous, because a
 
 
 class Pieces(NamedTuple):
-    """Polynomials over time: q(t) = sum over i of coefficients[k, i] (t - knots[k])^i in piece k.
+    """Polynomials over time: q(t) = sum over i of coefficients[k, i] (t - knots[k])^i in piece k."""
 
-    Attributes:
-        knots: (m + 1,) s, from 0.
-        coefficients: (m, 6, n).
-    """
-
-    knots: Array
-    coefficients: Array
+    knots: Array  # (m + 1,) s, from 0
+    coefficients: Array  # (m, 6, n)
 
 
 class Samples(NamedTuple):
