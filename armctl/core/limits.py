@@ -158,15 +158,10 @@ def check_speed(speed: float) -> float:
 def smallest_configuration(
     limits: Limits, score: Callable[[Array], float], starts: Sequence[Array], steps: int, rng: np.random.Generator
 ) -> Array:
-    """The configuration with the smallest score that random steps find, without gradients.
+    """The configuration (n,) rad with the smallest score that random steps find, without gradients.
 
-    An evolution strategy of one parent and one child from each start (Rechenberg, Evolutionsstrategie, 1973).
-
-    Args:
-        limits: Of the configurations.
-        score: A figure of a configuration (n,) rad; one that is not finite is no improvement.
-        starts: Configurations, rad.
-        steps: Evaluations per start, besides that of the start.
+    An evolution strategy of one parent and one child from each start, with so many steps (Rechenberg, Evolutionsstrategie,
+    1973). A score that is not finite is no improvement.
     """
     width = np.minimum(limits.q_max - limits.q_min, 2 * np.pi)
     low = limits.q_min + _DISTANCE_FROM_LIMITS * width

@@ -59,15 +59,7 @@ class Recording:
 
 
 def read_recording(path: str | os.PathLike[str], columns: Columns | None, units: Units | None) -> Recording:
-    """Reads a CSV file of a real robot.
-
-    Args:
-        columns: The names of the columns of "t", "q" and "tau"; see `Log.from_csv`.
-        units: The units of "t", "q" and "tau"; those of "q" and "tau" may be lists of one unit per joint.
-
-    Raises:
-        InputError: The file cannot be read, a column is missing, or the numbers are no recording.
-    """
+    """Reads a recording; `Log.from_csv` explains the columns and the units. InputError if it is none."""
     path = file_path("path", path)
     wanted = _merged("columns", columns, _DEFAULT_COLUMNS)
     of_units = _checked_units(units)

@@ -25,12 +25,7 @@ class Table:
         return self._formatted("github", [[_one_line(cell).replace("|", r"\|") for cell in row] for row in self._lines()])
 
     def text(self, width: int = TERMINAL_COLUMNS, keys: int = 1) -> str:
-        """The table for a terminal. One that is wider continues below, with its first columns repeated.
-
-        Args:
-            width: Characters in a line.
-            keys: How many columns are repeated.
-        """
+        """The table for a terminal. One that is wider continues below, with its first columns (`keys` of them) repeated."""
         lines = [[_one_line(cell) for cell in row] for row in self._lines()]
         columns = [[_wrapped(row[i], k == 0, lines, i) for k, row in enumerate(lines)] for i in range(len(self.header))]
         widths = [max(len(line) for cell in column for line in cell) for column in columns]
@@ -42,11 +37,7 @@ class Table:
         return "\n\n".join(_block(columns, widths, block) for block in blocks)
 
     def html(self, marked: Collection[tuple[int, int]] = ()) -> str:
-        """The table as an HTML element; special characters are escaped.
-
-        Args:
-            marked: Row and column, from 0, of cells that are highlighted.
-        """
+        """The table as an HTML element; special characters are escaped, cells (row, column from 0) in `marked` highlighted."""
         lines = [[html.escape(_one_line(cell)) for cell in row] for row in self._lines()]
         for row, column in marked:
             lines[row + 1][column] = f"<mark>{lines[row + 1][column]}</mark>"

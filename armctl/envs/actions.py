@@ -43,12 +43,10 @@ ACTION_MODES = {
 
 
 def target_limits(arm: Arm) -> Limits:
-    """The limits of an arm, with finite positions for joint targets.
+    """The limits of an arm, with finite positions for joint targets; InputError if a joint lacks another one.
 
-    Targets keep a thousandth of a joint's range away from its stops; those of a joint without stops stay within a turn of home.
-
-    Raises:
-        InputError: A joint has no limit of its speed, acceleration or torque.
+    Targets keep a thousandth of a joint's range away from its stops; those of a joint without stops stay within a turn of
+    home.
     """
     limits = arm.limits
     for what in ("v_max", "a_max", "tau_max"):
@@ -61,9 +59,5 @@ def target_limits(arm: Arm) -> Limits:
 
 
 def read_mode(action: object) -> ActionMode:
-    """The mode of a name.
-
-    Raises:
-        InputError: There is no such mode.
-    """
+    """The mode of a name; InputError if there is none."""
     return ACTION_MODES[choice("action", action, ACTION_MODES)]

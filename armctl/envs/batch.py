@@ -78,11 +78,7 @@ class Batch:
         self._goal_velocity = np.zeros((count, 3))
 
     def reset(self, which: Iterable[int], rngs: Iterable[np.random.Generator]) -> None:
-        """Starts new episodes.
-
-        Args:
-            rngs: For each of them, what everything is drawn from.
-        """
+        """Starts new episodes; everything of each is drawn from its generator."""
         chosen = []
         for row, rng in zip(which, rngs, strict=True):
             episode = self.task.draw(rng)
@@ -99,14 +95,7 @@ class Batch:
         self._move_goals()
 
     def step(self, actions: Any) -> None:
-        """Steps all episodes.
-
-        Args:
-            actions: (count, k) in [-1, 1].
-
-        Raises:
-            InputError: The actions have another shape, or one of them is not a number.
-        """
+        """Steps all episodes by actions (count, k) in [-1, 1]; InputError if they are something else."""
         given = as_array("action", actions)
         if given.shape != self.rows.action.shape:
             raise InputError(f"action: expected shape {self.rows.action.shape}, got {given.shape}")
@@ -138,13 +127,8 @@ class Batch:
     def reward(self, achieved: Any, desired: Any, info: Any) -> NDArray[np.floating]:
         """Rewards of goals (..., 3) that were achieved and desired, for hindsight replay.
 
-        Args:
-            achieved: (..., 3) m.
-            desired: (..., 3) m.
-            info: The information of the steps, which says whether the obstacle was touched: a dictionary, or one for each.
-
-        Raises:
-            InputError: The goals have another shape, or the information is of another kind.
+        `info` says whether the obstacle was touched: the dictionary of a step, or one for each goal. InputError if it
+        does not fit.
         """
         goals = (as_array("achieved_goal", achieved), as_array("desired_goal", desired))
         for name, goal in zip(("achieved_goal", "desired_goal"), goals, strict=True):

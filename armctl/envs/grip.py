@@ -35,14 +35,7 @@ class Grip(NamedTuple):
 
 
 def find_grip(arm: Arm) -> Grip:
-    """The gripper behind an arm's tip.
-
-    Returns:
-        The gripper, with the states that a simulation finds.
-
-    Raises:
-        ModelError: Nothing moves behind the tip, or it is a hand of many actuators.
-    """
+    """The gripper behind an arm's tip; ModelError if nothing moves there, or a hand of many actuators."""
     gripper = find_gripper_model(arm)
     actuators = list(gripper.actuators)
     indices = np.array([arm.model.actuator_ctrladr[actuators], actuators], np.int64)

@@ -58,17 +58,9 @@ class LeRobotWriter:
     def __init__(
         self, folder: Path, *, frames_per_second: int, robot: str, features: Mapping[str, Feature], size: tuple[int, int] | None
     ):
-        """A data set without episodes.
+        """A data set without episodes in an existing folder; `size` is that of the pictures, None without pictures.
 
-        Args:
-            folder: Where it is written; the folder exists.
-            frames_per_second: 1/s.
-            robot: What moves.
-            features: What each frame has, by name, besides pictures and indices.
-            size: Width and height of the pictures; None without pictures.
-
-        Raises:
-            NotInstalledError: Packages for Parquet or films are missing.
+        NotInstalledError if packages for Parquet or films are missing.
         """
         try:
             import pandas  # noqa: F401
@@ -99,13 +91,7 @@ class LeRobotWriter:
         self._video_frames = 0
 
     def add(self, task: str, values: Mapping[str, NDArray[Any]], images: Iterable[Image] = ()) -> None:
-        """Adds an episode.
-
-        Args:
-            task: What is done, in words.
-            values: (k, size) or (k,) of each feature.
-            images: k pictures, if the data set has them.
-        """
+        """Adds an episode of a task, in words: values (k, size) or (k,) of each feature, and k pictures if there are any."""
         if task not in self._tasks:
             self._tasks.append(task)
         length = len(next(iter(values.values())))

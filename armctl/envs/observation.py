@@ -21,11 +21,7 @@ class Observer:
     """
 
     def __init__(self, task: Task, rows: Rows):
-        """Observations of a task.
-
-        Args:
-            rows: What is observed.
-        """
+        """Observations of a task."""
         n = task.arm.n
         widths = {"q": n, "v": n, "to_target": n, "tip": 3}
         if task.uses_gripper:
@@ -47,13 +43,7 @@ class Observer:
         self._parts = {name: self._numbers[:, columns] for name, columns in self.columns.items()}
 
     def observe(self, goal: Array, goal_velocity: Array, obstacle: Array) -> Observations:
-        """(count, size) the observations now, as a new array.
-
-        Args:
-            goal: (count, 3) m.
-            goal_velocity: (count, 3) m/s, observed if goals move.
-            obstacle: (count, 3) m, observed if there is one.
-        """
+        """(count, size) the observations now, as a new array, with goals, their velocities and obstacles (count, 3) each."""
         rows = self._rows
         parts = self._parts
         tip = rows.tip[:, :3]

@@ -35,16 +35,7 @@ class Randomization:
 
     @classmethod
     def read(cls, ranges: object, *, has_object: bool) -> Randomization:
-        """Ranges as a caller gave them.
-
-        Args:
-            ranges: A mapping from names to ranges, or None.
-            has_object: Whether there is a loose object.
-
-        Raises:
-            InputError: It is no mapping, a value is no Range, or an attribute cannot vary here.
-            UnknownNameError: There is no such attribute.
-        """
+        """Ranges from a caller's mapping or None, checked: for the plant, and for the loose object if there is one."""
         instance("randomize", {} if ranges is None else ranges, Mapping, "{'payload': armctl.Range(0.0, 0.5)} is one")
         given: dict[str, Range] = dict(cast(Mapping[str, Range], ranges or {}))
         allowed = (*_OF_PLANT, *(_OF_OBJECT if has_object else ()))

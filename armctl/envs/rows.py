@@ -41,18 +41,7 @@ class Rows:
         has_contacts: bool,
         randomization: Randomization,
     ):
-        """Copies of an arm at home.
-
-        Args:
-            task: The task, whose arm it is.
-            mode: What the actions mean.
-            ticks: Control periods in a step.
-            has_contacts: Whether contacts are simulated.
-            randomization: What will vary.
-
-        Raises:
-            UnknownNameError: There is no such controller.
-        """
+        """Copies of an arm at home; UnknownNameError if there is no such controller."""
         arm = task.arm
         n = arm.n
         self.arm = arm  # the model of the controllers
@@ -87,12 +76,7 @@ class Rows:
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
     def step(self) -> None:
-        """Steps all copies by their actions.
-
-        Raises:
-            InputError: Another thread steps them.
-            SimulationError: MuJoCo could not make a step.
-        """
+        """Steps all copies by their actions; SimulationError if MuJoCo could not make a step."""
         self.signals.draw()
         if self._pool is None:
             errors = [self._core.step(0, self.count)]
@@ -104,15 +88,7 @@ class Rows:
     def reset(
         self, row: int, episode: Episode, plant: Plant | None, factors: ObjectFactors | None, rng: np.random.Generator
     ) -> None:
-        """Starts an episode of a copy, at rest.
-
-        Args:
-            row: Which copy.
-            episode: Where everything is.
-            plant: How it differs from the model from now on; None leaves it as it is.
-            factors: How the loose object differs; None leaves it as it is.
-            rng: What the noise is drawn from.
-        """
+        """Starts an episode of a copy, at rest; a plant or factors of the object that are None stay as they are."""
         self.q[row] = episode.q
         self.v[row] = 0.0
         self.target[row] = episode.q
@@ -127,14 +103,7 @@ class Rows:
         self._core.restart(row, (plant or NOMINAL).delay)
 
     def rehearse(self, action: Array, target: Array, q_ref: Array, v_ref: Array) -> None:
-        """Moves the targets and the references of the joints as a step does; the arms stay where they are.
-
-        Args:
-            action: (k,) of the arm.
-            target: (n,) rad, changed.
-            q_ref: (n,) rad, the positions of the reference; changed.
-            v_ref: (n,) rad/s, its velocities; changed.
-        """
+        """Changes targets and references (n,) of the joints as a step with an action does; the arms stay where they are."""
         self._core.rehearse(np.ascontiguousarray(action, dtype=np.float64), target, q_ref, v_ref)
 
     def find_tips(self, rows: Sequence[int] | IntArray) -> None:

@@ -431,9 +431,5 @@ class Arm:
 
 
 def check_arm(arm: object) -> None:
-    """Checks that an argument is an arm.
-
-    Raises:
-        InputError: It is something else, such as a name.
-    """
+    """Raises InputError if an argument is not an arm."""
     instance("arm", arm, Arm, f"armctl.load({arm if isinstance(arm, str) else 'panda'!r}) returns one")

@@ -60,12 +60,7 @@ class Dynamics:
     """
 
     def __init__(self, model: mujoco.MjModel, pinocchio_model: PinocchioModel):
-        """The dynamics of an arm.
-
-        Args:
-            model: The compiled MuJoCo model, `arm.model`.
-            pinocchio_model: The arm's Pinocchio model, `arm.pinocchio_model`.
-        """
+        """The dynamics of an arm with this model and Pinocchio model."""
         joint_map = pinocchio_model.joint_map
         passive = PassiveForces(model, joint_map)
         integrator = Integrator.of(model)
@@ -146,15 +141,10 @@ class Dynamics:
         return self._solve_mass_matrix(q, tau - self.inverse_dynamics(q, v, np.zeros_like(v)))
 
     def payload_regressor(self, q: Array, v: Array, a: Array) -> Array:
-        """The torques of a point mass at the tip, linear in its mass m and first moment m c in the tip's frame.
+        """(n, 4): `regressor @ [m, m cx, m cy, m cz]` is the torque of a point mass m at c in the tip's frame.
 
-        The inertia m c c^T about the tip is not linear in these four and is left out: it is small if c is.
-
-        Returns:
-            (n, 4), N m per kg and per kg m: `regressor @ [m, m cx, m cy, m cz]` is a torque.
-
-        Raises:
-            ModelError: A joint of the arm follows another: Pinocchio has no regressor for that.
+        The inertia m c c^T about the tip is not linear in these four and is left out: it is small if c is. ModelError
+        if a joint of the arm follows another: Pinocchio has no regressor for that.
         """
         if self._followers:
             raise ModelError(f"{self._followers[0]}: no payload can be identified where one joint follows another")

@@ -53,14 +53,7 @@ class PinocchioModel:
         return len(self.placements)
 
     def tip(self, q: Array) -> tuple[Array, Array]:
-        """Where the tip is: (3,) m and (3, 3), in the world; valid until this thread's next call.
-
-        Args:
-            q: (n,) rad.
-
-        Returns:
-            Position and rotation matrix.
-        """
+        """Position (3,) m and rotation (3, 3) of the tip in the world at q (n,); valid until this thread's next call."""
         memory = self._memory
         pin.framesForwardKinematics(self.pin_model, memory.data, q)
         return memory.tip
@@ -75,14 +68,7 @@ class PinocchioModel:
         return _Memory(self.pin_model, self.tip_frame)
 
     def jacobian(self, q: Array) -> Array:
-        """The tip's Jacobian, linear first, world axes.
-
-        Args:
-            q: (n,) rad.
-
-        Returns:
-            (6, n), m/rad and rad/rad.
-        """
+        """The tip's Jacobian (6, n) at q (n,), linear first, world axes."""
         J = pin.computeFrameJacobian(self.pin_model, self._memory.data, q, self.tip_frame, WORLD_AXES_AT_TIP)
         return J.reshape(6, -1)  # Pinocchio drops the column of a single joint
 
@@ -93,16 +79,7 @@ class PinocchioModel:
 def build_pinocchio_model(
     model: mujoco.MjModel, chain_length: int, joint_map: JointMap, qpos: Array, tip_body: int, T_body_tip: Pose
 ) -> PinocchioModel:
-    """The rigid-body model of a chain.
-
-    Args:
-        chain_length: How many of the joints of `joint_map`, its first ones, are in the chain.
-        joint_map: The chain's hinge and slide joints, from the base to the tip, and those outside it that follow one of them.
-        qpos: (nq,) where all other joints are held.
-
-    Returns:
-        The model, its joints in the order given.
-    """
+    """The rigid-body model of a chain: of the joints of `joint_map` the first `chain_length`; `qpos` holds all others."""
     joints = joint_map.joints
     data = mujoco.MjData(model)
     zero = model.qpos0[model.jnt_qposadr[list(joints)]]

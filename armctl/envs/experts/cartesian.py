@@ -63,8 +63,7 @@ class CartesianExpert(Expert):
     def go(self, goal: Array, speed: float = _SPEED) -> Array:
         """Moves the commanded position towards a goal (3,) m, with at most a speed in reaches per second.
 
-        Returns:
-            (n,) rad, the configuration; the last one if there is none for the position.
+        Returns the configuration (n,); the last one if there is none for the position.
         """
         way = goal - self.position
         distance = float(np.linalg.norm(way))

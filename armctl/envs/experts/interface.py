@@ -26,14 +26,7 @@ class Expert(ABC):
     """A scripted policy of one row of a batch. A subclass is one file and one row of `EXPERTS`."""
 
     def __init__(self, batch: Batch, row: int):
-        """A policy that waits for the start of an episode.
-
-        Args:
-            row: Which row.
-
-        Raises:
-            InputError: The actions of the batch are not those of experts.
-        """
+        """A policy that waits for the start of an episode; InputError if the actions are not those of experts."""
         self.batch = batch
         self.row = row  # which row
         self.arm = batch.arm
@@ -89,14 +82,10 @@ def _shortened(action: Array) -> Array:
 
 
 def max_turns(batch: Batch, max_lag: float, speed_share: float = 1.0) -> Array:
-    """(n,) rad, how far targets may move in a step so that the references stay near them.
+    """(n,) rad, how far targets may move in a step so that the references stay within `max_lag` (rad) of them.
 
-    The reference of a joint lags behind its target by v^2 / 2a, from where it could stop. The lags differ between the joints,
-    so the arm leaves its path where they are large.
-
-    Args:
-        max_lag: rad (m), of a reference.
-        speed_share: Of the speed limits of the joints.
+    The reference of a joint lags behind its target by v^2 / 2a, from where it could stop. The lags differ between the
+    joints, so the arm leaves its path where they are large. `speed_share` is that of the speed limits.
     """
     _, _, speed, acceleration, _ = batch.rows.limits
     return np.minimum(speed_share * speed, np.sqrt(2.0 * max_lag * acceleration)) * batch.step_time

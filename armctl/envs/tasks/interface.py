@@ -82,19 +82,10 @@ class Task(ABC):
     def reward(
         self, achieved: NDArray[Any], desired: NDArray[Any], touched: NDArray[Any] | bool, *, is_sparse: bool
     ) -> tuple[NDArray[np.floating], BoolArray, NDArray[np.floating]]:
-        """The reward of a state.
+        """The reward (...,) of points achieved and desired (..., 3), whether that is a success, and the distance in m.
 
-        It is 1 at the goal, less 5 for each m of distance; or, if it is sparse, 0 at the goal and -1 elsewhere. A step in which
-        the obstacle is touched costs 1 more.
-
-        Args:
-            achieved: (..., 3) m, the tip or the object.
-            desired: (..., 3) m, the goal.
-            touched: (...,) whether the obstacle was touched.
-            is_sparse: Whether the distance does not count.
-
-        Returns:
-            (...,) reward, success, and distance in m.
+        The reward is 1 at the goal, less 5 for each m of distance; or, if it is sparse, 0 at the goal and -1 elsewhere.
+        A step in which the obstacle is touched costs 1 more.
         """
         way = np.subtract(achieved, desired, dtype=np.float64)
         distance = np.sqrt(np.vecdot(way, way))

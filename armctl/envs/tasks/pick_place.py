@@ -41,15 +41,7 @@ class PickPlace(Task):
     uses_gripper = True
 
     def __init__(self, source: ArmSource, ticks: int):
-        """The task; the ticks of a step do not matter.
-
-        Args:
-            source: The robot, which is loaded among the objects.
-            ticks: Not used.
-
-        Raises:
-            InputError: The robot was loaded already, has no gripper, or its tool cannot point down over a table.
-        """
+        """The task; InputError if the robot was loaded already, has no gripper, or no place for a table."""
         alone = source.load()
         try:
             self.grip = find_grip(alone)

@@ -101,21 +101,11 @@ class _Place(NamedTuple):
 
 
 def find_table(arm: Arm, tool: Tool, *, low: float, lift: float, margin: float, height: float, task: str) -> Iterator[_Place]:
-    """Places for a table, the preferred ones first.
+    """Places for a table, the preferred ones first; InputError, with the name of the task, if there is none.
 
-    At each of them the tool can point down over all corners of the area, at both heights, and the arm moves there without
-    large turns of its joints.
-
-    Args:
-        arm: The arm alone.
-        low: m, height of the end of the tool above the table when it works there.
-        lift: m, height of the end of the tool above the table when it moves.
-        margin: m, around the area, in which the tool moves as well.
-        height: m, of an object beside the tool, at which a tilted tool needs room.
-        task: The name of the task, for the error.
-
-    Raises:
-        InputError: There is none.
+    At each of them the tool can point down over all corners of the area and a margin around it, with its end `low` and
+    `lift` above the table, and the arm moves there without large turns of its joints. A tilted tool needs room beside an
+    object of a height. Lengths are in m.
     """
     reach = ik_chain(arm).reach
     data = mujoco.MjData(arm.model)
@@ -150,13 +140,7 @@ def find_table(arm: Arm, tool: Tool, *, low: float, lift: float, margin: float, 
 def load_at_table(source: ArmSource, places: Iterator[_Place], cylinder: Cylinder, name: str) -> tuple[Arm, Table]:
     """The arm at the first place where it touches neither the table nor itself, with a cylinder on the table.
 
-    Args:
-        places: Candidates.
-        cylinder: The object.
-        name: The name of the task, for the error.
-
-    Raises:
-        InputError: There is no such place, or the robot was loaded already.
+    InputError if there is none, or the robot was loaded already.
     """
     for _, place in zip(range(_MAX_SCENES), places, strict=False):
         table = place.table

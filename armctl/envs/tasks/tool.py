@@ -50,13 +50,10 @@ class Tool(NamedTuple):
 
 
 def find_tool(arm: Arm, states: Sequence[mujoco.MjData]) -> Tool:
-    """The tool of an arm.
+    """The tool of an arm, in states such as those with the gripper closed and open.
 
     It points from the last joint to the tip: along the joint's axis if that is nearly the direction. If the tip is at the
     joint, it points along the axis to where the tool extends farther.
-
-    Args:
-        states: States of its model, after forward kinematics, such as with the gripper closed and open.
     """
     points = np.concatenate([_points(arm, data) for data in states] or [np.zeros((1, 3))])
     points = points[np.linalg.norm(points, axis=1) < _MAX_TOOL]
