@@ -132,14 +132,7 @@ def check_clearance(
 def clearance_of(
     checker: CollisionChecker, trajectory: PiecewiseTrajectory, clearance: float, keep: KeptAxis | None = None
 ) -> ClearanceCheck:
-    """As `check_clearance`, with a checker that is at hand.
-
-    Args:
-        clearance: m.
-
-    Raises:
-        ModelError: As for `check_clearance`.
-    """
+    """As `check_clearance`, with a checker that is at hand."""
     checker.require_provable()
     if trajectory.coefficients.shape[1] > MAX_DEGREE + 1:
         raise InputError(

@@ -99,11 +99,7 @@ class Geometry:
     pairs: IntArray  # (K, 2) the shapes of each pair, in the order of the groups: the geoms of a frame, or one that stands
 
     def with_pairs(self, keep: BoolArray) -> Geometry:
-        """The same geometry with fewer pairs.
-
-        Args:
-            keep: (K,) which pairs stay.
-        """
+        """The same geometry with the pairs that `keep` (K,) marks."""
         return _geometry(self.geom_ids, self.shapes, self.frames, self.arrays, self.pairs[keep])
 
     def joints_between(self, pair: int) -> list[int]:
@@ -124,10 +120,9 @@ def is_convex(model: mujoco.MjModel, geom: int) -> bool:
 
 
 def colliding_pairs(model: mujoco.MjModel) -> IntArray:
-    """The pairs of geoms that MuJoCo tests for contacts: by their bits, parents and exclusions, and those that are listed.
+    """(K, 2) the pairs of geoms that MuJoCo tests for contacts, the lesser first.
 
-    Returns:
-        (K, 2), the lesser geom first.
+    By their bits, parents and exclusions, and those that are listed.
     """
     disabled = int(model.opt.disableflags)
     if disabled & (int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)):
@@ -155,16 +150,10 @@ def colliding_pairs(model: mujoco.MjModel) -> IntArray:
 
 
 def build_geometry(model: mujoco.MjModel, joint_map: JointMap, qpos: Array, held: dict[int, int] | None = None) -> Geometry:
-    """The geoms that an arm could touch, or touch something with.
+    """The convex geoms that an arm could touch, or touch something with, in every pair that its motion can change.
 
-    Args:
-        joint_map: The hinges and slides that move; all others stay where qpos has them.
-        qpos: (nq,) the reference configuration.
-        held: Bodies that are carried, and the body that carries each.
-
-    Returns:
-        The geometry, with every pair that MuJoCo tests and that the arm's motion can change. Geoms that are not convex are left
-        out.
+    All joints outside the joint map stay where `qpos` (nq,) has them. `held` are bodies that are carried, and the body that
+    carries each.
     """
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
@@ -242,10 +231,9 @@ def _arrays(frames: Frames, shapes: Sequence[Shape], joint_map: JointMap) -> dic
 
 
 def bounding_sphere(centers: Array, radii: Array) -> tuple[Array, float]:
-    """A small sphere around spheres (N, 3) and (N,): M. Badoiu, K. L. Clarkson, "Smaller core-sets for balls", SODA 2003.
+    """Center (3,) and radius of a small sphere around spheres (N, 3) and (N,).
 
-    Returns:
-        Its center (3,) and radius, m.
+    M. Badoiu, K. L. Clarkson, "Smaller core-sets for balls", SODA 2003.
     """
     columns = np.ascontiguousarray(centers.T)
     center = 0.5 * (centers.min(axis=0) + centers.max(axis=0))

@@ -64,9 +64,6 @@ class Limits:
         Args:
             q: (n,) or (T, n) rad.
             tolerance: rad by which they may be outside.
-
-        Raises:
-            InputError: The positions are not numbers, or not of n joints.
         """
         tolerance = number("tolerance", tolerance, 0.0)
         q = self._positions(q)
@@ -118,9 +115,6 @@ class Limits:
 
         Returns:
             The limits; positions and torques are unchanged.
-
-        Raises:
-            InputError: The speed is not in (0, 1].
         """
         speed = check_speed(speed)
         if speed == 1.0:

@@ -1,6 +1,6 @@
 """Checks of arguments: the one place where a caller's value becomes a checked number or a checked, read-only array.
 
-All of them raise InputError; `what` is the name of the argument for its message. Use the returned value instead of the argument.
+All of them raise InputError; `what` is the name of the argument in its message. Use the returned value, not the argument.
 """
 
 from __future__ import annotations

@@ -49,18 +49,7 @@ class ArmPlan:
 
 
 def describe_arms(source: Source, analysis: Transmissions, ends: Sequence[ArmEnds]) -> list[ArmPlan]:
-    """The arms to some tips from some bases.
-
-    Args:
-        source: Where the model comes from; its data sheet gives limits that the model lacks.
-        analysis: The analysis of the compiled model, with its own actuators.
-        ends: Where each arm begins and ends.
-
-    Raises:
-        InputError: A name is no string.
-        UnknownNameError: The model has nothing of that name.
-        ModelError: A chain is no arm, or two chains cannot move at once.
-    """
+    """The arms to some tips from some bases of a model with its own actuators; errors as those of `armctl.load`."""
     chains = [find_ends(source, analysis, each) for each in ends]
     check_independent(analysis, [joints for joints, _ in chains])
     return [
@@ -70,13 +59,7 @@ def describe_arms(source: Source, analysis: Transmissions, ends: Sequence[ArmEnd
 
 
 def find_ends(source: Source, analysis: Transmissions, ends: ArmEnds) -> tuple[Joints, Tip]:
-    """The joints and the tip of one arm, without its tip offset.
-
-    Raises:
-        InputError: A name is no string.
-        UnknownNameError: The model has nothing of that name.
-        ModelError: The chain is no arm.
-    """
+    """The joints and the tip of one arm, without its tip offset."""
     model = analysis.model
     base = 0 if ends.base is None else named_body(model, ends.base)
     if ends.tip is not None:
@@ -94,11 +77,7 @@ def find_ends(source: Source, analysis: Transmissions, ends: ArmEnds) -> tuple[J
 
 
 def check_independent(analysis: Transmissions, chains: Sequence[Joints]) -> None:
-    """Refuses chains that cannot move at once without disturbing each other.
-
-    Raises:
-        ModelError: One is part of another, two move the same joint, or one stands on another.
-    """
+    """Refuses chains that cannot move at once: one is part of another, two move the same joint, or one stands on another."""
     for one, other in permutations(chains, 2):
         reason = _why_dependent(analysis, one, other)
         if reason:

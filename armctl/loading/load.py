@@ -80,11 +80,7 @@ class _Recipe:
         return self.__dict__ if is_text else self.__dict__ | {"robot": "", "tool": None, "is_complete": False}
 
     def model(self, edit: Callable[[mujoco.MjSpec], None]) -> mujoco.MjModel:
-        """The model of the arms, made once more after an edit of the specification.
-
-        Raises:
-            ModelError: The robot was an MjSpec, and this is another process; or MuJoCo cannot compile the result.
-        """
+        """The model of the arms, made once more after an edit of the specification."""
         return self.prepared(edit)[1].model
 
     def prepared(self, edit: Callable[[mujoco.MjSpec], None] | None = None) -> tuple[str, PreparedModel, list[str]]:

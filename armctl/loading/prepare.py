@@ -39,16 +39,10 @@ def make_arm_model(
     loose_links: Collection[str] = (),
     edit: Callable[[mujoco.MjSpec], None] | None = None,
 ) -> PreparedModel:
-    """Gives the arms torque motors, adds the target and compiles; `spec` is changed in place.
+    """Gives the arms torque motors, adds the target and compiles; `spec`, from which `analysis.model` came, is changed.
 
-    Args:
-        source: Where the model comes from, for errors.
-        spec: The specification that `analysis.model` was compiled from.
-        loose_links: Bodies of which no file says which of them may touch: those that touch at home may.
-        edit: What else changes the specification, last.
-
-    Raises:
-        ModelError: MuJoCo cannot compile the result.
+    `loose_links` are bodies of which no file says which of them may touch: those that touch at home may. `edit` is the last
+    change.
     """
     original = analysis.model
     bodies = {body.id: body for body in spec.bodies}
@@ -101,9 +95,6 @@ def make_arm_model_from_compiled(analysis: Transmissions, plans: Sequence[ArmPla
     """Gives the arms torque motors in a copy of the compiled model.
 
     A compiled model cannot get further elements, so there are no excluded contacts, no target and no body for payloads.
-
-    Raises:
-        ModelError: An actuator has an activation state, several controls or a plugin, which a compiled model cannot lose.
     """
     original = analysis.model
     model = copy.copy(original)

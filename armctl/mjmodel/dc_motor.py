@@ -46,12 +46,10 @@ def is_dc_motor(model: mujoco.MjModel, actuator: int) -> bool:
 
 
 def dc_motor(model: mujoco.MjModel, actuator: int, gear: float, nominal: list[tuple[float, float, float]]) -> DcMotor:
-    """A `dcmotor` actuator.
+    """A `dcmotor` actuator behind a gear.
 
-    Args:
-        gear: Torque on its joint per torque of the motor.
-        nominal: Voltage, stall torque and no-load speed of the motors in the file: MuJoCo keeps only what they imply, the
-            resistance and the motor constant.
+    `nominal` has voltage, stall torque and no-load speed of the motors in the file: MuJoCo keeps only what they imply, the
+    resistance and the motor constant.
     """
     resistance = float(model.actuator_gainprm[actuator, _RESISTANCE])
     constant = float(model.actuator_gainprm[actuator, _CONSTANT])

@@ -63,12 +63,9 @@ class Transmissions:
         return self._known[joint]
 
     def of_chain(self, joints: Joints) -> tuple[Transmission, ...]:
-        """One transmission per driven degree of freedom of a chain, from the base to the tip.
+        """One transmission per driven degree of freedom of a chain, from the base to the tip; ModelError if one has none.
 
         The joint of each is the first of its coupled joints in the chain.
-
-        Raises:
-            ModelError: A joint cannot be driven by one actuator.
         """
         found: list[Transmission] = []
         covered: set[int] = set()

@@ -36,10 +36,7 @@ def planned_from(
 
 
 def stop_from(arm: Arm, start: Setpoint) -> JointTrajectory | None:
-    """The fastest stop from a start inside the limits; None if it is at rest.
-
-    Raises LimitError or PlanError if no stop inside the limits is possible.
-    """
+    """The fastest stop from a start inside the limits; None if it is at rest."""
     if not start.v.any() and not start.a.any():
         return None
     state = JointState(start.q, start.v, start.a)

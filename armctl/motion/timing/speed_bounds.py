@@ -48,13 +48,10 @@ def points_of(h: float, interval: IntArray, begin: Array, end: Array) -> Points:
 def speed_bounds(
     points: Points, rows: TorqueRows, derivatives: tuple[Array, Array, Array], b_max: Array, j_max: Array
 ) -> dict[str, Array | IntArray]:
-    """The arguments of the compiled solver.
+    """The arguments of the compiled solver, for N nodes.
 
-    Args:
-        rows: The bounds of the N nodes on accelerations and torques, (N, r) each.
-        derivatives: The first and second derivatives of the joints at the nodes, (N, n), and the third at the points, (P, n).
-        b_max: (N,) the greatest squares of the path speed.
-        j_max: (N, n) the greatest jerks.
+    `derivatives` are the first and second of the joints at the nodes, (N, n), and the third at the points, (P, n). `b_max`
+    (N,) are the greatest squares of the path speed.
     """
     slope = _max_slope(rows, b_max)
     return {

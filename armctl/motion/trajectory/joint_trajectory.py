@@ -126,9 +126,6 @@ class JointTrajectory:
 
         Returns:
             q, v, a, each (T, n).
-
-        Raises:
-            InputError: Not a list of finite numbers.
         """
         return Setpoint(*piecewise.sample(self.pieces, vector("times", times)))
 
@@ -140,9 +137,6 @@ class JointTrajectory:
 
         Returns:
             (T, n) rad/s^3; where it jumps, the value just after.
-
-        Raises:
-            InputError: Not a list of finite numbers.
         """
         return piecewise.jerk(self.pieces, vector("times", times))
 
@@ -208,9 +202,6 @@ class JointTrajectory:
 
         Returns:
             Its first part.
-
-        Raises:
-            InputError: The time is outside the motion.
         """
         t = number("t", t, 0.0, self.duration)
         k = max(1, int(np.searchsorted(self.knots, t, side="left")))

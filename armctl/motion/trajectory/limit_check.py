@@ -181,14 +181,9 @@ def piece_extremes(coefficients: Array, steps: Array, order: int) -> tuple[Array
 
 
 def polynomial_extremes(polynomials: Array, order: int = 0) -> tuple[Array, Array]:
-    """Where derivatives of polynomials may be extreme on [0, 1], and their values there.
+    """Where derivatives of polynomials (m, d + 1, n), constant first, may be extreme on [0, 1], and their values there.
 
-    Args:
-        polynomials: (m, d + 1, n) coefficients, constant first.
-        order: Which derivative, at most d.
-
-    Returns:
-        Places and values, each (m, n, k): both ends and every turning point between them; the point 0 may be repeated.
+    Each (m, n, k): both ends and every turning point between them; the point 0 may be repeated.
     """
     m, count, n = polynomials.shape
     p = np.moveaxis(polynomials, 1, 0)
@@ -245,17 +240,10 @@ def _clamped(x: Array) -> Array:
 
 
 def limit_excess(coefficients: Array, steps: Array, order: int, low: Array, high: Array) -> Array:
-    """How far a derivative of piecewise polynomials leaves its bounds in each piece.
+    """How far a derivative of piecewise polynomials (m, d + 1, n) of the time since a piece began leaves its bounds.
 
-    Args:
-        coefficients: (m, d + 1, n), of powers of the time since a piece began.
-        steps: (m,) s, the lengths of the pieces.
-        order: Which derivative, at most d; 0 is the position.
-        low: (m, n) or (n,) the lower bounds.
-        high: (m, n) or (n,) the upper bounds.
-
-    Returns:
-        (m, n): exact where it is greater than 0, else any number of at most 0.
+    (m, n): exact where it is greater than 0, else any number of at most 0. `steps` (m,) s are the lengths of the pieces;
+    the bounds are (m, n) or (n,).
     """
     excess = np.empty((len(coefficients), coefficients.shape[2]))
     each_low = np.ascontiguousarray(np.broadcast_to(low, excess.shape))
