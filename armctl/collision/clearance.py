@@ -26,28 +26,18 @@ class PiecewiseTrajectory(Protocol):
     """A trajectory of polynomial pieces, such as every planner of armctl returns."""
 
     @property
-    def knots(self) -> Array:
-        """(K + 1,) s."""
-        ...
+    def knots(self) -> Array: ...  # (K + 1,) s
 
     @property
-    def coefficients(self) -> Array:
-        """(K, degree + 1, n) of each piece, by powers of the time since its knot."""
-        ...
+    def coefficients(self) -> Array: ...  # (K, degree + 1, n) of each piece, by powers of the time since its knot
 
     @property
-    def joint_names(self) -> tuple[str, ...]:
-        """The n joints."""
-        ...
+    def joint_names(self) -> tuple[str, ...]: ...
 
     @property
-    def duration(self) -> float:
-        """s."""
-        ...
+    def duration(self) -> float: ...  # s
 
-    def __call__(self, t: float) -> Setpoint:
-        """The setpoint at a time, s."""
-        ...
+    def __call__(self, t: float) -> Setpoint: ...
 
 
 @dataclass(frozen=True)

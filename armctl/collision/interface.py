@@ -12,32 +12,28 @@ from armctl.robot.joint_map import JointMap
 
 
 class MovingJoints(Protocol):
-    """What a checker needs of an arm, or of several: the joints that move, their limits, and where everything is at home."""
+    """What checks and planning need of an arm, or of several: the joints that move, and where everything is at home."""
 
     @property
-    def model(self) -> mujoco.MjModel:
-        """The compiled model."""
-        ...
+    def model(self) -> mujoco.MjModel: ...
 
     @property
-    def joint_map(self) -> JointMap:
-        """The joints that move."""
-        ...
+    def joint_names(self) -> tuple[str, ...]: ...  # the n joints
 
     @property
-    def limits(self) -> Limits:
-        """Their limits."""
-        ...
+    def joint_map(self) -> JointMap: ...
 
     @property
-    def home(self) -> Array:
-        """(n,) rad."""
-        ...
+    def limits(self) -> Limits: ...
 
     @property
-    def home_qpos(self) -> Array:
-        """(nq,)."""
-        ...
+    def units(self) -> tuple[str, ...]: ...  # what each joint is measured in
+
+    @property
+    def home(self) -> Array: ...  # (n,) rad
+
+    @property
+    def home_qpos(self) -> Array: ...  # (nq,)
 
 
 class KeptAxis(NamedTuple):

@@ -15,8 +15,7 @@ from armctl.motion.timing.otg import JointState, ProfileSolver, at_rest, ending_
 from armctl.motion.torque_limits import check_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.limit_check import is_inside
-from armctl.motion.trajectory.overlap import overlapped
-from armctl.motion.trajectory.piecewise import joined, sample
+from armctl.motion.trajectory.piecewise import joined, overlapped, sample
 from armctl.robot.arm import Arm
 
 _OVERLAPS = 16  # shares of the stop's duration that are tried
