@@ -12,8 +12,7 @@ import numpy as np
 from armctl.collision.checker import CollisionChecker, allowed_geoms
 from armctl.collision.interface import KeptAxis, MovingJoints
 from armctl.core.errors import InputError, UnknownNameError
-from armctl.core.validation import Array, IntArray, number, shown
-from armctl.mjmodel.queries import last_joint_above
+from armctl.core.validation import Array, number, shown
 from armctl.robot.arm import Arm
 
 
@@ -38,11 +37,6 @@ def read_kept_axis(arm: Arm, keep: str | None, keep_within: float, q: Array) -> 
     if not isinstance(keep, str) or keep not in ("x", "y", "z"):
         raise UnknownNameError.of("axis to keep", f"{keep!s:.80}", ["x", "y", "z"])
     return KeptAxis(keep, arm.tip_body, q, arm.fk(q).rotation[:, "xyz".index(keep)], within)
-
-
-def geom_owners(arm: Arm) -> IntArray:
-    """(ngeom,) the last joint of the chain above each geom, counted from the base; -1 where none is."""
-    return np.array(last_joint_above(arm.model, arm.joint_map.joints), np.int64)[arm.model.geom_bodyid]
 
 
 # The checkers that were used last, of each arm. One of them takes about 0.5 MB.

@@ -128,14 +128,6 @@ class Dynamics:
             tau = tau + dt * self._implicit_nonlinear_change(q, v, a)
         return self._with_position_forces(tau, q) if self._has_position_forces else tau
 
-    def inverse_midpoint(self, q: Array, v: Array, a: Array, dt: float) -> Array:
-        """Torque that, held constant for dt, changes the velocity of a continuous-time arm by a dt; (n,) N m.
-
-        This is the inverse dynamics at the middle of the interval; the error is of order dt^2. q and v are those at its start.
-        """
-        half = 0.5 * dt
-        return self.inverse_dynamics(q + half * v, v + half * a, a)
-
     def forward_dynamics(self, q: Array, v: Array, tau: Array) -> Array:
         """Acceleration in continuous time, without dry friction: the inverse of `inverse_dynamics`; (n,) rad/s^2."""
         return self._solve_mass_matrix(q, tau - self.inverse_dynamics(q, v, np.zeros_like(v)))
