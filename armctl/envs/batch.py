@@ -23,19 +23,7 @@ _MIN_HORIZON = 50
 
 
 class Batch:
-    """Several episodes of one task.
-
-    Attributes:
-        action: The name of what the actions mean.
-        observer: What is observed.
-        horizon: Steps of an episode.
-        step_time: s, of a step.
-        goal: (count, 3) m, the goal of each episode.
-        goal_number: (count,) which of the task's goals it is.
-        obstacle: (count, 3) m, the obstacle of each episode.
-        was_touched: (count,) whether the obstacle was touched in this episode.
-        steps: (count,) steps since the start of each episode.
-    """
+    """Several episodes of one task."""
 
     def __init__(
         self,
@@ -63,14 +51,14 @@ class Batch:
         count = integer("num_envs", count, 1)
         threads = min(integer("threads", threads, 1), count)
         ticks = integer("ticks", ticks, 1)
-        self.action = action
+        self.action = action  # the name of what the actions mean
         self._is_sparse = choice("reward", reward, REWARDS) == "sparse"
         self.task = task_class(ArmSource(robot, load_options), ticks)
         self.arm = self.task.arm
         self._randomization = Randomization.read(randomize, has_object=bool(self.task.object))
-        self.step_time = ticks * self.arm.dt
+        self.step_time = ticks * self.arm.dt  # s, of a step
         shortest = max(_MIN_HORIZON, int(np.ceil(self.task.min_duration / self.step_time)))
-        self.horizon = shortest if horizon is None else integer("horizon", horizon, 1)
+        self.horizon = shortest if horizon is None else integer("horizon", horizon, 1)  # steps of an episode
         self.rows = Rows(
             self.task,
             mode,
@@ -81,20 +69,16 @@ class Batch:
             has_contacts=has_contacts,
             randomization=self._randomization,
         )
-        self.observer = Observer(self.task, self.rows)
-        self.goal = np.zeros((count, 3))
-        self.goal_number = np.zeros(count, np.int64)
-        self.obstacle = np.zeros((count, 3))
-        self.was_touched = np.zeros(count, bool)
-        self.steps = np.zeros(count, np.int64)
+        self.observer = Observer(self.task, self.rows)  # what is observed
+        self.goal = np.zeros((count, 3))  # (count, 3) m, the goal of each episode
+        self.goal_number = np.zeros(count, np.int64)  # (count,) which of the task's goals it is
+        self.obstacle = np.zeros((count, 3))  # (count, 3) m, the obstacle of each episode
+        self.was_touched = np.zeros(count, bool)  # (count,) whether the obstacle was touched in this episode
+        self.steps = np.zeros(count, np.int64)  # (count,) steps since the start of each episode
         self._goal_velocity = np.zeros((count, 3))
 
     def reset(self, which: Iterable[int], rngs: Iterable[np.random.Generator]) -> None:
-        """Starts new episodes.
-
-        Args:
-            rngs: For each of them, what everything is drawn from.
-        """
+        """Starts new episodes; everything of each is drawn from its generator."""
         chosen = []
         for row, rng in zip(which, rngs, strict=True):
             episode = self.task.draw(rng)
@@ -111,14 +95,7 @@ class Batch:
         self._move_goals()
 
     def step(self, actions: Any) -> None:
-        """Steps all episodes.
-
-        Args:
-            actions: (count, k) in [-1, 1].
-
-        Raises:
-            InputError: The actions have another shape, or one of them is not a number.
-        """
+        """Steps all episodes by actions (count, k) in [-1, 1]; InputError if they are something else."""
         given = as_array("action", actions)
         if given.shape != self.rows.action.shape:
             raise InputError(f"action: expected shape {self.rows.action.shape}, got {given.shape}")
@@ -150,13 +127,8 @@ class Batch:
     def reward(self, achieved: Any, desired: Any, info: Any) -> NDArray[np.floating]:
         """Rewards of goals (..., 3) that were achieved and desired, for hindsight replay.
 
-        Args:
-            achieved: (..., 3) m.
-            desired: (..., 3) m.
-            info: The information of the steps, which says whether the obstacle was touched: a dictionary, or one for each.
-
-        Raises:
-            InputError: The goals have another shape, or the information is of another kind.
+        `info` says whether the obstacle was touched: the dictionary of a step, or one for each goal. InputError if it
+        does not fit.
         """
         goals = (as_array("achieved_goal", achieved), as_array("desired_goal", desired))
         for name, goal in zip(("achieved_goal", "desired_goal"), goals, strict=True):

@@ -18,18 +18,10 @@ class Observer:
     An observation has the positions and velocities of the joints, how far their targets are, the tip, what belongs to the task
     (opening of the gripper; object, its vertical axis, its velocity, and the vector to it from the tip; obstacle and the vector
     to it; velocity of the goal), the goal, and the vector from the controlled point to the goal.
-
-    Attributes:
-        columns: Where each quantity is.
-        size: The numbers of an observation.
     """
 
     def __init__(self, task: Task, rows: Rows):
-        """Observations of a task.
-
-        Args:
-            rows: What is observed.
-        """
+        """Observations of a task."""
         n = task.arm.n
         widths = {"q": n, "v": n, "to_target": n, "tip": 3}
         if task.uses_gripper:
@@ -42,21 +34,16 @@ class Observer:
             widths["goal_velocity"] = 3
         widths |= {"goal": 3, "to_goal": 3}
         ends = np.cumsum(list(widths.values())).tolist()
+        # Where each quantity is
         self.columns = {name: slice(end - width, end) for (name, width), end in zip(widths.items(), ends, strict=True)}
-        self.size: int = ends[-1]
+        self.size: int = ends[-1]  # the numbers of an observation
         self._achieved = self.columns["object" if task.object else "tip"]
         self._rows = rows
         self._numbers = np.zeros((rows.count, self.size))
         self._parts = {name: self._numbers[:, columns] for name, columns in self.columns.items()}
 
     def observe(self, goal: Array, goal_velocity: Array, obstacle: Array) -> Observations:
-        """(count, size) the observations now, as a new array.
-
-        Args:
-            goal: (count, 3) m.
-            goal_velocity: (count, 3) m/s, observed if goals move.
-            obstacle: (count, 3) m, observed if there is one.
-        """
+        """(count, size) the observations now, as a new array, with goals, their velocities and obstacles (count, 3) each."""
         rows = self._rows
         parts = self._parts
         tip = rows.tip[:, :3]

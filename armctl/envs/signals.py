@@ -12,33 +12,18 @@ class Signals:
     """Noise of what is measured on several copies of an arm in the next step.
 
     The velocity is differenced from the measured positions, as that of `Plant` without a velocity sensor.
-
-    Attributes:
-        noise: (count, ticks, 2, n) rad and rad/s, on measured positions and velocities; empty if there is none.
     """
 
     def __init__(self, count: int, ticks: int, n: int, dt: float, *, is_noisy: bool):
-        """Signals without noise.
-
-        Args:
-            ticks: Control periods in a step.
-            n: Joints.
-            dt: s, the control period.
-            is_noisy: Whether there will be noise.
-        """
+        """Signals without noise, for steps of so many ticks of dt s."""
+        # (count, ticks, 2, n) rad and rad/s, on measured positions and velocities; empty if there is none
         self.noise = np.zeros((count if is_noisy else 0, ticks, 2, n))
         self._dt = dt
         self._deviation = np.zeros(count)
         self._rngs: list[np.random.Generator | None] = [None] * count
 
     def reset(self, row: int, plant: Plant, rng: np.random.Generator) -> None:
-        """Starts an episode of a copy.
-
-        Args:
-            row: Which copy.
-            plant: The plant, whose noise counts.
-            rng: What the seed of the noise is drawn from.
-        """
+        """Starts an episode of a copy with the noise of a plant."""
         if len(self.noise):
             self._deviation[row] = plant.encoder_noise
             self._rngs[row] = np.random.default_rng(int(rng.integers(2**63)))

@@ -37,14 +37,7 @@ class _Parts:
 def make_arms(
     name: str, model: mujoco.MjModel, plans: Sequence[ArmPlan], notes: Sequence[str], recipe: Recipe | None
 ) -> tuple[Arm, ...]:
-    """The arms of a prepared model, which is completed in place: the target's start, no controls in the keyframes.
-
-    Args:
-        name: What the arms were loaded as.
-        model: The compiled model, with torque motors; all arms share it.
-        notes: What had to be assumed of the whole model.
-        recipe: How the model was made; None if it was given.
-    """
+    """The arms of a prepared model, which is completed in place: the target's start, no controls in the keyframes."""
     qpos = home_qpos(model, tuple(joint for plan in plans for joint in plan.joints))
     parts = [_parts(model, plan, qpos) for plan in plans]
     first = parts[0]

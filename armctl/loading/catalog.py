@@ -39,35 +39,20 @@ _MUJOCO_ERRORS = (ValueError, OSError, mujoco.FatalError, mujoco.UnexpectedError
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Where a robot's description is.
+    """Where a robot's description is."""
 
-    Attributes:
-        name: What the arm will be called.
-        path: Its MJCF or URDF file; None for a specification.
-        row: Its data-sheet row, or None.
-        spec: A specification that a caller gave; None for a file.
-    """
-
-    name: str
-    path: Path | None
-    row: Row | None = None
-    spec: mujoco.MjSpec | None = None
+    name: str  # what the arm will be called
+    path: Path | None  # its MJCF or URDF file; None for a specification
+    row: Row | None = None  # its data-sheet row, or None
+    spec: mujoco.MjSpec | None = None  # a specification that a caller gave; None for a file
 
     @cached_property
     def urdf(self) -> UrdfFile | None:
-        """The file as XML if it is a URDF or a xacro, else None.
-
-        Raises:
-            ModelError: It is one and cannot be read.
-        """
+        """The file as XML if it is a URDF or a xacro, else None; ModelError if it is one and cannot be read."""
         return read_urdf_file(self.path) if self.path is not None and is_urdf(self.path) else None
 
     def read(self) -> tuple[mujoco.MjSpec, list[str]]:
-        """The description as a new specification that can be changed, and what was left out of it, one sentence each.
-
-        Raises:
-            ModelError: MuJoCo cannot read it.
-        """
+        """The description as a new specification, and what was left out of it, one sentence each; ModelError if it is none."""
         if self.path is None:
             return self._copied_spec(), []
         try:
@@ -80,11 +65,7 @@ class Source:
             raise ModelError(f"{self._label}: MuJoCo cannot read it: {_one_line(error)}") from None
 
     def compile(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
-        """The model of a specification that was read from here.
-
-        Raises:
-            ModelError: MuJoCo cannot compile it, or its names are not in UTF-8.
-        """
+        """The model of a specification that was read from here; ModelError if MuJoCo cannot compile it."""
         try:
             model = spec.compile()
             model.names.decode()
@@ -95,11 +76,7 @@ class Source:
         return model
 
     def compile_without_textures(self, spec: mujoco.MjSpec) -> mujoco.MjModel:
-        """As `compile`, but generated textures have few pixels: they take most of the time if the meshes are in the cache.
-
-        Raises:
-            ModelError: As for `compile`.
-        """
+        """As `compile`, but generated textures have few pixels: with meshes in the cache they take most of the time."""
         generated = [texture for texture in spec.textures if texture.builtin != mujoco.mjtBuiltin.mjBUILTIN_NONE]
         sizes = [(texture.width, texture.height) for texture in generated]
         for texture in generated:
@@ -127,16 +104,9 @@ class Source:
 
 
 def locate(robot: str | os.PathLike[str] | mujoco.MjSpec, *, tool: bool = False) -> Source:
-    """Where the description of a robot is; downloads a Menagerie robot on first use.
+    """Where the description of a robot is; downloads a Menagerie robot on first use. Errors as those of `armctl.load`.
 
-    Args:
-        robot: As for `armctl.load`.
-        tool: Whether it is a tool to be mounted on an arm: it then comes without the scene that Menagerie shows it in.
-
-    Raises:
-        InputError: It is neither a name nor a path nor a specification.
-        UnknownNameError: No robot, or no tool, has that name.
-        ModelError: There is no such file, or the robot could not be downloaded.
+    A tool to be mounted on an arm comes without the scene that Menagerie shows it in.
     """
     if isinstance(robot, mujoco.MjSpec):
         spec: mujoco.MjSpec = robot
@@ -230,11 +200,7 @@ def _is_folder(path: Path) -> bool:
 
 
 def robots() -> dict[str, str]:
-    """All robots that `load` finds by name, and what armctl can do with them. Downloads nothing.
-
-    Returns:
-        Name, the alias where there is one, to a line of text: the bundled arm, then all of MuJoCo Menagerie.
-    """
+    """All robots that `load` finds by name, and what armctl can do with them, in a line of text. Downloads nothing."""
     import mujoco_menagerie as menagerie
 
     short = {name: alias for alias, name in ALIASES.items()}

@@ -13,31 +13,18 @@ _DEG = radians(1.0)
 
 @dataclass(frozen=True)
 class Row:
-    """One robot.
+    """One robot."""
 
-    Attributes:
-        source: Where the numbers are published.
-        v_max: rad/s, one for each joint; None where the source gives none.
-        a_max: rad/s^2, likewise.
-        j_max: rad/s^3, likewise.
-        tau_max: N m, likewise.
-        payload: kg, the rated payload.
-        reach: m, the rated reach, as the maker measures it.
-        rating_source: Where these two are published; empty for `source`.
-        tip: The site or body that carries the tip; None for the one that armctl finds.
-        tip_offset: (3,) m, the tip in that site's or body's frame.
-    """
-
-    source: str
-    v_max: tuple[float, ...] | None = None
-    a_max: tuple[float, ...] | None = None
-    j_max: tuple[float, ...] | None = None
-    tau_max: tuple[float, ...] | None = None
-    payload: float | None = None
-    reach: float | None = None
-    rating_source: str = ""
-    tip: str | None = None
-    tip_offset: tuple[float, float, float] | None = None
+    source: str  # where the numbers are published
+    v_max: tuple[float, ...] | None = None  # rad/s, one for each joint; None where the source gives none
+    a_max: tuple[float, ...] | None = None  # rad/s^2, likewise
+    j_max: tuple[float, ...] | None = None  # rad/s^3, likewise
+    tau_max: tuple[float, ...] | None = None  # N m, likewise
+    payload: float | None = None  # kg, the rated payload
+    reach: float | None = None  # m, the rated reach, as the maker measures it
+    rating_source: str = ""  # where these two are published; empty for `source`
+    tip: str | None = None  # the site or body that carries the tip; None for the one that armctl finds
+    tip_offset: tuple[float, float, float] | None = None  # (3,) m, the tip in that site's or body's frame
 
     @property
     def sources(self) -> str:

@@ -9,11 +9,7 @@ from armctl.mjmodel.queries import is_below, is_free, joint_actuators
 
 
 def remove_free_joints(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Removes the free joint of every body that carries actuated joints, in place; its keyframe says where it stays.
-
-    Args:
-        spec: The specification that `model` was compiled from.
-    """
+    """Removes the free joint of every body that carries actuated joints, in place; its keyframe says where it stays."""
     qpos = keyframe_qpos(model)
     actuated = [int(model.jnt_bodyid[joint]) for joint in joint_actuators(model)]
     joints = {j.id: j for j in spec.joints}

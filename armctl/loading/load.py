@@ -45,20 +45,13 @@ from armctl.robot.parity import check_parity
 
 @dataclass(frozen=True, eq=False)
 class _Robot:
-    """A robot as it was read, before a tool or a scene is added.
-
-    Attributes:
-        notes: What was assumed, one sentence each; they are reported as warnings.
-        quiet_notes: What needs no warning, one sentence each.
-        srdf: The SRDF that belongs to it, or None.
-        loose_links: Its links, if no file says which of them may touch.
-    """
+    """A robot as it was read, before a tool or a scene is added."""
 
     spec: mujoco.MjSpec
-    notes: tuple[str, ...]
-    quiet_notes: tuple[str, ...]
-    srdf: Srdf | None
-    loose_links: frozenset[str]
+    notes: tuple[str, ...]  # what was assumed, one sentence each; they are reported as warnings
+    quiet_notes: tuple[str, ...]  # what needs no warning, one sentence each
+    srdf: Srdf | None  # the SRDF that belongs to it, or None
+    loose_links: frozenset[str]  # its links, if no file says which of them may touch
 
     def resolved(self, ends: ArmEnds) -> ArmEnds:
         """The ends of an arm whose tip can be the name of a group of the SRDF."""
@@ -72,36 +65,22 @@ class _Robot:
 
 @dataclass(frozen=True, eq=False)
 class _Recipe:
-    """The arguments of `load` or `load_arms`, from which its model is made.
+    """The arguments of `load` or `load_arms`, from which its model is made."""
 
-    Attributes:
-        robot: As for `load`.
-        ends: Where each arm begins and ends.
-        hold_base: As for `load`.
-        tool: As for `load`.
-        scene: As for `load`.
-        srdf: As for `load`.
-        is_complete: False in another process for the arm of a specification, which does not go along.
-    """
-
-    robot: str | os.PathLike[str] | mujoco.MjSpec
-    ends: tuple[ArmEnds, ...]
-    hold_base: bool
-    tool: str | os.PathLike[str] | mujoco.MjSpec | None
-    scene: Scene | str | os.PathLike[str] | None
-    srdf: str | os.PathLike[str] | None
-    is_complete: bool = True
+    robot: str | os.PathLike[str] | mujoco.MjSpec  # as for `load`
+    ends: tuple[ArmEnds, ...]  # where each arm begins and ends
+    hold_base: bool  # as for `load`
+    tool: str | os.PathLike[str] | mujoco.MjSpec | None  # as for `load`
+    scene: Scene | str | os.PathLike[str] | None  # as for `load`
+    srdf: str | os.PathLike[str] | None  # as for `load`
+    is_complete: bool = True  # false in another process for the arm of a specification, which does not go along
 
     def __getstate__(self) -> dict[str, Any]:
         is_text = not isinstance(self.robot, mujoco.MjSpec) and not isinstance(self.tool, mujoco.MjSpec)
         return self.__dict__ if is_text else self.__dict__ | {"robot": "", "tool": None, "is_complete": False}
 
     def model(self, edit: Callable[[mujoco.MjSpec], None]) -> mujoco.MjModel:
-        """The model of the arms, made once more after an edit of the specification.
-
-        Raises:
-            ModelError: The robot was an MjSpec, and this is another process; or MuJoCo cannot compile the result.
-        """
+        """The model of the arms, made once more after an edit of the specification."""
         return self.prepared(edit)[1].model
 
     def prepared(self, edit: Callable[[mujoco.MjSpec], None] | None = None) -> tuple[str, PreparedModel, list[str]]:

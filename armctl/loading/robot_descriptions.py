@@ -21,12 +21,7 @@ def is_description_name(name: str) -> bool:
 
 
 def description_file(name: str) -> Path:
-    """The file of a robot by its name in robot_descriptions; downloaded on first use.
-
-    Raises:
-        ModelError: The package is not installed, or the robot could not be downloaded.
-        UnknownNameError: The package has no robot of that name.
-    """
+    """The file of a robot by its name in robot_descriptions; downloaded on first use."""
     package = importlib.util.find_spec(_PACKAGE)
     if package is None:
         raise ModelError(

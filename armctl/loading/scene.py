@@ -27,20 +27,13 @@ _CYLINDER = mujoco.mjtGeom.mjGEOM_CYLINDER
 
 @dataclass(frozen=True, eq=False)
 class Item:
-    """One object in a scene.
-
-    Attributes:
-        shape: Its shape, as MuJoCo's geom type.
-        size: (3,) m, as MuJoCo's geom size: half of each edge, or radius and half the length.
-        pose: T_world_item.
-        mass: kg if it is loose; None if it stands fixed.
-    """
+    """One object in a scene."""
 
     name: str
-    shape: mujoco.mjtGeom
-    size: Array
-    pose: Pose
-    mass: float | None
+    shape: mujoco.mjtGeom  # its shape, as MuJoCo's geom type
+    size: Array  # (3,) m, as MuJoCo's geom size: half of each edge, or radius and half the length
+    pose: Pose  # T_world_item
+    mass: float | None  # kg if it is loose; None if it stands fixed
 
 
 class Scene:

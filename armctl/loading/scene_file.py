@@ -26,19 +26,10 @@ _DEFAULT = mujoco.MjSpec().default.geom
 
 
 class SceneFile:
-    """The bodies, geoms and joints of an MJCF file; what has a free joint is loose.
-
-    Attributes:
-        is_loose: Whether anything in it is loose.
-    """
+    """The bodies, geoms and joints of an MJCF file; what has a free joint is loose."""
 
     def __init__(self, path: str | os.PathLike[str]):
-        """Reads a scene.
-
-        Raises:
-            InputError: It is no path of an .xml file.
-            ModelError: MuJoCo cannot read it, or it holds a robot.
-        """
+        """Reads a scene; ModelError if MuJoCo cannot, or if it holds a robot."""
         if not isinstance(path, (str, os.PathLike)) or Path(path).suffix.lower() not in (".xml", ".mjcf"):
             raise InputError(
                 f"scene: {path!r} is neither a Scene nor the path of an .xml file; "
@@ -54,14 +45,12 @@ class SceneFile:
             what = f"the actuator {actuator_name(model, 0)!r}" if model.nactuator else "a tendon"
             raise ModelError(f"scene: {path} has {what}, so it is a robot; a scene has only bodies, geoms and joints")
         self.bodies = [body.name for body in self._spec.bodies[1:] if body.name]
-        self.is_loose = bool((model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).any())
+        self.is_loose = bool((model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).any())  # whether anything in it is loose
 
     def build(self, spec: mujoco.MjSpec, contact: Mapping[str, object]) -> None:
         """Adds everything in it to a specification, except options, sensors and keyframes: the robot's are used.
 
-        Args:
-            spec: The specification, changed in place; none of its bodies has the name of one of these.
-            contact: Contact parameters of loose geoms for which the file keeps MuJoCo's defaults.
+        `contact` has parameters of loose geoms for which the file keeps MuJoCo's defaults.
         """
         child = self._spec.copy()
         for element in [*child.keys, *child.sensors]:

@@ -13,17 +13,9 @@ _FLANGE = "armctl_flange"
 
 
 def mount(spec: mujoco.MjSpec, flange: mujoco.MjsBody, T_body_flange: Pose, tool: Source) -> str:
-    """Mounts a tool, in place; its masses, joints and actuators become part of the robot's model.
+    """Mounts a tool at a frame of the body `flange`, in place, and returns the name of its tip in the robot's model.
 
-    Args:
-        flange: The body of it that carries the tool.
-        T_body_flange: Where the tool's own frame goes, in that body.
-
-    Returns:
-        The name of the tool's tip in the robot's model: all names of the tool get its own before them.
-
-    Raises:
-        ModelError: The tool cannot be read.
+    Its masses, joints and actuators become part of the robot's model; all of its names get the tool's own before them.
     """
     child, _ = tool.read()
     model = tool.compile(child)

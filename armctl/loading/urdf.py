@@ -22,16 +22,10 @@ _READABLE = (".stl", ".obj", ".msh")
 
 
 def read_urdf(file: UrdfFile) -> tuple[mujoco.MjSpec, list[str]]:
-    """A URDF as a specification with a motor on each joint that has one of its own.
+    """A URDF as a specification with a motor on each joint that has one of its own, and a sentence for what was left out.
 
-    Every link stays a body, so that tool frames keep their names. Meshes are used for collisions only; one that cannot be read
-    is left out, because kinematics and dynamics do not need it.
-
-    Returns:
-        The specification, and what was left out or corrected, one sentence each.
-
-    Raises:
-        ValueError: MuJoCo cannot read it.
+    Every link stays a body, so that tool frames keep their names. Meshes are used for collisions only; one that cannot be
+    read is left out, because kinematics and dynamics do not need it.
     """
     root = file.root
     spec = mujoco.MjSpec.from_file(str(file.path)) if file.text is None else mujoco.MjSpec.from_string(file.text)
@@ -49,13 +43,7 @@ def read_urdf(file: UrdfFile) -> tuple[mujoco.MjSpec, list[str]]:
 
 
 def speed_limits(file: UrdfFile | None, model: mujoco.MjModel, transmissions: Sequence[Transmission]) -> JointData | None:
-    """The speed limits of a URDF, which MuJoCo does not keep; the default for a joint that has none.
-
-    None if no joint has one, or without a URDF.
-
-    Raises:
-        ModelError: A limit is no number.
-    """
+    """The speed limits of a URDF, which MuJoCo does not keep; the default for a joint that has none. None if none has one."""
     if file is None:
         return None
     given = {joint.get("name"): joint.find("limit") for joint in file.root.findall("joint")}  # transmissions name them too

@@ -16,11 +16,7 @@ _NO_INERTIA = (np.nan, 0.0, 0.0, 0.0, 0.0, 0.0)  # no full inertia, as MuJoCo wr
 
 
 def correct_inertias(spec: mujoco.MjSpec) -> list[str]:
-    """Gives every link the nearest inertia that a body can have, and moving links without a mass a small one.
-
-    Returns:
-        What was changed or had to be assumed, one sentence each.
-    """
+    """Gives every link the nearest inertia that a body can have, and moving links without a mass a small one, with notes."""
     unphysical = [body.name for body in spec.bodies if body.explicitinertial and _correct_inertia(body)]
     moving = {body.name: _welded(body) for body in spec.bodies if body.joints}
     massless = [name for name, parts in moving.items() if not any(map(_has_mass, parts))]

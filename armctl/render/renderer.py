@@ -39,17 +39,7 @@ class Renderer:
     """
 
     def __init__(self, model: mujoco.MjModel, size: tuple[int, int] = (640, 480), quality: str = "fast"):
-        """A renderer for a model.
-
-        Args:
-            model: The model; the renderer keeps a copy.
-            size: Width and height in pixels.
-            quality: "fast" or "full".
-
-        Raises:
-            InputError: A size outside [16, 8192] pixels or too large for OpenGL here, or an unknown quality.
-            NotInstalledError: No OpenGL works here without a screen.
-        """
+        """A renderer that keeps a copy of the model; `size` is width and height in pixels, `quality` "fast" or "full"."""
         self._fast = choice("quality", quality, QUALITIES) == "fast"
         self.width, self.height = check_size(size)
         self._model = copy.copy(model)
@@ -83,18 +73,7 @@ class Renderer:
             self._context = None
 
     def image(self, data: mujoco.MjData, camera: mujoco.MjvCamera, trace: Array | None = None) -> Image:
-        """Draws a state.
-
-        Args:
-            data: The state, after forward kinematics.
-            trace: (k, 3) m, a path to draw as a line, such as the tip's; none if left out.
-
-        Returns:
-            (height, width, 3), red, green and blue.
-
-        Raises:
-            InputError: The renderer is closed.
-        """
+        """Draws a state, after forward kinematics: (height, width, 3). `trace` (k, 3) m is a path to draw as a line."""
         if self._context is None:
             raise InputError("renderer: it is closed; make another")
         everything = int(mujoco.mjtCatBit.mjCAT_ALL)

@@ -48,9 +48,6 @@ class Study(StudyPlan):
             "saltelli", the points that `StudyResult.sensitivity` needs: (d + 2) samples for d distributions.
         dwell: s to hold the end of the motion.
         tolerance: m, the largest distance at which the tip is at its goal.
-
-    Raises:
-        InputError: An argument has a wrong type or value.
     """
 
     def run(

@@ -14,16 +14,9 @@ _MAX_DRAWS = 20
 
 
 def free_configurations(arm: Arm, count: int, spread: float) -> Array:
-    """Random configurations around home at which nothing touches, always the same.
+    """(count, n) rad, random configurations within a spread around home at which nothing touches, always the same.
 
-    Args:
-        spread: rad (m) to both sides of home.
-
-    Returns:
-        (count, n) rad.
-
-    Raises:
-        InputError: The arm touches something at nearly all of them.
+    InputError if the arm touches something at nearly all of them.
     """
     rng = np.random.default_rng(0)
     checker = collision_checker(arm)

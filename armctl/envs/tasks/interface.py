@@ -22,19 +22,12 @@ _START_SPREAD = 0.1  # rad (m), of all joints around the start
 
 
 class Episode(NamedTuple):
-    """How an episode starts.
+    """How an episode starts."""
 
-    Attributes:
-        q: (n,) rad, the configuration.
-        goal: Which of the task's goals it has.
-        object: (3,) m, where the loose object is; None without one.
-        obstacle: (3,) m, where the obstacle is; None without one.
-    """
-
-    q: Array
-    goal: int
-    object: Array | None = None
-    obstacle: Array | None = None
+    q: Array  # (n,) rad, the configuration
+    goal: int  # which of the task's goals it has
+    object: Array | None = None  # (3,) m, where the loose object is; None without one
+    obstacle: Array | None = None  # (3,) m, where the obstacle is; None without one
 
 
 class Task(ABC):
@@ -42,36 +35,23 @@ class Task(ABC):
 
     Its constructor takes an `ArmSource` and the ticks of a step, loads the arm in the scene of the task, and sets those of the
     attributes that do not belong to the class.
-
-    Attributes:
-        name: As in `armctl/Reach-v0`.
-        instruction: The task in words, for data sets.
-        min_duration: s, of an episode, if fifty steps are shorter.
-        tolerance: m from the goal that counts as success.
-        held_fraction: Of an episode, at its end, in which a policy that solves the task is at the goal.
-        object: The name of the loose object to move to the goal; empty for the tip.
-        obstacle: The name of the body to avoid; empty for none.
-        uses_gripper: Whether an action has a number for the gripper.
-        moves_goal: Whether the goal moves during an episode.
-        grip: Its gripper, if the task uses or closes it. It is open at the start of an episode if an action has a number for
-            it, else it is closed and braked.
-        start_q: (n,) rad, around which episodes start.
-        goals: (k, s, 3) m, positions of each goal at the steps of an episode; the last one stays.
     """
 
-    name: ClassVar[str]
-    instruction: ClassVar[str]
-    min_duration: ClassVar[float] = 0.0
-    tolerance: ClassVar[float] = 0.02
-    held_fraction: ClassVar[float] = 0.0
-    object: ClassVar[str] = ""
-    obstacle: ClassVar[str] = ""
-    uses_gripper: ClassVar[bool] = False
-    moves_goal: ClassVar[bool] = False
+    name: ClassVar[str]  # as in `armctl/Reach-v0`
+    instruction: ClassVar[str]  # the task in words, for data sets
+    min_duration: ClassVar[float] = 0.0  # s, of an episode, if fifty steps are shorter
+    tolerance: ClassVar[float] = 0.02  # m from the goal that counts as success
+    held_fraction: ClassVar[float] = 0.0  # of an episode, at its end, in which a policy that solves the task is at the goal
+    object: ClassVar[str] = ""  # the name of the loose object to move to the goal; empty for the tip
+    obstacle: ClassVar[str] = ""  # the name of the body to avoid; empty for none
+    uses_gripper: ClassVar[bool] = False  # whether an action has a number for the gripper
+    moves_goal: ClassVar[bool] = False  # whether the goal moves during an episode
     arm: Arm
+    # Its gripper, if the task uses or closes it. It is open at the start of an episode if an action has a number for it, else
+    # it is closed and braked.
     grip: Grip | None = None
-    start_q: Array
-    goals: Array
+    start_q: Array  # (n,) rad, around which episodes start
+    goals: Array  # (k, s, 3) m, positions of each goal at the steps of an episode; the last one stays
 
     @abstractmethod
     def __init__(self, source: ArmSource, ticks: int):
@@ -102,19 +82,10 @@ class Task(ABC):
     def reward(
         self, achieved: NDArray[Any], desired: NDArray[Any], touched: NDArray[Any] | bool, *, is_sparse: bool
     ) -> tuple[NDArray[np.floating], BoolArray, NDArray[np.floating]]:
-        """The reward of a state.
+        """The reward (...,) of points achieved and desired (..., 3), whether that is a success, and the distance in m.
 
-        It is 1 at the goal, less 5 for each m of distance; or, if it is sparse, 0 at the goal and -1 elsewhere. A step in which
-        the obstacle is touched costs 1 more.
-
-        Args:
-            achieved: (..., 3) m, the tip or the object.
-            desired: (..., 3) m, the goal.
-            touched: (...,) whether the obstacle was touched.
-            is_sparse: Whether the distance does not count.
-
-        Returns:
-            (...,) reward, success, and distance in m.
+        The reward is 1 at the goal, less 5 for each m of distance; or, if it is sparse, 0 at the goal and -1 elsewhere.
+        A step in which the obstacle is touched costs 1 more.
         """
         way = np.subtract(achieved, desired, dtype=np.float64)
         distance = np.sqrt(np.vecdot(way, way))

@@ -17,9 +17,6 @@ class Reach(Task):
     """Move the tip to a point, which is new in each episode.
 
     Goals are tips of configurations around home at which nothing touches, so the arm can reach each of them.
-
-    Attributes:
-        goal_q: (k, n) rad, configurations whose tips are the goals.
     """
 
     name = "Reach"
@@ -30,6 +27,7 @@ class Reach(Task):
         self.arm = source.load()
         limits = target_limits(self.arm)
         self.start_q = np.clip(self.arm.home, limits.q_min, limits.q_max)
+        # (k, n) rad, configurations whose tips are the goals
         self.goal_q = free_configurations(self.arm, _GOALS, _GOAL_SPREAD)
         self.goals = self.arm.fk_many(self.goal_q)[0][:, None]
 

@@ -47,15 +47,7 @@ class ReachPast(Task):
     obstacle = "obstacle"
 
     def __init__(self, source: ArmSource, ticks: int):
-        """The task; the ticks of a step do not matter.
-
-        Args:
-            source: The robot, which is loaded among the objects.
-            ticks: Not used.
-
-        Raises:
-            InputError: The robot was loaded already, or hardly any start and goal have the ball between them.
-        """
+        """The task; InputError if the robot was loaded already, or hardly any start and goal have the ball between them."""
         reach = ik_chain(source.load()).reach
         radius = _RADIUS * reach
         scene = _SceneWithBall().add_ball(self.obstacle, radius, [0.0, 0.0, -_AWAY * reach])

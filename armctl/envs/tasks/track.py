@@ -38,14 +38,7 @@ class Track(Task):
     moves_goal = True
 
     def __init__(self, source: ArmSource, ticks: int):
-        """The task.
-
-        Args:
-            ticks: Control periods of a step.
-
-        Raises:
-            InputError: The arm touches something on nearly all paths.
-        """
+        """The task, for steps of so many ticks; InputError if the arm touches something on nearly all paths."""
         self.arm = source.load()
         limits = target_limits(self.arm)
         self.start_q = np.clip(self.arm.home, limits.q_min, limits.q_max)

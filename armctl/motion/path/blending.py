@@ -17,16 +17,11 @@ class Blend:
 
     Inside it goes from a `radius` before the corner to a `radius` after it; at both ends it agrees with the shapes in position,
     orientation and their first three derivatives.
-
-    Attributes:
-        before: The shape that ends at the corner.
-        after: The shape that starts there.
-        radius: m, along both.
     """
 
-    before: Shape
-    after: Shape
-    radius: float
+    before: Shape  # the shape that ends at the corner
+    after: Shape  # the shape that starts there
+    radius: float  # m, along both
 
     @property
     def length(self) -> float:
@@ -48,16 +43,11 @@ class Blend:
 
 @dataclass(frozen=True, eq=False)
 class SubPath:
-    """Part of a shape.
-
-    Attributes:
-        start: m, where it begins on it.
-        end: m, where it ends.
-    """
+    """Part of a shape."""
 
     shape: Shape
-    start: float
-    end: float
+    start: float  # m, where it begins on it
+    end: float  # m, where it ends
 
     @property
     def length(self) -> float:

@@ -21,17 +21,11 @@ TURN_RADIUS = 0.2  # m: what a radian of turning counts as
 
 
 class PathPoint(NamedTuple):
-    """A place on a path.
+    """A place on a path."""
 
-    Attributes:
-        position: (3,) m.
-        rotation: (3, 3).
-        twist: (6,) how both change with the length: linear, then angular in world axes.
-    """
-
-    position: Array
-    rotation: Array
-    twist: Array
+    position: Array  # (3,) m
+    rotation: Array  # (3, 3)
+    twist: Array  # (6,) how both change with the length: linear, then angular in world axes
 
 
 class Shape(Protocol):
@@ -49,15 +43,10 @@ class Shape(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """The tip's orientation from one to another about a fixed axis (spherical linear interpolation).
+    """The tip's orientation from one to another about a fixed axis (spherical linear interpolation)."""
 
-    Attributes:
-        start: (3, 3).
-        vector: (3,) rad, axis times angle, in world axes.
-    """
-
-    start: Array
-    vector: Array
+    start: Array  # (3, 3)
+    vector: Array  # (3,) rad, axis times angle, in world axes
 
     @classmethod
     def between(cls, start: Array, end: Array) -> Turn:
@@ -80,17 +69,11 @@ class Turn:
 
 @dataclass(frozen=True, eq=False)
 class Straight:
-    """A straight line.
+    """A straight line."""
 
-    Attributes:
-        start: (3,) m.
-        end: (3,) m.
-        turn: How the orientation changes along the path.
-    """
-
-    start: Array
-    end: Array
-    turn: Turn
+    start: Array  # (3,) m
+    end: Array  # (3,) m
+    turn: Turn  # how the orientation changes along the path
 
     @property
     def length(self) -> float:
@@ -117,21 +100,13 @@ class Straight:
 
 @dataclass(frozen=True, eq=False)
 class Circle:
-    """An arc of a circle.
+    """An arc of a circle."""
 
-    Attributes:
-        start: (3,) m.
-        center: (3,) m.
-        axis: (3,) unit vector that it turns about.
-        angle: rad, how far.
-        turn: How the orientation changes along the path.
-    """
-
-    start: Array
-    center: Array
-    axis: Array
-    angle: float
-    turn: Turn
+    start: Array  # (3,) m
+    center: Array  # (3,) m
+    axis: Array  # (3,) unit vector that it turns about
+    angle: float  # rad, how far
+    turn: Turn  # how the orientation changes along the path
 
     @classmethod
     def through(cls, start: Array, via: Array, end: Array, angle: float | None, turn: Turn) -> Circle:
