@@ -784,18 +784,6 @@ class HybridForce(Law):
     def in_contact(self) -> bool:
         """Whether every force axis with a target is in contact."""
 
-def limit_excess(
-    coefficients: numpy.ndarray,
-    steps: numpy.ndarray,
-    order: int,
-    low: numpy.ndarray,
-    high: numpy.ndarray,
-    excess: numpy.ndarray,
-) -> None:
-    """
-    How far a derivative of each joint leaves [low, high] in each piece: exact where greater than 0, else at most 0.
-    """
-
 def fastest_path_speed(coefficients: numpy.ndarray, interval_length: float, from_near: bool, **arguments) -> bool:
     """
     Fills the coefficients of the squared path speed that takes the least time; False if none keeps the bounds.
