@@ -38,7 +38,7 @@ def _print_names(args: argparse.Namespace) -> None:
 
 def _print_ratings(args: argparse.Namespace) -> None:
     """The ratings of all data sheets."""
-    from armctl.loading.ratings import rated_arms, ratings_table
+    from armctl.loading.datasheets import rated_arms, ratings_table
 
     rows = [
         {

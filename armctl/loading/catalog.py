@@ -18,12 +18,16 @@ from armctl.core.errors import ArmctlError, InputError, ModelError, UnknownNameE
 from armctl.core.file_reading import shown_path
 from armctl.core.validation import shown
 from armctl.loading.datasheets import ALIASES, BY_CATEGORY, BY_ROBOT, ROWS, Row
-from armctl.loading.robot_descriptions import description_file, is_description_name
 from armctl.loading.urdf import read_urdf
 from armctl.loading.urdf_file import UrdfFile, is_urdf, read_urdf_file
 
 if TYPE_CHECKING:
     import mujoco_menagerie as menagerie
+
+import importlib
+import importlib.util
+import pkgutil
+import re
 
 BUNDLED = "robot_arm_3dof"
 _CONNECT_TIMEOUT_S = 3.0  # for the server of MuJoCo Menagerie
@@ -35,6 +39,9 @@ _CONVERTERS = {
 _REFERRING = ("actuators", "sensors", "equalities", "tendons", "pairs", "excludes", "keys", "skins")
 _FEW_PIXELS = 8  # width of a texture that nothing is drawn with
 _MUJOCO_ERRORS = (ValueError, OSError, mujoco.FatalError, mujoco.UnexpectedError)
+_PACKAGE = "robot_descriptions"
+_NAME = re.compile(r"\w+_description")
+_PATHS = ("MJCF_PATH", "URDF_PATH", "XACRO_PATH")  # an MJCF says most
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +126,7 @@ def locate(robot: str | os.PathLike[str] | mujoco.MjSpec, *, tool: bool = False)
         raise InputError(f"{'tool' if tool else 'robot'}: {shown(robot)} is a path in bytes; give it as text")
     if given.lower().endswith(_ENDINGS) or isinstance(robot, os.PathLike):
         path = Path(given)
-        if not _is_file(path):
+        if not os.path.isfile(path):
             raise ModelError(f"{shown_path(path)}: no such file")
         _refuse_other_formats(path)
         return Source(path.stem.removesuffix(".urdf"), path)
@@ -176,27 +183,13 @@ def _unknown(given: str, tool: bool) -> ArmctlError:
     import mujoco_menagerie as menagerie
 
     path = Path(given)
-    if _is_file(path):
+    if os.path.isfile(path):
         return ModelError(f"{shown_path(path)}: its name does not end in .xml or .urdf, no model")
-    if _is_folder(path):
+    if os.path.isdir(path):
         return ModelError(f"{shown_path(path)}: a folder, no model")
     if tool:
         return UnknownNameError.of("tool", given, [r.name for r in menagerie.robots("end_effector")])
     return UnknownNameError.of("robot", given, [BUNDLED, *ALIASES, *menagerie.names()], "`armctl robots`")
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # a name that no file can have, such as one with a null character
-        return False
-
-
-def _is_folder(path: Path) -> bool:
-    try:
-        return path.is_dir()
-    except (OSError, ValueError):
-        return False
 
 
 def robots() -> dict[str, str]:
@@ -242,3 +235,34 @@ def _check_network(robot: menagerie.Robot) -> None:
 def _one_line(error: Exception) -> str:
     """The first 200 characters of a message, in one line."""
     return f"{' '.join(str(error).split()):.200}"
+
+
+def is_description_name(name: str) -> bool:
+    """Whether a name has the form that names of robot_descriptions have, such as "panda_mj_description"."""
+    return _NAME.fullmatch(name) is not None
+
+
+def description_file(name: str) -> Path:
+    """The file of a robot by its name in robot_descriptions; downloaded on first use."""
+    package = importlib.util.find_spec(_PACKAGE)
+    if package is None:
+        raise ModelError(
+            f"{name:.80}: a name of the package robot_descriptions, which is not installed: `pip install {_PACKAGE}`"
+        )
+    known = [
+        module.name for module in pkgutil.iter_modules(package.submodule_search_locations) if is_description_name(module.name)
+    ]
+    if name not in known:
+        raise UnknownNameError.of("robot of robot_descriptions", name, known)
+    try:
+        module = importlib.import_module(f"{_PACKAGE}.{name}")
+    except Exception as error:  # importing it clones a repository, which can fail in any way
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise ModelError(f"{name}: robot_descriptions cannot provide it: {reason:.200}") from None
+    found = [getattr(module, path) for path in _PATHS if hasattr(module, path)]
+    if not found:
+        raise ModelError(f"{name}: robot_descriptions has neither an MJCF nor a URDF of it")
+    path = Path(found[0])
+    if not path.is_file():
+        raise ModelError(f"{name}: robot_descriptions says that its file is {path}, which does not exist")
+    return path

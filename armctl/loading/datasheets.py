@@ -6,9 +6,13 @@ Only what is particular to one robot stands here. A robot without a row works to
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import radians
+from math import degrees, radians
+
+from armctl.core.tables import Table
 
 _DEG = radians(1.0)
+_COLUMNS = ("robot", "payload, kg", "reach, m", "joint speeds, deg/s", "source")
+_ARM_CATEGORIES = ("arm", "dual_arm")
 
 
 @dataclass(frozen=True)
@@ -176,3 +180,21 @@ ALIASES: dict[str, str] = {
     "wxai": "trossen_wxai",
     "omy": "robotis_omy_3m",
 }
+
+
+def rated_arms() -> dict[str, Row]:
+    """Every arm of Menagerie with its data sheet; without one, its row is empty and its speeds are the default of 2 rad/s."""
+    import mujoco_menagerie as menagerie
+
+    arms = [robot.name for robot in menagerie.robots() if robot.category in _ARM_CATEGORIES]
+    return {name: ROWS.get(name, Row(source="")) for name in sorted({*arms, *ROWS})}
+
+
+def ratings_table() -> Table:
+    """The figures of `rated_arms`."""
+    cells = []
+    for name, row in rated_arms().items():
+        speeds = " ".join(f"{degrees(v):.0f}" for v in row.v_max or ())
+        figures = ["" if figure is None else f"{figure:g}" for figure in (row.payload, row.reach)]
+        cells.append([name, *figures, speeds, row.sources or "no data sheet"])
+    return Table(_COLUMNS, cells)

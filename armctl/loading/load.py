@@ -23,7 +23,7 @@ from armctl.loading.build import make_arms
 from armctl.loading.catalog import Source, locate
 from armctl.loading.chain import SerialChain, all_chains
 from armctl.loading.describe import ArmEnds, describe_arms, find_ends
-from armctl.loading.fixed_base import remove_free_joints
+from armctl.loading.home import remove_free_joints
 from armctl.loading.model_checks import (
     check_joint_parameters,
     check_mass_matrix,
@@ -34,13 +34,16 @@ from armctl.loading.model_checks import (
 from armctl.loading.prepare import PreparedModel, make_arm_model, make_arm_model_from_compiled
 from armctl.loading.scene import Scene
 from armctl.loading.srdf import Srdf, apply_srdf, find_srdf, read_srdf
-from armctl.loading.tool import mount
+from armctl.loading.tip import tip_on
 from armctl.loading.undriven import add_missing_motors
 from armctl.loading.urdf_file import UrdfFile
+from armctl.mjmodel.edit import copy_options
 from armctl.mjmodel.queries import model_name
 from armctl.mjmodel.transmissions import Transmissions
 from armctl.robot.arm import Arm
 from armctl.robot.parity import check_parity
+
+_FLANGE = "armctl_flange"
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,3 +319,24 @@ def _naming(name: str) -> Iterator[None]:
         yield
     except ModelError as error:
         raise ModelError(f"{name:.80}: {error}") from None
+
+
+def mount(spec: mujoco.MjSpec, flange: mujoco.MjsBody, T_body_flange: Pose, tool: Source) -> str:
+    """Mounts a tool at a frame of the body `flange`, in place, and returns the name of its tip in the robot's model.
+
+    Its masses, joints and actuators become part of the robot's model; all of its names get the tool's own before them.
+    """
+    child, _ = tool.read()
+    model = tool.compile(child)
+    for joint in list(child.joints):
+        if joint.type == mujoco.mjtJoint.mjJNT_FREE:
+            child.delete(joint)
+    # The better friction of the two: a gripper that holds by it says how it needs it.
+    spec.option.cone = max(spec.option.cone, child.option.cone)
+    spec.option.impratio = max(spec.option.impratio, child.option.impratio)
+    copy_options(spec, child)
+    prefix = f"{tool.name.replace('/', '_')}/"
+    site = flange.add_site(name=_FLANGE, pos=T_body_flange.position, quat=T_body_flange.quat)
+    spec.attach(child, site=site, prefix=prefix)
+    root = next((body for body in range(1, model.nbody) if model.body_parentid[body] == 0), 0)
+    return prefix + tip_on(model, root).name

@@ -17,8 +17,7 @@ from armctl.core.validation import Array, number, shown, vector
 from armctl.ik.all_solutions import solve_ik_all
 from armctl.motion.checks import planning_arm
 from armctl.motion.moving_start import planned_from
-from armctl.motion.path.blending import Blend, CompositePath, SubPath
-from armctl.motion.path.geometry import Circle, Shape, Straight, Turn
+from armctl.motion.path.geometry import Blend, Circle, CompositePath, Shape, Straight, SubPath, Turn
 from armctl.motion.path.joint_path import JointPath, joint_path_along
 from armctl.motion.path.tip_caps import TipCaps
 from armctl.motion.sections import NO_LIMITS, Section, SectionLimits, pause, section_dwell, section_limits, within_sections

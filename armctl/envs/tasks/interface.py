@@ -2,23 +2,71 @@
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from armctl.collision.checkers import collision_checker
+from armctl.core.errors import InputError
 from armctl.core.limits import Limits
-from armctl.core.validation import Array, BoolArray
+from armctl.core.validation import Array, BoolArray, instance
 from armctl.envs.actions import target_limits
 from armctl.envs.grip import Grip
-from armctl.envs.source import ArmSource
+from armctl.loading.load import load
+from armctl.loading.scene import Scene
 from armctl.robot.arm import Arm
 
 _DISTANCE_WEIGHT = 5.0  # 1/m
 _TOUCH_COST = 1.0
 _START_SPREAD = 0.1  # rad (m), of all joints around the start
+_MAX_DRAWS = 20
+Robot = str | os.PathLike[str] | mujoco.MjSpec | Arm
+
+
+class ArmSource:
+    """A robot that can be loaded, or an arm that was loaded."""
+
+    def __init__(self, robot: Robot, load_options: Mapping[str, Any] | None):
+        """A robot.
+
+        Args:
+            robot: An arm, or what `armctl.load` takes.
+            load_options: Keyword arguments of `armctl.load`, except its scene.
+
+        Raises:
+            InputError: Another type, a scene among the options, or options for an arm that was loaded.
+        """
+        instance("robot", robot, (str, os.PathLike, mujoco.MjSpec, Arm), "'panda' or armctl.load('panda') is one")
+        instance("load_options", load_options or {}, Mapping, "{'tool': 'robotiq_2f85'} is one")
+        self._robot = robot
+        self._options = dict(load_options or {})
+        if "scene" in self._options:
+            raise InputError("load_options: the scene belongs to the task; give other arguments of armctl.load, such as 'tool'")
+        if self._options and isinstance(robot, Arm):
+            raise InputError(f"load_options: {robot.name:.80} is loaded already; give its name or file instead")
+
+    def load(self) -> Arm:
+        """The arm alone."""
+        return self._robot if isinstance(self._robot, Arm) else load(self._robot, **self._options)
+
+    def load_among(self, scene: Scene, task: str) -> Arm:
+        """The arm among the objects of a task.
+
+        Raises:
+            InputError: The arm was loaded already.
+        """
+        if isinstance(self._robot, Arm):
+            raise InputError(
+                f"robot: {task} puts objects around the robot, and {self._robot.name:.80} is loaded already; give its name or "
+                "file, and load_options={'tool': ...} for arguments of armctl.load"
+            )
+        return load(self._robot, scene=scene, **self._options)
 
 
 class Episode(NamedTuple):
@@ -94,3 +142,20 @@ class Task(ABC):
         if self.obstacle:
             reward = reward - _TOUCH_COST * np.asarray(touched)
         return reward, success, distance
+
+
+def free_configurations(arm: Arm, count: int, spread: float) -> Array:
+    """(count, n) rad, random configurations within a spread around home at which nothing touches, always the same.
+
+    InputError if the arm touches something at nearly all of them.
+    """
+    rng = np.random.default_rng(0)
+    checker = collision_checker(arm)
+    limits = target_limits(arm)
+    found = np.zeros((0, arm.n))
+    for _ in range(_MAX_DRAWS):
+        drawn = np.clip(arm.home + rng.uniform(-spread, spread, (count, arm.n)), limits.q_min, limits.q_max)
+        found = np.concatenate([found, [q for q in drawn if not checker.at(q)]])[:count]
+        if len(found) == count:
+            return found
+    raise InputError(f"robot: {arm.name:.80} touches something near home nearly everywhere; give it another home")

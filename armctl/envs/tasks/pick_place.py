@@ -7,8 +7,7 @@ import numpy as np
 from armctl.core.errors import InputError, ModelError
 from armctl.core.validation import Array
 from armctl.envs.grip import find_grip
-from armctl.envs.source import ArmSource
-from armctl.envs.tasks.interface import Episode, Task
+from armctl.envs.tasks.interface import ArmSource, Episode, Task
 from armctl.envs.tasks.table import Cylinder, find_table, load_at_table
 from armctl.envs.tasks.tool import find_tool, jaw_center
 from armctl.ik.problem import ik_chain

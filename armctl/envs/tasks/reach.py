@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from armctl.envs.actions import target_limits
-from armctl.envs.source import ArmSource
-from armctl.envs.tasks.configurations import free_configurations
-from armctl.envs.tasks.interface import Episode, Task
+from armctl.envs.tasks.interface import ArmSource, Episode, Task, free_configurations
 
 _GOAL_SPREAD = 0.5  # rad (m), of all joints around home
 _GOALS = 2048

@@ -9,9 +9,7 @@ import numpy as np
 
 from armctl.core.errors import InputError
 from armctl.core.validation import Array
-from armctl.envs.source import ArmSource
-from armctl.envs.tasks.configurations import free_configurations
-from armctl.envs.tasks.interface import Episode, Task
+from armctl.envs.tasks.interface import ArmSource, Episode, Task, free_configurations
 from armctl.ik.problem import ik_chain
 from armctl.loading.scene import Scene
 from armctl.robot.arm import Arm

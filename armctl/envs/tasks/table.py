@@ -14,7 +14,7 @@ from armctl.core.errors import InputError
 from armctl.core.pose import Pose, rotation_from_vector
 from armctl.core.validation import Array
 from armctl.envs.actions import target_limits
-from armctl.envs.source import ArmSource
+from armctl.envs.tasks.interface import ArmSource
 from armctl.envs.tasks.tool import Tool
 from armctl.ik.problem import ik_chain
 from armctl.ik.solve import solve_ik

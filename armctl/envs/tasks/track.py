@@ -10,9 +10,7 @@ from armctl.collision.checkers import collision_checker
 from armctl.core.errors import InputError
 from armctl.core.validation import Array
 from armctl.envs.actions import target_limits
-from armctl.envs.source import ArmSource
-from armctl.envs.tasks.configurations import free_configurations
-from armctl.envs.tasks.interface import Episode, Task
+from armctl.envs.tasks.interface import ArmSource, Episode, Task, free_configurations
 
 _PATHS = 128
 _CENTERS = 256
