@@ -517,11 +517,6 @@ class Chain:
     def branches(self, q: numpy.ndarray, branches: numpy.ndarray) -> None:
         """Fills branches (N,) with the numbers of those of q (N, n)."""
 
-    def manipulabilities(self, oriented: bool, q: numpy.ndarray, values: numpy.ndarray) -> None:
-        """
-        Fills values (N,) with the manipulability at each q (N, n), lengths in m.
-        """
-
 class IkErrorModel:
     """
     Half the squared error around a configuration, with scratch memory: use an object in one thread at a time.
