@@ -171,16 +171,18 @@ class Impossible(mink.Limit):
         return mink.Constraint(np.vstack([G, -G]), -np.ones(2 * configuration.nv))
 
 
-def test_a_program_without_a_solution_is_a_status():
+@pytest.mark.parametrize("solver", ["daqp", "osqp"])
+def test_a_program_without_a_solution_is_a_status(solver: str):
     arm = arm_of("robot_arm_3dof")
-    ik = DifferentialIk(arm, limits=[Impossible()])
+    ik = DifferentialIk(arm, limits=[Impossible()], solver=solver)
     assert (ik.step(arm.home, [0.3, 0.2, 0.3], DT) == 0).all()
     assert ik.status == "no solution"
 
 
-def test_the_tip_arrives():
+@pytest.mark.parametrize("solver", ["daqp", "osqp"])
+def test_every_solver_arrives(solver: str):
     arm = arm_of("robot_arm_3dof")
-    q, _ = follow(DifferentialIk(arm), arm.home, [0.3, 0.2, 0.3], 400)
+    q, _ = follow(DifferentialIk(arm, solver=solver), arm.home, [0.3, 0.2, 0.3], 400)
     assert np.abs(arm.fk(q).position - [0.3, 0.2, 0.3]).max() < 1e-4
 
 
@@ -273,6 +275,7 @@ def test_a_height_field_cannot_be_avoided(tmp_path: Path):
     ("arguments", "error", "sentence"),
     [
         ({"posture": [0.0, 9.0, 0.0]}, LimitError, "posture: shoulder_pitch: 9 rad is outside [-1.570, 1.570] rad"),
+        ({"solver": "dacp"}, InputError, "solver: expected one of daqp, osqp, got 'dacp'"),
         ({"clearance": -1.0}, InputError, "clearance: expected a number at least 0, got -1"),
         ({"limits": 1.0}, InputError, "limits: expected a list of mink Limit objects, got 1.0"),
         ({"tasks": ["tip"]}, InputError, "tasks: expected a list of mink BaseTask objects, got ['tip']"),
