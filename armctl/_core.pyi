@@ -517,11 +517,6 @@ class Chain:
     def branches(self, q: numpy.ndarray, branches: numpy.ndarray) -> None:
         """Fills branches (N,) with the numbers of those of q (N, n)."""
 
-    def manipulabilities(self, oriented: bool, q: numpy.ndarray, values: numpy.ndarray) -> None:
-        """
-        Fills values (N,) with the manipulability at each q (N, n), lengths in m.
-        """
-
 class IkErrorModel:
     """
     Half the squared error around a configuration, with scratch memory: use an object in one thread at a time.
@@ -783,18 +778,6 @@ class HybridForce(Law):
     @property
     def in_contact(self) -> bool:
         """Whether every force axis with a target is in contact."""
-
-def limit_excess(
-    coefficients: numpy.ndarray,
-    steps: numpy.ndarray,
-    order: int,
-    low: numpy.ndarray,
-    high: numpy.ndarray,
-    excess: numpy.ndarray,
-) -> None:
-    """
-    How far a derivative of each joint leaves [low, high] in each piece: exact where greater than 0, else at most 0.
-    """
 
 def fastest_path_speed(coefficients: numpy.ndarray, interval_length: float, from_near: bool, **arguments) -> bool:
     """

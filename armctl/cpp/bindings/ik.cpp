@@ -129,16 +129,6 @@ void branches_of(const Chain& chain, const In& q, const IntegersOut& branches) {
     }
 }
 
-void manipulabilities(const Chain& chain, bool oriented, const In& q, const Out& values) {
-    const Matrix configurations = q.matrix(q.length("q"), chain.n(), "q");
-    const Result results = values.vector(configurations.rows, "values");
-    ChainKinematics kinematics(chain);
-    for (size_t t = 0; t < results.size(); ++t) {
-        kinematics.place(configurations.row(t));
-        results[t] = kinematics.manipulability(oriented);
-    }
-}
-
 void bind_chain(nb::module_& module) {
     nb::enum_<AxesRelation>(module, "AxesRelation", nb::is_arithmetic(), "How the axes of some joints are related.")
         .value("NEITHER", AxesRelation::neither)
@@ -189,9 +179,7 @@ void bind_chain(nb::module_& module) {
         .def("polish", &polish_seeds, "target"_a, "position_tolerance"_a, "orientation_tolerance"_a, "q0"_a, "seeds"_a, "q"_a,
              "position_errors"_a, "orientation_errors"_a, "branches"_a, Release(),
              "Refines the seeds (M, n) of a pose (12,) and keeps those that are solutions inside the bounds, nearest first.")
-        .def("branches", &branches_of, "q"_a, "branches"_a, Release(), "Fills branches (N,) with the numbers of those of q (N, n).")
-        .def("manipulabilities", &manipulabilities, "oriented"_a, "q"_a, "values"_a, Release(),
-             "Fills values (N,) with the manipulability at each q (N, n), lengths in m.");
+        .def("branches", &branches_of, "q"_a, "branches"_a, Release(), "Fills branches (N,) with the numbers of those of q (N, n).");
 }
 
 double linearize(ErrorModel& model, const In& target, Constraint constraint, double position_priority, const In& q, const Out& hessian,
