@@ -27,13 +27,16 @@ class MPCCounts(NamedTuple):
     Attributes:
         ticks: All ticks.
         planned: Those in which the motion of computed torque would have exceeded a limit within the horizon.
-        unplanned: Those of them without a plan, in which the program of the tick alone acts: no plan keeps all limits, or the
-            error is so large that its feedback asks for more than the limit of velocity.
+        unplanned: Those of them without a plan: the solver found none, and the last plan goes on; or the error is so large that
+            its feedback asks for more than the limit of velocity. The program of the tick alone then keeps the limits.
+        relaxed: Those of them in which limits contradict each other, so that the plan exceeds one of velocity or position by
+            the least.
     """
 
     ticks: int
     planned: int
     unplanned: int
+    relaxed: int
 
 
 class MPC(ComputedTorqueQP):
@@ -88,7 +91,7 @@ class MPC(ComputedTorqueQP):
     def counts(self) -> MPCCounts:
         """How often limits acted in the present or last run."""
         law = self._law
-        return MPCCounts(*(law.counts.astype(int).tolist() if isinstance(law, _core.MPC) else (0, 0, 0)))
+        return MPCCounts(*(law.counts.astype(int).tolist() if isinstance(law, _core.MPC) else 4 * (0,)))
 
     def foresee(self, ahead: TickReference) -> None:
         """Takes the reference of the coming ticks for the next call of `torque`. A simulation does this by itself.

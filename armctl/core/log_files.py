@@ -37,13 +37,7 @@ def save(path: Path, content: Content) -> None:
 
 
 def load(path: Path) -> Content:
-    """Reads a file in the format of its file extension.
-
-    Raises:
-        InputError: Another file extension, or no log that armctl wrote; what damaged bytes raise otherwise depends on the
-            format.
-        NotInstalledError: A Parquet file, and pyarrow is not installed.
-    """
+    """Reads a file in the format of its file extension; what damaged bytes raise depends on the format."""
     if path.suffix not in _READERS:
         raise InputError(f"it ends in {path.suffix!r:.20}, expected one of {', '.join(_READERS)}")
     return _READERS[path.suffix](path)

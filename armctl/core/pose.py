@@ -168,9 +168,6 @@ class Pose:
 
         Returns:
             The distance in m and the angle in rad, 0 to pi.
-
-        Raises:
-            InputError: It is no pose.
         """
         instance("other", other, Pose, "armctl.Pose(position) makes one")
         return (

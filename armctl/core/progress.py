@@ -40,16 +40,7 @@ class _Lines:
 
 @contextmanager
 def progress_bar(description: str, total: int, unit: str) -> Iterator[ProgressBar]:
-    """A bar that appears after `DELAY_S` if stderr is a terminal; otherwise a line every `LINE_INTERVAL_S`.
-
-    Args:
-        description: What is being done, in a word or two.
-        total: The number of pieces of work.
-        unit: What one piece is called.
-
-    Yields:
-        The bar; call its `update`.
-    """
+    """A bar that appears after `DELAY_S` if stderr is a terminal; otherwise a line every `LINE_INTERVAL_S`."""
     if sys.stderr is None or not sys.stderr.isatty():
         yield _Lines(description, total, unit)
         return

@@ -17,32 +17,17 @@ RENDER_MODES = ("rgb_array", "human")
 
 
 class SceneState(NamedTuple):
-    """Where everything in a scene is.
+    """Where everything in a scene is."""
 
-    Attributes:
-        qpos: (nq,) positions.
-        mocap_pos: (nmocap, 3) m, of the marker of the goal and of the obstacle.
-    """
-
-    qpos: Array
-    mocap_pos: Array
+    qpos: Array  # (nq,) positions
+    mocap_pos: Array  # (nmocap, 3) m, of the marker of the goal and of the obstacle
 
 
 class Screen:
     """Shows the first row of a batch, and the goal as the target marker."""
 
     def __init__(self, batch: Batch, mode: str, width: int, height: int):
-        """A screen; pictures or the page are opened when they are first needed.
-
-        Args:
-            mode: "rgb_array" or "human".
-            width: Pixels of a picture.
-            height: Pixels of a picture.
-
-        Raises:
-            InputError: There is no such mode, or no picture of this size.
-            NotInstalledError: The page needs a package that is missing.
-        """
+        """A screen; pictures or the page are opened when they are first needed."""
         self._batch = batch
         self._arm = batch.arm
         self._data = mujoco.MjData(self._arm.model)

@@ -54,7 +54,7 @@ def solve_ik_all(
 
     In all other cases the search is numerical: it descends from many starts and keeps the distinct solutions. It ends when 300
     random starts in a row found nothing new. `is_complete` is True if an arm of six hinges has as many isolated solutions as
-    such a chain can have at most (16, or 8 with special axes). If the arm has more joints than the target has constraints, the
+    such a chain can have at most (16). If the arm has more joints than the target has constraints, the
     surplus joints are swept. Otherwise a solution may be missing, although the tests have not found such a case.
 
     Configurations that differ by whole turns are one solution; of these the nearest to q0 inside the limits is returned.

@@ -25,25 +25,15 @@ DEVIATION_FACTOR = 10.0  # slack in cosines for each unit by which the axes devi
 
 
 class Solutions(NamedTuple):
-    """Distinct solutions inside the limits, the nearest to q0 first.
+    """Distinct solutions inside the limits, the nearest to q0 first."""
 
-    Attributes:
-        q: (N, n) rad.
-        position_errors: (N,) m.
-        orientation_errors: (N,) rad.
-        branches: (N,) the core's numbers of the branches.
-        starts: How many configurations were begun with.
-        steps: Solver steps.
-        is_complete: Whether there is proved to be no other.
-    """
-
-    q: Array
-    position_errors: Array
-    orientation_errors: Array
-    branches: IntArray
-    starts: int
-    steps: int
-    is_complete: bool
+    q: Array  # (N, n) rad
+    position_errors: Array  # (N,) m
+    orientation_errors: Array  # (N,) rad
+    branches: IntArray  # (N,) the core's numbers of the branches
+    starts: int  # how many configurations were begun with
+    steps: int  # solver steps
+    is_complete: bool  # whether there is proved to be no other
 
     def select(self, rows: IntArray) -> Solutions:
         """Those with the numbers (K,)."""

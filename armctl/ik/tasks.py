@@ -154,10 +154,7 @@ class ClearanceLimit(mink.Limit):
     """
 
     def __init__(self, arm: Arm, clearance: float):
-        """The limit of an arm that keeps `clearance`, m, where it can.
-
-        Raises ModelError for a scene with a height field or signed distance field that the arm could touch.
-        """
+        """The limit of an arm that keeps `clearance`, m, where it can; ModelError as for `require_provable`."""
         self._arm = arm
         self._checker = collision_checker(arm)
         self._checker.require_provable()

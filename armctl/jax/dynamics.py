@@ -25,23 +25,14 @@ _matmul = partial(jnp.matmul, precision="highest")
 
 
 class Placed(NamedTuple):
-    """The joints and links of an arm at a configuration, in world axes; points are relative to the first joint's origin.
+    """The joints and links of an arm at a configuration, in world axes; points are relative to the first joint's origin."""
 
-    Attributes:
-        rotation: (m, 3, 3), of the joints' frames.
-        angular: (m, 3), angular velocity per velocity of each joint: its axis, or zero for a slide.
-        linear: (m, 3), velocity, per velocity of each joint, of a body that it moves, at the first joint's origin.
-        center: (m, 3) m, the centers of mass.
-        inertia: (m, 3, 3) kg m^2, about the centers of mass.
-        position: (m,) rad, of all joints.
-    """
-
-    rotation: jax.Array
-    angular: jax.Array
-    linear: jax.Array
-    center: jax.Array
-    inertia: jax.Array
-    position: jax.Array
+    rotation: jax.Array  # (m, 3, 3), of the joints' frames
+    angular: jax.Array  # (m, 3), angular velocity per velocity of each joint: its axis, or zero for a slide
+    linear: jax.Array  # (m, 3), velocity, per velocity of each joint, of a body that it moves, at the first joint's origin
+    center: jax.Array  # (m, 3) m, the centers of mass
+    inertia: jax.Array  # (m, 3, 3) kg m^2, about the centers of mass
+    position: jax.Array  # (m,) rad, of all joints
 
 
 @checked

@@ -188,9 +188,6 @@ class Arm:
 
         Returns:
             T_world_tip.
-
-        Raises:
-            InputError: A wrong length or a number that is not finite.
         """
         return Pose.from_rotation(*self.pinocchio_model.tip(vector("q", q, self.n)))
 
@@ -202,9 +199,6 @@ class Arm:
 
         Returns:
             Tip positions (T, 3) m and rotation matrices (T, 3, 3), in the world.
-
-        Raises:
-            InputError: A wrong shape or a number that is not finite.
         """
         return tips(self.core_model, matrix("q", q, self.n))
 
@@ -216,9 +210,6 @@ class Arm:
 
         Returns:
             (6, n), linear first, world axes, at the tip.
-
-        Raises:
-            InputError: A wrong length or a number that is not finite.
         """
         return self.pinocchio_model.jacobian(vector("q", q, self.n))
 
@@ -232,9 +223,6 @@ class Arm:
 
         Returns:
             (n, n) kg m^2, symmetric and positive definite.
-
-        Raises:
-            InputError: A wrong length or a number that is not finite.
         """
         return self._dynamics.mass_matrix(vector("q", q, self.n))
 
@@ -249,9 +237,6 @@ class Arm:
 
         Returns:
             (n,) N m.
-
-        Raises:
-            InputError: A wrong length or a number that is not finite.
         """
         return self._dynamics.gravity(vector("q", q, self.n))
 
@@ -264,9 +249,6 @@ class Arm:
 
         Returns:
             (n,) N m.
-
-        Raises:
-            InputError: A wrong length or a number that is not finite.
         """
         return self._dynamics.coriolis(vector("q", q, self.n), vector("v", v, self.n))
 
@@ -286,9 +268,6 @@ class Arm:
 
         Returns:
             (n,) N m.
-
-        Raises:
-            InputError: A wrong length or a number that is not finite.
         """
         return self._dynamics.inverse_dynamics(vector("q", q, self.n), vector("v", v, self.n), vector("a", a, self.n))
 
@@ -305,9 +284,6 @@ class Arm:
 
         Returns:
             (n,) rad/s^2.
-
-        Raises:
-            InputError: A wrong length or a number that is not finite.
         """
         return self._dynamics.forward_dynamics(vector("q", q, self.n), vector("v", v, self.n), vector("tau", tau, self.n))
 
@@ -335,9 +311,6 @@ class Arm:
 
         Returns:
             (nq,) for `MjData.qpos`.
-
-        Raises:
-            InputError: q has another shape, is not numeric or not finite.
         """
         qpos = self.home_qpos.copy()
         self.joint_map.set_positions(qpos, vector("q", q, self.n))
@@ -351,9 +324,6 @@ class Arm:
 
         Returns:
             (nv,) for `MjData.qvel`.
-
-        Raises:
-            InputError: v has another shape, is not numeric or not finite.
         """
         qvel = np.zeros(self.model.nv)
         self.joint_map.set_speeds(qvel, vector("v", v, self.n))
@@ -431,9 +401,5 @@ class Arm:
 
 
 def check_arm(arm: object) -> None:
-    """Checks that an argument is an arm.
-
-    Raises:
-        InputError: It is something else, such as a name.
-    """
+    """Raises InputError if an argument is not an arm."""
     instance("arm", arm, Arm, f"armctl.load({arm if isinstance(arm, str) else 'panda'!r}) returns one")

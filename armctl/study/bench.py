@@ -67,21 +67,13 @@ _MODEL_ARRAYS = ("body_", "jnt_", "dof_", "geom_", "tendon_", "eq_", "actuator_"
 
 
 class Run(NamedTuple):
-    """One run as plain data.
+    """One run as plain data."""
 
-    Attributes:
-        key: Identifies the run and the versions it is made with.
-        controller: The label of the controller.
-        point: The values of the factors.
-        repeat: The number of the repetition, from 0.
-        seed: The seed of its noise. It does not depend on the controller.
-    """
-
-    key: str
-    controller: str
-    point: Point
-    repeat: int
-    seed: int
+    key: str  # identifies the run and the versions it is made with
+    controller: str  # the label of the controller
+    point: Point  # the values of the factors
+    repeat: int  # the number of the repetition, from 0
+    seed: int  # the seed of its noise. It does not depend on the controller.
 
 
 Outcome = dict[str, Any]  # "ok", "reason", "completed", the figures, "contacts", "digest"

@@ -17,17 +17,11 @@ _SEED = 0  # of the bootstrap: the same runs give the same intervals
 
 @dataclass(frozen=True)
 class Estimate:
-    """A figure with its interval of 95 % confidence; infinite where so many runs failed that it has no bound.
+    """A figure with its interval of 95 % confidence; infinite where so many runs failed that it has no bound."""
 
-    Attributes:
-        value: The figure.
-        low: The lower end of the interval.
-        high: The upper end.
-    """
-
-    value: float
-    low: float
-    high: float
+    value: float  # the figure
+    low: float  # the lower end of the interval
+    high: float  # the upper end
 
     def __format__(self, spec: str) -> str:
         return f"{self.value:{spec}} [{self.low:{spec}}, {self.high:{spec}}]"

@@ -19,14 +19,10 @@ _MAX_TURN = 0.5  # rad, of a joint in a step: more is another branch of the kine
 
 
 class CartesianExpert(Expert):
-    """A policy that commands positions of the end of the tool.
-
-    Attributes:
-        position: (3,) m, the commanded position.
-    """
+    """A policy that commands positions of the end of the tool."""
 
     table: Table
-    position: Array
+    position: Array  # (3,) m, the commanded position
 
     def __init__(self, batch: Batch, row: int):
         """A policy that waits for the start of an episode."""
@@ -67,8 +63,7 @@ class CartesianExpert(Expert):
     def go(self, goal: Array, speed: float = _SPEED) -> Array:
         """Moves the commanded position towards a goal (3,) m, with at most a speed in reaches per second.
 
-        Returns:
-            (n,) rad, the configuration; the last one if there is none for the position.
+        Returns the configuration (n,); the last one if there is none for the position.
         """
         way = goal - self.position
         distance = float(np.linalg.norm(way))
