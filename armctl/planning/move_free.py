@@ -20,13 +20,14 @@ from armctl.core.pose import Pose
 from armctl.core.target import Target
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, number, shown
-from armctl.ik import solve_ik
+from armctl.ik.solve import solve_ik
 from armctl.mjmodel.queries import object_id
-from armctl.motion import JointTrajectory, move_j
 from armctl.motion.checks import planning_arm, start_state
+from armctl.motion.move_j import move_j
 from armctl.motion.move_through import through_waypoints
 from armctl.motion.moving_start import begun_moving, stop_from
 from armctl.motion.torque_limits import within_torque
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.planning.path import CLEARANCE_M, MAX_SAMPLES, FreeSpace, find_path, shorten
 from armctl.robot.arm import Arm, check_arm
 

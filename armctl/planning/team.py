@@ -13,7 +13,9 @@ import numpy as np
 from armctl.core.errors import PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array
-from armctl.motion import JointTrajectory, check_torque, move_j
+from armctl.motion.move_j import move_j
+from armctl.motion.torque_limits import check_torque
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import restarted
 from armctl.planning.move_free import flowing_motion, overlap_in_words
 from armctl.planning.path import CLEARANCE_M, MAX_SAMPLES, FreeSpace, find_path, shorten

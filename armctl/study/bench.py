@@ -26,7 +26,8 @@ from armctl.core.log import Log
 from armctl.core.validation import Array, number
 from armctl.ik.solve import solve_ik
 from armctl.loading.load import load
-from armctl.motion import JointTrajectory, move_j
+from armctl.motion.move_j import move_j
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.arm import Arm
 from armctl.sim.mujoco_library import release_loading_memory
 from armctl.sim.plant import PLANT_ATTRIBUTES, Plant

@@ -200,11 +200,6 @@ double linearize(ErrorModel& model, const In& target, Constraint constraint, dou
     return model.size();
 }
 
-void null_step(ErrorModel& model, Constraint constraint, const In& desired, const In& low, const In& high, const Out& step) {
-    const size_t n = model.chain().n();
-    model.null_step(constraint, desired.vector(n, "desired"), low.vector(n, "low"), high.vector(n, "high"), step.vector(n, "step"));
-}
-
 std::shared_ptr<ClosedForm> make_closed_form(std::shared_ptr<const Chain> chain, const nb::kwargs& arguments) {
     return std::make_shared<ClosedForm>(std::move(chain), KeywordArguments(arguments));
 }
@@ -262,9 +257,7 @@ void bind_ik(nb::module_& module) {
         .def(nb::init<const Chain&>(), "chain"_a, nb::keep_alive<1, 2>())
         .def("linearize", &linearize, "target"_a, "constraint"_a, "position_priority"_a, "q"_a, "hessian"_a, "gradient"_a, "J"_a,
              "Fills the Hessian (n, n) with the curvature of the chain, J^T e (n,) and J (6, n), where a third of a reach\n"
-             "counts like a rad. Returns the norm of the error.")
-        .def("null_step", &null_step, "constraint"_a, "desired"_a, "low"_a, "high"_a, "step"_a,
-             "The part of a desired step (n,) in the null space of the J of `linearize`, shortened to its bounds.");
+             "counts like a rad. Returns the norm of the error.");
     nb::class_<ClosedForm>(module, "ClosedForm",
                            "The closed form of six hinges of which three in a row meet in a point or are parallel. Immutable.")
         .def(nb::new_(&make_closed_form), "chain"_a, "arguments"_a,

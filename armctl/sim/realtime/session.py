@@ -17,7 +17,7 @@ from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
 from armctl.core.target import TOLERANCE, Target
 from armctl.core.validation import Array, frozen, instance, number, vector
-from armctl.ik import solve_ik
+from armctl.ik.solve import solve_ik
 from armctl.mjmodel.queries import contact_forces, keyframe_names
 from armctl.mjmodel.target_marker import find_target, target_pose
 from armctl.robot.arm import Arm
