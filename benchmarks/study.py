@@ -66,6 +66,8 @@ def log_row(log: armctl.Log, path: Path) -> list[str]:
     log.save(path)
     writing = min(cpu_ms(lambda: log.save(path)) for _ in range(ROUNDS))
     size = path.stat().st_size / 1e6
+    if path.suffix == ".mcap":
+        return [path.suffix, f"{writing:.0f}", "", f"{size:.1f}"]
     reading = min(cpu_ms(lambda: armctl.Log.load(path)) for _ in range(ROUNDS))
     again = armctl.Log.load(path)
     assert all(np.array_equal(again.to_dict()[name], column, equal_nan=True) for name, column in log.to_dict().items())
@@ -93,7 +95,7 @@ def main() -> None:
         ]
         studies = markdown_table(header, rows)
         log = ten_seconds()
-        files = [log_row(log, Path(name) / f"run{ending}") for ending in (".npz", ".parquet", ".csv")]
+        files = [log_row(log, Path(name) / f"run{ending}") for ending in (".npz", ".parquet", ".csv", ".mcap")]
         formats = markdown_table(["file", "write, ms", "read, ms", "MB"], files)
     text = (
         f"CPU time per run of `Study.run()`: {SAMPLES} runs of computed torque, with payload, friction and noise;\n"

@@ -29,8 +29,8 @@ class MPCCounts(NamedTuple):
         planned: Those in which the motion of computed torque would have exceeded a limit within the horizon.
         unplanned: Those of them without a plan: the solver found none, and the last plan goes on; or the error is so large that
             its feedback asks for more than the limit of velocity. The program of the tick alone then keeps the limits.
-        relaxed: Those of them in which limits contradict each other, so that the plan exceeds one of velocity or position by the
-            least.
+        relaxed: Those of them in which limits contradict each other, so that the plan exceeds one of velocity or position by
+            the least.
     """
 
     ticks: int

@@ -156,7 +156,9 @@ class Log:
         """Writes the log. The extension selects the format. `load` reads .npz, .parquet and .csv, which contain the whole log.
 
         Parquet has one column per quantity and joint, such as "q/joint1", with its unit in the metadata of the column. CSV has
-        the same columns after one line with everything else: `pandas.read_csv(path, comment="#")`.
+        the same columns after one line with everything else: `pandas.read_csv(path, comment="#")`. MCAP has ROS 2 messages,
+        for `ros2 bag` and Foxglove: `sensor_msgs/JointState` on /joint_states and /joint_references, poses on /tip and
+        /tip_reference.
 
         The file is written atomically: whatever interrupts the writing, the old file or the new one is there, complete.
 
@@ -165,15 +167,20 @@ class Log:
 
         Raises:
             InputError: Another file extension.
-            NotInstalledError: Parquet needs the extra `study`.
+            NotInstalledError: Parquet needs the extra `study`, MCAP the extra `ros`.
             ArmctlError: The file cannot be written.
         """
-        path = file_path("path", path, tuple(log_files.WRITERS))
-        everything = {f.name: getattr(self, f.name) for f in fields(self)}
-        arrays = {k: x for k, x in everything.items() if isinstance(x, np.ndarray)}
-        facts = {k: x for k, x in everything.items() if k not in arrays}
+        path = file_path("path", path, (*log_files.WRITERS, ".mcap"))
         with atomic_path(path) as temporary:
-            log_files.save(temporary, log_files.Content(arrays, facts))
+            if path.suffix == ".mcap":
+                from armctl.core.log_mcap import save_mcap
+
+                save_mcap(temporary, self)
+            else:
+                everything = {f.name: getattr(self, f.name) for f in fields(self)}
+                arrays = {k: x for k, x in everything.items() if isinstance(x, np.ndarray)}
+                facts = {k: x for k, x in everything.items() if k not in arrays}
+                log_files.save(temporary, log_files.Content(arrays, facts))
         return path
 
     @classmethod

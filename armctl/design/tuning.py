@@ -188,6 +188,8 @@ def tune(
     if x is None or worst:
         reason = f"no gains of {law} satisfy delay margin {1e3 * bounds.delay_margin:g} ms and Ms {bounds.peak_sensitivity:g}"
         reason += "" if chatter is None else f" and torque noise {chatter:g} N m"
+        if any(linearizer.is_elastic for linearizer in judge.linearizers):
+            reason += " on elastic joints, which it takes as rigid (ElasticFeedforward knows the springs)"
         reason += f" on {arm.name:.80}, among {min(_SCALES):g} to {max(_SCALES):g} times the default ones"
         return Tuning(False, default, (), {}, before, before, reason)
     tuned = family.controller(x)
@@ -449,7 +451,7 @@ class _Judge:
 
     def __init__(self, linearizers: Sequence[Linearizer], poses: int | ArrayLike, design_poses: int, bounds: _Bounds):
         arm = linearizers[0].arm
-        self._linearizers = linearizers
+        self.linearizers = linearizers
         self._poses = poses
         self._bounds = bounds
         given = configurations(arm, poses)
@@ -458,7 +460,7 @@ class _Judge:
 
     def loops(self, controller: Controller) -> list[Loop]:
         """The loops of a controller."""
-        return judged_loops(self._linearizers, controller, self._poses)
+        return judged_loops(self.linearizers, controller, self._poses)
 
     def violating(self, loops: Sequence[Loop]) -> list[Loop]:
         """Those that violate a bound."""
@@ -473,7 +475,7 @@ class _Judge:
         return LoopFigures(
             delay_margin=min(each.delay_margin for each in found),
             peak_sensitivity=max(each.peak_sensitivity for each in found),
-            chatter=torque_noise(self._linearizers[0], controller),
+            chatter=torque_noise(self.linearizers[0], controller),
             compliance=max(float(loop.compliance([_COMPLIANCE_FREQUENCY])[0]) for loop in loops),
         )
 

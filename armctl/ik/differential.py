@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armctl.core.errors import InputError
 from armctl.core.target import TargetLike
-from armctl.core.validation import Array, flag, frozen, number, shown, vector
+from armctl.core.validation import Array, choice, flag, frozen, number, shown, vector
 from armctl.ik.problem import read_target
+from armctl.ik.quadratic_program import QP_SOLVERS, QuadraticProgram
 from armctl.robot.arm import Arm, check_arm
 
 if TYPE_CHECKING:
@@ -47,6 +47,7 @@ class DifferentialIk:
         tasks: Sequence[BaseTask] = (),
         limits: Sequence[mink.Limit] = (),
         constraints: Sequence[mink.Task] = (),
+        solver: str = "daqp",
     ):
         """Prepares the program of an arm.
 
@@ -59,6 +60,7 @@ class DifferentialIk:
             tasks: Further mink tasks, made for `arm.model`.
             limits: Further mink limits, made for `arm.model`.
             constraints: mink tasks that must hold exactly.
+            solver: The QP solver, "daqp" (an active set, the faster one) or "osqp".
 
         Raises:
             InputError: An argument has a wrong shape, type or value.
@@ -71,6 +73,7 @@ class DifferentialIk:
         from armctl.ik.tasks import ClearanceLimit, TipTask
 
         check_arm(arm)
+        self._solver = choice("solver", solver, QP_SOLVERS)
         rest = arm.home if posture is None else arm.checked("posture", posture)
         self.arm = arm
         self.status = "solved"
@@ -127,11 +130,11 @@ class DifferentialIk:
 
     def _solve(self, q: Array, low: Array, high: Array, dt: float) -> Array:
         program = self._program(low, high, dt)
-        dq = program.solve()
+        dq = program.solve(self._solver)
         if dq is None and self._clearance is not None and program.h is not None:
             # a body that is too near may not be able to move away as fast as demanded: only forbid that it comes nearer
             program = program._replace(h=np.maximum(program.h, 0.0))
-            dq = program.solve()
+            dq = program.solve(self._solver)
         if dq is None:
             self.status = "no solution"
             return np.zeros(self.arm.n)
@@ -141,13 +144,13 @@ class DifferentialIk:
             return np.zeros(self.arm.n)
         return dq if self._clearance is None else self._kept_clear(program, q, dq)
 
-    def _program(self, low: Array, high: Array, dt: float) -> _QuadraticProgram:
+    def _program(self, low: Array, high: Array, dt: float) -> QuadraticProgram:
         """mink's program, reduced from the joints of the model to those of the arm; all other joints stand still."""
         import mink
 
         full = mink.build_ik(self.configuration, self._tasks, dt, DAMPING, self._all_limits, self._constraints)
         joint_map = self.arm.joint_map
-        return _QuadraticProgram(
+        return QuadraticProgram(
             P=joint_map.reduced_matrix(np.asarray(full.P)),
             q=joint_map.reduced(full.q),
             G=None if full.G is None else joint_map.reduced(np.asarray(full.G)),
@@ -158,7 +161,7 @@ class DifferentialIk:
             high=high,
         )
 
-    def _kept_clear(self, program: _QuadraticProgram, q: Array, dq: Array) -> Array:
+    def _kept_clear(self, program: QuadraticProgram, q: Array, dq: Array) -> Array:
         """The step, shortened if the linear limits miss something: the nearest points of two bodies may change within it."""
         assert self._clearance is not None
         for _ in range(MAX_CUTS):
@@ -166,7 +169,7 @@ class DifferentialIk:
             if cut.G is None or cut.h is None:
                 return dq
             program = program.with_inequalities(cut.G, cut.h)
-            shorter = program.solve()
+            shorter = program.solve(self._solver)
             if shorter is None:
                 break
             dq = np.clip(shorter, program.low, program.high)
@@ -183,42 +186,3 @@ def _checked_list(what: str, value: object, kind: type) -> list:
     if not isinstance(value, Sequence) or not all(isinstance(item, kind) for item in value):
         raise InputError(f"{what}: expected a list of mink {kind.__name__} objects, got {shown(value)}")
     return list(value)
-
-
-class _QuadraticProgram(NamedTuple):
-    """Minimize x.Px / 2 + q.x subject to G x <= h, A x = b and low <= x <= high."""
-
-    P: Array
-    q: Array
-    G: Array | None
-    h: Array | None
-    A: Array | None
-    b: Array | None
-    low: Array
-    high: Array
-
-    def with_inequalities(self, G: Array, h: Array) -> _QuadraticProgram:
-        """The same program with more rows of G and h."""
-        if self.G is None or self.h is None:
-            return self._replace(G=G, h=h)
-        return self._replace(G=np.vstack([self.G, G]), h=np.hstack([self.h, h]))
-
-    def allows_zero(self) -> bool:
-        """Whether x = 0 fulfils the inequalities and bounds; False if there are equalities."""
-        inequalities_hold = self.h is None or bool((self.h >= 0).all())
-        return self.A is None and inequalities_hold and bool((self.low <= 0).all() and (self.high >= 0).all())
-
-    def solve(self) -> Array | None:
-        """The solution, or None if there is none."""
-        import qpsolvers
-
-        problem = qpsolvers.Problem(self.P, self.q, self.G, self.h, self.A, self.b, self.low, self.high)
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # what the solver warns of is visible in its solution
-                solution = qpsolvers.solve_problem(problem, solver="daqp")
-        except (qpsolvers.QPError, ValueError, ArithmeticError, RuntimeError):
-            return None
-        if not solution.found or solution.x is None or not np.isfinite(solution.x).all():
-            return None
-        return solution.x

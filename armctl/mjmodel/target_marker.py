@@ -14,7 +14,7 @@ from armctl.core.validation import Array
 
 TARGET = "target"
 _COLOR = (0.0, 1.0, 0.0, 0.5)  # rgba
-_RADIUS = 0.03  # m
+_RADIUS = 0.015  # m
 
 
 def find_target(model: mujoco.MjModel) -> int | None:

@@ -167,7 +167,7 @@ def test_a_log_as_csv_has_named_columns(tmp_path):
 @pytest.mark.parametrize(
     ("call", "sentence"),
     [
-        (lambda d: made_log().save(d / "run.txt"), r"path: 'run.txt' ends in '.txt', expected .npz, .parquet or .csv"),
+        (lambda d: made_log().save(d / "run.txt"), r"path: 'run.txt' ends in '.txt', expected .npz, .parquet, .csv or .mcap"),
         (lambda d: Log.load(d / "none.npz"), r"none\.npz: cannot be read: No such file or directory"),
         (lambda d: Report.from_log(made_log()).plot(d / "run.jpeg"), "expected .png, .svg or .pdf"),
         (lambda d: Report.from_log(made_log(q_ref=np.full((1001, 1), np.nan))), "nothing to report"),

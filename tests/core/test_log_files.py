@@ -120,8 +120,27 @@ def test_a_damaged_file_is_usable_or_refused(log, tmp_path, ending: str):
     assert not any("\n" in message for message in messages)
 
 
-def test_a_missing_package_is_named(log, tmp_path, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
-    with pytest.raises(armctl.NotInstalledError, match=r"its extra \[study\]"):
-        log.save(tmp_path / "run.parquet")
+def test_mcap_has_joint_states_that_ros_reads(log, tmp_path):
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    with log.save(tmp_path / "run.mcap").open("rb") as file:
+        messages = list(make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages())
+    states = [each.decoded_message for each in messages if each.channel.topic == "/joint_states"]
+    assert {each.channel.topic for each in messages} == {"/joint_states", "/joint_references", "/tip", "/tip_reference"}
+    assert len(states) == len(log)
+    assert states[-1].name == list(log.joint_names)
+    assert states[-1].position == log.q[-1].tolist()
+    assert states[-1].effort == log.tau[-1].tolist()
+    assert states[-1].header.stamp.nanosec == round(1e9 * log.t[-1])
+    pose = next(each.decoded_message.pose for each in messages if each.channel.topic == "/tip")
+    assert [pose.orientation.w, pose.orientation.x] == log.tip_quat[0, :2].tolist()
+
+
+@pytest.mark.parametrize(("name", "extra"), [("run.parquet", "study"), ("run.mcap", "ros")])
+def test_a_missing_package_is_named(log, tmp_path, monkeypatch, name: str, extra: str):
+    for package in ("pyarrow", "mcap_ros2.writer"):
+        monkeypatch.setitem(__import__("sys").modules, package, None)
+    with pytest.raises(armctl.NotInstalledError, match=rf"its extra \[{extra}\]"):
+        log.save(tmp_path / name)
     assert list(tmp_path.iterdir()) == []

@@ -68,6 +68,7 @@ WRITERS: dict[str, Callable[[armctl.Log, Path], object]] = {
     "run.npz": lambda log, path: log.save(path),
     "run.csv": lambda log, path: log.save(path),
     "run.parquet": lambda log, path: log.save(path),
+    "run.mcap": lambda log, path: log.save(path),
     "motion.npz": lambda log, path: motion(log.controller).save(path),
     "motion.csv": lambda log, path: motion(log.controller).to_csv(path),
     "motion.yaml": lambda log, path: motion(log.controller).to_ros(path, 0.1),
@@ -185,7 +186,7 @@ def whole_files(kind: str, logs: list[armctl.Log], folder: Path) -> list[bytes]:
 
 
 GROUPS = {
-    "logs": ["run.npz", "run.csv", "run.parquet"],
+    "logs": ["run.npz", "run.csv", "run.parquet", "run.mcap"],
     "motions and results": ["motion.npz", "motion.csv", "motion.yaml", "reached.npz", "study.parquet", "study.csv"],
     "plots and pages": ["plot.png", "plot.svg", "comparison.html", "comparison.json"],
     "films": ["film.gif", "film.mp4", "still.png"],

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from armctl.core.limits import Limits
-from armctl.core.validation import Array, frozen
+from armctl.core.validation import Array, BoolArray, frozen
 from armctl.motion.trajectory.piecewise import Pieces
 
 RATIO_TOLERANCE = 1e-6  # relative, of velocity, acceleration and jerk
@@ -138,15 +138,20 @@ def _peaks(pieces: Pieces, limits: Limits, order: int, joint_names: tuple[str, .
 
 def is_inside(pieces: Pieces, limits: Limits) -> bool:
     """`check_limits(...).ok`, without the report."""
+    return bool(each_inside(pieces, limits).all())
+
+
+def each_inside(pieces: Pieces, limits: Limits) -> BoolArray:
+    """(m,) whether each piece keeps the limits."""
     steps = np.diff(pieces.knots)
+    inside = np.ones(len(steps), dtype=bool)
     for order in range(len(QUANTITIES)):
         low, high = _bounds(limits, order)
         half = 0.5 * (high - low)
         is_relative = np.isfinite(half) & (half > 0)
         tolerance = POSITION_TOLERANCE if order == 0 else RATIO_TOLERANCE * np.where(is_relative, half, 1.0)
-        if (limit_excess(pieces.coefficients, steps, order, low, high) > tolerance).any():
-            return False
-    return True
+        inside &= (limit_excess(pieces.coefficients, steps, order, low, high) <= tolerance).all(axis=1)
+    return inside
 
 
 def stretch_needed(pieces: Pieces, bounds: tuple[Array, Array, Array]) -> float:

@@ -392,8 +392,11 @@ class RealTimeSession:
             return
         stepper.reset(arm.home, np.zeros(arm.n))
         has_target = find_target(stepper.model) is not None
-        start = target_pose(stepper.model, stepper.data).position if has_target else stepper.tip_pose(arm).position
-        self._follower.stand(arm.home, solve_ik(arm, start, arm.home).q)
+        tip = stepper.tip_pose(arm)
+        start = target_pose(stepper.model, stepper.data).position if has_target else tip.position
+        self._follower.stand(
+            arm.home, solve_ik(arm, Pose(start, quat=tip.quat), arm.home).q
+        )  # the tool is held as at home, if it can be
 
     def _rest_at(self, qpos: Array) -> None:
         """Puts the whole model at positions (nq,), at rest, with the target at the tip."""
