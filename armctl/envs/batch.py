@@ -33,7 +33,6 @@ class Observer:
     """
 
     def __init__(self, task: Task, rows: Rows):
-        """Observations of a task."""
         n = task.arm.n
         widths = {"q": n, "v": n, "to_target": n, "tip": 3}
         if task.uses_gripper:
@@ -228,7 +227,6 @@ class Batch:
         return self.steps >= self.horizon
 
     def _move_goals(self) -> None:
-        """Puts the goals where they are after these steps."""
         self.goal[:] = self.task.goals_at(self.goal_number, self.steps)
         if self.task.moves_goal:
             ahead = self.task.goals_at(self.goal_number, self.steps + 1)

@@ -136,7 +136,6 @@ def _read_targets(targets: Sequence[Pose] | ArrayLike, free_axis: str | None) ->
 
 
 def _read_transforms(T: Array) -> Array:
-    """(N, 12) of homogeneous transforms, checked."""
     if T.shape[1:] != (4, 4):
         raise InputError(f"targets: expected shape (N, 4, 4) or (N, 3), got {T.shape}")
     R = T[:, :3, :3]

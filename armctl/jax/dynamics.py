@@ -149,7 +149,6 @@ def place(model: ArmModel, q: jax.Array) -> Placed:
 
 
 def cholesky_solve(M: jax.Array, b: jax.Array) -> jax.Array:
-    """The solution of M x = b for a positive definite M."""
     return jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(M, lower=True), b)
 
 
