@@ -20,7 +20,7 @@ from armctl.motion.moving_start import planned_from
 from armctl.motion.path.geometry import Blend, Circle, CompositePath, Shape, Straight, SubPath, Turn
 from armctl.motion.path.joint_path import JointPath, joint_path_along
 from armctl.motion.path.tip_caps import TipCaps
-from armctl.motion.sections import NO_LIMITS, Section, SectionLimits, pause, section_dwell, section_limits, within_sections
+from armctl.motion.sections import Section, is_limited, pause, within_sections
 from armctl.motion.timing.path_timing import time_optimal
 from armctl.motion.torque_limits import within_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory, joined
@@ -193,7 +193,7 @@ def _plan(arm: Arm, q_start: Pose | ArrayLike, request: _Request, options: PathO
     blends = [number("blend", request.blend if part.blend is None else part.blend, 0.0) for part in parts]
     shapes = _shapes(arm.fk(q), parts, oriented)
     legs = [
-        _Leg(shape, 0.0 if part.dwell else blend, section_limits(part), section_dwell(part))
+        _Leg(shape, 0.0 if part.dwell else blend, part)
         for shape, blend, part in zip(shapes, blends, parts, strict=True)
         if shape.length > _MIN_LENGTH or part.dwell  # to where the tip is already is no leg
     ]
@@ -234,7 +234,7 @@ def _timed(arm: Arm, limits: Limits, joint_path: JointPath, chain: _Chain, optio
     caps = TipCaps.of(arm, joint_path, speed, options.get("tip_speed"), options.get("tip_angular_speed"))
     pieces = time_optimal(joint_path, limits, caps)
     free = JointTrajectory(*joints_of(pieces), arm.joint_names, arm.limits, units=arm.units)
-    if all(section == NO_LIMITS for section in chain.sections):
+    if not any(map(is_limited, chain.sections)):
         motion = within_torque(arm, free)
     else:
         ends = np.interp(chain.ends, pieces.coefficients[:, 0, -1], pieces.knots[:-1])
@@ -256,12 +256,11 @@ def _require_limits(arm: Arm, what: str, motion: JointTrajectory) -> None:
 
 
 class _Leg(NamedTuple):
-    """A shape, the radius of the corner at its end, what holds on it, and the pause after it, s."""
+    """A shape, the radius of the corner at its end, and what holds on it."""
 
     shape: Shape
     blend: float
-    limits: SectionLimits
-    dwell: float
+    section: Section
 
 
 class _Chain(NamedTuple):
@@ -269,7 +268,7 @@ class _Chain(NamedTuple):
 
     path: CompositePath
     ends: list[float]
-    sections: list[SectionLimits]
+    sections: list[Section]
     dwell: float
 
 
@@ -308,16 +307,16 @@ def _chains(legs: list[_Leg]) -> list[_Chain]:
     chains: list[_Chain] = []
     shapes: list[Shape] = []
     ends: list[float] = []
-    sections: list[SectionLimits] = []
+    sections: list[Section] = []
     begin = 0.0
     length = 0.0
-    for i, (shape, radius, limits, dwell) in enumerate(legs):
+    for i, (shape, radius, section) in enumerate(legs):
         after = legs[i + 1].shape if i + 1 < len(legs) else None
-        sections.append(limits)
+        sections.append(section)
         length += shape.length - begin
         if after is None or radius == 0.0 or after.length <= _MIN_LENGTH:
             shapes.append(SubPath(shape, begin, shape.length))
-            chains.append(_Chain(CompositePath(shapes), [*ends, length], sections, dwell))
+            chains.append(_Chain(CompositePath(shapes), [*ends, length], sections, section.dwell))
             shapes = []
             ends = []
             sections = []
