@@ -82,7 +82,7 @@ class PathOptions(TypedDict, total=False):
 def move_l(
     arm: Arm, q_start: Pose | Setpoint | ArrayLike, target: Pose | ArrayLike, **options: Unpack[PathOptions]
 ) -> JointTrajectory:
-    """The fastest motion of the tip on a straight line; its orientation rotates about one axis.
+    """The fastest motion of the tip on a straight line, to rest at its end; its orientation rotates about one axis.
 
     Near a singularity, where the joints must move far, it slows down. If the arm moves at the start, the line begins where it
     would come to rest, and the arm turns onto it while it slows down.
@@ -92,9 +92,6 @@ def move_l(
             then the branch with the shortest motion is chosen.
         target: T_world_tip at the end, or (3,) m with the orientation left free.
         **options: `speed`, `tip_speed` and `tip_angular_speed`, as in `PathOptions`.
-
-    Returns:
-        The motion, at rest at its end.
 
     Raises:
         InputError: An argument of the wrong shape, kind or value.
@@ -113,7 +110,7 @@ def move_c(
     angle: float | None = None,
     **options: Unpack[PathOptions],
 ) -> JointTrajectory:
-    """The fastest motion of the tip on an arc through one point to another; its orientation rotates about one axis.
+    """The fastest motion of the tip on an arc through one point to rest at another; its orientation rotates about one axis.
 
     Args:
         q_start: As for `move_l`.
@@ -122,9 +119,6 @@ def move_c(
         angle: rad, the angle on the circle; None stops at the target's point. 2 pi is the full circle, back to the start's.
             The target's orientation is reached at the end in any case.
         **options: As for `move_l`.
-
-    Returns:
-        The motion, at rest at its end.
 
     Raises:
         InputError: As for `move_l`, or three points on one line.
@@ -142,7 +136,7 @@ def move_path(
     blend: float = 0.0,
     **options: Unpack[PathOptions],
 ) -> JointTrajectory:
-    """The fastest motion of the tip on lines and arcs with rounded corners.
+    """The fastest motion of the tip on lines and arcs with rounded corners, to rest at its end.
 
     Inside the blend radius of a corner the path is rounded; outside it is exact. If the radius is 0, the tip stops.
 
@@ -151,9 +145,6 @@ def move_path(
         path: Its lines and arcs; a pose or a point alone is a line to it. All with orientation or all without.
         blend: m, the radius around each corner in which it is rounded, at most half of each neighbour.
         **options: As for `move_l`.
-
-    Returns:
-        The motion, at rest at its end.
 
     Raises:
         InputError: As for `move_l`.

@@ -75,9 +75,6 @@ class StudyResult:
     def to_pandas(self) -> pandas.DataFrame:
         """The table as a DataFrame.
 
-        Returns:
-            One row per run.
-
         Raises:
             NotInstalledError: The extra `study` is not installed.
         """
@@ -158,9 +155,6 @@ class StudyResult:
         Args:
             metric: A figure of the table; "ok" is 1 for a success and 0 otherwise.
             controller: The label of the controller; the first one if left out.
-
-        Returns:
-            The indices with intervals of 95 % confidence.
 
         Raises:
             InputError: The study was not sampled with "saltelli", is not finished, or a run has no such figure.
