@@ -19,8 +19,7 @@ from armctl.core.validation import choice, flag, instance, integer
 from armctl.study import plots
 from armctl.study.bench import FIGURES, Outcome, Run
 from armctl.study.plan import StudyPlan
-from armctl.study.sensitivity import Sensitivity, sobol_indices
-from armctl.study.summary import StudySummary, summarize
+from armctl.study.summary import Sensitivity, StudySummary, sobol_indices, summarize
 
 if TYPE_CHECKING:
     import pandas
