@@ -34,7 +34,6 @@ def list_robots(args: argparse.Namespace) -> int:
 
 
 def list_chains(args: argparse.Namespace) -> int:
-    """Every serial chain of a robot."""
     from dataclasses import asdict
 
     from armctl.analysis.describe import describe_chains
@@ -46,7 +45,6 @@ def list_chains(args: argparse.Namespace) -> int:
 
 
 def show_info(args: argparse.Namespace) -> int:
-    """Joints and limits of an arm."""
     from armctl.analysis.describe import describe, facts
 
     arm = common.load_arm(args)
@@ -55,7 +53,6 @@ def show_info(args: argparse.Namespace) -> int:
 
 
 def run_doctor(args: argparse.Namespace) -> int:
-    """What is doubtful in a robot's file."""
     from dataclasses import asdict
 
     from armctl.analysis.diagnose import diagnose
@@ -81,7 +78,6 @@ def _print_names(args: argparse.Namespace) -> None:
 
 
 def _print_ratings(args: argparse.Namespace) -> None:
-    """The ratings of all data sheets."""
     from armctl.loading.datasheets import rated_arms, ratings_table
 
     rows = [

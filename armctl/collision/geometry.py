@@ -109,7 +109,6 @@ class Geometry:
         return [int(self.frames.joints[frame - 1]) for frame in first ^ second]
 
     def pair_geoms(self, pair: int) -> tuple[int, int]:
-        """The model's geoms of a pair."""
         first, second = self.geom_ids[self.pairs[pair]].tolist()
         return first, second
 

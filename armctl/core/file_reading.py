@@ -62,7 +62,6 @@ def read_npz(path: Path, max_bytes: int) -> dict[str, Any]:
 
 
 def check_size(size: int, max_bytes: int) -> None:
-    """Raises InputError if a content is too large."""
     if size > max_bytes:
         raise InputError(f"it is larger than {max_bytes // 10**6} MB")
 
@@ -77,7 +76,6 @@ def read_parquet(path: Path, max_bytes: int) -> Any:
 
 
 def pyarrow() -> tuple[Any, Any]:
-    """The modules pyarrow and pyarrow.parquet."""
     try:
         import pyarrow
         import pyarrow.parquet

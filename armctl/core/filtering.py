@@ -80,7 +80,6 @@ def low_pass(columns: Array, cutoff: float, dt: float) -> Array:
 
 @lru_cache(maxsize=16)
 def _sections(cutoff: float, dt: float) -> Array:
-    """The filter of `low_pass` in second-order sections."""
     from scipy.signal import butter
 
     return np.asarray(butter(_ORDER, cutoff, fs=1 / dt, output="sos"), dtype=np.float64)

@@ -18,7 +18,6 @@ class Quantity(NamedTuple):
 
     @property
     def is_per_joint(self) -> bool:
-        """Whether it has a column per joint."""
         return self.unit.startswith(("joint", "torque"))
 
 

@@ -149,7 +149,6 @@ def _check_counts(names: Mapping[str, list[str]]) -> None:
 
 
 def _numbers(rows, order: list[int], width: int) -> Array:
-    """The numbers of the chosen columns."""
     table = []
     for line, row in enumerate(rows, start=2):
         if not row or (len(row) == 1 and not row[0].strip()):

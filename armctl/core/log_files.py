@@ -32,7 +32,6 @@ class Content(NamedTuple):
 
 
 def save(path: Path, content: Content) -> None:
-    """Writes a file in the format of its file extension."""
     WRITERS[path.suffix](path, content)
 
 
@@ -109,7 +108,6 @@ def _tabular(content: Content) -> tuple[dict[str, Any], list[Column]]:
 
 
 def _untabular(facts: Any, header: Sequence[str], table: Sequence[Any] | Array) -> Content:
-    """The inverse of `_tabular` and `flat`."""
     if not isinstance(facts, dict) or not isinstance(facts.get("arrays"), dict):
         raise InputError("its head is not a table")
     constant = facts.pop("arrays")

@@ -15,9 +15,7 @@ LINE_INTERVAL_S = 10.0  # between two lines if stderr is no terminal
 class ProgressBar(Protocol):
     """What `progress_bar` gives to its block."""
 
-    def update(self, n: float | None = 1) -> object:
-        """Counts n more pieces of work as done."""
-        ...
+    def update(self, n: float | None = 1) -> object: ...
 
 
 class _Lines:

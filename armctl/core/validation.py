@@ -130,7 +130,6 @@ def flag(what: str, value: object) -> bool:
 
 
 def frozen(value: NDArray[_Scalar]) -> NDArray[_Scalar]:
-    """Makes an array read-only and returns it."""
     value.setflags(write=False)
     return value
 

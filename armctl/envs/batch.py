@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armctl.core.errors import InputError
+from armctl.core.pose import matrix_from_quat
 from armctl.core.validation import Array, BoolArray, as_array, choice, flag, integer, shown
 from armctl.envs.actions import read_mode
 from armctl.envs.randomization import Randomization
@@ -32,7 +33,6 @@ class Observer:
     """
 
     def __init__(self, task: Task, rows: Rows):
-        """Observations of a task."""
         n = task.arm.n
         widths = {"q": n, "v": n, "to_target": n, "tip": 3}
         if task.uses_gripper:
@@ -67,7 +67,7 @@ class Observer:
             parts["opening"][:, 0] = rows.opening
         if "object" in parts:
             parts["object"][:] = rows.object[:, :3]
-            parts["object_axis"][:] = _vertical_axis(rows.object[:, 3:7])
+            parts["object_axis"][:] = matrix_from_quat(rows.object[:, 3:7].T)[:, 2].T
             parts["object_velocity"][:] = rows.object[:, 7:10]
             np.subtract(rows.object[:, :3], tip, out=parts["tip_to_object"])
         if "obstacle" in parts:
@@ -94,12 +94,6 @@ class Observer:
             "achieved_goal": self.achieved(observations),
             "desired_goal": self.desired(observations),
         }
-
-
-def _vertical_axis(quat: Array) -> Array:
-    """(count, 3) the z axes of quaternions (count, 4)."""
-    w, x, y, z = quat.T
-    return np.stack([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)], axis=1)
 
 
 class Batch:
@@ -233,7 +227,6 @@ class Batch:
         return self.steps >= self.horizon
 
     def _move_goals(self) -> None:
-        """Puts the goals where they are after these steps."""
         self.goal[:] = self.task.goals_at(self.goal_number, self.steps)
         if self.task.moves_goal:
             ahead = self.task.goals_at(self.goal_number, self.steps + 1)

@@ -44,7 +44,6 @@ class Feature(NamedTuple):
     names: Sequence[str] | None = None  # of its numbers; None for a single number
 
     def info(self) -> dict[str, Any]:
-        """The feature in `info.json`."""
         return {
             "dtype": self.dtype,
             "shape": [len(self.names or [""])],
@@ -133,7 +132,6 @@ class LeRobotWriter:
         self._write_json("info.json", self._info())
 
     def close(self) -> None:
-        """Closes the files."""
         if self._data is not None:
             self._data.close()
             self._data = None
@@ -192,7 +190,6 @@ class LeRobotWriter:
         return path
 
     def _info(self) -> dict[str, Any]:
-        """The contents of `info.json`."""
         features = {name: feature.info() for name, feature in self._features.items()}
         if self._size is not None:
             width, height = self._size

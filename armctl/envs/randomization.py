@@ -57,7 +57,6 @@ class Randomization:
 
     @property
     def is_noisy(self) -> bool:
-        """Whether measured positions have noise."""
         return "encoder_noise" in self.plant
 
     @property

@@ -47,7 +47,6 @@ class Signals:
             self.noise[row] = 0.0
 
     def draw(self) -> None:
-        """Draws the noise of the next step."""
         if not len(self.noise):
             return
         last = self.noise[:, -1, 0].copy()
@@ -143,13 +142,11 @@ class Rows:
         self._core.rehearse(np.ascontiguousarray(action, dtype=np.float64), target, q_ref, v_ref)
 
     def find_tips(self, rows: Sequence[int] | IntArray) -> None:
-        """Computes the tips of copies that were reset."""
         positions, rotations = self.arm.fk_many(self.q[rows])
         self.tip[rows, :3] = positions
         self.tip[rows, 3:] = rotations.reshape(-1, 9)
 
     def close(self) -> None:
-        """Ends the threads."""
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None

@@ -42,11 +42,9 @@ class Screen:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of a picture, pixels."""
         return self._width, self._height
 
     def state(self) -> SceneState:
-        """Where everything is now."""
         self._place(self._batch.rows.q[0])
         return SceneState(self._data.qpos.copy(), self._data.mocap_pos.copy())
 
@@ -74,7 +72,6 @@ class Screen:
         self._viewer.after_ticks(self._data, self._batch.step_time)
 
     def close(self) -> None:
-        """Closes the renderer and the page."""
         if self._renderer is not None:
             self._renderer.close()
         if self._viewer is not None:

@@ -42,11 +42,9 @@ class SimulatedArms:
         self._datas = [mujoco.MjData(model) for model in self._models]
 
     def data(self, row: int) -> mujoco.MjData:
-        """The state of a copy."""
         return self._datas[row]
 
     def model(self, row: int) -> mujoco.MjModel:
-        """The model of a copy."""
         return self._models[row]
 
     def reset(self, row: int, episode: Episode, plant: Plant | None, factors: ObjectFactors | None) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +25,7 @@ from armctl.ik.problem import (
     read_target,
     read_tolerance,
 )
-from armctl.ik.result import IkBatch, IkResult
+from armctl.ik.result import BATCH_ARRAYS, IkBatch, IkResult
 from armctl.ik.solve import solve_ik
 from armctl.robot.arm import Arm
 
@@ -166,13 +167,6 @@ def _inexact_solutions(problem: Problem, limit: int) -> Solutions:
 
 
 def _one_row(result: IkResult) -> IkBatch:
-    return IkBatch(
-        ok=frozen(np.array([result.ok])),
-        q=frozen(result.q[None].copy()),
-        position_error=frozen(np.array([result.position_error])),
-        orientation_error=frozen(np.array([result.orientation_error])),
-        reason=frozen(np.array([result.reason], object)),
-        iterations=frozen(np.array([result.iterations])),
-        starts=frozen(np.array([result.starts])),
-        branch=(result.branch,),
-    )
+    arrays: dict[str, Any] = {name: frozen(np.array([getattr(result, name)])) for name in BATCH_ARRAYS}
+    arrays["reason"] = frozen(np.array([result.reason], object))
+    return IkBatch(**arrays, branch=(result.branch,))

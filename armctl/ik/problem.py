@@ -46,7 +46,6 @@ class IkChain:
     branch_names: tuple[str | None, ...]  # (28,) what the branches are called that the core numbers
 
     def branches(self, q: Array) -> list[str | None]:
-        """The branches of configurations (N, n) in rad."""
         return [self.branch_names[number] for number in self.branch_numbers(q).tolist()]
 
     def branch_numbers(self, q: Array) -> IntArray:
@@ -154,7 +153,6 @@ def read_problem(
 
 
 def read_tolerance(what: str, value: float) -> float:
-    """A checked tolerance, m or rad."""
     return number(what, value, MIN_TOLERANCE)
 
 

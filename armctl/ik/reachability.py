@@ -18,6 +18,7 @@ from armctl.core.atomic import atomic_path, file_path
 from armctl.core.errors import InputError
 from armctl.core.file_reading import read_npz, reading
 from armctl.core.plotting import finish_figure
+from armctl.core.pose import matrix_from_quat
 from armctl.core.progress import progress_bar
 from armctl.core.validation import Array, array, choice, frozen, integer, matrix, number, vector
 from armctl.ik.closed_form_solutions import first_solutions
@@ -260,7 +261,7 @@ def reachability(
     workers = (os.cpu_count() or 1) if threads is None else integer("threads", threads, 1)
     rows = np.zeros((max(count, 1), 12))
     if count:
-        rows[:, :9] = _rotations(quaternions).reshape(-1, 9)
+        rows[:, :9] = matrix_from_quat(quaternions.T).reshape(9, -1).T
     fraction = np.zeros(len(points))
     manipulability = np.zeros(len(points))
     with progress_bar("reachability", len(points), "points") as progress, ThreadPoolExecutor(workers) as pool:
@@ -294,17 +295,6 @@ def even_orientations(count: int) -> Array:
     alpha = 2 * np.pi * s / FULL_ROTATIONS[0]
     beta = 2 * np.pi * s / FULL_ROTATIONS[1]
     return np.stack([outer * np.cos(beta), inner * np.sin(alpha), inner * np.cos(alpha), outer * np.sin(beta)], axis=1)
-
-
-def _rotations(q: Array) -> Array:
-    """(M, 3, 3) of unit quaternions (M, 4) wxyz."""
-    w, x, y, z = q.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
 
 
 def _tip_planes(arm: Arm) -> Array:

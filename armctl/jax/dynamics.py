@@ -39,9 +39,6 @@ class Placed(NamedTuple):
 def mass_matrix(model: ArmModel, q: jax.Array) -> jax.Array:
     """The mass matrix with armature.
 
-    Args:
-        q: (n,) rad.
-
     Returns:
         (n, n) kg m^2.
     """
@@ -54,9 +51,6 @@ def inverse_dynamics(model: ArmModel, q: jax.Array, v: jax.Array, a: jax.Array) 
 
     Args:
         model: The arm, whose `period` is dt.
-        q: (n,) rad.
-        v: (n,) rad/s.
-        a: (n,) rad/s^2.
 
     Returns:
         (n,) N m.
@@ -78,11 +72,6 @@ def forward_dynamics(model: ArmModel, q: jax.Array, v: jax.Array, tau: jax.Array
     In discrete time this is the change of the velocity over the coming step / dt, where no force but linear damping is implicit
     in the velocity and the arm does not move continuously.
 
-    Args:
-        q: (n,) rad.
-        v: (n,) rad/s.
-        tau: (n,) N m.
-
     Returns:
         (n,) rad/s^2.
     """
@@ -94,9 +83,6 @@ def forward_dynamics(model: ArmModel, q: jax.Array, v: jax.Array, tau: jax.Array
 @checked
 def gravity(model: ArmModel, q: jax.Array) -> jax.Array:
     """The torque that holds the arm at rest, with gravity compensation and springs.
-
-    Args:
-        q: (n,) rad.
 
     Returns:
         (n,) N m.
@@ -124,9 +110,6 @@ def dry_friction(model: ArmModel, q: jax.Array, v_ref: jax.Array, a_ref: jax.Arr
 def tip_pose(model: ArmModel, q: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The tip in the world.
 
-    Args:
-        q: (n,) rad.
-
     Returns:
         Its position (3,) m, and its rotation matrix (3, 3).
     """
@@ -137,9 +120,6 @@ def tip_pose(model: ArmModel, q: jax.Array) -> tuple[jax.Array, jax.Array]:
 @checked
 def tip_jacobian(model: ArmModel, q: jax.Array) -> jax.Array:
     """The Jacobian of the tip.
-
-    Args:
-        q: (n,) rad.
 
     Returns:
         (6, n), linear part first, world axes, at the tip.
@@ -169,7 +149,6 @@ def place(model: ArmModel, q: jax.Array) -> Placed:
 
 
 def cholesky_solve(M: jax.Array, b: jax.Array) -> jax.Array:
-    """The solution of M x = b for a positive definite M."""
     return jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(M, lower=True), b)
 
 

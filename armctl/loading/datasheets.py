@@ -191,7 +191,6 @@ def rated_arms() -> dict[str, Row]:
 
 
 def ratings_table() -> Table:
-    """The figures of `rated_arms`."""
     cells = []
     for name, row in rated_arms().items():
         speeds = " ".join(f"{degrees(v):.0f}" for v in row.v_max or ())

@@ -238,7 +238,6 @@ def _kept(robot: str | os.PathLike[str] | mujoco.MjSpec) -> str | os.PathLike[st
 
 
 def _load_recipe(recipe: _Recipe) -> tuple[Arm, ...]:
-    """The arms that a recipe makes."""
     name, prepared, notes = recipe.prepared()
     return _arms(name, prepared, notes, recipe)
 
@@ -298,7 +297,6 @@ def _lists_all_pairs(srdf: Srdf | None, urdf: UrdfFile, is_given: bool) -> bool:
 
 
 def _add_scene(spec: mujoco.MjSpec, scene: Scene | str | os.PathLike[str] | None) -> None:
-    """Puts a scene around a robot."""
     if scene is not None:
         (scene if isinstance(scene, Scene) else Scene(scene)).build(spec)
 

@@ -30,7 +30,6 @@ class Tip:
 
 
 def tip_of_chain(model: mujoco.MjModel, joints: Joints) -> Tip:
-    """The tip of a chain without a named one."""
     return tip_on(model, int(model.jnt_bodyid[joints[-1]]))
 
 

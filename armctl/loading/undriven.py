@@ -52,7 +52,6 @@ def _mocap_welds(spec: mujoco.MjSpec) -> Iterator[tuple[mujoco.MjsEquality, mujo
 
 
 def _joints_above(body: mujoco.MjsBody | None) -> list[mujoco.MjsJoint]:
-    """The joints that carry a body, from the base."""
     joints: list[mujoco.MjsJoint] = []
     while body is not None and body.name != "world":
         joints = [*body.joints, *joints]

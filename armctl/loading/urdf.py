@@ -175,7 +175,6 @@ def _give_mass(body: mujoco.MjsBody) -> None:
 
 
 def _has_mass(body: mujoco.MjsBody) -> bool:
-    """Whether a link has both mass and inertia for MuJoCo."""
     if not body.explicitinertial:
         return bool(body.geoms)
     return body.mass > mujoco.mjMINVAL and body.fullinertia[0] > mujoco.mjMINVAL

@@ -61,7 +61,6 @@ def move_through(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike], *, 
 
 
 def _vias(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike]) -> list[Via]:
-    """Checked waypoints."""
     items: list[Any] = list(waypoints) if isinstance(waypoints, (list, tuple)) else []
     if any(isinstance(each, Via) for each in items):
         vias = [each if isinstance(each, Via) else Via(each) for each in items]

@@ -163,7 +163,6 @@ class _SectionTorques:
         return worst
 
     def most_overshoot(self, pieces: Pieces) -> float:
-        """The largest `overshoot` in a motion with its length."""
         return max(float(self.overshoot(*states).max()) for states in self._samples(pieces))
 
     def _samples(self, pieces: Pieces) -> Iterator[tuple[Array, Array, Array, Array]]:

@@ -50,6 +50,8 @@ class _ThreadDynamics(threading.local):
 class Arm:
     """A serial arm. Returned by `armctl.load`; immutable, with read-only arrays.
 
+    Arguments `q`, `v`, `a` and `tau` of its methods are (n,) positions, velocities, accelerations and torques of its joints.
+
     Attributes:
         name: The name it was loaded by.
         model: The compiled MuJoCo model; treat it as read-only: simulations copy it.
@@ -156,7 +158,6 @@ class Arm:
 
         Args:
             what: The name of the argument, for the error.
-            q: (n,) rad.
             tolerance: rad by which they may be outside; such positions are clamped.
 
         Returns:
@@ -183,9 +184,6 @@ class Arm:
     def fk(self, q: ArrayLike) -> Pose:
         """Forward kinematics.
 
-        Args:
-            q: (n,) rad.
-
         Returns:
             T_world_tip.
         """
@@ -205,9 +203,6 @@ class Arm:
     def jacobian(self, q: ArrayLike) -> Array:
         """The Jacobian of the tip: its twist is J(q) v.
 
-        Args:
-            q: (n,) rad.
-
         Returns:
             (6, n), linear first, world axes, at the tip.
         """
@@ -217,9 +212,6 @@ class Arm:
         """The joint-space mass matrix M(q), armature included, as MuJoCo's `mj_fullM`.
 
         If joints follow a joint of the arm, M contains their inertia: it is the mass matrix of the n joints of the arm.
-
-        Args:
-            q: (n,) rad.
 
         Returns:
             (n, n) kg m^2, symmetric and positive definite.
@@ -232,9 +224,6 @@ class Arm:
         This is gravity, minus gravity compensation in the model (`gravcomp`), plus the torque of joint springs. It equals
         `inverse_dynamics(q, 0, 0)`.
 
-        Args:
-            q: (n,) rad.
-
         Returns:
             (n,) N m.
         """
@@ -242,10 +231,6 @@ class Arm:
 
     def coriolis(self, q: ArrayLike, v: ArrayLike) -> Array:
         """The Coriolis and centrifugal joint torque C(q, v) v.
-
-        Args:
-            q: (n,) rad.
-            v: (n,) rad/s.
 
         Returns:
             (n,) N m.
@@ -261,11 +246,6 @@ class Arm:
         (`frictionloss`), contacts and the forces at joint limits are not included: they are constraint forces, which the state
         and the acceleration do not determine. Without these three it is MuJoCo's `mj_inverse`.
 
-        Args:
-            q: (n,) rad.
-            v: (n,) rad/s.
-            a: (n,) rad/s^2.
-
         Returns:
             (n,) N m.
         """
@@ -276,11 +256,6 @@ class Arm:
 
         It includes and leaves out the same forces, so `forward_dynamics(q, v, inverse_dynamics(q, v, a))` is a. Torque limits
         are not applied.
-
-        Args:
-            q: (n,) rad.
-            v: (n,) rad/s.
-            tau: (n,) N m.
 
         Returns:
             (n,) rad/s^2.
@@ -306,9 +281,6 @@ class Arm:
     def qpos(self, q: Array) -> Array:
         """The whole model's positions with the arm at q and all else at home.
 
-        Args:
-            q: (n,) rad.
-
         Returns:
             (nq,) for `MjData.qpos`.
         """
@@ -318,9 +290,6 @@ class Arm:
 
     def qvel(self, v: Array) -> Array:
         """The whole model's speeds with the arm moving and all else at rest.
-
-        Args:
-            v: (n,) rad/s.
 
         Returns:
             (nv,) for `MjData.qvel`.

@@ -34,7 +34,6 @@ class Integrator:
 
     @classmethod
     def of(cls, model: mujoco.MjModel) -> Integrator:
-        """The integrator that a model's options choose."""
         kind = mujoco.mjtIntegrator(model.opt.integrator)
         euler_damp = is_enabled(model, mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
         explicit_euler = kind == mujoco.mjtIntegrator.mjINT_EULER and not euler_damp

@@ -30,7 +30,6 @@ class JointMap:
 
     @property
     def is_plain(self) -> bool:
-        """Whether no joint follows another."""
         return len(self.leaders) == len(self.joints)
 
     @classmethod

@@ -40,7 +40,6 @@ class PassiveForces:
     """Joint springs and viscous damping, both with MuJoCo's higher-order terms."""
 
     def __init__(self, model: mujoco.MjModel, joint_map: JointMap):
-        """The passive forces of the joints that an arm moves."""
         dofs = joint_map.dof_adr
         joints = model.dof_jntid[dofs]
         ratio = np.abs(joint_map.ratio.T)

@@ -107,7 +107,6 @@ class Bench:
         return simulate(self.arm, self.controller(run), self.motion(run.point), self.plant(run), self._dwell)
 
     def outcomes(self, runs: Sequence[Run]) -> list[Outcome]:
-        """Makes runs, one after the other."""
         return [self.outcome(run) for run in runs]
 
     def outcome(self, run: Run) -> Outcome:
@@ -137,7 +136,6 @@ class Bench:
         }
 
     def plant(self, run: Run) -> Plant:
-        """The plant of a run."""
         values: dict[str, Any] = {name: value for name, value in run.point.items() if name in PLANT_FACTORS}
         if "friction" in run.point:
             friction = number("friction", run.point["friction"], 0.0) * self.arm.limits.tau_max
@@ -156,7 +154,6 @@ class Bench:
                 raise InputError(f"{name}: expected 1 or {self.arm.n} numbers for {self.arm.name}, got {given}")
 
     def motion(self, point: Point) -> JointTrajectory:
-        """The motion of a run."""
         which = (point.get("target"), point.get("speed"))
         motion = self._motions.get(which)
         if motion is None:
@@ -263,7 +260,6 @@ def _source_digest() -> str:
 
 
 def _model_digest(arm: Arm) -> str:
-    """Tells models apart."""
     digest = hashlib.blake2b(digest_size=16)
     arrays = [getattr(arm.model, name) for name in sorted(dir(arm.model)) if name.startswith(_MODEL_ARRAYS)]
     for array in (*arrays, *vars(arm.limits).values(), arm.home):

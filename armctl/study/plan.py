@@ -228,7 +228,6 @@ def _with_source(spec: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _motion(value: Any) -> dict[str, Any]:
-    """A motion as plain data."""
     if isinstance(value, Mapping) and value.get("kind") == "trajectory":
         return dict(value)
     if isinstance(value, Mapping) and value.get("kind") == "out-and-back":

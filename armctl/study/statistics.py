@@ -27,7 +27,6 @@ class Estimate:
         return f"{self.value:{spec}} [{self.low:{spec}}, {self.high:{spec}}]"
 
     def scaled(self, factor: float) -> Estimate:
-        """The same in another unit."""
         return Estimate(factor * self.value, factor * self.low, factor * self.high)
 
     def to_dict(self) -> dict[str, float | None]:

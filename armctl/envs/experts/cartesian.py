@@ -25,13 +25,11 @@ class CartesianExpert(Expert):
     position: Array  # (3,) m, the commanded position
 
     def __init__(self, batch: Batch, row: int):
-        """A policy that waits for the start of an episode."""
         super().__init__(batch, row)
         self._reach = ik_chain(self.arm).reach
         self._max_turns = max_turns(batch, _MAX_LAG, _SPEED_SHARE)
 
     def begin(self) -> None:
-        """Notes where the end of the tool is."""
         self.position = self.end
         self._q = self.arm.limits.clamp(self.batch.rows.q[self.row])
         self._speed = 0.0

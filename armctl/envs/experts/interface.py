@@ -42,7 +42,6 @@ class Expert(ABC):
         """The reference of the joints for the next step."""
 
     def act(self) -> Array:
-        """The action of the next step."""
         if self.batch.steps[self.row] == 0:
             self.begin()
         command = self.next()

@@ -52,7 +52,6 @@ class ArmSource:
             raise InputError(f"load_options: {robot.name:.80} is loaded already; give its name or file instead")
 
     def load(self) -> Arm:
-        """The arm alone."""
         return self._robot if isinstance(self._robot, Arm) else load(self._robot, **self._options)
 
     def load_among(self, scene: Scene, task: str) -> Arm:

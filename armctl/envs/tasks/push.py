@@ -67,7 +67,6 @@ class Push(Task):
 
 
 def _home(arm: Arm) -> mujoco.MjData:
-    """The state of an arm at home."""
     data = mujoco.MjData(arm.model)
     data.qpos[:] = arm.home_qpos
     mujoco.mj_kinematics(arm.model, data)

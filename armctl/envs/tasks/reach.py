@@ -21,7 +21,6 @@ class Reach(Task):
     instruction = "Move the tip to the target."
 
     def __init__(self, source: ArmSource, ticks: int):
-        """The task; the ticks of a step do not matter."""
         self.arm = source.load()
         limits = target_limits(self.arm)
         self.start_q = np.clip(self.arm.home, limits.q_min, limits.q_max)

@@ -27,7 +27,6 @@ class _SceneWithBall(Scene):
     """A scene whose ball can be moved without a change of the model."""
 
     def build(self, spec: mujoco.MjSpec) -> None:
-        """Adds everything, and makes the ball a mocap body."""
         super().build(spec)
         next(body for body in spec.bodies if body.name == ReachPast.obstacle).mocap = True
 

@@ -78,7 +78,6 @@ class Straight:
 
     @property
     def length(self) -> float:
-        """Its length, m."""
         return self._length
 
     @cached_property  # pyright does not accept one for the property of a protocol
@@ -86,7 +85,6 @@ class Straight:
         return max(float(np.linalg.norm(self.end - self.start)), self.turn.length)
 
     def at(self, s: float) -> PathPoint:
-        """The place at a length, m."""
         share = s / self._length
         return PathPoint(self.start + share * self._way, self.turn.at(share), self._twist)
 
@@ -130,7 +128,6 @@ class Circle:
 
     @property
     def length(self) -> float:
-        """Its length, m."""
         return self._length
 
     @cached_property  # pyright does not accept one for the property of a protocol
@@ -138,7 +135,6 @@ class Circle:
         return max(self.angle * float(np.linalg.norm(self.start - self.center)), self.turn.length)
 
     def at(self, s: float) -> PathPoint:
-        """The place at a length, m."""
         share = s / self._length
         cos = math.cos(share * self.angle)
         sin = math.sin(share * self.angle)
@@ -168,11 +164,9 @@ class Blend:
 
     @property
     def length(self) -> float:
-        """Its length, m."""
         return 2 * self.radius
 
     def at(self, s: float) -> PathPoint:
-        """The place at a length, m."""
         u = s / self.length
         done, speed = _ease(u)
         ahead, ahead_speed = _ease(1 - u)
@@ -194,11 +188,9 @@ class SubPath:
 
     @property
     def length(self) -> float:
-        """Its length, m."""
         return self.end - self.start
 
     def at(self, s: float) -> PathPoint:
-        """The place at a length, m."""
         return self.shape.at(self.start + s)
 
 
@@ -212,11 +204,9 @@ class CompositePath:
 
     @property
     def length(self) -> float:
-        """Its length, m."""
         return float(self.ends[-1]) if len(self.ends) else 0.0
 
     def at(self, s: float) -> PathPoint:
-        """The place at a length, m."""
         k = min(int(np.searchsorted(self.ends, s, side="right")), len(self.ends) - 1)
         shape = self._shapes[k]
         return shape.at(min(s - (self.ends[k] - shape.length), shape.length))

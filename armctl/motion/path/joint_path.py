@@ -155,7 +155,6 @@ class _Tracker:
         return moved if arrived else None
 
     def _slope(self, q: Array, s: float) -> Array:
-        """How fast the joints move along the path, (n,) rad/m."""
         v = np.empty_like(q)
         self._follower.slope(q, self._place(s).twist[: self.rows], v)
         return v

@@ -86,7 +86,6 @@ class TipCaps:
         return twists
 
     def kept(self, motion: JointTrajectory) -> JointTrajectory:
-        """The motion, as much slower as the caps require."""
         most = float(self.overshoot(motion.pieces).max())
         if most <= 1.0:
             return motion

@@ -229,7 +229,6 @@ class _Problem:
         self._last: Array | None = None  # the last solution, to tighten from
 
     def sampled(self, places: _Places) -> _Sampled:
-        """The motion at nodes."""
         q, q1, q2, q3 = self._with_length(places.timing, places.nodes)
         # The third derivative jumps at knots: the value just before a node belongs to the piece that ends there.
         q3_before = self._with_length(places.timing, np.nextafter(places.nodes[1:], 0.0))[3]

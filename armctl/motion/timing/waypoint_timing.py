@@ -57,7 +57,6 @@ class WaypointSearch:
             bound[[0, -1]] = 0.0
 
     def stopping(self) -> Candidate:
-        """The motion that stops at every waypoint."""
         zero = np.zeros_like(self.q)
         candidate = self._evaluate(zero, zero)
         if candidate is not None:

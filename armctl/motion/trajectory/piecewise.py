@@ -93,7 +93,6 @@ def knots_of(durations: Array, begin: float = 0.0) -> Array:
 
 
 def time_scaled(pieces: Pieces, factor: float) -> Pieces:
-    """The same path `factor` times as fast."""
     powers = factor ** np.arange(DEGREE + 1)
     return Pieces(knots_of(np.diff(pieces.knots) / factor), pieces.coefficients * powers[:, None])
 
