@@ -113,6 +113,9 @@ from .motion.trajectory.joint_trajectory import JointTrajectory as JointTrajecto
 from .motion.trajectory.limit_check import LimitCheck as LimitCheck
 from .motion.trajectory.limit_check import Peak as Peak
 from .planning.move_free import move_free as move_free
+from .planning.optimize import MotionMeasures as MotionMeasures
+from .planning.optimize import OptimizedMotion as OptimizedMotion
+from .planning.optimize import optimize as optimize
 from .render.video import Film as Film
 from .render.video import record as record
 from .render.video import still as still
