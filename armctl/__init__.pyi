@@ -61,6 +61,10 @@ from .core.trajectory import Trajectory as Trajectory
 from .design.arm_estimate import ArmEstimate as ArmEstimate
 from .design.arm_estimate import Validation as Validation
 from .design.arm_excitation import Excitation as Excitation
+from .design.calibrate import GeometryEstimate as GeometryEstimate
+from .design.calibrate import calibrate_geometry as calibrate_geometry
+from .design.calibration_poses import CalibrationPoses as CalibrationPoses
+from .design.calibration_poses import calibration_poses as calibration_poses
 from .design.elasticity import ElasticityEstimate as ElasticityEstimate
 from .design.elasticity import identify_elasticity as identify_elasticity
 from .design.excitation import excitation as excitation
