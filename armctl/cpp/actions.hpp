@@ -105,6 +105,13 @@ private:
     // Square of the error in m and rad: a full action is more than a thousand times its root.
     static constexpr double reached_squared = 1e-10;
 
+    // The twist from a tip to a goal: the difference of positions, and the sine of the angle times the axis.
+    static Twist tip_error(const Pose& goal, const Pose& tip) {
+        const Rotation& R = tip.rotation;
+        const Vec3 turn = cross(R.x, goal.rotation.x) + cross(R.y, goal.rotation.y) + cross(R.z, goal.rotation.z);
+        return {goal.translation - tip.translation, 0.5 * turn};
+    }
+
     void move_tip(Vector action, Result target) {
         const Pose origin = options_.mode == ActionMode::cartesian_delta ? tip(target) : options_.T_world_home;
         const auto scaled = [action](double scale, size_t k) {
@@ -124,7 +131,7 @@ private:
     void follow(const Pose& goal, Result target) {
         copy(target, start_);
         for (int iteration = 0; iteration < max_iterations; ++iteration) {
-            std::array<double, 6> twist = numbers(difference(tip(target), goal));
+            std::array<double, 6> twist = numbers(tip_error(goal, tip(target)));
             const Result error = Result(twist).first(components_);
             if (dot(error, error) < reached_squared) { return; }
             const Matrix J = dynamics_.tip_jacobian();
