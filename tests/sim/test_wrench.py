@@ -8,7 +8,6 @@ from motions import Still
 from synthetic import BENT, limb, mjcf, motors, serial_arm
 
 import armctl
-from armctl import _core
 
 PAIR = limb("a b c") + limb("d e f").replace('pos="0.1 0 0.1"', 'pos="-0.5 0 0.1"', 1)
 WALL_FACE = 0.44  # m
