@@ -3,6 +3,7 @@
 import math
 import re
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from synthetic import BENT, SHAPES, serial_arm
 import armctl
 from armctl.analysis.describe import facts
 from armctl.control import CONTROLLERS, controller_by_name
-from armctl.control.gains import MAX_PEAK_SENSITIVITY
+from armctl.control.gains import MAX_PEAK_SENSITIVITY, sample_configurations
+from armctl.control.margin_exceptions import _pd_peak_sensitivity
 from armctl.control.observer_gains import PAYLOAD_LEVER_M, max_unknown_payload
 from armctl.design.linearization import Linearizer
 
@@ -195,6 +197,16 @@ def test_default_gains_have_their_margins_at_configurations_that_nobody_designed
     assert min(each.delay.min() for each in found) >= 5e-3
     if shape != "planar":  # gravity needs more stiffness of it than can be damped
         assert max(each.peak_sensitivity.max() for each in found) <= 1.7
+
+
+@pytest.mark.parametrize("shape", [SHAPES["damped"], BENT["planar"]], ids=["damped", "planar"])
+def test_the_sensitivity_that_info_declares_is_that_of_the_loops(shape, tmp_path):
+    arm = serial_arm(tmp_path, replace(shape, joints=3))
+    linearizer = Linearizer(arm, armctl.Plant(timestep=0.004))
+    laws = armctl.PD(arm), armctl.PDGravity(arm)
+    loops = [linearizer.loop_at(law, q).coarse_margins() for law in laws for q in sample_configurations(arm)]
+    largest = max(each.peak_sensitivity.max() for each in loops)
+    assert _pd_peak_sensitivity(arm, 0.004) == pytest.approx(largest, rel=0.01)
 
 
 @pytest.mark.parametrize("make", [armctl.PD, armctl.ComputedTorqueObserver])

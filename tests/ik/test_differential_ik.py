@@ -16,7 +16,7 @@ from collidable import arm_among, capsule_gaps, placed
 import armctl
 from armctl import Arm, DifferentialIk, InputError, LimitError, ModelError, Pose
 from armctl.collision.checkers import collision_checker
-from armctl.ik.tasks import ClearanceLimit
+from armctl.ik.tasks import ClearanceLimit, null_step
 from armctl.loading.catalog import BUNDLED
 
 every_arm = pytest.mark.parametrize("name", ARMS)
@@ -308,3 +308,16 @@ def test_a_step_that_ends_too_near_is_shortened_to_half_the_clearance(tmp_path):
         cut = limit.violations(np.array([0.1]), np.array([step]))
         assert cut.h / cut.G[:, 0] == pytest.approx([0.26 - 0.05 - 0.1], abs=1e-6)
     assert limit.violations(np.array([0.1]), np.array([0.1])).inactive
+
+
+@pytest.mark.parametrize(("rows", "blocked"), [(6, []), (3, [2])])
+def test_a_null_step_moves_joints_inside_their_bounds_and_not_the_tip(rows: int, blocked: list[int]):
+    arm = arm_of("redundant")
+    high = np.full(arm.n, 0.2)
+    high[blocked] = 0.0
+    for q in arm.limits.random(arm.home, 5, np.random.default_rng(0)):
+        J = arm.jacobian(q)[:rows]
+        step = null_step(J, arm.home - q, -high, high)
+        assert np.abs(step).max() > 1e-3
+        assert (np.abs(step) <= high + 1e-12).all()
+        assert np.abs(J @ step).max() < 1e-6

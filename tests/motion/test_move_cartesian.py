@@ -10,10 +10,9 @@ from synthetic import BENT, serial_arm
 
 import armctl
 from armctl.core.pose import Pose, rotation_vector
-from armctl.motion import Arc, Line
+from armctl.motion.move_cartesian import Arc, Line
 from armctl.motion.path import joint_path
-from armctl.motion.path.blending import Blend
-from armctl.motion.path.geometry import Straight, Turn
+from armctl.motion.path.geometry import Blend, Straight, Turn
 from armctl.motion.path.tip_caps import TipCaps
 
 UM = 1e-6

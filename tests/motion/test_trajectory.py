@@ -11,8 +11,7 @@ from motions import Still
 
 import armctl
 from armctl.core.trajectory import check_motion
-from armctl.motion import JointTrajectory
-from armctl.motion.trajectory.joint_trajectory import Slowdown
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory, Slowdown
 
 
 def move(arm: armctl.Arm, way: float = 0.1) -> JointTrajectory:
