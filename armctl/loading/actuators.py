@@ -62,11 +62,7 @@ def dc_motors(source: Source, model: mujoco.MjModel, transmissions: Sequence[Tra
 def actuator_notes(
     analysis: Transmissions, joints: Joints, transmissions: Sequence[Transmission], motors: Sequence[DcMotor | None]
 ) -> tuple[list[str], list[str]]:
-    """What differs from the file or from what controllers model, one sentence each: those that need a warning, and others.
-
-    Args:
-        joints: The joints of the chain, spring joints included.
-    """
+    """What differs from the file or from what controllers model, one sentence each: those that need a warning, and others."""
     model = analysis.model
     names = [joint_name(model, each.joint) for each in transmissions]
     warned: list[str] = []
@@ -106,14 +102,9 @@ def actuator_notes(
 
 
 def mend_solver(model: mujoco.MjModel, option: mujoco.MjOption) -> list[str]:
-    """Makes the Jacobians dense, in place, if this version of MuJoCo solves constraints wrongly with sparse ones.
+    """Makes the Jacobians dense in `option` if this version of MuJoCo solves constraints wrongly with sparse ones.
 
-    Args:
-        model: The model, from which "auto" follows.
-        option: The options to change, of the model or of its specification.
-
-    Returns:
-        One sentence if it was so, or none.
+    One sentence if it was so, or none. From the model follows what "auto" means.
     """
     is_sparse = model.opt.jacobian == mujoco.mjtJacobian.mjJAC_SPARSE or (
         model.opt.jacobian == mujoco.mjtJacobian.mjJAC_AUTO and model.nv >= _MIN_SPARSE_DOFS

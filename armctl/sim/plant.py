@@ -38,7 +38,17 @@ _BRAKED_ARRAYS = (
     "eq_active0",
 )
 # What `apply_plant` changes, besides what MuJoCo derives from it.
-_PLANT_ARRAYS = ("body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_damping", "dof_dampingpoly")
+# The places of bodies are those of the arm, whose geometry may be calibrated, and not of the file that it was loaded from.
+_PLANT_ARRAYS = (
+    "body_pos",
+    "body_quat",
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "body_iquat",
+    "dof_damping",
+    "dof_dampingpoly",
+)
 _PLANT_OPTIONS = ("disableflags", "timestep", "integrator", "tolerance")
 
 
