@@ -11,7 +11,7 @@ import armctl.envs
 env = armctl.envs.ArmEnv("robot_arm_3dof", "Reach", "cartesian_delta", render_mode="rgb_array", width=96, height=96)
 columns = env.batch.observer.columns
 hand = np.random.default_rng(0)
-seen: list[np.ndarray] = []
+seen = []
 
 
 def joystick(observation: np.ndarray) -> np.ndarray:
@@ -24,7 +24,6 @@ with tempfile.TemporaryDirectory() as folder:
     dataset = Path(folder) / "teleoperation"
     print(armctl.envs.save_demonstrations(env, dataset, episodes=3, seed=1, policy=joystick))
     rows = pq.read_table(dataset / "data/chunk-000/file-000.parquet").to_pandas()
-
 sim = armctl.Simulation("robot_arm_3dof")
 for episode, frames in rows.groupby("episode_index"):
     states = np.stack(list(frames["observation.state"]))
@@ -34,9 +33,8 @@ for episode, frames in rows.groupby("episode_index"):
         run.advance(run.stream.time_left + 0.5)
     distance = np.linalg.norm(sim.tip.position - states[-1, columns["goal"]])
     verdict = "reached" if distance < env.batch.task.tolerance else "missed"
-    speed = (np.abs(sim.log.v) / sim.arm.limits.v_max).max()
-    torque = armctl.Report.from_log(sim.log).peak_torque_ratio
+    used = (np.abs(sim.log.v) / sim.arm.limits.v_max).max(), armctl.Report.from_log(sim.log).peak_torque_ratio
     touched = ", ".join(contact.other for contact in sim.log.contacts) or "nothing"
-    print(f"episode {episode}: {verdict}, {1e3 * distance:.1f} mm from the goal, with at most {100 * speed:.0f} % of the speed", end="")
-    print(f" and {100 * torque:.0f} % of the torque limits; touched {touched}")
+    print(f"episode {episode}: {verdict}, {1e3 * distance:.1f} mm from the goal, touched {touched};", end=" ")
+    print(f"at most {100 * used[0]:.0f} % of the speed limits and {100 * used[1]:.0f} % of the torque limits")
 env.close()
