@@ -61,6 +61,10 @@ from .core.trajectory import Trajectory as Trajectory
 from .design.arm_estimate import ArmEstimate as ArmEstimate
 from .design.arm_estimate import Validation as Validation
 from .design.arm_excitation import Excitation as Excitation
+from .design.calibrate import GeometryEstimate as GeometryEstimate
+from .design.calibrate import calibrate_geometry as calibrate_geometry
+from .design.calibration_poses import CalibrationPoses as CalibrationPoses
+from .design.calibration_poses import calibration_poses as calibration_poses
 from .design.elasticity import ElasticityEstimate as ElasticityEstimate
 from .design.elasticity import identify_elasticity as identify_elasticity
 from .design.excitation import excitation as excitation
@@ -113,6 +117,9 @@ from .motion.trajectory.joint_trajectory import JointTrajectory as JointTrajecto
 from .motion.trajectory.limit_check import LimitCheck as LimitCheck
 from .motion.trajectory.limit_check import Peak as Peak
 from .planning.move_free import move_free as move_free
+from .planning.optimize import MotionMeasures as MotionMeasures
+from .planning.optimize import OptimizedMotion as OptimizedMotion
+from .planning.optimize import optimize as optimize
 from .render.video import Film as Film
 from .render.video import record as record
 from .render.video import still as still

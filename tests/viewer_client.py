@@ -125,7 +125,7 @@ def until(condition: Callable[[], bool], what: str) -> None:
 def follows(page: Page, client: Client) -> None:
     """Asserts that the arm still reaches two targets that a client sends."""
     session = page.session
-    client.set(page, "pause", False)
+    client.set(page, "time", "play")
     client.set(page, "simulation speed", 1.5)
     client.set(page, "simulation speed", 1.0)
     client.set(page, "payload, kg", 0.0)

@@ -9,7 +9,6 @@ from armctl.cli import common
 
 
 def add(commands: common.Commands) -> None:
-    """Adds the command to the parser."""
     parser = common.add_command(commands, "margins", run, "compute the margins of controllers over the workspace")
     common.add_arm(parser)
     parser.add_argument("--controllers", default="all", metavar="A,B,...", help=f"of {common.CONTROLLERS_HELP} (default all)")
@@ -23,7 +22,6 @@ def add(commands: common.Commands) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Runs the command."""
     from armctl.analysis.margins_html import margins_table, write_margins
     from armctl.cli.plants import plant_by_name
     from armctl.core.progress import progress_bar

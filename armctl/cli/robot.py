@@ -17,7 +17,6 @@ _MODELS = {"franka": "fr3", "so101": "so101", "plant": "robot_arm_3dof"}
 
 
 def add(commands: common.Commands) -> None:
-    """Adds the command to the parser."""
     parser = common.add_command(commands, "robot", run, "check the connection to a robot, or move it by hand on a page")
     parser.add_argument("action", choices=["check", "view"], help="check: hold the position, and measure; view: a page")
     parser.add_argument("host", help="address of a Franka, serial port of an SO-101, any word for a simulated plant")
@@ -32,7 +31,6 @@ def add(commands: common.Commands) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Runs the command."""
     seconds = common.one_number("seconds", args.seconds)
     payload = common.one_number("payload", args.payload)
     from armctl.links.robot import Robot

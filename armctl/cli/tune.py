@@ -8,7 +8,6 @@ from armctl.cli import common
 
 
 def add(commands: common.Commands) -> None:
-    """Adds the command to the parser."""
     parser = common.add_command(commands, "tune", run, "find the highest gains of a controller within bounds on its margins")
     common.add_arm(parser)
     parser.add_argument("law", help=f"the controller, of {common.CONTROLLERS_HELP}")
@@ -22,7 +21,6 @@ def add(commands: common.Commands) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Runs the command."""
     from armctl.cli.plants import plant_by_name
     from armctl.design.tuning import tune
 

@@ -56,17 +56,6 @@ struct KeptAxis {
     double within = 0.0;  // rad
 };
 
-// R = rotation by an angle about a unit axis, by Rodrigues' formula.
-inline Rotation rotation_about(Vec3 axis, double angle) {
-    const double sine = std::sin(angle);
-    const double cosine = std::cos(angle);
-    const double u = 1.0 - cosine;
-    const auto [x, y, z] = axis;
-    return {{cosine + x * x * u, y * x * u + z * sine, z * x * u - y * sine},
-            {x * y * u - z * sine, cosine + y * y * u, z * y * u + x * sine},
-            {x * z * u + y * sine, y * z * u - x * sine, cosine + z * z * u}};
-}
-
 // One object for each thread: it holds the scratch memory of its queries, and what they found starts the next ones.
 class CollisionScene {
 public:
@@ -154,13 +143,10 @@ public:
         return nearest;
     }
 
-    // How far the second geom of a pair must move to part from the first: the least over the model's directions. Places the
-    // joints.
+    // How far the second geom of a pair must move to part from the first, at most. Places the joints.
     double overlap_depth(Vector positions, size_t pair) {
-        place_frames(positions);
-        double least = INFINITE_M;
-        for (const Vec3 direction : model_->directions) { least = std::min(least, depth_along(pair, direction)); }
-        return least;
+        place(positions);
+        return -witness(pair).distance;
     }
 
     // The pairs that joints, moving by at most delta (m,), can bring nearer by more than a share of what is free, which is
@@ -421,18 +407,10 @@ private:
         return pose * point + geom.inflation * direction;
     }
 
-    // How far the second geom of a pair must move along a direction of the world to part from the first; a plane has its own.
+    // How far the second geom of a pair must move along a direction of the world to part from the first.
     double depth_along(size_t p, Vec3 direction) const {
-        const Geom& first = model_->geoms[model_->pairs[p].a];
-        const Geom& second = model_->geoms[model_->pairs[p].b];
-        double top;
-        if (first.kind == ShapeKind::plane) {
-            direction = first.normal();
-            top = first.offset;
-        } else {
-            top = dot(direction, farthest_point(first, direction));
-        }
-        const Vec3 lowest = farthest_point(second, -direction);
+        const Vec3 lowest = farthest_point(model_->geoms[model_->pairs[p].b], -direction);
+        const double top = dot(direction, farthest_point(model_->geoms[model_->pairs[p].a], direction));
         return top - direction.x * lowest.x - direction.y * lowest.y - direction.z * lowest.z;
     }
 

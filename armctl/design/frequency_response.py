@@ -15,7 +15,7 @@ from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, IntArray, integer
 from armctl.design.linearization import loop_at
 from armctl.design.state_space import ComplexArray
-from armctl.motion import JointTrajectory
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.arm import Arm, check_arm
 from armctl.sim.move import read_controller
 from armctl.sim.plant import Plant, read_plant

@@ -18,25 +18,15 @@ _PAD_SPEED = 0.1  # m/s, of the pads relative to each other
 
 
 class Grip(NamedTuple):
-    """The gripper behind an arm's tip.
+    """The gripper behind an arm's tip."""
 
-    Attributes:
-        model: The gripper as it was found in the MuJoCo model.
-        qpos_adr: Addresses in `MjData.qpos` of its joints.
-        closed: The state of the arm at home when it is closed.
-        opened: The state of the arm at home when it is open.
-        indices: (2, actuators) of its actuators in `MjData.ctrl` and in `MjData.actuator_length`.
-        ends: (4, actuators) the controls when closed and open, and the actuators' lengths when closed and open.
-        speed: 1/s, the fraction of the way from closed to open that its controls move in a second.
-    """
-
-    model: GripperModel
-    qpos_adr: IntArray
-    closed: mujoco.MjData
-    opened: mujoco.MjData
-    indices: IntArray
-    ends: Array
-    speed: float
+    model: GripperModel  # the gripper as it was found in the MuJoCo model
+    qpos_adr: IntArray  # addresses in `MjData.qpos` of its joints
+    closed: mujoco.MjData  # the state of the arm at home when it is closed
+    opened: mujoco.MjData  # the state of the arm at home when it is open
+    indices: IntArray  # (2, actuators) of its actuators in `MjData.ctrl` and in `MjData.actuator_length`
+    ends: Array  # (4, actuators) the controls when closed and open, and the actuators' lengths when closed and open
+    speed: float  # 1/s, the fraction of the way from closed to open that its controls move in a second
 
     @property
     def width_max(self) -> float:
@@ -45,14 +35,7 @@ class Grip(NamedTuple):
 
 
 def find_grip(arm: Arm) -> Grip:
-    """The gripper behind an arm's tip.
-
-    Returns:
-        The gripper, with the states that a simulation finds.
-
-    Raises:
-        ModelError: Nothing moves behind the tip, or it is a hand of many actuators.
-    """
+    """The gripper behind an arm's tip; ModelError if nothing moves there, or a hand of many actuators."""
     gripper = find_gripper_model(arm)
     actuators = list(gripper.actuators)
     indices = np.array([arm.model.actuator_ctrladr[actuators], actuators], np.int64)

@@ -100,9 +100,6 @@ class DifferentialIk:
 
         Returns:
             (n,) rad/s (m/s for a slide joint).
-
-        Raises:
-            InputError: An argument has a wrong shape, type or value.
         """
         constraint, numbers = read_target(target, free_axis)
         start = vector("q", q, self.arm.n)

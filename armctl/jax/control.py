@@ -170,8 +170,6 @@ def pd(gains: PDGains, q: jax.Array, v: jax.Array, reference: Reference) -> jax.
     """The law of `armctl.PD`.
 
     Args:
-        q: (n,) rad, measured.
-        v: (n,) rad/s, measured.
         reference: That of one tick, (n,) each.
 
     Returns:
@@ -186,8 +184,6 @@ def computed_torque(model: ArmModel, gains: ComputedTorqueGains, q: jax.Array, v
 
     Args:
         model: The arm as the controller knows it.
-        q: (n,) rad, measured.
-        v: (n,) rad/s, measured.
         reference: That of one tick, (n,) each.
 
     Returns:
@@ -206,8 +202,6 @@ def operational_space(
 
     Args:
         model: The arm as the controller knows it.
-        q: (n,) rad, measured.
-        v: (n,) rad/s, measured.
         reference: That of one tick, (n,) each.
 
     Returns:

@@ -31,7 +31,7 @@ from armctl.links.model_check import model_refusal, tip_difference
 from armctl.links.process import RemoteHost
 from armctl.loading.load import load
 from armctl.mjmodel.target_marker import TARGET
-from armctl.motion import JointTrajectory
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import Pieces, sample
 from armctl.robot.arm import Arm
 from armctl.sim.commands import Commands

@@ -17,11 +17,10 @@ from armctl.core.validation import Array, number, shown, vector
 from armctl.ik.all_solutions import solve_ik_all
 from armctl.motion.checks import planning_arm
 from armctl.motion.moving_start import planned_from
-from armctl.motion.path.blending import Blend, CompositePath, SubPath
-from armctl.motion.path.geometry import Circle, Shape, Straight, Turn
+from armctl.motion.path.geometry import Blend, Circle, CompositePath, Shape, Straight, SubPath, Turn
 from armctl.motion.path.joint_path import JointPath, joint_path_along
 from armctl.motion.path.tip_caps import TipCaps
-from armctl.motion.sections import NO_LIMITS, SectionLimits, pause, section_dwell, section_limits, within_sections
+from armctl.motion.sections import NO_LIMITS, Section, SectionLimits, pause, section_dwell, section_limits, within_sections
 from armctl.motion.timing.path_timing import time_optimal
 from armctl.motion.torque_limits import within_torque
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory, joined
@@ -37,49 +36,33 @@ _MAX_COORDINATE = 1e9  # m
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
-    """A straight line of the tip, for `move_path`.
+class Line(Section):
+    """A straight line of the tip, for `move_path`; `speed`, `acceleration`, `payload` and `dwell` are those of a `Via`.
 
     Attributes:
         target: T_world_tip at its end, or (3,) m with the orientation left free.
         blend: m, the radius in which the corner at its end may be rounded; None for that of the path.
-        speed: Fraction of the speed that the motion has without it, in (0, 1].
-        acceleration: Fraction of the joints' acceleration limits, in (0, 1].
-        payload: kg at the tip, in addition to the payload of the arm.
-        dwell: s, a pause at its end; the corner there is not rounded.
     """
 
     target: Pose | ArrayLike
     blend: float | None = None
-    speed: float = 1.0
-    acceleration: float = 1.0
-    payload: float = 0.0
-    dwell: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
-class Arc:
-    """An arc of the tip, for `move_path`.
+class Arc(Section):
+    """An arc of the tip, for `move_path`; `speed`, `acceleration`, `payload` and `dwell` are those of a `Via`.
 
     Attributes:
         via: T_world_tip or (3,) m, a point that it goes through.
         target: T_world_tip at its end, or (3,) m with the orientation left free.
         angle: rad, the angle on the circle; None stops at the target. 2 pi is the full circle.
         blend: m, the radius in which the corner at its end may be rounded; None for that of the path.
-        speed: Fraction of the speed that the motion has without it, in (0, 1].
-        acceleration: Fraction of the joints' acceleration limits, in (0, 1].
-        payload: kg at the tip, in addition to the payload of the arm.
-        dwell: s, a pause at its end; the corner there is not rounded.
     """
 
     via: Pose | ArrayLike
     target: Pose | ArrayLike
     angle: float | None = None
     blend: float | None = None
-    speed: float = 1.0
-    acceleration: float = 1.0
-    payload: float = 0.0
-    dwell: float = 0.0
 
 
 class PathOptions(TypedDict, total=False):

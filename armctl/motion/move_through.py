@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armctl.collision.interface import MovingJoints
 from armctl.core.errors import InputError, PlanError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array, matrix, vector
@@ -60,7 +61,6 @@ def move_through(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike], *, 
 
 
 def _vias(arm: Arm, waypoints: ArrayLike | Sequence[Via | ArrayLike]) -> list[Via]:
-    """Checked waypoints."""
     items: list[Any] = list(waypoints) if isinstance(waypoints, (list, tuple)) else []
     if any(isinstance(each, Via) for each in items):
         vias = [each if isinstance(each, Via) else Via(each) for each in items]
@@ -109,26 +109,7 @@ def _stopping_at_each(arm: Arm, points: Array, speed: float) -> JointTrajectory:
     return joined([move_j(arm, start, goal, speed=speed) for start, goal in pairwise(points)])
 
 
-class TimedJoints(Protocol):
-    """Joints with names, limits and units: an arm, or several."""
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """The n joints."""
-        ...
-
-    @property
-    def limits(self) -> Limits:
-        """Their limits."""
-        ...
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """What each is measured in."""
-        ...
-
-
-def through_waypoints(arm: TimedJoints, points: Array) -> JointTrajectory:
+def through_waypoints(arm: MovingJoints, points: Array) -> JointTrajectory:
     """As `move_through` without the torque limits, for checked points that differ from their neighbors."""
     search = WaypointSearch(points, arm.limits)
     stopping = search.stopping()
@@ -138,7 +119,7 @@ def through_waypoints(arm: TimedJoints, points: Array) -> JointTrajectory:
     return motion
 
 
-def _timed(arm: TimedJoints, limits: Limits, search: WaypointSearch, candidate: Candidate) -> JointTrajectory | None:
+def _timed(arm: MovingJoints, limits: Limits, search: WaypointSearch, candidate: Candidate) -> JointTrajectory | None:
     """The motion of a candidate within all limits but those of the torque; None if rounding takes it out of them."""
     try:
         pieces = search.pieces(candidate)

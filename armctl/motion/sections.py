@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,67 +27,49 @@ _MIN_STRETCH = 1.0005  # factors by which one stretch lengthens a motion
 _MAX_STRETCH = 1.5
 
 
-class LimitedSection(Protocol):
-    """What a section of a path says about itself: a `Via`, a `Line` or an `Arc`."""
-
-    @property
-    def speed(self) -> float:
-        """Fraction of the planned speed."""
-        ...
-
-    @property
-    def acceleration(self) -> float:
-        """Fraction of the acceleration limits."""
-        ...
-
-    @property
-    def payload(self) -> float:
-        """What is carried, kg."""
-        ...
-
-    @property
-    def dwell(self) -> float:
-        """How long the arm stands still at the end, s."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class Via:
-    """A waypoint of `move_through`, and the limits of the section that ends at it.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Section:
+    """What a `Via`, a `Line` and an `Arc` say about their section of a motion.
 
     Attributes:
-        q: (n,) rad.
         speed: Fraction of the speed that the motion has without it, in (0, 1].
         acceleration: Fraction of the joints' acceleration limits, in (0, 1].
         payload: kg at the tip, in addition to the payload of the arm.
-        dwell: s, a pause at the waypoint; 0 for no stop.
+        dwell: s, a pause at its end, where no corner is rounded then; 0 for no stop.
     """
 
-    q: ArrayLike
     speed: float = 1.0
     acceleration: float = 1.0
     payload: float = 0.0
     dwell: float = 0.0
 
 
-class SectionLimits(NamedTuple):
-    """Checked limits of a section.
+@dataclass(frozen=True, eq=False)
+class Via(Section):
+    """A waypoint of `move_through`, and by keywords the limits of the section that ends at it.
+
+    `speed` and `acceleration` are fractions of those that the motion has without them, `payload` is kg at the tip in addition
+    to that of the arm, and `dwell` s of rest at the waypoint.
 
     Attributes:
-        speed: Fraction of the planned speed.
-        acceleration: Fraction of the acceleration limits.
-        payload: kg.
+        q: (n,) rad.
     """
 
-    speed: float
-    acceleration: float
-    payload: float
+    q: ArrayLike
+
+
+class SectionLimits(NamedTuple):
+    """Checked limits of a section."""
+
+    speed: float  # fraction of the planned speed
+    acceleration: float  # fraction of the acceleration limits
+    payload: float  # kg
 
 
 NO_LIMITS = SectionLimits(1.0, 1.0, 0.0)
 
 
-def section_limits(section: LimitedSection) -> SectionLimits:
+def section_limits(section: Section) -> SectionLimits:
     """The checked limits of a section. Raises InputError for a fraction outside (0, 1] or a negative payload."""
     return SectionLimits(
         number("speed", section.speed, _MIN_FRACTION, 1.0),
@@ -96,7 +78,7 @@ def section_limits(section: LimitedSection) -> SectionLimits:
     )
 
 
-def section_dwell(section: LimitedSection) -> float:
+def section_dwell(section: Section) -> float:
     """How long the arm stands still after a section, s. Raises InputError if it is negative."""
     return number("dwell", section.dwell, 0.0, _MAX_DWELL_S)
 
@@ -181,7 +163,6 @@ class _SectionTorques:
         return worst
 
     def most_overshoot(self, pieces: Pieces) -> float:
-        """The largest `overshoot` in a motion with its length."""
         return max(float(self.overshoot(*states).max()) for states in self._samples(pieces))
 
     def _samples(self, pieces: Pieces) -> Iterator[tuple[Array, Array, Array, Array]]:

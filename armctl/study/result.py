@@ -33,15 +33,10 @@ _TEXTS = ("controller", "reason", "digest", "key")
 
 @dataclass(frozen=True, eq=False)
 class WorstRun:
-    """A run that was simulated again.
+    """A run that was simulated again."""
 
-    Attributes:
-        row: Its row in the table.
-        log: Its ticks; None if it cannot be simulated, as the reason in its row says.
-    """
-
-    row: dict[str, Any]
-    log: Log | None
+    row: dict[str, Any]  # its row in the table
+    log: Log | None  # its ticks; None if it cannot be simulated, as the reason in its row says
 
 
 @dataclass(frozen=True, eq=False)

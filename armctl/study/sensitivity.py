@@ -20,36 +20,23 @@ _SEED = 0
 
 @dataclass(frozen=True)
 class FactorSensitivity:
-    """How much of a metric's variance a factor explains.
+    """How much of a metric's variance a factor explains."""
 
-    Attributes:
-        factor: The name of the factor.
-        first_order: The share that it explains alone.
-        total: The share that it explains together with all others.
-    """
-
-    factor: str
-    first_order: Estimate
-    total: Estimate
+    factor: str  # the name of the factor
+    first_order: Estimate  # the share that it explains alone
+    total: Estimate  # the share that it explains together with all others
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Sobol indices of a metric. `bool(sensitivity)` is `sensitivity.ok`.
+    """Sobol indices of a metric. `bool(sensitivity)` is `sensitivity.ok`."""
 
-    Attributes:
-        ok: Whether every interval is narrower than 0.2; otherwise more samples are needed.
-        reason: The reason if it is not ok; empty if it is.
-        samples: The number of samples; runs are (d + 2) times as many.
-        factors: The indices of each factor, the largest total first.
-    """
-
-    ok: bool
-    reason: str
+    ok: bool  # whether every interval is narrower than 0.2; otherwise more samples are needed
+    reason: str  # the reason if it is not ok; empty if it is
     metric: str
     controller: str
-    samples: int
-    factors: tuple[FactorSensitivity, ...]
+    samples: int  # the number of samples; runs are (d + 2) times as many
+    factors: tuple[FactorSensitivity, ...]  # the indices of each factor, the largest total first
 
     def __bool__(self) -> bool:
         return self.ok

@@ -19,7 +19,6 @@ class Store:
     """The file of a study. Only the program that runs the study writes; each `add` is one transaction."""
 
     def __init__(self, path: Path, versions: str):
-        """Opens or creates the file."""
         self._path = path
         self._versions = versions
         with self._one_sentence():

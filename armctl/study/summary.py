@@ -13,42 +13,28 @@ from armctl.study.statistics import Estimate, median, paired_differences, succes
 
 @dataclass(frozen=True)
 class ControllerSummary:
-    """One controller over all its runs.
+    """One controller over all its runs."""
 
-    Attributes:
-        controller: Its label.
-        runs: The number of its runs.
-        completed: How many of them were completed, whether or not the tip was at its goal.
-        success: The share of runs at whose end the tip was at its goal, with Wilson's interval.
-        medians: The median of each metric, with a bootstrap interval; a run that was not completed counts as infinite.
-        differences: The median of the differences from the first controller at the same point with the same noise; empty
-            for the first one. Below 0 this controller is better.
-    """
-
-    controller: str
-    runs: int
-    completed: int
-    success: Estimate
+    controller: str  # its label
+    runs: int  # the number of its runs
+    completed: int  # how many of them were completed, whether or not the tip was at its goal
+    success: Estimate  # the share of runs at whose end the tip was at its goal, with Wilson's interval
+    # The median of each metric, with a bootstrap interval; a run that was not completed counts as infinite
     medians: dict[str, Estimate]
+    # The median of the differences from the first controller at the same point with the same noise; empty for the first one.
+    # Below 0 this controller is better.
     differences: dict[str, Estimate]
 
 
 @dataclass(frozen=True)
 class StudySummary:
-    """The controllers of a study side by side. `bool(summary)` is `summary.ok`.
+    """The controllers of a study side by side. `bool(summary)` is `summary.ok`."""
 
-    Attributes:
-        ok: Whether all runs of the study are finished.
-        reason: The reason if it is not ok; empty if it is.
-        name: The name of the study.
-        controllers: One for each controller.
-    """
-
-    ok: bool
-    reason: str
-    name: str
+    ok: bool  # whether all runs of the study are finished
+    reason: str  # the reason if it is not ok; empty if it is
+    name: str  # the name of the study
     metrics: tuple[str, ...]
-    controllers: tuple[ControllerSummary, ...]
+    controllers: tuple[ControllerSummary, ...]  # one for each controller
 
     def __bool__(self) -> bool:
         return self.ok

@@ -65,7 +65,7 @@ def tab(browser, page: Page):
 def opened(browser, url: str):
     tab = browser.new_context(viewport={"width": 640, "height": 420}).new_page()
     tab.goto(url)
-    tab.get_by_text("real time").wait_for(timeout=1e3 * TIMEOUT_S)
+    tab.get_by_text("times real time").wait_for(timeout=1e3 * TIMEOUT_S)
     # viser's notice of software rendering lies over the scene and would take the clicks that are meant for the target
     tab.add_style_tag(content=".mantine-Notifications-root { display: none }")
     return tab
@@ -160,7 +160,7 @@ def test_the_page_shows_the_arm_and_says_what_it_does(page: Page, tab):
     tab.get_by_text("at the target").first.wait_for(timeout=1e3 * TIMEOUT_S)
     for text in (
         "tip error, mm",
-        "torque, %",
+        "largest torque, %",
         "controller",
         "payload, kg",
         "simulation speed",
@@ -224,10 +224,10 @@ def test_switching_the_controller_and_the_payload_shows_in_the_error_plot(page: 
 
 
 def test_pause_and_reset_do_what_they_say(page: Page, tab):
-    tab.get_by_label("pause").check()
+    tab.get_by_role("button", name="pause", exact=True).click()
     until(lambda: page.session.status.paused, "pause is not taken over")
     tab.get_by_text("paused").first.wait_for(timeout=1e3 * TIMEOUT_S)
-    tab.get_by_label("pause").uncheck()
+    tab.get_by_role("button", name="play", exact=True).click()
     page.session.move_joints(page.session.arm.home + 0.3)
     start = type(page.session)(page.session.arm).status.target
     tab.get_by_role("button", name="reset", exact=True).click()

@@ -19,23 +19,17 @@ _MAX_TURN = 0.5  # rad, of a joint in a step: more is another branch of the kine
 
 
 class CartesianExpert(Expert):
-    """A policy that commands positions of the end of the tool.
-
-    Attributes:
-        position: (3,) m, the commanded position.
-    """
+    """A policy that commands positions of the end of the tool."""
 
     table: Table
-    position: Array
+    position: Array  # (3,) m, the commanded position
 
     def __init__(self, batch: Batch, row: int):
-        """A policy that waits for the start of an episode."""
         super().__init__(batch, row)
         self._reach = ik_chain(self.arm).reach
         self._max_turns = max_turns(batch, _MAX_LAG, _SPEED_SHARE)
 
     def begin(self) -> None:
-        """Notes where the end of the tool is."""
         self.position = self.end
         self._q = self.arm.limits.clamp(self.batch.rows.q[self.row])
         self._speed = 0.0
@@ -67,8 +61,7 @@ class CartesianExpert(Expert):
     def go(self, goal: Array, speed: float = _SPEED) -> Array:
         """Moves the commanded position towards a goal (3,) m, with at most a speed in reaches per second.
 
-        Returns:
-            (n,) rad, the configuration; the last one if there is none for the position.
+        Returns the configuration (n,); the last one if there is none for the position.
         """
         way = goal - self.position
         distance = float(np.linalg.norm(way))

@@ -16,35 +16,19 @@ ACTIONS = ("joint_target", "joint_delta", "cartesian_delta")
 
 
 class Command(NamedTuple):
-    """What an expert wants at the end of the next step.
+    """What an expert wants at the end of the next step."""
 
-    Attributes:
-        q: (n,) rad, the targets of the joints.
-        opening: Of the gripper, from closed (0) to open (1).
-    """
-
-    q: Array
-    opening: float = 1.0
+    q: Array  # (n,) rad, the targets of the joints
+    opening: float = 1.0  # of the gripper, from closed (0) to open (1)
 
 
 class Expert(ABC):
-    """A scripted policy of one row of a batch. A subclass is one file and one row of `EXPERTS`.
-
-    Attributes:
-        row: Which row.
-    """
+    """A scripted policy of one row of a batch. A subclass is one file and one row of `EXPERTS`."""
 
     def __init__(self, batch: Batch, row: int):
-        """A policy that waits for the start of an episode.
-
-        Args:
-            row: Which row.
-
-        Raises:
-            InputError: The actions of the batch are not those of experts.
-        """
+        """A policy that waits for the start of an episode; InputError if the actions are not those of experts."""
         self.batch = batch
-        self.row = row
+        self.row = row  # which row
         self.arm = batch.arm
         if batch.action not in ACTIONS:
             raise InputError(f"action: experts act by {', '.join(ACTIONS)}, and the environment takes {batch.action}")
@@ -58,7 +42,6 @@ class Expert(ABC):
         """The reference of the joints for the next step."""
 
     def act(self) -> Array:
-        """The action of the next step."""
         if self.batch.steps[self.row] == 0:
             self.begin()
         command = self.next()
@@ -98,14 +81,10 @@ def _shortened(action: Array) -> Array:
 
 
 def max_turns(batch: Batch, max_lag: float, speed_share: float = 1.0) -> Array:
-    """(n,) rad, how far targets may move in a step so that the references stay near them.
+    """(n,) rad, how far targets may move in a step so that the references stay within `max_lag` (rad) of them.
 
-    The reference of a joint lags behind its target by v^2 / 2a, from where it could stop. The lags differ between the joints,
-    so the arm leaves its path where they are large.
-
-    Args:
-        max_lag: rad (m), of a reference.
-        speed_share: Of the speed limits of the joints.
+    The reference of a joint lags behind its target by v^2 / 2a, from where it could stop. The lags differ between the
+    joints, so the arm leaves its path where they are large. `speed_share` is that of the speed limits.
     """
     _, _, speed, acceleration, _ = batch.rows.limits
     return np.minimum(speed_share * speed, np.sqrt(2.0 * max_lag * acceleration)) * batch.step_time

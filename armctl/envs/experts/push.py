@@ -34,7 +34,6 @@ class PushExpert(CartesianExpert):
     """
 
     def __init__(self, batch: Batch, row: int):
-        """A policy that waits for the start of an episode."""
         super().__init__(batch, row)
         task = batch.task
         assert isinstance(task, Push)
@@ -43,12 +42,10 @@ class PushExpert(CartesianExpert):
         self._distance = task.radius + task.table.tool.radius + BEHIND + task.table.reach_over(task.height)
 
     def begin(self) -> None:
-        """Begins above the table."""
         super().begin()
         self._phase = self._above
 
     def next(self) -> Command:
-        """The next part of the way."""
         return Command(self._phase())
 
     def _behind(self, height: float, distance: float) -> Array:

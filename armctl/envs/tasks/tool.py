@@ -24,19 +24,12 @@ _MAX_DISTANCE = 1.0  # m, up to which the distance of jaws is computed
 
 
 class Tool(NamedTuple):
-    """The end of an arm.
+    """The end of an arm."""
 
-    Attributes:
-        axis: "x", "y" or "z": the axis of the tip along which the tool points.
-        sign: 1 or -1, the direction on it.
-        overhang: m, how far the tool extends beyond the tip.
-        radius: m, how far the end of the tool extends to the sides of the tip.
-    """
-
-    axis: str
-    sign: float
-    overhang: float
-    radius: float
+    axis: str  # "x", "y" or "z": the axis of the tip along which the tool points
+    sign: float  # 1 or -1, the direction on it
+    overhang: float  # m, how far the tool extends beyond the tip
+    radius: float  # m, how far the end of the tool extends to the sides of the tip
 
     @property
     def end(self) -> Array:
@@ -57,13 +50,10 @@ class Tool(NamedTuple):
 
 
 def find_tool(arm: Arm, states: Sequence[mujoco.MjData]) -> Tool:
-    """The tool of an arm.
+    """The tool of an arm, in states such as those with the gripper closed and open.
 
     It points from the last joint to the tip: along the joint's axis if that is nearly the direction. If the tip is at the
     joint, it points along the axis to where the tool extends farther.
-
-    Args:
-        states: States of its model, after forward kinematics, such as with the gripper closed and open.
     """
     points = np.concatenate([_points(arm, data) for data in states] or [np.zeros((1, 3))])
     points = points[np.linalg.norm(points, axis=1) < _MAX_TOOL]

@@ -32,17 +32,11 @@ class Path(Protocol):
 
 
 class Timing(NamedTuple):
-    """A motion along a path, sampled at the edges of equal intervals.
+    """A motion along a path, sampled at the edges of equal intervals."""
 
-    Attributes:
-        h: s, the length of an interval.
-        intervals: How many there are.
-        spline: scipy's spline of the length over time; None where the length is the time.
-    """
-
-    h: float
-    intervals: int
-    spline: object | None
+    h: float  # s, the length of an interval
+    intervals: int  # how many there are
+    spline: object | None  # scipy's spline of the length over time; None where the length is the time
 
     @property
     def edges(self) -> Array:

@@ -17,7 +17,7 @@ from armctl.core.log import SimulationError
 from armctl.core.pose import Pose
 from armctl.core.target import TOLERANCE, Target
 from armctl.core.validation import Array, frozen, instance, number, vector
-from armctl.ik import solve_ik
+from armctl.ik.solve import solve_ik
 from armctl.mjmodel.queries import contact_forces, keyframe_names
 from armctl.mjmodel.target_marker import find_target, target_pose
 from armctl.robot.arm import Arm
@@ -395,8 +395,11 @@ class RealTimeSession:
             return
         stepper.reset(arm.home, np.zeros(arm.n))
         has_target = find_target(stepper.model) is not None
-        start = target_pose(stepper.model, stepper.data).position if has_target else stepper.tip_pose(arm).position
-        self._follower.stand(arm.home, solve_ik(arm, start, arm.home).q)
+        tip = stepper.tip_pose(arm)
+        start = target_pose(stepper.model, stepper.data).position if has_target else tip.position
+        self._follower.stand(
+            arm.home, solve_ik(arm, Pose(start, quat=tip.quat), arm.home).q
+        )  # the tool is held as at home, if it can be
 
     def _rest_at(self, qpos: Array) -> None:
         """Puts the whole model at positions (nq,), at rest, with the target at the tip."""

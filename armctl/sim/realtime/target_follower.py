@@ -13,7 +13,8 @@ from armctl.core.pose import Pose, rotation_from_vector
 from armctl.core.target import Target
 from armctl.core.trajectory import TickReference, Trajectory
 from armctl.core.validation import Array, frozen
-from armctl.ik import DifferentialIk, solve_ik
+from armctl.ik.differential import DifferentialIk
+from armctl.ik.solve import solve_ik
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.piecewise import Pieces
 from armctl.planning.path import FreeSpace
