@@ -126,7 +126,7 @@ class Plant:
         encoder_side: Where joints are measured if they are elastic: "motor" or "link".
         delay: Ticks by which commands are delayed.
         jitter: Ticks by which commands are late at most besides the delay, at random.
-        sensor_delay: Ticks by which measured positions and velocities are late.
+        sensor_delay: Ticks by which measured positions and velocities are late, besides the delays of the file's sensors.
         encoder_bits: Bits in which an encoder counts a turn of the joint (a metre of a slide joint); 0 for exact positions.
         velocity: "differenced" for the difference of two measured positions over the tick, as in most arms, or "true" for the
             velocity of the simulation.
@@ -329,7 +329,7 @@ class Brake:
 def steps_in_python(plant: Plant, train: Drivetrain) -> bool:
     """Whether what is measured or commanded needs a tick loop in Python, which takes longer."""
     late_or_coarse = plant.jitter or plant.sensor_delay or plant.encoder_bits
-    return bool(late_or_coarse or train.rotors or (train.springs and plant.encoder_side == "link"))
+    return bool(late_or_coarse or train.sensors.is_late or train.extra_joints)
 
 
 def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: Sequence[Arm]) -> None:
