@@ -73,6 +73,8 @@ from .design.filter_proposal import propose_filter as propose_filter
 from .design.frequency_response import FrequencyResponse as FrequencyResponse
 from .design.frequency_response import frequency_response as frequency_response
 from .design.identify import identify as identify
+from .design.identify_servo import ServoEstimate as ServoEstimate
+from .design.identify_servo import identify_servo as identify_servo
 from .design.linearization import LinearArm as LinearArm
 from .design.linearization import linear_arm as linear_arm
 from .design.linearization import linearize as linearize
@@ -81,6 +83,7 @@ from .design.margins import Margins as Margins
 from .design.margins import margins as margins
 from .design.payload import PayloadEstimate as PayloadEstimate
 from .design.payload import identify_payload as identify_payload
+from .design.servo_simulation import ServoParameters as ServoParameters
 from .design.stability import LoopMargins as LoopMargins
 from .design.tuning import Tuning as Tuning
 from .design.tuning import tune as tune
