@@ -3,8 +3,8 @@
     pip install crocoddyl
     python benchmarks/reaching.py [--problems 10]
 
-The arm is a synthetic one of seven joints without damping. `optimize` minimizes the sum of relative duration and torque; crocoddyl
-(BoxFDDP, intervals of 5 ms) gets the duration that it found, and minimizes the squared torques within their limits.
+The arm is a synthetic one of seven joints without damping. `optimize` minimizes the sum of relative duration and torque;
+crocoddyl (BoxFDDP, intervals of 5 ms) gets the duration that it found, and minimizes the squared torques within their limits.
 """
 
 import argparse
@@ -60,8 +60,8 @@ def main() -> None:
         for name, runs in found.items()
     ]
     title = (
-        f"{args.problems} reaching problems in the time that optimize takes: the median of the squared torque relative to that of "
-        "optimize, the largest error at the end, the largest shares of limits, and the median time"
+        f"{args.problems} reaching problems in the time that optimize takes: the median of the squared torque relative to that "
+        "of optimize, the largest error at the end, the largest shares of limits, and the median time"
     )
     text = titled_table(title, columns, rows) + "\n"
     args.out.write_text(text, encoding="utf-8")

@@ -38,7 +38,7 @@ _ADVICE = {
     "the actuators delay commands": "judge a controller by `armctl margins`, which includes the delay",
     "elastic joints move": "judge a controller by `armctl margins`, which includes the spring",
     "(springyield)": "remove springyield, or keep the motion inside it",
-    "are late, but": "armctl.Plant(sensor_delay=...) simulates and linearizes it",
+    "the sensors of joints are late": "judge a controller by `armctl margins`, which includes it",
     "drag (": 'set density="0" viscosity="0" in <option>',
 }
 

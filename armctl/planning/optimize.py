@@ -14,10 +14,10 @@ from armctl.core.errors import InputError, PlanError
 from armctl.core.limits import torque_shares
 from armctl.core.trajectory import check_motion
 from armctl.core.validation import Array, instance, integer, number
-from armctl.motion import JointTrajectory
 from armctl.motion.checks import planning_arm
 from armctl.motion.move_through import through_waypoints
 from armctl.motion.torque_limits import InverseDynamics, within_torque
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.planning.path import CLEARANCE_M, FreeSpace
 from armctl.robot.arm import Arm
 

@@ -38,7 +38,17 @@ _BRAKED_ARRAYS = (
     "eq_active0",
 )
 # What `apply_plant` changes, besides what MuJoCo derives from it.
-_PLANT_ARRAYS = ("body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_damping", "dof_dampingpoly")
+# The places of bodies are those of the arm, whose geometry may be calibrated, and not of the file that it was loaded from.
+_PLANT_ARRAYS = (
+    "body_pos",
+    "body_quat",
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "body_iquat",
+    "dof_damping",
+    "dof_dampingpoly",
+)
 _PLANT_OPTIONS = ("disableflags", "timestep", "integrator", "tolerance")
 
 
@@ -116,7 +126,7 @@ class Plant:
         encoder_side: Where joints are measured if they are elastic: "motor" or "link".
         delay: Ticks by which commands are delayed.
         jitter: Ticks by which commands are late at most besides the delay, at random.
-        sensor_delay: Ticks by which measured positions and velocities are late.
+        sensor_delay: Ticks by which measured positions and velocities are late, besides the delays of the file's sensors.
         encoder_bits: Bits in which an encoder counts a turn of the joint (a metre of a slide joint); 0 for exact positions.
         velocity: "differenced" for the difference of two measured positions over the tick, as in most arms, or "true" for the
             velocity of the simulation.
@@ -319,7 +329,7 @@ class Brake:
 def steps_in_python(plant: Plant, train: Drivetrain) -> bool:
     """Whether what is measured or commanded needs a tick loop in Python, which takes longer."""
     late_or_coarse = plant.jitter or plant.sensor_delay or plant.encoder_bits
-    return bool(late_or_coarse or train.rotors or (train.springs and plant.encoder_side == "link"))
+    return bool(late_or_coarse or train.sensors.is_late or train.extra_joints)
 
 
 def apply_plant(model: mujoco.MjModel, data: mujoco.MjData, plant: Plant, arms: Sequence[Arm]) -> None:

@@ -13,8 +13,8 @@ from synthetic import limb, motors
 
 import armctl
 from armctl import _core
-from armctl.motion import JointTrajectory
 from armctl.motion.timing.otg import JointState, ProfileSolver
+from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.motion.trajectory.limit_check import piece_extremes, polynomial_extremes
 
 

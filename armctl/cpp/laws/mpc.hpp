@@ -19,11 +19,11 @@ namespace armctl {
 // change from block to block, which is at most the torque rate times the time between. Where limits contradict each other, those
 // of velocity and position that c = 0 exceeds become costs. Without a solution the last plan goes on. The program of
 // ComputedTorqueQP then keeps the limits of the tick itself, and brakes before the end of a joint's range.
-class MPC final : public ComputedTorqueQP {
+class MPC final : public Cloneable<MPC, ComputedTorqueQP> {
 public:
     // The gains are those of ComputedTorqueQP, `blocks` (k,), the ticks of each block, at least 2, and `torque_rate` (n,) N m/s.
     MPC(const Model& model, const Arguments& gains)
-        : ComputedTorqueQP(model, gains, memory_size(model->n(), gains.length("blocks"))), period_(model),
+        : Cloneable(model, gains, memory_size(model->n(), gains.length("blocks"))), period_(model),
           torque_rate_(gains.limits(joints(), "torque_rate")),
           ticks_(gains.integers(gains.length("blocks"), "blocks").begin(), gains.integers(gains.length("blocks"), "blocks").end()),
           rates_(std::ranges::any_of(torque_rate_, [](double rate) { return rate < unbounded; }) ? size() : 0),
@@ -42,8 +42,6 @@ public:
         }
         memory()[0] += 1.0;
     }
-
-    std::unique_ptr<Law> clone() const override { return fresh_copy(*this); }
 
     // Counts of ticks: all, those that needed a plan, those without one, and those whose plan exceeds limits.
     Result counts() { return memory(0, counters); }
