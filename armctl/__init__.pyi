@@ -135,6 +135,11 @@ from .sim.commands import PathMoveOptions as PathMoveOptions
 from .sim.follow import StreamRun as StreamRun
 from .sim.gripper.gripper import Gripper as Gripper
 from .sim.gripper.gripper import GripResult as GripResult
+from .sim.mppi import MPPI as MPPI
+from .sim.mppi import MPPIOptions as MPPIOptions
+from .sim.mppi import PushResult as PushResult
+from .sim.mppi import Rollouts as Rollouts
+from .sim.mppi import push as push
 from .sim.plant import Plant as Plant
 from .sim.plant import Push as Push
 from .sim.simulate import simulate as simulate
