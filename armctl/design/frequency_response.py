@@ -13,7 +13,7 @@ from armctl.core.errors import InputError
 from armctl.core.log import Log
 from armctl.core.trajectory import Setpoint
 from armctl.core.validation import Array, IntArray, integer
-from armctl.design.linearization import loop_at
+from armctl.design.linearization import Linearizer
 from armctl.design.state_space import ComplexArray
 from armctl.motion.trajectory.joint_trajectory import JointTrajectory
 from armctl.robot.arm import Arm, check_arm
@@ -148,7 +148,7 @@ def frequency_response(
     q = arm.checked("q", q)
     plant = read_plant(plant)
     index = _joint_index(arm, joint)
-    loop = loop_at(arm, law, q, plant)
+    loop = Linearizer(arm, plant).loop_at(law, q)
     ticks = round(_PERIOD_S / loop.dt)
     lines = _lines(ticks)
     frequency = np.asarray(2 * np.pi * lines / (ticks * loop.dt), dtype=np.float64)
