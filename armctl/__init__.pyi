@@ -68,6 +68,8 @@ from .design.calibration_poses import calibration_poses as calibration_poses
 from .design.elasticity import ElasticityEstimate as ElasticityEstimate
 from .design.elasticity import identify_elasticity as identify_elasticity
 from .design.excitation import excitation as excitation
+from .design.filter_proposal import FilterProposal as FilterProposal
+from .design.filter_proposal import propose_filter as propose_filter
 from .design.frequency_response import FrequencyResponse as FrequencyResponse
 from .design.frequency_response import frequency_response as frequency_response
 from .design.identify import identify as identify
@@ -82,6 +84,7 @@ from .design.payload import identify_payload as identify_payload
 from .design.stability import LoopMargins as LoopMargins
 from .design.tuning import Tuning as Tuning
 from .design.tuning import tune as tune
+from .design.two_mass import TwoMass as TwoMass
 from .ik.all_solutions import solve_ik_all as solve_ik_all
 from .ik.batch import solve_ik_batch as solve_ik_batch
 from .ik.differential import DifferentialIk as DifferentialIk

@@ -14,12 +14,12 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from armctl import __version__
-from armctl.cli import compare, identify, iso9283, margins, reach, reachability, robot, robots, simulate, study, tune, view
+from armctl.cli import compare, identify, iso9283, margins, reach, reachability, robot, robots, simulate, study, view
 from armctl.cli.common import DONE, INTERRUPTED, WRONG_CALL, print_json
 from armctl.core.errors import ArmctlError, InputError, UnknownNameError
 from armctl.core.uninterrupted import uninterrupted_import
 
-_COMMANDS = (robots, reach, compare, iso9283, margins, reachability, tune, identify, simulate, study, view, robot)
+_COMMANDS = (robots, reach, compare, iso9283, margins, reachability, identify, simulate, study, view, robot)
 _NOT_OPTIONS = {"action", "host", "robot", "law", "file", "run", "options"}
 
 

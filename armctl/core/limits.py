@@ -111,10 +111,7 @@ class Limits:
         """The limits for motions at a fraction of the full speed: the same motions, slowed down in time by 1/speed.
 
         Args:
-            speed: In (0, 1]; it scales v_max by speed, a_max by speed^2 and j_max by speed^3.
-
-        Returns:
-            The limits; positions and torques are unchanged.
+            speed: In (0, 1]; it scales v_max by speed, a_max by speed^2 and j_max by speed^3, and nothing else.
         """
         speed = check_speed(speed)
         if speed == 1.0:

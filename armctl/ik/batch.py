@@ -50,9 +50,6 @@ def solve_ik_batch(
         orientation_tolerance: rad.
         free_axis: "x", "y" or "z": the tip's axis about which every target may be turned freely.
 
-    Returns:
-        The fields of IkResult as arrays.
-
     Raises:
         InputError: An argument has a wrong shape, type or value.
         LimitError: q0 is outside the joint limits.

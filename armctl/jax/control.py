@@ -15,8 +15,7 @@ from armctl.control.task_space import SINGULARITY_DAMPING
 from armctl.core.errors import InputError
 from armctl.core.trajectory import TickReference, Trajectory, check_trajectory
 from armctl.core.validation import flag, instance, integer, number
-from armctl.jax.arguments import checked
-from armctl.jax.arm_model import ArmModel
+from armctl.jax.arm_model import ArmModel, checked
 from armctl.jax.dynamics import (
     cholesky_solve,
     dry_friction,

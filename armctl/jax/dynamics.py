@@ -16,8 +16,7 @@ import jax.numpy as jnp
 import jax.scipy.linalg
 import numpy as np
 
-from armctl.jax.arguments import checked
-from armctl.jax.arm_model import ArmModel
+from armctl.jax.arm_model import ArmModel, checked
 
 # Without it, GPUs and TPUs multiply float32 matrices with fewer bits.
 _einsum = partial(jnp.einsum, precision="highest")

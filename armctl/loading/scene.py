@@ -142,9 +142,6 @@ class Scene:
             at: T_world_box, or (3,) m where its centre is.
             mass: kg if it is loose; left out, it is fixed.
 
-        Returns:
-            This scene.
-
         Raises:
             InputError: A name twice, a size or a mass that is not positive.
         """
@@ -157,12 +154,6 @@ class Scene:
             radius: m.
             at: T_world_ball, or (3,) m where its centre is.
             mass: kg if it is loose; left out, it is fixed.
-
-        Returns:
-            This scene.
-
-        Raises:
-            InputError: A name twice, a radius or a mass that is not positive.
         """
         return self._add(name, _BALL, _positive("radius", vector("radius", [radius, 0, 0], 3), 1), at, mass)
 
@@ -174,12 +165,6 @@ class Scene:
             length: m.
             at: T_world_cylinder, or (3,) m where its centre is.
             mass: kg if it is loose; left out, it is fixed.
-
-        Returns:
-            This scene.
-
-        Raises:
-            InputError: A name twice, a size or a mass that is not positive.
         """
         half_length = number("length", length) / 2
         size = _positive("radius and length", vector("radius and length", [radius, half_length, 0], 3), 2)

@@ -36,12 +36,21 @@ class Section:
         acceleration: Fraction of the joints' acceleration limits, in (0, 1].
         payload: kg at the tip, in addition to the payload of the arm.
         dwell: s, a pause at its end, where no corner is rounded then; 0 for no stop.
+
+    Raises:
+        InputError: A fraction is outside (0, 1], or the payload or the pause is negative.
     """
 
     speed: float = 1.0
     acceleration: float = 1.0
     payload: float = 0.0
     dwell: float = 0.0
+
+    def __post_init__(self) -> None:
+        number("speed", self.speed, _MIN_FRACTION, 1.0)
+        number("acceleration", self.acceleration, _MIN_FRACTION, 1.0)
+        number("payload", self.payload, 0.0)
+        number("dwell", self.dwell, 0.0, _MAX_DWELL_S)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,29 +67,9 @@ class Via(Section):
     q: ArrayLike
 
 
-class SectionLimits(NamedTuple):
-    """Checked limits of a section."""
-
-    speed: float  # fraction of the planned speed
-    acceleration: float  # fraction of the acceleration limits
-    payload: float  # kg
-
-
-NO_LIMITS = SectionLimits(1.0, 1.0, 0.0)
-
-
-def section_limits(section: Section) -> SectionLimits:
-    """The checked limits of a section. Raises InputError for a fraction outside (0, 1] or a negative payload."""
-    return SectionLimits(
-        number("speed", section.speed, _MIN_FRACTION, 1.0),
-        number("acceleration", section.acceleration, _MIN_FRACTION, 1.0),
-        number("payload", section.payload, 0.0),
-    )
-
-
-def section_dwell(section: Section) -> float:
-    """How long the arm stands still after a section, s. Raises InputError if it is negative."""
-    return number("dwell", section.dwell, 0.0, _MAX_DWELL_S)
+def is_limited(section: Section) -> bool:
+    """Whether a section limits the motion on it."""
+    return (section.speed, section.acceleration, section.payload) != (1.0, 1.0, 0.0)
 
 
 def pause(arm: Arm, q: Array, duration: float) -> JointTrajectory:
@@ -89,7 +78,7 @@ def pause(arm: Arm, q: Array, duration: float) -> JointTrajectory:
     return JointTrajectory(np.array([0.0, duration]), coefficients, arm.joint_names, arm.limits, units=arm.units)
 
 
-def within_sections(arm: Arm, motion: JointTrajectory, ends: Array, limits: Sequence[SectionLimits]) -> JointTrajectory:
+def within_sections(arm: Arm, motion: JointTrajectory, ends: Array, limits: Sequence[Section]) -> JointTrajectory:
     """A motion from rest to rest, within the limits of its k sections and of the torques, on the same path.
 
     `ends` (k,) s are the ends of the sections. `slowed` of the result says what the torque limits, with the payloads, cost.
@@ -126,7 +115,7 @@ class _Needed(NamedTuple):
 class _SectionTorques:
     """The torque limits of a motion whose sections have payloads; lengths are times in the planned motion."""
 
-    def __init__(self, arm: Arm, ends: Array, limits: Sequence[SectionLimits]):
+    def __init__(self, arm: Arm, ends: Array, limits: Sequence[Section]):
         self._ends = ends
         self._n = arm.n
         self._limits = arm.limits

@@ -101,9 +101,6 @@ class Actuation:
         Args:
             parts: The actuation of each arm.
 
-        Returns:
-            One actuation of all their joints.
-
         Raises:
             InputError: There are no parts, or two of them move the same joint.
         """

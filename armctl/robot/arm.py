@@ -182,11 +182,7 @@ class Arm:
         return self.limits.clamp(given)
 
     def fk(self, q: ArrayLike) -> Pose:
-        """Forward kinematics.
-
-        Returns:
-            T_world_tip.
-        """
+        """Forward kinematics: T_world_tip."""
         return Pose.from_rotation(*self.pinocchio_model.tip(vector("q", q, self.n)))
 
     def fk_many(self, q: ArrayLike) -> tuple[Array, Array]:

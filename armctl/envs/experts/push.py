@@ -6,8 +6,7 @@ import numpy as np
 
 from armctl.core.validation import Array
 from armctl.envs.batch import Batch
-from armctl.envs.experts.cartesian import CartesianExpert
-from armctl.envs.experts.interface import Command
+from armctl.envs.experts.interface import CartesianExpert, Command
 from armctl.envs.tasks.push import BEHIND, Push
 
 _PUSH_SPEED = 0.15  # reaches per second

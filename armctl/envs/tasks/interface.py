@@ -17,7 +17,7 @@ from armctl.core.errors import InputError
 from armctl.core.limits import Limits
 from armctl.core.validation import Array, BoolArray, instance
 from armctl.envs.actions import target_limits
-from armctl.envs.grip import Grip
+from armctl.envs.tasks.tool import Grip
 from armctl.loading.load import load
 from armctl.loading.scene import Scene
 from armctl.robot.arm import Arm

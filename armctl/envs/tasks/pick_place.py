@@ -6,10 +6,9 @@ import numpy as np
 
 from armctl.core.errors import InputError, ModelError
 from armctl.core.validation import Array
-from armctl.envs.grip import find_grip
 from armctl.envs.tasks.interface import ArmSource, Episode, Task
 from armctl.envs.tasks.table import Cylinder, find_table, load_at_table
-from armctl.envs.tasks.tool import find_tool, jaw_center
+from armctl.envs.tasks.tool import find_grip, find_tool, jaw_center
 from armctl.ik.problem import ik_chain
 
 _WIDTH_SHARE = 0.5  # of the object, of the open gripper

@@ -6,10 +6,9 @@ import mujoco
 import numpy as np
 
 from armctl.core.errors import ModelError
-from armctl.envs.grip import find_grip
 from armctl.envs.tasks.interface import ArmSource, Episode, Task
 from armctl.envs.tasks.table import Cylinder, find_table, load_at_table
-from armctl.envs.tasks.tool import find_tool
+from armctl.envs.tasks.tool import find_grip, find_tool
 from armctl.ik.problem import ik_chain
 from armctl.robot.arm import Arm
 

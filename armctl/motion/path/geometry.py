@@ -30,16 +30,12 @@ class PathPoint(NamedTuple):
 
 
 class Shape(Protocol):
-    """One stretch of a tip's path."""
+    """One stretch of a tip's path: its length, m, and the place at a length."""
 
     @property
-    def length(self) -> float:
-        """Its length, m."""
-        ...
+    def length(self) -> float: ...
 
-    def at(self, s: float) -> PathPoint:
-        """The place at a length, m."""
-        ...
+    def at(self, s: float) -> PathPoint: ...
 
 
 @dataclass(frozen=True, eq=False)

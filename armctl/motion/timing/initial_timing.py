@@ -22,9 +22,7 @@ class Path(Protocol):
     """A path of the joints, as a function of its length."""
 
     @property
-    def length(self) -> float:
-        """In whatever unit the path is measured in."""
-        ...
+    def length(self) -> float: ...  # in whatever unit the path is measured in
 
     def derivatives(self, s: Array) -> tuple[Array, Array, Array, Array]:
         """q, dq/ds, d2q/ds2 and d3q/ds3, each (T, n), at lengths (T,)."""

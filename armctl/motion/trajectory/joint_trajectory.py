@@ -146,9 +146,6 @@ class JointTrajectory:
         Args:
             limits: The limits; its own if left out.
 
-        Returns:
-            The check: whether the motion is inside, and each joint's extremes with their times.
-
         Raises:
             InputError: The limits are not `Limits`, or not those of n joints.
         """
@@ -199,9 +196,6 @@ class JointTrajectory:
 
         Args:
             t: s.
-
-        Returns:
-            Its first part.
         """
         t = number("t", t, 0.0, self.duration)
         k = max(1, int(np.searchsorted(self.knots, t, side="left")))
@@ -212,9 +206,6 @@ class JointTrajectory:
 
         Args:
             factor: Of the speed, greater than 0; 0.5 takes twice as long.
-
-        Returns:
-            The slower (or, where the limits allow it, faster) motion.
 
         Raises:
             InputError: The factor is not greater than 0.
@@ -231,9 +222,6 @@ class JointTrajectory:
 
         Args:
             other: A motion that starts as this one ends: same position, velocity and acceleration.
-
-        Returns:
-            Both in one.
 
         Raises:
             InputError: No such motion, other joints, or it starts elsewhere.
