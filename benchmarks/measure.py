@@ -14,8 +14,8 @@ from markdown_table import markdown_table
 import armctl
 
 ROBOTS = ("panda", "ur5e")
-TICK_S = 0.001
-DELAY_TICKS = 2
+TICK_S = 0.002
+DELAY_TICKS = 1
 FRICTION_SHARE = 0.01  # of the torque limits
 ENCODER_NOISE = 1e-6  # rad
 RESONANCE_HZ = 15.0  # about, of the elastic joint
@@ -31,7 +31,7 @@ JUDGED_HZ = np.geomspace(0.5, 200.0, 20_000)
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--minutes", type=float, default=10.0, help="of motions without contact, for each row")
     parser.add_argument("--arms", nargs="+", help="by default all")
     parser.add_argument("--parts", nargs="+", default=list(PARTS), choices=list(PARTS))
@@ -211,8 +211,8 @@ def frequency(arms: dict[str, armctl.Arm], args: argparse.Namespace) -> tuple[st
     head = ["arm", "seed", "points within bounds, %", "resonance, Hz", "error, %", "margins before: ms, Ms", "filter"]
     head += ["bandwidth x", "after, predicted", "after, true"]
     text = (
-        f"Each arm with a delay of {DELAY_TICKS} ms, dry friction of {100 * FRICTION_SHARE:g} % of the torque limits, one "
-        f"elastic joint and encoder noise of {ENCODER_NOISE:g} rad, by PD with gravity compensation. "
+        f"Each arm with a delay of {1e3 * DELAY_TICKS * TICK_S:g} ms, dry friction of {100 * FRICTION_SHARE:g} % of the torque limits, "
+        f"one elastic joint and encoder noise of {ENCODER_NOISE:g} rad, by PD with gravity compensation. "
         f"{100 * total.mean():.1f} % of {len(total)} points are within the stated bounds of 95 %.\n\n"
     )
     return "Frequency responses from recordings", text + markdown_table(head, rows)
@@ -259,10 +259,11 @@ def feeling(arms: dict[str, armctl.Arm], args: argparse.Namespace) -> tuple[str,
                 ]
             )
             print(*rows[-1], sep=" | ", flush=True)
-    head = ["arm", "masses", "friction", "false alarms", "found within 20 ms, %", "median, ms", "missed, %", "of the limits"]
+    head = ["arm", "masses", "friction", "false alarms", "found within 20 ms, %", "median, ms", "missed, %"]
+    head.append("of the limits")
     text = (
-        "Random motions by computed torque with an observer; the model does not know the masses and the dry friction (a share of "
-        f"the torque limits). Encoder noise {FEELING_NOISE:g} rad, ticks of {1e3 * FEELING_TICK_S:g} ms, thresholds calibrated in "
+        "Random motions by computed torque with an observer; the model does not know masses and dry friction (a share of the "
+        f"torque limits). Encoder noise {FEELING_NOISE:g} rad, ticks of {1e3 * FEELING_TICK_S:g} ms, thresholds calibrated in "
         f"other motions of 30 s. {PUSHES} pushes of {PUSH_NS:g} N s ({PUSH_NS / PUSH_S:g} N) on the tip in random directions. "
         "The last column is the largest share of a limit on speed or acceleration that references reach in the three reactions."
         "\n\n"
